@@ -1,0 +1,59 @@
+# Every target sets itself up: a fresh clone needs only make and Python 3.11 or newer (with venv).
+#   make demo     two faces lit by a known sky: estimate, compare, relight; results in out/demo
+#   make test     the test suite
+#   make lint     style, types, and which module may import which
+#   make format   rewrite the code in the project's style
+#   make bench    timings
+#   make clean    forget the environment and everything made; runs/ (training) stays
+# Another Python:  make PYTHON=python3.12 test
+
+PYTHON ?= python3
+OUT ?= out/demo
+JOBS ?= 2
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+
+.DELETE_ON_ERROR:
+.PHONY: help demo test lint format bench clean
+
+help:
+	@sed -n 's/^#   //p' Makefile
+
+demo: $(VENV)/.runtime
+	$(BIN)/skylight demo --out $(OUT)
+
+# One thread for each worker: torch's own threads would fight over the same cores.
+test: $(VENV)/.dev
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) $(ARGS)
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright --pythonpath $(BIN)/python
+	$(BIN)/lint-imports
+
+format: $(VENV)/.dev
+	$(BIN)/ruff check --fix-only .
+	$(BIN)/ruff format .
+
+# addopts without the shape checks of the tests, which cost time
+bench: $(VENV)/.dev
+	$(BIN)/python -m pytest -o addopts=--import-mode=importlib -s benchmarks $(ARGS)
+
+clean:
+	rm -rf $(VENV) build out *.egg-info .benchmarks .hypothesis .import_linter_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(VENV)/.created:
+	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("skylight needs Python 3.11 or newer, $(PYTHON) is " + sys.version.split()[0] + ": say make PYTHON=python3.12 ...")'
+	$(PYTHON) -m venv --clear $(VENV)
+	@touch $@
+
+$(VENV)/.runtime: pyproject.toml | $(VENV)/.created
+	$(PIP) install --quiet --editable .
+	@touch $@
+
+$(VENV)/.dev: pyproject.toml | $(VENV)/.created
+	$(PIP) install --quiet --editable '.[dev]'
+	@touch $@ $(VENV)/.runtime

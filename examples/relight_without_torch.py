@@ -1,0 +1,35 @@
+"""The same scene with the sun on the left, ahead and on the right; torch is never imported.
+
+    skylight export decoder --out sky_decoder.onnx
+    skylight export scene bunny.obj --out bunny.npz
+    python examples/relight_without_torch.py bunny.npz sky_decoder.onnx latent.json
+
+The last line runs on a machine without torch too: besides numpy and onnxruntime it needs only the
+readers and writers of pictures (OpenEXR, OpenCV, Pillow).
+"""
+
+import math
+import sys
+
+from PIL import Image
+
+from skylight.relight.runtime import (
+    GROUND_ALBEDO,
+    SkyDecoder,
+    add_ground,
+    load_scene,
+    read_latent,
+    relight,
+    rotate_columns,
+    tone_map,
+)
+
+scene_path, decoder_path, latent_path = sys.argv[1:]
+scene, decoder = load_scene(scene_path), SkyDecoder(decoder_path)
+sky = decoder.decode(read_latent(latent_path).z[None])[0]  # (32, 128, 3)
+for azimuth_deg in (-90, 0, 90):
+    turned = rotate_columns(sky, math.radians(azimuth_deg) - decoder.centre_azimuth_rad)
+    picture = relight(scene, add_ground(turned, (GROUND_ALBEDO,) * 3))
+    Image.fromarray(tone_map(picture)).save(f"relit{azimuth_deg:+d}.png")
+
+assert "torch" not in sys.modules

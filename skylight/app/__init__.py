@@ -1,0 +1,1 @@
+"""What the command line does, as typed functions: estimate, write results, show, demonstrate."""

@@ -1,0 +1,68 @@
+"""A folder of results: all files of a run or, where it fails, those of the run before."""
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from skylight.app.report import write_report
+from skylight.app.summary import describe
+from skylight.errors import OutputError
+from skylight.faces.fit import FaceFit
+from skylight.faces.model import HeadModel
+from skylight.imaging.files import atomic_path, write_environment_map, write_json
+from skylight.imaging.photo import Photo
+from skylight.inverse.photo import PhotoEstimate
+
+
+@contextmanager
+def results_folder(out: Path) -> Iterator[Path]:
+    """A temporary folder in ``out``; its files move to ``out`` when the block ends well.
+
+    Made before the work starts, so that a folder that cannot be written to is found at once.
+    Whatever ends the block early, files of an earlier run stay as they were.
+    """
+    is_new = not out.exists()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        # within, not beside: ``out`` may be writable, or another disk, where its parent is not
+        partial = Path(tempfile.mkdtemp(prefix=".partial-", dir=out))
+    except OSError as error:
+        raise OutputError(
+            f"cannot write into {out}: {error.strerror}; choose another folder with --out"
+        ) from error
+    try:
+        yield partial
+        made = sorted(partial.iterdir())
+        for file in made:
+            if (out / file.name).is_dir():
+                raise OutputError(f"cannot write {out / file.name}: a folder has that name")
+        for file in made:
+            os.replace(file, out / file.name)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+        if is_new:
+            with suppress(OSError):  # not empty: the run went well
+                out.rmdir()
+
+
+def write_results(folder: Path, photo: Photo, source: str, result: PhotoEstimate) -> None:
+    """probe.exr, probe.hdr, mesh.obj, estimate.json and report.png of one estimate."""
+    write_environment_map(folder / "probe.exr", result.estimate.environment)
+    write_environment_map(folder / "probe.hdr", result.estimate.environment)
+    write_mesh(folder / "mesh.obj", result.fit)
+    write_json(folder / "estimate.json", describe(result, source))
+    write_report(folder / "report.png", photo, result, title=Path(source).name)
+
+
+def write_mesh(path: Path, fit: FaceFit) -> None:
+    """The fitted head, metres, in the camera's frame."""
+    from trimesh import Trimesh
+    from trimesh.exchange.obj import export_obj
+
+    mesh = Trimesh(fit.vertices, HeadModel.load().faces, process=False)
+    header = "skylight: head in metres; the camera is at the origin, looks along -Z, +Y is up"
+    with atomic_path(path) as temporary:
+        temporary.write_text(export_obj(mesh, header=header) + "\n", encoding="utf-8")

@@ -1,0 +1,96 @@
+"""An estimate in numbers: estimate.json, and the lines that people read."""
+
+import math
+import platform
+from importlib.metadata import PackageNotFoundError, version
+
+from skylight.inverse.photo import PhotoEstimate
+from skylight.inverse.solve import Estimate
+from skylight.sphere.envmap import luminance
+from skylight.sphere.frame import angles_from_direction
+from skylight.transport.observation import Observation
+
+PACKAGES = ("skylight", "torch", "numpy", "scipy", "dlib-bin", "embreex")
+
+
+def describe(result: PhotoEstimate, source: str) -> dict[str, object]:
+    """What estimate.json holds; ``skylight relight --latent`` reads the autoencoder's."""
+    estimate, fit = result.estimate, result.fit
+    azimuth_deg, zenith_deg = sun_angles_deg(estimate)
+    eye_distance_px = result.face.eye_distance_px
+    return {
+        "source": source,
+        "light": estimate.light,
+        "frame": "the camera looks along -Z, the centre of the map; +X is the picture's right, "
+        "+Y up; azimuth from -Z towards +X, zenith from +Y; linear Rec.709",
+        "sun": {"azimuth_deg": azimuth_deg, "zenith_deg": zenith_deg},
+        "albedo": estimate.albedo.tolist(),
+        "ground_albedo": estimate.ground_albedo.tolist(),
+        "params": estimate.params.tolist(),
+        "exposure": estimate.exposure,
+        "objective": {**estimate.terms, "total": math.fsum(estimate.terms.values())},
+        "status": estimate.status,
+        "advice": list(estimate.advice),
+        "residual": residual(result.view.observation, estimate),
+        "stats": estimate.stats,
+        "face": {
+            "landmark_error": fit.landmark_error,
+            "landmark_error_px": fit.landmark_error * eye_distance_px,
+            "outer_eye_distance_px": eye_distance_px,
+            "facing_angle_deg": math.degrees(fit.facing_angle_rad),
+            "focal_length_px": fit.camera.focal_px,
+            "fit_converged": fit.converged,
+            "pixels_used": len(result.view.observation.pixels),
+        },
+        "seconds": result.seconds,
+        "versions": _versions(),
+        "seed": None,  # no step of an estimate draws random numbers
+    }
+
+
+def sun_angles_deg(estimate: Estimate) -> tuple[float, float]:
+    """(azimuth, zenith) of the brightest direction in the upper half, degrees."""
+    azimuth, zenith = angles_from_direction(estimate.sun_direction)
+    return math.degrees(float(azimuth)), math.degrees(float(zenith))
+
+
+def residual(observation: Observation, estimate: Estimate) -> float:
+    """Mean |rendered - seen| / mean seen luminance of the face's pixels."""
+    seen = luminance(observation.pixels)
+    return float((luminance(estimate.rendered) - seen).abs().mean() / seen.mean())
+
+
+def where(azimuth_deg: float, zenith_deg: float) -> str:
+    """A direction in words, as the photographer would point: "behind, left, high"."""
+    if zenith_deg < 15:
+        return "overhead"
+    height = "high" if zenith_deg < 40 else "low" if zenith_deg > 70 else "half high"
+    turned = abs(azimuth_deg)
+    depth = "ahead" if turned < 67.5 else "behind" if turned > 112.5 else ""
+    side = "" if turned < 22.5 or turned > 157.5 else "left" if azimuth_deg < 0 else "right"
+    return ", ".join(part for part in (depth, side, height) if part)
+
+
+def _versions() -> dict[str, str | None]:
+    found: dict[str, str | None] = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:  # the same modules, installed under another name
+            found[package] = None
+    return found
+
+
+def summary(result: PhotoEstimate) -> str:
+    """A few lines for the terminal."""
+    estimate = result.estimate
+    azimuth_deg, zenith_deg = sun_angles_deg(estimate)
+    off = residual(result.view.observation, estimate)
+    return "\n".join(
+        [
+            f"brightest   azimuth {azimuth_deg:+.0f}°, zenith {zenith_deg:.0f}° "
+            f"({where(azimuth_deg, zenith_deg)})",
+            f"face        re-rendered to within {100 * off:.0f} % on average",
+            f"solver      {estimate.status} after {sum(result.seconds.values()):.0f} s",
+        ]
+    )

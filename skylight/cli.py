@@ -1,0 +1,325 @@
+"""The ``skylight`` command: every verb is a typed function elsewhere, imported when it is run."""
+
+import math
+import re
+import sys
+import traceback
+import warnings
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from tyro.conf import Positional
+
+from skylight import __version__
+from skylight.errors import InputError, SkylightError
+
+# Parsing must not import torch, so the choices stand here again; a test compares the two.
+Light = Literal["autoencoder", "sunsky", "sh9", "sh25"]
+Decoding = tyro.conf.create_mutex_group(required=False)
+DESCRIPTION = """Recovers the light of a scene from a photo of a face, and lights things with it.
+
+Results go to files and standard output, progress and errors to standard error. The exit code is
+0 for success, 2 for a command or input that cannot be used, 1 for any other failure. Add --debug
+to any command to see where in the program an error came from."""
+
+app = tyro.extras.SubcommandApp()
+skies = tyro.extras.SubcommandApp()
+export = tyro.extras.SubcommandApp()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command and return its exit code.
+
+    Whatever goes wrong ends as one line on standard error; ``--debug``, anywhere, adds the
+    traceback. The parser itself leaves by :class:`SystemExit`: 0 after help, 2 after an error.
+    """
+    arguments = sys.argv[1:] if arguments is None else arguments
+    debug = "--debug" in arguments
+    arguments = [argument for argument in arguments if argument != "--debug"]
+    if arguments == ["--version"]:
+        print(f"skylight {__version__}")
+        return 0
+    try:
+        with warnings.catch_warnings():
+            if not debug:
+                warnings.simplefilter("ignore")  # what libraries tell programmers
+            app.cli(
+                prog="skylight",
+                description=DESCRIPTION,
+                args=arguments or ["--help"],
+                config=(
+                    tyro.conf.FlagCreatePairsOff,
+                    tyro.conf.PositionalMetavarFromFieldName,
+                    tyro.conf.DisallowNone,
+                ),
+            )
+    except (Exception, KeyboardInterrupt) as error:
+        if debug:
+            traceback.print_exc()
+        message, code = explain(error)
+        message = re.sub(r"\.partial-\w+/", "", message)  # the folder that becomes the results
+        print(f"skylight: {' '.join(message.split())}", file=sys.stderr)
+        return code
+    return 0
+
+
+def explain(error: BaseException) -> tuple[str, int]:
+    """(what to tell the user, exit code)."""
+    if isinstance(error, SkylightError):
+        return str(error), error.exit_code
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted; the results of earlier runs are untouched", 1
+    # torch's allocators raise plain RuntimeErrors
+    no_room = isinstance(error, RuntimeError) and (
+        "allocate memory" in str(error) or "out of memory" in str(error)
+    )
+    if isinstance(error, MemoryError) or no_room:
+        return "out of memory; close other programs, or use a smaller picture", 1
+    if isinstance(error, OSError) and error.strerror:
+        file = f"{error.filename}: " if error.filename else ""
+        return f"{file}{error.strerror}; check the disk's free space and your access to it", 1
+    return f"internal error ({type(error).__name__}: {error}); rerun with --debug", 1
+
+
+@app.command
+def estimate(
+    photo: Positional[Path],
+    light: Light = "autoencoder",
+    face: int = 1,
+    device: Literal["cpu", "cuda"] = "cpu",
+    out: Path | None = None,
+    gamma: Annotated[float | None, Decoding] = None,
+    linear: Annotated[bool, Decoding] = False,
+) -> None:
+    """Recover the light in which a face was photographed.
+
+    Writes probe.exr and probe.hdr (linear lat-long maps of 64 x 128 pixels in the camera's frame:
+    the centre is where the camera looks, its right is the picture's right), mesh.obj (the fitted
+    head), estimate.json (all numbers) and report.png (a picture of it all).
+
+    Args:
+        photo: Colour picture of a face: JPEG, PNG, TIFF, EXR or Radiance HDR.
+        light: Light model: learnt skies, Preetham's sky with a sun, or spherical harmonics with
+            9 or 25 coefficients.
+        face: Which face, counted from 1, the largest.
+        device: Where the optimisation runs.
+        out: Folder for the results; by default PHOTO's name with _light, in the current folder.
+        gamma: The picture's values are light to the power of 1/GAMMA, instead of sRGB.
+        linear: The picture's values are proportional to light, instead of sRGB.
+    """
+    from skylight.app.estimate import check_device, estimate_with_steps
+    from skylight.app.progress import stage_bar
+    from skylight.app.results import results_folder, write_results
+    from skylight.app.summary import summary
+    from skylight.imaging.photo import read_photo
+
+    out = out or Path(f"{photo.stem}_light")
+    picture = read_photo(photo, decode="linear" if linear else gamma)
+    check_device(device)
+    with stage_bar() as progress, results_folder(out) as folder:
+        result = estimate_with_steps(
+            picture, str(photo), light=light, face=face, device=device, progress=progress
+        )
+        progress("writing the results", 0.0)
+        write_results(folder, picture, str(photo), result)
+    for advice in result.estimate.advice:
+        print(f"skylight: take care: {advice}", file=sys.stderr)
+    print(summary(result))
+    print(f"written into {out}: probe.exr, probe.hdr, mesh.obj, estimate.json, report.png")
+
+
+@app.command
+def demo(out: Path = Path("skylight_demo")) -> None:
+    """Show what skylight does, without any data: two estimates in about a minute.
+
+    The first is of a rendered face in a simulated light that is known, so the estimate is scored;
+    the second of a photograph of an astronaut that comes with scikit-image.
+
+    Args:
+        out: Folder for the results.
+    """
+    from skylight.app.demo import demonstrate
+    from skylight.app.progress import stage_bar
+
+    with stage_bar() as progress:
+        shown = demonstrate(out, progress)
+    print(f"{shown.synthetic / 'comparison.png'}: a rendered face, its true light and the estimate")
+    for name, value in shown.scores.items():
+        print(f"    {name:<14} {value:8.3f}")
+    print(f"{shown.synthetic / 'report.png'}: that estimate step by step")
+    print(f"{shown.photograph / 'report.png'}: the light of a real photograph")
+
+
+@skies.command(name="simulate")
+def simulate_skies(
+    days: int,
+    out: Path,
+    size: str = "32x128",
+    interval_min: float = 80.0,
+    workers: int = 1,
+) -> None:
+    """Simulate days of skies as EXR maps with an index; an interrupted run goes on.
+
+    Args:
+        days: How many days.
+        out: Folder for the maps and index.csv.
+        size: Height x width of a map of the upper hemisphere: its width is 4 heights.
+        interval_min: Minutes from one sky to the next; only skies with the sun up are kept.
+        workers: Processes that work at the same time.
+    """
+    height = _sky_height(size)
+    for name, value in (("days", days), ("interval-min", interval_min), ("workers", workers)):
+        if not value > 0 or not math.isfinite(value):
+            raise InputError(f"--{name} must be above 0, got {value}")
+    from skylight.app.progress import stage_bar
+    from skylight.skies.dataset import read_index, simulate_folder
+
+    with stage_bar() as progress:
+        index = simulate_folder(
+            out,
+            days=days,
+            interval_min=interval_min,
+            height=height,
+            workers=workers,
+            progress=lambda done, total: progress(f"day {done} of {total}", done / total),
+        )
+    print(f"{index}: {len(read_index(out))} skies of {days} days")
+
+
+@skies.command(name="index")
+def index_skies(folder: Positional[Path]) -> None:
+    """Write index.csv for a folder of captured skies.
+
+    Args:
+        folder: Folder of .exr or .hdr maps of the upper hemisphere or the sphere. A date like
+            20240131 in a file's name is its day; days are kept apart in training and tests.
+    """
+    from skylight.skies.dataset import INDEX_NAME, index_folder
+
+    if not folder.is_dir():
+        raise InputError(f"{folder}: there is no such folder; give one with .exr or .hdr maps")
+    records = index_folder(folder)
+    counts = [
+        f"{sum(record.split == split for record in records)} {split}"
+        for split in ("train", "validation", "test")
+    ]
+    print(f"{folder / INDEX_NAME}: {len(records)} skies ({', '.join(counts)})")
+
+
+@export.command(name="decoder")
+def export_decoder(out: Path = Path("sky_decoder.onnx")) -> None:
+    """Write the sky decoder as an ONNX graph, checked against torch.
+
+    Args:
+        out: The .onnx file.
+    """
+    from skylight.models.shipped import autoencoder_light
+    from skylight.relight.export import export_decoder
+
+    difference = export_decoder(autoencoder_light(), out)
+    print(f"{out}: onnxruntime and torch differ by {difference:.1g} at most")
+
+
+@export.command(name="scene")
+def export_scene(
+    mesh: Positional[Path],
+    out: Path,
+    height: int = 240,
+    up: Literal["y", "z"] = "y",
+    turn: float = 0.0,
+    ground: bool = True,
+) -> None:
+    """Precompute how light reaches a mesh on a ground, for relighting it anywhere.
+
+    Args:
+        mesh: .obj, .ply, .glb, .gltf, .stl or .off; its materials are not used.
+        out: The .npz file.
+        height: Rows of the picture, which is 4:3.
+        up: The mesh's own up axis.
+        turn: Turn of the mesh to the right about that axis, degrees.
+        ground: Whether there is a ground that takes the mesh's shadow.
+    """
+    from skylight.app.progress import stage_bar
+    from skylight.relight.export import Placement, precompute_scene
+
+    placement = Placement(up=up, turn_rad=math.radians(turn), ground=ground)
+    with stage_bar() as progress:
+        scene = precompute_scene(
+            mesh,
+            out,
+            height=height,
+            placement=placement,
+            progress=lambda share: progress("tracing light", share),
+        )
+    print(f"{out}: {len(scene.pixels)} pixels lit from {len(scene.directions)} directions")
+
+
+@app.command
+def relight(
+    scene: Positional[Path],
+    out: Path,
+    probe: Path | None = None,
+    latent: Path | None = None,
+    azimuth: float | None = None,
+    decoder: Path | None = None,
+    exposure: float | None = None,
+    ground_albedo: float | None = None,
+) -> None:
+    """Light a precomputed scene, by a probe or by the sky of a latent; needs no torch.
+
+    Args:
+        scene: .npz file that `skylight export scene` wrote.
+        out: Picture to write: .png (8-bit sRGB) or .exr (linear).
+        probe: Light as an .exr or .hdr lat-long map, such as an estimate's probe.exr.
+        latent: Light as JSON: 64 latents, or an estimate's estimate.json.
+        azimuth: Where the latent's sun goes, or how far a probe is turned: degrees to the right.
+        decoder: .onnx file that `skylight export decoder` wrote; by default the one shipped.
+        exposure: Factor on radiance, with 1 as white.
+        ground_albedo: Reflectance of the ground, from 0 to 1.
+    """
+    from skylight.relight.runtime import relight_files
+
+    relight_files(
+        scene,
+        out,
+        probe=probe,
+        latent=latent,
+        azimuth_deg=azimuth,
+        decoder=decoder,
+        exposure=exposure,
+        ground_albedo=ground_albedo,
+    )
+    print(out)
+
+
+@app.command
+def evaluate(
+    name: Positional[str],
+    out: Path,
+    quick: bool = False,
+    data: Path | None = None,
+) -> None:
+    """Compute one of the tables or figures of the evaluation.
+
+    Args:
+        name: Which one; a name that does not exist is answered with the list.
+        out: Folder for the results.
+        quick: A small run that shows the form of the result in minutes.
+        data: Folder of collected data, where the evaluation needs any.
+    """
+    from skylight.evaluation.main import evaluate
+
+    evaluate(name, quick=quick, data=data, out=out)
+
+
+app.command(skies, name="skies", help="Simulate skies, or index a folder of captured ones.")
+app.command(export, name="export", help="Write what relighting without torch needs.")
+
+
+def _sky_height(size: str) -> int:
+    """The height that "HxW" names."""
+    height, _, width = size.partition("x")
+    if not (height.isdigit() and width.isdigit() and int(width) == 4 * int(height) > 0):
+        raise InputError(f"--size must be HEIGHTxWIDTH with a width of 4 heights, got {size!r}")
+    return int(height)

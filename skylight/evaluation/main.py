@@ -1,0 +1,132 @@
+"""``skylight evaluate``: the one way to every table of this project."""
+
+import platform
+import subprocess
+from collections.abc import Callable
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+
+import torch
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+from skylight.errors import InputError, OutputError
+from skylight.evaluation.pictures import write_sheet
+from skylight.evaluation.real_faces import RealFaces
+from skylight.evaluation.run import Evaluation, measure_all
+from skylight.evaluation.sky_models import SkyModels
+from skylight.evaluation.synthetic_faces import SyntheticFaces
+from skylight.evaluation.tables import markdown, summarise
+from skylight.imaging.files import atomic_path, write_json
+
+SHEET_STRIPS = 12
+
+
+def _synthetic_faces(quick: bool, data: Path | None) -> Evaluation:
+    if data is not None:
+        raise InputError("synthetic-faces makes its own data: leave --data out")
+    return SyntheticFaces(count=20 if quick else 150)
+
+
+def _sky_models(quick: bool, data: Path | None) -> Evaluation:
+    return SkyModels(count=24 if quick else 150, data=data)
+
+
+def _real_faces(quick: bool, data: Path | None) -> Evaluation:
+    if data is None:
+        raise InputError("real-faces needs --data DIR: photographs with an index.json beside them")
+    return RealFaces(data=data, every=3 if quick else 1)
+
+
+EVALUATIONS: dict[str, Callable[[bool, Path | None], Evaluation]] = {
+    "synthetic-faces": _synthetic_faces,
+    "sky-models": _sky_models,
+    "real-faces": _real_faces,
+}
+
+
+def evaluate(name: str, *, quick: bool, data: Path | None, out: Path, workers: int = 2) -> Path:
+    """Run an evaluation by name and write its results into ``out``; returns ``results.json``.
+
+    Beside it lie ``results.md``, a picture per item, ``sheet.png`` of the first of them, and
+    ``items.jsonl`` from which the same command goes on after an interruption. A missed goal is
+    a result like any other.
+
+    Raises
+    ------
+    InputError
+        An unknown name, or data that the evaluation cannot use.
+    """
+    if name not in EVALUATIONS:
+        raise InputError(f"unknown evaluation {name!r}: choose one of {', '.join(EVALUATIONS)}")
+    if workers < 1:
+        raise InputError(f"{workers} workers cannot work: use 1 or more")
+    command = f"skylight evaluate {name}" + (" --quick" if quick else "")
+    command += f" --data {data.name}" if data is not None else ""
+    evaluation = EVALUATIONS[name](quick, data)
+    return run_evaluation(evaluation, out, command=command, quick=quick, workers=workers)
+
+
+def run_evaluation(
+    evaluation: Evaluation, out: Path, *, command: str, quick: bool = False, workers: int = 1
+) -> Path:
+    """Measure, summarise, write."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot write into {out}: {error.strerror}") from error
+    bar = Progress(
+        "{task.description}",
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+    )
+    with bar:
+        task = bar.add_task(evaluation.name)
+        items = measure_all(
+            evaluation,
+            out,
+            workers=workers,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    rows = summarise(items)
+    results = {
+        "name": evaluation.name,
+        "command": command,
+        "commit": commit(),
+        "date": f"{datetime.now(UTC):%Y-%m-%d}",
+        "machine": f"{platform.machine()}, torch {torch.__version__}, {workers} processes",
+        "seed": evaluation.seed,
+        "quick": quick,
+        "n": len(items),
+        "rows": rows,
+        "checks": {k: asdict(c) for k, c in evaluation.checks(rows, items).items()},
+        "not_found": sum("no face found" in i.problem for i in items),
+        "problems": {i.name: i.problem for i in items if i.problem},
+        "items": {i.name: i.facts for i in items},
+    }
+    write_json(out / "results.json", results)
+    with atomic_path(out / "results.md") as temporary:
+        temporary.write_text(markdown(results))
+    strips = [out / "pictures" / f"{i.name}.png" for i in items[:SHEET_STRIPS]]
+    write_sheet(out / "sheet.png", strips)
+    return out / "results.json"
+
+
+def commit() -> str:
+    """The commit of the code, ``+`` where it was changed since; "unknown" outside a checkout."""
+
+    def git(*arguments: str) -> str:
+        folder = str(Path(__file__).parent)
+        done = subprocess.run(["git", "-C", folder, *arguments], capture_output=True, text=True)
+        if done.returncode:
+            raise OSError(done.stderr)
+        return done.stdout.strip()
+
+    try:
+        changed = git("status", "--porcelain", "--untracked-files=no", ".")
+        return git("rev-parse", "--short", "HEAD") + ("+" if changed else "")
+    except OSError:
+        return "unknown"

@@ -1,0 +1,165 @@
+"""Measure the items of an evaluation side by side, and remember each one that is done."""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import torch
+
+import skylight
+from skylight.errors import SkylightError
+
+Metrics = dict[str, dict[str, float]]  # method -> metric -> value
+CACHE = "items.jsonl"
+MEASURED = ("sphere", "imaging", "skies", "models", "transport", "faces", "inverse", "evaluation")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """A measured number and the goal it was set; an evaluation reports both and goes on."""
+
+    value: float
+    goal: str
+    ok: bool
+
+    @staticmethod
+    def at_most(value: float, limit: float) -> "Check":
+        return Check(value=value, goal=f"<= {limit:g}", ok=value <= limit)
+
+    @staticmethod
+    def at_least(value: float, limit: float) -> "Check":
+        return Check(value=value, goal=f">= {limit:g}", ok=value >= limit)
+
+    @staticmethod
+    def below(value: float, limit: float, whose: str) -> "Check":
+        return Check(value=value, goal=f"< {limit:.4g} ({whose})", ok=value < limit)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Item:
+    """What one face, sky or photograph gave. ``facts`` is anything else worth keeping.
+
+    ``problem`` says why methods are missing from ``metrics``; empty where none is.
+    """
+
+    name: str
+    metrics: Metrics
+    facts: dict[str, object] = field(default_factory=dict)
+    problem: str = ""
+
+
+@runtime_checkable
+class Evaluation(Protocol):
+    """A frozen dataclass of settings. ``config`` names all that an item's result depends on."""
+
+    name: str
+    seed: int
+
+    def config(self) -> dict[str, object]: ...
+
+    def items(self) -> list[str]: ...
+
+    def measure(self, item: str, picture: Path) -> Item:
+        """One item; may write ``picture``, a PNG strip for the contact sheet."""
+        ...
+
+    def checks(
+        self, rows: dict[str, dict[str, dict[str, float]]], items: list[Item]
+    ) -> dict[str, Check]: ...
+
+
+def measure_all(
+    evaluation: Evaluation,
+    out: Path,
+    *,
+    workers: int,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Item]:
+    """All items in order, those measured before with the same settings and code from the cache.
+
+    Each is appended to ``out/items.jsonl`` as soon as it is there, so that a killed run goes on
+    where it was. Processes use one thread each; ``workers=1`` stays in this process.
+    """
+    names = evaluation.items()
+    pictures = out / "pictures"
+    pictures.mkdir(parents=True, exist_ok=True)
+    config = {"name": evaluation.name, "code": code_hash(), **evaluation.config()}
+    done = _read_cache(out / CACHE, config)
+    missing = [name for name in names if name not in done]
+    tell = progress or (lambda count, total: None)
+    tell(len(names) - len(missing), len(names))
+    with (out / CACHE).open("a") as stream:
+        for item in _measured(evaluation, missing, pictures, workers):
+            done[item.name] = item
+            stream.write(json.dumps(asdict(item)) + "\n")
+            stream.flush()
+            missing.remove(item.name)
+            tell(len(names) - len(missing), len(names))
+    return [done[name] for name in names]
+
+
+def _measured(
+    evaluation: Evaluation, names: list[str], pictures: Path, workers: int
+) -> Iterable[Item]:
+    arguments = [(evaluation, name, pictures / f"{name}.png") for name in names]
+    if workers == 1 or len(names) < 2:
+        yield from map(_measure, arguments)
+        return
+    # spawned, not forked: a fork would inherit torch's thread pool without its threads
+    with ProcessPoolExecutor(
+        min(workers, len(names)),
+        mp_context=get_context("spawn"),
+        initializer=torch.set_num_threads,
+        initargs=(1,),
+    ) as pool:
+        jobs = [pool.submit(_measure, argument) for argument in arguments]
+        try:
+            for job in as_completed(jobs):
+                yield job.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _measure(argument: tuple[Evaluation, str, Path]) -> Item:
+    evaluation, name, picture = argument
+    try:
+        return evaluation.measure(name, picture)
+    except SkylightError as error:
+        return Item(name=name, metrics={}, problem=str(error))
+
+
+def _read_cache(path: Path, config: dict[str, object]) -> dict[str, Item]:
+    """Items of an earlier run with exactly this configuration; otherwise a fresh cache."""
+    lines = path.read_text().splitlines() if path.is_file() else []
+    items: dict[str, Item] = {}
+    kept = [json.dumps(config, sort_keys=True)]
+    if lines[:1] == kept:
+        for line in lines[1:]:
+            try:
+                item = Item(**json.loads(line))
+            except ValueError:  # cut off by a kill
+                continue
+            items[item.name] = item
+            kept.append(line)
+    path.write_text("\n".join(kept) + "\n")
+    return items
+
+
+@cache
+def code_hash() -> str:
+    """SHA-256 over the sources and model files that make the numbers: others' are stale."""
+    root = Path(str(skylight.__path__[0]))
+    left_out = {root / "evaluation" / f"{n}.py" for n in ("tables", "main")}
+    digest = hashlib.sha256()
+    for path in sorted(p for package in MEASURED for p in (root / package).rglob("*")):
+        is_data = path.parent.name == "data"
+        if path.is_file() and (path.suffix == ".py" or is_data) and path not in left_out:
+            digest.update(str(path.relative_to(root)).encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]

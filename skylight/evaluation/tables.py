@@ -1,0 +1,158 @@
+"""Numbers as Markdown, beside the thesis' own."""
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from skylight.evaluation.run import Item
+
+Rows = dict[str, dict[str, dict[str, float]]]  # method -> metric -> mean, median, std, n
+
+LABELS = {
+    "mae": "MAE (s)",
+    "rmse": "RMSE (s)",
+    "si_rmse": "si-RMSE (s)",
+    "mae_aligned": "MAE (s), brightness aligned",
+    "rmse_aligned": "RMSE (s), brightness aligned",
+    "brightness": "brightness of the light / truth",
+    "ssim": "SSIM (s)",
+    "full_dw_mae": "Full-dω MAE (l)",
+    "sky_dw_mae": "Sky-dω MAE (l)",
+    "sun_dw_mae": "Sun-dω MAE (l)",
+    "sun_dw_mae_fixed": "Sun-dω MAE (l), at the true sun",
+    "sun_angle_deg": "Sun-ang (l), deg",
+    "pose_deg": "pose error, deg",
+    "seconds": "seconds",
+    "cpu_seconds": "seconds of a core",
+    "transport_seconds": "seconds of ray tracing",
+}
+_THESIS_METRICS = (
+    "mae",
+    "rmse",
+    "si_rmse",
+    "full_dw_mae",
+    "sky_dw_mae",
+    "sun_dw_mae",
+    "sun_angle_deg",
+)
+# Per method the means, then the standard deviations, in the order above.
+THESIS: dict[str, dict[str, tuple[tuple[float, ...], tuple[float, ...]]]] = {
+    "sky-models": {  # Table 5.1: 135 captured skies
+        "sh9": (
+            (0.56, 0.64, 0.50, 0.47, 0.46, 0.43, 20.29),
+            (0.62, 0.69, 0.53, 0.26, 0.25, 0.26, 22.64),
+        ),
+        "sh25": (
+            (0.53, 0.62, 0.48, 0.41, 0.45, 0.42, 13.93),
+            (0.62, 0.70, 0.53, 0.26, 0.25, 0.26, 14.39),
+        ),
+        "sunsky": (
+            (0.54, 0.37, 0.23, 0.40, 0.18, 0.06, 0.68),
+            (0.43, 0.28, 0.21, 0.18, 0.14, 0.10, 1.52),
+        ),
+        "autoencoder_feedforward": (
+            (1.54, 1.05, 0.14, 0.50, 0.23, 0.10, 4.61),
+            (4.69, 3.06, 0.16, 0.70, 0.27, 0.10, 13.63),
+        ),
+        "autoencoder": (
+            (0.35, 0.29, 0.17, 0.30, 0.22, 0.16, 6.52),
+            (0.32, 0.29, 0.19, 0.21, 0.22, 0.20, 14.51),
+        ),
+    },
+    "synthetic-faces": {  # Table 5.2: 135 faces under captured skies
+        "sh9": (
+            (0.68, 0.53, 0.41, 1.04, 0.43, 0.35, 18.31),
+            (0.39, 0.30, 0.22, 0.48, 0.23, 0.20, 19.52),
+        ),
+        "sh25": (
+            (0.71, 0.52, 0.43, 1.22, 0.46, 0.34, 22.38),
+            (0.51, 0.33, 0.22, 0.37, 0.21, 0.21, 18.54),
+        ),
+        "sunsky": (
+            (0.92, 0.71, 0.55, 1.42, 0.64, 0.26, 42.23),
+            (0.56, 0.47, 0.39, 1.57, 0.42, 0.20, 30.31),
+        ),
+        "autoencoder": (
+            (0.75, 0.60, 0.45, 0.80, 0.62, 0.15, 23.55),
+            (0.38, 0.33, 0.29, 0.27, 0.32, 0.12, 21.75),
+        ),
+    },
+}
+_THESIS_TITLE = {
+    "sky-models": "The thesis, Table 5.1 (mean ± standard deviation over 135 captured skies)",
+    "synthetic-faces": "The thesis, Table 5.2 (mean ± standard deviation over 135 faces)",
+}
+
+
+def summarise(items: Iterable[Item]) -> Rows:
+    """Mean, median, standard deviation and count of each metric over the items that have it."""
+    values: dict[str, dict[str, list[float]]] = {}
+    for item in items:
+        for method, metrics in item.metrics.items():
+            for metric, value in metrics.items():
+                values.setdefault(method, {}).setdefault(metric, []).append(value)
+    return {
+        method: {metric: _statistics(v) for metric, v in metrics.items()}
+        for method, metrics in values.items()
+    }
+
+
+def _statistics(values: list[float]) -> dict[str, float]:
+    return {
+        "mean": float(np.mean(values)),
+        "median": float(np.median(values)),
+        "std": float(np.std(values)),
+        "n": len(values),
+    }
+
+
+def markdown(results: dict) -> str:
+    """The tables of one evaluation's ``results.json``."""
+    rows: Rows = results["rows"]
+    methods = list(rows)
+    metrics = [m for m in LABELS if any(m in rows[method] for method in methods)]
+    metrics += sorted({m for method in methods for m in rows[method]} - set(metrics))
+    missed = len(results["problems"])
+    lines = [
+        f"# {results['name']}",
+        "",
+        f"`{results['command']}`, {results['n']} items, commit {results['commit']}, "
+        f"{results['date']}, {results['machine']}. Mean ± standard deviation, median in brackets."
+        + (f" {missed} items with a problem (below)." if missed else ""),
+        "",
+        *_table(
+            methods,
+            [
+                (LABELS.get(metric, metric), [_cell(rows[m].get(metric)) for m in methods])
+                for metric in metrics
+            ],
+        ),
+    ]
+    thesis = THESIS.get(results["name"])
+    if thesis:
+        columns = list(thesis)
+        cells = [
+            (LABELS[metric], [f"{mean[i]:.2f} ± {std[i]:.2f}" for mean, std in thesis.values()])
+            for i, metric in enumerate(_THESIS_METRICS)
+        ]
+        lines += ["", f"{_THESIS_TITLE[results['name']]}:", "", *_table(columns, cells)]
+    if results["checks"]:
+        cells = [
+            (name, [f"{c['value']:.4g}", c["goal"], "yes" if c["ok"] else "no"])
+            for name, c in results["checks"].items()
+        ]
+        lines += ["", *_table(["value", "goal", "met"], cells)]
+    lines += ["", *(f"- {name}: {why}" for name, why in results["problems"].items())]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _table(columns: list[str], rows: list[tuple[str, list[str]]]) -> list[str]:
+    head = ["| | " + " | ".join(columns) + " |", "|" + "---|" * (len(columns) + 1)]
+    return head + ["| " + " | ".join([name, *cells]) + " |" for name, cells in rows]
+
+
+def _cell(statistics: dict[str, float] | None) -> str:
+    if statistics is None or math.isnan(statistics["mean"]):
+        return ""
+    return "{mean:.3g} ± {std:.2g} [{median:.3g}]".format(**statistics)

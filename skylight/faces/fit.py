@@ -1,0 +1,324 @@
+"""Landmarks in a picture -> camera, pose, shape: Levenberg-Marquardt on the morphable head.
+
+Minimised over pose (R, t), focal length f, identity a and expression b:
+
+    e^T S^-1 e + |a|^2 + |b|^2 / s^2 + (log f - log f_0)^2 / sigma_f^2
+
+where e holds project(R X_i(a, b) + t; f) - x_i of all landmarks in units of the eye distance, with
+X_i on the head for the 51 inner landmarks; those of the jaw slide along the head to the silhouette.
+S is the second moment of the detector's errors, measured on rendered people
+(``tools/measure_landmarks.py``): detectors err together along jaw and brows, and treating their
+landmarks as independent turns that into errors of pose.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from numpy import ndarray
+from scipy.spatial.transform import Rotation
+
+from skylight.errors import AssetError
+from skylight.faces.landmarks import DetectedFace
+from skylight.faces.model import HeadModel
+from skylight.transport.camera import Camera
+
+EXPRESSION_SCALE = 0.7
+# Where a picture does not tell: a portrait lens of 1.9 times the long side (68 mm on film),
+# within a factor of about 1.6.
+FOCAL_GUESS = 1.9
+FOCAL_GUESS_SIGMA = 0.3
+FOCAL_EXIF_SIGMA = 0.05
+_JAW = np.arange(17)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceFit:
+    """A head in the camera's frame. ``vertices`` (n,3) in metres; the camera is at the origin.
+
+    ``landmark_error`` is the mean distance of the landmarks to their detections, as a fraction
+    of the distance of the outer eye corners, before the last smooth deformation.
+    """
+
+    camera: Camera
+    rotation: Float[ndarray, "3 3"]
+    translation: Float[ndarray, "3"]
+    identity: Float[ndarray, " k"]
+    expression: Float[ndarray, " e"]
+    vertices: Float[ndarray, "n 3"]
+    landmark_error: float
+    converged: bool
+
+    @property
+    def facing_angle_rad(self) -> float:
+        """Between the face's forward axis and the direction to the camera."""
+        forward = self.rotation @ np.array([0.0, 0.0, 1.0])
+        to_camera = -self.translation / np.linalg.norm(self.translation)
+        return float(np.arccos(np.clip(forward @ to_camera, -1, 1)))
+
+
+def fit_face(
+    model: HeadModel,
+    face: DetectedFace,
+    width: int,
+    height: int,
+    *,
+    focal_px: float | None = None,
+    meet_landmarks: bool = True,
+) -> FaceFit:
+    """Fit the head to one detected face of a ``width`` x ``height`` picture.
+
+    ``focal_px`` is the focal length from EXIF where known; otherwise it is guessed and refined.
+    ``meet_landmarks`` spreads what remains between fit and detections over the skin, by bounded
+    biharmonic weights, so that the inner landmarks are met in the picture.
+    """
+    problem = FitProblem(model, face, width, height, focal_px)
+    # a turned head has local minima: start from three yaws and keep the best
+    starts = [problem.start(yaw) for yaw in np.radians([-30.0, 0.0, 30.0])]
+    posed = [problem.minimise(s, iterations=15, pose_only=True) for s in starts]
+    best = min(posed, key=lambda result: result[1])[0]
+    state, _, converged = problem.minimise(best, iterations=60, pose_only=False)
+    camera = problem.camera(state)
+    shape = model.vertices(state.identity, state.expression)
+    points, _ = problem.points(state)
+    placed = points @ state.rotation.T + state.translation
+    gap = face.points - camera_project(camera, placed)
+    error = float(np.linalg.norm(gap, axis=1).mean() / face.eye_distance_px)
+    if meet_landmarks:
+        # in the picture plane at each landmark's depth; sliding jaw points stay where they are
+        depth = -placed[:, 2:]
+        shift = np.concatenate([gap[:, :1], -gap[:, 1:], np.zeros_like(depth)], 1)
+        shift = shift * depth / camera.focal_px
+        shift[_JAW] = 0
+        shape = model.deform(shape, shift @ state.rotation)
+    return FaceFit(
+        camera=camera,
+        rotation=state.rotation,
+        translation=state.translation,
+        identity=state.identity,
+        expression=state.expression,
+        vertices=shape @ state.rotation.T + state.translation,
+        landmark_error=error,
+        converged=converged,
+    )
+
+
+def camera_project(camera: Camera, points: Float[ndarray, "n 3"]) -> Float[ndarray, "n 2"]:
+    """Pixels (x, y) of points in front of the camera."""
+    return camera.project(torch.from_numpy(np.ascontiguousarray(points))).numpy()
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitState:
+    rotation: Float[ndarray, "3 3"]
+    translation: Float[ndarray, "3"]
+    log_focal: float
+    identity: Float[ndarray, " k"]
+    expression: Float[ndarray, " e"]
+
+    def stepped(self, step: Float[ndarray, " p"], identities: int) -> "FitState":
+        """Rotation turned from the left by step[0:3]; the rest added."""
+        return FitState(
+            rotation=Rotation.from_rotvec(step[:3]).as_matrix() @ self.rotation,
+            # depth is stepped in proportion, so that it never changes sign
+            translation=np.array(
+                [
+                    self.translation[0] + step[3],
+                    self.translation[1] + step[4],
+                    self.translation[2] * np.exp(np.clip(step[5], -1, 1)),
+                ]
+            ),
+            log_focal=self.log_focal + step[6],
+            identity=self.identity + step[7 : 7 + identities],
+            expression=self.expression + step[7 + identities :],
+        )
+
+
+class FitProblem:
+    """Residuals and Jacobian of the fit for one detection."""
+
+    def __init__(
+        self,
+        model: HeadModel,
+        face: DetectedFace,
+        width: int,
+        height: int,
+        focal_px: float | None,
+    ) -> None:
+        self.target = face.points
+        self.eye_distance = face.eye_distance_px
+        self.size = width, height
+        self.basis = model.landmark_basis()
+        self.contour = model.contour_basis()
+        self.identities = self.basis[1].shape[2]
+        known = focal_px is not None
+        self.log_focal0 = np.log(focal_px if known else FOCAL_GUESS * max(width, height))
+        self.focal_sigma = FOCAL_EXIF_SIGMA if known else FOCAL_GUESS_SIGMA
+        self.whiten = _whitening() / self.eye_distance
+
+    @staticmethod
+    def landmarks_of(model: HeadModel, fit: FaceFit) -> Float[ndarray, "68 2"]:
+        """Where a head's landmarks lie in the picture, the jaw's on the silhouette."""
+        pixels = camera_project(fit.camera, model.landmarks(fit.vertices))
+        face = DetectedFace(points=pixels, score=0.0)
+        problem = FitProblem(model, face, fit.camera.width, fit.camera.height, None)
+        state = FitState(
+            rotation=fit.rotation,
+            translation=fit.translation,
+            log_focal=float(np.log(fit.camera.focal_px)),
+            identity=fit.identity,
+            expression=fit.expression,
+        )
+        points, _ = problem.points(state)
+        return camera_project(fit.camera, points @ fit.rotation.T + fit.translation)
+
+    def start(self, yaw: float) -> FitState:
+        """Mean face at the depth that the outer eye corners tell, rolled like them."""
+        mean = self.basis[0]
+        left, right = self.target[36], self.target[45]
+        roll = np.arctan2(-(right - left)[1], (right - left)[0])
+        rotation = Rotation.from_euler("zy", [roll, yaw]).as_matrix()
+        focal = np.exp(self.log_focal0)
+        depth = focal * np.linalg.norm(mean[45] - mean[36]) * np.cos(yaw) / self.eye_distance
+        middle = self.target[17:].mean(0) - np.array(self.size) / 2
+        centre = np.array([middle[0], -middle[1], -focal]) * depth / focal
+        return FitState(
+            rotation=rotation,
+            translation=centre - rotation @ mean[17:].mean(0),
+            log_focal=float(self.log_focal0),
+            identity=np.zeros(self.identities),
+            expression=np.zeros(self.basis[2].shape[2]),
+        )
+
+    def camera(self, state: FitState) -> Camera:
+        width, height = self.size
+        return Camera(
+            focal_px=float(np.exp(state.log_focal)),
+            width=width,
+            height=height,
+            center_px=(width / 2, height / 2),
+        )
+
+    def points(self, state: FitState) -> tuple[Float[ndarray, "68 3"], Float[ndarray, "68 3 p"]]:
+        """Landmarks in the head's frame, the jaw's slid to the silhouette, and d/d(a, b)."""
+        mean, identity, expression = self.basis
+        points = mean + identity @ state.identity + expression @ state.expression
+        jacobian = np.concatenate([identity, expression], 2)
+        chosen = self._silhouette(state, points)
+        mean, identity, expression = (part[_JAW, chosen] for part in self.contour)
+        points[_JAW] = mean + identity @ state.identity + expression @ state.expression
+        jacobian[_JAW] = np.concatenate([identity, expression], 2)
+        return points, jacobian
+
+    def _silhouette(self, state: FitState, points: Float[ndarray, "68 3"]) -> Int[ndarray, " 17"]:
+        """Of each jaw row, the candidate that lies outermost in the picture."""
+        mean, identity, expression = self.contour
+        candidates = mean + identity @ state.identity + expression @ state.expression
+        camera = self.camera(state)
+        rows, count = candidates.shape[:2]
+        placed = candidates.reshape(-1, 3) @ state.rotation.T + state.translation
+        image = camera_project(camera, placed).reshape(rows, count, 2)
+        inner = camera_project(camera, points[27:36] @ state.rotation.T + state.translation)
+        outward = image[:, 0] - inner.mean(0)
+        outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+        return np.einsum("rcd,rd->rc", image, outward).argmax(1)
+
+    def residuals(self, state: FitState) -> tuple[Float[ndarray, "136"], Float[ndarray, "136 p"]]:
+        """S^-1/2 e and its Jacobian by the step of :meth:`FitState.stepped`."""
+        points, shape_jacobian = self.points(state)
+        rotated = points @ state.rotation.T
+        placed = rotated + state.translation
+        focal = np.exp(state.log_focal)
+        depth = -placed[:, 2]
+        x, y = placed[:, 0], placed[:, 1]
+        gap = camera_project(self.camera(state), placed) - self.target
+        # d(u, v) / d(placed): u = f x / depth, v = -f y / depth
+        projection = np.zeros((68, 2, 3))
+        projection[:, 0, 0] = focal / depth
+        projection[:, 0, 2] = focal * x / depth**2
+        projection[:, 1, 1] = -focal / depth
+        projection[:, 1, 2] = -focal * y / depth**2
+        by_point = np.zeros((68, 3, 7 + shape_jacobian.shape[2]))
+        # d(exp(w) q) / dw = -[q]x
+        by_point[:, 0, 1], by_point[:, 0, 2] = rotated[:, 2], -rotated[:, 1]
+        by_point[:, 1, 0], by_point[:, 1, 2] = -rotated[:, 2], rotated[:, 0]
+        by_point[:, 2, 0], by_point[:, 2, 1] = rotated[:, 1], -rotated[:, 0]
+        by_point[:, 0, 3] = by_point[:, 1, 4] = 1
+        by_point[:, 2, 5] = state.translation[2]
+        by_point[:, :, 7:] = np.einsum("ij,ljp->lip", state.rotation, shape_jacobian)
+        jacobian = np.einsum("luc,lcp->lup", projection, by_point)
+        jacobian[:, 0, 6], jacobian[:, 1, 6] = focal * x / depth, -focal * y / depth
+        return self.whiten @ gap.ravel(), self.whiten @ jacobian.reshape(136, -1)
+
+    def prior(self, state: FitState) -> tuple[Float[ndarray, " p"], Float[ndarray, " p"]]:
+        """Residuals of the priors and their (diagonal) Jacobian; none on the pose."""
+        value = np.concatenate(
+            [
+                np.zeros(6),
+                [(state.log_focal - self.log_focal0) / self.focal_sigma],
+                state.identity,
+                state.expression / EXPRESSION_SCALE,
+            ]
+        )
+        slope = np.concatenate(
+            [
+                np.zeros(6),
+                [1 / self.focal_sigma],
+                np.ones(len(state.identity)),
+                np.full(len(state.expression), 1 / EXPRESSION_SCALE),
+            ]
+        )
+        return value, slope
+
+    def cost(self, state: FitState) -> float:
+        """The objective at the top of this file."""
+        points, _ = self.points(state)
+        placed = points @ state.rotation.T + state.translation
+        gap = self.whiten @ (camera_project(self.camera(state), placed) - self.target).ravel()
+        return float((gap**2).sum() + (self.prior(state)[0] ** 2).sum())
+
+    def minimise(
+        self, state: FitState, *, iterations: int, pose_only: bool
+    ) -> tuple[FitState, float, bool]:
+        """(state, cost, converged); with ``pose_only`` shape and focal length stay."""
+        free = 6 if pose_only else 7 + self.identities + len(state.expression)
+        damping, cost = 1e-2, self.cost(state)
+        for _ in range(iterations):
+            gap, jacobian = self.residuals(state)
+            prior, slope = self.prior(state)
+            hessian = jacobian.T @ jacobian + np.diag(slope**2)
+            gradient = jacobian.T @ gap + slope * prior
+            hessian, gradient = hessian[:free, :free], gradient[:free]
+            while True:
+                damped = hessian + damping * np.diag(np.diag(hessian) + 1e-9)
+                step = np.zeros(7 + self.identities + len(state.expression))
+                step[:free] = -np.linalg.solve(damped, gradient)
+                trial = state.stepped(step, self.identities)
+                trial_cost = self.cost(trial)
+                if trial_cost < cost or damping > 1e8:
+                    break
+                damping *= 8
+            gain = cost - trial_cost
+            if gain <= 0:
+                return state, cost, True
+            state, cost, damping = trial, trial_cost, max(damping / 5, 1e-9)
+            if gain < 1e-6 * (1 + cost):
+                return state, cost, True
+        return state, cost, pose_only
+
+
+@cache
+def _whitening() -> Float[ndarray, "136 136"]:
+    """W with W^T W = S^-1, S in squared eye distances."""
+    source = files("skylight.faces") / "data" / "landmark_errors.npz"
+    try:
+        with source.open("rb") as stream, np.load(stream) as stored:
+            moment = stored["second_moment"].astype(np.float64)
+        return np.linalg.cholesky(np.linalg.inv(moment)).T
+    except (OSError, KeyError, ValueError, np.linalg.LinAlgError) as error:
+        raise AssetError(
+            f"{source}: the landmark errors cannot be read ({error}); reinstall skylight"
+        ) from error

@@ -1,0 +1,108 @@
+"""Faces and their landmarks in a picture, behind an interface that other detectors can fill."""
+
+import importlib.metadata
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from skylight.errors import AssetError, InputError
+
+_PREDICTOR = "face_recognition_models/models/shape_predictor_68_face_landmarks.dat"
+_DETECTION_SIDE_PX = 800  # dlib's detector finds faces of 80 px and more; larger costs only time
+
+
+@dataclass(frozen=True, kw_only=True)
+class DetectedFace:
+    """``points`` (68,2) in iBUG's order, (x, y) pixels with pixel centres at +0.5; a score."""
+
+    points: Float[np.ndarray, "68 2"]
+    score: float
+
+    @property
+    def size_px(self) -> float:
+        """Diagonal of the landmarks' bounding box."""
+        return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+
+    @property
+    def eye_distance_px(self) -> float:
+        """Between the outer corners of the eyes: what landmark errors are measured against."""
+        return float(np.linalg.norm(self.points[45] - self.points[36]))
+
+
+class FaceLandmarker(Protocol):
+    """Anything that finds faces and their 68 landmarks."""
+
+    def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[DetectedFace]:
+        """All faces of an sRGB picture, the largest first; an empty list where there is none."""
+        ...
+
+
+class DlibLandmarker:
+    """dlib's frontal detector with the 68-point regression trees of Kazemi & Sullivan (2014)."""
+
+    def __init__(self) -> None:
+        import dlib
+
+        self._detector = dlib.get_frontal_face_detector()
+        self._predictor = dlib.shape_predictor(str(predictor_path()))
+
+    def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[DetectedFace]:
+        import dlib
+
+        height, width = image.shape[:2]
+        scale = min(1.0, _DETECTION_SIDE_PX / max(height, width))
+        size = (max(1, round(width * scale)), max(1, round(height * scale)))
+        small = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if scale < 1 else image
+        boxes, scores, _ = self._detector.run(small, 0)
+        if not boxes:  # faces of 40 px and more
+            boxes, scores, _ = self._detector.run(small, 1)
+        faces = []
+        for box, score in zip(boxes, scores, strict=True):
+            sides = (box.left(), box.top(), box.right(), box.bottom())
+            whole = dlib.rectangle(*(round(side / scale) for side in sides))
+            shape = self._predictor(np.ascontiguousarray(image), whole)
+            # dlib's integers name pixel centres
+            points = np.array([(p.x + 0.5, p.y + 0.5) for p in shape.parts()], dtype=np.float64)
+            faces.append(DetectedFace(points=points, score=float(score)))
+        return sorted(faces, key=lambda f: -f.size_px)
+
+
+@cache
+def default_landmarker() -> DlibLandmarker:
+    """The landmarker used where none is given; its models load once a process."""
+    return DlibLandmarker()
+
+
+def predictor_path() -> Path:
+    """Where the 68-point model lies, by the metadata of the package that carries it."""
+    try:
+        package = importlib.metadata.distribution("face_recognition_models")
+    except importlib.metadata.PackageNotFoundError as error:
+        raise AssetError(
+            "the package face_recognition_models (dlib's landmark model) is missing: "
+            "pip install face_recognition_models"
+        ) from error
+    path = Path(str(package.locate_file(_PREDICTOR)))
+    if not path.is_file():
+        raise AssetError(f"{path}: dlib's landmark model is missing; reinstall its package")
+    return path
+
+
+def choose_face(faces: list[DetectedFace], number: int, source: str) -> DetectedFace:
+    """Face ``number`` (1 is the largest), or an error that says what was found."""
+    if not faces:
+        raise InputError(
+            f"{source}: no face found; use a picture with a face seen from the front, at least "
+            "60 pixels high"
+        )
+    if not 1 <= number <= len(faces):
+        raise InputError(
+            f"{source}: there is no face {number}, only {len(faces)} found; "
+            f"choose --face 1 to {len(faces)}"
+        )
+    return faces[number - 1]

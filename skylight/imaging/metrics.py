@@ -1,0 +1,173 @@
+"""Scores of recovered light: section 5.5.1 of the thesis, each with its normalisation.
+
+The thesis fixes the scale "by mapping the average image intensity to 1 and the sum over the
+light probe to 1", and does not say whether a prediction is scaled by its own sum or by the
+truth's. Here:
+
+- shading: render and truth are both divided by the *truth's* mean, so a wrong exposure counts
+  (si-RMSE forgives it);
+- lighting: each probe is divided by *its own* sum (``align_scale=True``), or both by the truth's.
+
+All sums are taken in float64.
+"""
+
+import math
+
+import torch
+from jaxtyping import Bool, Float
+from kornia.metrics import ssim as ssim_map
+from torch import Tensor
+
+from skylight.errors import InputError
+from skylight.imaging.colour import linear_to_srgb
+from skylight.sphere.envmap import SUN_REGION_RAD, EnvironmentMap, luminance
+from skylight.sphere.frame import angle_between
+
+SSIM_WINDOW = 11  # taps of the Gaussian window, sigma 1.5 pixels: Wang et al. 2004, III.C
+
+
+def mae(pred: Float[Tensor, "*s 3"], true: Float[Tensor, "*s 3"]) -> float:
+    """mean |p - t| / mean t, over pixels and channels."""
+    p, t = _over_true_mean(pred, true)
+    return float((p - t).abs().mean())
+
+
+def rmse(pred: Float[Tensor, "*s 3"], true: Float[Tensor, "*s 3"]) -> float:
+    """sqrt(mean (p - t)^2) / mean t, over pixels and channels."""
+    p, t = _over_true_mean(pred, true)
+    return float((p - t).square().mean().sqrt())
+
+
+def si_rmse(pred: Float[Tensor, "*s 3"], true: Float[Tensor, "*s 3"]) -> float:
+    """min over a of rmse(a p, t), with a = <p, t> / <p, p>: one scale for all channels.
+
+    Scale-invariant error of Barron and Malik 2012, relative to the truth's mean.
+    """
+    p, t = _over_true_mean(pred, true)
+    energy = p.square().sum()
+    scale = (p * t).sum() / energy if energy > 0 else torch.zeros_like(energy)
+    return float((scale * p - t).square().mean().sqrt())
+
+
+def ssim(
+    pred: Float[Tensor, "h w 3"],
+    true: Float[Tensor, "h w 3"],
+    mask: Bool[Tensor, "h w"] | None = None,
+) -> float:
+    """Structural similarity of the pictures as shown, averaged within the mask and over channels.
+
+    Both renders are divided by one white, the 98 % quantile of the truth's luminance within the
+    mask, clamped to [0, 1] and sRGB-encoded (data range 1); outside the mask both are black.
+    Gaussian window of 11 pixels, sigma 1.5, K1 = 0.01, K2 = 0.03 (Wang et al. 2004).
+    """
+    if min(true.shape[:2]) < SSIM_WINDOW:
+        raise InputError(f"SSIM needs {SSIM_WINDOW} pixels a side, got {tuple(true.shape[:2])}")
+    mask = torch.ones(true.shape[:2], dtype=torch.bool) if mask is None else mask
+    level = luminance(true.double())[mask].sort().values
+    white = level[round(0.98 * (len(level) - 1))].clamp(min=1e-30)
+    shown = [
+        (linear_to_srgb((x.double() / white).clamp(0, 1)) * mask[..., None]).movedim(-1, 0)[None]
+        for x in (pred, true)
+    ]
+    score = ssim_map(shown[0], shown[1], window_size=SSIM_WINDOW, max_val=1.0)
+    return float(score[0].mean(0)[mask].mean())
+
+
+def shading_metrics(
+    pred: Float[Tensor, "h w 3"],
+    true: Float[Tensor, "h w 3"],
+    mask: Bool[Tensor, "h w"] | None = None,
+) -> dict[str, float]:
+    """``mae``, ``rmse``, ``si_rmse`` and ``ssim`` of two linear renders, within the mask."""
+    mask = torch.ones(true.shape[:2], dtype=torch.bool) if mask is None else mask
+    if not mask.any():
+        raise InputError("the mask holds no pixel to compare")
+    p, t = pred[mask], true[mask]
+    return {
+        "mae": mae(p, t),
+        "rmse": rmse(p, t),
+        "si_rmse": si_rmse(p, t),
+        "ssim": ssim(pred, true, mask),
+    }
+
+
+def full_dw_mae(pred: EnvironmentMap, true: EnvironmentMap, *, align_scale: bool = True) -> float:
+    """Mean over channels of sum_w |p(w) - t(w)| dw over the whole map, after normalisation.
+
+    Normalised so that the channel mean of sum_w t(w) dw is 1, and the same for p where
+    ``align_scale``; otherwise p is divided by the truth's sum. A prediction without light has
+    no scale to align and scores 1. From 0 to 2 where aligned and p >= 0 (truncate SH first).
+    """
+    return _region_error(pred, true, torch.ones_like(_upper(true)), align_scale)
+
+
+def sky_dw_mae(pred: EnvironmentMap, true: EnvironmentMap, *, align_scale: bool = True) -> float:
+    """:func:`full_dw_mae`'s sum over the upper half outside :func:`sun_region`."""
+    return _region_error(pred, true, _upper(true) & ~sun_region(true), align_scale)
+
+
+def sun_dw_mae(pred: EnvironmentMap, true: EnvironmentMap, *, align_scale: bool = True) -> float:
+    """:func:`full_dw_mae`'s sum over :func:`sun_region` of the truth."""
+    return _region_error(pred, true, sun_region(true), align_scale)
+
+
+def sun_angle_deg(pred: EnvironmentMap, true: EnvironmentMap) -> float:
+    """Angle between the brightest directions of the two skies, in degrees."""
+    return math.degrees(
+        float(angle_between(pred.brightest_direction(), true.brightest_direction()))
+    )
+
+
+def lighting_metrics(
+    pred: EnvironmentMap, true: EnvironmentMap, *, align_scale: bool = True
+) -> dict[str, float]:
+    """``full_dw_mae``, ``sky_dw_mae``, ``sun_dw_mae`` and ``sun_angle_deg``.
+
+    The last two mean something only where the truth shows a sun; leave overcast skies out of
+    their averages, as the thesis does.
+    """
+    return {
+        "full_dw_mae": full_dw_mae(pred, true, align_scale=align_scale),
+        "sky_dw_mae": sky_dw_mae(pred, true, align_scale=align_scale),
+        "sun_dw_mae": sun_dw_mae(pred, true, align_scale=align_scale),
+        "sun_angle_deg": sun_angle_deg(pred, true),
+    }
+
+
+def sun_region(environment: EnvironmentMap) -> Bool[Tensor, " n"]:
+    """Sky directions within 13 degrees of the brightest one (thesis, 5.5.1).
+
+    Read as a radius: a cap of 2 pi (1 - cos 13 deg) = 0.161 sr, less what lies below the horizon.
+    """
+    directions = environment.grid.directions
+    peak = environment.brightest_direction()
+    return (angle_between(directions, peak) < SUN_REGION_RAD) & _upper(environment)
+
+
+def _upper(environment: EnvironmentMap) -> Bool[Tensor, " n"]:
+    return environment.grid.directions[:, 1] > 0
+
+
+def _region_error(
+    pred: EnvironmentMap, true: EnvironmentMap, region: Bool[Tensor, " n"], align_scale: bool
+) -> float:
+    if pred.layout != true.layout:
+        raise InputError(f"maps of {pred.layout} and {true.layout} pixels: resize one of them")
+    weight = true.grid.solid_angles
+    p, t = pred.flat.detach().cpu().double(), true.flat.detach().cpu().double()
+    true_sum = float((weight @ t).mean())
+    if true_sum <= 0:
+        raise InputError("the true light probe is black: errors relative to its sum mean nothing")
+    pred_sum = float((weight @ p).mean()) if align_scale else true_sum
+    difference = (p / (pred_sum if pred_sum > 0 else true_sum) - t / true_sum).abs()
+    return float((weight[region] @ difference[region]).mean())
+
+
+def _over_true_mean(
+    pred: Float[Tensor, "*s 3"], true: Float[Tensor, "*s 3"]
+) -> tuple[Float[Tensor, "*s 3"], Float[Tensor, "*s 3"]]:
+    p, t = pred.detach().double(), true.detach().double()
+    mean = t.mean()
+    if not mean > 0:
+        raise InputError("the true render is black: errors relative to its mean mean nothing")
+    return p / mean, t / mean

@@ -1,0 +1,233 @@
+"""Photographs: strict reading, linear Rec.709 pixels, and what the file says about the camera."""
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+from PIL import ExifTags, Image, ImageCms, ImageOps, UnidentifiedImageError
+from torch import Tensor
+
+from skylight.errors import InputError
+from skylight.imaging.colour import Decode, decode_values, linear_to_srgb, tone_map
+from skylight.imaging.hdr import SUFFIXES as HDR_SUFFIXES
+from skylight.imaging.hdr import read_linear
+
+SIDE_MIN = 32
+SIDE_MAX = 16_384
+GREY_CODES = 2  # channels closer than this everywhere carry no colour (JPEG rounds by 1)
+FULL_FRAME_DIAGONAL_MM = math.hypot(36.0, 24.0)
+_MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # EXIF 2.32, FocalPlaneResolutionUnit
+
+
+@dataclass(frozen=True, kw_only=True)
+class Photo:
+    """A colour photograph, upright as its EXIF orientation asks.
+
+    ``pixels``   linear Rec.709; 1 is the largest code value (.exr and .hdr: as stored).
+    ``encoded``  the same picture as 8-bit sRGB, for detectors and for looking at.
+    ``clipped``  where a channel reached its largest code value, so more light may have fallen.
+    ``focal_px`` focal length in pixels of this picture, or None where the file does not tell.
+    """
+
+    pixels: Float[Tensor, "h w 3"]
+    encoded: UInt8[np.ndarray, "h w 3"]
+    clipped: Bool[Tensor, "h w"]
+    focal_px: float | None = None
+
+
+def read_photo(path: str | Path, *, decode: Decode | None = None) -> Photo:
+    """A JPEG, PNG, TIFF (8 or 16 bit a channel), .exr or .hdr photograph.
+
+    Parameters
+    ----------
+    decode
+        How values encode light: "srgb" (default), "linear" (default for .exr and .hdr) or the
+        exponent of a power law. An embedded colour profile other than sRGB is converted to sRGB
+        where ``decode`` is left out or "srgb"; an explicit "linear" or exponent overrules it.
+
+    Transparency is ignored: hidden pixels keep the colour that the file stores for them. Of a
+    phone's multi-picture JPEG (MPO) the first picture counts.
+
+    Raises
+    ------
+    InputError
+        No readable still colour picture from 32 to 16384 pixels a side: missing, damaged,
+        animated, CMYK, grey or black.
+    """
+    path = Path(path)
+    if path.suffix.lower() in HDR_SUFFIXES:
+        photo = _from_linear_file(path, "linear" if decode is None else decode)
+    else:
+        photo = _from_picture(path, "srgb" if decode is None else decode)
+    _require_colour(path, photo.encoded)
+    return photo
+
+
+def focal_length_px(exif: Image.Exif, width: int, height: int) -> float | None:
+    """Focal length in pixels of a ``width`` x ``height`` picture, from its EXIF data.
+
+    From the 35 mm equivalent, which compares diagonals (CIPA DCG-001-2018)::
+
+        f = f35 hypot(w, h) / hypot(36, 24)
+
+    else from the focal length and the sensor's pixels per unit length. None where neither is
+    there, or where the recorded picture size has another shape: the picture was cropped.
+    """
+    tags = exif.get_ifd(ExifTags.IFD.Exif)
+    recorded = _positive(tags, "ExifImageWidth"), _positive(tags, "ExifImageHeight")
+    full_long, long = max(width, height), max(width, height)
+    if recorded[0] and recorded[1]:
+        full_long = max(recorded[0], recorded[1])
+        aspect = full_long / min(recorded[0], recorded[1])
+        if abs(aspect / (long / min(width, height)) - 1) > 0.01:
+            return None
+    equivalent_mm = _positive(tags, "FocalLengthIn35mmFilm")
+    if equivalent_mm:
+        return equivalent_mm * math.hypot(width, height) / FULL_FRAME_DIAGONAL_MM
+    focal_mm = _positive(tags, "FocalLength")
+    per_unit = _positive(tags, "FocalPlaneXResolution")
+    unit_mm = _MM_PER_UNIT.get(tags.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))
+    if focal_mm and per_unit and unit_mm:
+        return focal_mm * per_unit / unit_mm * (long / full_long)
+    return None
+
+
+def _from_linear_file(path: Path, decode: Decode) -> Photo:
+    stored = read_linear(path)
+    _check_size(path, stored.shape[1], stored.shape[0])
+    if not np.isfinite(stored).all():
+        raise InputError(f"{path}: it holds NaN or infinite pixels; repair or replace them")
+    # cameras' colour conversion leaves small negative values: colours outside Rec.709
+    pixels = decode_values(torch.from_numpy(stored).clamp(min=0), decode)
+    clipped = torch.zeros(pixels.shape[:2], dtype=torch.bool)
+    return Photo(pixels=pixels, encoded=tone_map(pixels), clipped=clipped)
+
+
+def _from_picture(path: Path, decode: Decode) -> Photo:
+    data = _read_bytes(path)
+    try:
+        with warnings.catch_warnings():
+            # our own limit on the size is the one that counts, and has a clearer message
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            image = Image.open(BytesIO(data))
+            _check_size(path, *image.size)
+            _check_kind(path, image)
+            codes, clipped, focal_px = _decode_picture(path, data, image, decode)
+    except Image.DecompressionBombError as error:
+        raise InputError(f"{path}: the picture is too large; scale it down") from error
+    except UnidentifiedImageError as error:
+        raise InputError(f"{path}: no picture known here; give a JPEG, PNG or TIFF") from error
+    except (OSError, SyntaxError, ValueError, EOFError) as error:  # what Pillow's decoders raise
+        raise InputError(f"{path}: damaged or cut short ({error}); export it again") from error
+    scale = float(np.iinfo(codes.dtype).max)
+    pixels = decode_values(torch.from_numpy(codes.astype(np.float32) / scale), decode)
+    encoded = (255 * linear_to_srgb(pixels)).round().to(torch.uint8).numpy()
+    return Photo(
+        pixels=pixels, encoded=encoded, clipped=torch.from_numpy(clipped), focal_px=focal_px
+    )
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}; give a picture file") from error
+
+
+def _check_size(path: Path, width: int, height: int) -> None:
+    if min(width, height) < SIDE_MIN or max(width, height) > SIDE_MAX:
+        raise InputError(
+            f"{path}: {width}x{height} pixels; each side must have {SIDE_MIN} to {SIDE_MAX}"
+        )
+
+
+def _check_kind(path: Path, image: Image.Image) -> None:
+    """Refuse, before decoding, what is no single RGB picture."""
+    if getattr(image, "n_frames", 1) > 1 and image.format != "MPO":
+        raise InputError(f"{path}: it holds several pictures; save one of them as JPEG or PNG")
+    if image.mode in ("1", "L", "LA", "La", "I", "F") or image.mode.startswith("I;"):
+        raise InputError(
+            f"{path}: a grey picture tells nothing about light's colour; give a colour photo"
+        )
+    if image.mode not in ("RGB", "RGBA", "RGBa", "RGBX", "P", "PA"):
+        raise InputError(f"{path}: its colours are {image.mode}; convert it to RGB (sRGB)")
+
+
+def _require_colour(path: Path, encoded: UInt8[np.ndarray, "h w 3"]) -> None:
+    if encoded.max() <= GREY_CODES:
+        raise InputError(f"{path}: the picture is black; give a photo that shows a lit face")
+    if np.ptp(encoded, axis=-1).max() <= GREY_CODES:
+        raise InputError(
+            f"{path}: red, green and blue are equal everywhere, so the picture is grey and tells "
+            f"nothing about light's colour; give a colour photo"
+        )
+
+
+def _decode_picture(
+    path: Path, data: bytes, image: Image.Image, decode: Decode
+) -> tuple[np.ndarray, Bool[np.ndarray, "h w"], float | None]:
+    """(codes (h,w,3) uint8 or uint16, clipped, focal_px), upright and in sRGB's primaries."""
+    # Pillow cuts 16-bit colour down to 8; its plan of decoding, empty once done, tells
+    is_deep = ";16" in str(getattr(image, "tile", ""))
+    focal_px = focal_length_px(image.getexif(), *image.size)
+    to_srgb = _profile_to_srgb(path, image) if decode == "srgb" else None
+    if is_deep:
+        if to_srgb is not None:
+            raise InputError(
+                f"{path}: 16-bit pictures are read in sRGB only, and its colour profile is "
+                "another; convert it to sRGB, or say how it is encoded (linear, or a gamma)"
+            )
+        # these flags make OpenCV turn the picture upright; only from memory is it reliable
+        bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+        if bgr is None:
+            raise InputError(f"{path}: damaged or cut short; export it again")
+        codes = np.ascontiguousarray(bgr[..., ::-1])
+        return codes, _at_maximum(codes), focal_px
+    upright = ImageOps.exif_transpose(image).convert("RGB")
+    codes = np.array(upright)
+    clipped = _at_maximum(codes)
+    if to_srgb is not None:
+        codes = np.array(ImageCms.applyTransform(upright, to_srgb))
+        clipped |= _at_maximum(codes)  # colours too saturated for sRGB are cut there
+    return codes, clipped, focal_px
+
+
+def _at_maximum(codes: np.ndarray) -> Bool[np.ndarray, "h w"]:
+    return (codes == np.iinfo(codes.dtype).max).any(-1)
+
+
+def _profile_to_srgb(path: Path, image: Image.Image) -> ImageCms.ImageCmsTransform | None:
+    """The conversion that an embedded profile asks for; None without one or where it is sRGB.
+
+    Whether a profile is sRGB shows in what it does to a lattice of colours, not in its name.
+    """
+    profile = image.info.get("icc_profile")
+    if not profile:
+        return None
+    try:
+        transform = ImageCms.buildTransform(
+            BytesIO(profile), ImageCms.createProfile("sRGB"), "RGB", "RGB"
+        )
+    except (ImageCms.PyCMSError, OSError) as error:
+        raise InputError(f"{path}: its colour profile cannot be read; save as sRGB") from error
+    steps = np.linspace(0, 255, 9).astype(np.uint8)
+    lattice = Image.fromarray(np.stack(np.meshgrid(steps, steps, steps), -1).reshape(9, 81, 3))
+    converted = np.asarray(ImageCms.applyTransform(lattice, transform), dtype=int)
+    change = np.abs(converted - np.asarray(lattice, dtype=int)).max()
+    return transform if change > 3 else None
+
+
+def _positive(tags: Mapping[int, object], name: str) -> float | None:
+    """The number of that EXIF tag, or None where it is missing, zero or no number."""
+    try:
+        value = float(tags.get(ExifTags.Base[name], 0))  # type: ignore[arg-type]
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return value if math.isfinite(value) and value > 0 else None

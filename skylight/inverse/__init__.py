@@ -1,0 +1,1 @@
+"""Observation + light model + prior -> estimate."""

@@ -1,0 +1,159 @@
+"""The objective of inverse lighting (thesis, Eq. 5.8) as a function of free parameters."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from skylight.models.base import LightModel, Prior, without_azimuth
+from skylight.models.ground import LambertianGround
+from skylight.transport.matrix import DiffuseTransport
+from skylight.transport.observation import Observation
+
+# Mean linear albedos of nine grounds (thesis, Fig. B.4): light and dark concrete, asphalt, dry
+# and wet dirt, grass, rocks, gravel, mulch.
+GROUND_ALBEDOS = (
+    (0.20, 0.17, 0.14),
+    (0.14, 0.13, 0.12),
+    (0.05, 0.04, 0.03),
+    (0.09, 0.08, 0.06),
+    (0.05, 0.04, 0.03),
+    (0.09, 0.10, 0.03),
+    (0.20, 0.18, 0.15),
+    (0.17, 0.15, 0.13),
+    (0.14, 0.10, 0.08),
+)
+# The nine lie close together; real grounds do not (snow, sand, paving): this much wider.
+GROUND_SPREAD = 1.5
+CHARBONNIER_EPSILON = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectiveWeights:
+    """How much the parts count. All parts are negative log-likelihoods, in nats.
+
+    ``noise`` is the expected mean deviation of a pixel from the model, relative to the face's
+    mean radiance: not sensor noise, but freckles, gloss and wrong geometry. Neighbouring pixels
+    deviate together, so the pixels count as ``independent`` observations, whatever their number.
+    """
+
+    noise: float = 0.06
+    independent: float = 250.0
+    light_prior: float = 1.0
+    albedo_prior: float = 1.0
+    ground_prior: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unpacked:
+    """The physical meaning of a batch of free parameters."""
+
+    light: Float[Tensor, "b p"]
+    exposure: Float[Tensor, " b"]
+    albedo: Float[Tensor, "b 3"]
+    ground_albedo: Float[Tensor, "b 3"]
+
+
+def charbonnier(x: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
+    """sqrt(x^2 + 1e-6): smooth, convex, close to |x|."""
+    return torch.sqrt(x * x + CHARBONNIER_EPSILON)
+
+
+class SkyObjective:
+    """Eq. 5.8 for a model of the sky over a Lambertian ground.
+
+    Free parameters of one problem: those of the light model, then log exposure, then the logits
+    of skin and ground albedo, so that 0 < albedo < 1 always holds. The observation is scaled to
+    a mean luminance of 1 beforehand (``scale``), which makes the loss's epsilon mean the same
+    for every picture.
+    """
+
+    def __init__(
+        self,
+        observation: Observation,
+        model: LightModel,
+        light_prior: Prior,
+        albedo_prior: Prior,
+        weights: ObjectiveWeights,
+    ) -> None:
+        self.model = model
+        self.light_prior = light_prior
+        self.albedo_prior = albedo_prior
+        self.weights = weights
+        self.target = observation.pixels
+        share = observation.weights / observation.weights.sum()
+        self.share = share[:, None] / 3
+        self.transport = DiffuseTransport(observation.transport)
+        self.ground = LambertianGround(model.grid.layout[0])  # type: ignore[index]
+        log_albedo = torch.tensor(GROUND_ALBEDOS).log()
+        self.ground_mean = log_albedo.mean(0)
+        scatter = torch.cov(log_albedo.T) * GROUND_SPREAD**2 + 0.01 * torch.eye(3)
+        self.ground_precision = torch.linalg.inv(scatter)
+
+    @property
+    def size(self) -> int:
+        return self.model.parameter_count + 7
+
+    def pack(
+        self,
+        light: Float[Tensor, "b p"],
+        exposure: Float[Tensor, " b"],
+        albedo: Float[Tensor, "b 3"],
+        ground_albedo: Float[Tensor, "b 3"],
+    ) -> Float[Tensor, "b q"]:
+        return torch.cat(
+            [
+                self.model.to_free(light),
+                exposure.log()[:, None],
+                torch.logit(albedo, eps=1e-4),
+                torch.logit(ground_albedo, eps=1e-4),
+            ],
+            1,
+        )
+
+    def unpack(self, free: Float[Tensor, "b q"]) -> Unpacked:
+        p = self.model.parameter_count
+        return Unpacked(
+            light=self.model.from_free(free[:, :p]),
+            # beyond e^+-20 a line search has gone astray; exp must not overflow on its way back
+            exposure=free[:, p].clamp(-20, 20).exp(),
+            albedo=torch.sigmoid(free[:, p + 1 : p + 4]),
+            ground_albedo=torch.sigmoid(free[:, p + 4 : p + 7]),
+        )
+
+    def shading(self, parts: Unpacked) -> Float[Tensor, "b m 3"]:
+        """rho T l with the exposure in l."""
+        sky = self.model.radiance(parts.light) * parts.exposure[:, None, None]
+        return self.transport(sky, self.ground.radiance(sky, parts.ground_albedo), parts.albedo)
+
+    def terms(self, free: Float[Tensor, "b q"]) -> dict[str, Float[Tensor, " b"]]:
+        """Each part of the objective, weighted; they add up to it."""
+        parts = self.unpack(free)
+        residual = charbonnier(self.shading(parts) - self.target)
+        mean = (residual * self.share).sum((1, 2))
+        light = without_azimuth(self.model, free[:, : self.model.parameter_count])
+        away = parts.ground_albedo.log() - self.ground_mean
+        ground = 0.5 * torch.einsum("bi,ij,bj->b", away, self.ground_precision, away)
+        w = self.weights
+        return {
+            "data": w.independent / w.noise * mean,
+            "light_prior": -w.light_prior * self.light_prior.log_prob(light),
+            "albedo_prior": -w.albedo_prior * self.albedo_prior.log_prob(parts.albedo),
+            "ground_prior": w.ground_prior * ground,
+        }
+
+    def __call__(
+        self, free: Float[Tensor, "b q"], index: Int[Tensor, " b"] | None = None
+    ) -> Float[Tensor, " b"]:
+        return torch.stack(list(self.terms(free).values())).sum(0)
+
+
+def best_exposure(
+    shading: Float[Tensor, "b m 3"], target: Float[Tensor, "m 3"], share: Float[Tensor, "m 1"]
+) -> Float[Tensor, " b"]:
+    """The exposure that makes the weighted mean of the shading that of the picture."""
+    return ((target * share).sum() / (shading * share).sum((1, 2)).clamp(min=1e-12)).clamp(
+        min=math.exp(-19), max=math.exp(19)
+    )

@@ -1,0 +1,125 @@
+"""Where could the sun be? One small non-negative least-squares problem per direction.
+
+For every direction d above the horizon the face's luminance is explained by light from d alone
+plus about twenty broad ambient lobes over the sphere, all non-negative:
+
+    min_{a >= 0, b >= 0}  sum_p w_p (y_p - a T[p, d] - sum_j b_j (T A)[p, j])^2
+
+The directions with the smallest residuals are where non-linear optimisation should start.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skylight.sphere.envmap import luminance
+from skylight.sphere.grid import DirectionGrid
+from skylight.transport.observation import Observation
+
+SCAN_HEIGHT = 32
+LOBES = 20
+
+
+@dataclass(frozen=True, kw_only=True)
+class SunScan:
+    """Relative residual per direction, best first among local minima.
+
+    ``residuals`` (n,) are sqrt(min / sum w y^2) for each of ``directions`` (n,3);
+    ``candidates`` (k,3) the local minima in order, ``strengths`` (k,) the share of the shading
+    that the sun explains in each.
+    """
+
+    directions: Float[Tensor, "n 3"]
+    residuals: Float[Tensor, " n"]
+    candidates: Float[Tensor, "k 3"]
+    strengths: Float[Tensor, " k"]
+
+
+def scan_sun(
+    observation: Observation, *, candidates: int = 4, separation_deg: float = 12.0
+) -> SunScan:
+    """Solve the problem above for all 1,024 directions of the upper half of a 32 x 64 grid."""
+    fine = observation.transport.grid
+    if fine.layout is None or fine.layout[0] % SCAN_HEIGHT:
+        raise ValueError(f"the transport's grid {fine.layout} must be a multiple of 32 rows")
+    root = observation.weights.double().sqrt()
+    y = luminance(observation.pixels).double() * root
+    matrix = observation.transport.matrix.double() * root[:, None]
+    block = fine.layout[0] // SCAN_HEIGHT
+    grid = DirectionGrid.latlong(SCAN_HEIGHT)
+    upper = len(grid) // 2
+    # a direction of the coarse grid sends the same radiance from all fine pixels in it
+    columns = matrix.reshape(len(y), SCAN_HEIGHT, block, 2 * SCAN_HEIGHT, block).sum((2, 4))
+    columns = columns.reshape(len(y), -1)
+    ambient = columns @ _ambient_lobes(grid)
+    suns = columns[:, :upper]
+    # columns of unit norm: the scale of each unknown is then alike
+    sun_norm = suns.norm(dim=0).clamp(min=1e-12)
+    ambient_norm = ambient.norm(dim=0).clamp(min=1e-12)
+    suns, ambient = suns / sun_norm, ambient / ambient_norm
+    gram = torch.zeros(upper, LOBES + 1, LOBES + 1, dtype=torch.float64)
+    gram[:, 0, 0] = 1.0
+    gram[:, 1:, 1:] = ambient.T @ ambient
+    cross = suns.T @ ambient
+    gram[:, 0, 1:], gram[:, 1:, 0] = cross, cross
+    right = torch.cat([(suns.T @ y)[:, None], (ambient.T @ y).expand(upper, -1)], 1)
+    x = nnls(gram, right)
+    energy = float(y @ y)
+    squared = energy - 2 * (right * x).sum(1) + torch.einsum("nj,njk,nk->n", x, gram, x)
+    residuals = (squared.clamp(min=0) / energy).sqrt()
+    explained = x[:, 0] * (suns.sum(0) / y.sum())
+    directions = grid.directions[:upper]
+    chosen = _local_minima(directions, residuals, candidates, math.radians(separation_deg))
+    return SunScan(
+        directions=directions,
+        residuals=residuals,
+        candidates=directions[chosen],
+        strengths=explained[chosen],
+    )
+
+
+def nnls(
+    gram: Float[Tensor, "b k k"], right: Float[Tensor, "b k"], *, sweeps: int = 300
+) -> Float[Tensor, "b k"]:
+    """min_{x >= 0} x^T G x / 2 - r^T x for many small problems, by coordinate descent.
+
+    Franc, Hlavac & Navara (2005): each sweep sets every unknown to its own minimum in turn;
+    the objective never rises, and stops falling at the solution (G positive semi-definite with
+    a positive diagonal). Ends early once a sweep moves nothing by more than 1e-9 relative.
+    """
+    x = torch.zeros_like(right)
+    slope = -right.clone()
+    diagonal = gram.diagonal(dim1=1, dim2=2).clamp(min=1e-30)
+    for _ in range(sweeps):
+        moved = 0.0
+        for k in range(x.shape[1]):
+            new = (x[:, k] - slope[:, k] / diagonal[:, k]).clamp(min=0)
+            delta = new - x[:, k]
+            slope += delta[:, None] * gram[:, :, k]
+            x[:, k] = new
+            moved = max(moved, float(delta.abs().max()))
+        if moved <= 1e-9 * float(x.abs().max()):
+            break
+    return x
+
+
+def _ambient_lobes(grid: DirectionGrid) -> Float[Tensor, "n k"]:
+    """Broad non-negative lobes, ((1 + cos) / 2)^3 round Hammersley directions: 75 degrees wide."""
+    centres = DirectionGrid.hammersley(LOBES).directions
+    return ((1 + grid.directions @ centres.T) / 2) ** 3
+
+
+def _local_minima(
+    directions: Float[Tensor, "n 3"], values: Float[Tensor, " n"], count: int, separation: float
+) -> list[int]:
+    """Smallest values first, each at least ``separation`` (radians) from those before it."""
+    chosen: list[int] = []
+    for i in values.argsort().tolist():
+        if all(float(directions[i] @ directions[j]) < math.cos(separation) for j in chosen):
+            chosen.append(i)
+        if len(chosen) == count:
+            break
+    return chosen

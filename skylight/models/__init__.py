@@ -1,0 +1,1 @@
+"""Light models: few parameters in, radiance out; batched and differentiable."""

@@ -1,0 +1,224 @@
+"""The denoising convolutional autoencoder of outdoor skies (thesis, Fig. 5.2), and its light.
+
+Skies are 32 x 128 upper hemispheres of relative radiance (mean luminance 1) with the sun in the
+centre column. The network sees *coded* radiance, log(1 + L): a clear sky spans five orders of
+magnitude, and in linear values the L1 loss of the thesis leaves the sun to one pixel's gradient.
+"""
+
+import math
+from pathlib import Path
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor, nn
+from torch.nn import functional
+
+from skylight.errors import AssetError
+from skylight.sphere.envmap import shift_columns
+from skylight.sphere.frame import angles_from_direction
+from skylight.sphere.grid import DirectionGrid
+
+LATENT = 64
+HEIGHT, WIDTH = 32, 128
+# The middle of column 64, where training skies have their sun.
+CENTRE_AZIMUTH_RAD = math.pi / WIDTH
+# log1p(L) up to here; exp(13) is 6 times the brightest sun pixel at the zenith (clear sky)
+_CODE_LIMIT = 13.0
+
+Coding = Literal["log", "linear"]
+
+
+class WrapConv(nn.Module):
+    """Convolution with wrapped columns (azimuth) and zero rows beyond zenith and horizon."""
+
+    def __init__(self, channels_in: int, channels_out: int, size: int) -> None:
+        super().__init__()
+        self.pad = size // 2
+        self.conv = nn.Conv2d(channels_in, channels_out, size, padding=(self.pad, 0), bias=False)
+
+    def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b d h w"]:
+        return self.conv(functional.pad(x, (self.pad, self.pad, 0, 0), mode="circular"))
+
+
+class UpConv(nn.Module):
+    """2x nearest upsampling, then a wrapped convolution, without computing anything twice.
+
+    After nearest upsampling several taps of the kernel read the same source pixel. Summing them
+    first gives, for each of the four output phases, one small kernel on the *source* grid: for
+    5 x 5 that is 3 x 3, 2.8 times fewer operations and the same result.
+    """
+
+    def __init__(self, channels_in: int, channels_out: int, size: int) -> None:
+        super().__init__()
+        self.reference = WrapConv(channels_in, channels_out, size)
+        pad = size // 2
+        reach = (pad + 1) // 2
+        # fold[phase, t, k] = 1 where tap k of the kernel reads source offset t - reach
+        fold = torch.zeros(2, 2 * reach + 1, size)
+        for phase in range(2):
+            for k in range(size):
+                fold[phase, (phase + k - pad) // 2 + reach, k] = 1
+        self.register_buffer("fold", fold, persistent=False)
+        self.reach = reach
+
+    def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b d h2 w2"]:
+        weight = self.reference.conv.weight
+        fold = self.get_buffer("fold").to(weight)
+        phases = torch.einsum("ptk,qul,oikl->opqitu", fold, fold, weight)
+        phases = phases.reshape(-1, *phases.shape[3:])
+        x = functional.pad(x, (self.reach, self.reach, 0, 0), mode="circular")
+        return functional.pixel_shuffle(functional.conv2d(x, phases, padding=(self.reach, 0)), 2)
+
+
+class SkyAutoencoder(nn.Module):
+    """Fig. 5.2: four convolutions with pooling, 64 latents, and the mirror image of it."""
+
+    def __init__(self, coding: Coding = "log") -> None:
+        super().__init__()
+        self.coding: Coding = coding
+
+        def down(channels_in: int, channels_out: int, size: int) -> nn.Sequential:
+            return nn.Sequential(
+                WrapConv(channels_in, channels_out, size),
+                nn.BatchNorm2d(channels_out),
+                nn.ReLU(),
+                nn.MaxPool2d(2),
+            )
+
+        def up(channels_in: int, channels_out: int, size: int) -> nn.Sequential:
+            return nn.Sequential(
+                UpConv(channels_in, channels_out, size), nn.BatchNorm2d(channels_out), nn.ReLU()
+            )
+
+        self.encoder = nn.Sequential(
+            down(3, 64, 5), down(64, 96, 3), down(96, 96, 3), down(96, 64, 3), nn.Flatten()
+        )
+        self.to_latent = nn.Linear(64 * 2 * 8, LATENT)
+        self.from_latent = nn.Sequential(
+            nn.Linear(LATENT, 64 * 2 * 8), nn.BatchNorm1d(64 * 2 * 8), nn.ReLU()
+        )
+        self.decoder = nn.Sequential(up(64, 64, 3), up(64, 96, 3), up(96, 96, 3), up(96, 64, 5))
+        self.output = nn.Conv2d(64, 3, 1)
+
+    def code(self, radiance: Float[Tensor, "b h w 3"]) -> Float[Tensor, "b 3 h w"]:
+        """Radiance as the network sees it: log(1 + L), or L itself for ``coding="linear"``."""
+        planes = radiance.permute(0, 3, 1, 2)
+        return torch.log1p(planes) if self.coding == "log" else planes
+
+    def uncode(self, coded: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b h w 3"]:
+        """The inverse of :meth:`code`, negative radiance cut to zero."""
+        planes = coded.clamp(min=0)
+        if self.coding == "log":
+            planes = torch.expm1(planes.clamp(max=_CODE_LIMIT))
+        return planes.permute(0, 2, 3, 1)
+
+    def encode_coded(self, coded: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b z"]:
+        return self.to_latent(self.encoder(coded))
+
+    def decode_coded(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
+        x = self.from_latent(z).reshape(-1, 64, 2, 8)
+        x = self.decoder(x.contiguous(memory_format=torch.channels_last))
+        return self.output(x.float())
+
+    def encode(self, radiance: Float[Tensor, "b h w 3"]) -> Float[Tensor, "b z"]:
+        """Latents of skies with the sun in the centre column and mean luminance 1."""
+        return self.encode_coded(self.code(radiance))
+
+    def decode(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b h w 3"]:
+        """Relative radiance, >= 0."""
+        return self.uncode(self.decode_coded(z))
+
+
+class AutoencoderLight(nn.Module):
+    """The light model R(azimuth) f(z): 64 latents and the azimuth of the sun, 65 parameters.
+
+    ``latent_mean`` and ``latent_scale`` (lower triangular) whiten the latents for optimisers;
+    ``bank`` holds latents of training skies with the zenith angle of their sun, from which
+    :meth:`starts_towards` takes those whose sun is at the right height.
+    """
+
+    name = "autoencoder"
+    parameter_count = LATENT + 1
+    azimuth_index = LATENT
+    candidates = 6  # starts per direction
+
+    def __init__(
+        self,
+        network: SkyAutoencoder,
+        *,
+        latent_mean: Float[Tensor, " z"],
+        latent_scale: Float[Tensor, "z z"],
+        bank: Float[Tensor, "k z"],
+        bank_zenith_rad: Float[Tensor, " k"],
+        white_centroids: Float[Tensor, "c z"],
+    ) -> None:
+        super().__init__()
+        self.network = network.eval().requires_grad_(False)
+        self.latent_mean: Tensor
+        self.latent_scale: Tensor
+        self.bank: Tensor
+        self.bank_zenith_rad: Tensor
+        self.white_centroids: Tensor
+        self.register_buffer("latent_mean", latent_mean)
+        self.register_buffer("latent_scale", latent_scale)
+        self.register_buffer("bank", bank)
+        self.register_buffer("bank_zenith_rad", bank_zenith_rad)
+        self.register_buffer("white_centroids", white_centroids)
+
+    @property
+    def grid(self) -> DirectionGrid:
+        return DirectionGrid.sky(HEIGHT)
+
+    @property
+    def bounds(self) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
+        limit = torch.full((self.parameter_count,), math.inf)
+        return -limit, limit
+
+    def radiance(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b n 3"]:
+        sky = self.network.decode(params[:, :LATENT])
+        turned = shift_columns(sky, params[:, LATENT] - CENTRE_AZIMUTH_RAD)
+        return turned.reshape(len(params), -1, 3)
+
+    def to_free(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b p"]:
+        """Whitened latents; the azimuth as it is."""
+        centred = (params[:, :LATENT] - self.latent_mean).T
+        white = torch.linalg.solve_triangular(self.latent_scale, centred, upper=False).T
+        return torch.cat([white, params[:, LATENT:]], 1)
+
+    def from_free(self, free: Float[Tensor, "b p"]) -> Float[Tensor, "b p"]:
+        latents = free[:, :LATENT] @ self.latent_scale.T + self.latent_mean
+        return torch.cat([latents, free[:, LATENT:]], 1)
+
+    def starts(self) -> Float[Tensor, "s p"]:
+        """The centroids of the mixture, the sun straight ahead."""
+        ahead = self.white_centroids.new_zeros(len(self.white_centroids), 1)
+        return self.from_free(torch.cat([self.white_centroids, ahead], 1))
+
+    def starts_towards(self, directions: Float[Tensor, "d 3"]) -> Float[Tensor, "d k p"]:
+        """The bank's skies whose suns are nearest to each direction in height, turned there."""
+        azimuth, zenith = angles_from_direction(directions.to(self.bank))
+        distance = (self.bank_zenith_rad[None] - zenith[:, None]).abs()
+        nearest = distance.topk(self.candidates, largest=False).indices
+        turn = azimuth[:, None, None].expand(-1, self.candidates, 1)
+        return torch.cat([self.bank[nearest], turn], -1)
+
+
+def load_network(path: Path) -> SkyAutoencoder:
+    """The autoencoder of a checkpoint that training wrote (safetensors)."""
+    if not path.is_file():
+        raise AssetError(f"{path}: no checkpoint there; reinstall skylight or train one (train.py)")
+    try:
+        state = load_file(path)
+        network = SkyAutoencoder("linear" if "coding_linear" in state else "log")
+        state.pop("coding_linear", None)
+        network.load_state_dict(state)
+    except (SafetensorError, RuntimeError, OSError) as error:
+        first = str(error).splitlines()[0]
+        raise AssetError(
+            f"{path}: not a sky autoencoder's checkpoint, or damaged ({first}); "
+            "reinstall skylight or train one (train.py)"
+        ) from error
+    return network.eval()

@@ -1,0 +1,131 @@
+"""Priors over parameters: Gaussian mixtures with full covariances."""
+
+import math
+import os
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
+from torch import Tensor, nn
+
+from skylight.errors import AssetError, InputError, OutputError
+
+
+class GaussianMixture(nn.Module):
+    """``p(x) = sum_k w_k N(x; mu_k, (B_k B_k^T)^-1)``, normalised over R^p.
+
+    Parameters
+    ----------
+    weights : (k,), positive, sum 1
+    means : (k, p)
+    precision_factors : (k, p, p)
+        upper-triangular B_k with a positive diagonal; ``B_k B_k^T`` is the inverse covariance.
+    """
+
+    weights: Tensor
+    means: Tensor
+    precision_factors: Tensor
+
+    def __init__(
+        self,
+        weights: Float[Tensor, " k"],
+        means: Float[Tensor, "k p"],
+        precision_factors: Float[Tensor, "k p p"],
+    ) -> None:
+        super().__init__()
+        diagonal = precision_factors.diagonal(dim1=1, dim2=2)
+        tensors = (weights, means, precision_factors)
+        if not all(bool(t.isfinite().all()) for t in tensors):
+            raise ValueError("weights, means and precision_factors must be finite")
+        if not (weights > 0).all() or abs(float(weights.sum()) - 1) > 1e-4:
+            raise ValueError("weights must be positive and sum to 1")
+        if not (diagonal > 0).all() or not torch.equal(precision_factors.triu(), precision_factors):
+            raise ValueError("precision_factors must be upper triangular with positive diagonals")
+        self.register_buffer("weights", weights)
+        self.register_buffer("means", means)
+        self.register_buffer("precision_factors", precision_factors)
+
+    def log_prob(self, x: Float[Tensor, "b p"]) -> Float[Tensor, " b"]:
+        """Natural logarithm of the density, differentiable in x."""
+        factors = self.precision_factors.to(x)
+        white = torch.einsum("bkp,kpq->bkq", x[:, None] - self.means.to(x), factors)
+        log_det = factors.diagonal(dim1=1, dim2=2).log().sum(1)
+        constant = log_det - 0.5 * x.shape[1] * math.log(2 * math.pi)
+        each = self.weights.to(x).log() + constant - 0.5 * (white**2).sum(2)
+        return torch.logsumexp(each, dim=1)
+
+    def sample(self, count: int, generator: torch.Generator) -> Float[Tensor, "n p"]:
+        """``count`` independent draws; ``generator`` lives where the mixture does."""
+        which = torch.multinomial(self.weights, count, replacement=True, generator=generator)
+        means = self.means[which]
+        noise = torch.randn(
+            means.shape, generator=generator, dtype=means.dtype, device=means.device
+        )
+        # B^-T z has the covariance (B B^T)^-1
+        factors = self.precision_factors[which].mT
+        offset = torch.linalg.solve_triangular(factors, noise[..., None], upper=False)
+        return means + offset[..., 0]
+
+    @staticmethod
+    def fit(
+        samples: Float[Tensor, "n p"],
+        components: int,
+        *,
+        seed: int = 0,
+        covariance_floor: float = 1e-6,
+    ) -> "GaussianMixture":
+        """Expectation-maximisation (scikit-learn), heaviest component first.
+
+        ``covariance_floor`` is added to every variance, in squared units of the samples: it keeps
+        components from collapsing on to repeated or degenerate samples.
+        """
+        from sklearn.mixture import GaussianMixture as Fitter
+
+        if samples.shape[0] < max(components, 2) or components < 1:
+            raise InputError(
+                f"{components} components cannot be fitted to {samples.shape[0]} samples: "
+                "give more samples or ask for fewer components"
+            )
+        fitter = Fitter(
+            components,
+            covariance_type="full",
+            random_state=seed,
+            reg_covar=covariance_floor,
+            max_iter=500,
+            n_init=3,
+        ).fit(samples.detach().cpu().double().numpy())
+        order = torch.as_tensor(fitter.weights_).argsort(descending=True)
+        return GaussianMixture(
+            torch.as_tensor(fitter.weights_)[order],
+            torch.as_tensor(fitter.means_)[order],
+            torch.as_tensor(fitter.precisions_cholesky_)[order].triu(),
+        )
+
+    def save(self, path: Path) -> None:
+        """Write a safetensors file, whole or not at all."""
+        partial = path.with_name(path.name + ".partial")
+        state = {name: t.contiguous() for name, t in self.state_dict().items()}
+        try:
+            partial.write_bytes(save(state, metadata={"kind": "GaussianMixture"}))
+            os.replace(partial, path)
+        except OSError as error:
+            raise OutputError(f"the prior could not be written to {path}: {error}") from error
+
+    @staticmethod
+    def load(path: Path) -> "GaussianMixture":
+        """Read what :meth:`save` wrote; :class:`AssetError` where that is not in the file."""
+        try:
+            state = load_file(path)
+            weights, means, factors = (
+                state[name] for name in ("weights", "means", "precision_factors")
+            )
+            k, p = means.shape
+            if weights.shape != (k,) or factors.shape != (k, p, p):
+                raise ValueError("the shapes of its tensors do not match")
+            return GaussianMixture(weights, means, factors)
+        except (OSError, SafetensorError, KeyError, ValueError, RuntimeError, IndexError) as error:
+            raise AssetError(
+                f"{path} holds no usable Gaussian mixture ({error}): fit or fetch it again"
+            ) from error

@@ -1,0 +1,1 @@
+"""Skies and precomputed scenes for programs without torch: export here, relight anywhere."""

@@ -1,0 +1,414 @@
+"""Relighting with numpy and onnxruntime alone: torch is never imported here.
+
+What :mod:`skylight.relight.export` wrote is read back: the sky decoder as an ONNX graph and a scene
+as its visibility. The few formulas that the package has in torch too (named at each) are written
+again in numpy, and the tests hold the two together.
+"""
+
+import json
+import math
+import os
+import zipfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, fields
+from importlib.resources import files
+from pathlib import Path
+from uuid import uuid4
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, UInt8, UInt16
+from PIL import Image
+
+from skylight.errors import AssetError, InputError, OutputError
+from skylight.imaging.hdr import read_linear, write_exr
+
+LATENT = 64
+SCENE_FORMAT = "skylight scene 1"
+GROUND_ALBEDO = 0.2  # thesis, B.1: where nothing tells the ground's
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # ITU-R BT.709-6, section 3.3
+_BLOCK_PIXELS = 1024  # shaded together: 34 MB of scratch memory for 8192 directions
+
+
+class SkyDecoder:
+    """Latents to skies, by a graph that :func:`skylight.relight.export.export_decoder` wrote.
+
+    ``model`` is the file's path, or its bytes; by default the decoder that comes with skylight.
+    ``centre_azimuth_rad`` is where decoded skies have their sun.
+    """
+
+    def __init__(self, model: str | Path | bytes | None = None) -> None:
+        import onnxruntime  # slow to import
+
+        if model is None:
+            model = Path(str(files("skylight.models") / "data" / "sky_decoder.onnx"))
+        name = "decoder" if isinstance(model, bytes) else str(model)
+        mend = "write one with: skylight export decoder --out sky_decoder.onnx"
+        if not isinstance(model, bytes) and not Path(model).is_file():
+            raise AssetError(f"{name}: no sky decoder there; {mend}")
+        options = onnxruntime.SessionOptions()
+        options.log_severity_level = 4  # what fails is told by the exception
+        try:
+            source = model if isinstance(model, bytes) else Path(model).read_bytes()
+            self._session = onnxruntime.InferenceSession(
+                source, options, providers=["CPUExecutionProvider"]
+            )
+            metadata = self._session.get_modelmeta().custom_metadata_map
+            self.centre_azimuth_rad = float(metadata["centre_azimuth_rad"])
+        # onnxruntime's exceptions share no base class but Exception
+        except Exception as error:
+            raise AssetError(f"{name}: damaged, or no sky decoder of skylight; {mend}") from error
+
+    def decode(self, latents: Float32[np.ndarray, "b z"]) -> Float32[np.ndarray, "b 32 128 3"]:
+        """Relative radiance (mean luminance about 1) of skies with the sun in the centre column."""
+        return np.asarray(self._session.run(["radiance"], {"latent": latents})[0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrecomputedScene:
+    """What one camera sees of a scene, and which directions light each of its m pixels.
+
+    The transport matrix T[p, w] = V(p, w) <n_p, w>+ dw / pi (thesis, Eq. 5.3) in factors:
+    one bit for V instead of a float for T is 32 times smaller, and exact. :func:`relight` puts T
+    together again, a block of pixels at a time.
+
+    ``visible`` holds V as bits, the n directions of a row packed as :func:`numpy.packbits` does.
+    ``directions`` are unit vectors of ``grid_layout``, a full lat-long map, ``solid_angles`` in sr.
+    ``pixels`` are (row, column) in a picture of ``layout`` (height, width); ``focal_px`` and
+    ``center_px`` (x, y) belong to a camera that looks along -Z. ``on_ground`` marks the pixels
+    that take the ground's albedo instead of their own.
+    """
+
+    layout: tuple[int, int]
+    focal_px: float
+    center_px: tuple[float, float]
+    pixels: UInt16[np.ndarray, "m 2"]
+    normals: Float32[np.ndarray, "m 3"]
+    albedo: Float32[np.ndarray, "m 3"]
+    on_ground: Bool[np.ndarray, " m"]
+    visible: UInt8[np.ndarray, "m bytes"]
+    grid_layout: tuple[int, int]
+    directions: Float32[np.ndarray, "n 3"]
+    solid_angles: Float32[np.ndarray, " n"]
+
+    def __post_init__(self) -> None:
+        m, n = len(self.pixels), math.prod(self.grid_layout)
+        shapes = {
+            "pixels": (m, 2),
+            "normals": (m, 3),
+            "albedo": (m, 3),
+            "on_ground": (m,),
+            "visible": (m, math.ceil(n / 8)),
+            "directions": (n, 3),
+            "solid_angles": (n,),
+        }
+        for name, shape in shapes.items():
+            got = getattr(self, name).shape
+            if got != shape:
+                raise ValueError(f"{name} must have the shape {shape}, got {got}")
+        if m and (self.pixels.min() < 0 or (self.pixels.max(0) >= self.layout).any()):
+            raise ValueError(f"pixels must lie in a picture of {self.layout}")
+
+    def save(self, path: str | Path) -> None:
+        """Write the scene as a compressed .npz."""
+        path = Path(path)
+        if path.suffix != ".npz":
+            raise InputError(f"{path}: scenes are .npz files; choose a name that ends in .npz")
+        arrays = {field.name: getattr(self, field.name) for field in fields(self)}
+        with _replacing(path) as temporary:
+            np.savez_compressed(temporary, format=SCENE_FORMAT, **arrays)
+
+
+def load_scene(path: str | Path) -> PrecomputedScene:
+    """A scene that :meth:`PrecomputedScene.save` wrote; :class:`InputError` for anything else."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such scene; write one with: skylight export scene MESH")
+    try:
+        with np.load(path) as stored:
+            if str(stored["format"]) != SCENE_FORMAT:
+                raise ValueError(f"format {stored['format']}")
+            arrays = {field.name: stored[field.name] for field in fields(PrecomputedScene)}
+        return PrecomputedScene(
+            **arrays
+            | {
+                "layout": tuple(arrays["layout"].tolist()),
+                "focal_px": float(arrays["focal_px"]),
+                "center_px": tuple(arrays["center_px"].tolist()),
+                "grid_layout": tuple(arrays["grid_layout"].tolist()),
+            }
+        )
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(
+            f"{path}: damaged, or no scene of this version of skylight ({error}); write it again "
+            "with: skylight export scene MESH"
+        ) from error
+
+
+def relight(
+    scene: PrecomputedScene,
+    probe: Float[np.ndarray, "gh gw 3"],
+    ground_albedo: Sequence[float] = (GROUND_ALBEDO,) * 3,
+) -> Float32[np.ndarray, "h w 3"]:
+    """Radiance of each pixel, rho T l (Eq. 5.2), before the probe itself.
+
+    ``probe`` is a full lat-long map of any size: the light is averaged onto the scene's
+    directions, the background is seen as it is.
+    """
+    light = resize(probe, scene.grid_layout[0]).reshape(-1, 3)
+    light = (light * (scene.solid_angles[:, None] / np.pi)).astype(np.float32)
+    shading = np.empty((len(scene.pixels), 3), np.float32)
+    for start in range(0, len(shading), _BLOCK_PIXELS):
+        block = slice(start, start + _BLOCK_PIXELS)
+        transport = np.maximum(scene.normals[block] @ scene.directions.T, 0)
+        transport *= np.unpackbits(scene.visible[block], axis=1, count=len(light))
+        shading[block] = transport @ light
+    albedo = np.where(scene.on_ground[:, None], np.asarray(ground_albedo, np.float32), scene.albedo)
+    picture = _background(scene, probe)
+    picture[scene.pixels[:, 0], scene.pixels[:, 1]] = albedo * shading
+    return picture
+
+
+def relight_files(
+    scene: str | Path,
+    out: str | Path,
+    *,
+    probe: str | Path | None = None,
+    latent: str | Path | None = None,
+    azimuth_deg: float | None = None,
+    decoder: str | Path | None = None,
+    exposure: float | None = None,
+    ground_albedo: float | None = None,
+) -> None:
+    """A picture of a scene file under a probe, or under the sky of a latent.
+
+    Parameters
+    ----------
+    out : .png (8-bit sRGB) or .exr (linear).
+    probe : .exr or .hdr lat-long map, of the whole sphere or of the sky.
+    latent : JSON: 64 numbers; or an object with 64 of them as "latent", or with 65 as "params",
+        the last being the sun's azimuth in radians (an estimate of skylight), and optionally
+        "exposure" and "ground_albedo".
+    azimuth_deg : where the latent's sun goes, from straight ahead towards the right; by default
+        the file's azimuth, or 0. A probe is turned by this angle.
+    exposure : radiance is multiplied by it, and 1 is white in a .png. By default the latent
+        file's; without either an .exr keeps the light's own units and a .png is scaled so
+        that 2 % of its pixels are white.
+    ground_albedo : reflectance of the ground, for its pixels, and for the light it throws back up
+        where only the sky is given; by default the latent file's, or 0.2.
+    """
+    out = Path(out)
+    if out.suffix.lower() not in (".png", ".exr"):
+        raise InputError(f"{out}: pictures are written as .png or .exr; choose one of them")
+    if (probe is None) == (latent is None):
+        raise InputError("give either a latent (--latent Z.json) or a probe (--probe X.exr)")
+    for name, value in (("azimuth_deg", azimuth_deg), ("exposure", exposure)):
+        if value is not None and not math.isfinite(value):
+            raise InputError(f"{name} must be a finite number, got {value}")
+    if exposure is not None and exposure <= 0:
+        raise InputError(f"exposure must be above 0, got {exposure}")
+    if ground_albedo is not None and not 0 <= ground_albedo <= 1:
+        raise InputError(f"ground_albedo must be from 0 to 1, got {ground_albedo}")
+    described = load_scene(scene)
+    albedo = (GROUND_ALBEDO if ground_albedo is None else ground_albedo,) * 3
+    if latent is not None:
+        sky = read_latent(latent)
+        exposure = sky.exposure if exposure is None else exposure
+        if ground_albedo is None and sky.ground_albedo is not None:
+            albedo = sky.ground_albedo
+        azimuth_rad = sky.azimuth_rad if azimuth_deg is None else math.radians(azimuth_deg)
+        network = SkyDecoder(decoder)
+        light = network.decode(sky.z[None])[0]
+        light = rotate_columns(light, azimuth_rad - network.centre_azimuth_rad)
+    else:
+        assert probe is not None
+        light = rotate_columns(read_probe(probe), math.radians(azimuth_deg or 0.0))
+    if light.shape[1] == 4 * light.shape[0]:
+        light = add_ground(light, albedo)
+    with np.errstate(over="ignore", invalid="ignore"):
+        picture = relight(described, light * np.float32(exposure or 1.0), albedo)
+    if not np.isfinite(picture).all():
+        raise InputError(f"{out} was not written: too bright for float32; lower the exposure")
+    with _replacing(out) as temporary:
+        if out.suffix.lower() == ".exr":
+            write_exr(temporary, picture, half=False, header={})
+        else:
+            white = None if exposure is None else 1.0
+            Image.fromarray(tone_map(picture, white=white)).save(temporary, format="PNG")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Latent:
+    """64 latents of a sky, and what the file says about the rest of the light."""
+
+    z: Float32[np.ndarray, " z"]
+    azimuth_rad: float = 0.0
+    exposure: float | None = None
+    ground_albedo: tuple[float, float, float] | None = None
+
+
+def read_latent(path: str | Path) -> Latent:
+    """A JSON file as :func:`relight_files` describes it."""
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}; give a JSON file") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: no JSON ({error})") from error
+    if isinstance(content, list):
+        content = {"latent": content}
+    if not isinstance(content, dict) or not {"latent", "params"} & content.keys():
+        raise InputError(f'{path}: expected {LATENT} numbers, or an object with "latent"')
+    if content.get("light", "autoencoder") != "autoencoder":
+        raise InputError(
+            f"{path}: the estimate of another light model ({content['light']}); estimate with the "
+            "autoencoder, or relight with the estimate's light probe"
+        )
+    if "latent" in content:
+        values = _numbers(path, "latent", content["latent"], LATENT)
+    else:
+        values = _numbers(path, "params", content["params"], LATENT + 1)
+    exposure, ground = None, None
+    if content.get("exposure") is not None:
+        (exposure,) = _numbers(path, "exposure", [content["exposure"]], 1)
+        if exposure <= 0:
+            raise InputError(f'{path}: "exposure" must be above 0, got {exposure}')
+    if content.get("ground_albedo") is not None:
+        red, green, blue = ground = _numbers(path, "ground_albedo", content["ground_albedo"], 3)
+        if not all(0 <= value <= 1 for value in ground):
+            raise InputError(f'{path}: "ground_albedo" must be from 0 to 1, got {ground}')
+        ground = red, green, blue
+    return Latent(
+        z=np.array(values[:LATENT], np.float32),
+        azimuth_rad=values[LATENT] if len(values) > LATENT else 0.0,
+        exposure=exposure,
+        ground_albedo=ground,
+    )
+
+
+def read_probe(path: str | Path) -> Float32[np.ndarray, "h w 3"]:
+    """Light from an .exr or .hdr lat-long map of the sphere (w = 2 h) or the sky (w = 4 h)."""
+    pixels = read_linear(Path(path))
+    height, width = pixels.shape[:2]
+    if width not in (2 * height, 4 * height):
+        raise InputError(
+            f"{path}: {width}x{height} (width x height) is no lat-long map: expected a width of "
+            "2 heights (whole sphere) or 4 heights (upper half); crop or resize it"
+        )
+    bad = ~(np.isfinite(pixels) & (pixels >= 0)).all(-1)
+    if bad.any():
+        row, column = np.argwhere(bad)[0]
+        raise InputError(
+            f"{path}: {bad.sum()} pixel(s) are NaN, infinite or negative, the first at row {row}, "
+            f"column {column}; repair or replace them"
+        )
+    return pixels
+
+
+def rotate_columns(
+    image: Float[np.ndarray, "*b h w c"], azimuth_rad: float
+) -> Float[np.ndarray, "*b h w c"]:
+    """:func:`skylight.sphere.envmap.shift_columns` in numpy: a turn to the right, circular."""
+    shift = azimuth_rad * image.shape[-2] / (2 * math.pi)
+    whole = math.floor(shift)
+    part = np.asarray(shift - whole, image.dtype)
+    moved = np.roll(image, whole, axis=-2)
+    return (1 - part) * moved + part * np.roll(moved, 1, axis=-2)
+
+
+def add_ground(
+    sky: Float[np.ndarray, "h w 3"], albedo: Sequence[float]
+) -> Float32[np.ndarray, "h2 w 3"]:
+    """The full sphere over a Lambertian ground, rho / pi sum_w L(w) <n, w>+ dw (Eq. 5.7).
+
+    :class:`skylight.models.ground.LambertianGround` in numpy.
+    """
+    cosine = np.cos(np.linspace(0, np.pi / 2, len(sky) + 1))
+    weight = -np.diff(cosine**2) * np.pi / sky.shape[1]
+    irradiance = weight @ sky.sum(1, dtype=np.float64)
+    ground = np.asarray(albedo) / np.pi * irradiance
+    return np.concatenate([sky, np.broadcast_to(ground, sky.shape)]).astype(np.float32)
+
+
+def resize(probe: Float[np.ndarray, "gh gw 3"], height: int) -> Float[np.ndarray, "h w 3"]:
+    """:meth:`skylight.sphere.envmap.EnvironmentMap.resize` of full maps in numpy: keeps energy."""
+    if len(probe) == height:
+        return probe
+    rows = _overlap(*(np.cos(np.linspace(np.pi, 0, k + 1)) for k in (len(probe), height)))
+    columns = _overlap(*(np.linspace(0, 1, 2 * k + 1) for k in (len(probe), height)))
+    return columns @ np.tensordot(rows[::-1, ::-1], probe, 1)
+
+
+def tone_map(
+    radiance: Float[np.ndarray, "h w 3"], *, quantile: float = 0.98, white: float | None = None
+) -> UInt8[np.ndarray, "h w 3"]:
+    """:func:`skylight.imaging.colour.tone_map` in numpy: round(255 srgb(min(1, L / white)))."""
+    if white is None:
+        level = np.sort((radiance @ LUMINANCE).ravel())
+        white = float(level[max(1, round(quantile * level.size)) - 1]) or float(level[-1])
+    linear = np.clip(radiance / max(white, 1e-30), 0, 1)
+    # IEC 61966-2-1:1999, 5.2
+    curve = 1.055 * linear ** (1 / 2.4) - 0.055
+    return np.rint(255 * np.where(linear > 0.0031308, curve, 12.92 * linear)).astype(np.uint8)
+
+
+def _background(
+    scene: PrecomputedScene, probe: Float[np.ndarray, "gh gw 3"]
+) -> Float32[np.ndarray, "h w 3"]:
+    """The probe through each pixel's centre, bilinear."""
+    (height, width), (x0, y0) = scene.layout, scene.center_px
+    y, x = np.mgrid[:height, :width] + 0.5
+    right, up, ahead = x - x0, y0 - y, scene.focal_px
+    rows, columns = probe.shape[:2]
+    azimuth, zenith = np.arctan2(right, ahead), np.arctan2(np.hypot(right, ahead), up)
+    row = np.clip(zenith / np.pi * rows - 0.5, 0, rows - 1)
+    column = (azimuth / (2 * np.pi) + 0.5) * columns - 0.5
+    r, c = np.floor(row).astype(int), np.floor(column).astype(int)
+    fr, fc = (row - r)[..., None], (column - c)[..., None]
+    r1, c, c1 = np.minimum(r + 1, rows - 1), c % columns, (c + 1) % columns
+    top = (1 - fc) * probe[r, c] + fc * probe[r, c1]
+    bottom = (1 - fc) * probe[r1, c] + fc * probe[r1, c1]
+    return ((1 - fr) * top + fr * bottom).astype(np.float32)
+
+
+def _overlap(source: np.ndarray, target: np.ndarray) -> Float[np.ndarray, "k l"]:
+    """Weights that average the cells with ascending borders ``source`` over ``target``'s."""
+    low = np.maximum(source[None, :-1], target[:-1, None])
+    high = np.minimum(source[None, 1:], target[1:, None])
+    return np.maximum(high - low, 0) / np.diff(target)[:, None]
+
+
+def _is_number(value: object) -> bool:
+    """A number that float32 can hold; NaN fails the comparison."""
+    limit = 3.4e38
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < limit
+
+
+def _numbers(path: Path, name: str, values: object, count: int) -> list[float]:
+    """``count`` finite numbers, or an :class:`InputError` that says what is there instead."""
+    if not isinstance(values, list) or len(values) != count:
+        got = len(values) if isinstance(values, list) else f"a {type(values).__name__}"
+        raise InputError(f'{path}: "{name}" must have {count} numbers, got {got}')
+    for place, value in enumerate(values):
+        if not _is_number(value):
+            raise InputError(f'{path}: "{name}" has no finite number at place {place}: {value!r}')
+    return [float(value) for value in values]
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """A temporary file that takes the place of ``path`` when the block ends well.
+
+    :func:`skylight.imaging.files.atomic_path` cannot serve: its module imports torch.
+    """
+    temporary = path.with_name(f".partial-{uuid4().hex[:12]}{path.suffix}")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise OutputError(f"cannot write {path}: {reason}") from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)

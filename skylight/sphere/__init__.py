@@ -1,0 +1,1 @@
+"""Everything on the unit sphere that knows neither images nor networks."""

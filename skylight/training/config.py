@@ -1,0 +1,105 @@
+"""What a training run is made of, read from YAML and overridden on the command line."""
+
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+import yaml
+
+from skylight.errors import InputError
+
+
+@dataclass(frozen=True, kw_only=True)
+class AutoencoderConfig:
+    """A run of the sky autoencoder.
+
+    ``energy_weight`` weighs the sun against the sky: see ``reconstruction_loss``.
+    """
+
+    kind: Literal["autoencoder"] = "autoencoder"
+    data: Path = Path("runs/skies")
+    out: Path = Path("runs/sky_autoencoder")
+    coding: Literal["log", "linear"] = "log"
+    noise_sigma: float = 0.01
+    energy_weight: float = 0.3
+    mirror: bool = True
+    epochs: int = 60
+    batch: int = 32
+    learning_rate: float = 0.05
+    momentum: float = 0.9
+    weight_decay: float = 1e-5
+    gradient_clip: float = 1.0
+    warmup_steps: int = 200
+    patience: int = 12
+    checkpoint_steps: int = 100
+    bfloat16: bool = True
+    threads: int = 0
+    device: str = "cpu"
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("epochs", "batch", "checkpoint_steps"):
+            if getattr(self, name) < 1:
+                raise InputError(f"`{name}` must be at least 1, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PriorConfig:
+    """A fit of the mixtures over latents and over Sun+Sky parameters."""
+
+    kind: Literal["prior"] = "prior"
+    data: Path = Path("runs/skies")
+    checkpoint: Path = Path("runs/sky_autoencoder/model.safetensors")
+    out: Path = Path("runs/sky_prior")
+    most_components: int = 8
+    bank: int = 480
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.most_components < 1 or self.bank < 24:
+            raise InputError("`most_components` must be at least 1 and `bank` at least 24")
+
+
+Config = AutoencoderConfig | PriorConfig
+_KINDS: dict[str, type[Config]] = {"autoencoder": AutoencoderConfig, "prior": PriorConfig}
+
+
+def read_config(path: Path) -> Config:
+    """The configuration of a YAML file; unknown keys and kinds are refused by name."""
+    try:
+        raw: Any = yaml.safe_load(path.read_text())
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise InputError(f"{path}: cannot be read as YAML ({error})".replace("\n", " ")) from error
+    if not isinstance(raw, dict) or raw.get("kind") not in _KINDS:
+        raise InputError(f"{path}: `kind` must be one of {', '.join(_KINDS)}")
+    kind = _KINDS[raw["kind"]]
+    known = {f.name: f.type for f in fields(kind)}
+    if unknown := sorted(str(key) for key in set(raw) - set(known)):
+        raise InputError(
+            f"{path}: unknown keys {', '.join(unknown)}; known are {', '.join(sorted(known))}"
+        )
+    return kind(**{key: _typed(path, key, known[key], value) for key, value in raw.items()})
+
+
+def _typed(path: Path, key: str, kind: Any, value: Any) -> Any:
+    """``value`` as the type of its field."""
+    if get_origin(kind) is Literal:
+        if value in get_args(kind):
+            return value
+        raise InputError(f"{path}: `{key}` must be one of {', '.join(get_args(kind))}")
+    if kind is Path and isinstance(value, str):
+        return Path(value)
+    if kind is float and not isinstance(value, bool):
+        try:
+            return float(value)  # YAML 1.1 takes 1e-5, which has no point, for text
+        except (TypeError, ValueError):
+            pass
+    elif type(value) is kind:
+        return value
+    raise InputError(f"{path}: `{key}` must be of type {kind.__name__}, got {value!r}")
+
+
+def config_yaml(config: Config) -> str:
+    """The resolved configuration as YAML, as :func:`read_config` reads it."""
+    plain = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(config).items()}
+    return yaml.safe_dump(plain, sort_keys=False)

@@ -1,0 +1,36 @@
+"""The command line of ``train.py``."""
+
+import sys
+from pathlib import Path
+
+import tyro
+
+from skylight.errors import InputError, SkylightError
+from skylight.training.config import AutoencoderConfig, read_config
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """``train.py CONFIG [--key value ...]``: overrides are checked against the configuration."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    try:
+        if not arguments or arguments[0].startswith("-"):
+            raise InputError("usage: python train.py configs/NAME.yaml [--key value ...]")
+        config = read_config(Path(arguments[0]))
+        config = tyro.cli(type(config), default=config, args=arguments[1:], prog="train.py")
+        if isinstance(config, AutoencoderConfig):
+            from skylight.training.autoencoder import train
+
+            print(f"best network: {train(config)}")
+        else:
+            from skylight.training.prior import fit_priors
+
+            print(f"priors: {fit_priors(config)}")
+    except SkylightError as error:
+        print(f"train.py: {error}", file=sys.stderr)
+        raise SystemExit(error.exit_code) from None
+    except OSError as error:  # a folder that cannot be made or written
+        print(f"train.py: {error}", file=sys.stderr)
+        raise SystemExit(1) from None
+    except KeyboardInterrupt:
+        print("train.py: interrupted; the same command goes on from here", file=sys.stderr)
+        raise SystemExit(1) from None

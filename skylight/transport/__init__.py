@@ -1,0 +1,1 @@
+"""From geometry to how light becomes shading: ray casting, transport matrices, rendering."""

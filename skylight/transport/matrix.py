@@ -1,0 +1,187 @@
+"""The transport matrix: how light from each direction becomes shading at each point.
+
+Thesis, section 5.3.1: s = diag(rho) T l (Eq. 5.2) with T from Eq. 5.3.
+"""
+
+import math
+import mmap
+import multiprocessing
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from skylight.sphere.grid import DirectionGrid
+from skylight.transport.raycast import Raycaster
+
+BLOCK_DIRECTIONS = 64  # cast together; bounds the scratch memory
+
+
+@dataclass(frozen=True, kw_only=True)
+class TransportMatrix:
+    """``matrix`` (m,n) float32 over the n directions of ``grid``.
+
+    T[p, w] = V(p, w) <n_p, w>+ dw / pi (thesis, Eq. 5.3): albedo 1, solid angle included, so
+    shading is ``albedo * (matrix @ radiance)``.
+    """
+
+    matrix: Float[Tensor, "m n"]
+    grid: DirectionGrid
+
+    def __post_init__(self) -> None:
+        if self.matrix.ndim != 2 or self.matrix.shape[1] != len(self.grid):
+            raise ValueError(
+                f"matrix {tuple(self.matrix.shape)} must have one column for each of the "
+                f"{len(self.grid)} directions"
+            )
+
+    def fold_ground(self) -> Float[Tensor, "m n_sky_1"]:
+        """(m, n/2 + 1): the sky's columns, then one for a ground of uniform radiance.
+
+        The last column is the sum over the lower half; needs a full lat-long grid.
+        """
+        if self.grid.layout is None or self.grid.layout[1] != 2 * self.grid.layout[0]:
+            raise ValueError(f"only a full lat-long grid has a ground, got {self.grid.layout}")
+        if self.grid.layout[0] % 2:
+            raise ValueError(f"the horizon cuts a row of a grid {self.grid.layout}: use even rows")
+        sky, ground = self.matrix.chunk(2, dim=1)
+        return torch.cat([sky, ground.sum(1, keepdim=True)], dim=1)
+
+    def project(self, basis: Float[Tensor, "n k"]) -> Float[Tensor, "m k"]:
+        """Transport of lights written in a basis, l = basis @ coefficients."""
+        return self.matrix @ basis.to(self.matrix)
+
+
+class DiffuseTransport(nn.Module):
+    """Shading from sky, ground and albedo, differentiable in all three; T is constant."""
+
+    folded: Tensor
+
+    def __init__(self, transport: TransportMatrix) -> None:
+        super().__init__()
+        self.register_buffer("folded", transport.fold_ground())
+
+    def forward(
+        self,
+        sky: Float[Tensor, "b n 3"],
+        ground: Float[Tensor, "b 3"],
+        albedo: Float[Tensor, "b 3"],
+    ) -> Float[Tensor, "b m 3"]:
+        """rho (T l) (Eq. 5.2) for a batch of lights, one albedo per light."""
+        light = torch.cat([sky, ground[:, None]], dim=1)
+        return albedo[:, None] * torch.einsum("mn,bnc->bmc", self.folded, light)
+
+
+def diffuse_transport(
+    positions: Float[Tensor, "m 3"],
+    normals: Float[Tensor, "m 3"],
+    geometric_normals: Float[Tensor, "m 3"],
+    raycaster: Raycaster,
+    grid: DirectionGrid,
+    *,
+    workers: int = 1,
+    progress: Callable[[float], None] | None = None,
+) -> TransportMatrix:
+    """T[p, w] = V(p, w) <n_p, w>+ dw / pi (thesis, Eq. 5.3), by one shadow ray per entry > 0.
+
+    Parameters
+    ----------
+    positions : where rays start, in the raycaster's units; ``GBuffer.origins``, which are clear
+        of the shadow-terminator artefact, rather than ``GBuffer.positions``.
+    normals : unit, interpolated; the cosine's.
+    geometric_normals : unit, of the flat faces; starts are lifted along them by
+        ``raycaster.epsilon``. A direction above ``normals`` but below the flat face is cast like
+        any other: from the face itself it hits the mesh, from a lifted origin it may be free.
+    workers : processes, this one included. More than one needs ``fork`` (not on Windows); the
+        result is the same to the byte.
+    progress : called with the share that is done, in [0, 1].
+
+    Memory: 4 m n bytes of result and about 4 m (2 * 64 + 16) bytes of scratch per worker.
+    """
+    points = SurfaceRays.leaving(positions, normals, geometric_normals, raycaster)
+    directions = grid.directions.numpy().astype(np.float32)
+    weight = (grid.solid_angles / math.pi).numpy().astype(np.float32)
+    matrix = _shared_array(len(positions), len(grid)) if workers > 1 else None
+    if matrix is None:
+        matrix = np.empty((len(positions), len(grid)), dtype=np.float32)
+
+    def fill(starts: range, report: Callable[[float], None] | None = None) -> None:
+        for count, start in enumerate(starts, 1):
+            block = slice(start, start + BLOCK_DIRECTIONS)
+            cosine = points.visible_cosines(directions[block])
+            matrix[:, block] = (cosine * weight[block, None]).T
+            if report is not None:
+                report(count / len(starts))
+
+    def help_out(starts: range) -> None:
+        torch.set_num_threads(1)  # a fork has lost torch's threads and would wait for them
+        fill(starts)
+
+    # Interleaved shares take about equally long, so this process's progress stands for all.
+    shares = [
+        range(k * BLOCK_DIRECTIONS, len(grid), workers * BLOCK_DIRECTIONS) for k in range(workers)
+    ]
+    context = multiprocessing.get_context("fork") if workers > 1 else None
+    helpers = [context.Process(target=help_out, args=(s,)) for s in shares[1:]] if context else []
+    for helper in helpers:
+        helper.start()
+    fill(shares[0], progress)
+    _join(helpers)
+    return TransportMatrix(matrix=torch.from_numpy(matrix), grid=grid)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceRays:
+    """Surface points from which rays are cast: float32 starts and normals (m,3)."""
+
+    starts: Float[np.ndarray, "m 3"]
+    normals: Float[np.ndarray, "m 3"]
+    raycaster: Raycaster
+
+    @staticmethod
+    def leaving(
+        positions: Float[Tensor, "m 3"],
+        normals: Float[Tensor, "m 3"],
+        geometric_normals: Float[Tensor, "m 3"],
+        raycaster: Raycaster,
+    ) -> "SurfaceRays":
+        """Starts lifted off the surface by the raycaster's epsilon."""
+        starts = positions.double() + raycaster.epsilon * geometric_normals.double()
+        return SurfaceRays(
+            starts=starts.detach().float().numpy(),
+            normals=normals.detach().float().numpy(),
+            raycaster=raycaster,
+        )
+
+    def visible_cosines(self, directions: Float[np.ndarray, "b 3"]) -> Float[np.ndarray, "b m"]:
+        """V(p, w) <n_p, w>+, one row per direction, float32.
+
+        All rays of a row share their direction: only their starts are gathered, nothing else is
+        built, and embree meets coherent rays.
+        """
+        out = np.zeros((len(directions), len(self.normals)), dtype=np.float32)
+        for row, direction in zip(out, directions, strict=True):
+            cosine = self.normals @ direction
+            facing = np.flatnonzero(cosine > 0)
+            starts = torch.from_numpy(self.starts.take(facing, axis=0))
+            blocked = self.raycaster.occluded(starts, torch.from_numpy(direction)[None])
+            free = facing[~blocked.numpy()]
+            row[free] = cosine[free]
+        return out
+
+
+def _shared_array(rows: int, columns: int) -> Float[np.ndarray, "m n"]:
+    """Anonymous memory that forked processes write to as well; freed with the array."""
+    size = max(1, rows * columns * 4)
+    return np.frombuffer(mmap.mmap(-1, size), np.float32, rows * columns).reshape(rows, columns)
+
+
+def _join(helpers: Iterable[BaseProcess]) -> None:
+    for helper in helpers:
+        helper.join()
+        if helper.exitcode != 0:
+            raise RuntimeError(f"a ray casting process died with exit code {helper.exitcode}")

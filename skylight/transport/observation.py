@@ -1,0 +1,60 @@
+"""What inverse lighting starts from: shading that was seen, and the transport that made it."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from skylight.transport.matrix import TransportMatrix
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observation:
+    """``pixels`` (m,3) linear radiance, ``weights`` (m,) >= 0, ``transport`` of the same points.
+
+    ``places`` (m,2) are the pixels' (row, column) in their picture: the image pyramid merges
+    neighbours by them.
+    """
+
+    pixels: Float[Tensor, "m 3"]
+    weights: Float[Tensor, " m"]
+    places: Int[Tensor, "m 2"]
+    transport: TransportMatrix
+
+    def __post_init__(self) -> None:
+        count = len(self.pixels)
+        if count == 0 or not bool((self.weights > 0).any()):
+            raise ValueError("an observation needs at least one pixel with a positive weight")
+        if len(self.weights) != count or len(self.transport.matrix) != count:
+            raise ValueError(
+                f"pixels ({count}), weights ({len(self.weights)}) and transport rows "
+                f"({len(self.transport.matrix)}) must match"
+            )
+
+    def coarser(self, level: int) -> "Observation":
+        """The observation at 1 / 2^level of the picture's resolution; level 0 is itself.
+
+        Pixels and transport rows are weighted means over blocks, which commutes with shading:
+        it is linear in T. A block's weight is the sum of its pixels' weights.
+        """
+        if level == 0:
+            return self
+        cell = self.places // 2**level
+        key = cell[:, 0] * (int(cell[:, 1].max()) + 1) + cell[:, 1]
+        kept = self.weights > 0
+        blocks, index = torch.unique(key[kept], return_inverse=True)
+        weight = self.weights[kept]
+        total = torch.zeros(len(blocks)).index_add_(0, index, weight)
+        share = (weight / total[index])[:, None]
+        pixels = torch.zeros(len(blocks), 3).index_add_(0, index, share * self.pixels[kept])
+        rows = torch.zeros(len(blocks), len(self.transport.grid))
+        rows.index_add_(0, index, share * self.transport.matrix[kept])
+        places = torch.zeros(len(blocks), 2, dtype=torch.long)
+        places[index] = cell[kept]
+        return Observation(
+            pixels=pixels,
+            weights=total,
+            places=places,
+            transport=TransportMatrix(matrix=rows, grid=self.transport.grid),
+        )

@@ -1,0 +1,103 @@
+"""Small runs of the evaluations themselves."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from skylight.evaluation.main import run_evaluation
+from skylight.evaluation.real_faces import RealFaces
+from skylight.evaluation.scores import score
+from skylight.evaluation.sky_models import SkyLoss, SkyModels, fit_harmonic
+from skylight.evaluation.synthetic_faces import SyntheticFaces, pose_error_deg, synthetic_face
+from skylight.models.shipped import sunsky_light
+from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.grid import DirectionGrid
+
+SHADING = {"mae", "rmse", "si_rmse", "ssim", "mae_aligned", "rmse_aligned", "brightness"}
+
+
+@pytest.fixture(scope="module")
+def sky():
+    model = sunsky_light()
+    return model.radiance(model.starts()[:1])[0].reshape(*model.grid.layout, 3)
+
+
+def test_the_truth_scores_perfectly(sky):
+    truth = EnvironmentMap(radiance=sky).with_ground(torch.tensor([0.1, 0.1, 0.1]))
+    scores = score(truth, truth, sun_visible=True)
+    assert scores["ssim"] == pytest.approx(1, abs=1e-5)
+    assert scores["brightness"] == pytest.approx(1)
+    errors = {k: v for k, v in scores.items() if k not in ("ssim", "brightness")}
+    assert errors == pytest.approx(dict.fromkeys(errors, 0), abs=1e-4)
+
+
+def test_brightness_alone_is_seen_by_brightness_alone(sky):
+    truth = EnvironmentMap(radiance=sky).with_ground(torch.tensor([0.1, 0.1, 0.1]))
+    scores = score(EnvironmentMap(radiance=3 * truth.radiance), truth, sun_visible=False)
+    assert scores["brightness"] == pytest.approx(3, rel=1e-5)
+    assert scores["mae"] == pytest.approx(2, rel=1e-5)
+    assert scores["mae_aligned"] == pytest.approx(0, abs=1e-5)
+    assert not any(name.startswith("sun_") for name in scores)
+
+
+def test_harmonics_fit_light_of_their_own_degree():
+    grid = DirectionGrid.sky(32)
+    sky = (1 + 0.5 * grid.directions[:, 1:2]).float().expand(-1, 3).reshape(32, 128, 3)
+    # a ground that goes on as the sky does: 1 + y / 2 is of degree 1, a black ground is not
+    fit = fit_harmonic(sky, torch.zeros(3), degree=4)
+    assert float(fit.integrate()[0]) == pytest.approx(2 * math.pi * 1.25, rel=0.02)
+
+
+def test_sky_loss_is_least_at_the_sky_itself(sky):
+    model = sunsky_light()
+    free = model.to_free(model.starts()[:3])
+    losses = SkyLoss(model, sky)(free, torch.arange(3))
+    assert int(losses.argmin()) == 0
+    assert float(losses[0]) == pytest.approx(2e-3, rel=1e-3)  # Charbonnier's floor, twice
+
+
+def test_pose_error_is_the_angle_of_the_relative_rotation():
+    truth = synthetic_face(20_000_000, 64).truth
+    turn = Rotation.from_rotvec(np.radians(7.0) * np.array([0.6, 0.0, 0.8])).as_matrix()
+    assert pose_error_deg(truth, truth) == pytest.approx(0, abs=1e-5)
+    turned = type(truth)(**{**truth.__dict__, "rotation": turn @ truth.rotation})
+    assert pose_error_deg(turned, truth) == pytest.approx(7.0)
+
+
+def test_synthetic_faces(tmp_path):
+    evaluation = SyntheticFaces(count=1, size=160, methods=("sh9", "sh25"))
+    path = run_evaluation(evaluation, tmp_path, command="c")
+    results = json.loads(path.read_text())
+    assert {"sh9", "sh25"} <= set(results["rows"])
+    if results["items"]["face0000"]["found"]:
+        assert {"sh9_fitted", "sh25_fitted"} <= set(results["rows"])
+        assert results["rows"]["sh9_fitted"]["pose_deg"]["median"] < 15
+    assert set(results["rows"]["sh9"]) >= SHADING | {"sun_angle_deg", "seconds"}
+    assert (tmp_path / "sheet.png").is_file()
+
+
+def test_sky_models(tmp_path):
+    path = run_evaluation(SkyModels(count=1), tmp_path, command="c")
+    rows = json.loads(path.read_text())["rows"]
+    assert list(rows) == ["sh9", "sh25", "sunsky", "autoencoder_feedforward", "autoencoder"]
+    for row in rows.values():
+        assert set(row) >= SHADING | {"full_dw_mae", "sky_dw_mae"}
+    assert rows["autoencoder"]["full_dw_mae"]["mean"] < rows["sh9"]["full_dw_mae"]["mean"]
+
+
+def test_real_faces(tmp_path, shared_data):
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    name = "gov03.jpg"
+    (folder / name).write_bytes((shared_data / "faces" / name).read_bytes())
+    entry = {"light": "sun-hard", "desc": "warm hard sun from viewer's right front above"}
+    (folder / "index.json").write_text(json.dumps({name: entry}))
+    path = run_evaluation(RealFaces(data=folder), tmp_path / "out", command="c")
+    results = json.loads(path.read_text())
+    assert results["items"][name]["side"] == "right"
+    assert results["rows"]["autoencoder"]["finite"]["mean"] == 1
+    assert results["rows"]["autoencoder"]["right_side"]["n"] == 1

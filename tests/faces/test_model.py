@@ -1,0 +1,189 @@
+"""The shipped head: anatomy, landmarks, bases, deformation."""
+
+from importlib.resources import files
+
+import numpy as np
+import pytest
+import torch
+
+from skylight.errors import AssetError
+from skylight.faces import model as model_module
+from skylight.faces.model import HeadModel, Region
+
+# Landmark i's mirror image in the iBUG scheme.
+MIRROR = np.array(
+    [
+        *range(16, -1, -1),
+        *range(26, 16, -1),
+        *(27, 28, 29, 30, 35, 34, 33, 32, 31),
+        *(45, 44, 43, 42, 47, 46, 39, 38, 37, 36, 41, 40),
+        *(54, 53, 52, 51, 50, 49, 48, 59, 58, 57, 56, 55, 64, 63, 62, 61, 60, 67, 66, 65),
+    ]
+)
+
+
+@pytest.fixture(scope="module")
+def head() -> HeadModel:
+    return HeadModel.load()
+
+
+@pytest.fixture(scope="module")
+def mean_landmarks(head):
+    return head.landmarks(head.mean)
+
+
+def triangle_normals(vertices, faces):
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    return np.cross(b - a, c - a)
+
+
+def people(head, count, seed=0):
+    generator = np.random.default_rng(seed)
+    return [head.vertices(*head.sample(generator)) for _ in range(count)]
+
+
+def test_file_is_small_and_loaded_once(head):
+    assert len((files("skylight.faces") / "data" / "head.npz").read_bytes()) < 5_000_000
+    assert HeadModel.load() is head
+
+
+def test_shared_arrays_cannot_be_changed(head):
+    with pytest.raises(ValueError, match="read-only"):
+        head.mean[0] = 0
+
+
+def test_unreadable_file_is_a_clear_error(monkeypatch, tmp_path):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "head.npz").write_bytes(b"not a zip")
+    monkeypatch.setattr(model_module, "files", lambda _: tmp_path)
+    with pytest.raises(AssetError, match=r"head\.npz"):
+        HeadModel.load.__wrapped__()
+
+
+def test_faces_look_outwards(head, mean_landmarks):
+    normals = triangle_normals(head.mean, head.faces)
+    at_nose_tip = (head.faces == np.abs(head.mean - mean_landmarks[30]).sum(1).argmin()).any(1)
+    tip = normals[at_nose_tip].sum(0)
+    assert tip[2] / np.linalg.norm(tip) > 0.8
+    # Eyeballs are closed: divergence theorem gives their volume, positive when oriented outwards.
+    eyeball = head.faces[(head.regions[head.faces] == Region.EYEBALL).all(1)]
+    volume = (
+        np.einsum("fd,fd->", head.mean[eyeball[:, 0]], triangle_normals(head.mean, eyeball)) / 6
+    )
+    assert 2 * 5e-6 < volume < 2 * 25e-6  # two, of 5 to 25 millilitres
+
+
+def test_axes(mean_landmarks):
+    assert mean_landmarks[45, 0] > 0 > mean_landmarks[36, 0]  # +X is the person's left
+    assert mean_landmarks[27, 1] > mean_landmarks[8, 1]  # +Y up
+    assert mean_landmarks[30, 2] > mean_landmarks[[0, 16], 2].max() + 0.05  # +Z forward
+
+
+def test_size_is_an_adults(head, mean_landmarks):
+    assert 0.08 < np.linalg.norm(mean_landmarks[45] - mean_landmarks[36]) < 0.11
+    skull = head.mean[np.isin(head.regions, [Region.FACE, Region.SCALP])]
+    assert 0.13 < np.ptp(skull[:, 0]) < 0.17
+    assert 0.10 < mean_landmarks[27, 1] - mean_landmarks[8, 1] < 0.13
+    eyes = head.mean[head.regions == Region.EYEBALL]
+    assert abs(eyes[:, 1].mean()) < 0.002  # the origin is at eye height
+    assert abs(head.mean[:, 2].mean()) < 0.03
+
+
+def test_landmarks_lie_on_skin(head):
+    bary = head.landmark_bary
+    assert (bary >= 0).all()
+    assert np.allclose(bary.sum(1), 1)
+    corner = head.regions[head.faces[head.landmark_faces]]
+    assert not np.isin(corner[bary > 0.5], [Region.EYEBALL, Region.EAR]).any()
+    assert (head.contour_bary >= 0).all()
+    assert np.allclose(head.contour_bary.sum(-1), 1)
+
+
+def test_mean_landmarks_are_symmetric(mean_landmarks):
+    assert np.abs(mean_landmarks[MIRROR] * [-1, 1, 1] - mean_landmarks).max() < 1e-3
+
+
+def test_lips_part_between_inner_landmarks(head):
+    opening = head.expression_basis[..., head.expression_names.index("mouth-open")]
+    inner = head.landmarks(opening)
+    assert (np.abs(inner[61:64, 1]) < 1e-3).all()  # upper lip stays
+    assert (inner[65:68, 1] < -5e-3).all()  # lower lip drops
+
+
+def test_landmark_and_contour_bases_agree_with_the_mesh(head):
+    identity, expression = head.sample(np.random.default_rng(3))
+    vertices = head.vertices(identity, expression)
+    mean, by_identity, by_expression = head.landmark_basis()
+    from_basis = mean + by_identity @ identity + by_expression @ expression
+    assert np.allclose(from_basis, head.landmarks(vertices), atol=1e-9)
+    mean, by_identity, by_expression = head.contour_basis()
+    from_basis = mean + by_identity @ identity + by_expression @ expression
+    assert np.allclose(from_basis, head.contour(vertices), atol=1e-9)
+
+
+def test_contour_rows_hold_their_landmark_and_run_backwards(head, mean_landmarks):
+    rows = head.contour(head.mean)
+    gap = np.linalg.norm(rows - mean_landmarks[:17, None], axis=2)
+    assert (gap.min(1) < 1e-4).all()
+    assert (rows[:, 0, 2] > rows[:, -1, 2] + 0.01).all()
+    steps = np.linalg.norm(np.diff(rows, axis=1), axis=2)
+    assert steps.max() < 0.012
+
+
+def test_weights_are_bounded_and_leave_the_rest_still(head):
+    weights = head.weights.toarray()
+    assert (weights >= 0).all()
+    assert (weights.sum(1) <= 1 + 1e-6).all()
+    still = np.isin(head.regions, [Region.SCALP]) & (head.mean[:, 2] < -0.08)
+    assert still.sum() > 50
+    assert (weights[still] == 0).all()
+    # Amid the face nothing is held back: a common displacement moves it as a whole.
+    mid = (head.regions == Region.FACE) & (np.abs(head.mean[:, 0]) < 0.03) & (head.mean[:, 1] < 0)
+    assert weights[mid].sum(1).min() > 0.9
+
+
+def test_deform_moves_landmarks_exactly(head):
+    generator = np.random.default_rng(1)
+    vertices = head.vertices(*head.sample(generator))
+    displacement = generator.normal(0, 3e-3, (68, 3))
+    moved = head.landmarks(head.deform(vertices, displacement)) - head.landmarks(vertices)
+    assert np.allclose(moved, displacement, atol=1e-6)
+
+
+def test_samples_are_plausible(head):
+    reference = triangle_normals(head.mean, head.faces)
+    shown = (head.regions[head.faces] == Region.FACE).all(1)
+    widths = []
+    for vertices in people(head, 50):
+        landmarks = head.landmarks(vertices)
+        ears = vertices[head.regions == Region.EAR]
+        assert landmarks[30, 2] > ears[:, 2].max()
+        assert landmarks[30, 2] > landmarks[27, 2]
+        turned = (triangle_normals(vertices, head.faces) * reference).sum(1) <= 0
+        assert turned[shown].mean() < 0.01
+        widths.append(np.linalg.norm(landmarks[45] - landmarks[36]))
+    assert 0.002 < np.std(widths) < 0.008
+    assert min(widths) > 0.075
+    assert max(widths) < 0.11
+
+
+def test_identity_components_are_symmetric_or_antisymmetric(head):
+    _, basis, _ = head.landmark_basis()
+    mirrored = basis[MIRROR] * np.array([-1, 1, 1])[None, :, None]
+    error = np.minimum(np.abs(mirrored - basis).max((0, 1)), np.abs(mirrored + basis).max((0, 1)))
+    assert error.max() < 2e-5  # storage steps
+
+
+def test_samples_repeat_with_their_generator(head):
+    for make in (np.random.default_rng, lambda seed: torch.Generator().manual_seed(seed)):
+        first, again, other = (head.sample(make(seed)) for seed in (5, 5, 6))
+        assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+        assert not np.array_equal(first[0], other[0])
+
+
+def test_regions(head):
+    counts = np.bincount(head.regions, minlength=len(Region))
+    assert (counts > 50).all()
+    face = head.mean[head.regions == Region.FACE]
+    assert face[:, 1].max() < 0.07
+    assert head.mean[head.regions == Region.NECK, 1].max() < -0.06

@@ -1,0 +1,57 @@
+import math
+
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from skylight.models.ground import LambertianGround
+from skylight.sphere.grid import DirectionGrid
+
+F64 = torch.float64
+
+
+def test_furnace_is_exact() -> None:
+    """Constant sky 1: the ground shows its albedo, to rounding."""
+    albedo = torch.tensor([[0.2, 0.17, 0.14], [1.0, 0.5, 0.0]], dtype=F64)
+    ground = LambertianGround(32).radiance(torch.ones(2, 4096, 3, dtype=F64), albedo)
+    torch.testing.assert_close(ground, albedo, rtol=1e-12, atol=0)
+
+
+def test_transfer_is_the_cosine_integral_of_every_pixel() -> None:
+    """Against a 200 times finer midpoint rule, pixel row by pixel row."""
+    fine = DirectionGrid.sky(8 * 200)
+    assert fine.layout is not None
+    cosine = (fine.directions[:, 1] * fine.solid_angles).reshape(*fine.layout)
+    rows = cosine.reshape(8, -1).sum(1) / 32
+    transfer = LambertianGround(8).transfer.reshape(8, 32)
+    torch.testing.assert_close(transfer[:, 0], rows, rtol=1e-5, atol=0)
+    torch.testing.assert_close(transfer.sum(), torch.tensor(math.pi, dtype=F64))
+
+
+@given(st.floats(0.05, 1.5), st.floats(0, 1))
+def test_small_sun_lights_by_its_cosine(zenith: float, albedo: float) -> None:
+    grid = DirectionGrid.sky(32)
+    index = int(zenith / (math.pi / 2) * 32) * 128
+    sky = torch.zeros(1, 4096, 3, dtype=F64)
+    sky[0, index] = 1 / grid.solid_angles[index]
+    ground = LambertianGround(32).radiance(sky, torch.full((1, 3), albedo, dtype=F64))
+    expected = albedo / math.pi * grid.directions[index, 1]
+    torch.testing.assert_close(ground[0], expected.expand(3), rtol=1e-2, atol=1e-12)
+
+
+def test_append_fills_the_lower_half() -> None:
+    sky = torch.rand(2, 4096, 3, generator=torch.Generator().manual_seed(0))
+    albedo = torch.tensor([[0.2, 0.1, 0.05], [0.3, 0.3, 0.3]])
+    model = LambertianGround(32)
+    full = model.append(sky, albedo).reshape(2, 64, 128, 3)
+    assert torch.equal(full[:, :32], sky.reshape(2, 32, 128, 3))
+    expected = model.radiance(sky, albedo)[:, None, None].expand(2, 32, 128, 3)
+    assert torch.equal(full[:, 32:], expected)
+
+
+def test_differentiable_in_sky_and_albedo() -> None:
+    sky = torch.rand(1, 16, 3, generator=torch.Generator().manual_seed(0), dtype=F64)
+    albedo = torch.full((1, 3), 0.2, dtype=F64)
+    assert torch.autograd.gradcheck(
+        LambertianGround(2).append, (sky.requires_grad_(), albedo.requires_grad_())
+    )

@@ -1,0 +1,151 @@
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.stats import multivariate_normal
+from sklearn.mixture import GaussianMixture as SklearnMixture
+
+from skylight.errors import AssetError, InputError, OutputError
+from skylight.models.prior import GaussianMixture
+
+F64 = torch.float64
+
+
+def covariances(count: int, size: int) -> np.ndarray:
+    root = np.random.default_rng(1).normal(size=(count, size, size))
+    return root @ root.transpose(0, 2, 1) + 0.3 * np.eye(size)
+
+
+def mixture(size: int) -> tuple[GaussianMixture, np.ndarray, np.ndarray, np.ndarray]:
+    weights = np.array([0.5, 0.3, 0.2])
+    means = np.random.default_rng(0).normal(size=(3, size)) * 2
+    covariance = covariances(3, size)
+    # upper triangular B with B B^T = inverse covariance
+    factors = np.stack([np.triu(np.linalg.inv(np.linalg.cholesky(c)).T) for c in covariance])
+    model = GaussianMixture(*(torch.tensor(a) for a in (weights, means, factors)))
+    return model, weights, means, covariance
+
+
+@pytest.mark.parametrize("size", [1, 2, 7])
+def test_density_is_scipys(size: int) -> None:
+    model, weights, means, covariance = mixture(size)
+    x = np.random.default_rng(2).normal(size=(50, size)) * 3
+    density = sum(
+        w * multivariate_normal(m, c).pdf(x)
+        for w, m, c in zip(weights, means, covariance, strict=True)
+    )
+    np.testing.assert_allclose(model.log_prob(torch.tensor(x)).numpy(), np.log(density), rtol=1e-10)
+
+
+@pytest.mark.parametrize("size", [1, 2])
+def test_density_integrates_to_one(size: int) -> None:
+    model = mixture(size)[0]
+    axis = torch.linspace(-20, 20, 1001, dtype=F64)
+    points = torch.cartesian_prod(*[axis] * size).reshape(-1, size)
+    total = model.log_prob(points).exp().sum() * (axis[1] - axis[0]) ** size
+    assert total.item() == pytest.approx(1, abs=1e-6)
+
+
+def test_gradient_is_right_and_far_away_finite() -> None:
+    model = mixture(3)[0]
+    x = torch.randn(4, 3, generator=torch.Generator().manual_seed(0), dtype=F64)
+    assert torch.autograd.gradcheck(model.log_prob, x.requires_grad_())
+    far = torch.full((1, 3), 1e4, requires_grad=True)
+    model.log_prob(far).sum().backward()
+    assert far.grad is not None
+    assert far.grad.isfinite().all()
+
+
+def test_samples_have_the_moments() -> None:
+    model, weights, means, covariance = mixture(2)
+    x = model.sample(200_000, torch.Generator().manual_seed(0)).numpy()
+    mean = weights @ means
+    spread = np.einsum("k,kij->ij", weights, covariance) + np.einsum(
+        "k,ki,kj->ij", weights, means - mean, means - mean
+    )
+    np.testing.assert_allclose(x.mean(0), mean, atol=5 * math.sqrt(spread.max() / 200_000))
+    np.testing.assert_allclose(np.cov(x.T), spread, rtol=0.03, atol=0.05)
+
+
+def test_same_generator_same_samples() -> None:
+    model = mixture(2)[0]
+    first, second = (model.sample(5, torch.Generator().manual_seed(7)) for _ in range(2))
+    assert torch.equal(first, second)
+
+
+def test_fit_is_sklearns() -> None:
+    samples = mixture(3)[0].sample(600, torch.Generator().manual_seed(0))
+    model = GaussianMixture.fit(samples, 3, seed=4, covariance_floor=1e-3)
+    reference = SklearnMixture(3, random_state=4, reg_covar=1e-3, max_iter=500, n_init=3)
+    expected = reference.fit(samples.numpy()).score_samples(samples.numpy())
+    np.testing.assert_allclose(model.log_prob(samples).numpy(), expected, rtol=1e-9)
+    assert (torch.diff(model.weights) <= 0).all()
+
+
+def test_fit_finds_separate_clusters() -> None:
+    noise = torch.randn(400, 2, generator=torch.Generator().manual_seed(0)) * 0.1
+    samples = noise + torch.tensor([[0.0, 0.0]] * 100 + [[5.0, 1.0]] * 300)
+    model = GaussianMixture.fit(samples, 2)
+    torch.testing.assert_close(
+        model.means, torch.tensor([[5.0, 1.0], [0.0, 0.0]], dtype=F64), atol=0.05, rtol=0
+    )
+    assert model.weights.tolist() == pytest.approx([0.75, 0.25])
+
+
+def test_covariance_floor_holds_for_repeated_samples() -> None:
+    model = GaussianMixture.fit(torch.ones(10, 2), 1, covariance_floor=0.04)
+    peak = model.log_prob(torch.ones(1, 2, dtype=F64)).item()
+    assert peak == pytest.approx(-math.log(2 * math.pi * 0.04))
+
+
+def test_too_few_samples_are_refused() -> None:
+    with pytest.raises(InputError, match="5 components"):
+        GaussianMixture.fit(torch.zeros(3, 2), 5)
+
+
+def test_round_trip_through_a_file(tmp_path: Path) -> None:
+    model = mixture(4)[0]
+    path = tmp_path / "prior.safetensors"
+    model.save(path)
+    loaded = GaussianMixture.load(path)
+    for name, tensor in model.state_dict().items():
+        assert torch.equal(loaded.state_dict()[name], tensor)
+    assert [p.name for p in tmp_path.iterdir()] == ["prior.safetensors"]
+
+
+@pytest.mark.parametrize("damage", ["missing", "empty", "noise", "truncated", "other", "shape"])
+def test_damaged_files_are_asset_errors(tmp_path: Path, damage: str) -> None:
+    from safetensors.torch import save_file
+
+    path = tmp_path / "prior.safetensors"
+    model = mixture(2)[0]
+    model.save(path)
+    whole = path.read_bytes()
+    if damage == "missing":
+        path.unlink()
+    elif damage == "other":
+        save_file({"weights": torch.ones(1)}, path)
+    elif damage == "shape":
+        state = {name: t.contiguous() for name, t in model.state_dict().items()}
+        save_file({**state, "means": torch.zeros(3, dtype=F64)}, path)
+    else:
+        path.write_bytes({"empty": b"", "noise": b"x" * 64, "truncated": whole[:-9]}[damage])
+    with pytest.raises(AssetError, match="prior"):
+        GaussianMixture.load(path)
+
+
+def test_unwritable_place_is_an_output_error(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="written"):
+        mixture(1)[0].save(tmp_path / "nowhere" / "prior.safetensors")
+
+
+def test_what_is_no_mixture_is_refused() -> None:
+    eye = torch.eye(2)[None]
+    with pytest.raises(ValueError, match="sum to 1"):
+        GaussianMixture(torch.tensor([0.5]), torch.zeros(1, 2), eye)
+    with pytest.raises(ValueError, match="triangular"):
+        GaussianMixture(torch.ones(1), torch.zeros(1, 2), torch.ones(1, 2, 2))
+    with pytest.raises(ValueError, match="finite"):
+        GaussianMixture(torch.ones(1), torch.full((1, 2), math.nan), eye)

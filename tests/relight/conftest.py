@@ -1,0 +1,43 @@
+"""A small decoder and a small scene, exported once."""
+
+import pytest
+import torch
+import trimesh
+
+from skylight.models.autoencoder import AutoencoderLight, SkyAutoencoder
+from skylight.relight.export import export_decoder, precompute_scene
+
+
+@pytest.fixture(scope="session")
+def light() -> AutoencoderLight:
+    """Random weights, scaled so that skies have contrast."""
+    with torch.random.fork_rng():
+        torch.manual_seed(3)
+        network = SkyAutoencoder().eval()
+    with torch.no_grad():
+        for unit in network.decoder:
+            unit[1].weight.mul_(2.0)
+        network.output.bias.fill_(0.5)
+    return AutoencoderLight(
+        network,
+        latent_mean=torch.zeros(64),
+        latent_scale=torch.eye(64) * 2,
+        bank=torch.zeros(1, 64),
+        bank_zenith_rad=torch.zeros(1),
+        white_centroids=torch.zeros(1, 64),
+    )
+
+
+@pytest.fixture(scope="session")
+def decoder_path(light, tmp_path_factory):
+    path = tmp_path_factory.mktemp("decoder") / "sky_decoder.onnx"
+    export_decoder(light, path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def scene_path(tmp_path_factory):
+    """A ball of albedo 0.7 on the ground."""
+    path = tmp_path_factory.mktemp("scene") / "ball.npz"
+    precompute_scene(trimesh.creation.icosphere(subdivisions=4), path, height=48)
+    return path

@@ -1,0 +1,209 @@
+import hashlib
+import math
+from datetime import UTC, datetime
+from itertools import pairwise
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from skylight.skies.atmosphere import ClearSky
+from skylight.skies.clouds import CloudLayer
+from skylight.skies.simulator import (
+    LOWEST_SUN_RAD,
+    REGIME_SHARES,
+    Day,
+    SimulatedSky,
+    _add_disc,
+    _direction,
+    _sun_disc,
+    clear_variant,
+    draw_day,
+    simulate_day,
+    simulate_sky,
+    sunlit_moments,
+)
+from skylight.sphere.envmap import EnvironmentMap, luminance
+from skylight.sphere.frame import angle_between, direction_from_angles
+from skylight.sphere.grid import DirectionGrid
+
+UP = torch.tensor([0.0, 1.0, 0.0])
+
+
+def digest(skies: list[SimulatedSky]) -> str:
+    return hashlib.sha256(b"".join(s.sky.radiance.numpy().tobytes() for s in skies)).hexdigest()
+
+
+def sky_under(day: Day, clear: ClearSky, sun_zenith_deg: float, height: int = 16) -> SimulatedSky:
+    return simulate_sky(day, clear, day.start, 1.0, math.radians(sun_zenith_deg), height=height)
+
+
+def sun_in_map(sky: SimulatedSky) -> torch.Tensor:
+    azimuth = torch.tensor(math.pi / (4 * sky.sky.layout[0]), dtype=torch.float64)
+    zenith = torch.tensor(sky.sun_zenith_rad, dtype=torch.float64)
+    return direction_from_angles(azimuth, zenith)
+
+
+@pytest.fixture(scope="module")
+def clear_day() -> Day:
+    return clear_variant(draw_day(2))
+
+
+@pytest.fixture(scope="module")
+def clear_air(clear_day: Day) -> ClearSky:
+    return ClearSky(clear_day.atmosphere)
+
+
+def test_same_seed_same_bytes() -> None:
+    first = list(simulate_day(draw_day(7), interval_min=240.0, height=8))
+    again = list(simulate_day(draw_day(7), interval_min=240.0, height=8))
+    other = list(simulate_day(draw_day(6), interval_min=240.0, height=8))
+    assert digest(first) == digest(again) != digest(other)
+
+
+def test_days_follow_their_seed() -> None:
+    assert draw_day(11) == draw_day(11)
+    assert draw_day(11).name != draw_day(12).name
+
+
+def test_regimes_come_by_their_shares() -> None:
+    days = [draw_day(seed) for seed in range(500)]
+    for regime, share in REGIME_SHARES.items():
+        found = sum(d.regime == regime for d in days) / len(days)
+        assert found == pytest.approx(share, abs=0.06)
+    assert {len(d.clouds) for d in days if d.regime == "clear"} == {0, 1}
+    assert {len(d.clouds) for d in days if d.regime == "broken"} == {1, 2}
+    assert {len(d.clouds) for d in days if d.regime == "overcast"} == {1}
+
+
+def test_moments_are_daylight_of_one_day() -> None:
+    for seed in range(10):
+        day = draw_day(seed)
+        moments = sunlit_moments(day, interval_min=30.0)
+        assert all(z < math.pi / 2 - LOWEST_SUN_RAD for _, _, z in moments)
+        times = [t for t, _, _ in moments]
+        assert all(day.start <= t for t in times)
+        # the start is about local midnight, so the day's light is one unbroken stretch
+        steps = {b - a for a, b in pairwise(times)}
+        assert len(steps) <= 1
+
+
+def test_interval_does_not_move_the_first_moment() -> None:
+    day = draw_day(3)
+    coarse = sunlit_moments(day, interval_min=60.0)
+    fine = sunlit_moments(day, interval_min=20.0)
+    assert set(coarse) <= set(fine)
+
+
+@settings(deadline=None, max_examples=40)
+@given(zenith_deg=st.floats(0, 88), height=st.sampled_from([8, 16, 32, 64]))
+def test_disc_energy_is_exact_on_any_grid(zenith_deg: float, height: int) -> None:
+    """sum_w L dw = E for the disc alone, whichever pixels it falls on."""
+    sun = _direction(math.pi / (4 * height), math.radians(zenith_deg))
+    disc, share = _sun_disc(sun)
+    colour = torch.tensor([3.0, 2.0, 1.0])
+    radiance = _add_disc(torch.zeros(height, 4 * height, 3), disc, share, colour)
+    total = EnvironmentMap(radiance=radiance).integrate()
+    torch.testing.assert_close(total, colour, rtol=2e-6, atol=0)
+
+
+def test_disc_has_the_suns_size_and_limb() -> None:
+    sun = _direction(0.3, 0.8)
+    disc, share = _sun_disc(sun)
+    angle = angle_between(disc, sun.expand_as(disc)).rad2deg()
+    assert float(angle.max()) < 0.2667
+    # equal solid angles: the mean squared radius of a disc is half its radius squared
+    assert float((angle**2).mean()) == pytest.approx(0.2667**2 / 2, rel=1e-3)
+    assert float(share.sum()) == pytest.approx(1, abs=1e-6)
+    # limb darkening 1 - 0.6 (1 - sqrt(1 - r^2)) from the first to the last of six rings
+    limb = [1 - 0.6 * (1 - math.sqrt(1 - r2)) for r2 in (1 / 12, 11 / 12)]
+    assert float(share.max() / share.min()) == pytest.approx(limb[0] / limb[1], rel=1e-4)
+    assert float(angle_between((share[:, None] * disc).sum(0), sun).rad2deg()) < 1e-2
+
+
+@pytest.mark.parametrize("zenith_deg", [10.0, 80.0])
+def test_sun_of_a_clear_sky(clear_day: Day, clear_air: ClearSky, zenith_deg: float) -> None:
+    """In column w/2, in its true place, and with the energy of the beam whatever the grid."""
+    beam = clear_air.sun_irradiance(torch.tensor([math.radians(zenith_deg)]))[0]
+    totals = []
+    for height in (8, 32):
+        sky = sky_under(clear_day, clear_air, zenith_deg, height)
+        assert sky.sun_transmittance == pytest.approx(1, abs=1e-5)
+        values = luminance(sky.sky.radiance)
+        assert int(values.argmax()) % (4 * height) == 2 * height
+        totals.append(sky.sky.integrate())
+        if height == 32:
+            found = sky.sky.brightest_direction()
+            assert float(angle_between(found, sun_in_map(sky)).rad2deg()) < 1.5
+    grid = DirectionGrid.sky(32)
+    diffuse = clear_air.radiance(
+        grid.directions.float(), sun_in_map(sky_under(clear_day, clear_air, zenith_deg)).float()
+    )
+    expected = beam + EnvironmentMap(radiance=diffuse.reshape(32, 128, 3)).integrate()
+    for total in totals:
+        torch.testing.assert_close(total, expected, rtol=0.03, atol=0)
+
+
+def test_open_suns_stand_where_they_are_said_to() -> None:
+    checked = 0
+    for seed in (1, 16):  # broken skies
+        day = draw_day(seed)
+        for sky in simulate_day(day, interval_min=240.0, height=32):
+            if sky.sun_transmittance > 0.8:
+                found = sky.sky.brightest_direction()
+                assert float(angle_between(found, sun_in_map(sky)).rad2deg()) < 1.5
+                checked += 1
+    assert checked >= 4
+
+
+def test_clouds_take_the_sun_and_make_no_energy(clear_day: Day, clear_air: ClearSky) -> None:
+    """A deck lets less through the thicker it is; the disc by exp(-tau / mu) exactly."""
+    open_sky = luminance(sky_under(clear_day, clear_air, 40).sky.irradiance(UP))
+    before = 1.0
+    for depth in (1.0, 5.0, 20.0, 60.0):
+        layer = CloudLayer(coverage=0.9999, depth=depth, softness=1.0, cell_km=40.0, seed=3)
+        day = Day(**{**vars(clear_day), "clouds": (layer,)})
+        sky = sky_under(day, clear_air, 40)
+        ratio = float(luminance(sky.sky.irradiance(UP)) / open_sky)
+        assert 0.05 < ratio < 1.02
+        assert ratio < before + 0.02
+        before = ratio
+    assert sky.sun_transmittance < 1e-3
+
+
+def test_broken_clouds_brighten_by_less_than_measured_extremes() -> None:
+    """Cloud enhancement: sunlit cloud sides lift irradiance by up to about 1.5 times."""
+    ratios = []
+    for seed in (7, 16):
+        day = draw_day(seed)
+        air = ClearSky(day.atmosphere)
+        for moment in sunlit_moments(day, interval_min=240.0):
+            cloudy = simulate_sky(day, air, *moment, height=16).sky.irradiance(UP)
+            open_sky = simulate_sky(clear_variant(day), air, *moment, height=16).sky.irradiance(UP)
+            ratios.append(float(luminance(cloudy) / luminance(open_sky)))
+    assert 0.15 < min(ratios) < 0.9
+    assert max(ratios) < 1.5
+
+
+def test_overcast_skies_are_brighter_above() -> None:
+    """Zenith over horizon: 3 for the CIE overcast sky, less where the sun shows through."""
+    ratios = []
+    for seed in (9, 13):
+        day = draw_day(seed)
+        assert day.regime == "overcast"
+        for sky in simulate_day(day, interval_min=300.0, height=16):
+            rows = luminance(sky.sky.radiance).mean(1)
+            ratios.append(float(rows[:2].mean() / rows[-2:].mean()))
+    assert 2 < sum(ratios) / len(ratios) < 4
+
+
+def test_clouds_move_with_the_wind() -> None:
+    day = draw_day(7)
+    air = ClearSky(day.atmosphere)
+    at_noon = (datetime(2020, 1, 1, 12, tzinfo=UTC), 1.0, 0.8)
+    day = Day(**{**vars(day), "start": datetime(2020, 1, 1, tzinfo=UTC)})
+    still = Day(**{**vars(day), "wind_km_per_hour": (0.0, 0.0)})
+    moved = simulate_sky(day, air, *at_noon, height=8).sky.radiance
+    stayed = simulate_sky(still, air, *at_noon, height=8).sky.radiance
+    assert not torch.allclose(moved, stayed, rtol=0.01)

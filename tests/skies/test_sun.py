@@ -1,0 +1,59 @@
+import json
+import math
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skylight.skies.sun import SUN_RADIUS_RAD, Place, sun_angles
+
+GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "sun_position.json").read_text())
+
+
+@pytest.mark.parametrize("case", GOLDEN, ids=lambda case: case["time"])
+def test_published_positions(case: dict) -> None:
+    place = Place(
+        latitude_deg=case["latitude_deg"],
+        longitude_deg=case["longitude_deg"],
+        altitude_m=case["altitude_m"],
+    )
+    azimuth, zenith = np.degrees(sun_angles(place, [datetime.fromisoformat(case["time"])]))
+    assert azimuth[0] == pytest.approx(case["azimuth_deg"], abs=case["tolerance_deg"])
+    elevation = 90 - zenith[0]
+    assert elevation == pytest.approx(case["true_elevation_deg"], abs=case["tolerance_deg"])
+
+
+def test_zenith_is_without_refraction() -> None:
+    """Air lifts the sun by about 0.0167 degrees at this height; ours is the true place."""
+    case = GOLDEN[0]
+    place = Place(latitude_deg=case["latitude_deg"], longitude_deg=case["longitude_deg"])
+    zenith = math.degrees(sun_angles(place, [datetime.fromisoformat(case["time"])])[1][0])
+    assert zenith - case["refracted_zenith_deg"] == pytest.approx(0.0167, abs=0.002)
+
+
+def test_naval_observatory(shared_data: Path) -> None:
+    """Every 20th of 6259 positions by the US Naval Observatory, geometric, all over the Earth."""
+    path = shared_data / "reference" / "usno_sun_positions_6259.txt"
+    if not path.is_file():
+        pytest.skip(f"{path.name} is not among the collected data")
+    for row in path.read_text().splitlines()[::20]:
+        day, clock, *numbers = row.split()
+        latitude, longitude, height, azimuth, zenith = map(float, numbers)
+        place = Place(latitude_deg=latitude, longitude_deg=longitude, altitude_m=height)
+        time = datetime.fromisoformat(f"{day}T{clock}").replace(tzinfo=UTC)
+        ours = np.degrees(sun_angles(place, [time]))[:, 0]
+        assert ours[1] == pytest.approx(zenith, abs=2e-4)
+        # azimuth means little where the sun is near the zenith
+        off = (ours[0] - azimuth + 180) % 360 - 180
+        assert abs(off) * math.sin(math.radians(zenith)) < 5e-4
+
+
+def test_time_zone_is_required() -> None:
+    with pytest.raises(ValueError, match="time zone"):
+        sun_angles(Place(latitude_deg=0.0, longitude_deg=0.0), [datetime(2020, 1, 1)])
+
+
+def test_disc_solid_angle() -> None:
+    """6.807e-5 sr, the disc of the Prague sky model."""
+    assert 2 * math.pi * (1 - math.cos(SUN_RADIUS_RAD)) == pytest.approx(6.807e-5, rel=1e-4)

@@ -1,0 +1,406 @@
+"""The command line from end to end: what it writes, and how it fails."""
+
+import _thread
+import errno
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+import torch
+from PIL import Image
+from skimage.data import astronaut
+
+import skylight
+from skylight.app.estimate import estimate
+from skylight.app.results import results_folder
+from skylight.cli import Light, explain, main
+from skylight.errors import AssetError, InputError, OutputError
+from skylight.faces.landmarks import DetectedFace
+from skylight.faces.model import HeadModel
+from skylight.imaging.files import read_environment_map
+from skylight.inverse.photo import estimate_photo
+from skylight.models.shipped import LightName, autoencoder_light
+from skylight.sphere.frame import angles_from_direction
+
+RESULTS = {"probe.exr", "probe.hdr", "mesh.obj", "estimate.json", "report.png"}
+
+
+@pytest.fixture(scope="module")
+def portrait(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("portrait") / "astronaut.png"
+    Image.fromarray(astronaut()).save(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def results(portrait: Path) -> Path:
+    """The folder of one good run, by the quickest light model."""
+    out = portrait.parent / "out"
+    assert main(["estimate", str(portrait), "--light", "sh9", "--out", str(out)]) == 0
+    return out
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    captured = capsys.readouterr()
+    lines = captured.err.splitlines()
+    assert len(lines) == 1, captured.err
+    assert captured.out == ""
+    assert lines[0].startswith("skylight: ")
+    return lines[0]
+
+
+class TestResults:
+    def test_all_files_are_there_and_nothing_else(self, results: Path) -> None:
+        assert {path.name for path in results.iterdir()} == RESULTS
+
+    def test_numbers_and_map_tell_the_same_sun(self, results: Path) -> None:
+        told = json.loads((results / "estimate.json").read_text())
+        probe = read_environment_map(results / "probe.exr")
+        assert probe.layout == (64, 128)
+        azimuth, zenith = angles_from_direction(probe.brightest_direction())
+        assert told["sun"]["azimuth_deg"] == pytest.approx(np.degrees(float(azimuth)), abs=0.01)
+        assert told["sun"]["zenith_deg"] == pytest.approx(np.degrees(float(zenith)), abs=0.01)
+        assert told["objective"]["total"] == pytest.approx(told["objective"]["data"])
+        assert len(told["params"]) == 27
+
+    def test_both_maps_hold_the_same_light(self, results: Path) -> None:
+        exr, hdr = (read_environment_map(results / f"probe.{kind}") for kind in ("exr", "hdr"))
+        peak = exr.radiance.amax(-1, keepdim=True)
+        assert ((hdr.radiance - exr.radiance).abs() <= peak / 255).all()
+
+    def test_mesh_stands_before_the_camera(self, results: Path) -> None:
+        import trimesh
+
+        mesh = trimesh.load_mesh(results / "mesh.obj", process=False)
+        assert len(mesh.faces) == len(HeadModel.load().faces)
+        assert (mesh.vertices[:, 2] < -0.2).all()
+        assert 0.15 < np.ptp(mesh.vertices[:, 1]) < 0.45
+
+    def test_report_is_a_large_picture(self, results: Path) -> None:
+        with Image.open(results / "report.png") as report:
+            report.load()
+            assert report.width > 1500
+            assert report.height > 1000
+
+    def test_codes_give_the_light_of_their_file(self, results: Path) -> None:
+        found = estimate(astronaut(), light="sh9")
+        written = read_environment_map(results / "probe.exr").radiance
+        torch.testing.assert_close(found.environment.radiance, written, rtol=0.02, atol=1e-3)
+
+    def test_default_folder_is_named_after_the_picture(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "portrait_light").write_text("taken")
+        Image.fromarray(astronaut()).save("portrait.png")
+        assert main(["estimate", "portrait.png"]) == 1
+        assert "portrait_light" in one_line(capsys)
+
+
+def _truncated(path: Path) -> None:
+    Image.fromarray(astronaut()).save(path, format="JPEG")
+    path.write_bytes(path.read_bytes()[:9000])
+
+
+def _animated(path: Path) -> None:
+    frames = [Image.new("RGB", (64, 64), color) for color in ("red", "green")]
+    frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:])
+
+
+def _landscape(path: Path) -> None:
+    rng = np.random.default_rng(7)
+    coarse = Image.fromarray(rng.integers(0, 255, (12, 20, 3), dtype=np.uint8))
+    coarse.resize((400, 240), Image.Resampling.BICUBIC).save(path, format="PNG")
+
+
+def _exr(value: float) -> Callable[[Path], None]:
+    def write(path: Path) -> None:
+        pixels = np.full((64, 128, 3), 0.5, np.float32)
+        pixels[3, 5, 1] = value
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        OpenEXR.File(header, {"RGB": pixels}).write(str(path))
+
+    return write
+
+
+def _plain(mode: str, size: tuple[int, int], color: object, kind: str) -> Callable[[Path], None]:
+    return lambda path: Image.new(mode, size, color).save(path, format=kind)  # type: ignore[arg-type]
+
+
+BAD_PICTURES: dict[str, tuple[str, Callable[[Path], object], str]] = {
+    "missing": ("a.jpg", lambda path: None, "No such file"),
+    "a folder": ("a.jpg", lambda path: path.mkdir(), "directory"),
+    "empty": ("a.jpg", lambda path: path.touch(), "no picture"),
+    "text": ("a.png", lambda path: path.write_text("hello"), "no picture"),
+    "truncated": ("a.jpg", _truncated, "cut short"),
+    "animated": ("a.gif", _animated, "several pictures"),
+    "CMYK": ("a.jpg", _plain("CMYK", (64, 64), (9, 80, 40, 3), "JPEG"), "CMYK"),
+    "one pixel": ("a.png", _plain("RGB", (1, 1), (9, 80, 40), "PNG"), "1x1"),
+    "too wide": ("a.png", _plain("RGB", (20_000, 40), (9, 80, 40), "PNG"), "20000x40"),
+    "grey": ("a.png", _plain("L", (64, 64), 80, "PNG"), "grey"),
+    "grey in RGB": ("a.png", _plain("RGB", (64, 64), (80, 80, 80), "PNG"), "grey"),
+    "black": ("a.png", _plain("RGB", (64, 64), (0, 0, 0), "PNG"), "black"),
+    "no face": ("a.png", _landscape, "no face found"),
+    "EXR with NaN": ("a.exr", _exr(np.nan), "NaN"),
+    "EXR with infinity": ("a.exr", _exr(np.inf), "infinite"),
+}
+
+
+class TestFailures:
+    @pytest.mark.parametrize("kind", BAD_PICTURES)
+    def test_bad_picture(
+        self, kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        name, make, expected = BAD_PICTURES[kind]
+        make(tmp_path / name)
+        out = tmp_path / "out"
+        assert main(["estimate", str(tmp_path / name), "--out", str(out)]) == 2
+        line = one_line(capsys)
+        assert expected in line
+        assert name in line
+        assert not out.exists()
+
+    def test_earlier_results_survive_a_failure(
+        self, results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        before = contents(results)
+        _landscape(tmp_path / "hills.png")
+        assert main(["estimate", str(tmp_path / "hills.png"), "--out", str(results)]) == 2
+        one_line(capsys)
+        assert contents(results) == before
+
+    def test_earlier_results_survive_an_interrupt(
+        self, portrait: Path, results: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        before = contents(results)
+        timer = threading.Timer(1.0, _thread.interrupt_main)
+        timer.start()
+        assert main(["estimate", str(portrait), "--out", str(results)]) == 1
+        assert "interrupted" in one_line(capsys)
+        assert contents(results) == before
+
+    def test_face_that_is_not_there(
+        self, portrait: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        arguments = ["estimate", str(portrait), "--face", "2", "--out", str(tmp_path / "out")]
+        assert main(arguments) == 2
+        assert "no face 2" in one_line(capsys)
+
+    def test_face_turned_away(self, portrait: Path) -> None:
+        class Profile:
+            """Sees the mean head, turned by 80 degrees."""
+
+            def detect(self, image: np.ndarray) -> list[DetectedFace]:
+                head = HeadModel.load()
+                angle = np.radians(80)
+                turn = np.array(
+                    [
+                        [np.cos(angle), 0, np.sin(angle)],
+                        [0, 1, 0],
+                        [-np.sin(angle), 0, np.cos(angle)],
+                    ]
+                )
+                points = head.landmarks(head.mean) @ turn.T
+                pixels = points[:, :2] * [1500, -1500] / (1.5 - points[:, 2:]) + 256
+                return [DetectedFace(points=pixels, score=1.0)]
+
+        photo = skylight.read_photo(portrait)
+        with pytest.raises(InputError, match="turned away") as caught:
+            estimate_photo(photo, landmarker=Profile())
+        message, code = explain(caught.value)
+        assert code == 2
+        assert "use a picture" in message
+
+    def test_folder_that_cannot_be_written(
+        self, portrait: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        (tmp_path / "file").touch()
+        out = tmp_path / "file" / "out"
+        assert main(["estimate", str(portrait), "--out", str(out)]) == 1
+        assert "choose another folder" in one_line(capsys)
+
+    def test_damaged_checkpoint(self, tmp_path: Path) -> None:
+        path = tmp_path / "sky_autoencoder.safetensors"
+        for damage in (None, b"", b"\x10" * 1000):
+            if damage is not None:
+                path.write_bytes(damage)
+            with pytest.raises(AssetError) as caught:
+                autoencoder_light(path)
+            message, code = explain(caught.value)
+            assert code == 1
+            assert path.name in message
+
+    def test_no_cuda(
+        self, portrait: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        if torch.cuda.is_available():
+            pytest.skip("there is a CUDA device")
+        out = tmp_path / "out"
+        assert main(["estimate", str(portrait), "--device", "cuda", "--out", str(out)]) == 2
+        assert "CUDA" in one_line(capsys)
+
+    @pytest.mark.parametrize(
+        "arguments",
+        [
+            ["estimate"],
+            ["estimate", "a.png", "--light", "moon"],
+            ["estimate", "a.png", "--gamma", "2.2", "--linear"],
+            ["estimate", "a.png", "--face", "first"],
+            ["fly"],
+            ["skies"],
+            ["export", "scene"],
+        ],
+    )
+    def test_usage(self, arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+        with pytest.raises(SystemExit) as end:
+            main(arguments)
+        assert end.value.code == 2
+        assert "Traceback" not in capsys.readouterr().err
+
+    def test_debug_adds_the_traceback(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert main(["estimate", str(tmp_path / "a.png"), "--debug"]) == 2
+        captured = capsys.readouterr().err
+        assert "Traceback" in captured
+        assert captured.splitlines()[-1].startswith("skylight: ")
+
+    @pytest.mark.parametrize(
+        ("error", "expected"),
+        [
+            (MemoryError(), "out of memory"),
+            (
+                RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried"),
+                "out of memory",
+            ),
+            (OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "a.obj"), "a.obj: No space left"),
+            (ZeroDivisionError("division by zero"), "rerun with --debug"),
+        ],
+    )
+    def test_what_is_nobodys_mistake(self, error: Exception, expected: str) -> None:
+        message, code = explain(error)
+        assert code == 1
+        assert expected in message
+
+
+class TestResultsFolder:
+    def fill(self, folder: Path, *names: str, stop: BaseException | None = None) -> None:
+        with results_folder(folder) as partial:
+            for name in names:
+                (partial / name).write_text("new")
+            if stop:
+                raise stop
+
+    @pytest.mark.parametrize("stop", [OSError(errno.ENOSPC, "full"), KeyboardInterrupt()])
+    def test_what_stops_a_run_leaves_no_trace(self, stop: BaseException, tmp_path: Path) -> None:
+        old, new = tmp_path / "old", tmp_path / "new"
+        old.mkdir()
+        (old / "a.txt").write_text("good")
+        for folder in (old, new):
+            with pytest.raises(type(stop)):
+                self.fill(folder, "a.txt", stop=stop)
+        assert contents(old) == {"a.txt": b"good"}
+        assert not new.exists()
+
+    def test_a_folder_in_a_files_place_is_kept(self, tmp_path: Path) -> None:
+        (tmp_path / "b.txt").mkdir()
+        with pytest.raises(OutputError, match="folder"):
+            self.fill(tmp_path, "a.txt", "b.txt")
+        assert [path.name for path in tmp_path.iterdir()] == ["b.txt"]
+
+
+class TestSkies:
+    def test_simulate_then_index(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        arguments = ["--days", "1", "--out", str(tmp_path), "--size", "8x32"]
+        assert main(["skies", "simulate", *arguments, "--interval-min", "240"]) == 0
+        assert "index.csv" in capsys.readouterr().out
+        assert main(["skies", "index", str(tmp_path)]) == 0
+        count = len(list(tmp_path.glob("*.exr")))
+        assert f"{count} skies" in capsys.readouterr().out
+
+    @pytest.mark.parametrize(
+        "wrong",
+        [["--size", "32x64"], ["--size", "big"], ["--days", "0"], ["--interval-min", "-5"]],
+    )
+    def test_wrong_numbers(
+        self, wrong: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        days = [] if "--days" in wrong else ["--days", "1"]
+        out = ["--out", str(tmp_path / "skies")]
+        assert main(["skies", "simulate", *days, *out, *wrong]) == 2
+        assert wrong[0] in one_line(capsys)
+
+    def test_no_folder(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["skies", "index", str(tmp_path / "nowhere")]) == 2
+        assert "no such folder" in one_line(capsys)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    import trimesh
+
+    folder = tmp_path_factory.mktemp("scene")
+    trimesh.creation.icosphere(subdivisions=2).export(folder / "ball.obj")
+    out = folder / "ball.npz"
+    arguments = [str(folder / "ball.obj"), "--out", str(out), "--height", "24"]
+    assert main(["export", "scene", *arguments]) == 0
+    return out
+
+
+class TestRelight:
+    @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
+    def test_probe_with_impossible_radiance(
+        self, value: float, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        probe, out = tmp_path / "probe.exr", tmp_path / "lit.png"
+        _exr(value)(probe)
+        out.write_bytes(b"earlier picture")
+        assert main(["relight", str(scene), "--out", str(out), "--probe", str(probe)]) == 2
+        assert "probe.exr" in one_line(capsys)
+        assert out.read_bytes() == b"earlier picture"
+
+    def test_damaged_decoder(
+        self, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        (tmp_path / "z.json").write_text(json.dumps([0.0] * 64))
+        (tmp_path / "decoder.onnx").write_bytes(b"no graph")
+        light = ["--latent", str(tmp_path / "z.json"), "--decoder", str(tmp_path / "decoder.onnx")]
+        assert main(["relight", str(scene), "--out", str(tmp_path / "lit.png"), *light]) == 1
+        assert "decoder.onnx" in one_line(capsys)
+        assert not (tmp_path / "lit.png").exists()
+
+    def test_needs_no_torch(self, scene: Path, tmp_path: Path) -> None:
+        probe, out = tmp_path / "probe.exr", tmp_path / "lit.png"
+        _exr(5.0)(probe)
+        program = (
+            "import sys, skylight; from skylight.cli import main\n"
+            f"code = main(['relight', {str(scene)!r}, '--out', {str(out)!r}, "
+            f"'--probe', {str(probe)!r}])\n"
+            "sys.exit(code or int('torch' in sys.modules))"
+        )
+        subprocess.run([sys.executable, "-c", program], check=True, stdout=subprocess.DEVNULL)
+        with Image.open(out) as picture:
+            assert picture.size == (32, 24)
+
+
+def test_light_choices_are_the_models() -> None:
+    assert Light == LightName
+
+
+def test_public_names_exist() -> None:
+    for name in skylight.__all__:
+        assert getattr(skylight, name) is not None
+        assert name in dir(skylight)
+    with pytest.raises(AttributeError, match="moonlight"):
+        skylight.moonlight  # noqa: B018

@@ -1,0 +1,70 @@
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from skylight.errors import InputError
+from skylight.training.config import AutoencoderConfig, PriorConfig, config_yaml, read_config
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "run.yaml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda p: p.name)
+def test_shipped_configurations_are_read(path: Path) -> None:
+    assert read_config(path).kind in ("autoencoder", "prior")
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        AutoencoderConfig(),
+        AutoencoderConfig(weight_decay=1e-5, learning_rate=3e-7, coding="linear", mirror=False),
+        PriorConfig(data=Path("a/b c"), bank=48),
+    ],
+)
+def test_written_and_read(tmp_path: Path, config: AutoencoderConfig | PriorConfig) -> None:
+    assert read_config(written(tmp_path, config_yaml(config))) == config
+
+
+def test_numbers_as_people_write_them(tmp_path: Path) -> None:
+    config = read_config(
+        written(tmp_path, "kind: autoencoder\nweight_decay: 1e-5\nlearning_rate: 1\n")
+    )
+    assert config == replace(AutoencoderConfig(), weight_decay=1e-5, learning_rate=1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("kind: autoencoder\nepoch: 3\n1: 2\n", "unknown keys 1, epoch; known are batch"),
+        ("kind: diffusion\n", "`kind` must be one of autoencoder, prior"),
+        ("epochs: 3\n", "`kind` must be one of"),
+        ("- 1\n", "`kind` must be one of"),
+        ("", "`kind` must be one of"),
+        ("kind: [autoencoder\n", "cannot be read as YAML"),
+        ("kind: autoencoder\ncoding: gamma\n", "`coding` must be one of log, linear"),
+        ("kind: autoencoder\nepochs: many\n", "`epochs` must be of type int, got 'many'"),
+        ("kind: autoencoder\nepochs: 2.5\n", "`epochs` must be of type int"),
+        ("kind: autoencoder\nmirror: 1\n", "`mirror` must be of type bool"),
+        ("kind: autoencoder\nlearning_rate: true\n", "`learning_rate` must be of type float"),
+        ("kind: autoencoder\nlearning_rate: [1]\n", "`learning_rate` must be of type float"),
+        ("kind: autoencoder\ndata: 3\n", "`data` must be of type Path"),
+        ("kind: autoencoder\nbatch: 0\n", "`batch` must be at least 1"),
+        ("kind: prior\nbank: 3\n", "`bank` at least 24"),
+    ],
+)
+def test_unusable_configurations(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message.replace("[", r"\[")) as caught:
+        read_config(written(tmp_path, text))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_configuration_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"none\.yaml"):
+        read_config(tmp_path / "none.yaml")
