@@ -1,5 +1,5 @@
 # Every target sets itself up: a fresh clone needs only make and Python 3.11 or newer (with venv).
-#   make demo     two faces lit by a known sky: estimate, compare, relight; results in out/demo
+#   make demo     a rendered face with its true light, and a photograph; results in out/demo
 #   make test     the test suite
 #   make lint     style, types, and which module may import which
 #   make format   rewrite the code in the project's style

@@ -79,7 +79,8 @@ def explain(error: BaseException) -> tuple[str, int]:
     if isinstance(error, OSError) and error.strerror:
         file = f"{error.filename}: " if error.filename else ""
         return f"{file}{error.strerror}; check the disk's free space and your access to it", 1
-    return f"internal error ({type(error).__name__}: {error}); rerun with --debug", 1
+    first = str(error).partition("\n")[0]
+    return f"internal error ({type(error).__name__}: {first}); rerun with --debug", 1
 
 
 @app.command
@@ -131,7 +132,9 @@ def estimate(
 
 @app.command
 def demo(out: Path = Path("skylight_demo")) -> None:
-    """Show what skylight does, without any data: two estimates in about a minute.
+    """Show what skylight does, without any data: two estimates.
+
+    Takes one to two minutes on two cores.
 
     The first is of a rendered face in a simulated light that is known, so the estimate is scored;
     the second of a photograph of an astronaut that comes with scikit-image.

@@ -42,9 +42,7 @@ def main() -> None:
     errors = []
     for i in range(arguments.people):
         ground = torch.tensor([0.14, 0.13, 0.12])
-        face = render_face(
-            skies[i % SKIES], ground, seed=FIRST_PERSON_SEED + i, light_rows=32
-        )
+        face = render_face(skies[i % SKIES], ground, seed=FIRST_PERSON_SEED + i, light_rows=32)
         found = landmarker.detect(face.encoded)
         if not found:
             continue

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from jaxtyping import UInt8
+from numpy import ndarray
 
 from skylight.app.estimate import as_photo, estimate_with_steps
 from skylight.app.report import (
@@ -91,7 +93,7 @@ def write_comparison(
         "True": true,
         "Estimated": EnvironmentMap(radiance=estimated.radiance / strength),
     }
-    note = f"estimate scaled to the truth's mean shading, of which it had {strength:.2f} times"
+    note = f"the estimate is shown as strong as the truth; it shades {strength:.2f} times as bright"
     white = white_of(true.upper().flat)
     with rc_context(STYLE):
         figure = Figure(figsize=(16, 8), dpi=120, facecolor="white")
@@ -130,7 +132,9 @@ def write_comparison(
         save(figure, path)
 
 
-def _estimate(folder: Path, codes, title: str, progress: Progress) -> PhotoEstimate:
+def _estimate(
+    folder: Path, codes: UInt8[ndarray, "h w 3"], title: str, progress: Progress
+) -> PhotoEstimate:
     photo, source = as_photo(codes, None)
     result = estimate_with_steps(
         photo, source, light="autoencoder", face=1, device="cpu", progress=progress

@@ -8,8 +8,8 @@ import torch
 from jaxtyping import UInt8
 
 from skylight.errors import InputError
-from skylight.imaging.colour import Decode, decode_values, linear_to_srgb
-from skylight.imaging.photo import GREY_CODES, Photo, read_photo
+from skylight.imaging.colour import Decode
+from skylight.imaging.photo import Photo, photo_from_codes, read_photo
 from skylight.inverse.photo import PhotoEstimate, Progress, estimate_photo
 from skylight.inverse.solve import Estimate
 from skylight.models.shipped import LightName
@@ -80,7 +80,7 @@ def as_photo(image: Image, decode: Decode | None) -> tuple[Photo, str]:
     if isinstance(image, str | Path):
         return read_photo(image, decode=decode), str(image)
     if isinstance(image, np.ndarray):
-        return _from_codes(image, decode or "srgb"), "the picture"
+        return photo_from_codes(image, decode=decode), "the picture"
     if decode is not None:
         raise InputError("decode is for files and 8-bit codes: a Photo is decoded already")
     return image, "the picture"
@@ -94,19 +94,3 @@ def check_device(device: Device) -> None:
         )
     if device != "cpu":
         raise InputError("the optimisation runs on the CPU so far; leave --device out")
-
-
-def _from_codes(codes: np.ndarray, decode: Decode) -> Photo:
-    if codes.dtype != np.uint8 or codes.ndim != 3 or codes.shape[2] != 3:
-        raise InputError(
-            f"a picture must be uint8 of shape (height, width, 3), got {codes.dtype} of "
-            f"{codes.shape}; convert it, or make a Photo"
-        )
-    if codes.size and np.ptp(codes, axis=-1).max() <= GREY_CODES:
-        raise InputError("the picture is grey or black: it tells nothing about light's colour")
-    pixels = decode_values(torch.from_numpy(codes.astype(np.float32) / 255), decode)
-    return Photo(
-        pixels=pixels,
-        encoded=(255 * linear_to_srgb(pixels)).round().to(torch.uint8).numpy(),
-        clipped=torch.from_numpy((codes == 255).any(-1)),
-    )

@@ -3,7 +3,7 @@
 import io
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -33,7 +33,7 @@ OVERLAY_SIDE_PX = 420
 RESIDUAL_LIMIT = 0.5
 INK, MUTED, ACCENT = "#1d2733", "#6b7785", "#e4572e"
 _MARGINS = {"left": 0.02, "right": 0.98, "top": 0.895, "bottom": 0.045}
-STYLE = {
+STYLE: dict[Any, Any] = {  # matplotlib types the keys as its own literals
     "font.family": "DejaVu Sans",
     "font.size": 10.5,
     "text.color": INK,
@@ -120,8 +120,8 @@ def show_probe(
         ["behind", "left", "where the camera looks", "right", "behind"],
     )
     labels = axes.get_xticklabels()
-    labels[0].set_ha("left")
-    labels[-1].set_ha("right")
+    labels[0].set_horizontalalignment("left")
+    labels[-1].set_horizontalalignment("right")
     axes.axhline(height / 2 - 0.5, color="white", linewidth=0.9, alpha=0.7, linestyle=(0, (4, 4)))
     axes.text(0.5, height / 2, "horizon", color="white", fontsize=9, va="top", alpha=0.9)
     sun = environment.brightest_direction()

@@ -27,12 +27,12 @@ def strip(truth: EnvironmentMap | None, estimates: dict[str, EnvironmentMap]) ->
 
 def _column(label: str, environment: EnvironmentMap) -> Picture:
     scene = evaluation_scene()
-    white = 1.6 * float(luminance(scene.shade(environment)).mean())
+    mean = float(luminance(scene.shade(environment)).mean())
     return np.vstack(
         [
             caption(label, WIDTH),
-            sized(tone_map(scene.relight(environment), white=white), WIDTH, SCENE),
-            sized(tone_map(environment.radiance, white=white), WIDTH, PROBE),
+            sized(tone_map(scene.relight(environment), white=2 * mean), WIDTH, SCENE),
+            sized(tone_map(environment.radiance, white=3 * mean), WIDTH, PROBE),
         ]
     )
 
@@ -57,7 +57,8 @@ def sized(picture: Picture, width: int, height: int) -> Picture:
 
 def write_sheet(path: Path, strips: list[Path]) -> None:
     """The strips that exist, one below the other."""
-    rows = [cv2.imread(str(p))[..., ::-1] for p in strips if p.is_file()]
+    read = [cv2.imread(str(p)) for p in strips]
+    rows = [picture[..., ::-1] for picture in read if picture is not None]
     if not rows:
         return
     width = max(r.shape[1] for r in rows)

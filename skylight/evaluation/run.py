@@ -58,8 +58,11 @@ class Item:
 class Evaluation(Protocol):
     """A frozen dataclass of settings. ``config`` names all that an item's result depends on."""
 
-    name: str
-    seed: int
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def seed(self) -> int: ...
 
     def config(self) -> dict[str, object]: ...
 

@@ -1,10 +1,11 @@
 """Faces and their landmarks in a picture, behind an interface that other detectors can fill."""
 
+import importlib
 import importlib.metadata
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -34,6 +35,7 @@ class DetectedFace:
         return float(np.linalg.norm(self.points[45] - self.points[36]))
 
 
+@runtime_checkable
 class FaceLandmarker(Protocol):
     """Anything that finds faces and their 68 landmarks."""
 
@@ -46,14 +48,11 @@ class DlibLandmarker:
     """dlib's frontal detector with the 68-point regression trees of Kazemi & Sullivan (2014)."""
 
     def __init__(self) -> None:
-        import dlib
-
-        self._detector = dlib.get_frontal_face_detector()
-        self._predictor = dlib.shape_predictor(str(predictor_path()))
+        self._dlib: Any = importlib.import_module("dlib")  # without type stubs
+        self._detector = self._dlib.get_frontal_face_detector()
+        self._predictor = self._dlib.shape_predictor(str(predictor_path()))
 
     def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[DetectedFace]:
-        import dlib
-
         height, width = image.shape[:2]
         scale = min(1.0, _DETECTION_SIDE_PX / max(height, width))
         size = (max(1, round(width * scale)), max(1, round(height * scale)))
@@ -64,7 +63,7 @@ class DlibLandmarker:
         faces = []
         for box, score in zip(boxes, scores, strict=True):
             sides = (box.left(), box.top(), box.right(), box.bottom())
-            whole = dlib.rectangle(*(round(side / scale) for side in sides))
+            whole = self._dlib.rectangle(*(round(side / scale) for side in sides))
             shape = self._predictor(np.ascontiguousarray(image), whole)
             # dlib's integers name pixel centres
             points = np.array([(p.x + 0.5, p.y + 0.5) for p in shape.parts()], dtype=np.float64)

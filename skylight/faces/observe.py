@@ -16,15 +16,19 @@ from skylight.sphere.envmap import luminance
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.camera import Camera
 from skylight.transport.gbuffer import GBuffer, rasterize
+from skylight.transport.gloss import glossy_transport
 from skylight.transport.matrix import diffuse_transport
 from skylight.transport.observation import Observation
 from skylight.transport.raycast import Raycaster
+from skylight.transport.render import Specular
 
 # Left out: pixels darker than this part of the face's 90th percentile (hair, nostrils, beard),
 GRAZING_COSINE = 0.25  # those that the camera sees at more than 75 degrees,
 DARK_SHARE = 0.01
 CLIPPED_SHARE = 0.02  # and those of which more than this part was over-exposed.
 FEWEST_PIXELS = 60
+# Index of refraction 1.4; the roughness is nominal, and its strength is estimated per face.
+SKIN_GLOSS = Specular(f0=0.028, roughness=0.5)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,16 +92,16 @@ def observe_face(
         workers=workers,
         progress=progress,
     )
+    gloss = glossy_transport(transport, surface.normals[used], view[used], SKIN_GLOSS)
     # pixels seen at a slant cover more skin each and lie less surely: weight by the cosine
     observation = Observation(
         pixels=seen[used],
         weights=facing[used].float(),
         places=surface.pixels[used],
         transport=transport,
+        gloss=gloss,
     )
-    return FaceView(
-        image=image, camera=camera, surface=surface, used=used, observation=observation
-    )
+    return FaceView(image=image, camera=camera, surface=surface, used=used, observation=observation)
 
 
 def _cut_out(
@@ -106,7 +110,7 @@ def _cut_out(
     model: HeadModel,
     fit: FaceFit,
     face_height_px: int,
-) -> tuple[Float[Tensor, "h w 3"], Camera, Float[Tensor, "h w"]]:
+) -> tuple[Float[Tensor, "h2 w2 3"], Camera, Float[Tensor, "h2 w2"]]:
     """The head's part of the picture, area-averaged, its camera, and the share clipped."""
     camera = fit.camera
     image = camera.project(torch.from_numpy(fit.vertices)).numpy()

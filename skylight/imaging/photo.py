@@ -70,6 +70,26 @@ def read_photo(path: str | Path, *, decode: Decode | None = None) -> Photo:
     return photo
 
 
+def photo_from_codes(
+    codes: UInt8[np.ndarray, "h w 3"], *, decode: Decode | None = None
+) -> Photo:
+    """A photograph from its upright 8-bit codes; ``decode`` as in :func:`read_photo`.
+
+    Raises
+    ------
+    InputError
+        Codes of another type or shape, or a grey or black picture.
+    """
+    if codes.dtype != np.uint8 or codes.ndim != 3 or codes.shape[2] != 3:
+        raise InputError(
+            f"a picture must be uint8 of shape (height, width, 3), got {codes.dtype} of "
+            f"{codes.shape}; convert it, or make a Photo"
+        )
+    if codes.size and np.ptp(codes, axis=-1).max() <= GREY_CODES:
+        raise InputError("the picture is grey or black: it tells nothing about light's colour")
+    return _photo(codes, "srgb" if decode is None else decode, _at_maximum(codes), None)
+
+
 def focal_length_px(exif: Image.Exif, width: int, height: int) -> float | None:
     """Focal length in pixels of a ``width`` x ``height`` picture, from its EXIF data.
 
@@ -126,6 +146,13 @@ def _from_picture(path: Path, decode: Decode) -> Photo:
         raise InputError(f"{path}: no picture known here; give a JPEG, PNG or TIFF") from error
     except (OSError, SyntaxError, ValueError, EOFError) as error:  # what Pillow's decoders raise
         raise InputError(f"{path}: damaged or cut short ({error}); export it again") from error
+    return _photo(codes, decode, clipped, focal_px)
+
+
+def _photo(
+    codes: np.ndarray, decode: Decode, clipped: Bool[np.ndarray, "h w"], focal_px: float | None
+) -> Photo:
+    """The picture that uint8 or uint16 codes (h,w,3) stand for."""
     scale = float(np.iinfo(codes.dtype).max)
     pixels = decode_values(torch.from_numpy(codes.astype(np.float32) / scale), decode)
     encoded = (255 * linear_to_srgb(pixels)).round().to(torch.uint8).numpy()

@@ -28,6 +28,7 @@ GROUND_ALBEDOS = (
 # The nine lie close together; real grounds do not (snow, sand, paving): this much wider.
 GROUND_SPREAD = 1.5
 CHARBONNIER_EPSILON = 1e-6
+GLOSS_SPREAD = 0.7  # of log gloss: skin from matt to oily, a factor of two either way
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +52,7 @@ class Unpacked:
     """The physical meaning of a batch of free parameters."""
 
     light: Float[Tensor, "b p"]
+    gloss: Float[Tensor, " b"]
     exposure: Float[Tensor, " b"]
     albedo: Float[Tensor, "b 3"]
     ground_albedo: Float[Tensor, "b 3"]
@@ -64,10 +66,17 @@ def charbonnier(x: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
 class SkyObjective:
     """Eq. 5.8 for a model of the sky over a Lambertian ground.
 
-    Free parameters of one problem: those of the light model, then log exposure, then the logits
-    of skin and ground albedo, so that 0 < albedo < 1 always holds. The observation is scaled to
-    a mean luminance of 1 beforehand (``scale``), which makes the loss's epsilon mean the same
-    for every picture.
+    Beyond the thesis, a share of surface reflection: shading is rho T l + gloss G l, with one
+    unknown strength for the face (1 is what the index of refraction of skin says). On dark skin
+    highlights are as bright as the diffuse part, and taken for diffuse they pull the sun aside.
+
+    ``albedo_prior`` is a density over *log* albedo: over albedo itself it would be the same
+    distribution, but its maximum would lean towards dark skin.
+
+    Free parameters of one problem: those of the light model, then log exposure, log gloss, then
+    the logits of skin and ground albedo, so that 0 < albedo < 1 always holds. The observation is
+    scaled to a mean luminance of 1 beforehand (``scale``), which makes the loss's epsilon mean
+    the same for every picture.
     """
 
     def __init__(
@@ -86,6 +95,7 @@ class SkyObjective:
         share = observation.weights / observation.weights.sum()
         self.share = share[:, None] / 3
         self.transport = DiffuseTransport(observation.transport)
+        self.gloss = None if observation.gloss is None else DiffuseTransport(observation.gloss)
         self.ground = LambertianGround(model.grid.layout[0])  # type: ignore[index]
         log_albedo = torch.tensor(GROUND_ALBEDOS).log()
         self.ground_mean = log_albedo.mean(0)
@@ -94,12 +104,13 @@ class SkyObjective:
 
     @property
     def size(self) -> int:
-        return self.model.parameter_count + 7
+        return self.model.parameter_count + 8
 
     def pack(
         self,
         light: Float[Tensor, "b p"],
         exposure: Float[Tensor, " b"],
+        gloss: Float[Tensor, " b"],
         albedo: Float[Tensor, "b 3"],
         ground_albedo: Float[Tensor, "b 3"],
     ) -> Float[Tensor, "b q"]:
@@ -107,6 +118,7 @@ class SkyObjective:
             [
                 self.model.to_free(light),
                 exposure.log()[:, None],
+                gloss.log()[:, None],
                 torch.logit(albedo, eps=1e-4),
                 torch.logit(ground_albedo, eps=1e-4),
             ],
@@ -119,14 +131,19 @@ class SkyObjective:
             light=self.model.from_free(free[:, :p]),
             # beyond e^+-20 a line search has gone astray; exp must not overflow on its way back
             exposure=free[:, p].clamp(-20, 20).exp(),
-            albedo=torch.sigmoid(free[:, p + 1 : p + 4]),
-            ground_albedo=torch.sigmoid(free[:, p + 4 : p + 7]),
+            gloss=free[:, p + 1].clamp(-20, 5).exp(),
+            albedo=torch.sigmoid(free[:, p + 2 : p + 5]),
+            ground_albedo=torch.sigmoid(free[:, p + 5 : p + 8]),
         )
 
     def shading(self, parts: Unpacked) -> Float[Tensor, "b m 3"]:
-        """rho T l with the exposure in l."""
+        """rho T l + gloss G l with the exposure in l."""
         sky = self.model.radiance(parts.light) * parts.exposure[:, None, None]
-        return self.transport(sky, self.ground.radiance(sky, parts.ground_albedo), parts.albedo)
+        ground = self.ground.radiance(sky, parts.ground_albedo)
+        shading = self.transport(sky, ground, parts.albedo)
+        if self.gloss is None:
+            return shading
+        return shading + self.gloss(sky, ground, parts.gloss[:, None].expand(-1, 3))
 
     def terms(self, free: Float[Tensor, "b q"]) -> dict[str, Float[Tensor, " b"]]:
         """Each part of the objective, weighted; they add up to it."""
@@ -140,8 +157,9 @@ class SkyObjective:
         return {
             "data": w.independent / w.noise * mean,
             "light_prior": -w.light_prior * self.light_prior.log_prob(light),
-            "albedo_prior": -w.albedo_prior * self.albedo_prior.log_prob(parts.albedo),
+            "albedo_prior": -w.albedo_prior * self.albedo_prior.log_prob(parts.albedo.log()),
             "ground_prior": w.ground_prior * ground,
+            "gloss_prior": 0.5 * (parts.gloss.log() / GLOSS_SPREAD) ** 2,
         }
 
     def __call__(

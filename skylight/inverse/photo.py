@@ -1,10 +1,12 @@
 """One photograph in, the light it was taken in out: the whole chain."""
 
+import copy
 import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 
 from skylight.errors import InputError
 from skylight.faces.fit import FaceFit, fit_face
@@ -15,6 +17,7 @@ from skylight.faces.skin import SkinPrior
 from skylight.imaging.photo import Photo
 from skylight.inverse.solve import Estimate, SolverOptions, solve_harmonic, solve_sky
 from skylight.models.harmonic import HarmonicLight
+from skylight.models.prior import GaussianMixture
 from skylight.models.shipped import (
     LightName,
     autoencoder_light,
@@ -111,8 +114,8 @@ def estimate_light(
     progress: Callable[[float], None] | None = None,
 ) -> Estimate:
     """Light from an observation by the shipped model of that name."""
-    skin = SkinPrior.load()
-    modes = skin.means.float()
+    skin = _skin_prior()
+    modes = SkinPrior.load().means.float()
     if light == "autoencoder":
         return solve_sky(
             observation, autoencoder_light(), latent_prior(), skin, modes, options, progress
@@ -123,3 +126,8 @@ def estimate_light(
         )
     return solve_harmonic(observation, HarmonicLight(2 if light == "sh9" else 4), skin, modes)
 
+
+@cache
+def _skin_prior() -> GaussianMixture:
+    """The mixture over log albedo in single precision."""
+    return copy.deepcopy(SkinPrior.load().log_albedo).float()

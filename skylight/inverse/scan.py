@@ -1,9 +1,10 @@
 """Where could the sun be? One small non-negative least-squares problem per direction.
 
-For every direction d above the horizon the face's luminance is explained by light from d alone
-plus about twenty broad ambient lobes over the sphere, all non-negative:
+For every direction d above the horizon the face's luminance is explained by light from d alone,
+scattered (T) and mirrored by the surface (G), plus about twenty broad ambient lobes over the
+sphere, all non-negative:
 
-    min_{a >= 0, b >= 0}  sum_p w_p (y_p - a T[p, d] - sum_j b_j (T A)[p, j])^2
+    min_{a, g, b >= 0}  sum_p w_p (y_p - a T[p, d] - g G[p, d] - sum_j b_j (T A)[p, j])^2
 
 The directions with the smallest residuals are where non-linear optimisation should start.
 """
@@ -17,6 +18,7 @@ from torch import Tensor
 
 from skylight.sphere.envmap import luminance
 from skylight.sphere.grid import DirectionGrid
+from skylight.transport.matrix import TransportMatrix
 from skylight.transport.observation import Observation
 
 SCAN_HEIGHT = 32
@@ -47,30 +49,34 @@ def scan_sun(
         raise ValueError(f"the transport's grid {fine.layout} must be a multiple of 32 rows")
     root = observation.weights.double().sqrt()
     y = luminance(observation.pixels).double() * root
-    matrix = observation.transport.matrix.double() * root[:, None]
-    block = fine.layout[0] // SCAN_HEIGHT
     grid = DirectionGrid.latlong(SCAN_HEIGHT)
     upper = len(grid) // 2
-    # a direction of the coarse grid sends the same radiance from all fine pixels in it
-    columns = matrix.reshape(len(y), SCAN_HEIGHT, block, 2 * SCAN_HEIGHT, block).sum((2, 4))
-    columns = columns.reshape(len(y), -1)
-    ambient = columns @ _ambient_lobes(grid)
-    suns = columns[:, :upper]
-    # columns of unit norm: the scale of each unknown is then alike
-    sun_norm = suns.norm(dim=0).clamp(min=1e-12)
-    ambient_norm = ambient.norm(dim=0).clamp(min=1e-12)
-    suns, ambient = suns / sun_norm, ambient / ambient_norm
-    gram = torch.zeros(upper, LOBES + 1, LOBES + 1, dtype=torch.float64)
-    gram[:, 0, 0] = 1.0
-    gram[:, 1:, 1:] = ambient.T @ ambient
-    cross = suns.T @ ambient
-    gram[:, 0, 1:], gram[:, 1:, 0] = cross, cross
-    right = torch.cat([(suns.T @ y)[:, None], (ambient.T @ y).expand(upper, -1)], 1)
+
+    def columns(transport: TransportMatrix) -> Float[Tensor, "m n"]:
+        # a direction of the coarse grid sends the same radiance from all fine pixels in it
+        block = fine.layout[0] // SCAN_HEIGHT  # type: ignore[index]
+        cells = transport.matrix.reshape(len(y), SCAN_HEIGHT, block, 2 * SCAN_HEIGHT, block)
+        return cells.sum((2, 4)).reshape(len(y), -1).double() * root[:, None]
+
+    diffuse = columns(observation.transport)
+    groups = [_unit(diffuse[:, :upper])]
+    if observation.gloss is not None:
+        groups.append(_unit(columns(observation.gloss)[:, :upper]))
+    ambient = _unit(diffuse @ _ambient_lobes(grid))
+    k = len(groups)
+    gram = torch.zeros(upper, k + LOBES, k + LOBES, dtype=torch.float64)
+    right = torch.zeros(upper, k + LOBES, dtype=torch.float64)
+    gram[:, k:, k:], right[:, k:] = ambient.T @ ambient, ambient.T @ y
+    for i, group in enumerate(groups):
+        right[:, i] = group.T @ y
+        gram[:, i, k:] = gram[:, k:, i] = group.T @ ambient
+        for j, other in enumerate(groups):
+            gram[:, i, j] = (group * other).sum(0)
     x = nnls(gram, right)
     energy = float(y @ y)
     squared = energy - 2 * (right * x).sum(1) + torch.einsum("nj,njk,nk->n", x, gram, x)
     residuals = (squared.clamp(min=0) / energy).sqrt()
-    explained = x[:, 0] * (suns.sum(0) / y.sum())
+    explained = x[:, 0] * (groups[0].sum(0) / y.sum())
     directions = grid.directions[:upper]
     chosen = _local_minima(directions, residuals, candidates, math.radians(separation_deg))
     return SunScan(
@@ -82,7 +88,7 @@ def scan_sun(
 
 
 def nnls(
-    gram: Float[Tensor, "b k k"], right: Float[Tensor, "b k"], *, sweeps: int = 300
+    gram: Float[Tensor, "b k k"], right: Float[Tensor, "b k"], *, sweeps: int = 150
 ) -> Float[Tensor, "b k"]:
     """min_{x >= 0} x^T G x / 2 - r^T x for many small problems, by coordinate descent.
 
@@ -104,6 +110,11 @@ def nnls(
         if moved <= 1e-9 * float(x.abs().max()):
             break
     return x
+
+
+def _unit(columns: Float[Tensor, "m n"]) -> Float[Tensor, "m n"]:
+    """Columns of unit norm, so that all unknowns have about the same scale."""
+    return columns / columns.norm(dim=0).clamp(min=1e-12)
 
 
 def _ambient_lobes(grid: DirectionGrid) -> Float[Tensor, "n k"]:

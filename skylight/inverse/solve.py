@@ -10,7 +10,6 @@ from torch import Tensor
 
 from skylight.inverse.lbfgs import minimise
 from skylight.inverse.objective import (
-    GROUND_ALBEDOS,
     ObjectiveWeights,
     SkyObjective,
     best_exposure,
@@ -30,11 +29,12 @@ START_GROUND = 0.2  # thesis, B.1
 class SolverOptions:
     """Effort of the optimisation: starts kept, pyramid levels, iterations on each level."""
 
-    scan_candidates: int = 4
-    starts: int = 4
+    scan_candidates: int = 3
+    starts: int = 3
     levels: int = 4
-    iterations: tuple[int, ...] = (30, 20, 15, 15)
-    survivors: tuple[int, ...] = (4, 2, 1, 1)
+    iterations: tuple[int, ...] = (20, 15, 10, 15)
+    survivors: tuple[int, ...] = (2, 1, 1, 1)
+    tolerance: float = 1e-4
     weights: ObjectiveWeights = ObjectiveWeights()
 
 
@@ -59,7 +59,7 @@ class Estimate:
     terms: dict[str, float]
     status: Status
     advice: tuple[str, ...]
-    stats: dict[str, float]
+    stats: dict[str, float | int]
 
 
 def solve_sky(
@@ -80,23 +80,20 @@ def solve_sky(
     """
     options = options or SolverOptions()
     scale = float(luminance(observation.pixels).mean())
-    scaled = Observation(
-        pixels=observation.pixels / scale,
-        weights=observation.weights,
-        places=observation.places,
-        transport=observation.transport,
-    )
+    scaled = observation.scaled(1 / scale)
     pyramid = [scaled.coarser(level) for level in reversed(range(options.levels))]
     objectives = [
         SkyObjective(o, model, light_prior, albedo_prior, options.weights) for o in pyramid
     ]
     scan = scan_sun(scaled.coarser(1), candidates=options.scan_candidates)
-    free, scores = _starts(objectives[1 if options.levels > 1 else 0], scan.candidates, albedo_modes)
-    free = _best_apart(free, scores, options.starts)
+    free, scores = _starts(objectives[0], scan.candidates, albedo_modes)
+    free = free[scores.argsort()[: options.starts]]
     evaluations = nonfinite = 0
     result = None
     for level, objective in enumerate(objectives):
-        result = minimise(objective, free, iterations=options.iterations[level])
+        result = minimise(
+            objective, free, iterations=options.iterations[level], tolerance=options.tolerance
+        )
         evaluations += result.evaluations
         nonfinite += result.nonfinite
         order = result.loss.argsort()
@@ -113,8 +110,9 @@ def solve_sky(
         sky = model.radiance(parts.light) * (parts.exposure * scale)[:, None, None]
         full = objective.ground.append(sky, parts.ground_albedo)[0]
         terms = {k: float(v) for k, v in objective.terms(final).items()}
-    layout = (2 * model.grid.layout[0], model.grid.layout[1])  # type: ignore[index]
-    environment = EnvironmentMap(radiance=full.reshape(*layout, 3))
+    sky_layout = model.grid.layout
+    assert sky_layout is not None
+    environment = EnvironmentMap(radiance=full.reshape(2 * sky_layout[0], sky_layout[1], 3))
     status: Status = "converged" if bool(result.converged[best]) else "iteration limit"
     if nonfinite:
         status = "recovered from a non-finite step"
@@ -135,6 +133,7 @@ def solve_sky(
             "nonfinite": nonfinite,
             "scan_residual": float(scan.residuals.min()),
             "sun_strength": float(scan.strengths[0]),
+            "gloss": float(parts.gloss),
         },
     )
 
@@ -151,10 +150,11 @@ def solve_harmonic(
     fit knows only albedo times light; of the skin prior's modes the one is taken that leaves
     the light most neutral, plus its negative log-likelihood (the ambiguity of Eq. 5.9).
     """
-    shading = observation.transport.project(model.basis)
-    pixels = observation.pixels
+    # float64: in float32 the last bits of the least squares differ from run to run
+    shading = observation.transport.project(model.basis).double()
+    pixels = observation.pixels.double()
     scale = float(luminance(pixels).mean())
-    weights = observation.weights
+    weights = observation.weights.double()
     for _ in range(8):
         product = solve_linear(shading, pixels, weights)
         residual = charbonnier((shading @ product - pixels) / scale).mean(1)
@@ -163,14 +163,16 @@ def solve_harmonic(
     chroma = torch.log(mean / albedo_modes)
     chroma = chroma - chroma.mean(1, keepdim=True)
     # daylight's colour varies by about 0.15 in the log of its channels' ratios
-    cost = 0.5 * (chroma**2).sum(1) / 0.15**2 - albedo_prior.log_prob(albedo_modes)
+    cost = 0.5 * (chroma**2).sum(1) / 0.15**2 - albedo_prior.log_prob(albedo_modes.log())
     albedo = albedo_modes[cost.argmin()]
-    coefficients = product / albedo
+    coefficients = (product / albedo).to(observation.pixels)
     with torch.no_grad():
         radiance = model.radiance(coefficients.reshape(1, -1))[0]
-    environment = EnvironmentMap(radiance=radiance.reshape(*model.grid.layout, 3).float())
+    layout = model.grid.layout
+    assert layout is not None
+    environment = EnvironmentMap(radiance=radiance.reshape(*layout, 3).float())
     rendered = albedo * (observation.transport.matrix @ environment.flat)
-    ground = environment.radiance[model.grid.layout[0] // 2 :].reshape(-1, 3).mean(0)
+    ground = environment.radiance[layout[0] // 2 :].reshape(-1, 3).mean(0)
     down = environment.upper().irradiance(torch.tensor([0.0, 1.0, 0.0])) / torch.pi
     residual = charbonnier((shading @ product - pixels) / scale)
     share = observation.weights[:, None] / observation.weights.sum() / 3
@@ -207,32 +209,28 @@ def _starts(
         centroids[:, i] = towards[0, i]
     light = torch.cat([towards, centroids])
     sky = model.radiance(light)
-    ground = torch.full((len(light), 3), START_GROUND)
+    ground_albedo = torch.full((len(light), 3), START_GROUND)
+    ground = objective.ground.radiance(sky, ground_albedo)
     ones = torch.ones(len(light), 3)
-    bare = objective.transport(sky, objective.ground.radiance(sky, ground), ones)
+    diffuse = objective.transport(sky, ground, ones)
+    glossy = torch.zeros_like(diffuse)
+    if objective.gloss is not None:
+        glossy = objective.gloss(sky, ground, ones)
     best = torch.full((len(light),), torch.inf)
     packed = torch.zeros(len(light), objective.size)
+    w = objective.weights
     for mode in albedo_modes:
-        albedo = mode.expand(len(light), 3)
-        exposure = best_exposure(bare * mode, objective.target, objective.share)
-        free = objective.pack(light, exposure, albedo, ground)
         # the sky need not be rendered again: shading is linear in exposure and albedo
-        shading = bare * mode * exposure[:, None, None]
-        residual = charbonnier(shading - objective.target)
-        w = objective.weights
+        shading = diffuse * mode + glossy
+        exposure = best_exposure(shading, objective.target, objective.share)
+        residual = charbonnier(shading * exposure[:, None, None] - objective.target)
         loss = w.independent / w.noise * (residual * objective.share).sum((1, 2))
-        loss = loss - w.albedo_prior * objective.albedo_prior.log_prob(albedo)
-        better = loss < best
-        best = torch.where(better, loss, best)
-        packed = torch.where(better[:, None], free, packed)
+        albedo = mode.expand(len(light), 3)
+        loss = loss - w.albedo_prior * objective.albedo_prior.log_prob(albedo.log())
+        free = objective.pack(light, exposure, ones[:, 0], albedo, ground_albedo)
+        packed = torch.where((loss < best)[:, None], free, packed)
+        best = torch.minimum(loss, best)
     return packed, best
-
-
-def _best_apart(
-    free: Float[Tensor, "s q"], scores: Float[Tensor, " s"], count: int
-) -> Float[Tensor, "t q"]:
-    """The best starts."""
-    return free[scores.argsort()[:count]]
 
 
 def _advice(observation: Observation, rendered: Float[Tensor, "m 3"]) -> tuple[str, ...]:
@@ -245,5 +243,3 @@ def _advice(observation: Observation, rendered: Float[Tensor, "m 3"]) -> tuple[s
             "unreliable; check the mesh overlay, or use a picture with less hair, glasses or gloss",
         )
     return ()
-
-

@@ -25,7 +25,7 @@ LATENT = 64
 HEIGHT, WIDTH = 32, 128
 # The middle of column 64, where training skies have their sun.
 CENTRE_AZIMUTH_RAD = math.pi / WIDTH
-# log1p(L) up to here; exp(13) is 6 times the brightest sun pixel at the zenith (clear sky)
+# log1p(L) up to here; exp(13) is 20 times the brightest pixel of 440 simulated days
 _CODE_LIMIT = 13.0
 
 Coding = Literal["log", "linear"]
@@ -142,7 +142,7 @@ class AutoencoderLight(nn.Module):
 
     name = "autoencoder"
     parameter_count = LATENT + 1
-    azimuth_index = LATENT
+    azimuth_index: int | None = LATENT
     candidates = 6  # starts per direction
 
     def __init__(

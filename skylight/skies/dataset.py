@@ -12,7 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -62,6 +62,7 @@ class SkyRecord:
 
 
 COLUMNS = tuple(f.name for f in fields(SkyRecord))
+_NUMBERS = tuple(f.name for f in fields(SkyRecord) if f.type is float)
 
 
 def split_of_day(day: str) -> Split:
@@ -260,14 +261,16 @@ def _read_rows(path: Path) -> list[SkyRecord]:
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: cannot be read as an index of skies ({error})") from error
     try:
-        return [
-            SkyRecord(**{f.name: f.type(row[f.name]) for f in fields(SkyRecord)})  # str or float
-            for row in rows
-        ]
+        return [_parse(row) for row in rows]
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{path}: not an index of skies ({error}); its columns are {', '.join(COLUMNS)}"
         ) from error
+
+
+def _parse(row: dict[str, Any]) -> SkyRecord:
+    values: dict[str, Any] = {c: float(row[c]) if c in _NUMBERS else row[c] for c in COLUMNS}
+    return SkyRecord(**values)
 
 
 def _write_rows(path: Path, records: list[SkyRecord]) -> None:

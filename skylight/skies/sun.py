@@ -37,6 +37,6 @@ def sun_angles(place: Place, times: list[datetime]) -> tuple[NDArray, NDArray]:
         altitude=place.altitude_m,
     )
     return (
-        np.radians(table["azimuth"].to_numpy(dtype=float)),
-        np.radians(table["zenith"].to_numpy(dtype=float)),
+        np.radians(np.asarray(table["azimuth"], dtype=float)),
+        np.radians(np.asarray(table["zenith"], dtype=float)),
     )

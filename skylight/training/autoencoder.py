@@ -89,7 +89,8 @@ def train(config: AutoencoderConfig, report: Callable[[str], None] = print) -> P
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)  # initial weights
         network = SkyAutoencoder(config.coding)
-    network = network.to(device, memory_format=torch.channels_last)
+    # torch's stubs leave memory_format out
+    network = network.to(device, memory_format=torch.channels_last)  # pyright: ignore
     optimiser = torch.optim.SGD(
         network.parameters(),
         lr=config.learning_rate,

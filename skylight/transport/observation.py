@@ -1,6 +1,6 @@
 """What inverse lighting starts from: shading that was seen, and the transport that made it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -13,6 +13,9 @@ from skylight.transport.matrix import TransportMatrix
 class Observation:
     """``pixels`` (m,3) linear radiance, ``weights`` (m,) >= 0, ``transport`` of the same points.
 
+    ``gloss`` is the transport of a surface reflection at those points (see
+    :func:`skylight.transport.gloss.glossy_transport`), or None for matt things.
+
     ``places`` (m,2) are the pixels' (row, column) in their picture: the image pyramid merges
     neighbours by them.
     """
@@ -21,6 +24,7 @@ class Observation:
     weights: Float[Tensor, " m"]
     places: Int[Tensor, "m 2"]
     transport: TransportMatrix
+    gloss: TransportMatrix | None = None
 
     def __post_init__(self) -> None:
         count = len(self.pixels)
@@ -31,6 +35,10 @@ class Observation:
                 f"pixels ({count}), weights ({len(self.weights)}) and transport rows "
                 f"({len(self.transport.matrix)}) must match"
             )
+
+    def scaled(self, factor: float) -> "Observation":
+        """The same with all pixels multiplied."""
+        return replace(self, pixels=self.pixels * factor)
 
     def coarser(self, level: int) -> "Observation":
         """The observation at 1 / 2^level of the picture's resolution; level 0 is itself.
@@ -48,13 +56,18 @@ class Observation:
         total = torch.zeros(len(blocks)).index_add_(0, index, weight)
         share = (weight / total[index])[:, None]
         pixels = torch.zeros(len(blocks), 3).index_add_(0, index, share * self.pixels[kept])
-        rows = torch.zeros(len(blocks), len(self.transport.grid))
-        rows.index_add_(0, index, share * self.transport.matrix[kept])
+
+        def merged(transport: TransportMatrix) -> TransportMatrix:
+            rows = torch.zeros(len(blocks), len(transport.grid))
+            rows.index_add_(0, index, share * transport.matrix[kept])
+            return TransportMatrix(matrix=rows, grid=transport.grid)
+
         places = torch.zeros(len(blocks), 2, dtype=torch.long)
         places[index] = cell[kept]
         return Observation(
             pixels=pixels,
             weights=total,
             places=places,
-            transport=TransportMatrix(matrix=rows, grid=self.transport.grid),
+            transport=merged(self.transport),
+            gloss=None if self.gloss is None else merged(self.gloss),
         )

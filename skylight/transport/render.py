@@ -79,8 +79,8 @@ def light_samples(
     """Directions and their L(w) dw, float64, that stand for a full environment map.
 
     Pixels above 20 times the mean luminance become the sub-directions (4 x 4 of them for a map
-    of 64 rows) of a grid of ``fine_height`` rows, each with its exact solid angle; what is left is averaged onto
-    32 rows. Both keep the energy. Black directions are left out.
+    of 64 rows) of a grid of ``fine_height`` rows, each with its exact solid angle; what is left
+    is averaged onto 32 rows. Both keep the energy. Black directions are left out.
     """
     if environment.is_sky:
         raise ValueError("a sky alone leaves the ground unknown: add one with .with_ground()")

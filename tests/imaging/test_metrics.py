@@ -20,6 +20,7 @@ from skylight.imaging.metrics import (
     ssim,
     sun_angle_deg,
     sun_dw_mae,
+    sun_dw_mae_fixed,
     sun_region,
 )
 from skylight.sphere.envmap import EnvironmentMap
@@ -34,14 +35,27 @@ def constant(value: float, height: int = 32) -> EnvironmentMap:
 def sun_and_sky(
     azimuth_deg: float, elevation_deg: float, *, sun: float = 1000.0, height: int = 128
 ) -> EnvironmentMap:
-    """A disc of 3 degrees' radius on a uniform sky of 1, above black ground."""
-    grid = DirectionGrid.latlong(height)
+    """A disc of 3 degrees' radius on a uniform sky of 1, above black ground.
+
+    Pixels are averages over 4 x 4 points: with one point each, the disc's own centroid would be
+    off by up to a degree on 2.8-degree pixels.
+    """
+    fine = 4 * height
+    grid = DirectionGrid.latlong(fine)
     angles = torch.tensor([azimuth_deg, 90 - elevation_deg], dtype=torch.float64).deg2rad()
     towards = direction_from_angles(angles[0], angles[1])
     in_disc = angle_between(grid.directions, towards) < math.radians(3)
     radiance = torch.where(in_disc, sun, 1.0) * (grid.directions[:, 1] > 0)
-    radiance = radiance[:, None].expand(-1, 3).reshape(height, 2 * height, 3)
-    return EnvironmentMap(radiance=radiance.float())
+    radiance = radiance[:, None].expand(-1, 3).reshape(fine, 2 * fine, 3)
+    return EnvironmentMap(radiance=radiance.float()).resize(height)
+
+
+def one_pixel_sun(strength: float) -> EnvironmentMap:
+    """A sun on one pixel of 2.8 degrees, 32 degrees high, in a uniform sky of 1."""
+    radiance = torch.ones(64, 128, 3)
+    radiance[32:] = 0
+    radiance[20, 40] = strength
+    return EnvironmentMap(radiance=radiance)
 
 
 def picture(seed: int = 0, height: int = 40, width: int = 50) -> torch.Tensor:
@@ -175,15 +189,34 @@ def test_sky_and_sun_and_ground_make_the_whole() -> None:
     true, pred = sun_and_sky(40, 35), sun_and_sky(60, 30)
     scores = lighting_metrics(pred, true)
     # both have black ground, so the two regions hold the whole error
-    assert scores["sky_dw_mae"] + scores["sun_dw_mae"] == pytest.approx(scores["full_dw_mae"])
+    parts = scores["sky_dw_mae"] + scores["sun_dw_mae_fixed"]
+    assert parts == pytest.approx(scores["full_dw_mae"])
 
 
 def test_a_missing_sun_shows_in_the_sun_score_alone() -> None:
     true, pred = sun_and_sky(40, 35), sun_and_sky(40, 35, sun=1.0)
     disc = 2 * math.pi * (1 - math.cos(math.radians(3)))
     share = 999 * disc / (2 * math.pi + 999 * disc)
-    assert sun_dw_mae(pred, true, align_scale=False) == pytest.approx(share, rel=0.03)
+    for score in (sun_dw_mae, sun_dw_mae_fixed):
+        assert score(pred, true, align_scale=False) == pytest.approx(share, rel=0.03)
     assert sky_dw_mae(pred, true, align_scale=False) == pytest.approx(0, abs=1e-7)
+
+
+def test_a_sun_elsewhere_is_the_same_sun() -> None:
+    true = sun_and_sky(40, 35)
+    pred = true.rotate_azimuth(math.radians(20))
+    # 20 degrees are 14.2 columns: what is left is the disc's edge, cut differently into pixels
+    assert sun_dw_mae(pred, true) < 0.02
+    assert sun_dw_mae_fixed(pred, true) > 0.5
+
+
+@pytest.mark.parametrize("part", [0.25, 0.5, 0.75])
+def test_a_sun_between_two_pixels_is_the_same_sun(part: float) -> None:
+    true, pred = one_pixel_sun(1000.0), one_pixel_sun(400.0)
+    moved = pred.rotate_azimuth(part * 2 * math.pi / 128)
+    # within 0.02 of the sum: pixels of the sky on a cell's border change cells
+    assert sun_dw_mae(moved, true) == pytest.approx(sun_dw_mae(pred, true), abs=0.02)
+    assert abs(sun_dw_mae_fixed(moved, true) - sun_dw_mae_fixed(pred, true)) > 0.04
 
 
 @given(st.floats(0, 359), st.floats(15, 75), st.floats(-60, 60))

@@ -11,7 +11,7 @@ import torch
 from PIL import ExifTags, Image, ImageCms, ImageOps
 
 from skylight.errors import InputError
-from skylight.imaging.photo import read_photo
+from skylight.imaging.photo import photo_from_codes, read_photo
 
 ORIENTATION = ExifTags.Base.Orientation
 
@@ -52,6 +52,24 @@ def test_png_codes_become_linear_light(tmp_path: Path) -> None:
     )
     assert photo.pixels.dtype == torch.float32
     assert photo.focal_px is None
+
+
+def test_codes_give_the_photo_of_their_file(tmp_path: Path) -> None:
+    picture = colours()
+    picture[3, 4] = 255
+    path = saved(tmp_path / "a.png", picture)
+    for decode in (None, "linear", 1.8):
+        photo, read = photo_from_codes(picture, decode=decode), read_photo(path, decode=decode)
+        np.testing.assert_array_equal(photo.encoded, read.encoded)
+        assert torch.equal(photo.pixels, read.pixels)
+        assert torch.equal(photo.clipped, read.clipped)
+        assert photo.clipped[3, 4]
+        assert photo.focal_px is None
+
+
+def test_codes_without_colour_are_refused() -> None:
+    with pytest.raises(InputError, match="grey or black"):
+        photo_from_codes(np.full((48, 64, 3), 90, np.uint8))
 
 
 def test_other_encodings(tmp_path: Path) -> None:

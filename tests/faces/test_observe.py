@@ -1,0 +1,186 @@
+"""Which pixels of a rendered person are used, and whether their transport explains them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from skylight.errors import InputError
+from skylight.faces.model import HeadModel, Region
+from skylight.faces.observe import CLIPPED_SHARE, GRAZING_COSINE, observe_face
+from skylight.faces.synthetic import render_face
+from skylight.sphere.envmap import EnvironmentMap, luminance
+from skylight.transport.camera import Camera
+
+SIZE = 128
+
+
+@pytest.fixture(scope="module")
+def head() -> HeadModel:
+    return HeadModel.load()
+
+
+@pytest.fixture(scope="module")
+def person():
+    """Under a constant sky with one bright pixel, before and above the face."""
+    sky = torch.ones(8, 32, 3)
+    sky[3, 28] = 60.0
+    return render_face(
+        EnvironmentMap(radiance=sky),
+        torch.tensor([0.2, 0.2, 0.2]),
+        seed=5,
+        size=SIZE,
+        azimuth_rad=0.0,
+        light_rows=32,
+    )
+
+
+def observed(head, person, *, picture=None, clipped=None, fit=None, **options):
+    return observe_face(
+        person.picture if picture is None else picture,
+        person.clipped if clipped is None else clipped,
+        head,
+        person.truth if fit is None else fit,
+        grid_height=16,
+        **options,
+    )
+
+
+@pytest.fixture(scope="module")
+def view(head, person):
+    return observed(head, person)
+
+
+def test_only_skin_is_used(head, view):
+    corners = torch.from_numpy(head.regions)[
+        torch.from_numpy(head.faces.copy())[view.surface.faces[view.used]]
+    ]
+    assert (corners == Region.FACE).all()
+    # none at the border of the skin
+    skin = torch.from_numpy((head.regions == Region.FACE)[head.faces].all(1))
+    mask = view.surface.image(skin[view.surface.faces].float()[:, None])[..., 0]
+    for row, column in view.observation.places.tolist():
+        assert mask[row - 1 : row + 2, column - 1 : column + 2].sum() == 9
+
+
+def test_an_observation_is_the_cut_picture_at_the_used_points(view):
+    observation = view.observation
+    rows, columns = view.surface.pixels[view.used].unbind(1)
+    torch.testing.assert_close(observation.places, view.surface.pixels[view.used])
+    torch.testing.assert_close(observation.pixels, view.image[rows, columns])
+    seen_from = -torch.nn.functional.normalize(view.surface.positions[view.used], dim=1)
+    cosine = (view.surface.normals[view.used] * seen_from).sum(1)
+    torch.testing.assert_close(observation.weights, cosine.float())
+    assert (cosine > GRAZING_COSINE).all()
+    assert len(rows) > 500
+
+
+def test_no_point_reflects_more_than_it_gets(view):
+    diffuse = view.observation.transport.matrix.sum(1)
+    assert float(diffuse.max()) < 1.01
+    assert float(diffuse.median()) > 0.6  # faces are mostly convex
+    assert (view.observation.transport.matrix >= 0).all()
+    gloss = view.observation.gloss.matrix
+    assert (gloss >= 0).all()
+    assert gloss.isfinite().all()
+    assert 0.005 < float(gloss.sum(1).median()) < 0.2  # a few per cent, more at a slant
+
+
+def test_transport_under_the_true_light_gives_the_picture(person, view):
+    light = person.environment.flat
+    observation = view.observation
+    shading = person.albedo * (observation.transport.matrix @ light)
+    shading = shading + observation.gloss.matrix @ light
+    error = (luminance(shading) / luminance(observation.pixels)).log()
+    assert abs(float(error.median())) < 0.05
+    assert float(error.abs().median()) < 0.08  # blotches, a bright pixel's place, roughness
+
+
+def test_the_cut_picture_keeps_its_geometry(person, view):
+    # points seen through the cut camera project to where the whole picture has them
+    points = view.surface.positions[view.used]
+    here = view.camera.project(points)
+    torch.testing.assert_close(
+        here, view.observation.places.flip(1).double() + 0.5, atol=1e-6, rtol=0
+    )
+    there = person.truth.camera.project(points)
+    shift = there - here
+    if view.camera.focal_px == person.truth.camera.focal_px:  # cut, not scaled
+        assert float((shift - shift.round()).abs().max()) < 1e-6
+
+
+def test_pictures_are_scaled_down_to_the_working_height(head, person):
+    view = observed(head, person, face_height_px=40)
+    skin = view.camera.project(torch.from_numpy(person.truth.vertices))[
+        torch.from_numpy(head.regions == Region.FACE)
+    ]
+    assert float(skin[:, 1].max() - skin[:, 1].min()) == pytest.approx(40, abs=1.5)
+    whole = person.truth.camera
+    points = view.surface.positions
+    there = whole.project(points) * (view.camera.focal_px / whole.focal_px)
+    shift = there - view.camera.project(points)
+    assert float((shift - shift.mean(0)).abs().max()) < 0.5
+    assert tuple(view.image.shape[:2]) == view.surface.layout
+
+
+def test_over_exposed_pixels_are_left_out(head, person, view):
+    points = person.truth.camera.project(view.surface.positions[view.used])
+    middle = int(points[:, 0].mean())
+    clipped = person.clipped.clone()
+    clipped[:, :middle] = True
+    half = observed(head, person, clipped=clipped)
+    left = person.truth.camera.project(half.surface.positions[half.used])
+    assert float(left[:, 0].min()) > middle - 1
+    assert 0.2 < len(left) / len(points) < 0.8
+    assert CLIPPED_SHARE < 0.5
+    with pytest.raises(InputError, match=r"only 0 usable pixels .* over-exposed"):
+        observed(head, person, clipped=torch.ones_like(clipped))
+
+
+def test_dark_pixels_are_left_out(head, person, view):
+    points = person.truth.camera.project(view.surface.positions[view.used])
+    middle = int(points[:, 1].mean())
+    picture = person.picture.clone()
+    picture[middle:] = 0
+    half = observed(head, person, picture=picture)
+    left = person.truth.camera.project(half.surface.positions[half.used])
+    assert float(left[:, 1].max()) < middle + 1
+    assert 0.2 < len(left) / len(points) < 0.8
+
+
+def shrunk(fit, factor):
+    """The same person in a picture ``factor`` times smaller."""
+    size = SIZE // factor
+    camera = Camera(
+        focal_px=fit.camera.focal_px / factor,
+        width=size,
+        height=size,
+        center_px=(size / 2, size / 2),
+    )
+    return replace(fit, camera=camera)
+
+
+@pytest.mark.parametrize(("factor", "message"), [(16, "too small to use"), (8, "too small")])
+def test_faces_that_are_too_small_are_refused(head, person, factor, message):
+    size = SIZE // factor
+    picture, clipped = torch.full((size, size, 3), 0.5), torch.zeros(size, size).bool()
+    fit = shrunk(person.truth, factor)
+    with pytest.raises(InputError, match=message):
+        observed(head, person, picture=picture, clipped=clipped, fit=fit)
+
+
+def test_a_head_seen_from_behind_is_refused(head, person):
+    fit = person.truth
+    middle = fit.vertices.mean(0)
+    turned = (fit.vertices - middle) @ Rotation.from_euler("y", np.pi).as_matrix().T + middle
+    with pytest.raises(InputError, match="turned away"):
+        observed(head, person, fit=replace(fit, vertices=turned))
+
+
+def test_several_processes_see_the_same(head, person, view):
+    told = []
+    again = observed(head, person, workers=2, progress=told.append)
+    assert torch.equal(again.observation.transport.matrix, view.observation.transport.matrix)
+    assert told[-1] == 1

@@ -1,0 +1,193 @@
+"""The objective of inverse lighting: its parameters, its parts, its slope, its pyramid."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from skylight.inverse.objective import ObjectiveWeights, SkyObjective, best_exposure
+from skylight.models.prior import GaussianMixture
+from skylight.models.sunsky import SunSky
+from skylight.sphere.grid import DirectionGrid
+from skylight.transport.gloss import glossy_transport
+from skylight.transport.matrix import TransportMatrix
+from skylight.transport.observation import Observation
+from skylight.transport.render import Specular
+
+ROWS, SIDE = 4, 8
+MODEL = SunSky(height=ROWS)
+WEIGHTS = ObjectiveWeights()
+
+
+@pytest.fixture(autouse=True)
+def double():
+    """Everything in float64, so that slopes can be compared with differences."""
+    torch.set_default_dtype(torch.float64)
+    yield
+    torch.set_default_dtype(torch.float32)
+
+
+def normal(size):
+    return GaussianMixture(torch.ones(1), torch.zeros(1, size), torch.eye(size)[None])
+
+
+def observation(*, gloss=True):
+    """Random normals towards the camera, convex, on a square of pixels; some without weight."""
+    generator = torch.Generator().manual_seed(11)
+    count = SIDE * SIDE
+    normals = torch.randn(count, 3, generator=generator)
+    normals[:, 2] = normals[:, 2].abs()
+    normals = torch.nn.functional.normalize(normals, dim=1)
+    grid = DirectionGrid.latlong(2 * ROWS)
+    matrix = (normals @ grid.directions.T).clamp(min=0) * grid.solid_angles / torch.pi
+    transport = TransportMatrix(matrix=matrix, grid=grid)
+    views = torch.tensor([0.0, 0.0, 1.0]).expand(count, 3)
+    weights = torch.rand(count, generator=generator)
+    weights[::7] = 0
+    y, x = torch.meshgrid(torch.arange(SIDE), torch.arange(SIDE), indexing="ij")
+    return Observation(
+        pixels=torch.rand(count, 3, generator=generator) + 0.1,
+        weights=weights,
+        places=torch.stack([y.flatten() + 3, x.flatten() + 5], 1),
+        transport=transport,
+        gloss=glossy_transport(transport, normals, views, Specular()) if gloss else None,
+    )
+
+
+def objective(seen):
+    return SkyObjective(seen, MODEL, normal(9), normal(3), WEIGHTS)
+
+
+def parameters(count=5, seed=2):
+    """Plausible (light, exposure, gloss, albedo, ground albedo)."""
+    rng = np.random.default_rng(seed)
+    parts = (
+        np.concatenate(
+            [
+                rng.uniform(0.2, 2, (count, 6)),
+                rng.uniform(-3, 3, (count, 1)),
+                rng.uniform(0.1, 1.4, (count, 1)),
+                rng.uniform(2, 20, (count, 1)),
+                rng.uniform(10, 60, (count, 1)),
+            ],
+            1,
+        ),
+        rng.uniform(0.1, 5, count),
+        rng.uniform(0.3, 3, count),
+        rng.uniform(0.05, 0.8, (count, 3)),
+        rng.uniform(0.05, 0.4, (count, 3)),
+    )
+    return tuple(torch.from_numpy(p) for p in parts)
+
+
+def test_unpacking_undoes_packing():
+    whole, given = objective(observation()), parameters()
+    free = whole.pack(*given)
+    assert free.shape == (5, whole.size)
+    parts = whole.unpack(free)
+    found = (parts.light, parts.exposure, parts.gloss, parts.albedo, parts.ground_albedo)
+    for theirs, ours in zip(found, given, strict=True):
+        torch.testing.assert_close(theirs, ours)
+
+
+@pytest.mark.parametrize("gloss", [True, False])
+def test_shading_is_transport_times_the_whole_sphere(gloss):
+    seen = observation(gloss=gloss)
+    whole, (light, exposure, shine, albedo, ground) = objective(seen), parameters()
+    full = whole.ground.append(MODEL.radiance(light), ground) * exposure[:, None, None]
+    expected = albedo[:, None] * (seen.transport.matrix @ full)
+    if seen.gloss is not None:
+        expected = expected + shine[:, None, None] * (seen.gloss.matrix @ full)
+    found = whole.shading(whole.unpack(whole.pack(*parameters())))
+    torch.testing.assert_close(found, expected)
+
+
+def test_parts_add_up_and_are_what_they_say():
+    seen = observation()
+    whole, given = objective(seen), parameters()
+    free = whole.pack(*given)
+    terms = whole.terms(free)
+    torch.testing.assert_close(sum(terms.values()), whole(free))
+    torch.testing.assert_close(whole(free)[1:3], whole(free[1:3], torch.tensor([1, 2])))
+    # the priors of standard normals, written out; the azimuth (6) has none
+    light = torch.cat([free[:, :6], free[:, 7:10]], 1)
+    constant = 0.5 * np.log(2 * np.pi)
+    torch.testing.assert_close(terms["light_prior"], 0.5 * (light**2).sum(1) + 9 * constant)
+    log_albedo = given[3].log()
+    torch.testing.assert_close(
+        terms["albedo_prior"], 0.5 * (log_albedo**2).sum(1) + 3 * constant
+    )
+    gap = (whole.shading(whole.unpack(free)) - seen.pixels).abs().mean(2)
+    data = 250 / 0.06 * (gap @ seen.weights) / seen.weights.sum()
+    torch.testing.assert_close(terms["data"], data, atol=4.2, rtol=0)  # Charbonnier's 1e-3
+
+
+def test_ground_and_gloss_are_drawn_to_the_usual():
+    whole, (light, exposure, gloss, albedo, ground) = objective(observation()), parameters()
+    usual = whole.ground_mean.exp().expand(5, 3)
+    terms = whole.terms(whole.pack(light, exposure, torch.ones(5), albedo, usual))
+    torch.testing.assert_close(terms["ground_prior"], torch.zeros(5), atol=1e-9, rtol=0)
+    torch.testing.assert_close(terms["gloss_prior"], torch.zeros(5), atol=1e-9, rtol=0)
+    terms = whole.terms(whole.pack(light, exposure, gloss, albedo, ground))
+    assert (terms["ground_prior"] > 0).all()
+    assert (terms["gloss_prior"] > 0).all()
+
+
+def test_own_shading_leaves_no_residual():
+    seen = observation()
+    free = objective(seen).pack(*parameters())
+    whole = objective(seen)
+    for k in range(len(free)):
+        own = whole.shading(whole.unpack(free[k : k + 1]))[0]
+        data = objective(replace(seen, pixels=own.detach())).terms(free)["data"]
+        assert float(data[k]) == pytest.approx(WEIGHTS.independent / WEIGHTS.noise * 1e-3)
+        assert int(data.argmin()) == k
+
+
+def test_pixels_without_weight_do_not_count():
+    seen = observation()
+    spoilt = replace(seen, pixels=torch.where(seen.weights[:, None] > 0, seen.pixels, 1e3))
+    free = objective(seen).pack(*parameters())
+    torch.testing.assert_close(objective(seen)(free), objective(spoilt)(free))
+
+
+@pytest.mark.parametrize("gloss", [True, False])
+def test_slopes_are_those_of_finite_differences(gloss):
+    whole = objective(observation(gloss=gloss))
+    free = whole.pack(*parameters(count=2)).requires_grad_(True)
+    assert torch.autograd.gradcheck(whole, (free,), eps=1e-6, atol=1e-4, rtol=1e-5)
+
+
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_the_pyramid_commutes_with_shading(level):
+    seen = observation()
+    whole, free = objective(seen), objective(seen).pack(*parameters(count=1))
+    shaded = replace(seen, pixels=whole.shading(whole.unpack(free))[0])
+    coarse = shaded.coarser(level)
+    smaller = objective(coarse)
+    torch.testing.assert_close(coarse.pixels, smaller.shading(smaller.unpack(free))[0])
+    assert len(coarse.pixels) < len(seen.pixels)
+    torch.testing.assert_close(coarse.weights.sum(), seen.weights.sum())
+    # by hand: weighted means over blocks of the picture
+    for pixel, place in zip(coarse.pixels, coarse.places, strict=True):
+        mine = (seen.places // 2**level == place).all(1).double() * seen.weights
+        torch.testing.assert_close(pixel, mine @ shaded.pixels / mine.sum())
+    assert coarse.coarser(0) is coarse
+
+
+def test_two_small_steps_of_the_pyramid_are_one_large_one():
+    once, twice = observation().coarser(2), observation().coarser(1).coarser(1)
+    torch.testing.assert_close(once.places, twice.places)
+    torch.testing.assert_close(once.pixels, twice.pixels)
+    torch.testing.assert_close(once.transport.matrix, twice.transport.matrix)
+
+
+def test_the_best_exposure_matches_the_mean():
+    shading, target = torch.rand(4, 20, 3) + 0.1, torch.rand(20, 3)
+    share = torch.rand(20, 1)
+    share = share / share.sum() / 3
+    exposed = best_exposure(shading, target, share)[:, None, None] * shading
+    torch.testing.assert_close(
+        (exposed * share).sum((1, 2)), (target * share).sum().expand(4)
+    )

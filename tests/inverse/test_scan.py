@@ -1,0 +1,151 @@
+"""Finding the sun by linear least squares: the small solver, and a bumpy ball under known suns."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import nnls as scipy_nnls
+
+from skylight.inverse.scan import nnls, scan_sun
+from skylight.sphere.grid import DirectionGrid
+from skylight.transport.camera import Camera
+from skylight.transport.gbuffer import rasterize
+from skylight.transport.gloss import glossy_transport
+from skylight.transport.matrix import TransportMatrix, diffuse_transport
+from skylight.transport.observation import Observation
+from skylight.transport.raycast import Raycaster
+from skylight.transport.render import Specular
+from tests.transport.shapes import icosphere
+
+GRID = DirectionGrid.latlong(64)
+CELL_DEG = 180 / 32
+# over the camera's shoulder, from the side, and from behind the ball
+SUNS = [(0.5, 0.6, 0.62), (-0.75, 0.35, 0.5), (0.2, 0.95, 0.1), (0.85, 0.4, -0.3)]
+
+
+@pytest.fixture(scope="module")
+def ball():
+    """(diffuse, glossy transport, places) of a ball with a nose towards the camera."""
+    vertices, faces = icosphere(4)
+    vertices = torch.nn.functional.normalize(vertices, dim=1)
+    nose = torch.exp(-(torch.acos(vertices[:, 2].clamp(-1, 1)) ** 2) / (2 * 0.2**2))
+    vertices = vertices * (1 + 0.5 * nose[:, None]) + torch.tensor([0.0, 0.0, -4.0]).double()
+    caster = Raycaster(vertices, faces)
+    camera = Camera(focal_px=38.0, width=22, height=22, center_px=(11.0, 11.0))
+    seen = rasterize(camera, vertices, faces, caster)
+    diffuse = diffuse_transport(seen.origins, seen.normals, seen.geometric_normals, caster, GRID)
+    views = -torch.nn.functional.normalize(seen.positions, dim=1)
+    return diffuse, glossy_transport(diffuse, seen.normals, views, Specular()), seen.pixels
+
+
+def under(sun, share):
+    """Radiance of a sun of 3 degrees, ``share`` of the light, in a graded sky over a ground."""
+    direction = torch.nn.functional.normalize(torch.tensor(sun).double(), dim=0)
+    disc = torch.exp(300 * (GRID.directions @ direction - 1))
+    up = GRID.directions[:, 1]
+    rest = torch.where(up > 0, 0.6 + 0.4 * up, 0.25)
+    parts = [share * disc / (disc @ GRID.solid_angles), rest / (rest @ GRID.solid_angles)]
+    colours = torch.tensor([[1.0, 0.9, 0.7], [0.8, 1.0, 1.3]]).double()
+    light = parts[0][:, None] * colours[0] + (1 - share) * parts[1][:, None] * colours[1]
+    return light.float(), direction
+
+
+def seen(ball, light, albedo, *, shine, gloss):
+    diffuse, glossy, places = ball
+    pixels = albedo * diffuse.matrix @ light + shine * glossy.matrix @ light
+    return Observation(
+        pixels=pixels,
+        weights=torch.linspace(0.5, 1, len(pixels)),
+        places=places,
+        transport=diffuse,
+        gloss=glossy if gloss else None,
+    )
+
+
+def degrees_between(a, b):
+    return math.degrees(math.acos(min(1.0, float(a @ b))))
+
+
+@pytest.mark.parametrize("positive", [True, False], ids=["alike", "unlike"])
+def test_non_negative_least_squares_as_solved_by_an_active_set_method(positive):
+    rng = np.random.default_rng(5)
+    matrices = rng.random((30, 40, 9)) if positive else rng.normal(size=(30, 40, 9))
+    wanted = rng.normal(size=(30, 40)) + positive
+    gram = torch.from_numpy(np.einsum("bij,bik->bjk", matrices, matrices))
+    right = torch.from_numpy(np.einsum("bij,bi->bj", matrices, wanted))
+    found = nnls(gram, right, sweeps=2000)
+    truth = np.stack([scipy_nnls(a, y)[0] for a, y in zip(matrices, wanted, strict=True)])
+    assert (found >= 0).all()
+    assert (truth == 0).any()  # the constraint matters
+    np.testing.assert_allclose(found.numpy(), truth, atol=1e-6)
+
+
+def test_non_negative_least_squares_that_are_unconstrained_at_heart():
+    rng = np.random.default_rng(6)
+    matrix, truth = rng.random((40, 5)), np.array([1.0, 2.0, 0.5, 3.0, 1.5])
+    gram = torch.from_numpy(matrix.T @ matrix)[None]
+    found = nnls(gram, torch.from_numpy(matrix.T @ matrix @ truth)[None], sweeps=5000)
+    np.testing.assert_allclose(found[0].numpy(), truth, atol=1e-6)
+
+
+@pytest.mark.parametrize("sun", SUNS)
+def test_the_sun_is_found_within_a_cell(ball, sun):
+    light, direction = under(sun, share=0.6)
+    scan = scan_sun(seen(ball, light, 0.5, shine=0.0, gloss=False))
+    assert degrees_between(scan.candidates[0], direction) < CELL_DEG
+    assert 0.2 < float(scan.strengths[0]) <= 1.0
+
+
+@pytest.mark.parametrize("sun", SUNS)
+def test_highlights_do_not_pull_the_sun_aside(ball, sun):
+    # as bright as they are on dark skin
+    light, direction = under(sun, share=0.6)
+    scan = scan_sun(seen(ball, light, 0.06, shine=1.5, gloss=True))
+    assert degrees_between(scan.candidates[0], direction) < CELL_DEG
+    blind = scan_sun(seen(ball, light, 0.06, shine=1.5, gloss=False))
+    assert scan.residuals.min() < 0.8 * blind.residuals.min()
+
+
+def test_one_direction_alone_is_explained_entirely(ball):
+    # all light from one cell of the scan: nothing remains, and no ambient light is needed
+    cell = 9 * 64 + 27
+    light = torch.zeros(32, 2, 64, 2, 3)
+    light[9, :, 27] = 100.0
+    scan = scan_sun(seen(ball, light.reshape(-1, 3), 0.4, shine=0.0, gloss=False))
+    assert int(scan.residuals.argmin()) == cell
+    assert float(scan.residuals[cell]) < 1e-3
+    assert float(scan.strengths[0]) == pytest.approx(1, abs=0.01)
+
+
+def test_candidates_are_apart_and_in_order(ball):
+    light, _ = under(SUNS[0], share=0.3)
+    scan = scan_sun(
+        seen(ball, light, 0.5, shine=0.0, gloss=False), candidates=6, separation_deg=20.0
+    )
+    assert len(scan.candidates) == len(scan.strengths) == 6
+    cosines = scan.candidates @ scan.candidates.T - 2 * torch.eye(6)
+    assert float(cosines.max()) <= math.cos(math.radians(20)) + 1e-12
+    places = [int((scan.directions @ c).argmax()) for c in scan.candidates]
+    assert (scan.residuals[places].diff() >= 0).all()
+    assert int(scan.residuals.argmin()) == places[0]
+    assert (scan.directions[:, 1] > 0).all()
+
+
+def test_the_unit_of_radiance_does_not_matter(ball):
+    light, _ = under(SUNS[1], share=0.5)
+    observation = seen(ball, light, 0.3, shine=1.0, gloss=True)
+    ours, theirs = scan_sun(observation), scan_sun(observation.scaled(1000.0))
+    torch.testing.assert_close(ours.residuals, theirs.residuals, atol=1e-5, rtol=1e-3)
+    torch.testing.assert_close(ours.candidates[0], theirs.candidates[0])
+
+
+def test_a_grid_that_does_not_divide_is_refused():
+    observation = Observation(
+        pixels=torch.ones(1, 3),
+        weights=torch.ones(1),
+        places=torch.zeros(1, 2, dtype=torch.long),
+        transport=TransportMatrix(matrix=torch.ones(1, 800), grid=DirectionGrid.latlong(20)),
+    )
+    with pytest.raises(ValueError, match="multiple of 32"):
+        scan_sun(observation)
