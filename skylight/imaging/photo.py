@@ -70,9 +70,7 @@ def read_photo(path: str | Path, *, decode: Decode | None = None) -> Photo:
     return photo
 
 
-def photo_from_codes(
-    codes: UInt8[np.ndarray, "h w 3"], *, decode: Decode | None = None
-) -> Photo:
+def photo_from_codes(codes: UInt8[np.ndarray, "h w 3"], *, decode: Decode | None = None) -> Photo:
     """A photograph from its upright 8-bit codes; ``decode`` as in :func:`read_photo`.
 
     Raises

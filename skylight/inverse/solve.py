@@ -114,7 +114,7 @@ def solve_sky(
     assert sky_layout is not None
     environment = EnvironmentMap(radiance=full.reshape(2 * sky_layout[0], sky_layout[1], 3))
     status: Status = "converged" if bool(result.converged[best]) else "iteration limit"
-    if nonfinite:
+    if nonfinite and status != "converged":
         status = "recovered from a non-finite step"
     return Estimate(
         light=model.name,
@@ -150,7 +150,7 @@ def solve_harmonic(
     fit knows only albedo times light; of the skin prior's modes the one is taken that leaves
     the light most neutral, plus its negative log-likelihood (the ambiguity of Eq. 5.9).
     """
-    # float64: in float32 the last bits of the least squares differ from run to run
+    # float64: rounding in the reweighting does not reach the float32 of the result
     shading = observation.transport.project(model.basis).double()
     pixels = observation.pixels.double()
     scale = float(luminance(pixels).mean())

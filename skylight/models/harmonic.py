@@ -95,4 +95,6 @@ def solve_linear(
     scale = matrix.norm() / math.sqrt(count)
     damping = math.sqrt(ridge) * scale * torch.eye(count, dtype=matrix.dtype, device=matrix.device)
     right = torch.cat([root * pixels, pixels.new_zeros(count, 3)])
-    return torch.linalg.lstsq(torch.cat([matrix, damping]), right).solution
+    # by singular values: the default driver's last bits differ from call to call (CUDA has one)
+    driver = "gels" if matrix.is_cuda else "gelsd"
+    return torch.linalg.lstsq(torch.cat([matrix, damping]), right, driver=driver).solution

@@ -133,8 +133,9 @@ def test_black_truth_and_empty_mask_are_refused() -> None:
     black = torch.zeros(12, 12, 3)
     with pytest.raises(InputError, match="black"):
         mae(black, black)
-    with pytest.raises(InputError, match="black"):
-        full_dw_mae(constant(1.0), constant(0.0))
+    for score in (full_dw_mae, sun_dw_mae):
+        with pytest.raises(InputError, match="black"):
+            score(constant(1.0), constant(0.0))
     with pytest.raises(InputError, match="mask"):
         shading_metrics(black, black, torch.zeros(12, 12, dtype=torch.bool))
     with pytest.raises(InputError, match="resize"):
@@ -202,11 +203,12 @@ def test_a_missing_sun_shows_in_the_sun_score_alone() -> None:
     assert sky_dw_mae(pred, true, align_scale=False) == pytest.approx(0, abs=1e-7)
 
 
-def test_a_sun_elsewhere_is_the_same_sun() -> None:
-    true = sun_and_sky(40, 35)
+@pytest.mark.parametrize("elevation_deg", [20.0, 35.0, 50.0])
+def test_a_sun_elsewhere_is_the_same_sun(elevation_deg: float) -> None:
+    true = sun_and_sky(40, elevation_deg)
     pred = true.rotate_azimuth(math.radians(20))
-    # 20 degrees are 14.2 columns: what is left is the disc's edge, cut differently into pixels
-    assert sun_dw_mae(pred, true) < 0.02
+    # 20 degrees are 14.2 columns: the turn blurs the disc's edge across the ring at 4 degrees
+    assert sun_dw_mae(pred, true) < 0.05
     assert sun_dw_mae_fixed(pred, true) > 0.5
 
 
@@ -214,8 +216,8 @@ def test_a_sun_elsewhere_is_the_same_sun() -> None:
 def test_a_sun_between_two_pixels_is_the_same_sun(part: float) -> None:
     true, pred = one_pixel_sun(1000.0), one_pixel_sun(400.0)
     moved = pred.rotate_azimuth(part * 2 * math.pi / 128)
-    # within 0.02 of the sum: pixels of the sky on a cell's border change cells
-    assert sun_dw_mae(moved, true) == pytest.approx(sun_dw_mae(pred, true), abs=0.02)
+    # within 0.01 of the probe's sum: pixels of the sky on a cell's border change cells
+    assert sun_dw_mae(moved, true) == pytest.approx(sun_dw_mae(pred, true), abs=0.01)
     assert abs(sun_dw_mae_fixed(moved, true) - sun_dw_mae_fixed(pred, true)) > 0.04
 
 

@@ -89,9 +89,7 @@ def test_a_start_that_is_not_finite_is_reported_and_does_no_harm():
     assert torch.equal(found.x[1], start[1])
     assert found.loss[1] == torch.inf
     assert found.iterations[1] == 0
-    torch.testing.assert_close(
-        found.x[2], torch.tensor([1 / 7, 2]).double(), atol=1e-4, rtol=1e-4
-    )
+    torch.testing.assert_close(found.x[2], torch.tensor([1 / 7, 2]).double(), atol=1e-4, rtol=1e-4)
 
 
 def test_a_gradient_that_is_not_finite_counts_like_a_loss():

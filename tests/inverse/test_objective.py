@@ -115,9 +115,7 @@ def test_parts_add_up_and_are_what_they_say():
     constant = 0.5 * np.log(2 * np.pi)
     torch.testing.assert_close(terms["light_prior"], 0.5 * (light**2).sum(1) + 9 * constant)
     log_albedo = given[3].log()
-    torch.testing.assert_close(
-        terms["albedo_prior"], 0.5 * (log_albedo**2).sum(1) + 3 * constant
-    )
+    torch.testing.assert_close(terms["albedo_prior"], 0.5 * (log_albedo**2).sum(1) + 3 * constant)
     gap = (whole.shading(whole.unpack(free)) - seen.pixels).abs().mean(2)
     data = 250 / 0.06 * (gap @ seen.weights) / seen.weights.sum()
     torch.testing.assert_close(terms["data"], data, atol=4.2, rtol=0)  # Charbonnier's 1e-3
@@ -188,6 +186,4 @@ def test_the_best_exposure_matches_the_mean():
     share = torch.rand(20, 1)
     share = share / share.sum() / 3
     exposed = best_exposure(shading, target, share)[:, None, None] * shading
-    torch.testing.assert_close(
-        (exposed * share).sum((1, 2)), (target * share).sum().expand(4)
-    )
+    torch.testing.assert_close((exposed * share).sum((1, 2)), (target * share).sum().expand(4))

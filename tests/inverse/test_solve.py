@@ -54,9 +54,7 @@ def watched(azimuth, zenith):
         transport=transport,
         gloss=gloss,
     )
-    objective = SkyObjective(
-        blank, model, sunsky_prior(), ALBEDO_PRIOR, SolverOptions().weights
-    )
+    objective = SkyObjective(blank, model, sunsky_prior(), ALBEDO_PRIOR, SolverOptions().weights)
     ground = torch.tensor([[0.15, 0.13, 0.11]])
     free = objective.pack(light, torch.tensor([2.5]), torch.ones(1), MODES[:1], ground)
     with torch.no_grad():
@@ -205,7 +203,7 @@ def test_harmonic_light_is_reproduced(degree):
     assert found.status == "converged"
     assert found.advice == ()
     again = solve_harmonic(observation, model, ALBEDO_PRIOR, MODES)
-    torch.testing.assert_close(again.params, found.params, rtol=1e-3, atol=1e-3)
+    torch.testing.assert_close(again.params, found.params, rtol=1e-5, atol=1e-6)
     brighter = solve_harmonic(observation.scaled(8.0), model, ALBEDO_PRIOR, MODES)
     torch.testing.assert_close(
         brighter.environment.radiance, 8 * found.environment.radiance, rtol=1e-3, atol=1e-3
