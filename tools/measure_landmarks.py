@@ -25,7 +25,7 @@ SKIES = 40
 FIRST_SKY_SEED = 60_000
 FIRST_PERSON_SEED = 1_000_000
 OUTLIER = 0.12  # median error, in eye distances, of a detection that is no detection
-# Half of what is measured is the renderer's: bald people with painted brows. Correlations are
+# Part of what is measured is the renderer's: bald people with painted brows. Correlations are
 # shrunk towards independence, and every landmark gets 1 % of its own.
 SHRINKAGE, FLOOR = 0.3, 0.01
 

@@ -286,7 +286,10 @@ class FitProblem:
     def minimise(
         self, state: FitState, *, iterations: int, pose_only: bool
     ) -> tuple[FitState, float, bool]:
-        """(state, cost, converged); with ``pose_only`` shape and focal length stay."""
+        """(state, cost, converged); with ``pose_only`` shape and focal length stay.
+
+        Converged: the last step gained less than 1e-6 relative, or no step gains anything.
+        """
         free = 6 if pose_only else 7 + self.identities + len(state.expression)
         damping, cost = 1e-2, self.cost(state)
         for _ in range(iterations):
@@ -310,7 +313,7 @@ class FitProblem:
             state, cost, damping = trial, trial_cost, max(damping / 5, 1e-9)
             if gain < 1e-6 * (1 + cost):
                 return state, cost, True
-        return state, cost, pose_only
+        return state, cost, False
 
 
 @cache

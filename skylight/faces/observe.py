@@ -22,10 +22,13 @@ from skylight.transport.observation import Observation
 from skylight.transport.raycast import Raycaster
 from skylight.transport.render import Specular
 
-# Left out: pixels darker than this part of the face's 90th percentile (hair, nostrils, beard),
-GRAZING_COSINE = 0.25  # those that the camera sees at more than 75 degrees,
+# Left out: pixels that the camera sees at more than 75 degrees,
+GRAZING_COSINE = 0.25
+# those darker than this part of the face's 90th percentile (nostrils, black; hair and beards are
+# brighter than that, as is skin in shadow, and stay in),
 DARK_SHARE = 0.01
-CLIPPED_SHARE = 0.02  # and those of which more than this part was over-exposed.
+# and those of which more than this part was over-exposed.
+CLIPPED_SHARE = 0.02
 FEWEST_PIXELS = 60
 # Index of refraction 1.4; the roughness is nominal, and its strength is estimated per face.
 SKIN_GLOSS = Specular(f0=0.028, roughness=0.5)

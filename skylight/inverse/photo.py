@@ -114,6 +114,7 @@ def estimate_light(
     progress: Callable[[float], None] | None = None,
 ) -> Estimate:
     """Light from an observation by the shipped model of that name."""
+    check_light_name(light)
     skin = _skin_prior()
     modes = SkinPrior.load().means.float()
     if light == "autoencoder":

@@ -27,10 +27,11 @@ LOBES = 20
 
 @dataclass(frozen=True, kw_only=True)
 class SunScan:
-    """Relative residual per direction, best first among local minima.
+    """Relative residual per direction, and the best directions that lie apart.
 
     ``residuals`` (n,) are sqrt(min / sum w y^2) for each of ``directions`` (n,3);
-    ``candidates`` (k,3) the local minima in order, ``strengths`` (k,) the share of the shading
+    ``candidates`` (k,3) the best in order, each 12 degrees or more from the better ones (not
+    necessarily local minima), ``strengths`` (k,) the share of the diffuse shading
     that the sun explains in each.
     """
 
@@ -78,7 +79,7 @@ def scan_sun(
     residuals = (squared.clamp(min=0) / energy).sqrt()
     explained = x[:, 0] * (groups[0].sum(0) / y.sum())
     directions = grid.directions[:upper]
-    chosen = _local_minima(directions, residuals, candidates, math.radians(separation_deg))
+    chosen = _best_apart(directions, residuals, candidates, math.radians(separation_deg))
     return SunScan(
         directions=directions,
         residuals=residuals,
@@ -123,7 +124,7 @@ def _ambient_lobes(grid: DirectionGrid) -> Float[Tensor, "n k"]:
     return ((1 + grid.directions @ centres.T) / 2) ** 3
 
 
-def _local_minima(
+def _best_apart(
     directions: Float[Tensor, "n 3"], values: Float[Tensor, " n"], count: int, separation: float
 ) -> list[int]:
     """Smallest values first, each at least ``separation`` (radians) from those before it."""

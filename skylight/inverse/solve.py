@@ -44,7 +44,8 @@ class Estimate:
 
     ``environment`` is a full 64 x 128 map; ``rendered`` (m,3) the observation's pixels under
     it; ``terms`` the parts of the objective (nats) at the end; ``params`` those of the light
-    model. ``status`` says whether the optimisation ended at a minimum, and ``advice`` what to
+    model. ``status`` is "converged" where the optimisation ended at a minimum, else how it ended
+    (``stats["nonfinite"]`` counts steps taken back in either case), and ``advice`` says what to
     do where the result should not be trusted (empty where nothing is known against it).
     """
 
@@ -144,9 +145,11 @@ def solve_harmonic(
     albedo_prior: Prior,
     albedo_modes: Float[Tensor, "k 3"],
 ) -> Estimate:
-    """Charbonnier fit of SH coefficients by reweighted linear least squares, cut off at zero.
+    """Robust fit of SH coefficients by eight reweighted linear least squares, cut off at zero.
 
-    Shading is linear in the coefficients, so there is one minimum and no start to choose. The
+    A pixel's weight is divided by its mean Charbonnier residual over the channels, which share
+    it. Shading is linear in the coefficients, so there is no start to choose. Surface reflection
+    is left out: highlights count as outliers. ``status`` is "converged" by construction. The
     fit knows only albedo times light; of the skin prior's modes the one is taken that leaves
     the light most neutral, plus its negative log-likelihood (the ambiguity of Eq. 5.9).
     """
@@ -199,7 +202,10 @@ def _starts(
     directions: Float[Tensor, "d 3"],
     albedo_modes: Float[Tensor, "k 3"],
 ) -> tuple[Float[Tensor, "s q"], Float[Tensor, " s"]]:
-    """Packed starts and their objective, each with its best exposure and albedo mode."""
+    """Packed starts and their scores, each with its best exposure and albedo mode.
+
+    The score is data and albedo prior alone: how likely a sky is counts from the first step on.
+    """
     model = objective.model
     towards = model.starts_towards(directions).flatten(0, 1).float()
     centroids = model.starts().float()

@@ -3,7 +3,9 @@
 The layer is a thin sheet at one height whose vertical optical depth tau varies like fractal
 noise. Along a view ray it behaves as a plane-parallel slab: sunlight scattered once by a
 two-lobe phase function (exact for a slab), everything scattered more often by the two-stream
-diffuse transmittance, spread over the sky like the CIE overcast sky, (1 + 2 sin h) / 3.
+diffuse transmittance, spread over the sky like the CIE overcast sky, (1 + 2 sin h) / 3. That
+transmittance holds the light scattered once as well, so thin and middling cloud (tau up to about
+10) sends down up to 40 % more diffuse light than a two-stream slab.
 The sheet has no sides and casts no shadow on itself but through the depth of the neighbouring
 sheet in the sun's direction: cumulus towers are out of its reach.
 """
@@ -94,7 +96,8 @@ def cloud_light(
     phase = 0.85 * henyey_greenstein(cos_angle, 0.7) + 0.15 * henyey_greenstein(cos_angle, -0.2)
     once = (phase * view * ratio)[:, None] * sun_irradiance
 
-    # two-stream: total transmittance of a conservative layer, less what is unscattered
+    # two-stream: total transmittance of a conservative layer, less what is unscattered (what is
+    # scattered once stays in it: see the top of this file)
     total = 1 / (1 + 0.75 * (1 - CLOUD_G) * tau_sunward)
     diffuse = (total - torch.exp(-path)).clamp(min=0)[:, None] * sun_irradiance * mu_sun
     down = diffuse + total[:, None] * sky_irradiance

@@ -6,6 +6,7 @@ write it, and captured skies come in by writing one (or by :func:`index_folder`)
 
 import csv
 import hashlib
+import json
 import math
 import re
 from collections.abc import Callable
@@ -20,7 +21,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.imaging.files import atomic_path, read_environment_map, write_environment_map
+from skylight.imaging.files import (
+    atomic_path,
+    read_environment_map,
+    write_environment_map,
+    write_json,
+)
 from skylight.skies.atmosphere import ClearSky
 from skylight.skies.simulator import (
     Day,
@@ -91,6 +97,13 @@ def simulate_folder(
     """
     parts = out / "days"
     parts.mkdir(parents=True, exist_ok=True)
+    settings, note = {"interval_min": interval_min, "height": height}, out / "settings.json"
+    if note.exists() and json.loads(note.read_text()) != settings:
+        raise InputError(
+            f"{out}: holds skies made with other settings ({note.read_text().strip()}); "
+            "give the same interval and height, or another folder"
+        )
+    write_json(note, settings)
     seeds = range(first_seed, first_seed + days)
     missing = [s for s in seeds if not (parts / f"{s}.csv").exists()]
     done = days - len(missing)

@@ -36,6 +36,11 @@ class Observation:
                 f"({len(self.transport.matrix)}) must match"
             )
 
+        if len(self.places) != count:
+            raise ValueError(f"places ({len(self.places)}) must match pixels ({count})")
+        if self.gloss is not None and self.gloss.matrix.shape != self.transport.matrix.shape:
+            raise ValueError("gloss must have the shape of the transport")
+
     def scaled(self, factor: float) -> "Observation":
         """The same with all pixels multiplied."""
         return replace(self, pixels=self.pixels * factor)

@@ -141,7 +141,7 @@ def test_dark_pixels_are_left_out(head, person, view):
     points = person.truth.camera.project(view.surface.positions[view.used])
     middle = int(points[:, 1].mean())
     picture = person.picture.clone()
-    picture[middle:] = 0
+    picture[middle:] *= 0.008
     half = observed(head, person, picture=picture)
     left = person.truth.camera.project(half.surface.positions[half.used])
     assert float(left[:, 1].max()) < middle + 1
