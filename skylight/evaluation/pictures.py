@@ -13,7 +13,7 @@ from skylight.transport.scene import evaluation_scene
 
 WIDTH = 192  # of a column: the scene above, its probe below
 SCENE, PROBE, LABEL = 144, 96, 16
-Picture = UInt8[np.ndarray, "h w 3"]
+Picture = UInt8[np.ndarray, "_ _ 3"]  # pictures of one call differ in size
 
 
 def strip(truth: EnvironmentMap | None, estimates: dict[str, EnvironmentMap]) -> Picture:

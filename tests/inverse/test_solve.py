@@ -1,5 +1,6 @@
 """The solvers on pictures of a ball whose light is known."""
 
+import copy
 import math
 
 import pytest
@@ -18,7 +19,8 @@ from skylight.transport.observation import Observation
 from skylight.transport.render import Specular
 
 SKIN = SkinPrior.load()
-ALBEDO_PRIOR = SKIN.log_albedo.float()
+# a copy: the prior is loaded once a process, and .float() changes a module in place
+ALBEDO_PRIOR = copy.deepcopy(SKIN.log_albedo).float()
 MODES = SKIN.means.float()
 # (azimuth, zenith angle) in degrees; the camera looks along azimuth 0
 SUNS = [(140.0, 40.0), (-110.0, 60.0), (170.0, 20.0)]
