@@ -16,6 +16,7 @@ from skylight.errors import InputError, SkylightError
 
 # Parsing must not import torch, so the choices stand here again; a test compares the two.
 Light = Literal["autoencoder", "sunsky", "sh9", "sh25"]
+MapLayout = Literal["auto", "skylatlong", "latlong", "angular", "fisheye"]
 Decoding = tyro.conf.create_mutex_group(required=False)
 DESCRIPTION = """Recovers the light of a scene from a photo of a face, and lights things with it.
 
@@ -159,8 +160,12 @@ def simulate_skies(
     days: int,
     out: Path,
     size: str = "32x128",
-    interval_min: float = 80.0,
+    interval: float = 80.0,
+    first_seed: int = 0,
     workers: int = 1,
+    clear: float | None = None,
+    broken: float | None = None,
+    overcast: float | None = None,
 ) -> None:
     """Simulate days of skies as EXR maps with an index; an interrupted run goes on.
 
@@ -168,46 +173,87 @@ def simulate_skies(
         days: How many days.
         out: Folder for the maps and index.csv.
         size: Height x width of a map of the upper hemisphere: its width is 4 heights.
-        interval_min: Minutes from one sky to the next; only skies with the sun up are kept.
+        interval: Minutes from one sky to the next; only skies with the sun up are kept.
+        first_seed: Seed of the first day; the others follow.
         workers: Processes that work at the same time.
+        clear: Share of clear days. Where any of the three shares is given, those that are not
+            are 0, and they are scaled to a sum of 1; by default 0.35, 0.4 and 0.25.
+        broken: Share of days with broken clouds.
+        overcast: Share of overcast days.
     """
     height = _sky_height(size)
-    for name, value in (("days", days), ("interval-min", interval_min), ("workers", workers)):
+    for name, value in (("days", days), ("interval", interval), ("workers", workers)):
         if not value > 0 or not math.isfinite(value):
             raise InputError(f"--{name} must be above 0, got {value}")
     from skylight.app.progress import stage_bar
-    from skylight.skies.dataset import read_index, simulate_folder
+    from skylight.app.sky_folders import counts, regime_shares, with_time_left
+    from skylight.skies.index import read_index
+    from skylight.skies.simulated import simulate_folder
 
+    shares = regime_shares(clear=clear, broken=broken, overcast=overcast)
     with stage_bar() as progress:
         index = simulate_folder(
             out,
             days=days,
-            interval_min=interval_min,
+            first_seed=first_seed,
+            interval_min=interval,
             height=height,
+            shares=shares,
             workers=workers,
-            progress=lambda done, total: progress(f"day {done} of {total}", done / total),
+            progress=with_time_left("day", progress),
         )
-    print(f"{index}: {len(read_index(out))} skies of {days} days")
+    print(f"{index}: {counts(read_index(out))}")
 
 
 @skies.command(name="index")
-def index_skies(folder: Positional[Path]) -> None:
-    """Write index.csv for a folder of captured skies.
+def index_skies(
+    folder: Positional[Path],
+    out: Path | None = None,
+    days: Path | None = None,
+    layout: MapLayout = "auto",
+    field_deg: float = 180.0,
+    tolerance: float | None = None,
+) -> None:
+    """Write an index for a folder of captured skies, and say what was found and refused.
+
+    Maps are .exr or .hdr, in FOLDER or folders within it. Refused are those with a clipped sun,
+    with values that are not finite or negative, all black, or too small. Days are kept apart in
+    training, validation and test.
 
     Args:
-        folder: Folder of .exr or .hdr maps of the upper hemisphere or the sphere. A date like
-            20240131 in a file's name is its day; days are kept apart in training and tests.
+        folder: Folder of maps.
+        out: The index to write; by default index.csv in FOLDER.
+        days: CSV with the columns file,day or file,day,time. A map that is not in it has the day
+            of its name (20240131_154500 and the like), else that of its header's capture date,
+            else a day of its own.
+        layout: Of the maps: upper half (skylatlong, width 4 heights) or whole lat-long maps
+            (width 2 heights), or squares with the zenith in the middle and equal angles from it
+            at equal distances: angular has azimuth 0 at the bottom and +90 degrees on the
+            right, fisheye azimuth 0 at the top and +90 on the left. auto goes by the shape and
+            takes squares for angular.
+        field_deg: Degrees that a square map shows across its inscribed circle.
+        tolerance: How far the sets' shares of skies, and of sunny ones, may be from those
+            wanted; by default 0.05, or 10 / days where that is more.
     """
-    from skylight.skies.dataset import INDEX_NAME, index_folder
+    from skylight.app.progress import stage_bar
+    from skylight.app.sky_folders import counts, describe, with_time_left
+    from skylight.skies.captures import index_folder
 
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder; give one with .exr or .hdr maps")
-    records = index_folder(folder)
-    counts = [
-        f"{sum(record.split == split for record in records)} {split}"
-        for split in ("train", "validation", "test")
-    ]
-    print(f"{folder / INDEX_NAME}: {len(records)} skies ({', '.join(counts)})")
+    with stage_bar() as progress:
+        index, records, refusals = index_folder(
+            folder,
+            out=out,
+            layout=None if layout == "auto" else layout,
+            field_deg=field_deg,
+            days=days,
+            tolerance=tolerance,
+            progress=with_time_left("map", progress),
+        )
+    for line in describe(records, refusals):
+        print(line)
+    print(f"{index}: {counts(records)}, {len(refusals)} refused")
 
 
 @export.command(name="decoder")

@@ -9,6 +9,7 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import OpenEXR
@@ -20,13 +21,15 @@ from skimage.data import astronaut
 import skylight
 from skylight.app.estimate import estimate
 from skylight.app.results import results_folder
-from skylight.cli import Light, explain, main
+from skylight.app.sky_folders import with_time_left
+from skylight.cli import Light, MapLayout, explain, main
 from skylight.errors import AssetError, InputError, OutputError
 from skylight.faces.landmarks import DetectedFace
 from skylight.faces.model import HeadModel
 from skylight.imaging.files import read_environment_map
 from skylight.inverse.photo import estimate_photo
 from skylight.models.shipped import LightName, autoencoder_light
+from skylight.skies.layouts import Layout
 from skylight.sphere.frame import angles_from_direction
 
 RESULTS = {"probe.exr", "probe.hdr", "mesh.obj", "estimate.json", "report.png"}
@@ -322,16 +325,48 @@ class TestResultsFolder:
 
 class TestSkies:
     def test_simulate_then_index(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        arguments = ["--days", "1", "--out", str(tmp_path), "--size", "8x32"]
-        assert main(["skies", "simulate", *arguments, "--interval-min", "240"]) == 0
-        assert "index.csv" in capsys.readouterr().out
-        assert main(["skies", "index", str(tmp_path)]) == 0
-        count = len(list(tmp_path.glob("*.exr")))
-        assert f"{count} skies" in capsys.readouterr().out
+        folder, other = tmp_path / "skies", tmp_path / "other.csv"
+        arguments = ["--days", "1", "--out", str(folder), "--interval", "400", "--overcast", "2"]
+        assert main(["skies", "simulate", *arguments]) == 0
+        count = len(list(folder.glob("*.exr")))
+        assert f"index.csv: {count} skies of 1 day(s) ({count} train" in capsys.readouterr().out
+        assert main(["skies", "index", str(folder)]) == 2
+        assert "indexes simulated skies" in one_line(capsys)
+        assert main(["skies", "index", str(folder), "--out", str(other)]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert len(lines) == count + 1
+        assert all("skylatlong, day 2" in line and "no sun" in line for line in lines[:-1])
+        assert lines[-1].startswith(f"{other}: {count} skies of 1 day(s) ({count} train, ")
+        assert lines[-1].endswith(", 0 refused")
+
+    def test_time_left(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """By the pace of what was done since the start: 2 of 10 in 8 s leave 5 for 20 s."""
+        clock = iter([100.0, 108.0, 508.0])
+        monkeypatch.setattr("skylight.app.sky_folders.time.monotonic", lambda: next(clock))
+        told: list[tuple[str, float]] = []
+        progress = with_time_left("day", lambda stage, share: told.append((stage, share)))
+        for done in (3, 5, 7):
+            progress(done, 10)
+        assert told == [
+            ("day 3 of 10", 0.3),
+            ("day 5 of 10, 20 s left", 0.5),
+            ("day 7 of 10, 5 min left", 0.7),
+        ]
+
+    def test_layouts_are_those_of_the_library(self) -> None:
+        assert get_args(MapLayout) == ("auto", *get_args(Layout))
 
     @pytest.mark.parametrize(
         "wrong",
-        [["--size", "32x64"], ["--size", "big"], ["--days", "0"], ["--interval-min", "-5"]],
+        [
+            ["--size", "32x64"],
+            ["--size", "big"],
+            ["--days", "0"],
+            ["--interval", "-5"],
+            ["--clear", "-1"],
+            ["--broken", "nan"],
+            ["--overcast", "0"],
+        ],
     )
     def test_wrong_numbers(
         self, wrong: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -1,19 +1,27 @@
 """Write ``docs/measurements.md`` from the files in ``benchmarks/results``.
 
     python tools/build_measurements.py
+    python tools/build_measurements.py --overview RUN PICTURE.png
 
 Takes every ``results.json`` of ``skylight evaluate`` (kept there as ``NAME.json``) and every
 JSON file of pytest-benchmark (``make bench``). No number of the page is written by hand.
+
+The second form writes a picture of six skies, sunny to overcast, from the folder of a run of
+``skylight evaluate sky-models``.
 """
 
 import argparse
 import json
 from pathlib import Path
 
+from skylight.errors import InputError
+from skylight.evaluation.pictures import write_sheet
 from skylight.evaluation.tables import markdown
 from skylight.imaging.files import atomic_path
 
 ROOT = Path(__file__).parents[1]
+# sunny to overcast: categories of real maps, regimes of simulated ones
+KINDS = ("outdoor-sun", "outdoor-lowsun", "outdoor-nosun", "clear", "broken", "overcast")
 HEAD = """\
 # Measurements
 
@@ -26,10 +34,33 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--results", type=Path, default=ROOT / "benchmarks" / "results")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "measurements.md")
+    parser.add_argument("--overview", type=Path, nargs=2, metavar=("RUN", "PICTURE.png"))
     options = parser.parse_args()
+    if options.overview:
+        overview(*options.overview)
+        print(options.overview[1])
+        return
     with atomic_path(options.out) as temporary:
         temporary.write_text(page(options.results))
     print(options.out)
+
+
+def overview(run: Path, picture: Path) -> None:
+    """The first two skies of each kind, of real ones those that no setting was chosen by."""
+    items = json.loads((run / "results.json").read_text())["items"]
+    chosen = [name for kind in KINDS for name in _of_kind(items, kind)[:2]]
+    if not chosen:
+        raise InputError(f"{run}: no skies of the kinds {', '.join(KINDS)} in its results.json")
+    write_sheet(picture, [run / "pictures" / f"{name}.png" for name in chosen], chosen)
+
+
+def _of_kind(items: dict[str, dict], kind: str) -> list[str]:
+    return [
+        name
+        for name, facts in items.items()
+        if kind in (facts.get("category"), facts.get("regime"))
+        and facts.get("half") != "development"
+    ]
 
 
 def page(results: Path) -> str:

@@ -24,11 +24,11 @@ from skylight.faces.synthetic import SyntheticFace, render_face
 from skylight.imaging.files import write_json, write_png
 from skylight.imaging.metrics import lighting_metrics, shading_metrics
 from skylight.inverse.photo import PhotoEstimate, Progress
-from skylight.skies.dataset import simulated_skies
+from skylight.skies.simulated import simulated_skies
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.transport.scene import evaluation_scene
 
-# A day of the test split, which no shipped model was trained on, with the sun out; and a turn
+# A day with a seed for evaluation, which no model was trained on, with the sun out; and a turn
 # that puts the sun to the left behind the camera, where it lights the face from the side.
 SKY_SEED, FACE_SEED, PHOTO_SIZE = 5000, 2, 320
 SUN_TURN_RAD = -2.2
@@ -49,7 +49,7 @@ def demonstrate(out: Path, progress: Progress) -> Demonstration:
     synthetic, photograph = out / "synthetic", out / "astronaut"
     with results_folder(synthetic) as folder:
         progress("rendering a face", 0.0)
-        (_, sky), *_ = simulated_skies("test", 1, first_seed=SKY_SEED, lowest_transmittance=0.8)
+        (_, sky), *_ = simulated_skies(1, first_seed=SKY_SEED, lowest_transmittance=0.8)
         truth = render_face(
             sky,
             torch.tensor(GROUND_ALBEDO),

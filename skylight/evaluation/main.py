@@ -16,8 +16,9 @@ from skylight.evaluation.pictures import write_sheet
 from skylight.evaluation.real_faces import RealFaces
 from skylight.evaluation.run import Evaluation, measure_all
 from skylight.evaluation.sky_models import SkyModels
+from skylight.evaluation.sky_representations import SkyRepresentations
 from skylight.evaluation.synthetic_faces import SyntheticFaces
-from skylight.evaluation.tables import markdown, summarise
+from skylight.evaluation.tables import markdown, summarise, summarise_groups
 from skylight.imaging.files import atomic_path, write_json
 
 SHEET_STRIPS = 12
@@ -33,6 +34,10 @@ def _sky_models(quick: bool, data: Path | None) -> Evaluation:
     return SkyModels(count=24 if quick else 150, data=data)
 
 
+def _sky_representations(quick: bool, data: Path | None) -> Evaluation:
+    return SkyRepresentations(count=12 if quick else 45, data=data)
+
+
 def _real_faces(quick: bool, data: Path | None) -> Evaluation:
     if data is None:
         raise InputError("real-faces needs --data DIR: photographs with an index.json beside them")
@@ -43,6 +48,7 @@ EVALUATIONS: dict[str, Callable[[bool, Path | None], Evaluation]] = {
     "synthetic-faces": _synthetic_faces,
     "sky-models": _sky_models,
     "real-faces": _real_faces,
+    "sky-representations": _sky_representations,
 }
 
 
@@ -102,6 +108,7 @@ def run_evaluation(
         "quick": quick,
         "n": len(items),
         "rows": rows,
+        "groups": summarise_groups(items),
         "checks": {k: asdict(c) for k, c in evaluation.checks(rows, items).items()},
         "not_found": sum("no face found" in i.problem for i in items),
         "problems": {i.name: i.problem for i in items if i.problem},

@@ -17,16 +17,16 @@ from skylight.faces.model import HeadModel
 from skylight.faces.observe import observe_face
 from skylight.faces.synthetic import SyntheticFace, render_face
 from skylight.imaging.files import write_png
-from skylight.inverse.objective import GROUND_ALBEDOS
 from skylight.inverse.photo import estimate_light
+from skylight.models.ground import GROUND_ALBEDOS
 from skylight.models.shipped import LightName
-from skylight.skies.dataset import simulated_skies
+from skylight.skies.simulated import simulated_skies
 from skylight.sphere.envmap import EnvironmentMap
 
 METHODS: tuple[LightName, ...] = ("sh9", "sh25", "sunsky", "autoencoder")
 FITTED = "_fitted"  # rows with geometry from landmarks; those without have the true geometry
 LOWEST_TRANSMITTANCE = 0.5  # the sun is visible
-_SEEDS_APART = 1000  # so that each face finds a test day of its own
+_SEEDS_APART = 1000  # so that each face finds a day of its own
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,10 +108,8 @@ class SyntheticFaces:
 
 
 def synthetic_face(seed: int, size: int) -> SyntheticFace:
-    """A person under the first sunny test sky found from ``seed`` on, over one of nine grounds."""
-    ((_, sky),) = simulated_skies(
-        "test", 1, first_seed=seed, lowest_transmittance=LOWEST_TRANSMITTANCE
-    )
+    """A person under the first sunny sky found from ``seed`` on, over one of nine grounds."""
+    ((_, sky),) = simulated_skies(1, first_seed=seed, lowest_transmittance=LOWEST_TRANSMITTANCE)
     albedo = GROUND_ALBEDOS[np.random.default_rng(seed).integers(len(GROUND_ALBEDOS))]
     return render_face(sky, torch.tensor(albedo), seed=seed, size=size)
 

@@ -23,10 +23,15 @@ LABELS = {
     "sun_dw_mae_fixed": "Sun-dω MAE (l), at the true sun",
     "sun_angle_deg": "Sun-ang (l), deg",
     "pose_deg": "pose error, deg",
+    "psnr": "tone-mapped PSNR, dB",
+    "tone_mapped_ssim": "tone-mapped SSIM",
+    "floats": "floats",
     "seconds": "seconds",
     "cpu_seconds": "seconds of a core",
     "transport_seconds": "seconds of ray tracing",
 }
+_COLUMNS = 8
+GROUPED_BY = ("category", "half", "regime")  # facts of which each value gets its own rows
 _THESIS_METRICS = (
     "mae",
     "rmse",
@@ -84,6 +89,21 @@ _THESIS_TITLE = {
     "synthetic-faces": "The thesis, Table 5.2 (mean ± standard deviation over 135 faces)",
 }
 
+_PEERS_METRICS = ("psnr", "tone_mapped_ssim")
+# Heading, columns, rows: what others measured by the same protocol, on their own maps.
+PEERS: dict[str, tuple[str, list[str], list[tuple[str, list[str]]]]] = {
+    "sky-representations": (
+        "RENI++ (Gardner et al.), tone-mapped PSNR in dB on 21 held-out outdoor maps, over the "
+        "whole sphere and at its own resolution, hence no competitor of the numbers above:",
+        ["27 floats", "108 floats", "147 floats", "300 floats"],
+        [
+            ("RENI++", ["18.02", "20.87", "21.13", "22.10"]),
+            ("SH", ["15.00", "17.88", "18.23", "19.15"]),
+            ("spherical Gaussians", ["17.67", "19.27", "19.81", "20.24"]),
+        ],
+    )
+}
+
 
 def summarise(items: Iterable[Item]) -> Rows:
     """Mean, median, standard deviation and count of each metric over the items that have it."""
@@ -96,6 +116,16 @@ def summarise(items: Iterable[Item]) -> Rows:
         method: {metric: _statistics(v) for metric, v in metrics.items()}
         for method, metrics in values.items()
     }
+
+
+def summarise_groups(items: Iterable[Item]) -> dict[str, Rows]:
+    """:func:`summarise` for every value of the facts in :data:`GROUPED_BY`, as "fact: value"."""
+    groups: dict[str, list[Item]] = {}
+    for item in items:
+        for fact in GROUPED_BY:
+            if fact in item.facts:
+                groups.setdefault(f"{fact}: {item.facts[fact]}", []).append(item)
+    return {name: summarise(members) for name, members in sorted(groups.items())}
 
 
 def _statistics(values: list[float]) -> dict[str, float]:
@@ -121,7 +151,7 @@ def markdown(results: dict) -> str:
         f"{results['date']}, {results['machine']}. Mean ± standard deviation, median in brackets."
         + (f" {missed} items with a problem (below)." if missed else ""),
         "",
-        *_table(
+        *_oriented(
             methods,
             [
                 (LABELS.get(metric, metric), [_cell(rows[m].get(metric)) for m in methods])
@@ -129,14 +159,21 @@ def markdown(results: dict) -> str:
             ],
         ),
     ]
-    thesis = THESIS.get(results["name"])
-    if thesis:
-        columns = list(thesis)
+    name = results["name"].removesuffix("-real")
+    if name in THESIS:
+        columns = list(THESIS[name])
         cells = [
-            (LABELS[metric], [f"{mean[i]:.2f} ± {std[i]:.2f}" for mean, std in thesis.values()])
+            (
+                LABELS[metric],
+                [f"{mean[i]:.2f} ± {std[i]:.2f}" for mean, std in THESIS[name].values()],
+            )
             for i, metric in enumerate(_THESIS_METRICS)
         ]
-        lines += ["", f"{_THESIS_TITLE[results['name']]}:", "", *_table(columns, cells)]
+        lines += ["", f"{_THESIS_TITLE[name]}:", "", *_table(columns, cells)]
+    if name in PEERS:
+        lines += ["", PEERS[name][0], "", *_table(*PEERS[name][1:])]
+    for group, inside in results.get("groups", {}).items():
+        lines += ["", *_group(group, inside)]
     if results["checks"]:
         cells = [
             (name, [f"{c['value']:.4g}", c["goal"], "yes" if c["ok"] else "no"])
@@ -145,6 +182,32 @@ def markdown(results: dict) -> str:
         lines += ["", *_table(["value", "goal", "met"], cells)]
     lines += ["", *(f"- {name}: {why}" for name, why in results["problems"].items())]
     return "\n".join(lines).rstrip() + "\n"
+
+
+def _group(title: str, rows: Rows) -> list[str]:
+    """A group's means and standard deviations, timings left out."""
+    metrics = [m for m in (*_THESIS_METRICS, *_PEERS_METRICS) if any(m in r for r in rows.values())]
+    count = max(s["n"] for metrics_of in rows.values() for s in metrics_of.values())
+    cells = [
+        (
+            LABELS[metric],
+            [
+                f"{r[metric]['mean']:.3g} ± {r[metric]['std']:.2g}" if metric in r else ""
+                for r in rows.values()
+            ],
+        )
+        for metric in metrics
+    ]
+    return [f"{title} ({count:.0f}):", "", *_oriented(list(rows), cells)]
+
+
+def _oriented(columns: list[str], rows: list[tuple[str, list[str]]]) -> list[str]:
+    """As given, or turned about where there are more columns than a page is wide."""
+    if len(columns) <= _COLUMNS:
+        return _table(columns, rows)
+    turned = zip(*(cells for _, cells in rows), strict=True)
+    named = [(name, list(cells)) for name, cells in zip(columns, turned, strict=True)]
+    return _table([name for name, _ in rows], named)
 
 
 def _table(columns: list[str], rows: list[tuple[str, list[str]]]) -> list[str]:

@@ -8,25 +8,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from skylight.models.base import LightModel, Prior, without_azimuth
-from skylight.models.ground import LambertianGround
+from skylight.models.ground import LambertianGround, ground_prior
 from skylight.transport.matrix import DiffuseTransport
 from skylight.transport.observation import Observation
 
-# Mean linear albedos of nine grounds (thesis, Fig. B.4): light and dark concrete, asphalt, dry
-# and wet dirt, grass, rocks, gravel, mulch.
-GROUND_ALBEDOS = (
-    (0.20, 0.17, 0.14),
-    (0.14, 0.13, 0.12),
-    (0.05, 0.04, 0.03),
-    (0.09, 0.08, 0.06),
-    (0.05, 0.04, 0.03),
-    (0.09, 0.10, 0.03),
-    (0.20, 0.18, 0.15),
-    (0.17, 0.15, 0.13),
-    (0.14, 0.10, 0.08),
-)
-# The nine lie close together; real grounds do not (snow, sand, paving): this much wider.
-GROUND_SPREAD = 1.5
 CHARBONNIER_EPSILON = 1e-6
 GLOSS_SPREAD = 0.7  # of log gloss: skin from matt to oily, a factor of two either way
 
@@ -97,10 +82,7 @@ class SkyObjective:
         self.transport = DiffuseTransport(observation.transport)
         self.gloss = None if observation.gloss is None else DiffuseTransport(observation.gloss)
         self.ground = LambertianGround(model.grid.layout[0])  # type: ignore[index]
-        log_albedo = torch.tensor(GROUND_ALBEDOS).log()
-        self.ground_mean = log_albedo.mean(0)
-        scatter = torch.cov(log_albedo.T) * GROUND_SPREAD**2 + 0.01 * torch.eye(3)
-        self.ground_precision = torch.linalg.inv(scatter)
+        self.ground_prior = ground_prior()
 
     @property
     def size(self) -> int:
@@ -151,14 +133,12 @@ class SkyObjective:
         residual = charbonnier(self.shading(parts) - self.target)
         mean = (residual * self.share).sum((1, 2))
         light = without_azimuth(self.model, free[:, : self.model.parameter_count])
-        away = parts.ground_albedo.log() - self.ground_mean
-        ground = 0.5 * torch.einsum("bi,ij,bj->b", away, self.ground_precision, away)
         w = self.weights
         return {
             "data": w.independent / w.noise * mean,
             "light_prior": -w.light_prior * self.light_prior.log_prob(light),
             "albedo_prior": -w.albedo_prior * self.albedo_prior.log_prob(parts.albedo.log()),
-            "ground_prior": w.ground_prior * ground,
+            "ground_prior": -w.ground_prior * self.ground_prior.log_prob(parts.ground_albedo.log()),
             "gloss_prior": 0.5 * (parts.gloss.log() / GLOSS_SPREAD) ** 2,
         }
 

@@ -3,6 +3,12 @@
 Skies are 32 x 128 upper hemispheres of relative radiance (mean luminance 1) with the sun in the
 centre column. The network sees *coded* radiance, log(1 + L): a clear sky spans five orders of
 magnitude, and in linear values the L1 loss of the thesis leaves the sun to one pixel's gradient.
+
+With ``sun=True`` the last five of the 64 latents are the sun's own coordinates
+(:mod:`sun_head`): the convolutions code the sky without its sun, knowing where and how strong
+it is, and decoding adds the sun's lobe. Its height, energy and sharpness then vary smoothly and
+independently of the sky, whereas a network that paints the sun on pixels has to be told of every
+height that a sun may have.
 """
 
 import math
@@ -17,6 +23,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from skylight.errors import AssetError
+from skylight.models.sun_head import COORDINATES, SunHead
 from skylight.sphere.envmap import shift_columns
 from skylight.sphere.frame import angles_from_direction
 from skylight.sphere.grid import DirectionGrid
@@ -76,9 +83,10 @@ class UpConv(nn.Module):
 class SkyAutoencoder(nn.Module):
     """Fig. 5.2: four convolutions with pooling, 64 latents, and the mirror image of it."""
 
-    def __init__(self, coding: Coding = "log") -> None:
+    def __init__(self, coding: Coding = "log", *, sun: bool = True) -> None:
         super().__init__()
         self.coding: Coding = coding
+        self.sun_head = SunHead(HEIGHT, CENTRE_AZIMUTH_RAD) if sun else None
 
         def down(channels_in: int, channels_out: int, size: int) -> nn.Sequential:
             return nn.Sequential(
@@ -96,12 +104,17 @@ class SkyAutoencoder(nn.Module):
         self.encoder = nn.Sequential(
             down(3, 64, 5), down(64, 96, 3), down(96, 96, 3), down(96, 64, 3), nn.Flatten()
         )
-        self.to_latent = nn.Linear(64 * 2 * 8, LATENT)
+        self.to_latent = nn.Linear(64 * 2 * 8, LATENT - COORDINATES if sun else LATENT)
         self.from_latent = nn.Sequential(
             nn.Linear(LATENT, 64 * 2 * 8), nn.BatchNorm1d(64 * 2 * 8), nn.ReLU()
         )
         self.decoder = nn.Sequential(up(64, 64, 3), up(64, 96, 3), up(96, 96, 3), up(96, 64, 5))
         self.output = nn.Conv2d(64, 3, 1)
+
+    @property
+    def sun(self) -> bool:
+        """Whether the sun has coordinates of its own."""
+        return self.sun_head is not None
 
     def code(self, radiance: Float[Tensor, "b h w 3"]) -> Float[Tensor, "b 3 h w"]:
         """Radiance as the network sees it: log(1 + L), or L itself for ``coding="linear"``."""
@@ -115,21 +128,41 @@ class SkyAutoencoder(nn.Module):
             planes = torch.expm1(planes.clamp(max=_CODE_LIMIT))
         return planes.permute(0, 2, 3, 1)
 
-    def encode_coded(self, coded: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b z"]:
-        return self.to_latent(self.encoder(coded))
+    def split(
+        self, radiance: Float[Tensor, "b h w 3"]
+    ) -> tuple[Float[Tensor, "b s"], Float[Tensor, "b h w 3"]]:
+        """(coordinates of the sun, none without a sun head; what the convolutions see)."""
+        if self.sun_head is None:
+            return radiance.new_zeros(len(radiance), 0), radiance
+        return self.sun_head.split(radiance)
+
+    def encode_coded(
+        self, sun: Float[Tensor, "b s"], coded: Float[Tensor, "b 3 h w"]
+    ) -> Float[Tensor, "b z"]:
+        """Latents of the two parts that :meth:`split` gives, the second one coded."""
+        return torch.cat([self.to_latent(self.encoder(coded)), sun], 1)
 
     def decode_coded(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
+        """Coded radiance, without the sun where it has its own head."""
         x = self.from_latent(z).reshape(-1, 64, 2, 8)
         x = self.decoder(x.contiguous(memory_format=torch.channels_last))
-        return self.output(x.float())
+        if torch.is_autocast_enabled(x.device.type):
+            # bfloat16's eight bits would round the brightness of the sky itself
+            with torch.autocast(x.device.type, enabled=False):
+                return self.output(x.float())
+        return self.output(x)
 
     def encode(self, radiance: Float[Tensor, "b h w 3"]) -> Float[Tensor, "b z"]:
         """Latents of skies with the sun in the centre column and mean luminance 1."""
-        return self.encode_coded(self.code(radiance))
+        sun, rest = self.split(radiance)
+        return self.encode_coded(sun, self.code(rest))
 
     def decode(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b h w 3"]:
         """Relative radiance, >= 0."""
-        return self.uncode(self.decode_coded(z))
+        sky = self.uncode(self.decode_coded(z))
+        if self.sun_head is None:
+            return sky
+        return sky + self.sun_head.lobe(z[:, -COORDINATES:])
 
 
 class AutoencoderLight(nn.Module):
@@ -212,10 +245,10 @@ def load_network(path: Path) -> SkyAutoencoder:
         raise AssetError(f"{path}: no checkpoint there; reinstall skylight or train one (train.py)")
     try:
         state = load_file(path)
-        network = SkyAutoencoder("linear" if "coding_linear" in state else "log")
-        state.pop("coding_linear", None)
+        coding: Coding = "linear" if state.pop("coding_linear", None) is not None else "log"
+        network = SkyAutoencoder(coding, sun=len(state["to_latent.bias"]) < LATENT)
         network.load_state_dict(state)
-    except (SafetensorError, RuntimeError, OSError) as error:
+    except (SafetensorError, RuntimeError, OSError, KeyError) as error:
         first = str(error).splitlines()[0]
         raise AssetError(
             f"{path}: not a sky autoencoder's checkpoint, or damaged ({first}); "

@@ -1,4 +1,4 @@
-"""Light that the ground throws back up: one Lambertian bounce of the sky."""
+"""Light that the ground throws back up: one Lambertian bounce of the sky, and likely albedos."""
 
 import math
 
@@ -6,7 +6,24 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from skylight.models.prior import GaussianMixture
 from skylight.sphere.grid import row_edges_cos
+
+# Mean linear albedos of nine grounds (thesis, Fig. B.4): light and dark concrete, asphalt, dry
+# and wet dirt, grass, rocks, gravel, mulch.
+GROUND_ALBEDOS = (
+    (0.20, 0.17, 0.14),
+    (0.14, 0.13, 0.12),
+    (0.05, 0.04, 0.03),
+    (0.09, 0.08, 0.06),
+    (0.05, 0.04, 0.03),
+    (0.09, 0.10, 0.03),
+    (0.20, 0.18, 0.15),
+    (0.17, 0.15, 0.13),
+    (0.14, 0.10, 0.08),
+)
+# The nine lie close together; real grounds do not (snow, sand, paving): this much wider.
+GROUND_SPREAD = 1.5
 
 
 class LambertianGround(nn.Module):
@@ -38,3 +55,17 @@ class LambertianGround(nn.Module):
         """The full sphere, (h,4h) sky rows above (h,4h) ground rows: m = 2 n."""
         ground = self.radiance(sky, albedo)[:, None].expand_as(sky)
         return torch.cat([sky, ground], dim=1)
+
+
+def ground_prior() -> GaussianMixture:
+    """Density of log albedos (RGB): one Gaussian, from the moments of the nine grounds.
+
+    One component, because nine grounds carry no more: with two, the Bayesian information
+    criterion is higher. Its covariance is :data:`GROUND_SPREAD` squared times theirs, plus 0.01
+    where they leave no room.
+    """
+    log_albedo = torch.tensor(GROUND_ALBEDOS).log()
+    covariance = torch.cov(log_albedo.T) * GROUND_SPREAD**2 + 0.01 * torch.eye(3)
+    # precision = B B^T with an upper triangular B
+    factor = torch.linalg.inv(torch.linalg.cholesky(covariance)).mT.contiguous()
+    return GaussianMixture(torch.ones(1), log_albedo.mean(0)[None], factor.triu()[None])

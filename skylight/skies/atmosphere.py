@@ -3,14 +3,21 @@
 Single scattering is integrated along the view rays; all further orders follow from one small
 table after Hillaire (2020), "A Scalable and Production Ready Sky and Atmosphere Rendering
 Technique", which assumes that they are isotropic and that neighbouring points see the same
-light. Three wavelengths stand for the three Rec.709 primaries (as in Bruneton & Neyret 2008);
-against a spectral computation this costs some colour accuracy in twilight and little by day.
+light. Haze scatters mostly forward, which is as good as not scattering: for scattered light the
+part g of what it scatters counts as not scattered ("scaled" below; the similarity relation of
+van de Hulst 1980, used with the unscaled phase function for the first order as by Nakajima &
+Tanaka 1988). Diffuse irradiance is within 4 % of photons followed one by one (sun 0 to 75
+degrees from the zenith, aerosol optical depth 0 to 0.4).
+
+Three wavelengths stand for the three Rec.709 primaries (as in Bruneton & Neyret 2008); against a
+spectral computation this costs some colour accuracy in twilight and little by day.
 
 Unit: radiance and irradiance are relative to the extraterrestrial solar irradiance, whose
 Rec.709 luminance is 1.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -57,13 +64,14 @@ class ClearSky:
     def __init__(self, atmosphere: Atmosphere, *, device: torch.device | str = "cpu") -> None:
         self.atmosphere = atmosphere
         self.device = torch.device(device)
-        self._transmittance = self._transmittance_table(height=64, width=256)
+        self._transmittance = self._transmittance_table(height=128, width=512)
         self._multiple = self._multiple_scattering_table(size=32)
 
     def sun_irradiance(self, sun_zenith_rad: Float[Tensor, " b"]) -> Float[Tensor, "b 3"]:
         """Irradiance of the sun on a plane facing it at the observer, after extinction."""
-        radius = torch.full_like(sun_zenith_rad, self._observer_radius)
-        return self._colour() * self.transmittance(radius, torch.cos(sun_zenith_rad))
+        zenith = sun_zenith_rad.double()  # float32 has the radius to half a metre only
+        through = self.transmittance(torch.full_like(zenith, self._observer_radius), zenith.cos())
+        return self._colour() * through.to(sun_zenith_rad)
 
     def radiance(
         self,
@@ -77,30 +85,66 @@ class ClearSky:
         radius0 = self._observer_radius
         mu = directions[:, 1]
         length = _distance_to_top(torch.full_like(mu, radius0), mu)
-        # quadratic spacing: most of the air is close to the observer
-        edges = torch.linspace(0, 1, steps + 1, device=self.device) ** 2
+        # cubic spacing: the haze is close to the observer
+        edges = torch.linspace(0, 1, steps + 1, device=self.device) ** 3
         t = length[:, None] * (edges[1:] + edges[:-1]) / 2
         dt = length[:, None] * torch.diff(edges)
         radius = torch.sqrt(radius0**2 + t**2 + 2 * radius0 * t * mu[:, None])
         cos_sun = ((radius0 * sun[1]) + t * (directions @ sun)[:, None]) / radius
         rayleigh, mie, extinction = self._coefficients(radius)
-        sunlight = self.transmittance(radius, cos_sun) * _above_horizon(radius, cos_sun)[..., None]
+        sunlight = self._sunlight(radius, cos_sun)
         cos_angle = directions @ sun
         phase_r = (3 / (16 * math.pi)) * (1 + cos_angle**2)
-        phase_m = henyey_greenstein(cos_angle, air.aerosol_g)
-        source = sunlight * (rayleigh * phase_r[:, None, None] + mie * phase_m[:, None, None])
-        source = source + self._look_up_multiple(radius, cos_sun) * (rayleigh + mie)
+        phase_m = self._haze_phase(cos_angle, sun[1])
+        source = sunlight * (rayleigh * phase_r[:, None, None] + mie * phase_m[:, None])
+        around = rayleigh + (1 - air.aerosol_g) * mie
+        source = source + self._look_up_multiple(radius, cos_sun) * around
         return self._colour() * _integrate_along(source, extinction, dt)
 
     def transmittance(
         self, radius: Float[Tensor, "*s"], mu: Float[Tensor, "*s"]
     ) -> Float[Tensor, "*s 3"]:
-        """exp(-optical depth) from radius to the top of the air along zenith cosine mu."""
-        horizon = math.sqrt(TOP_RADIUS_KM**2 - EARTH_RADIUS_KM**2)
-        rho = torch.sqrt((radius**2 - EARTH_RADIUS_KM**2).clamp(min=0))
-        near, far = TOP_RADIUS_KM - radius, rho + horizon
-        x = ((_distance_to_top(radius, mu) - near) / (far - near)).clamp(0, 1)
-        return _table(self._transmittance, x, rho / horizon)
+        """exp(-optical depth) from radius (km) to the top of the air along zenith cosine mu.
+
+        Without tables, in float64, cast to radius' type: relative error below 1e-4 down to the
+        horizon. A ray that meets the ground is taken for the one that grazes it.
+        """
+        columns = self._columns(radius.double(), mu.double())
+        return torch.exp(-columns @ self._extinction_per_km().to(columns)).to(radius)
+
+    def _columns(
+        self, radius: Float[Tensor, "*s"], mu: Float[Tensor, "*s"]
+    ) -> Float[Tensor, "*s 3"]:
+        """Air, haze and ozone along the rays up to the top, as km of their densest."""
+        horizon = -torch.sqrt((1 - (EARTH_RADIUS_KM / radius) ** 2).clamp(min=0))
+        mu = torch.maximum(mu, horizon)
+        return torch.stack(
+            [
+                _column(radius, mu, lambda r, m: _exponential_column(r, m, RAYLEIGH_HEIGHT_KM)),
+                _column(radius, mu, lambda r, m: _exponential_column(r, m, MIE_HEIGHT_KM)),
+                _column(radius, mu, _ozone_column),
+            ],
+            -1,
+        )
+
+    def _haze_phase(
+        self, cos_angle: Float[Tensor, " n"], cos_sun: Float[Tensor, ""]
+    ) -> Float[Tensor, "n 3"]:
+        """Henyey & Greenstein's function, its forward peak lowered to conserve energy.
+
+        With x the optical depth of forward scattering on the sun's path, the peak shall hold
+        exp(-tau') (1 - exp(-x)) of the sunlight; single scattering puts exp(-tau') x there.
+        """
+        air = self.atmosphere
+        column = self._columns(
+            torch.tensor([self._observer_radius], dtype=torch.float64, device=self.device),
+            cos_sun[None].double(),
+        )[:, 1]
+        forward = self._extinction_per_km()[1] * air.aerosol_albedo * air.aerosol_g
+        x = (column.to(cos_angle) * forward).clamp(min=1e-6)
+        kept = -torch.expm1(-x) / x
+        phase = henyey_greenstein(cos_angle, air.aerosol_g)[:, None]
+        return kept * phase + (1 - kept) * (1 - air.aerosol_g) / (4 * math.pi)
 
     @property
     def _observer_radius(self) -> float:
@@ -112,39 +156,58 @@ class ClearSky:
     def _coefficients(
         self, radius: Float[Tensor, "*s"]
     ) -> tuple[Float[Tensor, "*s 3"], Float[Tensor, "*s 3"], Float[Tensor, "*s 3"]]:
-        """Rayleigh scattering, Mie scattering and total extinction per km at a radius."""
+        """Rayleigh scattering, haze scattering and scaled total extinction per km at a radius."""
         height = (radius - EARTH_RADIUS_KM).clamp(min=0)[..., None]
-        rayleigh = torch.tensor(RAYLEIGH_PER_KM, device=self.device) * torch.exp(
-            -height / RAYLEIGH_HEIGHT_KM
-        )
-        air = self.atmosphere
-        sea_level = air.aerosol_optical_depth / MIE_HEIGHT_KM
-        relative = torch.tensor(WAVELENGTHS_NM, device=self.device) / 550.0
-        haze = sea_level * relative**-air.angstrom_exponent * torch.exp(-height / MIE_HEIGHT_KM)
+        per_km = self._extinction_per_km()
+        rayleigh = per_km[0] * torch.exp(-height / RAYLEIGH_HEIGHT_KM)
+        thinning = torch.exp(-height / MIE_HEIGHT_KM)
         layer = (1 - (height - OZONE_CENTRE_KM).abs() / OZONE_HALF_WIDTH_KM).clamp(min=0)
-        ozone = torch.tensor(OZONE_ABSORPTION_PER_KM, device=self.device) * layer
-        extinction = rayleigh + haze + air.ozone * ozone
-        return rayleigh, air.aerosol_albedo * haze, extinction
+        scaled = self._extinction_per_km(scaled=True)[1]
+        extinction = rayleigh + scaled * thinning + per_km[2] * layer
+        return rayleigh, self.atmosphere.aerosol_albedo * per_km[1] * thinning, extinction
+
+    def _extinction_per_km(self, *, scaled: bool = False) -> Float[Tensor, "3 3"]:
+        """Rows: air and haze at sea level, ozone at the middle of its layer; columns: colours.
+
+        ``scaled``: the part g of what haze scatters counts as not scattered (see the module).
+        """
+        air = self.atmosphere
+        relative = torch.tensor(WAVELENGTHS_NM, device=self.device) / 550.0
+        haze = air.aerosol_optical_depth / MIE_HEIGHT_KM * relative**-air.angstrom_exponent
+        if scaled:
+            haze = haze * (1 - air.aerosol_albedo * air.aerosol_g)
+        ozone = air.ozone * torch.tensor(OZONE_ABSORPTION_PER_KM, device=self.device)
+        return torch.stack([torch.tensor(RAYLEIGH_PER_KM, device=self.device), haze, ozone])
 
     def _transmittance_table(self, *, height: int, width: int) -> Float[Tensor, "h w 3"]:
-        """Bruneton's parametrisation: x by distance to the top, y by distance to the horizon.
+        """exp(-scaled optical depth) to the top, as :meth:`_sunlight` looks it up.
 
-        The steps along the ray are longer than the haze is high: sunlight meets up to 7 % less
-        haze than ``aerosol_optical_depth`` says. Air and ozone are within 0.3 %.
+        Bruneton's parametrisation: x by distance to the top, y by distance to the horizon.
         """
         horizon = math.sqrt(TOP_RADIUS_KM**2 - EARTH_RADIUS_KM**2)
-        rho = torch.linspace(0, 1, height, device=self.device)[:, None] * horizon
+        cells = {"dtype": torch.float64, "device": self.device}
+        rho = torch.linspace(0, 1, height, **cells)[:, None] * horizon
         radius = torch.sqrt(rho**2 + EARTH_RADIUS_KM**2)
         near, far = TOP_RADIUS_KM - radius, rho + horizon
-        distance = near + torch.linspace(0, 1, width, device=self.device) * (far - near)
+        distance = near + torch.linspace(0, 1, width, **cells) * (far - near)
         mu = (horizon**2 - rho**2 - distance**2) / (2 * radius * distance).clamp(min=1e-6)
         mu = torch.where(distance > 0, mu, torch.ones_like(mu)).clamp(-1, 1)
-        radius = radius.expand_as(mu)
-        t = (torch.arange(64, device=self.device) + 0.5) / 64
-        along = distance[..., None] * t
-        r = torch.sqrt(radius[..., None] ** 2 + along**2 + 2 * (radius * mu)[..., None] * along)
-        depth = self._coefficients(r)[2].mean(-2) * distance[..., None]
-        return torch.exp(-depth)
+        columns = self._columns(radius.expand_as(mu), mu)
+        return torch.exp(-columns @ self._extinction_per_km(scaled=True).to(columns)).float()
+
+    def _sunlight(
+        self, radius: Float[Tensor, "*s"], cos_sun: Float[Tensor, "*s"]
+    ) -> Float[Tensor, "*s 3"]:
+        """Scaled transmittance towards the sun by the table, 0 where the Earth hides it.
+
+        Quicker than :meth:`transmittance`, and good enough for light that is scattered.
+        """
+        horizon = math.sqrt(TOP_RADIUS_KM**2 - EARTH_RADIUS_KM**2)
+        rho = torch.sqrt((radius**2 - EARTH_RADIUS_KM**2).clamp(min=0))
+        near, far = TOP_RADIUS_KM - radius, rho + horizon
+        x = ((_distance_to_top(radius, cos_sun) - near) / (far - near)).clamp(0, 1)
+        lit = _above_horizon(radius, cos_sun)[..., None]
+        return _table(self._transmittance, x, rho / horizon) * lit
 
     def _multiple_scattering_table(self, *, size: int) -> Float[Tensor, "s s 3"]:
         """Hillaire's Psi(cos sun zenith, height): all orders above the first, per unit sunlight.
@@ -158,35 +221,38 @@ class ClearSky:
         radius0, cos_sun = torch.meshgrid(radius0, cos_sun, indexing="ij")
         shape = radius0.shape
         radius0, cos_sun = radius0.reshape(-1, 1), cos_sun.reshape(-1, 1)
-        # 8 x 8 directions of equal solid angle
-        m = (torch.arange(8, device=self.device) + 0.5) / 8
-        mu, phi = torch.meshgrid(2 * m - 1, 2 * math.pi * m, indexing="ij")
+        # 12 x 8 directions, closest together at the horizon, whence thin air gets most light; the
+        # half of them on the other side of the sun's meridian would see the same
+        ring = (torch.arange(12, device=self.device) + 0.5) / 6 - 1
+        around = math.pi * (torch.arange(4, device=self.device) + 0.5) / 4
+        mu, phi = torch.meshgrid(ring * ring.abs(), around, indexing="ij")
         mu, phi = mu.reshape(1, -1), phi.reshape(1, -1)
+        weight = torch.sqrt(mu.abs())[..., None] / torch.sqrt(mu.abs()).sum()
         to_ground = _distance_to_ground(radius0, mu.expand(len(radius0), -1))
         hits = torch.isfinite(to_ground)
         length = torch.where(hits, to_ground, _distance_to_top(radius0, mu))
-        steps = 20
-        t = length[..., None] * (torch.arange(steps, device=self.device) + 0.5) / steps
-        dt = (length / steps)[..., None].expand_as(t)
+        edges = torch.linspace(0, 1, 21, device=self.device) ** 2
+        t = length[..., None] * (edges[1:] + edges[:-1]) / 2
+        dt = length[..., None] * torch.diff(edges)
         r0 = radius0[..., None]
         radius = torch.sqrt(r0**2 + t**2 + 2 * r0 * t * mu[..., None])
         sin_sun = torch.sqrt((1 - cos_sun**2).clamp(min=0))
         cos_between = mu * cos_sun + torch.sqrt(1 - mu**2) * sin_sun * torch.cos(phi)
         cos_there = ((r0 * cos_sun[..., None]) + t * cos_between[..., None]) / radius
         rayleigh, mie, extinction = self._coefficients(radius)
-        sunlight = self.transmittance(radius, cos_there)
-        sunlight = sunlight * _above_horizon(radius, cos_there)[..., None]
-        uniform = 1 / (4 * math.pi)
-        scattering = rayleigh + mie
-        second = _integrate_along(sunlight * scattering * uniform, extinction, dt)
+        scattering = rayleigh + (1 - self.atmosphere.aerosol_g) * mie
+        sunlight = self._sunlight(radius, cos_there)
+        second = _integrate_along(sunlight * scattering / (4 * math.pi), extinction, dt)
         again = _integrate_along(scattering, extinction, dt)
-        # sunlight off the Lambertian ground where the ray meets it
-        through = torch.exp(-(extinction * dt[..., None]).sum(-2))
-        lit = sunlight[..., -1, :] * cos_there[..., -1].clamp(min=0)[..., None]
-        ground = through * lit * (self.atmosphere.ground_albedo / math.pi)
-        second = second + torch.where(hits[..., None], ground, torch.zeros_like(ground))
+        # the Lambertian ground where the ray meets it, under the sun and under isotropic light
+        through = torch.exp(-(extinction * dt[..., None]).sum(-2)) * hits[..., None]
+        through = through * self.atmosphere.ground_albedo
+        cos_ground = ((radius0 * cos_sun) + length * cos_between) / EARTH_RADIUS_KM
+        sun_on_ground = self._sunlight(torch.full_like(cos_ground, EARTH_RADIUS_KM), cos_ground)
+        second = second + through * sun_on_ground * cos_ground.clamp(min=0)[..., None] / math.pi
+        again = again + through
         # the mean over directions equals the integral with the isotropic phase function
-        psi = second.mean(1) / (1 - again.mean(1))
+        psi = (weight * second).sum(1) / (1 - (weight * again).sum(1))
         return psi.reshape(*shape, 3)
 
     def _look_up_multiple(
@@ -200,6 +266,60 @@ class ClearSky:
 def henyey_greenstein(cos_angle: Float[Tensor, "*s"], g: float) -> Float[Tensor, "*s"]:
     """(1 - g^2) / (4 pi (1 + g^2 - 2 g cos)^1.5); integrates to 1 over the sphere."""
     return (1 - g * g) / (4 * math.pi * (1 + g * g - 2 * g * cos_angle) ** 1.5)
+
+
+def _column(
+    radius: Float[Tensor, "*s"],
+    mu: Float[Tensor, "*s"],
+    rising: Callable[[Tensor, Tensor], Tensor],
+) -> Float[Tensor, "*s"]:
+    """km of sea-level density from radius outwards, given those of rays that rise (mu >= 0).
+
+    A falling ray is the whole ray through its lowest point less the part behind it.
+    """
+    lowest = radius * torch.sqrt(1 - mu**2)
+    ahead = rising(radius, mu.abs())
+    return torch.where(mu < 0, 2 * rising(lowest, torch.zeros_like(mu)) - ahead, ahead)
+
+
+def _exponential_column(
+    radius: Float[Tensor, "*s"], mu: Float[Tensor, "*s"], scale_km: float
+) -> Float[Tensor, "*s"]:
+    """Integral of exp(-height / scale) along a rising ray (Chapman's function), in km.
+
+    With y the height above the start, s the sine of the zenith angle, a = r (1 - s) and
+    b = r (1 + s) it is the integral of exp(-y / H) (r + y) / sqrt((y + a) (y + b)) dy; with
+    (r + y) / sqrt(y + b) taken as linear in y both parts have closed forms. Relative error of
+    the order (H / r)^2.
+    """
+    sine = torch.sqrt(1 - mu**2)
+    a = radius * mu**2 / (1 + sine)  # r (1 - s) without its cancellation
+    b = radius * (1 + sine)
+    constant = math.sqrt(math.pi * scale_km) * torch.special.erfcx(torch.sqrt(a / scale_km))
+    linear = scale_km * torch.sqrt(a) + (scale_km / 2 - a) * constant
+    start = torch.exp(-(radius - EARTH_RADIUS_KM) / scale_km)
+    return start * radius / torch.sqrt(b) * (constant + (1 / radius - 0.5 / b) * linear)
+
+
+def _ozone_column(radius: Float[Tensor, "*s"], mu: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
+    """Integral of the tent 1 - |height - centre| / half width along a rising ray, in km.
+
+    In closed form: with p the least radius and w = sqrt(r^2 - p^2), dt = r dr / w and
+    integral (r - e) dt = (r w + p^2 log(r + w)) / 2 - e w.
+    """
+    least = radius * torch.sqrt(1 - mu**2)
+
+    def slope(edge: float, low: Tensor, high: Tensor) -> Tensor:
+        def primitive(r: Tensor) -> Tensor:
+            w = torch.sqrt((r**2 - least**2).clamp(min=0))
+            return (r * w + least**2 * torch.log(r + w)) / 2 - edge * w
+
+        return (primitive(high) - primitive(low)) / OZONE_HALF_WIDTH_KM
+
+    centre = EARTH_RADIUS_KM + OZONE_CENTRE_KM
+    bottom, top = centre - OZONE_HALF_WIDTH_KM, centre + OZONE_HALF_WIDTH_KM
+    edges = [radius.clamp(min=edge) for edge in (bottom, centre, top)]
+    return slope(bottom, edges[0], edges[1]) - slope(top, edges[1], edges[2])
 
 
 def _integrate_along(

@@ -1,167 +1,225 @@
-"""A procedural cloud layer: it hides the sun where it is thick and glows where it is thin.
+"""Layers of cloud: density in three dimensions, marched along the rays of view.
 
-The layer is a thin sheet at one height whose vertical optical depth tau varies like fractal
-noise. Along a view ray it behaves as a plane-parallel slab: sunlight scattered once by a
-two-lobe phase function (exact for a slab), everything scattered more often by the two-stream
-diffuse transmittance, spread over the sky like the CIE overcast sky, (1 + 2 sin h) / 3. That
-transmittance holds the light scattered once as well, so thin and middling cloud (tau up to about
-10) sends down up to 40 % more diffuse light than a two-stream slab.
-The sheet has no sides and casts no shadow on itself but through the depth of the neighbouring
-sheet in the sun's direction: cumulus towers are out of its reach.
+A layer lies between two spherical shells. Its density is periodic noise (:mod:`noise`) cut at a
+threshold, so that a stated share of it is cloud, and it drifts and changes with time. Along each
+ray of view the march adds up
+
+- sunlight scattered once: beam dimmed on its way through the layer, two-lobe phase function;
+- light scattered more often, from the sun, the sky above and the ground below: the Eddington
+  solution of a slab (:mod:`slab`) as deep as the cloud is, at the point, towards the sun and away
+  from it. Exact in a homogeneous layer to what that solution is; on the flank of a tower, where
+  light also enters sideways, an approximation (no error bound is known: Monte Carlo in three
+  dimensions would have to give it);
+- sunlight in the droplets' forward peak: the aureole and the silver lining.
+
+Droplets and ice absorb nothing. Not modelled: shadows of one layer's clouds on another's (the
+lower one gets the mean of what passes the upper), haloes, and the angle between the cloud's
+sides and the sun.
 """
 
 import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from skylight.skies.atmosphere import EARTH_RADIUS_KM, henyey_greenstein
+from skylight.skies.noise import CELLS, swell
+from skylight.skies.slab import FORWARD, SCALED_G, slab_light, two_lobes
 
-CLOUD_G = 0.85  # asymmetry of water droplets in visible light (Liou 2002, table 4.4)
+STEPS = 12  # along a ray of view, within the layer
+LIGHT_STEPS = 4  # towards the sun, and away from it
+FORWARD_PEAK_G = 0.96  # width of the aureole: about 5 degrees
+_LONGEST_KM = 60.0  # of a ray within the layer, near the horizon
+_LOWEST_SUN = 0.05  # cosine of the sun's zenith angle in the march
 
 
 @dataclass(frozen=True, kw_only=True)
 class CloudLayer:
-    """``coverage`` is the fraction of the sky with tau > 0; ``depth`` its typical tau."""
+    """One layer.
+
+    ``coverage`` is the share of its floor under cloud (1 and more: no gaps); ``depth`` the
+    vertical optical depth of a column of full density; ``softness`` how far from an edge the
+    density is full, as a share of the noise's range; ``towering`` how much of the noise's range
+    the threshold rises from floor to ceiling (0 a sheet, 0.5 heaps); ``erosion`` how much finer
+    noise eats away; ``stretch`` draws the clouds out along the wind.
+    """
 
     coverage: float
     depth: float
-    height_km: float = 2.0
+    base_km: float = 2.0
+    thickness_km: float = 0.6
     cell_km: float = 3.0
-    softness: float = 0.15
+    softness: float = 0.2
+    towering: float = 0.0
+    erosion: float = 0.15
+    stretch: float = 1.0
     seed: int = 0
 
 
-def optical_depth(
+@dataclass(frozen=True, kw_only=True)
+class Wind:
+    """Where a layer has drifted to (km east and south of where it was) and how far it changed."""
+
+    east_km: float
+    south_km: float
+    change: float  # cells along the noise's vertical axis
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayerLight:
+    """What a layer does to each ray.
+
+    ``depth`` is the optical depth along the ray, unscaled; ``passed`` the transmittance that
+    counts the forward peak as passed, right for a smooth background. The layer's own radiance is
+    ``E beam + D sky`` for a beam E facing the sun and an irradiance D of the sky above it.
+    """
+
+    depth: Float[Tensor, " n"]
+    passed: Float[Tensor, " n"]
+    beam: Float[Tensor, " n"]
+    sky: Float[Tensor, " n"]
+
+
+def march(
     layer: CloudLayer,
     directions: Float[Tensor, "n 3"],
-    drift_km: tuple[float, float],
-    change: float,
-    footprint_rad: float,
-) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
-    """(vertical tau, cosine of incidence on the layer) where each direction meets the layer.
-
-    ``drift_km`` moves the layer, ``change`` is the noise's third coordinate (time).
-    Octaves finer than ``footprint_rad`` seen from the observer fade out instead of aliasing.
-    """
-    mu = directions[:, 1].clamp(min=1e-3)
-    inner, outer = EARTH_RADIUS_KM, EARTH_RADIUS_KM + layer.height_km
-    distance = torch.sqrt((inner * mu) ** 2 + outer**2 - inner**2) - inner * mu
-    incidence = (outer**2 + distance**2 - inner**2) / (2 * outer * distance)
-    x = (directions[:, 0] * distance + drift_km[0]) / layer.cell_km
-    z = (directions[:, 2] * distance + drift_km[1]) / layer.cell_km
-    footprint = footprint_rad * distance / incidence.clamp(min=0.05) / layer.cell_km
-    noise = _fractal_noise(x, z, change, footprint, layer.seed)
-    # noise is close to normal with mean 0 and deviation 1: coverage picks its quantile
-    quantile = math.sqrt(2) * torch.erfinv(torch.tensor(1 - 2 * layer.coverage)).item()
-    above = (noise - quantile) / layer.softness
-    # 1 - exp(-x) rises at once at an edge and levels off; the noise also varies the inside
-    body = -torch.expm1(-above.clamp(min=0) * 0.35) * (1 + 0.35 * noise).clamp(min=0.15)
-    return layer.depth * body, incidence
-
-
-def cloud_light(
-    tau: Float[Tensor, " n"],
-    tau_sunward: Float[Tensor, " n"],
-    incidence: Float[Tensor, " n"],
-    directions: Float[Tensor, "n 3"],
     sun: Float[Tensor, "3"],
-    sun_irradiance: Float[Tensor, "3"],
-    sky_irradiance: Float[Tensor, "3"],
-) -> tuple[Float[Tensor, " n"], Float[Tensor, "n 3"]]:
-    """(transmittance of what lies behind, radiance of the cloud itself) per direction.
+    wind: Wind,
+    *,
+    footprint_rad: float,
+    ground_albedo: float,
+) -> LayerLight:
+    """March ``directions`` (east, up, south; all above the horizon) through the layer.
 
-    The transmittance counts light scattered into the forward peak as not scattered, which is
-    right for a smooth background; for the sun's disc see :func:`unscattered`.
-
-    Scattered once, with u the part of the view path from the cloud's base:
-    E P(angle) int_0^1 t_v exp(-t_v u) exp(-t_s (1 - u)) du
-    = E P t_v (exp(-t_s) - exp(-t_v)) / (t_v - t_s).
+    Detail finer than ``footprint_rad`` seen from the observer fades out instead of aliasing.
+    The samples stand at hashed offsets within their steps, so that too few of them show as grain.
     """
-    mu_sun = sun[1].clamp(min=0.03)
-    # delta scaling: half of the forward peak counts as not scattered at all (Joseph et al. 1976)
-    forward = CLOUD_G**2
-    view = (1 - forward) * tau / incidence.clamp(min=0.05)
-    path = (1 - forward) * tau_sunward / mu_sun
-    difference = view - path
-    close = difference.abs() < 1e-3
-    ratio = torch.where(
-        close,
-        torch.exp(-view),
-        (torch.exp(-path) - torch.exp(-view)) / torch.where(close, 1.0, difference),
+    mu = directions[:, 1].clamp(min=2e-3)
+    near = _distance(mu, layer.base_km)
+    far = torch.minimum(_distance(mu, layer.base_km + layer.thickness_km), near + _LONGEST_KM)
+    index = torch.arange(len(mu), device=mu.device, dtype=torch.float64)
+    offset = 0.25 + 0.5 * torch.remainder(index * 0.6180339887498949, 1.0).float()[:, None]
+    # thick cloud is seen only to a small depth: the steps grow from its floor on
+    edges = torch.linspace(0, 1, STEPS + 1, device=mu.device) ** 1.5
+    length = (far - near)[:, None] * torch.diff(edges)
+    t = near[:, None] + (far - near)[:, None] * edges[:-1] + length * offset
+    height = _height(mu[:, None], t)
+    matrix, origin = _noise_space(layer, wind, directions)
+    flat = directions * torch.tensor([1.0, 0.0, 1.0]).to(directions)
+    cells = t[..., None] * (flat @ matrix.T)[:, None] + origin
+    cells = cells + height[..., None] * matrix[:, 1]
+    density = _density(layer, cells, height, footprint_rad * t)
+
+    depth = density * length
+    scaled = (1 - FORWARD) * depth
+    before = torch.cumsum(scaled, 1) - scaled
+    shown = torch.exp(-before) * -torch.expm1(-scaled)
+    inside = shown > 1e-4
+    mu0 = max(float(sun[1]), _LOWEST_SUN)
+    heading = torch.stack([sun[0], sun.new_tensor(mu0), sun[2]])
+    start, level = cells[inside], height[inside]
+    sunward, leeward = (
+        (1 - FORWARD) * _depth_along(layer, start, level, sign * heading, sign * matrix @ heading)
+        for sign in (1, -1)
     )
-    cos_angle = directions @ sun
-    phase = 0.85 * henyey_greenstein(cos_angle, 0.7) + 0.15 * henyey_greenstein(cos_angle, -0.2)
-    once = (phase * view * ratio)[:, None] * sun_irradiance
+    light = slab_light(mu0 * sunward, mu0 * leeward, mu0, ground_albedo)
+    phase = two_lobes(directions @ sun)[:, None].expand_as(shown)[inside]
+    # I(mu) = J + (3 / 4 pi) mu F, and of what meets a droplet the part g' F goes on
+    slope = (3 / (4 * math.pi)) * SCALED_G * mu[:, None].expand_as(shown)[inside]
+    beam = torch.exp(-sunward) * phase + light.beam_mean + slope * light.beam_flux
+    sky = light.sky_mean + slope * light.sky_flux
+    total = depth.sum(1)
+    passed = torch.exp(-(1 - FORWARD) * total)
+    peak = henyey_greenstein(directions @ sun, FORWARD_PEAK_G)
+    aureole = passed * -torch.expm1(-FORWARD * total) * peak
+    return LayerLight(
+        depth=total,
+        passed=passed,
+        beam=_gather(shown, inside, beam) + aureole,
+        sky=_gather(shown, inside, sky),
+    )
 
-    # two-stream: total transmittance of a conservative layer, less what is unscattered (what is
-    # scattered once stays in it: see the top of this file)
-    total = 1 / (1 + 0.75 * (1 - CLOUD_G) * tau_sunward)
-    diffuse = (total - torch.exp(-path)).clamp(min=0)[:, None] * sun_irradiance * mu_sun
-    down = diffuse + total[:, None] * sky_irradiance
-    overcast = 9 / (7 * math.pi) * (1 + 2 * directions[:, 1:2]) / 3
-    often = -torch.expm1(-view)[:, None] * down * overcast
-    return torch.exp(-view), once + often
 
-
-def unscattered(tau: Float[Tensor, " n"], incidence: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
-    """exp(-tau / mu): light that meets no droplet at all, such as a sharp solar disc."""
-    return torch.exp(-tau / incidence.clamp(min=0.05))
-
-
-def _fractal_noise(
-    x: Float[Tensor, " n"],
-    z: Float[Tensor, " n"],
-    change: float,
-    footprint: Float[Tensor, " n"],
-    seed: int,
-    octaves: int = 6,
+def _gather(
+    weight: Float[Tensor, "n k"], inside: Bool[Tensor, "n k"], value: Float[Tensor, " m"]
 ) -> Float[Tensor, " n"]:
-    total, power = torch.zeros_like(x), 0.0
-    for octave in range(octaves):
-        frequency, amplitude = 2.03**octave, 0.55**octave
-        resolved = (1.5 - 2 * footprint * frequency).clamp(0, 1)
-        y = torch.full_like(x, change * 1.7**octave + 31.7 * octave)
-        noise = _gradient_noise(x * frequency, y, z * frequency, seed + octave)
-        total = total + amplitude * resolved * noise
-        power += amplitude**2
-    # gradient noise of this kind has a standard deviation of about 0.26
-    return total / (0.26 * math.sqrt(power))
+    full = torch.zeros_like(weight)
+    full[inside] = value.clamp(min=0)
+    return (weight * full).sum(1)
 
 
-def _gradient_noise(
-    x: Float[Tensor, " n"], y: Float[Tensor, " n"], z: Float[Tensor, " n"], seed: int
-) -> Float[Tensor, " n"]:
-    """Perlin's (2002) improved noise, gradients from a hash of the lattice point."""
-    cell = [torch.floor(c) for c in (x, y, z)]
-    part = [c - f for c, f in zip((x, y, z), cell, strict=True)]
-    whole = [f.long() for f in cell]
-    smooth = [p * p * p * (p * (p * 6 - 15) + 10) for p in part]
-    total = torch.zeros_like(x)
-    for corner in range(8):
-        offset = [(corner >> axis) & 1 for axis in range(3)]
-        weight = torch.ones_like(x)
-        for axis in range(3):
-            weight = weight * (smooth[axis] if offset[axis] else 1 - smooth[axis])
-        h = _hash(whole[0] + offset[0], whole[1] + offset[1], whole[2] + offset[2], seed)
-        d = [part[axis] - offset[axis] for axis in range(3)]
-        # one of 12 edge midpoints of the cube: two axes, two signs
-        missing = h % 3
-        sign_a, sign_b = 1.0 - 2.0 * ((h >> 4) & 1), 1.0 - 2.0 * ((h >> 5) & 1)
-        a = torch.where(missing == 0, d[1], d[0])
-        b = torch.where(missing == 2, d[1], d[2])
-        total = total + weight * (sign_a * a + sign_b * b)
-    return total
+def _density(
+    layer: CloudLayer,
+    cells: Float[Tensor, "*s 3"],
+    height: Float[Tensor, "*s"],
+    footprint_km: Float[Tensor, "*s"] | None,
+) -> Float[Tensor, "*s"]:
+    """Extinction per km at places in the noise; without a footprint its finer part is left out."""
+    body = swell(cells)
+    if footprint_km is not None and layer.erosion > 0:
+        for octave, strength in ((3.7, 0.6), (9.3, 0.4)):
+            resolved = (1.5 - 2 * footprint_km * octave / layer.cell_km).clamp(0, 1)
+            finer = swell(cells * octave) - 0.5
+            body = body + layer.erosion * strength * resolved * finer
+    share = ((height - layer.base_km) / layer.thickness_km).clamp(0, 1)
+    above = (body - (1 - layer.coverage) - layer.towering * share**2) / layer.softness
+    # condensation starts at a level: the floor is sharp, the ceiling frays
+    profile = (share / 0.08).clamp(max=1) * ((1 - share) / 0.25).clamp(max=1)
+    full = layer.depth / layer.thickness_km / _PROFILE_MEAN
+    return full * above.clamp(0, 1) * profile
 
 
-def _hash(
-    x: Int[Tensor, " n"], y: Int[Tensor, " n"], z: Int[Tensor, " n"], seed: int
-) -> Int[Tensor, " n"]:
-    """A well-mixed 30-bit integer per lattice point (int64 arithmetic, same on every device)."""
-    mask = (1 << 31) - 1
-    h = (x * 73856093 ^ y * 19349663 ^ z * 83492791 ^ (seed * 2654435761)) & mask
-    h = ((h ^ (h >> 15)) * 0x2C1B3C6D) & mask
-    h = ((h ^ (h >> 12)) * 0x297A2D39) & mask
-    return (h ^ (h >> 15)) >> 1
+_PROFILE_MEAN = 1 - 0.08 / 2 - 0.25 / 2  # of floor times ceiling over the thickness
+
+
+def _noise_space(
+    layer: CloudLayer, wind: Wind, like: Float[Tensor, "..."]
+) -> tuple[Float[Tensor, "3 3"], Float[Tensor, "3"]]:
+    """(M, o): a place p (east, up, south, km) has the noise's value at M p + o, in its cells.
+
+    Turned, stretched and shifted by the layer's seed; drifted and changed by the wind.
+    """
+    generator = torch.Generator().manual_seed(layer.seed)
+    *shift, turn = torch.rand(4, generator=generator, dtype=torch.float64).tolist()
+    c, s = math.cos(2 * math.pi * turn), math.sin(2 * math.pi * turn)
+    along = [c / layer.stretch, 0.0, s / layer.stretch]
+    matrix = torch.tensor([along, [0.0, 1.0, 0.0], [-s, 0.0, c]], dtype=torch.float64)
+    matrix = matrix / layer.cell_km
+    moved = matrix @ torch.tensor([wind.east_km, 0.0, wind.south_km], dtype=torch.float64)
+    origin = CELLS * torch.tensor(shift, dtype=torch.float64) - moved
+    origin[1] += wind.change
+    return matrix.to(like), torch.remainder(origin, CELLS).to(like)
+
+
+def _depth_along(
+    layer: CloudLayer,
+    cells: Float[Tensor, "m 3"],
+    height: Float[Tensor, " m"],
+    heading: Float[Tensor, "3"],
+    heading_cells: Float[Tensor, "3"],
+) -> Float[Tensor, " m"]:
+    """Optical depth from places to the layer's ceiling (or floor, if ``heading`` goes down)."""
+    climb = float(heading[1])
+    end = layer.base_km + (layer.thickness_km if climb > 0 else 0.0)
+    path = ((end - height) / climb).clamp(0, _LONGEST_KM)
+    # quadratic spacing: the nearest cloud matters most
+    edges = torch.linspace(0, 1, LIGHT_STEPS + 1, device=cells.device) ** 2
+    t = path[:, None] * (edges[1:] + edges[:-1]) / 2
+    along = cells[:, None] + t[..., None] * heading_cells
+    density = _density(layer, along, height[:, None] + climb * t, None)
+    return (density * torch.diff(edges)).sum(1) * path
+
+
+def _distance(mu: Float[Tensor, " n"], height_km: float) -> Float[Tensor, " n"]:
+    """From an observer at sea level to a shell of the given height."""
+    outer = EARTH_RADIUS_KM + height_km
+    return torch.sqrt((EARTH_RADIUS_KM * mu) ** 2 + outer**2 - EARTH_RADIUS_KM**2) - (
+        EARTH_RADIUS_KM * mu
+    )
+
+
+def _height(mu: Float[Tensor, "*#s"], t: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
+    """Height above sea level after a distance t: t mu + t^2 (1 - mu^2) / 2R, to 1e-6 of it."""
+    return t * mu + t**2 * (1 - mu**2) / (2 * EARTH_RADIUS_KM)

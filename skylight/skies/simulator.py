@@ -14,8 +14,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.skies.atmosphere import Atmosphere, ClearSky, henyey_greenstein
-from skylight.skies.clouds import CloudLayer, cloud_light, optical_depth, unscattered
+from skylight.skies.atmosphere import EARTH_RADIUS_KM, SUN_COLOUR, Atmosphere, ClearSky
+from skylight.skies.clouds import CloudLayer, Wind, march
 from skylight.skies.sun import SUN_RADIUS_RAD, Place, sun_angles
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import direction_from_angles, pixel_from_direction
@@ -24,7 +24,6 @@ from skylight.sphere.grid import DirectionGrid
 Regime = Literal["clear", "broken", "overcast"]
 REGIME_SHARES: dict[Regime, float] = {"clear": 0.35, "broken": 0.4, "overcast": 0.25}
 LOWEST_SUN_RAD = math.radians(2.0)
-FORWARD_PEAK_G = 0.96  # width of the glow that thin cloud makes of the sun: about 5 degrees
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +36,8 @@ class Day:
     regime: Regime
     atmosphere: Atmosphere
     clouds: tuple[CloudLayer, ...]
-    wind_km_per_hour: tuple[float, float]
+    wind_km_per_hour: tuple[float, float]  # east, south
+    weather: tuple[float, float]  # phases of the clouds' slow change over the day
 
     @property
     def name(self) -> str:
@@ -55,10 +55,10 @@ class SimulatedSky:
     sun_transmittance: float  # unscattered, of the clouds alone: 1 is an open sun
 
 
-def draw_day(seed: int) -> Day:
-    """A random day; regimes by ``REGIME_SHARES``, places from the equator to 60 degrees."""
+def draw_day(seed: int, *, shares: dict[Regime, float] = REGIME_SHARES) -> Day:
+    """A random day; regimes by ``shares`` (sum 1), places from the equator to 60 degrees."""
     rng = np.random.default_rng(seed)
-    regime: Regime = rng.choice(list(REGIME_SHARES), p=list(REGIME_SHARES.values())).item()
+    regime: Regime = rng.choice(list(shares), p=list(shares.values())).item()
     place = Place(
         latitude_deg=float(rng.uniform(-60, 60)), longitude_deg=float(rng.uniform(-180, 180))
     )
@@ -71,7 +71,7 @@ def draw_day(seed: int) -> Day:
         angstrom_exponent=float(rng.uniform(0.6, 1.8)),
         ozone=float(rng.uniform(0.8, 1.3)),
         ground_albedo=float(rng.uniform(0.05, 0.3)),
-        observer_km=float(rng.uniform(0.0, 1.5)),
+        observer_km=float(rng.uniform(0.0, 0.7)),
     )
     wind = rng.normal(0, 15, size=2)
     return Day(
@@ -80,45 +80,75 @@ def draw_day(seed: int) -> Day:
         start=start,
         regime=regime,
         atmosphere=air,
-        clouds=_draw_clouds(regime, rng),
+        clouds=tuple(_draw_clouds(regime, rng)),
         wind_km_per_hour=(float(wind[0]), float(wind[1])),
+        weather=(float(rng.uniform(0, 2 * math.pi)), float(rng.uniform(0, 2 * math.pi))),
     )
 
 
-def _draw_clouds(regime: Regime, rng: np.random.Generator) -> tuple[CloudLayer, ...]:
-    def layer(coverage: float, depth: float, height: float, cell: float, soft: float) -> CloudLayer:
+def _draw_clouds(regime: Regime, rng: np.random.Generator) -> list[CloudLayer]:
+    """The layers of a day, the highest first."""
+
+    def seed() -> int:
+        return int(rng.integers(1 << 30))
+
+    def cirrus() -> CloudLayer:
         return CloudLayer(
-            coverage=coverage,
-            depth=depth,
-            height_km=height,
-            cell_km=cell,
-            softness=soft,
-            seed=int(rng.integers(1 << 30)),
+            coverage=rng.uniform(0.2, 0.9),
+            depth=float(rng.lognormal(math.log(0.8), 0.7)),
+            base_km=rng.uniform(7.0, 9.5),
+            thickness_km=rng.uniform(0.3, 1.2),
+            cell_km=rng.uniform(4, 12),
+            softness=rng.uniform(0.5, 1.0),
+            erosion=rng.uniform(0.3, 0.8),
+            stretch=rng.uniform(1.0, 4.0),
+            seed=seed(),
+        )
+
+    def heaps() -> CloudLayer:
+        return CloudLayer(
+            coverage=rng.uniform(0.15, 0.75),
+            depth=float(rng.lognormal(math.log(25), 0.6)),
+            base_km=rng.uniform(0.9, 2.5),
+            thickness_km=rng.uniform(0.4, 2.5),
+            cell_km=rng.uniform(1.2, 5.0),
+            softness=rng.uniform(0.05, 0.25),
+            towering=rng.uniform(0.1, 0.5),
+            erosion=rng.uniform(0.1, 0.4),
+            seed=seed(),
+        )
+
+    def patches() -> CloudLayer:
+        return CloudLayer(
+            coverage=rng.uniform(0.2, 0.9),
+            depth=float(rng.lognormal(math.log(6), 0.7)),
+            base_km=rng.uniform(2.5, 5.0),
+            thickness_km=rng.uniform(0.2, 0.6),
+            cell_km=rng.uniform(1.0, 6.0),
+            softness=rng.uniform(0.15, 0.6),
+            erosion=rng.uniform(0.2, 0.6),
+            stretch=rng.uniform(1.0, 2.0),
+            seed=seed(),
+        )
+
+    def deck() -> CloudLayer:
+        return CloudLayer(
+            coverage=rng.uniform(1.0, 1.3),
+            depth=float(rng.lognormal(math.log(22), 0.7)),
+            base_km=rng.uniform(0.8, 3.0),
+            thickness_km=rng.uniform(0.4, 1.5),
+            cell_km=rng.uniform(2.0, 8.0),
+            softness=rng.uniform(0.6, 1.3),
+            erosion=rng.uniform(0.1, 0.3),
+            seed=seed(),
         )
 
     if regime == "clear":
-        if rng.random() < 0.6:
-            return ()
-        wisps = layer(rng.uniform(0.1, 0.5), rng.uniform(0.2, 1.5), 8.0, rng.uniform(6, 14), 0.9)
-        return (wisps,)
-    if regime == "broken":
-        low = layer(
-            rng.uniform(0.15, 0.75),
-            float(rng.lognormal(math.log(14), 0.5)),
-            rng.uniform(1.0, 3.5),
-            rng.uniform(1.5, 5.0),
-            rng.uniform(0.08, 0.4),
-        )
-        high = layer(rng.uniform(0.05, 0.4), rng.uniform(0.3, 2.0), 8.0, rng.uniform(6, 14), 0.9)
-        return (high, low) if rng.random() < 0.4 else (low,)
-    deck = layer(
-        0.9999,
-        float(rng.lognormal(math.log(28), 0.5)),
-        rng.uniform(0.8, 3.0),
-        rng.uniform(2.0, 8.0),
-        rng.uniform(0.6, 2.0),
-    )
-    return (deck,)
+        return [cirrus()] if rng.random() < 0.4 else []
+    if regime == "overcast":
+        return [deck()]
+    low = heaps() if rng.random() < 0.6 else patches()
+    return [cirrus(), low] if rng.random() < 0.4 else [low]
 
 
 def simulate_day(
@@ -155,52 +185,48 @@ def simulate_sky(
     *,
     height: int,
 ) -> SimulatedSky:
-    """One sky, rendered at twice ``height`` and averaged, the sun exact in energy.
+    """One sky, rendered at 1.5 times ``height`` and averaged, the sun exact in energy.
 
     The map is turned so that the sun stands on the middle of column w/2, the first to the
     right of the centre line: on one column rather than between two.
     """
-    fine = 2 * height
+    fine = height + height // 2
     grid = DirectionGrid.sky(fine)
     device = clear.device
     directions = grid.directions.to(device, torch.float32)
     centre = math.pi / (4 * height)
     sun = _direction(centre, sun_zenith_rad).to(device)
-    background = clear.radiance(directions, sun)
-    solid = grid.solid_angles.to(device, torch.float32)
     direct = clear.sun_irradiance(torch.tensor([sun_zenith_rad], device=device))[0]
-    # what the sky without clouds sends down: it lights the clouds from above
-    open_sky = ((solid * directions[:, 1])[:, None] * background).sum(0)
-
     disc, share = _sun_disc(sun)
-    points = torch.cat([directions, disc])
+    world = _turn(torch.cat([directions, disc]), sun_azimuth_rad - centre)
+    sun_world = _turn(sun[None], sun_azimuth_rad - centre)[0]
+    background = clear.radiance(directions, sun)
+    weight = (grid.solid_angles.to(device, torch.float32) * directions[:, 1])[:, None]
+
+    sky, beam_share, sharp = background, 1.0, torch.ones(len(disc), device=device)
     hours = (time - day.start).total_seconds() / 3600
-    footprint = math.pi / 2 / fine
-    through_all = torch.ones(len(points), device=device)
-    sharp = torch.ones(len(disc), device=device)
-    radiance = torch.cat([background, torch.zeros(len(disc), 3, device=device)])
-    turn = sun_azimuth_rad - centre  # from the map's azimuth to the world's
-    world, toward = _turn(points, turn), _turn(sun[None], turn)[0]
-    drift = (day.wind_km_per_hour[0] * hours, day.wind_km_per_hour[1] * hours)
     for layer in day.clouds:
-        tau, incidence = optical_depth(layer, world, drift, 0.3 * hours, footprint)
-        # light reaches a point of the sheet through the sheet a thickness further sunward
-        ahead = 0.12 * layer.cell_km
-        shifted = (
-            drift[0] + ahead * float(toward[0]),
-            drift[1] + ahead * float(toward[2]),
+        middle_km = layer.base_km + layer.thickness_km / 2
+        light = march(
+            _at_hour(layer, day, hours),
+            world,
+            sun_world,
+            _wind(layer, day, hours),
+            footprint_rad=math.pi / 2 / fine,
+            ground_albedo=day.atmosphere.ground_albedo,
         )
-        sunward, _ = optical_depth(layer, world, shifted, 0.3 * hours, footprint)
-        through, glow = cloud_light(tau, sunward, incidence, points, sun, direct, open_sky)
-        radiance = radiance * through[:, None] + glow
-        through_all = through_all * through
-        sharp = sharp * unscattered(tau[-len(disc) :], incidence[-len(disc) :])
-    sky = radiance[: len(directions)]
-    passed = (share * sharp).sum()
-    # sunlight in the droplets' forward peak: lost to the disc, a glow round it
-    peak = (share * through_all[-len(disc) :]).sum() - passed
-    lobe = henyey_greenstein(directions @ sun, FORWARD_PEAK_G)
-    sky = sky + peak * lobe[:, None] * direct
+        beam = beam_share * _beam_at(clear, middle_km, sun_zenith_rad)
+        above = (weight * sky).sum(0)  # what this layer gets of diffuse light
+        own = light.beam[:, None] * beam + light.sky[:, None] * above
+        passed, own = light.passed[: len(directions), None], own[: len(directions)]
+        air, haze = _air_before(clear, directions, middle_km)
+        beam_share *= float(_mean(passed, weight))
+        # the air under a cloud scatters what is left of the sun, and light from all sides
+        under = (weight * (sky * passed + own)).sum(0)
+        around = under * (1 + day.atmosphere.ground_albedo) / (2 * math.pi)
+        haze = haze * (beam_share * background + (1 - beam_share) * around)
+        sky = haze + (sky - haze).clamp(min=0) * passed + air * own
+        sharp = sharp * torch.exp(-light.depth[len(directions) :])
     fine_map = EnvironmentMap(radiance=sky.reshape(fine, 4 * fine, 3))
     radiance = fine_map.resize(height).radiance
     radiance = _add_disc(radiance, disc, share * sharp, direct)
@@ -209,8 +235,55 @@ def simulate_sky(
         time=time,
         sun_azimuth_rad=sun_azimuth_rad,
         sun_zenith_rad=sun_zenith_rad,
-        sun_transmittance=float(passed),
+        sun_transmittance=float((share * sharp).sum()),
     )
+
+
+def _at_hour(layer: CloudLayer, day: Day, hours: float) -> CloudLayer:
+    """Cover and depth wax and wane over the day, by a tenth of the sky and a third of the depth."""
+    cover, depth = (math.sin(2 * math.pi * hours / 9 + phase) for phase in day.weather)
+    swing = 0.1 if layer.coverage < 1 else 0.0  # an overcast day stays one
+    return replace(
+        layer,
+        coverage=max(0.02, layer.coverage + swing * cover),
+        depth=layer.depth * math.exp(0.3 * depth),
+    )
+
+
+def _wind(layer: CloudLayer, day: Day, hours: float) -> Wind:
+    east, south = (hours * speed for speed in day.wind_km_per_hour)
+    return Wind(east_km=east, south_km=south, change=0.3 * hours)
+
+
+def _beam_at(clear: ClearSky, height_km: float, sun_zenith_rad: float) -> Float[Tensor, "3"]:
+    """Irradiance of the sun, facing it, at a height."""
+    radius = torch.tensor([EARTH_RADIUS_KM + height_km], device=clear.device)
+    mu = torch.tensor([math.cos(sun_zenith_rad)], device=clear.device)
+    return clear.transmittance(radius, mu)[0] * torch.tensor(SUN_COLOUR, device=clear.device)
+
+
+def _air_before(
+    clear: ClearSky,
+    directions: Float[Tensor, "n 3"],
+    height_km: float,
+) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
+    """(transmittance of the air up to a height, the share of the sky's radiance before it).
+
+    The share is that of the ray's extinction, as if the air's source were the same all along.
+    """
+    observer = EARTH_RADIUS_KM + clear.atmosphere.observer_km
+    shell = EARTH_RADIUS_KM + max(height_km, clear.atmosphere.observer_km)
+    mu = directions[:, 1].clamp(min=1e-3)
+    beyond = torch.sqrt(1 - (observer / shell) ** 2 * (1 - mu**2))
+    whole = clear.transmittance(torch.full_like(mu, observer), mu)
+    behind = clear.transmittance(torch.full_like(mu, shell), beyond)
+    before = (whole / behind.clamp(min=1e-6)).clamp(0, 1)
+    return before, ((1 - before) / (1 - whole).clamp(min=1e-6)).clamp(0, 1)
+
+
+def _mean(passed: Float[Tensor, "n 1"], weight: Float[Tensor, "n 1"]) -> Float[Tensor, ""]:
+    """The mean over the hemisphere's floor: how much of a high beam passes the layer."""
+    return (passed * weight).sum() / weight.sum()
 
 
 def clear_variant(day: Day) -> Day:

@@ -1,103 +1,79 @@
 """Trains the sky autoencoder; a run that was killed goes on as if it had not been."""
 
+import hashlib
 import math
-import pickle
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
 import torch
 from jaxtyping import Float
-from safetensors.torch import save_file
-from torch import Tensor
+from torch import Tensor, nn
 
 from skylight.errors import InputError
-from skylight.imaging.files import atomic_path, write_json
-from skylight.models.autoencoder import SkyAutoencoder
-from skylight.skies.dataset import folder_hash, load_skies, read_index
-from skylight.sphere.grid import DirectionGrid
+from skylight.imaging.files import atomic_path
+from skylight.models.autoencoder import SkyAutoencoder, load_network
+from skylight.training.batches import draw_batch
+from skylight.training.checkpoint import drop_damaged, read_state, save_network, write_state
 from skylight.training.config import AutoencoderConfig, config_yaml
+from skylight.training.data import SkyData, load_data, open_cache
+from skylight.training.logs import Logs
+from skylight.training.loss import reconstruction_loss
+from skylight.training.processes import Processes, processes, share_batch_statistics
 
 
-@dataclass(frozen=True, kw_only=True)
-class SkyData:
-    """Training and validation skies (n,h,w,3), and the hash that names the data."""
+@dataclass(kw_only=True)
+class Progress:
+    """Where a run stands, beside its weights; ``losses`` are those of the epoch so far."""
 
-    train: Float[Tensor, "n h w 3"]
-    validation: Float[Tensor, "m h w 3"]
-    hash: str
-
-
-def load_data(folder: Path) -> SkyData:
-    """The training and validation days of an index, cached as one file beside it."""
-    records = read_index(folder)
-    digest = folder_hash(folder, records)
-    cache = folder / ".cache" / f"{digest[:16]}.pt"
-    if not cache.exists():
-        cache.parent.mkdir(exist_ok=True)
-        parts = {
-            split: load_skies(folder, [r for r in records if r.split == split])
-            for split in ("train", "validation")
-            if any(r.split == split for r in records)
-        }
-        with atomic_path(cache) as temporary:
-            torch.save(parts, temporary)
-    parts = torch.load(cache, weights_only=True)
-    if len(parts) < 2:
-        raise InputError(
-            f"{folder}: too few days: training and validation split by day, and one is empty"
-        )
-    return SkyData(train=parts["train"], validation=parts["validation"], hash=digest)
+    step: int = 0
+    best: float = math.inf
+    since_best: int = 0
+    curves: list[dict[str, int | float]] = field(default_factory=list)
+    losses: list[float] = field(default_factory=list)
 
 
-def reconstruction_loss(
-    network: SkyAutoencoder,
-    clean: Float[Tensor, "b h w 3"],
-    coded_input: Float[Tensor, "b 3 h w"],
-    energy_weight: float,
-) -> Float[Tensor, " b"]:
-    """sum_w dw (1 + g max(L, L')) |y' - y| / 2 pi per sky, the mean of the channels.
+class Objective(nn.Module):
+    """The mean loss of a batch, as one module: what is compiled, and whose gradients are shared."""
 
-    The thesis' solid-angle-weighted L1, on coded radiance y, plus ``energy_weight`` g times the
-    same weighted by the energy of the pixel as well (of truth or reconstruction, whichever is
-    larger, taken as a constant): about L1 of radiance where both agree, but its slope does not
-    vanish where a sun of a thousand times the sky's radiance is missing altogether.
-    """
-    coded = network.decode_coded(network.encode_coded(coded_input)).float()
-    error = (coded - network.code(clean)).abs()
-    larger = torch.maximum(clean, network.uncode(coded).detach()).permute(0, 3, 1, 2)
-    height, width = error.shape[-2:]
-    row = DirectionGrid.latlong(height, width).solid_angles.reshape(height, width)[:, :1]
-    weight = row.to(error) * (1 + energy_weight * larger)
-    return (weight * error).sum((-1, -2)).mean(1) / (2 * math.pi)
+    def __init__(self, network: SkyAutoencoder, config: AutoencoderConfig) -> None:
+        super().__init__()
+        self.network, self.config = network, config
+
+    def forward(
+        self, clean: Float[Tensor, "b h w 3"], noise: Float[Tensor, "b 3 h w"]
+    ) -> Float[Tensor, ""]:
+        with torch.autocast(clean.device.type, torch.bfloat16, enabled=self.config.bfloat16):
+            return reconstruction_loss(self.network, clean, noise, self.config).mean()
 
 
 def train(config: AutoencoderConfig, report: Callable[[str], None] = print) -> Path:
     """Run to the end or to early stopping; returns the path of the best network.
 
-    Writes ``model.safetensors`` (best on validation), ``config.yaml`` (resolved),
-    ``curves.json`` and ``state.pt`` (everything needed to go on). The order of the skies, the
-    noise and the mirroring of step n depend on the seed and n alone, so a resumed run
-    computes what the uninterrupted one would have, bit by bit on the same machine.
+    Writes ``model.safetensors`` (best on validation), ``config.yaml`` (resolved), what
+    :class:`Logs` says, and ``state.pt`` (everything needed to go on; the one before it in
+    ``state.previous.pt``). The order of the skies, the noise and the augmentation of step n
+    depend on the seed and n alone, so a resumed run computes what the uninterrupted one would
+    have, bit by bit on the same machine; started by ``torchrun`` with several processes, what
+    one process would have, but for rounding.
+
+    Raises
+    ------
+    InputError
+        Data, configuration or state that cannot be used, or a loss that is no number.
     """
+    with processes(config.device) as here:
+        return _train(config, here, report if here.first else lambda _: None)
+
+
+def _train(config: AutoencoderConfig, here: Processes, report: Callable[[str], None]) -> Path:
+    share = here.share(config.batch)
     if config.threads:
         torch.set_num_threads(config.threads)
-    device = torch.device(config.device)
-    data = load_data(config.data)
+    data = _load(config, here, report)
     config.out.mkdir(parents=True, exist_ok=True)
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(config.seed)  # initial weights
-        network = SkyAutoencoder(config.coding)
-    # torch's stubs leave memory_format out
-    network = network.to(device, memory_format=torch.channels_last)  # pyright: ignore
-    optimiser = torch.optim.SGD(
-        network.parameters(),
-        lr=config.learning_rate,
-        momentum=config.momentum,
-        nesterov=True,
-        weight_decay=config.weight_decay,
-    )
     steps_per_epoch = len(data.train) // config.batch
     if steps_per_epoch < 1:
         raise InputError(
@@ -105,146 +81,154 @@ def train(config: AutoencoderConfig, report: Callable[[str], None] = print) -> P
             f"{config.batch}; simulate more days or lower `batch`"
         )
     total = steps_per_epoch * config.epochs
-    best, since_best, step = math.inf, 0, 0
-    curves: list[dict[str, float]] = []
-    losses: list[float] = []
-    state_path = config.out / "state.pt"
-    # what changes no step may differ when a run goes on, the folders' names included
-    anywhere = replace(config, data=Path(), out=Path(), checkpoint_steps=1, threads=0, device="cpu")
-    identity = f"{data.hash}\n{config_yaml(anywhere)}"
-    if state_path.exists():
-        state = _read_state(state_path, identity)
+    network = initial_network(config)
+    if here.size > 1:
+        share_batch_statistics(network)
+    # torch's stubs leave memory_format out
+    network = network.to(here.device, memory_format=torch.channels_last)  # pyright: ignore
+    optimiser = torch.optim.SGD(
+        network.parameters(),
+        lr=config.learning_rate,
+        momentum=config.momentum,
+        nesterov=config.nesterov,
+        weight_decay=config.weight_decay,
+    )
+    now = Progress()
+    identity = run_identity(config, data.hash)
+    if state := read_state(config.out, identity, report):
         network.load_state_dict(state["network"])
         optimiser.load_state_dict(state["optimiser"])
-        best, since_best, step, curves, losses = (
-            state[k] for k in ("best", "since_best", "step", "curves", "losses")
-        )
-        report(f"resuming at step {step} of {total}")
-    with atomic_path(config.out / "config.yaml") as path:
-        path.write_text(config_yaml(config))
+        now = Progress(**state["progress"])
+        report(f"resuming at step {now.step} of {total}")
+    # all processes meet in here, after every one of them has read the state
+    objective = here.parallel(Objective(network, config))
+    logs = None
+    if here.first:
+        drop_damaged(config.out)
+        with atomic_path(config.out / "config.yaml") as path:
+            path.write_text(config_yaml(config))
+        facts = {"data_sha256": data.hash, "skies": len(data.train), "processes": here.size}
+        logs = Logs(config.out, data.validation, facts=facts, step=now.step, report=report)
+    if config.compile:
+        objective = torch.compile(objective)
 
-    started, first_step = time.monotonic(), step
-    while step < total and since_best < config.patience:
-        epoch, within = divmod(step, steps_per_epoch)
-        batch, noise = _batch(data.train, config, epoch, within)
+    started, first_step = time.monotonic(), now.step
+    while now.step < total and now.since_best < config.patience:
+        epoch, within = divmod(now.step, steps_per_epoch)
+        batch, noise = draw_batch(data.train, config, epoch, within, share)
+        rate = config.learning_rate * schedule(now.step, total, config)
         for group in optimiser.param_groups:
-            group["lr"] = config.learning_rate * _schedule(step, total, config.warmup_steps)
+            group["lr"] = rate
         network.train()
-        clean = batch.to(device)
-        coded = network.code(clean) + noise.to(device)
-        with torch.autocast(device.type, torch.bfloat16, enabled=config.bfloat16):
-            coded = coded.contiguous(memory_format=torch.channels_last)
-            loss = reconstruction_loss(network, clean, coded, config.energy_weight).mean()
+        loss = objective(
+            batch.to(here.device), noise.to(here.device, memory_format=torch.channels_last)
+        )
         optimiser.zero_grad()
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), config.gradient_clip)
+        if config.gradient_clip:
+            torch.nn.utils.clip_grad_norm_(network.parameters(), config.gradient_clip)
         optimiser.step()
-        losses.append(float(loss.detach()))
-        step += 1
-        if step % steps_per_epoch == 0:
-            score = validate(network, data.validation, config)
+        now.losses.append(float(here.sum(loss.detach())) / here.size)
+        now.step += 1
+        if now.step % steps_per_epoch == 0:
+            seconds = time.monotonic() - started
+            score = validate(network, data.validation, config, here)
             if not math.isfinite(score):
                 raise InputError(
                     f"training diverged in epoch {epoch + 1} (validation loss {score}): lower "
-                    f"`learning_rate` and start anew without {state_path}"
+                    f"`learning_rate` and start anew in another `out`"
                 )
-            curves.append({"step": step, "train": sum(losses) / len(losses), "validation": score})
-            losses = []
-            since_best = 0 if score < best else since_best + 1
-            if score < best:
-                best = score
-                save_network(network, config.out / "model.safetensors")
-            write_json(
-                config.out / "curves.json",
-                {"data_sha256": data.hash, "skies": len(data.train), "curves": curves},
-            )
-            rate = (time.monotonic() - started) * steps_per_epoch / (step - first_step)
-            report(
-                f"epoch {epoch + 1}/{config.epochs}  train {curves[-1]['train']:.4f}  "
-                f"validation {score:.4f}  best {best:.4f}  {rate:.0f} s an epoch"
-            )
-        if step % config.checkpoint_steps == 0 or step % steps_per_epoch == 0:
-            with atomic_path(state_path) as path:
-                torch.save(
-                    {
-                        "identity": identity,
-                        "network": network.state_dict(),
-                        "optimiser": optimiser.state_dict(),
-                        "best": best,
-                        "since_best": since_best,
-                        "step": step,
-                        "curves": curves,
-                        "losses": losses,
-                    },
-                    path,
-                )
+            entry = {
+                "step": now.step,
+                "train": sum(now.losses) / len(now.losses),
+                "validation": score,
+                "learning_rate": rate,
+                "images_per_s": (now.step - first_step) * config.batch / seconds,
+            }
+            now.curves.append(entry)
+            now.losses = []
+            now.since_best = 0 if score < now.best else now.since_best + 1
+            if score < now.best:
+                now.best = score
+                if here.first:
+                    save_network(network, config.out / "model.safetensors")
+            if logs:
+                logs.epoch(network, now.curves, now.best)
+            started, first_step = time.monotonic(), now.step
+        due = now.step % config.checkpoint_steps == 0 or now.step % steps_per_epoch == 0
+        if due and here.first:
+            weights = {"network": network.state_dict(), "optimiser": optimiser.state_dict()}
+            write_state(config.out, {"identity": identity, "progress": asdict(now), **weights})
+    if logs:
+        logs.close()
     return config.out / "model.safetensors"
 
 
 @torch.no_grad()
 def validate(
-    network: SkyAutoencoder, skies: Float[Tensor, "n h w 3"], config: AutoencoderConfig
+    network: SkyAutoencoder,
+    skies: Float[np.ndarray, "m h w 3"],
+    config: AutoencoderConfig,
+    here: Processes,
 ) -> float:
-    """Mean loss over clean validation skies."""
+    """Mean loss over the clean validation skies, of which each process takes its part."""
     network.eval()
-    device = torch.device(config.device)
-    total = 0.0
-    for part in skies.split(config.batch):
-        clean = part.to(device)
-        loss = reconstruction_loss(network, clean, network.code(clean), config.energy_weight)
-        total += float(loss.sum())
-    return total / len(skies)
+    total = torch.zeros((), dtype=torch.float64, device=here.device)
+    mine = range(here.rank, len(skies), here.size)
+    for start in range(0, len(mine), config.batch):
+        clean = torch.from_numpy(skies[np.array(mine[start : start + config.batch])])
+        clean = clean.to(here.device)
+        still = torch.zeros_like(clean).permute(0, 3, 1, 2)
+        total += reconstruction_loss(network, clean, still, config).double().sum()
+    return float(here.sum(total)) / len(skies)
 
 
-def save_network(network: SkyAutoencoder, path: Path) -> None:
-    state = {k: v.detach().cpu().contiguous() for k, v in network.state_dict().items()}
-    if network.coding == "linear":
-        state["coding_linear"] = torch.ones(1)
-    with atomic_path(path) as temporary:
-        save_file(state, temporary)
+def initial_network(config: AutoencoderConfig) -> SkyAutoencoder:
+    """A network with weights of ``config.seed``, or those of ``config.starts_from``."""
+    if config.starts_from:
+        network = load_network(config.starts_from)
+        if (network.coding, network.sun) != (config.coding, config.sun):
+            raise InputError(
+                f"{config.starts_from}: made with coding: {network.coding}, sun: {network.sun}; "
+                f"the configuration says coding: {config.coding}, sun: {config.sun}"
+            )
+        return network
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        return SkyAutoencoder(config.coding, sun=config.sun)
 
 
-def _batch(
-    skies: Float[Tensor, "n h w 3"], config: AutoencoderConfig, epoch: int, within: int
-) -> tuple[Float[Tensor, "b h w 3"], Float[Tensor, "b 3 h w"]]:
-    """Batch ``within`` of an epoch, with its noise: functions of seed, epoch and place alone."""
-    order = torch.Generator().manual_seed(config.seed * 1_000_003 + epoch)
-    permutation = torch.randperm(len(skies), generator=order)
-    chosen = permutation[within * config.batch : (within + 1) * config.batch]
-    batch = skies[chosen]
-    local = torch.Generator().manual_seed((config.seed * 1_000_003 + epoch) * 1_000_003 + within)
-    if config.mirror:
-        # about the middle of column w/2, where the sun is: column c becomes w - c
-        flipped = torch.roll(batch.flip(2), 1, dims=2)
-        keep = torch.rand(len(batch), generator=local) < 0.5
-        batch = torch.where(keep[:, None, None, None], batch, flipped)
-    height, width = batch.shape[1:3]
-    noise = torch.randn(len(batch), 3, height, width, generator=local) * config.noise_sigma
-    return batch, noise
+def schedule(step: int, total: int, config: AutoencoderConfig) -> float:
+    """The learning rate of a step as a part of its height.
 
-
-def _schedule(step: int, total: int, warmup: int) -> float:
-    """Linear warm-up, then half a cosine down to 1 %."""
+    A linear warm-up, then half a cosine down to 1 % or constant.
+    """
+    warmup = config.warmup_steps
     if step < warmup:
         return (step + 1) / warmup
+    if config.schedule == "constant":
+        return 1.0
     return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * (step - warmup) / max(1, total - warmup)))
 
 
-def _read_state(path: Path, identity: str) -> dict:
-    try:
-        state = torch.load(path, weights_only=True)
-        same_run = state["identity"] == identity
-    except (
-        *(RuntimeError, OSError, EOFError, ValueError),
-        *(pickle.UnpicklingError, KeyError, TypeError, IndexError),
-    ) as error:
-        raise InputError(
-            f"{path}: the run's state is damaged ({type(error).__name__}); "
-            "delete it to start the run anew"
-        ) from error
-    if not same_run:
-        raise InputError(
-            f"{path}: belongs to a run with other data or another configuration; "
-            "choose another `out`, or delete it to start anew"
-        )
-    return state
+def run_identity(config: AutoencoderConfig, data_hash: str) -> str:
+    """What a run must have in common with the one that it goes on from.
+
+    What changes no step may differ, the folders' names included; the checkpoint that it starts
+    from counts by its content.
+    """
+    free = {"data": Path(), "out": Path(), "starts_from": None, "checkpoint_steps": 1}
+    anywhere = replace(config, **free, threads=0, device="cpu", compile=False)
+    start = ""
+    if config.starts_from and config.starts_from.is_file():
+        start = hashlib.sha256(config.starts_from.read_bytes()).hexdigest()
+    return f"{data_hash}\n{start}\n{config_yaml(anywhere)}"
+
+
+def _load(config: AutoencoderConfig, here: Processes, report: Callable[[str], None]) -> SkyData:
+    """The data, read and checked by the first process, then opened by the others."""
+    if not here.first:
+        return open_cache(config.data, here.from_first(None))
+    data = load_data(config.data, report)
+    here.from_first(data.hash)
+    return data

@@ -13,34 +13,59 @@ from skylight.errors import InputError
 class AutoencoderConfig:
     """A run of the sky autoencoder.
 
-    ``energy_weight`` weighs the sun against the sky: see ``reconstruction_loss``.
+    ``energy_weight`` weighs the sun against the sky and ``scale_invariant`` the term that any
+    exposure leaves alone: see ``reconstruction_loss``. ``sun`` gives the network a sun of its
+    own, whose coordinates get noise of ``sun_noise`` times ``noise_sigma``; ``obstacles`` is the
+    probability that something stands before a sky, ``tint`` the spread of white balances.
+    ``batch`` is that of all processes together. ``starts_from`` names a checkpoint with the
+    initial weights. A ``gradient_clip`` of 0 clips nothing; ``threads`` 0 leaves their number to
+    torch.
     """
 
     kind: Literal["autoencoder"] = "autoencoder"
     data: Path = Path("runs/skies")
     out: Path = Path("runs/sky_autoencoder")
+    starts_from: Path | None = None
     coding: Literal["log", "linear"] = "log"
     noise_sigma: float = 0.01
     energy_weight: float = 0.3
+    scale_invariant: float = 0.0
+    sun: bool = True
     mirror: bool = True
+    obstacles: float = 0.0
+    tint: float = 0.0
+    sun_noise: float = 0.0
     epochs: int = 60
     batch: int = 32
     learning_rate: float = 0.05
+    schedule: Literal["cosine", "constant"] = "cosine"
+    warmup_steps: int = 200
     momentum: float = 0.9
+    nesterov: bool = True
     weight_decay: float = 1e-5
     gradient_clip: float = 1.0
-    warmup_steps: int = 200
     patience: int = 12
     checkpoint_steps: int = 100
     bfloat16: bool = True
+    compile: bool = False
     threads: int = 0
     device: str = "cpu"
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "batch", "checkpoint_steps"):
+        for name in ("epochs", "batch", "checkpoint_steps", "patience"):
             if getattr(self, name) < 1:
                 raise InputError(f"`{name}` must be at least 1, got {getattr(self, name)}")
+        for name in (
+            *("noise_sigma", "energy_weight", "scale_invariant", "weight_decay"),
+            *("gradient_clip", "warmup_steps", "momentum", "threads", "tint", "sun_noise"),
+        ):
+            if getattr(self, name) < 0:
+                raise InputError(f"`{name}` must be at least 0, got {getattr(self, name)}")
+        if not 0 <= self.obstacles <= 1:
+            raise InputError(f"`obstacles` is a probability, got {self.obstacles}")
+        if self.nesterov and self.momentum == 0:
+            raise InputError("`nesterov` needs a `momentum` above 0; give one, or nesterov: false")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,8 +112,10 @@ def _typed(path: Path, key: str, kind: Any, value: Any) -> Any:
         if value in get_args(kind):
             return value
         raise InputError(f"{path}: `{key}` must be one of {', '.join(get_args(kind))}")
-    if kind is Path and isinstance(value, str):
+    if kind in (Path, Path | None) and isinstance(value, str):
         return Path(value)
+    if kind == Path | None and value is None:
+        return None
     if kind is float and not isinstance(value, bool):
         try:
             return float(value)  # YAML 1.1 takes 1e-5, which has no point, for text
@@ -96,7 +123,9 @@ def _typed(path: Path, key: str, kind: Any, value: Any) -> Any:
             pass
     elif type(value) is kind:
         return value
-    raise InputError(f"{path}: `{key}` must be of type {kind.__name__}, got {value!r}")
+    raise InputError(
+        f"{path}: `{key}` must be of type {getattr(kind, '__name__', kind)}, got {value!r}"
+    )
 
 
 def config_yaml(config: Config) -> str:

@@ -1,5 +1,6 @@
 """The command line of ``train.py``."""
 
+import os
 import sys
 from pathlib import Path
 
@@ -10,8 +11,13 @@ from skylight.training.config import AutoencoderConfig, read_config
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """``train.py CONFIG [--key value ...]``: overrides are checked against the configuration."""
+    """``train.py CONFIG [--key value ...]``: overrides are checked against the configuration.
+
+    ``torchrun --nproc-per-node N train.py CONFIG`` trains in N processes on one machine.
+    """
     arguments = sys.argv[1:] if arguments is None else arguments
+    rank = int(os.environ.get("RANK", "0"))
+    name = f"train.py, process {rank}" if rank else "train.py"
     try:
         if not arguments or arguments[0].startswith("-"):
             raise InputError("usage: python train.py configs/NAME.yaml [--key value ...]")
@@ -20,17 +26,19 @@ def main(arguments: list[str] | None = None) -> None:
         if isinstance(config, AutoencoderConfig):
             from skylight.training.autoencoder import train
 
-            print(f"best network: {train(config)}")
+            best = train(config)
+            if rank == 0:
+                print(f"best network: {best}")
         else:
             from skylight.training.prior import fit_priors
 
             print(f"priors: {fit_priors(config)}")
     except SkylightError as error:
-        print(f"train.py: {error}", file=sys.stderr)
+        print(f"{name}: {error}", file=sys.stderr)
         raise SystemExit(error.exit_code) from None
     except OSError as error:  # a folder that cannot be made or written
-        print(f"train.py: {error}", file=sys.stderr)
+        print(f"{name}: {error}", file=sys.stderr)
         raise SystemExit(1) from None
     except KeyboardInterrupt:
-        print("train.py: interrupted; the same command goes on from here", file=sys.stderr)
+        print(f"{name}: interrupted; the same command goes on from here", file=sys.stderr)
         raise SystemExit(1) from None

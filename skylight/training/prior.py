@@ -1,5 +1,6 @@
 """Fits the priors over light: mixtures over latents and over Sun+Sky parameters."""
 
+import math
 from pathlib import Path
 
 import torch
@@ -13,7 +14,8 @@ from skylight.models.autoencoder import load_network
 from skylight.models.base import without_azimuth
 from skylight.models.prior import GaussianMixture
 from skylight.models.sunsky import SunSky, fit_sunsky
-from skylight.skies.dataset import SkyRecord, folder_hash, load_skies, read_index
+from skylight.skies.index import SkyRecord, folder_hash, read_index
+from skylight.skies.loading import load_skies
 from skylight.training.config import PriorConfig, config_yaml
 
 # Added to every variance, so that no component collapses on to a few like skies.
@@ -27,8 +29,8 @@ def fit_priors(config: PriorConfig) -> Path:
     Both mixtures are over the models' free parameters without the azimuth: for the
     autoencoder these are the latents whitened by the training skies' mean and covariance.
 
-    The number of components is the one that makes the validation days most likely; the report
-    holds the mean log-likelihood per sky on training, validation and test days.
+    The number of components is the one of the least BIC on the validation days; the report holds
+    the mean log-likelihood per sky on training, validation and test days.
     """
     records = read_index(config.data)
     splits = {
@@ -78,15 +80,23 @@ def fit_priors(config: PriorConfig) -> Path:
 def _best_mixture(
     samples: dict[str, Float[Tensor, "n p"]], config: PriorConfig
 ) -> tuple[GaussianMixture, dict[str, object]]:
-    best, score, tried = None, -float("inf"), {}
+    """The mixture with the least BIC on the validation days.
+
+    BIC = parameters ln n - 2 sum log p, with n and p of the validation skies: what is fitted to
+    the training days has to earn its parameters on days that it has not seen.
+    """
+    best, least, tried = None, float("inf"), {}
+    count, size = samples["validation"].shape
     for components in range(1, config.most_components + 1):
         mixture = GaussianMixture.fit(
             samples["train"], components, seed=config.seed, covariance_floor=COVARIANCE_FLOOR
         )
         held_out = float(mixture.log_prob(samples["validation"]).mean())
-        tried[components] = held_out
-        if held_out > score:
-            best, score = mixture, held_out
+        parameters = components * (1 + size + size * (size + 1) // 2) - 1
+        bic = parameters * math.log(count) - 2 * count * held_out
+        tried[components] = {"bic": bic, "mean_log_likelihood": held_out}
+        if bic < least:
+            best, least = mixture, bic
     assert best is not None
     likelihood = {k: float(best.log_prob(v).mean()) for k, v in samples.items()}
     return best, {"mean_log_likelihood": likelihood, "validation_by_components": tried}

@@ -123,12 +123,13 @@ def test_parts_add_up_and_are_what_they_say():
 
 def test_ground_and_gloss_are_drawn_to_the_usual():
     whole, (light, exposure, gloss, albedo, ground) = objective(observation()), parameters()
-    usual = whole.ground_mean.exp().expand(5, 3)
+    usual = whole.ground_prior.means[0].exp().expand(5, 3)
     terms = whole.terms(whole.pack(light, exposure, torch.ones(5), albedo, usual))
-    torch.testing.assert_close(terms["ground_prior"], torch.zeros(5), atol=1e-9, rtol=0)
+    least = -whole.ground_prior.log_prob(whole.ground_prior.means)
+    torch.testing.assert_close(terms["ground_prior"], least.expand(5), atol=1e-4, rtol=0)
     torch.testing.assert_close(terms["gloss_prior"], torch.zeros(5), atol=1e-9, rtol=0)
     terms = whole.terms(whole.pack(light, exposure, gloss, albedo, ground))
-    assert (terms["ground_prior"] > 0).all()
+    assert (terms["ground_prior"] > least).all()
     assert (terms["gloss_prior"] > 0).all()
 
 

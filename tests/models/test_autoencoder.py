@@ -27,10 +27,10 @@ from skylight.training.autoencoder import save_network
 F64 = torch.float64
 
 
-def random_network(coding: str = "log") -> SkyAutoencoder:
+def random_network(coding: str = "log", *, sun: bool = True) -> SkyAutoencoder:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        return SkyAutoencoder(coding).eval()  # type: ignore[arg-type]
+        return SkyAutoencoder(coding, sun=sun).eval()  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -69,11 +69,16 @@ def test_columns_wrap_and_rows_do_not() -> None:
     assert not torch.allclose(layer(torch.roll(x, 1, dims=2)), torch.roll(layer(x), 1, dims=2))
 
 
-def test_layers_are_those_of_figure_5_2() -> None:
-    """(in, out, filter size) of every convolution, top to bottom; 64 latents; a linear output."""
+@pytest.mark.parametrize(("sun", "latents"), [(False, 64), (True, 59)])
+def test_layers_are_those_of_figure_5_2(sun: bool, latents: int) -> None:
+    """(in, out, filter size) of every convolution, top to bottom; a linear output.
+
+    With a sun head five of the 64 latents are its coordinates.
+    """
+    network = SkyAutoencoder(sun=sun)
     convolutions = [
         (m.in_channels, m.out_channels, m.kernel_size[0])
-        for m in SkyAutoencoder().modules()
+        for m in network.modules()
         if isinstance(m, torch.nn.Conv2d)
     ]
     assert convolutions == [
@@ -81,10 +86,10 @@ def test_layers_are_those_of_figure_5_2() -> None:
         *[(64, 64, 3), (64, 96, 3), (96, 96, 3), (96, 64, 5)],
         (64, 3, 1),
     ]
-    network = SkyAutoencoder()
-    assert network.to_latent.out_features == 64
+    assert network.to_latent.out_features == latents
+    assert network.from_latent[0].in_features == 64
     weights = sum(i * o * k * k for i, o, k in convolutions) + 3  # the output's bias
-    dense = 1024 * 64 + 64 + 64 * 1024 + 1024
+    dense = 1024 * latents + latents + 64 * 1024 + 1024
     normalisation = 2 * (64 + 96 + 96 + 64 + 1024 + 64 + 96 + 96 + 64)
     assert sum(p.numel() for p in network.parameters()) == weights + dense + normalisation
 
@@ -101,6 +106,26 @@ def test_resolutions_are_those_of_figure_5_2() -> None:
     sky = network.decode(z)
     assert sky.shape == (2, HEIGHT, WIDTH, 3)
     assert (sky >= 0).all()
+
+
+def test_the_sun_has_its_own_coordinates() -> None:
+    """They change the lobe and not what the encoder's other latents are."""
+    network = random_network()
+    generator = torch.Generator().manual_seed(5)
+    skies = torch.rand(2, HEIGHT, WIDTH, 3, generator=generator)
+    skies[:, 10, WIDTH // 2] = torch.tensor([[500.0], [900.0]])
+    z = network.encode(skies)
+    brighter = skies.clone()
+    brighter[:, 10, WIDTH // 2] *= 2
+    again = network.encode(brighter)
+    torch.testing.assert_close(again[:, :-5], z[:, :-5], rtol=1e-5, atol=1e-5)
+    # coordinates are (log E + 1) / 2: twice the light is half a log 2 more
+    torch.testing.assert_close(
+        again[:, -4:-1] - z[:, -4:-1], torch.full((2, 3), math.log(2) / 2), rtol=0.01, atol=0
+    )
+    decoded = network.decode(z)
+    column = decoded.amax(dim=(1, 3)).argmax(1)
+    assert column.tolist() == [WIDTH // 2] * 2
 
 
 @settings(deadline=None)
@@ -186,12 +211,13 @@ def test_the_network_stays_as_it_was_trained(light: AutoencoderLight) -> None:
     assert gradient.isfinite().all()
 
 
+@pytest.mark.parametrize("sun", [True, False])
 @pytest.mark.parametrize("coding", ["log", "linear"])
-def test_saved_and_loaded(tmp_path: Path, coding: str) -> None:
-    network = random_network(coding)
+def test_saved_and_loaded(tmp_path: Path, coding: str, sun: bool) -> None:
+    network = random_network(coding, sun=sun)
     save_network(network, tmp_path / "model.safetensors")
     loaded = load_network(tmp_path / "model.safetensors")
-    assert loaded.coding == coding
+    assert (loaded.coding, loaded.sun) == (coding, sun)
     assert not loaded.training
     z = torch.randn(2, LATENT)
     assert torch.equal(loaded.decode(z), network.decode(z))

@@ -1,10 +1,17 @@
 import math
 
+import numpy as np
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skylight.models.ground import LambertianGround
+from skylight.models.ground import (
+    GROUND_ALBEDOS,
+    GROUND_SPREAD,
+    LambertianGround,
+    ground_prior,
+)
+from skylight.models.prior import GaussianMixture
 from skylight.sphere.grid import DirectionGrid
 
 F64 = torch.float64
@@ -55,3 +62,25 @@ def test_differentiable_in_sky_and_albedo() -> None:
     assert torch.autograd.gradcheck(
         LambertianGround(2).append, (sky.requires_grad_(), albedo.requires_grad_())
     )
+
+
+def test_prior_is_the_gaussian_of_the_nine_grounds() -> None:
+    """Against numpy's moments and the closed form of the density."""
+    log_albedo = np.log(np.array(GROUND_ALBEDOS))
+    covariance = np.cov(log_albedo.T) * GROUND_SPREAD**2 + 0.01 * np.eye(3)
+    away = np.log([[0.1, 0.1, 0.1], [0.6, 0.6, 0.6]]) - log_albedo.mean(0)
+    quadratic = np.einsum("bi,ij,bj->b", away, np.linalg.inv(covariance), away)
+    expected = -0.5 * (quadratic + np.linalg.slogdet(2 * np.pi * covariance)[1])
+    found = ground_prior().log_prob(torch.tensor([[0.1] * 3, [0.6] * 3]).log())
+    np.testing.assert_allclose(found.numpy(), expected, rtol=1e-4)
+
+
+def test_nine_grounds_carry_no_second_component() -> None:
+    log_albedo = torch.tensor(GROUND_ALBEDOS).log()
+    bic = []
+    for components in (1, 2):
+        mixture = GaussianMixture.fit(log_albedo.double(), components, covariance_floor=0.01)
+        parameters = components * (1 + 3 + 6) - 1
+        likelihood = float(mixture.log_prob(log_albedo.double()).sum())
+        bic.append(parameters * math.log(len(log_albedo)) - 2 * likelihood)
+    assert bic[0] < bic[1]

@@ -56,28 +56,38 @@ def single_scattering(
     return (scattered * np.exp(-before - toward) * dt[:, None]).sum(0)
 
 
-def rayleigh_slab(depth, mu_sun, ground_albedo, photons, seed=0):
+def diffuse_light(air, mu_sun, ground_albedo, photons, haze=0.0, albedo=0.92, g=0.76, seed=0):
     """Diffuse irradiance at the ground per unit *horizontal* sunlight, all orders: photons.
 
-    A plane-parallel, conservative Rayleigh slab (scalar) over Lambertian ground.
+    Plane-parallel layers over Lambertian ground: air of vertical optical depth ``air`` and scale
+    height 8 km (Rayleigh, scalar, nothing absorbed), haze of depth ``haze`` and 1.2 km (Henyey &
+    Greenstein, single-scattering albedo ``albedo``). Also returned: its standard error.
     """
     rng = np.random.default_rng(seed)
+    height = np.linspace(100, 0, 20001)
+    both = air * np.exp(-height / 8) + haze * np.exp(-height / 1.2)
+    part = haze / 1.2 * np.exp(-height / 1.2)
+    part = part / (part + air / 8 * np.exp(-height / 8))  # of the extinction, the haze's
+    depth = air + haze
     down = np.tile([math.sqrt(1 - mu_sun**2), 0.0, -mu_sun], (photons, 1))
-    tau, weight = np.zeros(photons), np.ones(photons)  # tau grows downwards
-    direct, received = np.ones(photons, bool), 0.0
-    for _ in range(60):
-        tau = tau - down[:, 2] * rng.exponential(size=len(tau))
+    tau, weight, number = np.zeros(photons), np.ones(photons), np.arange(photons)
+    direct, received = np.ones(photons, bool), np.zeros(photons)
+    for _ in range(200):
+        tau = tau - down[:, 2] * rng.exponential(size=len(tau))  # tau grows downwards
         landed, lost = tau >= depth, tau <= 0
-        received += weight[landed & ~direct].sum()
-        weight = np.where(landed, weight * ground_albedo, weight)
+        received[number[landed & ~direct]] += weight[landed & ~direct]
+        hazy = ~landed & (rng.random(len(tau)) < np.interp(tau, both, part))
+        weight = weight * np.where(landed, ground_albedo, np.where(hazy, albedo, 1.0))
         tau = np.minimum(tau, depth)
         keep = ~lost & (weight > 1e-3)
-        down, tau, weight, landed = down[keep], tau[keep], weight[keep], landed[keep]
+        down, tau, weight, number = down[keep], tau[keep], weight[keep], number[keep]
+        landed, hazy = landed[keep], hazy[keep]
         direct = np.zeros(len(tau), bool)
         if not len(tau):
             break
-        down = np.where(landed[:, None], _cosine_up(rng, len(tau)), _scatter(rng, down))
-    return received / photons
+        c = np.where(hazy, _haze_cosine(rng, len(tau), g), _air_cosine(rng, len(tau)))
+        down = np.where(landed[:, None], _cosine_up(rng, len(tau)), _turned(rng, down, c))
+    return received.mean(), received.std() / math.sqrt(photons)
 
 
 def _cosine_up(rng, count):
@@ -86,11 +96,21 @@ def _cosine_up(rng, count):
     return np.stack([s * np.cos(phi), s * np.sin(phi), mu], 1)
 
 
-def _scatter(rng, direction):
-    """New directions, cos of the angle distributed as 3/8 (1 + c^2) (inverted by Cardano)."""
-    q = 4 * rng.random(len(direction)) - 2
+def _air_cosine(rng, count):
+    """Cosines distributed as 3/8 (1 + c^2), inverted by Cardano's formula."""
+    q = 4 * rng.random(count) - 2
     root = np.cbrt(q + np.sqrt(q * q + 1))
-    c, phi = root - 1 / root, 2 * math.pi * rng.random(len(direction))
+    return root - 1 / root
+
+
+def _haze_cosine(rng, count, g):
+    """Cosines distributed as Henyey & Greenstein's phase function."""
+    return (1 + g * g - ((1 - g * g) / (1 - g + 2 * g * rng.random(count))) ** 2) / (2 * g)
+
+
+def _turned(rng, direction, c):
+    """Directions at angles of cosine ``c`` with the old ones, round them at random."""
+    phi = 2 * math.pi * rng.random(len(direction))
     s = np.sqrt(np.maximum(0, 1 - c * c))
     helper = np.where(np.abs(direction[:, 2:3]) < 0.9, [[0.0, 0, 1]], [[1.0, 0, 0]])
     u = np.cross(direction, helper)

@@ -2,12 +2,12 @@ from pathlib import Path
 
 import pytest
 
-from skylight.skies.dataset import simulate_folder
+from skylight.skies.simulated import simulate_folder
 
 
 @pytest.fixture(scope="session")
 def sky_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six days in miniature: three to train on, one to validate, two to test."""
+    """Six days in miniature: four to train on, one to validate, one to test."""
     out = tmp_path_factory.mktemp("skies")
     simulate_folder(out, days=6, first_seed=13, interval_min=180.0, height=8)
     return out

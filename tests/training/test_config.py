@@ -25,6 +25,7 @@ def test_shipped_configurations_are_read(path: Path) -> None:
     [
         AutoencoderConfig(),
         AutoencoderConfig(weight_decay=1e-5, learning_rate=3e-7, coding="linear", mirror=False),
+        AutoencoderConfig(starts_from=Path("runs/a b/model.safetensors"), schedule="constant"),
         PriorConfig(data=Path("a/b c"), bank=48),
     ],
 )
@@ -56,6 +57,11 @@ def test_numbers_as_people_write_them(tmp_path: Path) -> None:
         ("kind: autoencoder\nlearning_rate: [1]\n", "`learning_rate` must be of type float"),
         ("kind: autoencoder\ndata: 3\n", "`data` must be of type Path"),
         ("kind: autoencoder\nbatch: 0\n", "`batch` must be at least 1"),
+        ("kind: autoencoder\nobstacles: 1.5\n", "`obstacles` is a probability, got 1.5"),
+        ("kind: autoencoder\nmomentum: 0\n", "`nesterov` needs a `momentum` above 0"),
+        ("kind: autoencoder\nnoise_sigma: -1\n", "`noise_sigma` must be at least 0"),
+        ("kind: autoencoder\nschedule: step\n", "`schedule` must be one of cosine, constant"),
+        ("kind: autoencoder\nstarts_from: 3\n", "`starts_from` must be of type"),
         ("kind: prior\nbank: 3\n", "`bank` at least 24"),
     ],
 )

@@ -1,4 +1,5 @@
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +10,8 @@ from safetensors.torch import load_file
 from skylight.errors import AssetError, InputError
 from skylight.models.autoencoder import LATENT, SkyAutoencoder
 from skylight.models.prior import GaussianMixture
-from skylight.skies.dataset import folder_hash, load_skies, read_index
+from skylight.skies.index import folder_hash, read_index
+from skylight.skies.loading import load_skies
 from skylight.training.autoencoder import save_network
 from skylight.training.config import PriorConfig
 from skylight.training.prior import fit_priors
@@ -45,14 +47,21 @@ def fitted(config: PriorConfig) -> Path:
 def test_report_holds_the_choice_and_the_data(fitted: Path, config: PriorConfig) -> None:
     report = json.loads((fitted / "report.json").read_text())
     assert report["data_sha256"] == folder_hash(config.data, read_index(config.data))
+    rows = read_index(config.data)
     for name in ("latent", "sunsky"):
         tried = report[name]["validation_by_components"]
         assert set(tried) == {"1", "2"}
-        best = report[name]["mean_log_likelihood"]
-        assert set(best) == {"train", "validation", "test"}
-        assert best["validation"] == max(tried.values())
+        likelihood = report[name]["mean_log_likelihood"]
+        assert set(likelihood) == {"train", "validation", "test"}
         kept = GaussianMixture.load(fitted / f"{name}_prior.safetensors")
-        assert len(kept.weights) == int(max(tried, key=tried.__getitem__))
+        best = min(tried, key=lambda k: tried[k]["bic"])
+        assert len(kept.weights) == int(best)
+        assert likelihood["validation"] == tried[best]["mean_log_likelihood"]
+        # BIC = parameters ln n - 2 sum log p, counted from the mixture's own tensors
+        size, count = kept.means.shape[1], sum(r.split == "validation" for r in rows)
+        parameters = len(kept.weights) * (1 + size + size * (size + 1) / 2) - 1
+        bic = parameters * math.log(count) - 2 * count * likelihood["validation"]
+        assert tried[best]["bic"] == pytest.approx(bic)
 
 
 def test_mixtures_are_over_all_parameters_but_the_azimuth(fitted: Path) -> None:
@@ -93,6 +102,7 @@ def test_what_is_missing_is_named(config: PriorConfig, tmp_path: Path) -> None:
     with pytest.raises(AssetError, match="no checkpoint there"):
         fit_priors(replace(config, checkpoint=tmp_path / "none.safetensors", out=tmp_path))
     index = (config.data / "index.csv").read_text().splitlines()
-    (tmp_path / "index.csv").write_text("\n".join(index[:2]) + "\n")
+    row = next(row for row in index if ",train," in row)
+    (tmp_path / "index.csv").write_text(f"{index[0]}\n{row}\n")
     with pytest.raises(InputError, match="none falls to validation, test"):
         fit_priors(replace(config, data=tmp_path))

@@ -1,0 +1,135 @@
+"""Skies that are known: simulated test skies, or captured maps from a folder.
+
+Two kinds of folder are read: one with skylight's own index (:mod:`skylight.skies.index`), of
+which the test days are taken, and a collection whose ``index.csv`` says what each map shows in
+the columns ``file`` and ``category``. Of the latter the outdoor maps by day are taken, those of
+:data:`OUTDOOR`; every second of them in the order of their names is the *development* half,
+which settings may be chosen by, and the rest is the *held-out* half.
+"""
+
+import csv
+import math
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from jaxtyping import Float
+from torch import Tensor
+
+from skylight.errors import InputError
+from skylight.imaging.files import read_environment_map
+from skylight.skies.index import INDEX_NAME, SkyRecord, read_index
+from skylight.skies.loading import centre_column_azimuth, load_skies, normalise
+from skylight.skies.simulated import simulated_skies
+from skylight.sphere.envmap import shift_columns
+from skylight.sphere.frame import angles_from_direction
+
+HEIGHT = 32
+VISIBLE = 0.5  # transmittance above which the sun counts as visible
+# What a collection's categories say of the sun: whether it is up and not behind cloud.
+OUTDOOR = {"outdoor-sun": True, "outdoor-lowsun": False, "outdoor-nosun": False}
+_SEEDS_APART = 1000
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownSky:
+    """``radiance`` has a mean luminance of 1, and its sun or brightest place in column w/2."""
+
+    radiance: Float[Tensor, "h w 3"]
+    sun_visible: bool
+    facts: dict[str, object]
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownSkies:
+    """Up to ``count`` skies: of a folder, or simulated from ``seed`` on."""
+
+    count: int
+    seed: int
+    data: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.data is not None and not self.names():
+            raise InputError(
+                f"{self.data / INDEX_NAME}: no outdoor maps in it; expected the categories "
+                f"{', '.join(OUTDOOR)}"
+            )
+
+    @property
+    def collected(self) -> bool:
+        """Whether the maps come from a collection with categories."""
+        return self.data is not None and _is_collection(self.data)
+
+    def names(self) -> list[str]:
+        if self.data is None:
+            return [f"sky{i:04d}" for i in range(self.count)]
+        if self.collected:
+            return [Path(file).stem for file, _ in _collection(self.data)[: self.count]]
+        return [Path(r.file).stem for r in _test_records(self.data)[: self.count]]
+
+    def sky(self, number: int) -> KnownSky:
+        if self.data is not None and self.collected:
+            return _collected_sky(self.data, number)
+        if self.data is not None:
+            record = _test_records(self.data)[number]
+            radiance = load_skies(self.data, [record], height=HEIGHT)[0]
+        else:
+            seed = self.seed + _SEEDS_APART * number
+            ((record, sky),) = simulated_skies(1, first_seed=seed)
+            radiance = normalise(sky.radiance[None])[0]
+        visible = record.sun_transmittance >= VISIBLE
+        facts: dict[str, object] = {
+            "day": record.day,
+            "regime": record.regime,
+            "sun_zenith_deg": record.sun_zenith_deg,
+            "sun_visible": visible,
+        }
+        return KnownSky(radiance=radiance, sun_visible=visible, facts=facts)
+
+
+def _collected_sky(data: Path, number: int) -> KnownSky:
+    """The upper half at 32 x 128, its energy kept, the brightest direction ahead."""
+    file, category = _collection(data)[number]
+    sky = read_environment_map(data / file).upper().resize(HEIGHT)
+    azimuth, zenith = angles_from_direction(sky.brightest_direction())
+    turn = (centre_column_azimuth(HEIGHT) - azimuth).to(sky.radiance)
+    facts: dict[str, object] = {
+        "category": category,
+        "half": "held-out" if number % 2 else "development",
+        "sun_zenith_deg": math.degrees(float(zenith)),
+        "sun_visible": OUTDOOR[category],
+    }
+    return KnownSky(
+        radiance=normalise(shift_columns(sky.radiance[None], turn[None]))[0],
+        sun_visible=OUTDOOR[category],
+        facts=facts,
+    )
+
+
+@cache
+def _is_collection(data: Path) -> bool:
+    try:
+        with (data / INDEX_NAME).open(newline="") as stream:
+            head = next(csv.reader(stream), [])
+    except (OSError, UnicodeDecodeError, csv.Error):
+        return False  # left to read_index, which says what is wrong
+    return {"file", "category"} <= set(head)
+
+
+@cache
+def _collection(data: Path) -> list[tuple[str, str]]:
+    """(file, category) of the outdoor maps by day, in the order of their names."""
+    path = data / INDEX_NAME
+    try:
+        with path.open(newline="") as stream:
+            rows = [(row["file"], row["category"]) for row in csv.DictReader(stream)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: cannot be read as an index of maps ({error})") from error
+    return sorted((file, category) for file, category in rows if category in OUTDOOR)
+
+
+@cache
+def _test_records(data: Path) -> list[SkyRecord]:
+    """The test days' skies; all of them where the split left none (a small folder)."""
+    records = read_index(data)
+    return [r for r in records if r.split == "test"] or records

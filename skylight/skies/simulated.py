@@ -1,0 +1,179 @@
+"""Simulated skies: whole folders to train on, and single ones on the spot to evaluate with."""
+
+import json
+import math
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from skylight.errors import InputError
+from skylight.imaging.files import write_environment_map, write_json
+from skylight.skies.atmosphere import ClearSky
+from skylight.skies.index import INDEX_NAME, SkyRecord, read_rows, write_rows
+from skylight.skies.loading import centre_column_azimuth
+from skylight.skies.simulator import (
+    REGIME_SHARES,
+    Day,
+    Regime,
+    SimulatedSky,
+    draw_day,
+    simulate_day,
+    simulate_sky,
+    sunlit_moments,
+)
+from skylight.skies.splits import divide
+from skylight.sphere.envmap import EnvironmentMap
+
+# Skies simulated on the spot come from seeds from here on, which no folder may use: so nothing
+# is ever evaluated on a day that something was trained on.
+EVALUATION_SEEDS = 30_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulationSettings:
+    """What a day's maps depend on besides its seed; ``shares`` of the regimes sum to 1."""
+
+    interval_min: float
+    height: int
+    shares: dict[Regime, float]
+
+
+def simulate_folder(
+    out: Path,
+    *,
+    days: int,
+    first_seed: int = 0,
+    interval_min: float = 80.0,
+    height: int = 32,
+    shares: dict[Regime, float] = REGIME_SHARES,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Simulate ``days`` days into ``out`` (EXR + index); days already there are kept.
+
+    Returns the index's path. Interrupted runs resume: a day counts as there once its own part
+    of the index is written, which happens after its maps. The days are divided into splits at
+    the end, all of them together. ``progress`` hears how many days are there, and of how many.
+    """
+    if first_seed < 0 or first_seed + days > EVALUATION_SEEDS:
+        raise InputError(
+            f"seeds {first_seed} to {first_seed + days - 1}: skies to train on have seeds from 0 "
+            f"to {EVALUATION_SEEDS - 1}; those above are for evaluation"
+        )
+    parts = out / "days"
+    parts.mkdir(parents=True, exist_ok=True)
+    # in one order: it decides which regime a seed draws
+    shares = {regime: shares.get(regime, 0.0) for regime in REGIME_SHARES}
+    settings = SimulationSettings(interval_min=interval_min, height=height, shares=shares)
+    _settle(out / "settings.json", settings)
+    seeds = range(first_seed, first_seed + days)
+    missing = [s for s in seeds if not (parts / f"{s}.csv").exists()]
+    done = days - len(missing)
+    if progress:
+        progress(done, days)
+    for _ in _simulate_days(out, missing, settings, workers):
+        done += 1
+        if progress:
+            progress(done, days)
+    records = [r for s in seeds for r in read_rows(parts / f"{s}.csv")]
+    write_rows(out / INDEX_NAME, divide(records))
+    return out / INDEX_NAME
+
+
+def simulated_skies(
+    count: int, *, first_seed: int, lowest_transmittance: float = 0.0
+) -> list[tuple[SkyRecord, EnvironmentMap]]:
+    """``count`` skies simulated on the spot: one random sky a day.
+
+    Seeds run upwards from :data:`EVALUATION_SEEDS` + ``first_seed``; skies whose sun gets
+    through by less than ``lowest_transmittance`` are passed over (six tries a day).
+    """
+    if first_seed < 0:
+        raise InputError(f"first_seed must be at least 0, got {first_seed}")
+    found: list[tuple[SkyRecord, EnvironmentMap]] = []
+    seed = EVALUATION_SEEDS + first_seed
+    while len(found) < count:
+        day = draw_day(seed)
+        rng = np.random.default_rng(seed)
+        seed += 1
+        moments = sunlit_moments(day, interval_min=10.0)
+        clear = ClearSky(day.atmosphere)
+        for i in rng.permutation(len(moments))[:6]:
+            sky = simulate_sky(day, clear, *moments[i], height=32)
+            if sky.sun_transmittance >= lowest_transmittance:
+                found.append((_record(day, sky, "", 32), sky.sky))
+                break
+    return found
+
+
+def _settle(note: Path, settings: SimulationSettings) -> None:
+    """Write the settings, or see that those of an earlier run were the same."""
+    wanted = json.loads(json.dumps(asdict(settings)))
+    if note.exists():
+        text = note.read_text()
+        try:
+            same = json.loads(text) == wanted
+        except ValueError as error:
+            raise InputError(f"{note}: damaged; give another folder ({error})") from error
+        if not same:
+            raise InputError(
+                f"{note.parent}: holds skies made with other settings ({' '.join(text.split())}); "
+                "give the same interval, height and shares, or another folder"
+            )
+    write_json(note, wanted)
+
+
+def _simulate_days(
+    out: Path, seeds: list[int], settings: SimulationSettings, workers: int
+) -> Iterator[int]:
+    """Simulate the days, yielding each one's seed when it is done."""
+    if workers == 1:
+        for seed in seeds:
+            _simulate_day_files(out, seed, settings)
+            yield seed
+        return
+    pool = ProcessPoolExecutor(workers, initializer=_start_worker)
+    try:
+        futures = [pool.submit(_simulate_day_files, out, seed, settings) for seed in seeds]
+        for future in as_completed(futures):
+            yield future.result()
+    finally:
+        # on Ctrl-C the days at work are finished, which takes seconds, and no others begun
+        pool.shutdown(cancel_futures=True)
+
+
+def _start_worker() -> None:
+    torch.set_num_threads(1)  # the workers already share the cores
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches them too; the parent decides
+
+
+def _simulate_day_files(out: Path, seed: int, settings: SimulationSettings) -> int:
+    day = draw_day(seed, shares=settings.shares)
+    records = []
+    for sky in simulate_day(day, interval_min=settings.interval_min, height=settings.height):
+        name = f"{day.name}_{sky.time:%H%M}.exr"
+        write_environment_map(out / name, sky.sky)
+        records.append(_record(day, sky, name, settings.height))
+    write_rows(out / "days" / f"{seed}.csv", records)
+    return seed
+
+
+def _record(day: Day, sky: SimulatedSky, file: str, height: int) -> SkyRecord:
+    return SkyRecord(
+        file=file,
+        day=day.name,
+        time=f"{sky.time:%Y-%m-%dT%H:%M:%SZ}",
+        regime=day.regime,
+        sun_zenith_deg=math.degrees(sky.sun_zenith_rad),
+        sun_azimuth_deg=math.degrees(sky.sun_azimuth_rad),
+        map_azimuth_deg=math.degrees(centre_column_azimuth(height)),
+        sun_transmittance=sky.sun_transmittance,
+        latitude_deg=day.place.latitude_deg,
+        longitude_deg=day.place.longitude_deg,
+        seed=day.seed,
+    )

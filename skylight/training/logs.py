@@ -1,0 +1,86 @@
+"""What a run tells about itself: curves, TensorBoard, and skies beside their reconstructions."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from skylight.imaging.colour import tone_map
+from skylight.imaging.files import write_json, write_png
+from skylight.models.autoencoder import SkyAutoencoder
+
+SHOWN = 8  # validation skies
+WHITE = 1.5  # shown as full white; skies have mean luminance 1, clear ones most of it in the sun
+
+
+class Logs:
+    """Writes ``curves.json``, ``reconstructions/*.png`` and, where installed, TensorBoard's logs.
+
+    ``step`` is where the run goes on: TensorBoard hides what an earlier one logged beyond it.
+    """
+
+    def __init__(
+        self,
+        out: Path,
+        validation: Float[np.ndarray, "m h w 3"],
+        *,
+        facts: dict[str, Any],
+        step: int,
+        report: Callable[[str], None],
+    ) -> None:
+        self.out, self.facts, self.report = out, facts, report
+        count = min(SHOWN, len(validation))
+        fixed = np.linspace(0, len(validation) - 1, count).round().astype(int)
+        self.truth = torch.from_numpy(validation[fixed])
+        (out / "reconstructions").mkdir(exist_ok=True)
+        self.board = _tensorboard(out / "tensorboard", step, report)
+
+    def epoch(
+        self, network: SkyAutoencoder, curves: list[dict[str, int | float]], best: float
+    ) -> None:
+        """Log the last of ``curves``, an entry per epoch."""
+        last = curves[-1]
+        step = int(last["step"])
+        write_json(self.out / "curves.json", {**self.facts, "curves": curves})
+        picture = reconstructions(network, self.truth)
+        write_png(self.out / "reconstructions" / f"epoch_{len(curves):04d}.png", picture)
+        if self.board:
+            for name in ("train", "validation"):
+                self.board.add_scalar(f"loss/{name}", last[name], step)
+            for name in ("learning_rate", "images_per_s"):
+                self.board.add_scalar(name, last[name], step)
+            self.board.add_image("reconstructions", picture, step, dataformats="HWC")
+            self.board.flush()
+        self.report(
+            f"epoch {len(curves)}  train {last['train']:.4f}  validation "
+            f"{last['validation']:.4f}  best {best:.4f}  {last['images_per_s']:.0f} images/s"
+        )
+
+    def close(self) -> None:
+        if self.board:
+            self.board.close()
+
+
+@torch.no_grad()
+def reconstructions(
+    network: SkyAutoencoder, truth: Float[Tensor, "n h w 3"]
+) -> UInt8[np.ndarray, "_ _ 3"]:
+    """Truth over reconstruction, 2h x nw pixels, under one exposure."""
+    network.eval()
+    device = next(network.parameters()).device
+    again = network.decode(network.encode(truth.to(device))).cpu()
+    rows = [torch.cat(list(skies), 1) for skies in (truth, again)]
+    return tone_map(torch.cat(rows), white=WHITE)
+
+
+def _tensorboard(folder: Path, step: int, report: Callable[[str], None]) -> Any:
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        report("no TensorBoard logs: install tensorboard for them (pip install 'skylight[train]')")
+        return None
+    return SummaryWriter(str(folder), purge_step=step + 1)

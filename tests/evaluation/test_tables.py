@@ -1,0 +1,118 @@
+"""Tables, and what an evaluation sets itself for goals."""
+
+import pytest
+
+from skylight.evaluation.run import Item
+from skylight.evaluation.sky_models import REAL_GOALS, SIMULATED_GOALS, SkyModels
+from skylight.evaluation.tables import markdown, summarise, summarise_groups
+
+METHODS = ("sh9", "sh25", "sunsky", "autoencoder_feedforward", "autoencoder")
+
+
+def items() -> list[Item]:
+    """Method number m on sky number s has an error of m + s."""
+    kinds = [("outdoor-sun", "development"), ("outdoor-sun", "held-out"), ("outdoor-nosun", "x")]
+    return [
+        Item(
+            name=str(s),
+            metrics={name: {"mae": float(m + s)} for m, name in enumerate(METHODS)},
+            facts={"category": category, "half": half},
+        )
+        for s, (category, half) in enumerate(kinds)
+    ]
+
+
+def results(name: str, measured: list[Item]) -> dict:
+    return {
+        "name": name,
+        "command": "c",
+        "n": len(measured),
+        "commit": "0",
+        "date": "d",
+        "machine": "m",
+        "rows": summarise(measured),
+        "groups": summarise_groups(measured),
+        "checks": {},
+        "problems": {},
+    }
+
+
+def test_every_value_of_a_grouping_fact_has_its_rows():
+    groups = summarise_groups(items())
+    assert list(groups) == [
+        "category: outdoor-nosun",
+        "category: outdoor-sun",
+        "half: development",
+        "half: held-out",
+        "half: x",
+    ]
+    assert groups["category: outdoor-sun"]["sh25"]["mae"] == {
+        "mean": 1.5,
+        "median": 1.5,
+        "std": 0.5,
+        "n": 2,
+    }
+
+
+def test_real_skies_stand_beside_the_thesis_too():
+    page = markdown(results("sky-models-real", items()))
+    assert "| MAE (s) | 1 ± 0.82 [1] | 2 ± 0.82 [2] |" in page
+    assert "The thesis, Table 5.1" in page
+    assert "| MAE (s) | 0.56 ± 0.62 | 0.53 ± 0.62 |" in page
+    group = page[page.index("category: outdoor-sun (2)") :]
+    assert (
+        group.splitlines()[4]
+        == "| MAE (s) | 0.5 ± 0.5 | 1.5 ± 0.5 | 2.5 ± 0.5 | 3.5 ± 0.5 | 4.5 ± 0.5 |"
+    )
+
+
+def test_many_methods_become_rows():
+    wide = [Item(name="0", metrics={f"m{i}": {"psnr": float(i)} for i in range(12)})]
+    page = markdown(results("sky-representations", wide))
+    assert "| | tone-mapped PSNR, dB |" in page
+    assert "| m11 | 11 ± 0 [11] |" in page
+    assert "| RENI++ | 18.02 | 20.87 | 21.13 | 22.10 |" in page
+
+
+def rows(autoencoder: float, others: float) -> dict[str, dict[str, dict[str, float]]]:
+    values = {m: (autoencoder if m == "autoencoder" else others) for m in METHODS}
+    return {m: {k: {"mean": v} for k in SIMULATED_GOALS} for m, v in values.items()}
+
+
+def test_simulated_goals_are_limits():
+    checks = SkyModels(count=1).checks(rows(0.05, 1.0), [])
+    assert all(checks[f"autoencoder {metric}"].ok for metric in SIMULATED_GOALS)
+    assert not checks["autoencoder_feedforward mae"].ok  # 1.0, and 0.5 is the goal
+    missed = SkyModels(count=1).checks(rows(0.8, 1.0), [])
+    assert not any(missed[f"autoencoder {metric}"].ok for metric in SIMULATED_GOALS)
+
+
+def test_real_goals_are_the_other_columns(tmp_path):
+    (tmp_path / "index.csv").write_text("file,category\na.exr,outdoor-sun\n")
+    evaluation = SkyModels(count=1, data=tmp_path)
+    assert evaluation.name == "sky-models-real"
+    checks = evaluation.checks(rows(0.5, 1.0), [])
+    assert all(check.ok for check in checks.values())
+    assert len(checks) == len(REAL_GOALS) + 1  # and the sun's angle
+    values = rows(0.5, 1.0)
+    values["sunsky"]["mae"]["mean"] = 0.4
+    values["sunsky"]["sky_dw_mae"]["mean"] = 0.4  # of the sky only SH25 counts
+    missed = [name for name, c in evaluation.checks(values, []).items() if not c.ok]
+    assert [name.split()[1] for name in missed] == ["mae"]
+    assert "(sunsky)" in evaluation.checks(values, [])[missed[0]].goal
+    values["autoencoder"]["sun_angle_deg"]["mean"] = 3.5
+    assert not evaluation.checks(values, [])["autoencoder sun_angle_deg"].ok
+
+
+def test_without_a_fitted_autoencoder_there_is_nothing_to_check():
+    assert SkyModels(count=1).checks({"sh9": {"mae": {"mean": 1.0}}}, []) == {}
+
+
+def test_a_run_without_any_sun_is_checked_for_the_rest():
+    values = rows(0.05, 1.0)
+    for metrics in values.values():
+        for metric in ("sun_dw_mae", "sun_angle_deg"):
+            del metrics[metric]
+    checks = SkyModels(count=1).checks(values, [])
+    assert not any("sun_" in name for name in checks)
+    assert checks["autoencoder mae"].value == pytest.approx(0.05)

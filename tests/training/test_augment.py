@@ -1,0 +1,70 @@
+import torch
+
+from skylight.sphere.envmap import LUMINANCE
+from skylight.sphere.grid import DirectionGrid
+from skylight.training.augment import augment, obstacles
+from skylight.training.config import AutoencoderConfig
+
+
+def test_mirroring_keeps_the_sun_in_its_column() -> None:
+    skies = torch.rand(8, 32, 128, 3, generator=torch.Generator().manual_seed(0))
+    plain, mirrored = (
+        augment(skies, torch.Generator().manual_seed(1), AutoencoderConfig(mirror=mirror))
+        for mirror in (False, True)
+    )
+    torch.testing.assert_close(mirrored[:, :, 64], plain[:, :, 64], rtol=0, atol=0)
+    # column 64 + k of a mirrored sky is column 64 - k of the sky
+    reflected = plain[:, :, (64 - (torch.arange(128) - 64)) % 128]
+    flipped = [
+        torch.equal(m, r) and not torch.equal(m, p)
+        for m, r, p in zip(mirrored, reflected, plain, strict=True)
+    ]
+    kept = [torch.equal(m, p) for m, p in zip(mirrored, plain, strict=True)]
+    assert all(a != b for a, b in zip(flipped, kept, strict=True))
+    assert 0 < sum(flipped) < 8
+
+
+def mean_luminance(skies: torch.Tensor) -> torch.Tensor:
+    weight = DirectionGrid.sky(32).solid_angles.float() / (2 * torch.pi)
+    return torch.einsum("n,bnc,c->b", weight, skies.flatten(1, 2), torch.tensor(LUMINANCE))
+
+
+def test_every_sky_keeps_a_mean_of_one() -> None:
+    skies = 3 * torch.rand(6, 32, 128, 3, generator=torch.Generator().manual_seed(0))
+    config = AutoencoderConfig(obstacles=1.0, tint=0.2)
+    varied = augment(skies, torch.Generator().manual_seed(1), config)
+    torch.testing.assert_close(mean_luminance(varied), torch.ones(6), rtol=1e-4, atol=0)
+    assert (varied >= 0).all()
+
+
+def test_tint_changes_colours_alone() -> None:
+    skies = torch.rand(4, 32, 128, 3, generator=torch.Generator().manual_seed(0)) + 0.1
+    config = AutoencoderConfig(mirror=False, tint=0.2)
+    varied = augment(skies, torch.Generator().manual_seed(1), config)
+    gain = varied / skies
+    torch.testing.assert_close(gain, gain[:, :1, :1].expand_as(gain), rtol=1e-4, atol=0)
+    assert float((gain[:, 0, 0] / gain[:, 0, 0].mean(1, keepdim=True)).std()) > 0.05
+
+
+def test_obstacles_stand_below_and_the_share_is_kept() -> None:
+    skies = torch.ones(60, 32, 128, 3)
+    generator = torch.Generator().manual_seed(2)
+    cover, radiance = obstacles(skies, generator)
+    assert ((cover >= 0) & (cover <= 1)).all()
+    rows = cover.mean(dim=(0, 2, 3))
+    assert float(rows[-1]) > 0.5 > 0.2 > float(rows[:8].mean())
+    # a wall that sees half of a uniform sky of radiance 1 receives pi / 2, and sends back at most
+    # its albedo (0.4) times that over pi, but for colour and texture
+    assert float(radiance.median()) < 0.2
+    config = AutoencoderConfig(mirror=False, obstacles=0.25)
+    changed = (augment(skies, generator, config) - 1).abs().amax(dim=(1, 2, 3)) > 0.01
+    assert 0.1 < float(changed.float().mean()) < 0.4
+
+
+def test_walls_opposite_the_sun_are_the_brightest() -> None:
+    """The sun, in column 64, shines on what the observer sees in column 0."""
+    skies = torch.full((40, 32, 128, 3), 0.1)
+    skies[:, 20, 64] = 1000.0
+    _, radiance = obstacles(skies, torch.Generator().manual_seed(3))
+    columns = radiance.mean(dim=(0, 1, 3))
+    assert float(columns[[0, 1, 2, 125, 126, 127]].mean()) > 5 * float(columns[62:67].mean())

@@ -1,0 +1,84 @@
+import numpy as np
+import pytest
+import torch
+
+from skylight.models.autoencoder import SkyAutoencoder
+from skylight.training.config import AutoencoderConfig
+from skylight.training.loss import reconstruction_loss
+
+STILL = torch.zeros(3, 3, 32, 128)
+
+
+def skies() -> tuple[np.ndarray, np.ndarray]:
+    true, predicted = np.random.default_rng(0).exponential(2.0, (2, 3, 32, 128, 3))
+    return true, predicted
+
+
+def loss_of(predicted: np.ndarray, true: np.ndarray, config: AutoencoderConfig) -> np.ndarray:
+    """The loss of a network that decodes ``predicted``, whatever it is given."""
+    network = SkyAutoencoder(sun=False)
+    coded = torch.tensor(np.log1p(predicted)).permute(0, 3, 1, 2).float()
+    network.decode_coded = lambda z: coded  # type: ignore[method-assign]
+    with torch.no_grad():
+        return reconstruction_loss(network, torch.tensor(true).float(), STILL, config).numpy()
+
+
+@pytest.mark.parametrize("energy_weight", [0.0, 0.3])
+@pytest.mark.parametrize("scale_invariant", [0.0, 2.0])
+def test_loss_is_its_formula(energy_weight: float, scale_invariant: float) -> None:
+    true, predicted = skies()
+    config = AutoencoderConfig(energy_weight=energy_weight, scale_invariant=scale_invariant)
+    edges = np.cos(np.linspace(0, np.pi / 2, 33))
+    row = (edges[:-1] - edges[1:]) * 2 * np.pi / 128
+    share = np.broadcast_to(row[None, :, None, None] / (2 * np.pi) / 3, true.shape)
+    d = np.log1p(predicted) - np.log1p(true)
+    each = (1 + energy_weight * np.maximum(true, predicted)) * np.abs(d)
+    axes = (1, 2, 3)
+    spread = (share * d**2).sum(axes) - (share * d).sum(axes) ** 2
+    expected = (share * each).sum(axes) + scale_invariant * spread
+    np.testing.assert_allclose(loss_of(predicted, true, config), expected, rtol=1e-5)
+
+
+def test_loss_of_the_truth_is_zero() -> None:
+    true, _ = skies()
+    np.testing.assert_allclose(loss_of(true, true, AutoencoderConfig()), 0, atol=1e-6)
+
+
+def test_the_second_part_forgives_exposure_and_nothing_else() -> None:
+    true, _ = skies()
+    brighter = np.expm1(np.log1p(true) + 0.3)
+    plain, forgiving = (
+        loss_of(brighter, true, AutoencoderConfig(energy_weight=0.0, scale_invariant=s))
+        for s in (0.0, 5.0)
+    )
+    np.testing.assert_allclose(plain, 0.3, rtol=1e-4)
+    np.testing.assert_allclose(forgiving, plain, atol=1e-5)
+
+
+def test_a_sun_with_its_own_head_is_not_the_networks_concern() -> None:
+    """The same loss whatever the sun's strength, but for its coordinates in the decoder."""
+    network = SkyAutoencoder(sun=True)
+    seen = []
+    coded = torch.zeros(1, 3, 32, 128)
+    network.decode_coded = lambda z: seen.append(z) or coded  # type: ignore[method-assign]
+    losses = []
+    for strength in (1e2, 1e4):
+        sky = torch.full((1, 32, 128, 3), 0.5)
+        sky[:, 9, 64] = strength
+        losses.append(float(reconstruction_loss(network, sky, STILL[:1], AutoencoderConfig())))
+    assert losses[0] == pytest.approx(losses[1], rel=1e-6)
+    assert not torch.allclose(seen[0][:, -5:], seen[1][:, -5:])
+
+
+def test_noise_reaches_the_suns_coordinates() -> None:
+    network = SkyAutoencoder(sun=True)
+    seen = []
+    coded = torch.zeros(3, 3, 32, 128)
+    network.decode_coded = lambda z: seen.append(z) or coded  # type: ignore[method-assign]
+    sky = torch.rand(3, 32, 128, 3, generator=torch.Generator().manual_seed(0))
+    noise = 0.01 * torch.randn(3, 3, 32, 128, generator=torch.Generator().manual_seed(1))
+    with torch.no_grad():
+        for sun_noise in (0.0, 5.0):
+            reconstruction_loss(network, sky, noise, AutoencoderConfig(sun_noise=sun_noise))
+    shift = (seen[1] - seen[0])[:, -5:]
+    torch.testing.assert_close(shift, 5 * noise.flatten(1)[:, :5], rtol=1e-4, atol=1e-6)
