@@ -1,6 +1,7 @@
 """The ``skylight`` command: every verb is a typed function elsewhere, imported when it is run."""
 
 import math
+import os
 import re
 import sys
 import traceback
@@ -162,7 +163,7 @@ def simulate_skies(
     size: str = "32x128",
     interval: float = 80.0,
     first_seed: int = 0,
-    workers: int = 1,
+    workers: int = 0,
     clear: float | None = None,
     broken: float | None = None,
     overcast: float | None = None,
@@ -175,16 +176,18 @@ def simulate_skies(
         size: Height x width of a map of the upper hemisphere: its width is 4 heights.
         interval: Minutes from one sky to the next; only skies with the sun up are kept.
         first_seed: Seed of the first day; the others follow.
-        workers: Processes that work at the same time.
+        workers: Processes that work at the same time; 0 for one per core.
         clear: Share of clear days. Where any of the three shares is given, those that are not
             are 0, and they are scaled to a sum of 1; by default 0.35, 0.4 and 0.25.
         broken: Share of days with broken clouds.
         overcast: Share of overcast days.
     """
     height = _sky_height(size)
-    for name, value in (("days", days), ("interval", interval), ("workers", workers)):
+    for name, value in (("days", days), ("interval", interval)):
         if not value > 0 or not math.isfinite(value):
             raise InputError(f"--{name} must be above 0, got {value}")
+    if workers < 0:
+        raise InputError(f"--workers must be 0 or more, got {workers}")
     from skylight.app.progress import stage_bar
     from skylight.app.sky_folders import counts, regime_shares, with_time_left
     from skylight.skies.index import read_index
@@ -199,7 +202,7 @@ def simulate_skies(
             interval_min=interval,
             height=height,
             shares=shares,
-            workers=workers,
+            workers=workers or os.cpu_count() or 1,
             progress=with_time_left("day", progress),
         )
     print(f"{index}: {counts(read_index(out))}")

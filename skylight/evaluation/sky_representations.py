@@ -26,9 +26,9 @@ from skylight.evaluation.run import Check, Item
 from skylight.evaluation.sky_fits import (
     LossWeights,
     SkyLoss,
-    autoencoder_starts,
+    autoencoder_start,
     descend,
-    sun_and_sky_starts,
+    sun_and_sky_start,
 )
 from skylight.imaging.colour import linear_to_srgb
 from skylight.imaging.files import write_png
@@ -153,12 +153,12 @@ def fit_gaussians(sky: Sky, lobes: int) -> Sky:
 
 def fit_sun_and_sky(sky: Sky) -> Sky:
     loss = SkyLoss(sunsky_light(), sky, LOG_ONLY)
-    return descend(loss, sun_and_sky_starts(sky)).reshape(sky.shape)
+    return descend(loss, sun_and_sky_start(sky)).reshape(sky.shape)
 
 
 def fit_autoencoder(sky: Sky) -> Sky:
     loss = SkyLoss(autoencoder_light(), sky, LOG_ONLY)
-    return descend(loss, autoencoder_starts(loss, sky)).reshape(sky.shape)
+    return descend(loss, autoencoder_start(sky)).reshape(sky.shape)
 
 
 def _representations() -> dict[str, tuple[int, Callable[[Sky], Sky]]]:
