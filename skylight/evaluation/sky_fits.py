@@ -161,8 +161,10 @@ def autoencoder_start(sky: Float[Tensor, "h w 3"]) -> Float[Tensor, "1 p"]:
         return torch.cat([autoencoder_light().network.encode(sky[None]), azimuth], 1)
 
 
-def descend(loss: SkyLoss, start: Float[Tensor, "1 p"]) -> Float[Tensor, "n 3"]:
-    """Radiance at the least loss that descent from ``start`` finds.
+def descend(
+    loss: SkyLoss, start: Float[Tensor, "1 p"], *, held: int = HELD, released: int = RELEASED
+) -> Float[Tensor, "n 3"]:
+    """Radiance at the least loss that descent from ``start`` finds in so many iterations.
 
     The azimuth is held at first. A map turned by parts of a column has a kink wherever the turn
     is a whole number of columns, and at that kink, where all starts are, the one-sided gradient
@@ -170,8 +172,8 @@ def descend(loss: SkyLoss, start: Float[Tensor, "1 p"]) -> Float[Tensor, "n 3"]:
     """
     model = loss.model
     free = model.to_free(start)
-    best = minimise(_held(loss, free), free, iterations=HELD).x
-    best = minimise(loss, best, iterations=RELEASED).x
+    best = minimise(_held(loss, free), free, iterations=held).x
+    best = minimise(loss, best, iterations=released).x
     with torch.no_grad():
         return model.radiance(model.from_free(best))[0]
 

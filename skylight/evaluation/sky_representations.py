@@ -24,6 +24,9 @@ from skylight.evaluation.known_skies import HEIGHT, KnownSkies
 from skylight.evaluation.pictures import sky_grid
 from skylight.evaluation.run import Check, Item
 from skylight.evaluation.sky_fits import (
+    HELD,
+    RELEASED,
+    Decoder,
     LossWeights,
     SkyLoss,
     autoencoder_start,
@@ -141,24 +144,28 @@ def fit_harmonics(sky: Sky, degree: int) -> Sky:
     shown = sky.reshape(-1, 3).clamp(max=float(torch.quantile(sky, QUANTILE)))
     basis = model.model.basis[: len(shown)]
     start = solve_linear(basis.double(), shown.double(), model.grid.solid_angles).float()
-    return descend(SkyLoss(model, sky, LOG_ONLY), start.reshape(1, -1)).reshape(sky.shape)
+    return _descended(model, start.reshape(1, -1), sky)
 
 
 def fit_gaussians(sky: Sky, lobes: int) -> Sky:
     """Descent from :meth:`~skylight.models.gaussians.GaussianLobes.matching_start`."""
     model = GaussianLobes(lobes, HEIGHT)
     start = model.matching_start(sky.reshape(1, -1, 3))
-    return descend(SkyLoss(model, sky, LOG_ONLY), start).reshape(sky.shape)
+    return _descended(model, start, sky)
 
 
 def fit_sun_and_sky(sky: Sky) -> Sky:
-    loss = SkyLoss(sunsky_light(), sky, LOG_ONLY)
-    return descend(loss, sun_and_sky_start(sky)).reshape(sky.shape)
+    return _descended(sunsky_light(), sun_and_sky_start(sky), sky)
 
 
 def fit_autoencoder(sky: Sky) -> Sky:
-    loss = SkyLoss(autoencoder_light(), sky, LOG_ONLY)
-    return descend(loss, autoencoder_start(sky)).reshape(sky.shape)
+    return _descended(autoencoder_light(), autoencoder_start(sky), sky)
+
+
+def _descended(model: Decoder, start: Float[Tensor, "1 p"], sky: Sky) -> Sky:
+    loss = SkyLoss(model, sky, LOG_ONLY)
+    # twice the usual: hundreds of parameters are slow to settle
+    return descend(loss, start, held=2 * HELD, released=2 * RELEASED).reshape(sky.shape)
 
 
 def _representations() -> dict[str, tuple[int, Callable[[Sky], Sky]]]:

@@ -71,13 +71,17 @@ class UpConv(nn.Module):
         self.register_buffer("fold", fold, persistent=False)
         self.reach = reach
 
-    def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b d h2 w2"]:
+    def phases(self) -> Float[Tensor, "d4 c t u"]:
+        """The four small kernels of each output channel, in pixel_shuffle's order."""
         weight = self.reference.conv.weight
         fold = self.get_buffer("fold").to(weight)
         phases = torch.einsum("ptk,qul,oikl->opqitu", fold, fold, weight)
-        phases = phases.reshape(-1, *phases.shape[3:])
+        return phases.reshape(-1, *phases.shape[3:])
+
+    def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b d h2 w2"]:
         x = functional.pad(x, (self.reach, self.reach, 0, 0), mode="circular")
-        return functional.pixel_shuffle(functional.conv2d(x, phases, padding=(self.reach, 0)), 2)
+        x = functional.conv2d(x, self.phases(), padding=(self.reach, 0))
+        return functional.pixel_shuffle(x, 2)
 
 
 class SkyAutoencoder(nn.Module):
@@ -159,10 +163,62 @@ class SkyAutoencoder(nn.Module):
 
     def decode(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b h w 3"]:
         """Relative radiance, >= 0."""
-        sky = self.uncode(self.decode_coded(z))
+        return self.finish(self.decode_coded(z), z)
+
+    def finish(
+        self, coded: Float[Tensor, "b 3 h w"], z: Float[Tensor, "b z"]
+    ) -> Float[Tensor, "b h w 3"]:
+        """Radiance from what :meth:`decode_coded` gives: uncoded, the sun's lobe added."""
+        sky = self.uncode(coded)
         if self.sun_head is None:
             return sky
         return sky + self.sun_head.lobe(z[:, -COORDINATES:])
+
+
+class FrozenDecoder(nn.Module):
+    """What ``decode_coded`` of a trained network computes, with less to compute.
+
+    In evaluation batch normalisation is an affine map per channel; here it is part of the weights
+    before it, and so is the folding of :class:`UpConv`'s kernel. Equal to rounding.
+    """
+
+    def __init__(self, network: SkyAutoencoder) -> None:
+        super().__init__()
+        linear, norm, _ = network.from_latent
+        assert isinstance(linear, nn.Linear)
+        assert isinstance(norm, nn.BatchNorm1d)
+        scale, shift = _affine(norm)
+        self.first = nn.Linear(linear.in_features, linear.out_features)
+        self.first.weight.data = linear.weight.detach() * scale[:, None]
+        self.first.bias.data = linear.bias.detach() * scale + shift
+        self.phases = nn.ModuleList()
+        for up, norm, _ in network.decoder:  # pyright: ignore[reportGeneralTypeIssues]
+            scale, shift = (x.repeat_interleave(4) for x in _affine(norm))
+            kernel = up.phases().detach() * scale[:, None, None, None]
+            out, channels, size, _ = kernel.shape
+            layer = nn.Conv2d(channels, out, size, padding=(up.reach, 0))
+            layer.weight.data = kernel.contiguous(memory_format=torch.channels_last)
+            layer.bias.data = shift  # pyright: ignore[reportOptionalMemberAccess]
+            self.phases.append(layer)
+        self.output = network.output
+        self.requires_grad_(False)
+
+    def forward(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
+        x = functional.relu(self.first(z)).reshape(-1, 64, 2, 8)
+        x = x.contiguous(memory_format=torch.channels_last)
+        for layer in self.phases:
+            reach = layer.padding[0]  # pyright: ignore
+            x = functional.pad(x, (reach, reach, 0, 0), mode="circular")  # pyright: ignore
+            x = functional.pixel_shuffle(functional.relu(layer(x)), 2)
+        return self.output(x)
+
+
+def _affine(norm: nn.BatchNorm1d | nn.BatchNorm2d) -> tuple[Tensor, Tensor]:
+    """(scale, shift) of a batch normalisation in evaluation."""
+    assert norm.running_mean is not None
+    assert norm.running_var is not None
+    scale = norm.weight.detach() / torch.sqrt(norm.running_var + norm.eps)
+    return scale, norm.bias.detach() - scale * norm.running_mean
 
 
 class AutoencoderLight(nn.Module):
@@ -190,6 +246,7 @@ class AutoencoderLight(nn.Module):
     ) -> None:
         super().__init__()
         self.network = network.eval().requires_grad_(False)
+        self.decoder = FrozenDecoder(self.network)
         self.latent_mean: Tensor
         self.latent_scale: Tensor
         self.bank: Tensor
@@ -211,7 +268,8 @@ class AutoencoderLight(nn.Module):
         return -limit, limit
 
     def radiance(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b n 3"]:
-        sky = self.network.decode(params[:, :LATENT])
+        z = params[:, :LATENT]
+        sky = self.network.finish(self.decoder(z), z)
         turned = shift_columns(sky, params[:, LATENT] - CENTRE_AZIMUTH_RAD)
         return turned.reshape(len(params), -1, 3)
 
