@@ -8,6 +8,7 @@ which settings may be chosen by, and the rest is the *held-out* half.
 """
 
 import csv
+import hashlib
 import math
 from dataclasses import dataclass
 from functools import cache
@@ -25,7 +26,7 @@ from skylight.sphere.envmap import shift_columns
 from skylight.sphere.frame import angles_from_direction
 
 HEIGHT = 32
-VISIBLE = 0.5  # transmittance above which the sun counts as visible
+VISIBLE = 0.5  # transmittance from which on the sun counts as visible
 # What a collection's categories say of the sun: whether it is up and not behind cloud.
 OUTDOOR = {"outdoor-sun": True, "outdoor-lowsun": False, "outdoor-nosun": False}
 _SEEDS_APART = 1000
@@ -60,12 +61,18 @@ class KnownSkies:
         """Whether the maps come from a collection with categories."""
         return self.data is not None and _is_collection(self.data)
 
+    def fingerprint(self) -> str | None:
+        """SHA-256 of the folder's index: results of another one are none of these."""
+        if self.data is None:
+            return None
+        return hashlib.sha256((self.data / INDEX_NAME).read_bytes()).hexdigest()
+
     def names(self) -> list[str]:
         if self.data is None:
             return [f"sky{i:04d}" for i in range(self.count)]
         if self.collected:
-            return [Path(file).stem for file, _ in _collection(self.data)[: self.count]]
-        return [Path(r.file).stem for r in _test_records(self.data)[: self.count]]
+            return [_name(file) for file, _ in _collection(self.data)[: self.count]]
+        return [_name(r.file) for r in _test_records(self.data)[: self.count]]
 
     def sky(self, number: int) -> KnownSky:
         if self.data is not None and self.collected:
@@ -80,6 +87,7 @@ class KnownSkies:
         visible = record.sun_transmittance >= VISIBLE
         facts: dict[str, object] = {
             "day": record.day,
+            "seed": record.seed,
             "regime": record.regime,
             "sun_zenith_deg": record.sun_zenith_deg,
             "sun_visible": visible,
@@ -106,6 +114,11 @@ def _collected_sky(data: Path, number: int) -> KnownSky:
     )
 
 
+def _name(file: str) -> str:
+    """A map's path as the name of a picture: maps of one name may lie in several folders."""
+    return Path(file).with_suffix("").as_posix().strip("/").replace("/", "_")
+
+
 @cache
 def _is_collection(data: Path) -> bool:
     try:
@@ -130,6 +143,8 @@ def _collection(data: Path) -> list[tuple[str, str]]:
 
 @cache
 def _test_records(data: Path) -> list[SkyRecord]:
-    """The test days' skies; all of them where the split left none (a small folder)."""
-    records = read_index(data)
-    return [r for r in records if r.split == "test"] or records
+    """The test days' skies."""
+    records = [r for r in read_index(data) if r.split == "test"]
+    if not records:
+        raise InputError(f"{data / INDEX_NAME}: none of its days is a test day; add days")
+    return records

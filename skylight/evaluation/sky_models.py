@@ -71,7 +71,7 @@ class SkyModels:
 
     def config(self) -> dict[str, object]:
         data = str(self.data.resolve()) if self.data else None
-        return {"seed": self.seed, "data": data}
+        return {"seed": self.seed, "data": data, "index": self.skies.fingerprint()}
 
     def items(self) -> list[str]:
         return self.skies.names()

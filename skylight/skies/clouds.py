@@ -190,7 +190,8 @@ def _noise_space(
     moved = matrix @ torch.tensor([wind.east_km, 0.0, wind.south_km], dtype=torch.float64)
     origin = CELLS * torch.tensor(shift, dtype=torch.float64) - moved
     origin[1] += wind.change
-    return matrix.to(like), torch.remainder(origin, CELLS).to(like)
+    # not wrapped into the tile: the finer octaves have other periods and would jump
+    return matrix.to(like), origin.to(like)
 
 
 def _depth_along(
@@ -221,5 +222,5 @@ def _distance(mu: Float[Tensor, " n"], height_km: float) -> Float[Tensor, " n"]:
 
 
 def _height(mu: Float[Tensor, "*#s"], t: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
-    """Height above sea level after a distance t: t mu + t^2 (1 - mu^2) / 2R, to 1e-6 of it."""
+    """Height above sea level after a distance t: t mu + t^2 (1 - mu^2) / 2R, within 1e-3 of it."""
     return t * mu + t**2 * (1 - mu**2) / (2 * EARTH_RADIUS_KM)

@@ -2,6 +2,7 @@
 
 import json
 import math
+import multiprocessing
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -80,7 +81,8 @@ def simulate_folder(
         done += 1
         if progress:
             progress(done, days)
-    records = [r for s in seeds for r in read_rows(parts / f"{s}.csv")]
+    days_there = sorted(parts.glob("*.csv"), key=lambda part: int(part.stem))
+    records = [r for part in days_there for r in read_rows(part)]
     write_rows(out / INDEX_NAME, divide(records))
     return out / INDEX_NAME
 
@@ -137,7 +139,10 @@ def _simulate_days(
             _simulate_day_files(out, seed, settings)
             yield seed
         return
-    pool = ProcessPoolExecutor(workers, initializer=_start_worker)
+    # spawned, because a process that has run torch's threads cannot be forked safely
+    pool = ProcessPoolExecutor(
+        workers, mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker
+    )
     try:
         futures = [pool.submit(_simulate_day_files, out, seed, settings) for seed in seeds]
         for future in as_completed(futures):

@@ -286,11 +286,6 @@ def _mean(passed: Float[Tensor, "n 1"], weight: Float[Tensor, "n 1"]) -> Float[T
     return (passed * weight).sum() / weight.sum()
 
 
-def clear_variant(day: Day) -> Day:
-    """The same day without clouds (for measurements against clear-sky references)."""
-    return replace(day, regime="clear", clouds=())
-
-
 def _sun_disc(sun: Float[Tensor, "3"]) -> tuple[Float[Tensor, "k 3"], Float[Tensor, " k"]]:
     """Directions across the solar disc and their shares of its irradiance (sum 1).
 

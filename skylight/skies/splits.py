@@ -18,7 +18,7 @@ from skylight.skies.index import SkyRecord, Split
 
 SHARES = (0.8, 0.1, 0.1)
 TRIES = 5000
-SUNNY = 0.5  # transmittance above which a sky counts as sunny
+SUNNY = 0.5  # transmittance from which on a sky counts as sunny
 _SEED = 20180101
 
 

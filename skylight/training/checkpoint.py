@@ -85,6 +85,10 @@ def _read(path: Path) -> dict[str, Any] | None:
     if hashlib.sha256(payload).digest() != digest:
         return None
     try:
-        return torch.load(io.BytesIO(payload), weights_only=True)
-    except (RuntimeError, EOFError, ValueError, KeyError, pickle.UnpicklingError):
-        return None
+        # to the CPU first: a run may go on where the device that it began on is not there
+        return torch.load(io.BytesIO(payload), weights_only=True, map_location="cpu")
+    except (RuntimeError, EOFError, ValueError, KeyError, pickle.UnpicklingError) as error:
+        raise InputError(
+            f"{path}: whole, but this torch cannot read it ({type(error).__name__}: {error}); "
+            "use the version that wrote it, or choose another `out`".replace("\n", " ")
+        ) from error

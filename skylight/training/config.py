@@ -62,6 +62,8 @@ class AutoencoderConfig:
         ):
             if getattr(self, name) < 0:
                 raise InputError(f"`{name}` must be at least 0, got {getattr(self, name)}")
+        if not 0 <= self.seed < 10_000_000:  # of which steps' seeds are made, in 64 bits
+            raise InputError(f"`seed` must be from 0 to 9999999, got {self.seed}")
         if not 0 <= self.obstacles <= 1:
             raise InputError(f"`obstacles` is a probability, got {self.obstacles}")
         if self.nesterov and self.momentum == 0:

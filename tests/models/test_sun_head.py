@@ -7,10 +7,11 @@ from hypothesis import strategies as st
 
 from skylight.models.sun_head import COORDINATES, KAPPA_BOUNDS, NEAR_RAD, SunHead
 from skylight.skies.atmosphere import ClearSky
-from skylight.skies.simulator import clear_variant, draw_day, simulate_sky
+from skylight.skies.simulator import draw_day, simulate_sky
 from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.sphere.frame import angle_between, direction_from_angles
 from skylight.sphere.grid import DirectionGrid
+from tests.skies.clear_days import without_clouds
 
 HEIGHT = 32
 AZIMUTH = math.pi / (4 * HEIGHT)
@@ -68,7 +69,7 @@ def test_splitting_finds_the_lobe_again(zenith_deg: float, kappa: float) -> None
 @pytest.mark.parametrize("zenith_deg", [15.0, 50.0, 82.0])
 def test_split_of_a_clear_sky(zenith_deg: float) -> None:
     """The beam's energy within 5 %, the place within half a pixel's row; no sun is left."""
-    day = clear_variant(draw_day(3))
+    day = without_clouds(draw_day(3))
     clear = ClearSky(day.atmosphere)
     zenith = math.radians(zenith_deg)
     sky = simulate_sky(day, clear, day.start, 1.0, zenith, height=HEIGHT).sky

@@ -119,8 +119,15 @@ def test_an_interrupt_ends_the_workers_and_keeps_whole_days(tmp_path: Path) -> N
     assert process.returncode == 1
     assert error.startswith("skylight: interrupted")
     assert error.count("\n") == 1
-    with pytest.raises(ProcessLookupError):  # no worker is left in the group
-        os.killpg(process.pid, 0)
+    # no worker is left in the group; the tracker of spawned processes goes a moment after them
+    for _ in range(100):
+        try:
+            os.killpg(process.pid, 0)
+        except ProcessLookupError:
+            break
+        time.sleep(0.1)
+    else:
+        pytest.fail("a worker outlived the command by ten seconds")
     done = list(tmp_path.glob("days/*.csv"))
     assert 1 <= len(done) < 300
     assert not [p for p in tmp_path.rglob("*") if p.name.startswith(".partial")]

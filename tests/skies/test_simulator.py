@@ -20,7 +20,6 @@ from skylight.skies.simulator import (
     _at_hour,
     _direction,
     _sun_disc,
-    clear_variant,
     draw_day,
     simulate_day,
     simulate_sky,
@@ -29,6 +28,7 @@ from skylight.skies.simulator import (
 from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.sphere.frame import angle_between, direction_from_angles
 from skylight.sphere.grid import DirectionGrid
+from tests.skies.clear_days import without_clouds
 
 UP = torch.tensor([0.0, 1.0, 0.0])
 
@@ -49,7 +49,7 @@ def sun_in_map(sky: SimulatedSky) -> torch.Tensor:
 
 @pytest.fixture(scope="module")
 def clear_day() -> Day:
-    return clear_variant(draw_day(2))
+    return without_clouds(draw_day(2))
 
 
 @pytest.fixture(scope="module")
@@ -184,7 +184,7 @@ def test_broken_clouds_brighten_by_less_than_measured_extremes() -> None:
         air = ClearSky(day.atmosphere)
         for moment in sunlit_moments(day, interval_min=240.0):
             cloudy = simulate_sky(day, air, *moment, height=16).sky.irradiance(UP)
-            open_sky = simulate_sky(clear_variant(day), air, *moment, height=16).sky.irradiance(UP)
+            open_sky = simulate_sky(without_clouds(day), air, *moment, height=16).sky.irradiance(UP)
             ratios.append(float(luminance(cloudy) / luminance(open_sky)))
     assert 0.05 < min(ratios) < 0.9
     assert max(ratios) < 1.6

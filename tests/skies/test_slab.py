@@ -43,15 +43,15 @@ def test_the_solution_obeys_its_equations(
     assert float(up) == pytest.approx(albedo * float(down), abs=1e-9)
 
 
-@pytest.mark.parametrize("depth", [1.0, 5.0, 30.0])
-@pytest.mark.parametrize("mu0", [0.25, 0.5, 0.9])
+@pytest.mark.parametrize("depth", [0.5, 2.0, 5.0, 30.0])
+@pytest.mark.parametrize("mu0", [0.1, 0.25, 0.5, 0.9])
 def test_light_sent_down_is_that_of_photons(depth: float, mu0: float) -> None:
     """Against Monte Carlo of unscaled Henyey-Greenstein droplets, as a share of what falls in."""
     scaled = torch.tensor((1 - FORWARD) * depth, dtype=F64)
     bottom = slab_light(scaled, 0 * scaled, mu0, 0.0)
     sent = float(bottom.beam_flux) / mu0 + math.exp(-float(scaled) / mu0)
     truth, _ = photons_below(depth, mu0, g=CLOUD_G, count=20_000)
-    assert sent == pytest.approx(truth, abs=0.08)
+    assert sent == pytest.approx(truth, abs=0.14 if mu0 < 0.5 else 0.05)
 
 
 def test_phase_function() -> None:

@@ -82,3 +82,15 @@ def test_noise_reaches_the_suns_coordinates() -> None:
             reconstruction_loss(network, sky, noise, AutoencoderConfig(sun_noise=sun_noise))
     shift = (seen[1] - seen[0])[:, -5:]
     torch.testing.assert_close(shift, 5 * noise.flatten(1)[:, :5], rtol=1e-4, atol=1e-6)
+
+
+def test_the_second_part_counts_contrast() -> None:
+    """An error of the same mean and size, but of both signs, is not forgiven."""
+    true, _ = skies()
+    sign = np.where(np.arange(128) % 2, 1.0, -1.0)[None, None, :, None]
+    contrasted = np.expm1(np.maximum(np.log1p(true) + 0.3 * sign, 0))
+    plain, forgiving = (
+        loss_of(contrasted, true, AutoencoderConfig(energy_weight=0.0, scale_invariant=s))
+        for s in (0.0, 5.0)
+    )
+    assert (forgiving > plain + 5 * 0.05).all()
