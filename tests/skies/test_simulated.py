@@ -184,3 +184,12 @@ def test_skies_on_the_spot_have_seeds_of_their_own() -> None:
     assert torch.equal(found[0][1].radiance, again[0][1].radiance)
     with pytest.raises(InputError, match="at least 0"):
         simulated_skies(1, first_seed=-1)
+
+
+def test_a_folder_grows(tmp_path: Path) -> None:
+    """Days of another range join those that are there, in the index too."""
+    for days, first in ((2, 0), (1, 2)):
+        simulate_folder(tmp_path, days=days, first_seed=first, interval_min=400.0, height=8)
+    assert {r.seed for r in read_index(tmp_path)} == {0, 1, 2}
+    simulate_folder(tmp_path, days=1, interval_min=400.0, height=8)
+    assert {r.seed for r in read_index(tmp_path)} == {0, 1, 2}
