@@ -18,7 +18,7 @@ from skylight.faces.fit import FitProblem
 from skylight.faces.landmarks import default_landmarker
 from skylight.faces.model import HeadModel
 from skylight.faces.synthetic import render_face
-from skylight.imaging.files import atomic_path
+from skylight.imaging.atomic import atomic_path
 from skylight.skies.simulated import simulated_skies
 
 SKIES = 40

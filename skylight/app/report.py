@@ -13,8 +13,8 @@ from torch import Tensor
 
 from skylight.app.summary import residual, sun_angles_deg, where
 from skylight.faces.model import HeadModel
+from skylight.imaging.atomic import atomic_path
 from skylight.imaging.colour import linear_to_srgb, tone_map
-from skylight.imaging.files import atomic_path
 from skylight.imaging.photo import Photo
 from skylight.inverse.photo import PhotoEstimate
 from skylight.sphere.envmap import EnvironmentMap, luminance

@@ -12,7 +12,8 @@ from skylight.app.summary import describe
 from skylight.errors import OutputError
 from skylight.faces.fit import FaceFit
 from skylight.faces.model import HeadModel
-from skylight.imaging.files import atomic_path, write_environment_map, write_json
+from skylight.imaging.atomic import atomic_path
+from skylight.imaging.files import write_environment_map, write_json
 from skylight.imaging.photo import Photo
 from skylight.inverse.photo import PhotoEstimate
 

@@ -13,6 +13,7 @@ import math
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import ClassVar
 
 from jaxtyping import Float
 from torch import Tensor
@@ -22,11 +23,11 @@ from skylight.imaging.files import read_environment_map
 from skylight.skies.index import INDEX_NAME, SkyRecord, read_index
 from skylight.skies.loading import centre_column_azimuth, load_skies, normalise
 from skylight.skies.simulated import simulated_skies
+from skylight.skies.splits import SUNNY
 from skylight.sphere.envmap import shift_columns
 from skylight.sphere.frame import angles_from_direction
 
 HEIGHT = 32
-VISIBLE = 0.5  # transmittance from which on the sun counts as visible
 # What a collection's categories say of the sun: whether it is up and not behind cloud.
 OUTDOOR = {"outdoor-sun": True, "outdoor-lowsun": False, "outdoor-nosun": False}
 _SEEDS_APART = 1000
@@ -84,7 +85,7 @@ class KnownSkies:
             seed = self.seed + _SEEDS_APART * number
             ((record, sky),) = simulated_skies(1, first_seed=seed)
             radiance = normalise(sky.radiance[None])[0]
-        visible = record.sun_transmittance >= VISIBLE
+        visible = record.sun_transmittance >= SUNNY
         facts: dict[str, object] = {
             "day": record.day,
             "seed": record.seed,
@@ -93,6 +94,39 @@ class KnownSkies:
             "sun_visible": visible,
         }
         return KnownSky(radiance=radiance, sun_visible=visible, facts=facts)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkyEvaluation:
+    """What evaluations over ``count`` known skies have in common.
+
+    The skies are simulated ones, or those of a folder of maps (``data``). Over a collection of
+    real maps by category an evaluation goes by the name of its ``title`` with "-real" behind it.
+    """
+
+    title: ClassVar[str]
+
+    count: int
+    data: Path | None = None
+    seed: int = 30_000_000
+
+    def __post_init__(self) -> None:
+        _ = self.skies  # refuses a folder that cannot be used before anything is measured
+
+    @property
+    def skies(self) -> KnownSkies:
+        return KnownSkies(count=self.count, seed=self.seed, data=self.data)
+
+    @property
+    def name(self) -> str:
+        return f"{self.title}-real" if self.skies.collected else self.title
+
+    def config(self) -> dict[str, object]:
+        data = str(self.data.resolve()) if self.data else None
+        return {"seed": self.seed, "data": data, "index": self.skies.fingerprint()}
+
+    def items(self) -> list[str]:
+        return self.skies.names()
 
 
 def _collected_sky(data: Path, number: int) -> KnownSky:

@@ -19,7 +19,8 @@ from skylight.evaluation.sky_models import SkyModels
 from skylight.evaluation.sky_representations import SkyRepresentations
 from skylight.evaluation.synthetic_faces import SyntheticFaces
 from skylight.evaluation.tables import markdown, summarise, summarise_groups
-from skylight.imaging.files import atomic_path, write_json
+from skylight.imaging.atomic import atomic_path
+from skylight.imaging.files import write_json
 
 SHEET_STRIPS = 12
 

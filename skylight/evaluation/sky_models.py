@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from skylight.evaluation.known_skies import KnownSkies
+from skylight.evaluation.known_skies import SkyEvaluation
 from skylight.evaluation.pictures import panorama_rows
 from skylight.evaluation.run import Check, Item
 from skylight.evaluation.scores import score
@@ -46,35 +46,14 @@ REAL_SUN_ANGLE_DEG = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class SkyModels:
-    """``count`` skies: simulated ones, or those of a folder of maps (``data``).
+class SkyModels(SkyEvaluation):
+    """What each light model makes of a sky that it is fitted to.
 
     All skies have a mean luminance of 1 and their sun in the centre column, where the encoder
-    wants it; the fitted models still have to find its azimuth to a fraction of a column. A
-    collection of real maps by category goes by the name of "sky-models-real".
+    wants it; the fitted models still have to find its azimuth to a fraction of a column.
     """
 
-    count: int
-    data: Path | None = None
-    seed: int = 30_000_000
-
-    def __post_init__(self) -> None:
-        _ = self.skies  # refuses a folder that cannot be used before anything is measured
-
-    @property
-    def skies(self) -> KnownSkies:
-        return KnownSkies(count=self.count, seed=self.seed, data=self.data)
-
-    @property
-    def name(self) -> str:
-        return "sky-models-real" if self.skies.collected else "sky-models"
-
-    def config(self) -> dict[str, object]:
-        data = str(self.data.resolve()) if self.data else None
-        return {"seed": self.seed, "data": data, "index": self.skies.fingerprint()}
-
-    def items(self) -> list[str]:
-        return self.skies.names()
+    title = "sky-models"
 
     def measure(self, item: str, picture: Path) -> Item:
         number = self.items().index(item)

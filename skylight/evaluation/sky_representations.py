@@ -20,7 +20,7 @@ from jaxtyping import Float
 from kornia.metrics import ssim as ssim_map
 from torch import Tensor
 
-from skylight.evaluation.known_skies import HEIGHT, KnownSkies
+from skylight.evaluation.known_skies import HEIGHT, SkyEvaluation
 from skylight.evaluation.pictures import sky_grid
 from skylight.evaluation.run import Check, Item
 from skylight.evaluation.sky_fits import (
@@ -51,30 +51,10 @@ QUANTILE = 0.98
 
 
 @dataclass(frozen=True, kw_only=True)
-class SkyRepresentations:
-    """``count`` skies: simulated ones, or those of a folder of maps (``data``)."""
+class SkyRepresentations(SkyEvaluation):
+    """What each representation makes of a sky that it is fitted to."""
 
-    count: int
-    data: Path | None = None
-    seed: int = 30_000_000
-
-    def __post_init__(self) -> None:
-        _ = self.skies  # refuses a folder that cannot be used before anything is measured
-
-    @property
-    def skies(self) -> KnownSkies:
-        return KnownSkies(count=self.count, seed=self.seed, data=self.data)
-
-    @property
-    def name(self) -> str:
-        return "sky-representations-real" if self.skies.collected else "sky-representations"
-
-    def config(self) -> dict[str, object]:
-        data = str(self.data.resolve()) if self.data else None
-        return {"seed": self.seed, "data": data, "index": self.skies.fingerprint()}
-
-    def items(self) -> list[str]:
-        return self.skies.names()
+    title = "sky-representations"
 
     def measure(self, item: str, picture: Path) -> Item:
         known = self.skies.sky(self.items().index(item))

@@ -1,12 +1,7 @@
 """Light and results, read strictly and written whole or not at all."""
 
-import errno
 import json
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
-from uuid import uuid4
 
 import numpy as np
 import OpenEXR
@@ -16,6 +11,7 @@ from PIL import Image
 from torch import Tensor
 
 from skylight.errors import InputError, OutputError
+from skylight.imaging.atomic import atomic_path
 from skylight.imaging.hdr import (
     HALF_MAX,
     RGBE_MAX,
@@ -26,15 +22,6 @@ from skylight.imaging.hdr import (
 )
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import Convention, convert_latlong
-
-_MEND = {
-    errno.ENOENT: "make the folder first",
-    errno.ENOSPC: "free some space or choose another disk",
-    errno.EDQUOT: "free some space or choose another disk",
-    errno.EACCES: "choose a folder that you may write to",
-    errno.EPERM: "choose a folder that you may write to",
-    errno.EROFS: "choose a folder that you may write to",
-}
 
 
 def read_environment_map(
@@ -124,34 +111,6 @@ def write_json(path: str | Path, content: object) -> None:
     text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-
-
-@contextmanager
-def atomic_path(path: str | Path) -> Iterator[Path]:
-    """A temporary file beside ``path`` that takes its place when the block ends well.
-
-    Whatever ends the block early (an exception, Ctrl-C, a full disk), the temporary file is
-    removed and what stood at ``path`` is untouched. An :class:`OSError` in the block becomes an
-    :class:`OutputError` about ``path``, so do nothing but write in it.
-    """
-    path = Path(path)
-    if path.exists() and not path.is_file():
-        raise OutputError(f"cannot write {path}: it is no ordinary file; choose another name")
-    target = path.resolve()  # replace the file that a link points to, not the link
-    temporary = target.with_name(f".partial-{uuid4().hex[:12]}{path.suffix}")
-    try:
-        temporary.touch(exist_ok=False)
-        yield temporary
-        with open(temporary, "rb+") as file:  # a late "no space" must come before the rename
-            os.fsync(file.fileno())
-        os.replace(temporary, target)
-    except OSError as error:
-        mend = f"; {_MEND[error.errno]}" if error.errno in _MEND else ""
-        reason = error.strerror or str(error)
-        raise OutputError(f"cannot write {path}: {reason}{mend}") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def _float_pixels(radiance: Float[Tensor, "h w 3"]) -> Float[np.ndarray, "h w 3"]:

@@ -130,12 +130,10 @@ class SkyObjective:
     def terms(self, free: Float[Tensor, "b q"]) -> dict[str, Float[Tensor, " b"]]:
         """Each part of the objective, weighted; they add up to it."""
         parts = self.unpack(free)
-        residual = charbonnier(self.shading(parts) - self.target)
-        mean = (residual * self.share).sum((1, 2))
         light = without_azimuth(self.model, free[:, : self.model.parameter_count])
         w = self.weights
         return {
-            "data": w.independent / w.noise * mean,
+            "data": data_term(self.shading(parts) - self.target, self.share, w),
             "light_prior": -w.light_prior * self.light_prior.log_prob(light),
             "albedo_prior": -w.albedo_prior * self.albedo_prior.log_prob(parts.albedo.log()),
             "ground_prior": -w.ground_prior * self.ground_prior.log_prob(parts.ground_albedo.log()),
@@ -146,6 +144,17 @@ class SkyObjective:
         self, free: Float[Tensor, "b q"], index: Int[Tensor, " b"] | None = None
     ) -> Float[Tensor, " b"]:
         return torch.stack(list(self.terms(free).values())).sum(0)
+
+
+def data_term(
+    residual: Float[Tensor, "*b m 3"], share: Float[Tensor, "m 1"], weights: ObjectiveWeights
+) -> Float[Tensor, "*b"]:
+    """How unlikely a residual is, in nats: its mean Charbonnier over the expected deviation.
+
+    ``share`` holds each pixel's weight over all pixels and channels; it sums to 1/3.
+    """
+    mean = (charbonnier(residual) * share).sum((-2, -1))
+    return weights.independent / weights.noise * mean
 
 
 def best_exposure(

@@ -14,6 +14,7 @@ from skylight.inverse.objective import (
     SkyObjective,
     best_exposure,
     charbonnier,
+    data_term,
 )
 from skylight.inverse.scan import scan_sun
 from skylight.models.base import LightModel, Prior
@@ -177,7 +178,7 @@ def solve_harmonic(
     rendered = albedo * (observation.transport.matrix @ environment.flat)
     ground = environment.radiance[layout[0] // 2 :].reshape(-1, 3).mean(0)
     down = environment.upper().irradiance(torch.tensor([0.0, 1.0, 0.0])) / torch.pi
-    residual = charbonnier((shading @ product - pixels) / scale)
+    residual = (shading @ product - pixels) / scale
     share = observation.weights[:, None] / observation.weights.sum() / 3
     defaults = ObjectiveWeights()
     return Estimate(
@@ -189,7 +190,7 @@ def solve_harmonic(
         ground_albedo=(ground / down.clamp(min=1e-12)).clamp(0, 1),
         sun_direction=environment.brightest_direction(),
         rendered=rendered,
-        terms={"data": float(defaults.independent / defaults.noise * (residual * share).sum())},
+        terms={"data": float(data_term(residual, share, defaults))},
         status="converged",
         advice=_advice(observation, rendered),
         stats={"evaluations": 8, "nonfinite": 0},
@@ -229,8 +230,8 @@ def _starts(
         # the sky need not be rendered again: shading is linear in exposure and albedo
         shading = diffuse * mode + glossy
         exposure = best_exposure(shading, objective.target, objective.share)
-        residual = charbonnier(shading * exposure[:, None, None] - objective.target)
-        loss = w.independent / w.noise * (residual * objective.share).sum((1, 2))
+        residual = shading * exposure[:, None, None] - objective.target
+        loss = data_term(residual, objective.share, w)
         albedo = mode.expand(len(light), 3)
         loss = loss - w.albedo_prior * objective.albedo_prior.log_prob(albedo.log())
         free = objective.pack(light, exposure, ones[:, 0], albedo, ground_albedo)

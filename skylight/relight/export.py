@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor, nn
 
 from skylight.errors import DependencyError, InputError, SkylightError
-from skylight.imaging.files import atomic_path
+from skylight.imaging.atomic import atomic_path
 from skylight.models.autoencoder import (
     CENTRE_AZIMUTH_RAD,
     LATENT,

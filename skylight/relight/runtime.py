@@ -7,20 +7,18 @@ again in numpy, and the tests hold the two together.
 
 import json
 import math
-import os
 import zipfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from importlib.resources import files
 from pathlib import Path
-from uuid import uuid4
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8, UInt16
 from PIL import Image
 
-from skylight.errors import AssetError, InputError, OutputError
+from skylight.errors import AssetError, InputError
+from skylight.imaging.atomic import atomic_path
 from skylight.imaging.hdr import read_linear, write_exr
 
 LATENT = 64
@@ -115,7 +113,7 @@ class PrecomputedScene:
         if path.suffix != ".npz":
             raise InputError(f"{path}: scenes are .npz files; choose a name that ends in .npz")
         arrays = {field.name: getattr(self, field.name) for field in fields(self)}
-        with _replacing(path) as temporary:
+        with atomic_path(path) as temporary:
             np.savez_compressed(temporary, format=SCENE_FORMAT, **arrays)
 
 
@@ -229,7 +227,7 @@ def relight_files(
         picture = relight(described, light * np.float32(exposure or 1.0), albedo)
     if not np.isfinite(picture).all():
         raise InputError(f"{out} was not written: too bright for float32; lower the exposure")
-    with _replacing(out) as temporary:
+    with atomic_path(out) as temporary:
         if out.suffix.lower() == ".exr":
             write_exr(temporary, picture, half=False, header={})
         else:
@@ -394,21 +392,3 @@ def _numbers(path: Path, name: str, values: object, count: int) -> list[float]:
         if not _is_number(value):
             raise InputError(f'{path}: "{name}" has no finite number at place {place}: {value!r}')
     return [float(value) for value in values]
-
-
-@contextmanager
-def _replacing(path: Path) -> Iterator[Path]:
-    """A temporary file that takes the place of ``path`` when the block ends well.
-
-    :func:`skylight.imaging.files.atomic_path` cannot serve: its module imports torch.
-    """
-    temporary = path.with_name(f".partial-{uuid4().hex[:12]}{path.suffix}")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise OutputError(f"cannot write {path}: {reason}") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)

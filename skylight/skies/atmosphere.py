@@ -67,10 +67,17 @@ class ClearSky:
         self._transmittance = self._transmittance_table(height=128, width=512)
         self._multiple = self._multiple_scattering_table(size=32)
 
-    def sun_irradiance(self, sun_zenith_rad: Float[Tensor, " b"]) -> Float[Tensor, "b 3"]:
-        """Irradiance of the sun on a plane facing it at the observer, after extinction."""
+    def sun_irradiance(
+        self, sun_zenith_rad: Float[Tensor, " b"], *, height_km: float | None = None
+    ) -> Float[Tensor, "b 3"]:
+        """Irradiance of the sun on a plane facing it, after extinction.
+
+        At the observer, or at a height above sea level.
+        """
         zenith = sun_zenith_rad.double()  # float32 has the radius to half a metre only
-        through = self.transmittance(torch.full_like(zenith, self._observer_radius), zenith.cos())
+        level = self.atmosphere.observer_km if height_km is None else height_km
+        radius = torch.full_like(zenith, EARTH_RADIUS_KM + level)
+        through = self.transmittance(radius, zenith.cos())
         return self._colour() * through.to(sun_zenith_rad)
 
     def radiance(

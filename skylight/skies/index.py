@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from skylight.errors import InputError
-from skylight.imaging.files import atomic_path
+from skylight.imaging.atomic import atomic_path
 from skylight.skies.layouts import Layout
 
 Split = Literal["train", "validation", "test"]

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.skies.atmosphere import EARTH_RADIUS_KM, SUN_COLOUR, Atmosphere, ClearSky
+from skylight.skies.atmosphere import EARTH_RADIUS_KM, Atmosphere, ClearSky
 from skylight.skies.clouds import CloudLayer, Wind, march
 from skylight.skies.sun import SUN_RADIUS_RAD, Place, sun_angles
 from skylight.sphere.envmap import EnvironmentMap
@@ -196,7 +196,8 @@ def simulate_sky(
     directions = grid.directions.to(device, torch.float32)
     centre = math.pi / (4 * height)
     sun = _direction(centre, sun_zenith_rad).to(device)
-    direct = clear.sun_irradiance(torch.tensor([sun_zenith_rad], device=device))[0]
+    zenith = torch.tensor([sun_zenith_rad], device=device)
+    direct = clear.sun_irradiance(zenith)[0]
     disc, share = _sun_disc(sun)
     world = _turn(torch.cat([directions, disc]), sun_azimuth_rad - centre)
     sun_world = _turn(sun[None], sun_azimuth_rad - centre)[0]
@@ -215,7 +216,7 @@ def simulate_sky(
             footprint_rad=math.pi / 2 / fine,
             ground_albedo=day.atmosphere.ground_albedo,
         )
-        beam = beam_share * _beam_at(clear, middle_km, sun_zenith_rad)
+        beam = beam_share * clear.sun_irradiance(zenith, height_km=middle_km)[0]
         above = (weight * sky).sum(0)  # what this layer gets of diffuse light
         own = light.beam[:, None] * beam + light.sky[:, None] * above
         passed, own = light.passed[: len(directions), None], own[: len(directions)]
@@ -253,13 +254,6 @@ def _at_hour(layer: CloudLayer, day: Day, hours: float) -> CloudLayer:
 def _wind(layer: CloudLayer, day: Day, hours: float) -> Wind:
     east, south = (hours * speed for speed in day.wind_km_per_hour)
     return Wind(east_km=east, south_km=south, change=0.3 * hours)
-
-
-def _beam_at(clear: ClearSky, height_km: float, sun_zenith_rad: float) -> Float[Tensor, "3"]:
-    """Irradiance of the sun, facing it, at a height."""
-    radius = torch.tensor([EARTH_RADIUS_KM + height_km], device=clear.device)
-    mu = torch.tensor([math.cos(sun_zenith_rad)], device=clear.device)
-    return clear.transmittance(radius, mu)[0] * torch.tensor(SUN_COLOUR, device=clear.device)
 
 
 def _air_before(

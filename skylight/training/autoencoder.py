@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from skylight.errors import InputError
-from skylight.imaging.files import atomic_path
+from skylight.imaging.atomic import atomic_path
 from skylight.models.autoencoder import SkyAutoencoder, load_network
 from skylight.training.batches import draw_batch
 from skylight.training.checkpoint import drop_damaged, read_state, save_network, write_state

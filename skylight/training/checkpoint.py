@@ -12,7 +12,7 @@ import torch
 from safetensors.torch import save_file
 
 from skylight.errors import InputError
-from skylight.imaging.files import atomic_path
+from skylight.imaging.atomic import atomic_path
 from skylight.models.autoencoder import SkyAutoencoder
 
 NEWEST, PREVIOUS = "state.pt", "state.previous.pt"

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 
 from skylight.errors import InputError
-from skylight.imaging.files import atomic_path
+from skylight.imaging.atomic import atomic_path
 from skylight.models.autoencoder import HEIGHT, WIDTH
 from skylight.skies.index import SkyRecord, folder_hash, read_index
 from skylight.skies.loading import load_skies

@@ -9,7 +9,8 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.imaging.files import atomic_path, write_json
+from skylight.imaging.atomic import atomic_path
+from skylight.imaging.files import write_json
 from skylight.models.autoencoder import load_network
 from skylight.models.base import without_azimuth
 from skylight.models.prior import GaussianMixture

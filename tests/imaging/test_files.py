@@ -11,8 +11,8 @@ import torch
 from PIL import Image
 
 from skylight.errors import InputError, OutputError
+from skylight.imaging.atomic import atomic_path
 from skylight.imaging.files import (
-    atomic_path,
     read_environment_map,
     write_environment_map,
     write_json,
