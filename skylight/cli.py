@@ -17,6 +17,8 @@ from skylight.errors import InputError, SkylightError
 
 # Parsing must not import torch, so the choices stand here again; a test compares the two.
 Light = Literal["autoencoder", "sunsky", "sh9", "sh25"]
+ObjectLight = Literal["ani", "iso", "vmf", "sh9", "sh25", "sh49"]
+CodeWeights = Literal["l1", "nonnegative", "free"]
 MapLayout = Literal["auto", "skylatlong", "latlong", "angular", "fisheye"]
 Decoding = tyro.conf.create_mutex_group(required=False)
 DESCRIPTION = """Recovers the light of a scene from a photo of a face, and lights things with it.
@@ -130,6 +132,140 @@ def estimate(
         print(f"skylight: take care: {advice}", file=sys.stderr)
     print(summary(result))
     print(f"written into {out}: probe.exr, probe.hdr, mesh.obj, estimate.json, report.png")
+
+
+@app.command(name="estimate-object")
+def estimate_object(
+    mesh: Positional[Path],
+    photo: Positional[Path],
+    camera: Path,
+    light: ObjectLight = "ani",
+    activations: int = 50,
+    mask: Path | None = None,
+    albedo: str | None = None,
+    roughness: float | None = None,
+    reflectance: float | None = None,
+    out: Path | None = None,
+    gamma: Annotated[float | None, Decoding] = None,
+    linear: Annotated[bool, Decoding] = False,
+) -> None:
+    """Recover the light in which an object of known shape was photographed.
+
+    Writes probe.exr and probe.hdr (linear lat-long maps of 64 x 128 pixels in the mesh's world:
+    the centre looks along -Z, +X is to its right, +Y up), estimate.json (all numbers) and
+    comparison.png (the object as seen and as re-rendered, and the light).
+
+    Args:
+        mesh: .obj, .ply, .glb, .gltf, .stl or .off; its materials are not used.
+        photo: Colour picture of the object: JPEG, PNG, TIFF, EXR or Radiance HDR.
+        camera: JSON with fov_deg (vertical) or focal_px, and either position, look_at and up (in
+            the mesh's world) or world_from_camera (4 x 4; the camera looks along -Z, +Y is up).
+        light: Sparse code of anisotropic Gaussians (ani), isotropic ones (iso) or equal lobes
+            (vmf), or 9, 25 or 49 spherical harmonics.
+        activations: Most activations of a sparse code.
+        mask: Picture of the photo's size, white where the object shows and black elsewhere.
+        albedo: Reflectance of the object as R,G,B; by default it is taken to be grey and counts
+            as brightness of the light.
+        roughness: Roughness of a glossy object, 0.25 to 1; without it, the object is matt. How
+            strong the gloss is against the matt part depends on --albedo.
+        reflectance: Of a glossy object, seen head-on; by default 0.04.
+        out: Folder for the results; by default PHOTO's name with _light, in the current folder.
+        gamma: The picture's values are light to the power of 1/GAMMA, instead of sRGB.
+        linear: The picture's values are proportional to light, instead of sRGB.
+    """
+    from skylight.app.known_object import (
+        estimate_known_object,
+        material_of,
+        summarise_object,
+        write_object_results,
+    )
+    from skylight.app.progress import stage_bar
+    from skylight.app.results import results_folder
+    from skylight.imaging.photo import read_photo
+
+    out = out or Path(f"{photo.stem}_light")
+    material = material_of(albedo, roughness, reflectance)
+    picture = read_photo(photo, decode="linear" if linear else gamma)
+    with stage_bar() as progress, results_folder(out) as folder:
+        result = estimate_known_object(
+            mesh,
+            picture,
+            camera,
+            light=light,
+            activations=activations,
+            mask=mask,
+            material=material,
+            progress=progress,
+        )
+        progress("writing the results", 0.0)
+        write_object_results(folder, result, mesh=mesh, photo=photo)
+    for advice in result.light.advice:
+        print(f"skylight: take care: {advice}", file=sys.stderr)
+    print(summarise_object(result))
+    print(f"written into {out}: probe.exr, probe.hdr, estimate.json, comparison.png")
+
+
+@app.command(name="code")
+def code_probe(
+    probe: Positional[Path],
+    out: Path,
+    dictionary: str = "ani",
+    activations: int = 64,
+    weights: CodeWeights = "l1",
+    height: Literal[32, 64, 128] | None = None,
+) -> None:
+    """Write a map of light as a sparse code: a handful of lobes and where they stand.
+
+    Beside the code, OUT with the ending .png shows the map, the decoded map and the lobes.
+
+    Args:
+        probe: .exr or .hdr lat-long map of the whole sphere (width 2 heights).
+        out: The .json file.
+        dictionary: Anisotropic Gaussians (ani), isotropic ones (iso), equal lobes (vmf), or the
+            file of a learnt dictionary.
+        activations: Most lobes to use; a simple map gets fewer.
+        weights: Of either sign with a weak L1 norm, none below 0, or plain least squares.
+        height: Rows to average the map down to; by default its own, 128 at most.
+    """
+    from skylight.app.progress import stage_bar
+    from skylight.app.results import results_folder
+    from skylight.app.sparse_codes import check_code_name, code_map, summarise_code, write_code
+
+    check_code_name(out)
+    with stage_bar() as progress, results_folder(out.parent) as folder:
+        coded = code_map(
+            probe,
+            dictionary=dictionary,
+            activations=activations,
+            weights=weights,
+            height=height,
+            progress=progress,
+        )
+        progress("writing the results", 0.0)
+        write_code(folder, out.name, coded, title=probe.name)
+    print(summarise_code(coded))
+    print(f"written: {out} and {out.with_suffix('.png').name}")
+
+
+@app.command(name="decode")
+def decode_code(
+    code: Positional[Path],
+    out: Path,
+    height: int | None = None,
+    dictionary: Path | None = None,
+) -> None:
+    """Write the map of a sparse code; what is below zero there is cut off.
+
+    Args:
+        code: .json file that `skylight code` wrote.
+        out: The map to write: .exr or .hdr.
+        height: Rows of the map; by default those of the map that was coded.
+        dictionary: File of the learnt dictionary with which the code was made.
+    """
+    from skylight.app.sparse_codes import decode_file
+
+    share = decode_file(code, out, height=height, dictionary=dictionary)
+    print(f"{out}: {100 * share:.2g} % of the energy cut off below zero")
 
 
 @app.command

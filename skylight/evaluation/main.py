@@ -12,13 +12,17 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
 from skylight.errors import InputError, OutputError
+from skylight.evaluation.curves import write_curves
 from skylight.evaluation.pictures import write_sheet
 from skylight.evaluation.real_faces import RealFaces
 from skylight.evaluation.run import Evaluation, measure_all
 from skylight.evaluation.sky_models import SkyModels
 from skylight.evaluation.sky_representations import SkyRepresentations
+from skylight.evaluation.sparse_coding import SparseCoding
+from skylight.evaluation.sparse_inverse import SparseInverse
 from skylight.evaluation.synthetic_faces import SyntheticFaces
 from skylight.evaluation.tables import markdown, summarise, summarise_groups
+from skylight.evaluation.transport_compression import TransportCompression
 from skylight.imaging.atomic import atomic_path
 from skylight.imaging.files import write_json
 
@@ -45,18 +49,51 @@ def _real_faces(quick: bool, data: Path | None) -> Evaluation:
     return RealFaces(data=data, every=3 if quick else 1)
 
 
+def _probes(name: str, data: Path | None) -> Path:
+    if data is None:
+        raise InputError(f"{name} needs --data DIR: light probes with an index.csv")
+    return data
+
+
+def _sparse_coding(quick: bool, data: Path | None) -> Evaluation:
+    data = _probes("sparse-coding", data)
+    if quick:  # two maps of 64 rows and short codes
+        return SparseCoding(
+            data=data, height=64, counts=(4, 16, 36), indoor=2, outdoor=0, learned=12
+        )
+    return SparseCoding(data=data)
+
+
+def _sparse_inverse(quick: bool, data: Path | None) -> Evaluation:
+    data = _probes("sparse-inverse", data)
+    if quick:
+        return SparseInverse(data=data, every=11, counts=(4, 16))
+    return SparseInverse(data=data, every=3)
+
+
+def _transport_compression(quick: bool, data: Path | None) -> Evaluation:
+    data = _probes("transport-compression", data)
+    if quick:
+        return TransportCompression(data=data, rows=24, chunk=4, nonnegative_every=4, timed_rows=4)
+    return TransportCompression(data=data)
+
+
 EVALUATIONS: dict[str, Callable[[bool, Path | None], Evaluation]] = {
     "synthetic-faces": _synthetic_faces,
     "sky-models": _sky_models,
     "real-faces": _real_faces,
     "sky-representations": _sky_representations,
+    "sparse-coding": _sparse_coding,
+    "sparse-inverse": _sparse_inverse,
+    "transport-compression": _transport_compression,
 }
 
 
 def evaluate(name: str, *, quick: bool, data: Path | None, out: Path, workers: int = 2) -> Path:
     """Run an evaluation by name and write its results into ``out``; returns ``results.json``.
 
-    Beside it lie ``results.md``, a picture per item, ``sheet.png`` of the first of them, and
+    Beside it lie ``results.md``, curves where something was measured at several counts, a
+    picture per item, ``sheet.png`` of the first of them, and
     ``items.jsonl`` from which the same command goes on after an interruption. A missed goal is
     a result like any other.
 
@@ -118,6 +155,7 @@ def run_evaluation(
     write_json(out / "results.json", results)
     with atomic_path(out / "results.md") as temporary:
         temporary.write_text(markdown(results))
+    write_curves(out, rows)
     strips = [out / "pictures" / f"{i.name}.png" for i in items[:SHEET_STRIPS]]
     write_sheet(out / "sheet.png", strips)
     return out / "results.json"

@@ -80,6 +80,16 @@ def sky_grid(skies: dict[str, Picture]) -> Picture:
     return np.vstack([np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)])
 
 
+def captioned_rows(maps: dict[str, Picture], columns: int = 3) -> Picture:
+    """Whole panoramas, each with its name above, from left to right and downwards."""
+    width = 4 * TILE
+    tiles = [
+        np.vstack([caption(name, width), sized(one, width, 2 * TILE)]) for name, one in maps.items()
+    ]
+    tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % columns)
+    return np.vstack([np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)])
+
+
 def beside(picture: Picture, right: Picture, label: str) -> Picture:
     """``picture`` scaled to the height of ``right`` and put before it."""
     height = right.shape[0] - LABEL
@@ -108,7 +118,7 @@ def write_sheet(path: Path, strips: list[Path], titles: list[str] | None = None)
     titles = titles or [""] * len(strips)
     tiles = []
     for strip_path, title in zip(strips, titles, strict=True):
-        read = cv2.imread(str(strip_path))
+        read = cv2.imread(str(strip_path)) if strip_path.is_file() else None
         if read is not None:
             tile = read[..., ::-1]
             above = [caption(title, tile.shape[1])] if title else []

@@ -17,7 +17,17 @@ from skylight.errors import SkylightError
 
 Metrics = dict[str, dict[str, float]]  # method -> metric -> value
 CACHE = "items.jsonl"
-MEASURED = ("sphere", "imaging", "skies", "models", "transport", "faces", "inverse", "evaluation")
+MEASURED = (
+    "sphere",
+    "imaging",
+    "skies",
+    "models",
+    "transport",
+    "faces",
+    "csc",
+    "inverse",
+    "evaluation",
+)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,6 +26,8 @@ LABELS = {
     "psnr": "tone-mapped PSNR, dB",
     "tone_mapped_ssim": "tone-mapped SSIM",
     "floats": "floats",
+    "floats_per_activation": "floats per activation, indices included",
+    "l2": "relative L2 error",
     "seconds": "seconds",
     "cpu_seconds": "seconds of a core",
     "transport_seconds": "seconds of ray tracing",

@@ -1,7 +1,6 @@
 """What :mod:`skylight.relight.runtime` needs, written with torch: the decoder and scenes."""
 
 import logging
-import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,6 +27,7 @@ from skylight.sphere.grid import DirectionGrid
 from skylight.transport.camera import Camera
 from skylight.transport.gbuffer import rasterize
 from skylight.transport.matrix import TransportMatrix, diffuse_transport
+from skylight.transport.mesh import creased, read_mesh
 from skylight.transport.raycast import Raycaster
 
 if TYPE_CHECKING:
@@ -40,9 +40,7 @@ TOLERANCE = 1e-4
 RADIANCE_FLOOR = 0.1
 BATCHES = (1, 5, 10)
 GRID_HEIGHT = 64  # twice the decoder's rows
-CREASE_RAD = math.radians(40.0)  # edges sharper than this stay edges in shading
 EYE_HEIGHT, DISTANCE = 1.6, 3.4  # of the camera, in radii of the mesh's bounding sphere
-MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
 _BLOCK_PIXELS = 4096  # 134 MB of transport at a time
 
 
@@ -184,7 +182,8 @@ def precompute_scene(
     if not all(0 <= value <= 1 for value in albedo):
         raise InputError(f"albedo must be from 0 to 1, got {albedo}")
     placement = placement or Placement()
-    vertices, faces = _placed(_read_mesh(mesh) if isinstance(mesh, str | Path) else mesh, placement)
+    vertices, faces = read_mesh(mesh) if isinstance(mesh, str | Path) else creased(mesh)
+    vertices = _placed(vertices, placement)
     camera = Camera(
         focal_px=1.2 * height,
         width=round(4 / 3 * height),
@@ -267,35 +266,8 @@ def _ground_seen(
     return pixels, points, up, up
 
 
-def _read_mesh(path: str | Path) -> "Trimesh":
-    import trimesh  # slow to import
-
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such mesh")
-    if path.suffix.lower() not in MESH_SUFFIXES:
-        raise InputError(
-            f"{path}: '{path.suffix}' is no mesh known here: use {', '.join(MESH_SUFFIXES)}"
-        )
-    try:
-        return trimesh.load_mesh(path, process=True)
-    # its readers raise whatever their parsing stumbles over
-    except Exception as error:
-        raise InputError(f"{path}: damaged, or no {path.suffix} mesh ({error})") from error
-
-
-def _placed(
-    mesh: "Trimesh", placement: Placement
-) -> tuple[Float[Tensor, "n 3"], Int[Tensor, "f 3"]]:
-    """Vertices and faces at their place before the camera."""
-    from trimesh.graph import smooth_shade
-
-    if not len(mesh.faces):
-        raise InputError("the mesh has no faces: points and curves cast no shadow")
-    if not np.isfinite(mesh.vertices).all():
-        raise InputError("the mesh has vertices that are NaN or infinite; repair it")
-    creased = smooth_shade(mesh, angle=CREASE_RAD)
-    vertices = torch.from_numpy(np.array(creased.vertices, np.float64))
+def _placed(vertices: Float[Tensor, "n 3"], placement: Placement) -> Float[Tensor, "n 3"]:
+    """The mesh at its place before the camera."""
     if placement.up == "z":
         vertices = torch.stack([vertices[:, 0], vertices[:, 2], -vertices[:, 1]], dim=1)
     # a growing azimuth is a negative angle about +Y
@@ -307,4 +279,4 @@ def _placed(
         raise InputError("the mesh has no extent: all its vertices are one point")
     feet = torch.stack([(low + high)[0] / 2, low[1], (low + high)[2] / 2])
     where = torch.tensor([0.0, -EYE_HEIGHT, -DISTANCE], dtype=torch.float64)
-    return (vertices - feet) * (2 / size) + where, torch.from_numpy(np.array(creased.faces))
+    return (vertices - feet) * (2 / size) + where

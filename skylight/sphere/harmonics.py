@@ -62,6 +62,15 @@ def evaluate(directions: Float[Tensor, "n 3"], degree: int) -> Float[Tensor, "n 
     return torch.stack(columns, dim=-1)
 
 
+def evaluate_about_zenith(directions: Float[Tensor, "n 3"], degree: int) -> Float[Tensor, "n k"]:
+    """:func:`evaluate` with the zenith (+Y) as polar axis: (z, x, y) takes the place of (x, y, z).
+
+    About this axis a lat-long map is a product of rows and columns, so it is what transforms of
+    whole maps use. Longitude counts from +Z towards +X: pi minus the azimuth.
+    """
+    return evaluate(directions[:, [2, 0, 1]], degree)
+
+
 def bands(degree: int) -> Int[Tensor, " k"]:
     """The l of every coefficient: 0, 1, 1, 1, 2, ... up to ``degree``."""
     l = torch.arange(degree + 1)  # noqa: E741

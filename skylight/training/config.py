@@ -87,8 +87,54 @@ class PriorConfig:
             raise InputError("`most_components` must be at least 1 and `bank` at least 24")
 
 
-Config = AutoencoderConfig | PriorConfig
-_KINDS: dict[str, type[Config]] = {"autoencoder": AutoencoderConfig, "prior": PriorConfig}
+@dataclass(frozen=True, kw_only=True)
+class DictionaryConfig:
+    """Learning filters for sparse codes from a folder of light probes.
+
+    ``maps`` names the files to take and ``category`` how theirs in index.csv begins; empty, both
+    take all. ``filters`` counts the learned ones. From ``rows`` on all is of the method "gradient":
+    maps of so many rows, coded by ``activations``, filters of ``radius_deg`` that may be negative
+    where ``signed``.
+    """
+
+    kind: Literal["dictionary"] = "dictionary"
+    data: Path = Path("runs/probes")
+    out: Path = Path("runs/dictionary")
+    method: Literal["kmeans", "gradient"] = "kmeans"
+    filters: int = 100
+    category: str = ""
+    maps: tuple[str, ...] = ()
+    degree: int = 40
+    seed: int = 0
+    rows: int = 32
+    activations: int = 36
+    epochs: int = 6
+    radius_deg: float = 30.0
+    signed: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("filters", "activations", "epochs"):
+            if getattr(self, name) < 1:
+                raise InputError(f"`{name}` must be at least 1, got {getattr(self, name)}")
+        if self.degree < 3:
+            raise InputError(f"`degree` must be at least 3, got {self.degree}")
+        if not (self.degree + 1) ** 2 <= 2 * self.rows**2 or self.rows >= 64:
+            raise InputError(
+                f"`rows` must be below 64, and 2 rows^2 at least (degree + 1)^2 = "
+                f"{(self.degree + 1) ** 2}, got {self.rows}"
+            )
+        if not 0 < self.radius_deg <= 90:
+            raise InputError(f"`radius_deg` must be above 0, at most 90, got {self.radius_deg}")
+        if not 0 <= self.seed < 2**32:  # scikit-learn's
+            raise InputError(f"`seed` must be from 0 to {2**32 - 1}, got {self.seed}")
+
+
+Config = AutoencoderConfig | PriorConfig | DictionaryConfig
+_KINDS: dict[str, type[Config]] = {
+    "autoencoder": AutoencoderConfig,
+    "prior": PriorConfig,
+    "dictionary": DictionaryConfig,
+}
 
 
 def read_config(path: Path) -> Config:
@@ -118,7 +164,10 @@ def _typed(path: Path, key: str, kind: Any, value: Any) -> Any:
         return Path(value)
     if kind == Path | None and value is None:
         return None
-    if kind is float and not isinstance(value, bool):
+    if kind == tuple[str, ...] and isinstance(value, list):
+        if all(isinstance(each, str) for each in value):
+            return tuple(value)
+    elif kind is float and not isinstance(value, bool):
         try:
             return float(value)  # YAML 1.1 takes 1e-5, which has no point, for text
         except (TypeError, ValueError):

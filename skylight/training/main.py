@@ -7,7 +7,7 @@ from pathlib import Path
 import tyro
 
 from skylight.errors import InputError, SkylightError
-from skylight.training.config import AutoencoderConfig, read_config
+from skylight.training.config import AutoencoderConfig, DictionaryConfig, read_config
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -29,6 +29,10 @@ def main(arguments: list[str] | None = None) -> None:
             best = train(config)
             if rank == 0:
                 print(f"best network: {best}")
+        elif isinstance(config, DictionaryConfig):
+            from skylight.training.dictionary import learn_dictionary
+
+            print(f"dictionary: {learn_dictionary(config)}")
         else:
             from skylight.training.prior import fit_priors
 

@@ -8,6 +8,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from skylight.csc.code import SparseCode
+from skylight.csc.coder import SphericalSparseCoder
+from skylight.csc.light import SparseLight
 from skylight.models.base import LightModel
 from skylight.models.harmonic import HarmonicLight
 from skylight.models.sunsky import SunSky
@@ -26,10 +29,33 @@ class Case:
     sun_tolerance_deg: float | None = None
 
 
+def sparse(sign: float) -> SparseLight:
+    """White everywhere and two lobes; ``sign`` is that of the second's red."""
+    coder = SphericalSparseCoder("vmf", banded=True)
+    azimuth, zenith = (
+        torch.tensor([0.0, 2.0, -1.0]).double(),
+        torch.tensor([0.0, 0.8, 1.9]).double(),
+    )
+    code = SparseCode(
+        dictionary=coder.bank.name,
+        fingerprint=coder.bank.fingerprint,
+        height=coder.height,
+        banded=True,
+        filters=torch.tensor([0, 1, 1]),
+        directions=direction_from_angles(azimuth, zenith),
+        twists_rad=torch.zeros(3, dtype=F64),
+        weights=torch.tensor([[4.0, 4.0, 4.0], [2.0, 2.0, 1.5], [0.5 * sign, 0.4, 0.3]]).double(),
+        relative_error=0.0,
+    )
+    return SparseLight(code, coder, height=32)
+
+
 CASES = {
     "sunsky": Case(SunSky(16), sun_tolerance_deg=5.0),
     "sh9": Case(HarmonicLight(2, 32)),
     "sh25": Case(HarmonicLight(4, 32)),
+    "sparse, non-negative": Case(sparse(1.0)),
+    "sparse, of either sign": Case(sparse(-1.0)),
 }
 
 

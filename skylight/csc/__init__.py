@@ -1,0 +1,1 @@
+"""Convolutional sparse coding on the sphere: light as few turned copies of few filters."""

@@ -1,0 +1,139 @@
+"""A sparse code: a handful of filters, where they stand, how they are turned, which colour."""
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from skylight.errors import InputError
+from skylight.imaging.files import write_json
+
+FORMAT, VERSION = "skylight sparse code", 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class SparseCode:
+    """``sum_j weights_j R_j d_(filters_j)``: s activations of a dictionary's filters.
+
+    ``directions`` (s,3) are where the filters' middles look, in the world; ``twists_rad`` (s,) how
+    far each is turned about that direction first; ``weights`` (s,3) the colours, in radiance times
+    the root of a steradian, as filters have unit norm over the sphere. ``height`` is the rows of
+    the map that was coded, which with ``banded`` decides the dictionary's layers; ``fingerprint``
+    names the dictionary itself.
+    ``relative_error`` is ``|x - decoded| / |x|``, weighted by solid angle.
+    """
+
+    dictionary: str
+    fingerprint: str
+    height: int
+    banded: bool
+    filters: Int[Tensor, " s"]
+    directions: Float[Tensor, "s 3"]
+    twists_rad: Float[Tensor, " s"]
+    weights: Float[Tensor, "s 3"]
+    relative_error: float
+
+    def __post_init__(self) -> None:
+        count = len(self.filters)
+        shapes = (self.directions.shape, self.twists_rad.shape, self.weights.shape)
+        if shapes != ((count, 3), (count,), (count, 3)):
+            raise ValueError(f"{count} filters do not match directions, twists, weights: {shapes}")
+
+    def __len__(self) -> int:
+        return len(self.filters)
+
+    @property
+    def floats(self) -> int:
+        """Numbers that it takes in full: three colours, and one word for place, twist and filter.
+
+        A place of 128 x 256 (15 bits), one of 32 twists (5) and one of 4,096 filters (12) fill 32
+        bits.
+        """
+        return 4 * len(self)
+
+    def angles(self) -> tuple[Float[Tensor, " s"], Float[Tensor, " s"], Float[Tensor, " s"]]:
+        """(alpha, beta, gamma) about the zenith: longitude, polar angle, twist."""
+        x, y, z = self.directions.unbind(1)
+        return torch.atan2(x, z), torch.atan2(torch.hypot(x, z), y), self.twists_rad
+
+    def save(self, path: str | Path) -> None:
+        """Write a JSON file, whole or not at all."""
+        rows = zip(
+            self.filters.tolist(),
+            self.directions.tolist(),
+            self.twists_rad.tolist(),
+            self.weights.tolist(),
+            strict=True,
+        )
+        write_json(
+            path,
+            {
+                "format": FORMAT,
+                "version": VERSION,
+                "dictionary": self.dictionary,
+                "fingerprint": self.fingerprint,
+                "height": self.height,
+                "banded": self.banded,
+                "relative_error": self.relative_error,
+                "activations": [
+                    {"filter": f, "direction": d, "twist_deg": math.degrees(t), "rgb": w}
+                    for f, d, t, w in rows
+                ],
+            },
+        )
+
+    @staticmethod
+    def load(path: str | Path) -> "SparseCode":
+        """Read what :meth:`save` wrote.
+
+        Raises
+        ------
+        InputError
+            The file is missing, damaged, or something else.
+        """
+        try:
+            content = json.loads(Path(path).read_text(encoding="utf-8"))
+        except OSError as error:
+            raise InputError(f"{path} cannot be read: {error.strerror}") from error
+        except ValueError as error:
+            raise InputError(f"{path} is no JSON file: {error}") from error
+        if not isinstance(content, dict) or content.get("format") != FORMAT:
+            raise InputError(f"{path} is no sparse code: choose a file that `skylight code` wrote")
+        if content.get("version") != VERSION:
+            raise InputError(
+                f"{path} has version {content.get('version')} of the format, this skylight reads "
+                f"{VERSION}: code the map again"
+            )
+        try:
+            each = content["activations"]
+            code = SparseCode(
+                dictionary=content["dictionary"],
+                fingerprint=content["fingerprint"],
+                height=int(content["height"]),
+                banded=bool(content["banded"]),
+                relative_error=float(content["relative_error"]),
+                filters=torch.tensor([a["filter"] for a in each], dtype=torch.long),
+                directions=_table([a["direction"] for a in each]),
+                twists_rad=torch.deg2rad(_table([[a["twist_deg"]] for a in each], 1)[:, 0]),
+                weights=_table([a["rgb"] for a in each]),
+            )
+            whole = all(type(a["filter"]) is int and a["filter"] >= 0 for a in each)
+        except (KeyError, TypeError, ValueError, RuntimeError, OverflowError) as error:
+            raise InputError(f"{path} is damaged ({error}): code the map again") from error
+        unit = (code.directions.norm(dim=1) - 1).abs() < 1e-6
+        finite = code.weights.isfinite().all() and code.twists_rad.isfinite().all()
+        told = math.isfinite(code.relative_error) and code.relative_error >= 0
+        if not (whole and told and bool(unit.all()) and bool(finite)) or code.height < 1:
+            raise InputError(
+                f"{path} is damaged: directions must be unit vectors, filters whole numbers, "
+                "colours, twists and the error finite"
+            )
+        return code
+
+
+def _table(rows: list[list[float]], columns: int = 3) -> Float[Tensor, "s c"]:
+    return torch.tensor(rows, dtype=torch.float64).reshape(len(rows), columns)

@@ -1,0 +1,69 @@
+"""Where on SO(3) filters may stand: the positions and twists of activations."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from skylight.errors import InputError
+from skylight.sphere.frame import direction_from_angles
+from skylight.sphere.rotation import matrix_from_euler
+
+
+@dataclass(frozen=True, kw_only=True)
+class Positions:
+    """``rows`` x ``2 rows`` lat-long directions (pixel centres), each with ``twists`` turns.
+
+    The filter at the zenith goes to (row, column, twist) by ``Rz(alpha) Ry(beta) Rz(gamma)`` about
+    the axes (+Z, +X, +Y): alpha is the longitude of the column (pi minus its azimuth), beta the
+    zenith angle of the row, gamma = 2 pi twist / twists (thesis, 6.4.4: 32 x 64 x 32).
+    """
+
+    rows: int = 32
+    twists: int = 32
+
+    def __post_init__(self) -> None:
+        if self.rows < 2 or self.twists < 1:
+            raise InputError(
+                f"positions need 2 or more rows and 1 or more twists, got {self.rows} and "
+                f"{self.twists}"
+            )
+
+    @property
+    def columns(self) -> int:
+        return 2 * self.rows
+
+    def __len__(self) -> int:
+        """N T, the number of rotations."""
+        return self.rows * self.columns * self.twists
+
+    @property
+    def beta(self) -> Float[Tensor, " rows"]:
+        return (torch.arange(self.rows, dtype=torch.float64) + 0.5) * math.pi / self.rows
+
+    @property
+    def alpha(self) -> Float[Tensor, " columns"]:
+        turn = (torch.arange(self.columns, dtype=torch.float64) + 0.5) / self.columns
+        return 2 * math.pi * (1 - turn)
+
+    @property
+    def gamma(self) -> Float[Tensor, " twists"]:
+        return torch.arange(self.twists, dtype=torch.float64) * 2 * math.pi / self.twists
+
+    def euler(
+        self, places: Int[Tensor, "s 3"]
+    ) -> tuple[Float[Tensor, " s"], Float[Tensor, " s"], Float[Tensor, " s"]]:
+        """(alpha, beta, gamma) of (row, column, twist) triples."""
+        row, column, twist = places.cpu().unbind(1)
+        return self.alpha[column], self.beta[row], self.gamma[twist]
+
+    def directions(self, places: Int[Tensor, "s 3"]) -> Float[Tensor, "s 3"]:
+        """World directions of (row, column, twist) triples."""
+        alpha, beta, _ = self.euler(places)
+        return direction_from_angles(math.pi - alpha, beta)
+
+    def rotations(self, places: Int[Tensor, "s 3"]) -> Float[Tensor, "s 3 3"]:
+        """Rotation matrices in axes about the zenith, (+Z, +X, +Y)."""
+        return matrix_from_euler(*self.euler(places))

@@ -1,0 +1,346 @@
+"""Greedy sparse coding: which filters, where, and how strong."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from skylight.csc.active_set import ActiveSet
+from skylight.csc.layers import AnyLayer, layer_of
+from skylight.csc.objective import Quadratic
+from skylight.errors import InputError
+
+_EXACT = 1e-12  # of the signal's energy: an error of the weights of 1e-6
+_GAIN = 1e-9  # of the error: less is rounding
+_OVERSHOOT = 10  # activations
+_ROOM = 192  # images at first: 144 activations and some rivals
+Values = Float[Tensor, "_ _ _ _"]  # (twist, filter, row, column); groups differ in size
+Group = tuple[Values, int, int]  # correlations, layer, group
+Atom = tuple[int, tuple[int, int, int]]  # filter, (row, column, twist)
+Sign = Literal["l1", "nonnegative", "free"]
+WEAK_L1 = 1e-5  # of the largest correlation with the signal
+_ROUNDING = 2e-6  # of the same: what is left in float32 of a correlation that is 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PursuitOptions:
+    """``weights``: which weights a refit allows.
+
+    "nonnegative" (NNLS), "l1" (either sign, with a weak L1 norm: 6.6.3), or "free" (plain least
+    squares). ``thresholding`` is Hard Thresholding Pursuit (6.4.6), otherwise the pursuit only
+    adds (orthogonal matching pursuit). ``sweeps`` is how often, at most, each activation of
+    a finished code is exchanged for a better one (:meth:`Pursuit.exchange`,
+    :meth:`Pursuit.overshoot`), each costing about as much as finding the code.
+    """
+
+    weights: Sign = "l1"
+    thresholding: bool = True
+    sweeps: int = 0
+    penalty: float = WEAK_L1
+
+    def __post_init__(self) -> None:
+        if self.weights not in get_args(Sign):
+            raise InputError(f"weights {self.weights!r}: choose one of {', '.join(get_args(Sign))}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Support:
+    """Activations: filter indices (s,), (row, column, twist) places (s,3), weights (s,c)."""
+
+    filters: Int[Tensor, " s"]
+    places: Int[Tensor, "s 3"]
+    weights: Float[Tensor, "s c"]
+    error: float
+    """Squared error, summed over colours."""
+
+    def __len__(self) -> int:
+        return len(self.filters)
+
+
+class Pursuit:
+    """One activation more per step, until :meth:`step` finds nothing to add.
+
+    With atoms a_j = R_j d_j, H and b of the :class:`~skylight.csc.objective.Quadratic`, and z the
+    weights, a step looks for the atom whose correlation ``<a, b - H sum_j z_j a_j>`` is largest,
+    over all filters and rotations, and refits all weights. Colours share their activations: the
+    correlation is that of the residual's principal colour (its mean colour where weights must not
+    be negative), the refit is exact for each colour.
+
+    Thresholding takes a gradient step ``u = z + mu * correlation`` and keeps the strongest t + 1
+    atoms of those present and those found, so that it can exchange weak ones (Foucart 2011). It
+    descends for certain: with mu <= 1 / (largest eigenvalue of the Gram matrix of the atoms
+    involved), the quadratic with curvature 1 / mu lies above the error and touches it at z, and
+    the kept atoms minimise it among all choices of t + 1 (the proximal steps of the L1 norm and of
+    the bound leave this true, atom by atom). The refit can only lower the error further.
+    """
+
+    def __init__(
+        self,
+        layers: Sequence[AnyLayer],
+        objective: Quadratic,
+        options: PursuitOptions,
+        norms: Sequence[Values] | None = None,
+    ) -> None:
+        self.options = options
+        self._norms = norms
+        self._layers = layers
+        self._objective = objective
+        self._target = objective.target.double()
+        k, colours = self._target.shape
+        self.filters: list[int] = []
+        self.places: list[tuple[int, int, int]] = []
+        self._images = self._target.new_zeros(_ROOM, k)  # H a_j, the first of them in use
+        self._gram = np.zeros((0, 0))
+        self._right = np.zeros((0, colours))
+        self._sets: list[ActiveSet] = []
+        self._scale = self._largest_correlation()
+        penalty = options.penalty * self._scale if options.weights == "l1" else 0.0
+        self._sets = [
+            ActiveSet(penalty=penalty, nonnegative=options.weights == "nonnegative")
+            for _ in range(colours)
+        ]
+
+    @property
+    def penalty(self) -> float:
+        return self._sets[0].penalty
+
+    @property
+    def weights(self) -> Float[np.ndarray, "s c"]:
+        return np.stack([s.weights for s in self._sets], 1)
+
+    def support(self) -> Support:
+        z = self.weights
+        error = self._objective.energy.double().cpu().numpy() - np.einsum(
+            "sc,sc->c", z, 2 * self._right - self._gram @ z
+        )
+        return Support(
+            filters=torch.tensor(self.filters, dtype=torch.long),
+            places=torch.tensor(self.places, dtype=torch.long).reshape(-1, 3),
+            weights=torch.from_numpy(z.copy()),
+            error=float(error.sum()),
+        )
+
+    def step(self) -> bool:
+        """One activation more; False where the colour searched for correlates with no atom."""
+        groups = self._unused(self._residual())
+        best = self._best(groups)
+        if best is None:
+            return False
+        old = len(self.filters)
+        rivals = self._rivals(groups) if self.options.thresholding and old else []
+        found = [best, *(atom for atom in rivals if atom != best)]
+        self._append(found)
+        if len(found) > 1:
+            self._threshold(old + 1, len(found))
+        self._refit()
+        return True
+
+    def exchange(self, *, refit: bool = False) -> int:
+        """Look for a better atom in the place of each, the others as they are; how many changed.
+
+        An exchange that does not lower the error is undone. Greedy choices are made while others
+        are missing; sweeps of exchanges mend those (cyclic matching pursuit, Christensen and Jensen
+        2007). With ``refit`` the others' weights are fitted again before the search.
+        """
+        changed = 0
+        for _ in range(len(self.filters)):
+            before = self.support().error
+            old: Atom = (self.filters[0], self.places[0])
+            self._drop(0)
+            if refit:
+                self._refit()
+            new = self._best(self._unused(self._residual())) or old
+            self._append([new])
+            self._refit()
+            # what was left out moved to the end, so that the next in turn comes first
+            if new != old:
+                changed += 1
+                if self.support().error >= before * (1 - _GAIN):
+                    self._drop(len(self.filters) - 1)
+                    self._append([old])
+                    self._refit()
+                    changed -= 1
+        return changed
+
+    @property
+    def exact(self) -> bool:
+        """Whether the code explains the signal to rounding."""
+        return self.support().error <= _EXACT * float(self._objective.energy.sum())
+
+    def overshoot(self) -> bool:
+        """Take some activations more, give as many of the least useful up; whether that helped.
+
+        It leads out of codes in which two activations share one place and another has none, which
+        no single exchange mends. A code that got no better is put back.
+        """
+        before, old = self.support().error, list(zip(self.filters, self.places, strict=True))
+        for _ in range(_OVERSHOOT):
+            self.step()
+        while len(self.filters) > len(old):
+            # leaving j out raises the squared error by z_j^2 / (G^-1)_jj
+            loss = np.square(self.weights).sum(1) / np.diag(np.linalg.pinv(self._gram))
+            self._drop(int(loss.argmin()))
+            self._refit()
+        while self.exchange():
+            pass
+        if self.support().error < before * (1 - _GAIN):
+            return True
+        while self.filters:
+            self._drop(0)
+        self._append(old)
+        self._refit()
+        return False
+
+    def _residual(self) -> Float[Tensor, "k c"]:
+        """``b - H sum_j z_j a_j``: minus half the gradient by the coefficients."""
+        z = torch.from_numpy(self.weights).to(self._target)
+        return self._target - self._images[: len(z)].T @ z
+
+    def _colour(self, residual: Float[Tensor, "k c"]) -> Float[Tensor, " c"]:
+        colours = residual.shape[1]
+        if self.options.weights == "nonnegative":
+            return residual.new_full((colours,), colours**-0.5)
+        return torch.linalg.eigh(residual.T @ residual).eigenvectors[:, -1]
+
+    def _correlations(self, residual: Float[Tensor, "k c"]) -> list[list[Values]]:
+        """Per layer and group, as far as they speak for an atom: clamped or absolute."""
+        grey = residual @ self._colour(residual)
+        found = [layer.correlation.by_group(grey[layer.coordinates]) for layer in self._layers]
+        if self._norms is not None:
+            for values, norm in zip(found[0], self._norms, strict=True):
+                values /= norm
+        if self.options.weights == "nonnegative":
+            return found
+        return [[values.abs_() for values in groups] for groups in found]
+
+    def _largest_correlation(self) -> float:
+        return max(float(v.max()) for groups in self._correlations(self._target) for v in groups)
+
+    def _unused(self, residual: Float[Tensor, "k c"]) -> list[Group]:
+        """All correlations with their layer and group, 0 for atoms in use."""
+        found = self._correlations(residual)
+        for filter_, (row, column, twist) in zip(self.filters, self.places, strict=True):
+            number = layer_of(self._layers, filter_)
+            layer = self._layers[number]
+            group, place = layer.correlation.index[filter_ - layer.first]
+            taken = found[number][group][:, place]
+            if filter_ in layer.constant:  # the same wherever it stands
+                taken[:] = 0
+            taken[twist % len(taken), row, column] = 0
+        return [
+            (values, number, group)
+            for number, per_layer in enumerate(found)
+            for group, values in enumerate(per_layer)
+        ]
+
+    def _best(self, groups: list[Group]) -> Atom | None:
+        """The atom of the largest correlation; None where that is as good as 0."""
+        tops = [float(values.max()) for values, _, _ in groups]
+        best = int(np.argmax(tops))
+        if tops[best] <= self.penalty + _ROUNDING * self._scale:
+            return None
+        return self._named(*groups[best], int(groups[best][0].argmax()))
+
+    def _rivals(self, groups: list[Group]) -> list[Atom]:
+        """Atoms that the longest step allowed by those in use would lift over the weakest."""
+        least = float(np.linalg.norm(self.weights, axis=1).min())
+        least *= float(np.linalg.eigvalsh(self._gram)[-1])
+        wanted = len(self.filters) + 1
+        rivals: list[tuple[float, Atom]] = []
+        for values, number, group in groups:
+            flat = values.flatten()
+            over = torch.nonzero(flat > least)[:, 0]
+            keep = torch.topk(flat[over], min(len(over), wanted)).indices
+            rivals += [
+                (float(flat[i]), self._named(values, number, group, i)) for i in over[keep].tolist()
+            ]
+        return [atom for _, atom in sorted(rivals, reverse=True)[:wanted]]
+
+    def _named(self, values: Values, number: int, group: int, flat: int) -> Atom:
+        twist, place, row, column = (int(i) for i in np.unravel_index(flat, values.shape))
+        layer = self._layers[number]
+        return layer.first + layer.correlation.members(group)[place], (row, column, twist)
+
+    def _rotated(self, atom: Atom) -> Float[Tensor, " k"]:
+        layer = self._layers[layer_of(self._layers, atom[0])]
+        out = torch.zeros_like(self._target[:, 0])
+        out[layer.coordinates] = layer.correlation.rotated(
+            torch.tensor([atom[0] - layer.first]), torch.tensor([atom[1]])
+        )[0]
+        return out
+
+    def _append(self, found: list[Atom]) -> None:
+        atoms = torch.stack([self._rotated(atom) for atom in found])
+        old, new = len(self._gram), len(self._gram) + len(found)
+        if new > len(self._images):
+            more = self._images.new_zeros(new, self._images.shape[1])
+            self._images = torch.cat([self._images, more])
+        self._images[old:new] = self._objective.hessian(atoms.T).T
+        block = (self._images[:new] @ atoms.T).cpu().numpy()
+        gram = np.zeros((new, new))
+        gram[:old, :old] = self._gram
+        gram[:, old:] = block
+        gram[old:, :old] = block[:old].T
+        self._gram = gram
+        self._right = np.concatenate([self._right, (atoms @ self._target).cpu().numpy()])
+        self.filters += [f[0] for f in found]
+        self.places += [f[1] for f in found]
+        for each in self._sets:
+            for _ in found:
+                each.grow()
+
+    def _threshold(self, size: int, new: int) -> None:
+        """Keep the ``size`` strongest after a gradient step, of the atoms present and ``new``."""
+        z = self.weights
+        gradient = self._right - self._gram @ z
+        present = np.arange(len(z)) < len(z) - new
+        # no step that involves these atoms may be longer
+        step = 1 / np.linalg.eigvalsh(self._gram[np.ix_(present, present)])[-1]
+        while True:
+            u = z + step * gradient
+            if self.options.weights == "nonnegative":
+                u = np.maximum(u, 0)
+            else:
+                u = np.sign(u) * np.maximum(np.abs(u) - step * self.penalty, 0)
+            strength = np.linalg.norm(u, axis=1)
+            kept = np.sort(np.argsort(-strength, kind="stable")[:size])
+            involved = np.flatnonzero(present | np.isin(np.arange(len(z)), kept))
+            curvature = np.linalg.eigvalsh(self._gram[np.ix_(involved, involved)])[-1]
+            if step * curvature <= 1 + 1e-9:
+                break
+            step = 1 / curvature
+        for atom in sorted(set(range(len(z))) - set(kept.tolist()), reverse=True):
+            self._drop(atom)
+
+    def _drop(self, atom: int) -> None:
+        del self.filters[atom], self.places[atom]
+        rest = [i for i in range(len(self._gram)) if i != atom]
+        self._images[atom : len(rest)] = self._images[atom + 1 : len(rest) + 1].clone()
+        self._gram = self._gram[np.ix_(rest, rest)]
+        self._right = self._right[rest]
+        for each in self._sets:
+            each.drop(atom)
+
+    def _refit(self) -> None:
+        for colour, each in enumerate(self._sets):
+            each.solve(self._gram, self._right[:, colour])
+
+
+def pursue(
+    pursuit: Pursuit, counts: Sequence[int], progress: Callable[[float], None] | None = None
+) -> Iterator[Support]:
+    """The codes of ``counts`` activations (ascending); fewer where nothing more helps."""
+    for count in counts:
+        while len(pursuit.filters) < count and pursuit.step():
+            if progress is not None:
+                progress(len(pursuit.filters) / counts[-1])
+        for _ in range(pursuit.options.sweeps):
+            if pursuit.exact or not (
+                pursuit.exchange() or pursuit.exchange(refit=True) or pursuit.overshoot()
+            ):
+                break
+        yield pursuit.support()

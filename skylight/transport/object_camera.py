@@ -1,0 +1,196 @@
+"""The camera of a known object's photograph: a pinhole somewhere in the mesh's world."""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skylight.errors import InputError
+from skylight.transport.camera import Camera
+
+_LENS, _POSE = ("fov_deg", "focal_px"), ("position", "look_at", "up")
+_KEYS = (*_LENS, "center_px", *_POSE, "world_from_camera")
+_RIGID = 1e-3  # files carry rotations with few digits
+_EXAMPLE = '{"fov_deg": 40, "position": [0, 1, 4], "look_at": [0, 0.5, 0]}'
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlacedCamera:
+    """``x_world = rotation @ x_camera + position``; the camera looks along its own -Z, +Y is up.
+
+    ``rotation`` (3,3) and ``position`` (3,) are float64, in the mesh's world and units.
+    """
+
+    camera: Camera
+    rotation: Float[Tensor, "3 3"]
+    position: Float[Tensor, "3"]
+
+    def points_to_camera(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """World positions in the camera's frame, R^T (x - p)."""
+        return (points.double() - self.position) @ self.rotation
+
+    def directions_to_camera(self, directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """World directions in the camera's frame, R^T w."""
+        return directions.double() @ self.rotation
+
+    def matrix(self) -> Float[Tensor, "4 4"]:
+        """World from camera, as camera files hold it."""
+        out = torch.eye(4, dtype=torch.float64)
+        out[:3, :3], out[:3, 3] = self.rotation, self.position
+        return out
+
+    def shrunk(self, factor: int) -> "PlacedCamera":
+        """The camera of the picture whose pixels are means of ``factor`` x ``factor`` pixels.
+
+        Rows and columns that fill no block are cut off at the bottom and the right.
+        """
+        whole = self.camera
+        camera = Camera(
+            focal_px=whole.focal_px / factor,
+            width=whole.width // factor,
+            height=whole.height // factor,
+            center_px=(whole.center_px[0] / factor, whole.center_px[1] / factor),
+        )
+        return PlacedCamera(camera=camera, rotation=self.rotation, position=self.position)
+
+
+def read_object_camera(path: str | Path, *, height: int, width: int) -> PlacedCamera:
+    """The camera that a JSON file describes, for a picture of ``height`` x ``width`` pixels.
+
+    See :func:`object_camera` for the keys.
+
+    Raises
+    ------
+    InputError
+        The file is missing or no JSON, or a key is missing, unknown or impossible.
+    """
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"cannot read the camera {path}: {error.strerror}; give a JSON file such as {_EXAMPLE}"
+        ) from error
+    except (UnicodeDecodeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"{path}: no JSON ({reason}); write the camera such as {_EXAMPLE}"
+        ) from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: a camera is a JSON object such as {_EXAMPLE}")
+    try:
+        return object_camera(content, height=height, width=width)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def object_camera(content: Mapping[str, object], *, height: int, width: int) -> PlacedCamera:
+    """The camera that these values describe, for a picture of ``height`` x ``width`` pixels.
+
+    Lens
+        ``fov_deg``, the vertical field of view, or ``focal_px``, the focal length in pixels of the
+        picture; and, where the picture was cropped, ``center_px`` [x, y], where the optical axis
+        meets it (default: its middle).
+    Place
+        ``position`` and ``look_at`` in the mesh's world, and ``up`` (default [0, 1, 0]); or
+        ``world_from_camera``, four rows of four numbers, of a camera that looks along its own -Z
+        with +Y up (OpenGL's and Blender's).
+
+    Raises
+    ------
+    InputError
+        A key is missing, unknown or impossible; the message names it.
+    """
+    unknown = [key for key in content if key not in _KEYS]
+    if unknown:
+        raise InputError(f"unknown camera key {unknown[0]!r}: use some of {', '.join(_KEYS)}")
+    if ("fov_deg" in content) == ("focal_px" in content):
+        raise InputError('the camera needs either "fov_deg" or "focal_px", and not both')
+    if "fov_deg" in content:
+        fov = _numbers(content, "fov_deg", 0)[0]
+        if not 0.1 <= fov <= 170:
+            raise InputError(f'"fov_deg" must be from 0.1 to 170 degrees, got {fov:g}')
+        focal_px = 0.5 * height / math.tan(math.radians(fov) / 2)
+    else:
+        focal_px = _numbers(content, "focal_px", 0)[0]
+        if focal_px <= 0:
+            raise InputError(f'"focal_px" must be above 0, got {focal_px:g}')
+    center = (width / 2, height / 2)
+    if "center_px" in content:
+        x, y = _numbers(content, "center_px", 2)
+        center = (x, y)
+    rotation, position = _matrix(content) if "world_from_camera" in content else _aimed(content)
+    return PlacedCamera(
+        camera=Camera(focal_px=focal_px, width=width, height=height, center_px=center),
+        rotation=rotation,
+        position=position,
+    )
+
+
+def _aimed(content: Mapping[str, object]) -> tuple[Float[Tensor, "3 3"], Float[Tensor, "3"]]:
+    """Rotation and position of a camera that stands somewhere and looks at something."""
+    missing = [key for key in ("position", "look_at") if key not in content]
+    if missing:
+        raise InputError(
+            f'the camera lacks "{missing[0]}": give "position" and "look_at", or '
+            '"world_from_camera"'
+        )
+    position, target = (_vector(content, key) for key in ("position", "look_at"))
+    up = _vector(content, "up") if "up" in content else torch.tensor([0.0, 1.0, 0.0]).double()
+    backward = position - target
+    if not backward.norm() > 0:
+        raise InputError('"look_at" is where the camera stands: give a point before it')
+    backward = backward / backward.norm()
+    right = torch.linalg.cross(up, backward)
+    if not right.norm() > 1e-6 * up.norm():
+        raise InputError('"up" must not be zero or along the view: give another, such as [0, 0, 1]')
+    right = right / right.norm()
+    return torch.stack([right, torch.linalg.cross(backward, right), backward], dim=1), position
+
+
+def _matrix(content: Mapping[str, object]) -> tuple[Float[Tensor, "3 3"], Float[Tensor, "3"]]:
+    """Rotation and position of a 4 x 4 matrix."""
+    both = [key for key in _POSE if key in content]
+    if both:
+        raise InputError(f'the camera has "world_from_camera" and "{both[0]}": keep one of them')
+    rows = content["world_from_camera"]
+    if not isinstance(rows, list) or len(rows) != 4:
+        raise InputError('"world_from_camera" must be four rows of four numbers')
+    matrix = torch.tensor(
+        [_listed(row, '"world_from_camera"', 4) for row in rows], dtype=torch.float64
+    )
+    rotation = matrix[:3, :3]
+    off = (rotation.T @ rotation - torch.eye(3, dtype=torch.float64)).abs().max()
+    last = (matrix[3] - torch.tensor([0.0, 0.0, 0.0, 1.0]).double()).abs().max()
+    if not (off < _RIGID and last < _RIGID and torch.linalg.det(rotation) > 0):
+        raise InputError(
+            '"world_from_camera" must be a rotation and a translation, without scale or mirror, '
+            "with the last row 0 0 0 1"
+        )
+    u, _, v = torch.linalg.svd(rotation)  # the nearest rotation: files round
+    return u @ v, matrix[:3, 3].clone()
+
+
+def _vector(content: Mapping[str, object], key: str) -> Float[Tensor, "3"]:
+    return torch.tensor(_numbers(content, key, 3), dtype=torch.float64)
+
+
+def _numbers(content: Mapping[str, object], key: str, count: int) -> list[float]:
+    """``count`` finite numbers of that key; 0 for a single one outside a list."""
+    value = content[key]
+    return _listed(value if count else [value], f'"{key}"', count or 1)
+
+
+def _listed(value: object, name: str, count: int) -> list[float]:
+    wanted = "a number" if count == 1 else f"{count} numbers"
+    if not isinstance(value, list) or len(value) != count:
+        raise InputError(f"{name} must be {wanted}, got {value!r}")
+    for each in value:
+        if isinstance(each, bool) or not isinstance(each, int | float) or not math.isfinite(each):
+            raise InputError(f"{name} must be {wanted}, got {each!r}")
+    return [float(each) for each in value]

@@ -1,0 +1,346 @@
+"""Light from known objects: planted lights come back, in the mesh's world."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from skylight.csc.dictionary import builtin
+from skylight.errors import InputError
+from skylight.inverse.known_object import estimate_object_light
+from skylight.inverse.object_view import (
+    MOST_PIXELS,
+    ObjectMaterial,
+    ObjectView,
+    observe_object,
+)
+from skylight.sphere import harmonics
+from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.frame import angle_between, direction_from_angles, rotation_about
+from skylight.sphere.grid import DirectionGrid
+from skylight.sphere.rotation import matrix_from_euler
+from skylight.transport.object_camera import PlacedCamera, object_camera
+from skylight.transport.render import Specular
+from tests.transport.shapes import icosphere
+
+GRID_STEP_RAD = math.pi / 32
+FRONT = {"fov_deg": 36, "position": [0, 1.2, 4], "look_at": [0, 0, 0]}
+CORAL = ObjectMaterial(albedo=(0.8, 0.5, 0.3))
+
+
+def bumpy() -> tuple[torch.Tensor, torch.Tensor]:
+    """A ball with 42 smaller ones on it, which cast shadows all round."""
+    make = trimesh.creation
+    parts = [make.icosphere(subdivisions=3)]
+    for place in make.icosphere(subdivisions=1).vertices:
+        ball = make.icosphere(subdivisions=2, radius=0.3)
+        ball.apply_translation(place)
+        parts.append(ball)
+    mesh = trimesh.util.concatenate(parts)
+    return torch.from_numpy(np.array(mesh.vertices)), torch.from_numpy(np.array(mesh.faces))
+
+
+def seen_by(camera: PlacedCamera, mesh: tuple, **options) -> ObjectView:
+    size = camera.camera.height, camera.camera.width
+    return observe_object(*mesh, camera, torch.ones(*size, 3), **options)
+
+
+def lit(view: ObjectView, light: EnvironmentMap) -> ObjectView:
+    """The same pixels as they look in this light."""
+    everything = torch.nonzero(
+        (view.surface.pixels[:, None] == view.observation.places[None]).all(2).any(1)
+    )[:, 0]
+    pixels = view.shade(light, everything)
+    return replace(view, observation=replace(view.observation, pixels=pixels))
+
+
+def harmonic_light(degree: int, seed: int = 0) -> tuple[torch.Tensor, EnvironmentMap]:
+    """Coefficients of a positive, colourful, band-limited light, and its map."""
+    generator = torch.Generator().manual_seed(seed)
+    c = 0.15 * torch.randn((degree + 1) ** 2, 3, generator=generator, dtype=torch.float64)
+    c[0] = torch.tensor([4.0, 3.0, 2.0])
+    radiance = harmonics.evaluate(DirectionGrid.latlong(64).directions, degree) @ c
+    assert float(radiance.min()) > 0
+    return c, EnvironmentMap(radiance=radiance.reshape(64, 128, 3).float())
+
+
+@pytest.fixture(scope="module")
+def front() -> ObjectView:
+    return seen_by(object_camera(FRONT, height=56, width=56), bumpy(), material=CORAL)
+
+
+class TestHarmonics:
+    @pytest.mark.parametrize(("light", "degree"), [("sh9", 2), ("sh25", 4)])
+    def test_band_limited_light_comes_back(
+        self, front: ObjectView, light: str, degree: int
+    ) -> None:
+        truth, environment = harmonic_light(degree)
+        view = lit(front, environment)
+        found = estimate_object_light(view.observation, light, material=CORAL)
+        assert found.residual < 1e-4
+        assert found.linear_residual < 1e-4
+        assert found.clamped_share == 0
+        error = (found.coefficients - truth).norm(dim=0) / truth.norm(dim=0)
+        assert float(error.max()) < 0.01
+        assert found.environment.layout == (64, 128)
+
+    def test_ball(self) -> None:
+        """Half a smooth ball tells of degree 2: light with no shadows to help."""
+        view = seen_by(object_camera(FRONT, height=48, width=48), icosphere(4))
+        truth, environment = harmonic_light(2)
+        found = estimate_object_light(lit(view, environment).observation, "sh9")
+        assert found.residual < 1e-4
+        assert float((found.coefficients - truth).abs().max()) < 0.02 * float(truth.abs().max())
+
+    def test_unknown_albedo_scales_the_light(self, front: ObjectView) -> None:
+        _, environment = harmonic_light(2)
+        view = lit(front, environment)
+        known = estimate_object_light(view.observation, "sh9", material=CORAL)
+        folded = estimate_object_light(view.observation, "sh9")
+        expected = known.environment.radiance * torch.tensor(CORAL.albedo)
+        torch.testing.assert_close(folded.environment.radiance, expected, rtol=0.02, atol=1e-3)
+
+    def test_what_is_cut_off_is_told(self, front: ObjectView) -> None:
+        """A lamp rings in nine harmonics: below zero there is no light."""
+        radiance = torch.zeros(64, 128, 3)
+        radiance[20:24, 60:68] = 100.0
+        view = lit(front, EnvironmentMap(radiance=radiance))
+        found = estimate_object_light(view.observation, "sh9", material=CORAL)
+        basis = harmonics.evaluate(DirectionGrid.latlong(64).directions, 2)
+        raw = basis @ found.coefficients
+        share = DirectionGrid.latlong(64).solid_angles[:, None]
+        expected = (share * raw.clamp(max=0)).sum() / (share * raw.abs()).sum()
+        assert found.clamped_share == pytest.approx(-float(expected), rel=1e-6)
+        assert found.clamped_share > 0.02
+        assert float(found.environment.radiance.min()) == 0
+        assert found.residual > found.linear_residual
+
+    def test_noise_does_not_run_away(self, front: ObjectView) -> None:
+        """49 harmonics of which a matt thing shows few: the ridge grows with the noise."""
+        truth, environment = harmonic_light(2)
+        view = lit(front, environment)
+        noise = torch.randn(
+            view.observation.pixels.shape, generator=torch.Generator().manual_seed(0)
+        )
+        pixels = view.observation.pixels * (1 + 0.03 * noise)
+        found = estimate_object_light(
+            replace(view.observation, pixels=pixels), "sh49", material=CORAL
+        )
+        assert found.residual < 0.05
+        assert float(found.coefficients[9:].norm()) < 0.3 * float(truth.norm())
+
+
+class TestWorld:
+    @pytest.mark.parametrize("up", [(0.0, 1.0, 0.0), (0.5, 0.3, -1.0)])
+    @pytest.mark.parametrize("position", [(0.0, 1.2, 4.0), (3.5, -1.0, 2.0), (-1.0, 3.0, -3.0)])
+    def test_a_ball_is_lit_from_the_worlds_directions(
+        self, position: tuple[float, float, float], up: tuple[float, float, float]
+    ) -> None:
+        """Irradiance / pi at the world's normal, which a ball at the origin has where it is hit."""
+        content = {"fov_deg": 40, "position": position, "look_at": [0.1, 0, 0.2], "up": up}
+        content = {k: list(v) if isinstance(v, tuple) else v for k, v in content.items()}
+        camera = object_camera(content, height=48, width=48)
+        view = seen_by(camera, icosphere(4))
+        truth, environment = harmonic_light(2)
+        points = torch.arange(len(view.surface))
+        # the ball about the origin, its points from rays that start at the camera
+        rays = camera.camera.rays() @ camera.rotation.T
+        along = rays @ camera.position
+        depth = -along - (along**2 - camera.position @ camera.position + 1).clamp(min=0).sqrt()
+        normals = (camera.position + depth[:, None] * rays).reshape(48, 48, 3)
+        rows, columns = view.surface.pixels.unbind(1)
+        expected = harmonics.irradiance(truth, normals[rows, columns]) / math.pi
+        inner = (normals[rows, columns].norm(dim=1) - 1).abs() < 1e-6
+        assert float(inner.double().mean()) > 0.97
+        shade = view.shade(environment, points).double()
+        torch.testing.assert_close(shade[inner], expected[inner], rtol=0.02, atol=0.0)
+
+    def test_the_light_is_where_it_was_whoever_looks(self) -> None:
+        """Pictures by a camera of the same ball, told apart only by where it says it stands."""
+        truth, environment = harmonic_light(2)
+        turn = rotation_about(torch.tensor([0.3, 1.0, -0.2], dtype=torch.float64), 0.9)
+        first = object_camera(FRONT, height=48, width=48)
+        turned = PlacedCamera(
+            camera=first.camera, rotation=turn @ first.rotation, position=turn @ first.position
+        )
+        ball = icosphere(4)
+        pixels = lit(seen_by(first, ball), environment).observation.pixels
+        # the ball turned with the camera looks the same, and its light has turned too
+        view = seen_by(turned, (ball[0] @ turn.T, ball[1]))
+        found = estimate_object_light(replace(view.observation, pixels=pixels), "sh9")
+        w = DirectionGrid.latlong(16).directions
+        expected = harmonics.evaluate(w, 2) @ truth
+        got = harmonics.evaluate(w @ turn.T, 2) @ found.coefficients
+        torch.testing.assert_close(got, expected, rtol=0.02, atol=0.0)
+
+
+def lobes(places: list[list[int]], colours: torch.Tensor) -> tuple[torch.Tensor, EnvironmentMap]:
+    """von Mises-Fisher lobes about (row, column) of a grid of 32 x 64: directions and light."""
+    at = torch.tensor(places, dtype=torch.float64)
+    zenith, azimuth = (at[:, 0] + 0.5) * math.pi / 32, ((at[:, 1] + 0.5) / 64 - 0.5) * 2 * math.pi
+    directions = direction_from_angles(azimuth, zenith)
+    bank = builtin("vmf")
+    alpha = math.pi - azimuth
+    turned = matrix_from_euler(alpha, zenith, torch.zeros_like(alpha))  # of (z, x, y)
+    w = DirectionGrid.latlong(64).directions
+    radiance = torch.zeros(len(w), 3, dtype=torch.float64)
+    for rotation, colour in zip(turned, colours, strict=True):
+        local = (w[:, [2, 0, 1]] @ rotation)[:, [1, 2, 0]]
+        radiance += bank.evaluate(local)[1][:, None] * colour
+    return directions, EnvironmentMap(radiance=radiance.reshape(64, 128, 3).float())
+
+
+class TestSparse:
+    COLOURS = torch.tensor([[3.0, 2.0, 1.0], [1.0, 1.5, 2.0]], dtype=torch.float64)
+
+    def test_two_lobes_come_back(self, front: ObjectView) -> None:
+        directions, environment = lobes([[8, 40], [12, 28]], self.COLOURS)
+        found = estimate_object_light(
+            lit(front, environment).observation, "vmf", material=CORAL, activations=20
+        )
+        assert found.code is not None
+        assert found.code_directions is not None
+        strongest = found.code.weights.sum(1).argsort(descending=True)[:2]
+        assert float(found.code.weights[strongest].sum()) > 0.98 * float(found.code.weights.sum())
+        assert float(angle_between(found.code_directions[strongest], directions).max()) < (
+            GRID_STEP_RAD
+        )
+        torch.testing.assert_close(found.code.weights[strongest], self.COLOURS, rtol=0.05, atol=0.0)
+        assert found.residual < 0.01
+        assert found.clamped_share < 0.01
+
+    def test_gloss_on_a_coloured_thing(self) -> None:
+        material = ObjectMaterial(
+            albedo=(0.8, 0.5, 0.3), specular=Specular(f0=0.04, roughness=0.4), share=1.0
+        )
+        view = seen_by(object_camera(FRONT, height=56, width=56), bumpy(), material=material)
+        directions, environment = lobes([[8, 40], [12, 28]], self.COLOURS)
+        found = estimate_object_light(
+            lit(view, environment).observation, "vmf", material=material, activations=20
+        )
+        assert found.code is not None
+        assert found.code_directions is not None
+        strongest = found.code.weights.sum(1).argsort(descending=True)[:2]
+        apart = angle_between(found.code_directions[strongest], directions)
+        assert float(apart.max()) < GRID_STEP_RAD
+        torch.testing.assert_close(found.code.weights[strongest], self.COLOURS, rtol=0.05, atol=0.0)
+
+    def test_metal_shows_the_light(self) -> None:
+        """A ball without a matt part: a mirror that is a little rough."""
+        material = ObjectMaterial(albedo=(0.0, 0.0, 0.0), specular=Specular(f0=0.9, roughness=0.4))
+        view = seen_by(object_camera(FRONT, height=56, width=56), icosphere(4), material=material)
+        directions, environment = lobes([[10, 60], [14, 5]], self.COLOURS)
+        found = estimate_object_light(
+            lit(view, environment).observation, "vmf", material=material, activations=12
+        )
+        assert found.code is not None
+        assert found.code_directions is not None
+        strongest = found.code.weights.sum(1).argsort(descending=True)[:2]
+        apart = angle_between(found.code_directions[strongest], directions)
+        assert float(apart.max()) < GRID_STEP_RAD
+
+    def test_it_stops_where_nothing_is_gained(self, front: ObjectView) -> None:
+        environment = EnvironmentMap(radiance=torch.ones(64, 128, 3))
+        observation = lit(front, environment).observation
+        noise = torch.randn(observation.pixels.shape, generator=torch.Generator().manual_seed(0))
+        noisy = replace(observation, pixels=observation.pixels * (1 + 0.05 * noise))
+        found = estimate_object_light(noisy, "vmf", material=CORAL, activations=40)
+        assert found.code is not None
+        assert len(found.code) <= 5
+        assert found.residual == pytest.approx(0.05, rel=0.15)
+
+    def test_same_picture_same_code(self, front: ObjectView) -> None:
+        _, environment = lobes([[8, 40], [12, 28]], self.COLOURS)
+        observation = lit(front, environment).observation
+        one, two = (
+            estimate_object_light(observation, "vmf", material=CORAL, activations=4)
+            for _ in range(2)
+        )
+        assert torch.equal(one.environment.radiance, two.environment.radiance)
+
+
+class TestPixels:
+    def test_large_pictures_are_thinned_in_the_same_way_each_time(self) -> None:
+        camera = object_camera(FRONT, height=120, width=120)
+        one, two = (seen_by(camera, icosphere(2)) for _ in range(2))
+        assert len(one.observation.pixels) == MOST_PIXELS < len(one.surface)
+        assert torch.equal(one.observation.places, two.observation.places)
+
+    def test_huge_pictures_are_averaged(self) -> None:
+        camera = object_camera({**FRONT, "fov_deg": 80}, height=1100, width=300)
+        picture = torch.arange(1100.0)[:, None, None].expand(1100, 300, 3).contiguous()
+        view = observe_object(*icosphere(2), camera, picture)
+        assert view.picture.shape == (550, 150, 3)
+        rows = view.observation.places[:, 0]
+        torch.testing.assert_close(view.observation.pixels[:, 0], 2.0 * rows + 0.5)
+
+    def test_masked_and_clipped_pixels_are_not_used(self) -> None:
+        camera = object_camera(FRONT, height=48, width=48)
+        mask = torch.ones(48, 48, dtype=torch.bool)
+        mask[:, :24] = False
+        clipped = torch.zeros(48, 48, dtype=torch.bool)
+        clipped[:20] = True
+        places = seen_by(camera, icosphere(2), mask=mask, clipped=clipped).observation.places
+        assert int(places[:, 1].min()) == 24
+        assert int(places[:, 0].min()) == 20
+
+    def test_the_outline_is_not_used(self) -> None:
+        view = seen_by(object_camera(FRONT, height=48, width=48), icosphere(3))
+        covered = view.surface.image(torch.ones(len(view.surface), 1))[..., 0]
+        for row, column in view.observation.places.tolist():
+            assert float(covered[row - 1 : row + 2, column - 1 : column + 2].min()) == 1
+
+
+class TestRefused:
+    def refuse(self, message: str, *, picture: torch.Tensor | None = None, **options) -> None:
+        camera = object_camera({**FRONT, **options.pop("camera", {})}, height=48, width=48)
+        if picture is None:
+            picture = torch.ones(48, 48, 3)
+        with pytest.raises(InputError, match=message) as caught:
+            observe_object(*icosphere(2), camera, picture, **options)
+        assert "\n" not in str(caught.value)
+
+    def test_not_seen(self) -> None:
+        self.refuse("does not see the mesh", camera={"look_at": [0, 1.2, 9]})
+
+    def test_too_small(self) -> None:
+        self.refuse("pixels show the object", camera={"fov_deg": 160})
+
+    def test_mask_of_another_size(self) -> None:
+        self.refuse("mask has 20x48 pixels", mask=torch.ones(48, 20, dtype=torch.bool))
+
+    def test_mask_beside_the_object(self) -> None:
+        self.refuse("only 0 pixels", mask=torch.zeros(48, 48, dtype=torch.bool))
+
+    def test_all_saturated(self) -> None:
+        self.refuse("over-exposed", clipped=torch.ones(48, 48, dtype=torch.bool))
+
+    def test_picture(self) -> None:
+        self.refuse("48x48 pixels, this one has 40x48", picture=torch.ones(48, 40, 3))
+        self.refuse("black", picture=torch.zeros(48, 48, 3))
+        broken = torch.ones(48, 48, 3)
+        broken[0, 0, 1] = torch.nan
+        self.refuse("NaN", picture=broken)
+
+    @pytest.mark.parametrize(
+        ("values", "message"),
+        [
+            ({"albedo": (0.5, 1.2, 0.5)}, "from 0 to 1"),
+            ({"albedo": (0.5, 0.0, 0.5)}, "no light of some colour"),
+            ({"albedo": (0.0, 0.0, 0.0)}, "no light of some colour"),
+            ({"specular": Specular(f0=0.04, roughness=0.1)}, "roughness must be"),
+            ({"specular": Specular(f0=0.0, roughness=0.5)}, "reflectance must be"),
+            ({"specular": Specular(f0=0.04, roughness=0.5), "share": 0.0}, "share of gloss"),
+            ({"albedo": (0.5, float("nan"), 0.5)}, "from 0 to 1"),
+        ],
+    )
+    def test_material(self, values: dict, message: str) -> None:
+        with pytest.raises(InputError, match=message):
+            ObjectMaterial(**values)
+
+    def test_activations(self, front: ObjectView) -> None:
+        with pytest.raises(InputError, match="1 or more"):
+            estimate_object_light(front.observation, "vmf", material=CORAL, activations=0)
