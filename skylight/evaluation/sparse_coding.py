@@ -58,7 +58,7 @@ class SparseCoding:
     height: int = 128
     counts: tuple[int, ...] = COUNTS
     indoor: int = 6
-    outdoor: int = 1
+    outdoor: int = 2
     learned: int = 100
     name: str = "sparse-coding"
     seed: int = 0

@@ -1,6 +1,7 @@
 """Numbers as Markdown, beside the thesis' own."""
 
 import math
+import re
 from collections.abc import Iterable
 
 import numpy as np
@@ -144,7 +145,8 @@ def markdown(results: dict) -> str:
     rows: Rows = results["rows"]
     methods = list(rows)
     metrics = [m for m in LABELS if any(m in rows[method] for method in methods)]
-    metrics += sorted({m for method in methods for m in rows[method]} - set(metrics))
+    others = {m for method in methods for m in rows[method]} - set(metrics)
+    metrics += sorted(others, key=_by_number)
     missed = len(results["problems"])
     lines = [
         f"# {results['name']}",
@@ -175,7 +177,7 @@ def markdown(results: dict) -> str:
     if name in PEERS:
         lines += ["", PEERS[name][0], "", *_table(*PEERS[name][1:])]
     for group, inside in results.get("groups", {}).items():
-        lines += ["", *_group(group, inside)]
+        lines += _group(group, inside)
     if results["checks"]:
         cells = [
             (name, [f"{c['value']:.4g}", c["goal"], "yes" if c["ok"] else "no"])
@@ -186,9 +188,16 @@ def markdown(results: dict) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
+def _by_number(metric: str) -> list[tuple[int, str]]:
+    """l2_4 before l2_16."""
+    return [(int(p) if p.isdigit() else 0, p) for p in re.split(r"(\d+)", metric)]
+
+
 def _group(title: str, rows: Rows) -> list[str]:
-    """A group's means and standard deviations, timings left out."""
+    """A group's means and standard deviations, of the metrics that others quote; or nothing."""
     metrics = [m for m in (*_THESIS_METRICS, *_PEERS_METRICS) if any(m in r for r in rows.values())]
+    if not metrics:
+        return []
     count = max(s["n"] for metrics_of in rows.values() for s in metrics_of.values())
     cells = [
         (
@@ -200,7 +209,7 @@ def _group(title: str, rows: Rows) -> list[str]:
         )
         for metric in metrics
     ]
-    return [f"{title} ({count:.0f}):", "", *_oriented(list(rows), cells)]
+    return ["", f"{title} ({count:.0f}):", "", *_oriented(list(rows), cells)]
 
 
 def _oriented(columns: list[str], rows: list[tuple[str, list[str]]]) -> list[str]:

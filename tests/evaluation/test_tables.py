@@ -116,3 +116,23 @@ def test_a_run_without_any_sun_is_checked_for_the_rest():
     checks = SkyModels(count=1).checks(values, [])
     assert not any("sun_" in name for name in checks)
     assert checks["autoencoder mae"].value == pytest.approx(0.05)
+
+
+def test_groups_without_quoted_metrics_are_left_out():
+    methods = {f"m{i}": {"l2_4": 0.1 * i} for i in range(10)}
+    items = [Item(name="a", metrics=methods, facts={"category": "indoor"})]
+    results = {
+        "name": "sparse-coding",
+        "command": "c",
+        "n": 1,
+        "commit": "x",
+        "date": "d",
+        "machine": "m",
+        "rows": summarise(items),
+        "groups": summarise_groups(items),
+        "checks": {},
+        "problems": {},
+    }
+    text = markdown(results)
+    assert "category: indoor" not in text
+    assert "| m9 | 0.9" in text
