@@ -1,13 +1,12 @@
 """The command line from end to end: what it writes, and how it fails."""
 
-import _thread
 import errno
 import json
 import os
 import subprocess
 import sys
-import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import get_args
 
@@ -27,7 +26,7 @@ from skylight.errors import AssetError, InputError, OutputError
 from skylight.faces.landmarks import DetectedFace
 from skylight.faces.model import HeadModel
 from skylight.imaging.files import read_environment_map
-from skylight.inverse.photo import estimate_photo
+from skylight.inverse.photo import Progress, estimate_photo
 from skylight.models.shipped import LightName, autoencoder_light
 from skylight.skies.layouts import Layout
 from skylight.sphere.frame import angles_from_direction
@@ -184,14 +183,30 @@ class TestFailures:
         assert contents(results) == before
 
     def test_earlier_results_survive_an_interrupt(
-        self, portrait: Path, results: Path, capsys: pytest.CaptureFixture[str]
+        self,
+        portrait: Path,
+        results: Path,
+        capsys: pytest.CaptureFixture[str],
+        monkeypatch: pytest.MonkeyPatch,
     ) -> None:
         before = contents(results)
-        timer = threading.Timer(1.0, _thread.interrupt_main)
-        timer.start()
+        stages: list[str] = []
+
+        @contextmanager
+        def interrupted_while_writing() -> Iterator[Progress]:
+            def tell(stage: str, share: float) -> None:
+                stages.append(stage)
+                if stage == "writing the results":
+                    raise KeyboardInterrupt
+
+            yield tell
+
+        # a real signal may fall where some library swallows it
+        monkeypatch.setattr("skylight.app.progress.stage_bar", interrupted_while_writing)
         assert main(["estimate", str(portrait), "--out", str(results)]) == 1
         assert "interrupted" in one_line(capsys)
         assert contents(results) == before
+        assert stages[-1] == "writing the results"
 
     def test_face_that_is_not_there(
         self, portrait: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
