@@ -11,7 +11,6 @@ fits them to codes of that half's rooms.
 """
 
 import argparse
-import csv
 import json
 import platform
 import shlex
@@ -29,6 +28,7 @@ from skylight.csc.coder import SphericalSparseCoder
 from skylight.csc.dictionary import FilterBank, builtin
 from skylight.csc.learning import DictionaryLearner, LearningOptions
 from skylight.csc.patches import ROWS, learn_patches
+from skylight.imaging.collection import read_categories
 from skylight.imaging.files import read_environment_map, write_json
 
 HEIGHT = 32
@@ -48,8 +48,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    with (arguments.data / "index.csv").open(newline="") as stream:
-        index = {row["file"]: row["category"] for row in csv.DictReader(stream)}
+    index = read_categories(arguments.data)
     names = sorted(index)
     halves = names[::2], names[1::2]
     rooms = [[n for n in half if index[n] == "indoor"] for half in halves]

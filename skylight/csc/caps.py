@@ -8,11 +8,11 @@ from jaxtyping import Float, Int
 from scipy.optimize import nnls
 from torch import Tensor
 
-from skylight.csc.dictionary import orders, project_about_pole, sharpest_a
+from skylight.csc.dictionary import project_about_pole, sharpest_a
 from skylight.csc.positions import Positions
 from skylight.sphere import harmonics, lobes
 from skylight.sphere.frame import direction_from_angles
-from skylight.sphere.rotation import matrix_from_euler, rotation_blocks
+from skylight.sphere.rotation import matrix_from_euler, rotation_blocks, turn_about_pole
 
 
 class Cap:
@@ -36,9 +36,10 @@ class Cap:
             degree,
             columns=1,
         )[0]
-        l = torch.arange(degree + 1)  # noqa: E741
-        zonal = gaussian[l * (l + 1)]  # one column of phi says nothing about the others
-        bands = zonal / zonal.norm() * torch.sqrt(4 * math.pi / (2 * l + 1).double())
+        # one column of phi says nothing about the orders that are left out
+        factors = harmonics.zonal_factors(gaussian)
+        norm = gaussian[harmonics.orders(degree) == 0].norm()
+        bands = factors / norm
         basis = harmonics.evaluate_about_zenith(self.nodes, degree)
         self.lobes = basis * bands[harmonics.bands(degree)]
         """(n, k), of unit norm."""
@@ -79,7 +80,7 @@ class Turning:
         self, filters: Float[Tensor, "s k"], places: Int[Tensor, "s 3"]
     ) -> Float[Tensor, "s k"]:
         alpha, _, gamma = self.positions.euler(places)
-        twisted = _about_zenith(filters, gamma)
+        twisted = turn_about_pole(filters, gamma)
         moved, number = [torch.zeros_like(filters[:0])], [places[:0, 0]]
         for row in places[:, 0].unique().tolist():
             here = torch.nonzero(places[:, 0] == row)[:, 0]
@@ -87,14 +88,4 @@ class Turning:
             turns = (block[row].T for block in self._blocks)
             moved.append(torch.cat([p @ t for p, t in zip(parts, turns, strict=True)], 1))
             number.append(here)
-        return _about_zenith(torch.cat(moved)[torch.cat(number).argsort()], alpha)
-
-
-def _about_zenith(
-    rows: Float[Tensor, "s k"], angle_rad: Float[Tensor, " s"]
-) -> Float[Tensor, "s k"]:
-    """Turned by ``angle_rad`` each: ``c' = c cos(m a) - s sin(m a)``, ``s' = s cos + c sin``."""
-    degree = harmonics.degree_of(rows.shape[1])
-    l, order = harmonics.bands(degree), orders(degree)  # noqa: E741
-    turn = order * angle_rad.to(rows)[:, None]  # the sign of m makes the one formula do for both
-    return torch.cos(turn) * rows - torch.sin(turn) * rows[:, l * (l + 1) - order]
+        return turn_about_pole(torch.cat(moved)[torch.cat(number).argsort()], alpha)

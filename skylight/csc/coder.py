@@ -13,7 +13,15 @@ from torch import Tensor, nn
 from skylight.csc.code import SparseCode
 from skylight.csc.correlation import RotationCorrelation
 from skylight.csc.dictionary import FilterBank, load_dictionary
-from skylight.csc.layers import AnyLayer, Layer, PixelLayer, degree_of, layer_of, layers_for
+from skylight.csc.layers import (
+    AnyLayer,
+    Layer,
+    PixelLayer,
+    degree_of,
+    has_pixels,
+    layer_of,
+    layers_for,
+)
 from skylight.csc.norms import atom_norms
 from skylight.csc.objective import SampledSignal
 from skylight.csc.positions import Positions
@@ -131,7 +139,7 @@ class SphericalSparseCoder(nn.Module):
         signal = SampledSignal.of(
             radiance.to(self.bank.coefficients.device, torch.float64),
             self.transform,
-            pixels=self._pixels is not None,
+            pixels=has_pixels(self._layers),
         )
         total = float(signal.energy.sum())
         if total == 0:

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from skylight.csc.layers import AnyLayer, PixelLayer, degree_of, layer_of
+from skylight.csc.layers import AnyLayer, degree_of, has_pixels, layer_of
 from skylight.csc.objective import SampledSignal
 from skylight.csc.pursuit import Pursuit, PursuitOptions, Support, pursue
 from skylight.errors import InputError
@@ -102,7 +102,7 @@ class CompressedTransport:
                 rows[p, layer.coordinates] += self.weights[p][mine] @ atoms.double()
         size = (self.transform.degree + 1) ** 2
         values = self.transform.synthesise(rows[:, :size]).flatten(1)
-        if _has_pixels(self.layers):
+        if has_pixels(self.layers):
             values = values + rows[:, size:]
         matrix = values * self.transform.grid.solid_angles
         return TransportMatrix(matrix=matrix.float(), grid=self.transform.grid)
@@ -181,11 +181,7 @@ def row_codes(
 def _signal(
     maps: Float[Tensor, "h w c"], layers: Sequence[AnyLayer], transform: LatLongTransform
 ) -> SampledSignal:
-    return SampledSignal.of(maps, transform, pixels=_has_pixels(layers))
-
-
-def _has_pixels(layers: Sequence[AnyLayer]) -> bool:
-    return any(isinstance(layer, PixelLayer) for layer in layers)
+    return SampledSignal.of(maps, transform, pixels=has_pixels(layers))
 
 
 def _length(layer: AnyLayer) -> int:

@@ -83,8 +83,8 @@ class RotationCorrelation(nn.Module):
     """``<R d_i, r>`` for all filters d_i and all rotations R of ``positions``.
 
     For one signal about ``rows K^3`` products per filter and ``N T log(N T)`` for the transforms;
-    8 N T M bytes on the way and 4 N T M of result, where T counts the twists that differ: 105 and
-    52 MB for 200 filters without symmetry at 32 x 64 x 32.
+    4 N T M bytes of result, where T counts the twists that differ, and some 20 MB on the way: 52 MB
+    for 200 filters without symmetry at 32 x 64 x 32.
 
     Parameters
     ----------

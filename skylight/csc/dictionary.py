@@ -15,7 +15,7 @@ from typing import Literal, get_args
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
@@ -80,6 +80,11 @@ class FilterBank(nn.Module):
         return harmonics.degree_of(self.coefficients.shape[1])
 
     @property
+    def constant(self) -> Bool[Tensor, " m"]:
+        """Which filters are the constant: the same wherever they stand."""
+        return self.coefficients[:, 0].square() > 1 - 1e-12
+
+    @property
     def fingerprint(self) -> str:
         """Twelve hexadecimal digits that tell one dictionary from another, whatever its name.
 
@@ -112,7 +117,7 @@ class FilterBank(nn.Module):
         theta = torch.linspace(0, math.pi, 181, dtype=torch.float64)
         phi = torch.arange(180, dtype=torch.float64) * (2 * math.pi / 180)
         legendre, fourier = _polar_basis(theta, phi, self.degree)
-        order = orders(self.degree) + self.degree
+        order = harmonics.orders(self.degree) + self.degree
         result = torch.zeros(len(self), dtype=torch.float64)
         for i, filter_ in enumerate(self.coefficients.detach().cpu().double()):
             rows = torch.zeros(len(theta), fourier.shape[1], dtype=torch.float64)
@@ -141,7 +146,7 @@ class FilterBank(nn.Module):
                 f"dictionaries of one degree can be joined, got degrees {degrees}: cut them first"
             )
         rows = torch.cat([bank.coefficients for bank in banks])
-        constant = rows[:, 0].abs() > 1 - 1e-12
+        constant = torch.cat([bank.constant for bank in banks])
         repeated = constant & (constant.cumsum(0) > 1)
         return FilterBank(rows[~repeated], name)
 
@@ -210,17 +215,11 @@ def project_samples(
     phi = polar_longitudes(values.shape[2])
     legendre, fourier = _polar_basis(theta_rad, phi, degree)
     table = legendre * (weights * 2 * math.pi / len(phi))[:, None]
-    order = orders(degree) + degree
+    order = harmonics.orders(degree) + degree
     result = torch.zeros(len(values), table.shape[1], dtype=torch.float64)
     for i, value in enumerate(values):  # one at a time: (m, t, k) would be large
         result[i] = (table * (value @ fourier)[:, order]).sum(0)
     return result
-
-
-def orders(degree: int) -> Int[Tensor, " k"]:
-    """The m of every coefficient: 0, -1, 0, 1, -2, ..."""
-    l = harmonics.bands(degree)  # noqa: E741
-    return torch.arange(len(l)) - l * (l + 1)
 
 
 def polar_nodes(cap_rad: float, rows: int) -> tuple[Float[Tensor, " t"], Float[Tensor, " t"]]:
@@ -360,7 +359,7 @@ def _polar_basis(
     """Y_lm(theta, phi) = legendre[theta, lm] fourier[phi, m + degree]."""
     zero = torch.zeros_like(theta)
     meridian = torch.stack([zero, torch.cos(theta), torch.sin(theta)], dim=-1)  # phi = 0 is +Z
-    l, order = harmonics.bands(degree), orders(degree)  # noqa: E741
+    l, order = harmonics.bands(degree), harmonics.orders(degree)  # noqa: E741
     # the sine of m phi is 0 there, so its partner of the same l stands in for it
     legendre = harmonics.evaluate_about_zenith(meridian, degree)[:, l * (l + 1) + order.abs()]
     angle = phi[:, None] * torch.arange(degree + 1, dtype=phi.dtype)
@@ -375,12 +374,12 @@ def _with_constant(rows: Float[Tensor, "m k"], name: str) -> FilterBank:
 
 def _zonal(rows: Float[Tensor, "m k"]) -> Float[Tensor, "m k"]:
     """Only m = 0: one column of phi says nothing about the others."""
-    return rows * (orders(harmonics.degree_of(rows.shape[1])) == 0)
+    return rows * (harmonics.orders(harmonics.degree_of(rows.shape[1])) == 0)
 
 
 def _mirrored(rows: Float[Tensor, "m k"]) -> Float[Tensor, "m k"]:
     """Only cos(m phi) of even m: the rest is rounding, in functions of two mirror planes."""
-    order = orders(harmonics.degree_of(rows.shape[1]))
+    order = harmonics.orders(harmonics.degree_of(rows.shape[1]))
     kept = (order >= 0) & (order % 2 == 0)
     assert (rows * ~kept).abs().max() < 1e-9 * rows.norm(dim=1).min()
     return rows * kept

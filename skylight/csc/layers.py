@@ -56,8 +56,7 @@ class Layer(nn.Module):
         self.isotropic = bool((zonal > 1 - 1e-12).all())
         self._positions, self._dtype = positions, dtype
         self._correlation: RotationCorrelation | ZonalCorrelation | None = None
-        alike = bank.coefficients[:, 0].square() > 1 - 1e-12
-        self.constant = frozenset(first + int(i) for i in torch.nonzero(alike)[:, 0])
+        self.constant = frozenset(first + int(i) for i in torch.nonzero(bank.constant)[:, 0])
 
     @property
     def correlation(self) -> Correlation:
@@ -80,8 +79,7 @@ class Layer(nn.Module):
         chosen = self.bank.coefficients[filters - self.first]
         if not self.isotropic:
             return rotated_filters(chosen, alpha, beta, gamma)
-        l = torch.arange(self.bank.degree + 1, device=chosen.device)  # noqa: E741
-        bands = chosen[:, l * (l + 1)] * torch.sqrt(4 * math.pi / (2 * l + 1).to(chosen))
+        bands = harmonics.zonal_factors(chosen)
         directions = direction_from_angles(math.pi - alpha, beta)
         basis = harmonics.evaluate_about_zenith(directions, self.bank.degree)
         return basis * bands[:, harmonics.bands(self.bank.degree).to(chosen.device)]
@@ -133,6 +131,11 @@ def layers_for(
     layers.append(Layer(bank, Positions(rows=rows, twists=1), first, dtype=dtype))
     layers.append(PixelLayer(height, first + len(bank), degree_of(layers)))
     return layers
+
+
+def has_pixels(layers: Sequence[AnyLayer]) -> bool:
+    """Whether coordinates include the map's own pixels."""
+    return any(isinstance(layer, PixelLayer) for layer in layers)
 
 
 def degree_of(layers: Sequence[AnyLayer]) -> int:

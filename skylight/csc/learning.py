@@ -144,8 +144,7 @@ class DictionaryLearner:
                 f"learnable filters are different ones of 0 to {len(bank) - 1}, got "
                 f"{list(learnable)}"
             )
-        constant = bank.coefficients[:, 0].square() > 1 - 1e-12
-        if any(constant[i] for i in learnable):
+        if any(bank.constant[list(learnable)]):
             raise InputError("the constant filter cannot be learned: leave it out of `learnable`")
 
     @property

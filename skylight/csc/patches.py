@@ -21,7 +21,6 @@ from skylight.csc.dictionary import (
     DEGREE,
     FilterBank,
     anisotropic,
-    orders,
     polar_longitudes,
     polar_nodes,
     project_samples,
@@ -32,6 +31,7 @@ from skylight.sphere import harmonics
 from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.sphere.frame import pixel_from_direction
 from skylight.sphere.grid import DirectionGrid
+from skylight.sphere.rotation import turn_about_pole
 
 RADII_RAD = (math.radians(7.5), math.radians(15.0), math.radians(30.0))
 # Rows of the maps that patches are cut from: pixels of 1.4 degrees, a third of what degree 40
@@ -166,7 +166,7 @@ def _patches(
     values = values[values.amax(dim=(1, 2)) > _LEAST_EXCESS * level[:, 0, 0]]
     values = values / values.amax(dim=(1, 2), keepdim=True)  # a sun's square is out of range
     rows = project_samples(values, theta, weights, degree)
-    rows = _twisted(rows, _long_axis(values, theta, phi, weights))
+    rows = turn_about_pole(rows, -_long_axis(values, theta, phi, weights))
     l = torch.arange(degree + 1, dtype=torch.float64)  # noqa: E741
     window = torch.exp(-l * (l + 1) / (4 * sharpest_a(degree) ** 2))
     rows = rows * window[harmonics.bands(degree)]
@@ -225,12 +225,3 @@ def _long_axis(
     along = torch.cos(angle)[:, None, None] * u + torch.sin(angle)[:, None, None] * v
     skew = (share * along**3).sum(dim=(1, 2))
     return torch.where(skew < 0, angle + math.pi, angle)
-
-
-def _twisted(rows: Float[Tensor, "n k"], angle_rad: Float[Tensor, " n"]) -> Float[Tensor, "n k"]:
-    """f(theta, phi + angle): exact, a turn of every pair of +m and -m."""
-    l = harmonics.bands(harmonics.degree_of(rows.shape[1]))  # noqa: E741
-    order = orders(harmonics.degree_of(rows.shape[1]))
-    partner = l * (l + 1) - order
-    turn = order * angle_rad[:, None]  # the sign of m makes the one formula do for both
-    return torch.cos(turn) * rows + torch.sin(turn) * rows[:, partner]

@@ -1,12 +1,10 @@
 """Filters turned to where they are active: the atoms of a code."""
 
-import math
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.csc.correlation import complex_coefficients
+from skylight.csc.correlation import complex_coefficients, real_coefficients
 from skylight.sphere import harmonics
 from skylight.sphere.rotation import wigner_small
 
@@ -32,6 +30,5 @@ def rotated_filters(
         band = twisted[:, l, : l + 1]
         both = torch.cat([band[:, 1:].conj().flip(1), band], 1)  # n = -l .. l
         moved = torch.einsum("smn,sn->sm", d[:, l:].to(both), both) * turn[:, : l + 1]
-        cosine, sine = moved.real * math.sqrt(2), moved.imag * -math.sqrt(2)
-        parts += [sine[:, 1:].flip(1), moved.real[:, :1], cosine[:, 1:]]
-    return torch.cat(parts, 1)
+        parts.append(torch.nn.functional.pad(moved, (0, degree - l)))
+    return real_coefficients(torch.stack(parts, 1))

@@ -14,13 +14,18 @@ Each takes filters (f, k) about the zenith and positions, and maps a residual (k
 """
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from skylight.csc.positions import Positions
 from skylight.csc.zonal import ZonalCorrelation
 from skylight.sphere import harmonics
-from skylight.sphere.rotation import matrix_from_euler, rotation_blocks, sampling_directions
+from skylight.sphere.rotation import (
+    matrix_from_euler,
+    rotation_blocks,
+    sampled_bands,
+    sampling_directions,
+)
 
 _TWISTED_BYTES = 2**25  # of twisted residuals at a time: more is no faster, less much slower
 _LOOKUP_BYTES = 2**25  # of look-ups at a time: measured fastest
@@ -106,10 +111,8 @@ class RotatedZonalGradient(nn.Module):
         self.products = _TwistedProducts(filters, positions, dtype)
         axes = sampling_directions(self.degree, torch.Generator().manual_seed(0))
         self.register_buffer("axes", axes, persistent=False)
-        basis = harmonics.evaluate(axes, self.degree)
-        for l in range(self.degree + 1):  # noqa: E741
-            sampled = basis[: 2 * l + 1, l * l : (l + 1) ** 2]
-            self.register_buffer(f"lobes_{l}", torch.linalg.inv(sampled.T), persistent=False)
+        for l, sampled in enumerate(sampled_bands(axes, self.degree)):  # noqa: E741
+            self.register_buffer(f"lobes_{l}", torch.linalg.inv(sampled), persistent=False)
         beta, alpha = torch.meshgrid(positions.beta, positions.alpha, indexing="ij")
         rotations = matrix_from_euler(alpha, beta, torch.zeros_like(alpha)).flatten(0, 1)
         self.register_buffer("rotations", rotations, persistent=False)
@@ -145,7 +148,7 @@ class RotatedZonalGradient(nn.Module):
 class _PolarTurns(nn.Module):
     """Expansions turned about the pole by a set of angles: two numbers a row, all bands at once.
 
-    As :func:`skylight.sphere.rotation.turn_about_pole`.
+    As :func:`skylight.sphere.rotation.turn_about_pole`, with the cosines and sines made once.
     """
 
     cosine: Tensor
@@ -154,12 +157,11 @@ class _PolarTurns(nn.Module):
 
     def __init__(self, angles_rad: Float[Tensor, " a"], degree: int, dtype: torch.dtype) -> None:
         super().__init__()
-        l, index = harmonics.bands(degree), torch.arange((degree + 1) ** 2)  # noqa: E741
-        m: Int[Tensor, " k"] = index - l * (l + 1)
+        m = harmonics.orders(degree)
         angle = angles_rad[:, None] * m
         self.register_buffer("cosine", torch.cos(angle).to(dtype), persistent=False)
         self.register_buffer("sine", torch.sin(angle).to(dtype), persistent=False)
-        self.register_buffer("mirrored", index - 2 * m, persistent=False)
+        self.register_buffer("mirrored", torch.arange(len(m)) - 2 * m, persistent=False)
 
     def forward(self, coefficients: Float[Tensor, "n k"]) -> Float[Tensor, "n a k"]:
         turned = coefficients[:, None] * self.cosine

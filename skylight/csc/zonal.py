@@ -1,7 +1,5 @@
 """Correlation with isotropic filters, which twists do not change: products in the SH domain."""
 
-import math
-
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
@@ -40,8 +38,9 @@ class ZonalCorrelation(nn.Module):
         other = filters.double().square().sum(1) - zonal.square().sum(1)
         if bool((other > 1e-12 * filters.double().square().sum(1)).any()):
             raise ValueError("only isotropic filters have a zonal correlation")
-        scale = torch.sqrt(4 * math.pi / (2 * l + 1).double())
-        self.register_buffer("bands", (zonal * scale).to(dtype), persistent=False)
+        self.register_buffer(
+            "bands", harmonics.zonal_factors(filters.double()).to(dtype), persistent=False
+        )
         self.register_buffer("band_of", harmonics.bands(self.degree), persistent=False)
         self.transform = LatLongTransform(self.degree, positions.rows).to(dtype)
 

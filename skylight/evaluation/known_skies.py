@@ -19,6 +19,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
+from skylight.imaging.collection import read_categories
 from skylight.imaging.files import read_environment_map
 from skylight.skies.index import INDEX_NAME, SkyRecord, read_index
 from skylight.skies.loading import centre_column_azimuth, load_skies, normalise
@@ -166,12 +167,7 @@ def _is_collection(data: Path) -> bool:
 @cache
 def _collection(data: Path) -> list[tuple[str, str]]:
     """(file, category) of the outdoor maps by day, in the order of their names."""
-    path = data / INDEX_NAME
-    try:
-        with path.open(newline="") as stream:
-            rows = [(row["file"], row["category"]) for row in csv.DictReader(stream)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: cannot be read as an index of maps ({error})") from error
+    rows = read_categories(data).items()
     return sorted((file, category) for file, category in rows if category in OUTDOOR)
 
 

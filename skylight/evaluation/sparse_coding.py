@@ -10,7 +10,6 @@ Indoor maps give the main rows, as the thesis' maps are indoor; outdoor ones hav
 in the order of names), so that no map is coded with filters learned from it.
 """
 
-import csv
 import math
 from dataclasses import dataclass
 from functools import cache
@@ -28,6 +27,7 @@ from skylight.errors import InputError
 from skylight.evaluation.free_gaussians import fit_gaussians, lobes_of
 from skylight.evaluation.pictures import captioned_rows
 from skylight.evaluation.run import Check, Item
+from skylight.imaging.collection import read_categories
 from skylight.imaging.colour import tone_map
 from skylight.imaging.files import read_environment_map, write_png
 from skylight.imaging.metrics import ssim
@@ -233,15 +233,7 @@ def _projected(truth: Map, degree: int) -> Map:
 @cache
 def _index(data: Path) -> dict[str, str]:
     """File -> category, in the order of names."""
-    path = data / "index.csv"
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file; give a folder of maps with its index")
-    with path.open(newline="") as stream:
-        return {row["file"]: row["category"] for row in sorted(csv.DictReader(stream), key=_file)}
-
-
-def _file(row: dict[str, str]) -> str:
-    return row["file"]
+    return dict(sorted(read_categories(data).items()))
 
 
 def _read(path: Path, height: int) -> Map:

@@ -13,7 +13,6 @@ Sparse codes grow up to each sparsity, as the thesis' do; spherical harmonics ha
 coefficients, and an L2 regulariser.
 """
 
-import csv
 import math
 import time
 from dataclasses import dataclass
@@ -34,6 +33,7 @@ from skylight.errors import InputError
 from skylight.evaluation.lit_object import SHOWN_HEIGHT, lit_object
 from skylight.evaluation.pictures import Picture, caption, sized
 from skylight.evaluation.run import Check, Item, Metrics
+from skylight.imaging.collection import read_categories
 from skylight.imaging.colour import tone_map
 from skylight.imaging.files import read_environment_map, write_png
 from skylight.models.harmonic import solve_linear
@@ -237,13 +237,7 @@ def _layer(dictionary: BuiltinName) -> Layer:
 @cache
 def _chosen(data: Path, every: int) -> dict[str, bool]:
     """Names of maps, and whether each is indoor."""
-    try:
-        with (data / "index.csv").open(newline="") as stream:
-            rows = [(Path(r["file"]).stem, r["category"]) for r in csv.DictReader(stream)]
-    except (OSError, KeyError) as error:
-        raise InputError(
-            f"{data} needs an index.csv with columns file and category: {error}"
-        ) from error
+    rows = [(Path(file).stem, category) for file, category in read_categories(data).items()]
     indoor = [name for name, category in rows if category == INDOOR][::every]
     other = [name for name, category in rows if category != INDOOR][:: OUTDOOR_STEP * every]
     if not indoor:

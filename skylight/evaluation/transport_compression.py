@@ -10,7 +10,6 @@ first (n + 1)^2, as they are and windowed (Hann). Haar: wavelets on a cube map, 
 best in the error measured here.
 """
 
-import csv
 import math
 import time
 from collections.abc import Callable
@@ -33,10 +32,10 @@ from skylight.csc.dictionary import BuiltinName, FilterBank, anisotropic, builti
 from skylight.csc.layers import Layer
 from skylight.csc.positions import Positions
 from skylight.csc.pursuit import PursuitOptions, Sign, Support
-from skylight.errors import InputError
 from skylight.evaluation.lit_object import PIXELS, lit_object
 from skylight.evaluation.pictures import Picture, caption, sized
 from skylight.evaluation.run import Check, Item, Metrics
+from skylight.imaging.collection import read_categories
 from skylight.imaging.colour import linear_to_srgb
 from skylight.imaging.files import read_environment_map, write_png
 from skylight.sphere import harmonics
@@ -214,11 +213,7 @@ def _coding(name: BuiltinName) -> tuple[tuple[Layer, ...], LatLongTransform]:
 @cache
 def _lights(data: Path) -> Float[Tensor, "n c"]:
     """Some of the maps, each of mean luminance about 1, side by side: (n, 3 lights)."""
-    try:
-        with (data / "index.csv").open(newline="") as stream:
-            files = [row["file"] for row in csv.DictReader(stream)]
-    except (OSError, KeyError) as error:
-        raise InputError(f"{data} has no index.csv with a column file: {error}") from error
+    files = list(read_categories(data))
     maps = []
     for file in files[:: max(1, len(files) // LIGHTS)][:LIGHTS]:
         light = read_environment_map(data / file).resize(HEIGHT).flat.double()

@@ -9,10 +9,10 @@ from typing import Any, Literal, get_args
 
 from skylight.errors import InputError
 from skylight.imaging.atomic import atomic_path
+from skylight.imaging.collection import INDEX_NAME
 from skylight.skies.layouts import Layout
 
 Split = Literal["train", "validation", "test"]
-INDEX_NAME = "index.csv"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -77,6 +77,22 @@ def bands(degree: int) -> Int[Tensor, " k"]:
     return l.repeat_interleave(2 * l + 1)
 
 
+def orders(degree: int) -> Int[Tensor, " k"]:
+    """The m of every coefficient: 0, -1, 0, 1, -2, ..."""
+    l = bands(degree)  # noqa: E741
+    return torch.arange(len(l)) - l * (l + 1)
+
+
+def zonal_factors(coefficients: Float[Tensor, "*c k"]) -> Float[Tensor, "*c bands"]:
+    """``sqrt(4 pi / (2 l + 1)) c_l0``: what a zonal function's convolution does to each band.
+
+    Funk-Hecke; the same factors times Y_lm(w) are the function turned to w (thesis, C.2).
+    """
+    l = torch.arange(degree_of(coefficients.shape[-1]) + 1, device=coefficients.device)  # noqa: E741
+    scale = torch.sqrt(4 * math.pi / (2 * l + 1).to(coefficients))
+    return coefficients[..., l * (l + 1)] * scale
+
+
 def degree_of(count: int) -> int:
     """Degree of an expansion of ``count`` coefficients; ValueError where it is no square."""
     degree = math.isqrt(count) - 1

@@ -126,8 +126,8 @@ def rotation_blocks(
     alpha, beta, gamma = (a.reshape(-1) for a in euler_angles(rotation))
     blocks = []
     for l, d in enumerate(wigner_small(beta, degree)):  # noqa: E741
-        block = turn_about_pole(_real_form(d), alpha[:, None])
-        block = turn_about_pole(block.mT, -gamma[:, None]).mT
+        block = _turn_band(_real_form(d), alpha)
+        block = _turn_band(block.mT, -gamma).mT
         blocks.append(block.reshape(*leading, 2 * l + 1, 2 * l + 1))
     return blocks
 
@@ -145,18 +145,28 @@ def _real_form(d: Float[Tensor, "b i i"]) -> Float[Tensor, "b i i"]:
     return out
 
 
-def turn_about_pole(
-    band: Float[Tensor, "b i j"], angle_rad: Float[Tensor, "b 1"]
+def _turn_band(
+    band: Float[Tensor, "b i j"], angle_rad: Float[Tensor, " b"]
 ) -> Float[Tensor, "b i j"]:
-    """One band's coefficients, along the rows' index i, turned about the polar axis.
-
-    ``c' = c cos(m a) - s sin(m a)``, ``s' = s cos(m a) + c sin(m a)``.
-    """
+    """:func:`turn_about_pole` of the columns of one band's matrix, whose rows are m = -l .. l."""
     l = band.shape[1] // 2  # noqa: E741
-    m = torch.arange(-l, l + 1, dtype=band.dtype, device=band.device)
-    # entry m > 0 is c_m and meets -s_m from the mirrored place; entry -m is s_m and meets +c_m
-    cosine, sine = torch.cos(m * angle_rad)[..., None], torch.sin(m * angle_rad)[..., None]
-    return cosine * band - sine * band.flip(1)
+    turn = torch.arange(-l, l + 1, dtype=band.dtype, device=band.device) * angle_rad[:, None]
+    return torch.cos(turn)[..., None] * band - torch.sin(turn)[..., None] * band.flip(1)
+
+
+def turn_about_pole(
+    coefficients: Float[Tensor, "*c k"], angle_rad: Float[Tensor, "*c"]
+) -> Float[Tensor, "*c k"]:
+    """Expansions turned about the polar axis: two products a number, all bands at once.
+
+    ``c' = c cos(m a) - s sin(m a)``, ``s' = s cos(m a) + c sin(m a)``, which is one formula where
+    sines have negative m.
+    """
+    degree = harmonics.degree_of(coefficients.shape[-1])
+    l = harmonics.bands(degree).to(coefficients.device)  # noqa: E741
+    m = harmonics.orders(degree).to(coefficients.device)
+    turn = m * angle_rad.to(coefficients)[..., None]
+    return torch.cos(turn) * coefficients - torch.sin(turn) * coefficients[..., l * (l + 1) - m]
 
 
 def rotate(
@@ -181,13 +191,13 @@ def sampling_directions(degree: int, generator: torch.Generator) -> Float[Tensor
     for _ in range(_DRAWS):
         draw = torch.randn(2 * degree + 1, 3, dtype=torch.float64, generator=generator)
         draw = draw / draw.norm(dim=1, keepdim=True)
-        worst = max(float(torch.linalg.cond(s)) for s in _sampled_bands(draw, degree))
+        worst = max(float(torch.linalg.cond(s)) for s in sampled_bands(draw, degree))
         if worst < lowest:
             best, lowest = draw, worst
     return best
 
 
-def _sampled_bands(directions: Float[Tensor, "n 3"], degree: int) -> list[Float[Tensor, "i j"]]:
+def sampled_bands(directions: Float[Tensor, "n 3"], degree: int) -> list[Float[Tensor, "i j"]]:
     """``Y_lm(w_j)``, rows m, columns the first 2l + 1 directions: Eq. C.5 without its factor.
 
     The thesis' factor sqrt(4 pi / (2l + 1)) cancels in Eq. C.3.
@@ -203,6 +213,6 @@ def sampled_rotation_blocks(
 
     An independent way to :func:`rotation_blocks`, good to the samples' condition number.
     """
-    turned = _sampled_bands(directions @ rotation.T, degree)
-    still = _sampled_bands(directions, degree)
+    turned = sampled_bands(directions @ rotation.T, degree)
+    still = sampled_bands(directions, degree)
     return [torch.linalg.solve(s, t, left=False) for s, t in zip(still, turned, strict=True)]

@@ -1,6 +1,5 @@
 """Learns a dictionary of filters from a folder of light probes."""
 
-import csv
 import hashlib
 import json
 import math
@@ -18,6 +17,7 @@ from skylight.csc.dictionary import FilterBank
 from skylight.csc.learning import DictionaryLearner, LearningOptions
 from skylight.csc.patches import ROWS, learn_patches
 from skylight.errors import InputError, SkylightError
+from skylight.imaging.collection import read_categories
 from skylight.imaging.files import read_environment_map, write_json, write_png
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.training.checkpoint import drop_damaged, read_state, write_state
@@ -118,7 +118,7 @@ def _wanted(config: DictionaryConfig) -> list[str]:
             raise InputError(f"{config.data}: no {', '.join(absent)} there, named under `maps`")
         names = [n for n in names if n in config.maps]
     if config.category:
-        kinds = _categories(config.data / "index.csv")
+        kinds = read_categories(config.data)
         names = [n for n in names if kinds.get(n, "").startswith(config.category)]
         if not names:
             raise InputError(
@@ -126,17 +126,6 @@ def _wanted(config: DictionaryConfig) -> list[str]:
                 f"{', '.join(sorted(set(kinds.values())))}"
             )
     return names
-
-
-def _categories(path: Path) -> dict[str, str]:
-    """File -> category."""
-    try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            return {row["file"]: row["category"] for row in csv.DictReader(stream)}
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file, which `category` needs; leave that out") from None
-    except (KeyError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: no table with the columns file and category") from error
 
 
 def _read(path: Path) -> EnvironmentMap:
