@@ -34,7 +34,8 @@ from skylight.csc.correlation import RotationCorrelation
 from skylight.csc.dictionary import FilterBank
 from skylight.csc.layers import Layer
 from skylight.csc.objective import SampledSignal
-from skylight.csc.pursuit import Atom, Pursuit, PursuitOptions, Support, pursue
+from skylight.csc.pursuit import Atom, Pursuit, PursuitOptions, Support
+from skylight.csc.search import pursue
 from skylight.evaluation.main import commit
 from skylight.imaging.files import write_json
 from skylight.sphere.frame import angle_between

@@ -25,7 +25,8 @@ from skylight.csc.layers import (
 from skylight.csc.norms import atom_norms
 from skylight.csc.objective import SampledSignal
 from skylight.csc.positions import Positions
-from skylight.csc.pursuit import Pursuit, PursuitOptions, Support, pursue
+from skylight.csc.pursuit import Pursuit, PursuitOptions, Support
+from skylight.csc.search import pursue
 from skylight.errors import InputError
 from skylight.sphere.frame import pixel_from_direction
 from skylight.sphere.latlong_transform import LatLongTransform

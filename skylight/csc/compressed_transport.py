@@ -9,7 +9,8 @@ from torch import Tensor
 
 from skylight.csc.layers import AnyLayer, degree_of, has_pixels, layer_of
 from skylight.csc.objective import SampledSignal
-from skylight.csc.pursuit import Pursuit, PursuitOptions, Support, pursue
+from skylight.csc.pursuit import Pursuit, PursuitOptions, Support
+from skylight.csc.search import pursue
 from skylight.errors import InputError
 from skylight.sphere.latlong_transform import LatLongTransform
 from skylight.transport.matrix import TransportMatrix

@@ -31,7 +31,8 @@ from skylight.csc.dictionary import FilterBank
 from skylight.csc.layers import Layer
 from skylight.csc.objective import SampledSignal
 from skylight.csc.positions import Positions
-from skylight.csc.pursuit import Pursuit, PursuitOptions, Support, pursue
+from skylight.csc.pursuit import Pursuit, PursuitOptions, Support
+from skylight.csc.search import pursue
 from skylight.errors import InputError
 from skylight.sphere import harmonics
 from skylight.sphere.latlong_transform import LatLongTransform

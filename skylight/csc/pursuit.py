@@ -1,6 +1,6 @@
 """Greedy sparse coding: which filters, where, and how strong."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.nn.functional import max_pool2d, pad
 
 from skylight.csc.active_set import ActiveSet
 from skylight.csc.layers import AnyLayer, layer_of
@@ -15,8 +16,7 @@ from skylight.csc.objective import Quadratic
 from skylight.errors import InputError
 
 _EXACT = 1e-12  # of the signal's energy: an error of the weights of 1e-6
-_GAIN = 1e-9  # of the error: less is rounding
-_OVERSHOOT = 10  # activations
+_PEAK, _MOST_PEAKS = 0.4, 600  # a share of the highest; pairs are tried among so many
 _ROOM = 192  # images at first: 144 activations and some rivals
 Values = Float[Tensor, "_ _ _ _"]  # (twist, filter, row, column); groups differ in size
 Group = tuple[Values, int, int]  # correlations, layer, group
@@ -33,8 +33,8 @@ class PursuitOptions:
     "nonnegative" (NNLS), "l1" (either sign, with a weak L1 norm: 6.6.3), or "free" (plain least
     squares). ``thresholding`` is Hard Thresholding Pursuit (6.4.6), otherwise the pursuit only
     adds (orthogonal matching pursuit). ``sweeps`` is how often, at most, each activation of
-    a finished code is exchanged for a better one (:meth:`Pursuit.exchange`,
-    :meth:`Pursuit.overshoot`), each costing about as much as finding the code.
+    a finished code is exchanged for a better one (:mod:`skylight.csc.search`), each costing about
+    as much as finding the code, and the last, which try pairs, some times that.
     """
 
     weights: Sign = "l1"
@@ -126,7 +126,7 @@ class Pursuit:
 
     def step(self) -> bool:
         """One activation more; False where the colour searched for correlates with no atom."""
-        groups = self._unused(self._residual())
+        groups = self._unused()
         best = self._best(groups)
         if best is None:
             return False
@@ -139,61 +139,86 @@ class Pursuit:
         self._refit()
         return True
 
-    def exchange(self, *, refit: bool = False) -> int:
-        """Look for a better atom in the place of each, the others as they are; how many changed.
-
-        An exchange that does not lower the error is undone. Greedy choices are made while others
-        are missing; sweeps of exchanges mend those (cyclic matching pursuit, Christensen and Jensen
-        2007). With ``refit`` the others' weights are fitted again before the search.
-        """
-        changed = 0
-        for _ in range(len(self.filters)):
-            before = self.support().error
-            old: Atom = (self.filters[0], self.places[0])
-            self._drop(0)
-            if refit:
-                self._refit()
-            new = self._best(self._unused(self._residual())) or old
-            self._append([new])
-            self._refit()
-            # what was left out moved to the end, so that the next in turn comes first
-            if new != old:
-                changed += 1
-                if self.support().error >= before * (1 - _GAIN):
-                    self._drop(len(self.filters) - 1)
-                    self._append([old])
-                    self._refit()
-                    changed -= 1
-        return changed
-
     @property
     def exact(self) -> bool:
         """Whether the code explains the signal to rounding."""
         return self.support().error <= _EXACT * float(self._objective.energy.sum())
 
-    def overshoot(self) -> bool:
-        """Take some activations more, give as many of the least useful up; whether that helped.
+    @property
+    def atoms(self) -> list[Atom]:
+        return list(zip(self.filters, self.places, strict=True))
 
-        It leads out of codes in which two activations share one place and another has none, which
-        no single exchange mends. A code that got no better is put back.
+    def best(self) -> Atom | None:
+        """The unused atom that correlates most with the residual; None where none does."""
+        return self._best(self._unused())
+
+    def peaks(self) -> list[Atom]:
+        """Unused atoms that correlate more than their neighbours, each filter at its own places.
+
+        The strongest first, down to a share of the first; the constant has no peaks.
         """
-        before, old = self.support().error, list(zip(self.filters, self.places, strict=True))
-        for _ in range(_OVERSHOOT):
-            self.step()
-        while len(self.filters) > len(old):
-            # leaving j out raises the squared error by z_j^2 / (G^-1)_jj
-            loss = np.square(self.weights).sum(1) / np.diag(np.linalg.pinv(self._gram))
-            self._drop(int(loss.argmin()))
+        groups = self._unused()
+        least = _PEAK * max(float(values.max()) for values, _, _ in groups)
+        found: list[tuple[float, Atom]] = []
+        for values, number, group in groups:
+            over_twists, twists = values.max(0)
+            around = pad(over_twists[None], (1, 1, 0, 0), mode="circular")[0]
+            around = max_pool2d(pad(around, (0, 0, 1, 1))[:, None], 3, stride=1)[:, 0]
+            high = (over_twists == around) & (over_twists > least)
+            for place, row, column in torch.nonzero(high).tolist():
+                spot = int(twists[place, row, column]), place, row, column
+                atom = self._named(
+                    values, number, group, int(np.ravel_multi_index(spot, values.shape))
+                )
+                if atom[0] not in self._layers[number].constant:
+                    found.append((float(values[spot]), atom))
+        return [atom for _, atom in sorted(found, reverse=True)[:_MOST_PEAKS]]
+
+    def best_pair(self, atoms: list[Atom]) -> list[Atom]:
+        """Those two of ``atoms`` that lower the error most together, all weights refitted freely.
+
+        With the images of those in use projected out, G the Gram matrix of a pair and r its
+        correlations with the residual, the error falls by ``sum_colours r^T G^-1 r``.
+        """
+        rotated = torch.stack([self._rotated(atom) for atom in atoms])
+        gram = (self._objective.hessian(rotated.T).T @ rotated.T).cpu().numpy()
+        shared = (self._images[: len(self.filters)] @ rotated.T).cpu().numpy()
+        gram = gram - shared.T @ np.linalg.pinv(self._gram) @ shared
+        right = (rotated @ self._residual()).cpu().numpy()
+        squared = right @ right.T
+        own, power = gram.diagonal().clip(1e-9), squared.diagonal()
+        both = np.outer(own, own)
+        # pairs that are all but one atom have no determinant to divide by
+        determinant = np.maximum(both - gram**2, 1e-6 * both)
+        gain = np.outer(power, own) - 2 * gram * squared + np.outer(own, power)
+        gain /= determinant
+        np.fill_diagonal(gain, -1)
+        first, second = np.unravel_index(gain.argmax(), gain.shape)
+        return [atoms[first], atoms[second]]
+
+    def nearest(self, atom: int) -> int:
+        """The activation whose image is most like that of ``atom``."""
+        length = np.sqrt(self._gram.diagonal())
+        likeness = np.abs(self._gram[atom]) / length
+        likeness[atom] = -1
+        return int(likeness.argmax())
+
+    def least_useful(self) -> int:
+        """Leaving j out raises the squared error by ``z_j^2 / (G^-1)_jj``."""
+        loss = np.square(self.weights).sum(1) / np.linalg.pinv(self._gram).diagonal()
+        return int(loss.argmin())
+
+    def drop(self, gone: Sequence[int], *, refit: bool = True) -> None:
+        """Leave activations out; the others move up."""
+        for atom in sorted(gone, reverse=True):
+            self._drop(atom)
+        if refit:
             self._refit()
-        while self.exchange():
-            pass
-        if self.support().error < before * (1 - _GAIN):
-            return True
-        while self.filters:
-            self._drop(0)
-        self._append(old)
+
+    def add(self, atoms: list[Atom]) -> None:
+        """Activations more, after the others; all weights are refitted."""
+        self._append(atoms)
         self._refit()
-        return False
 
     def _residual(self) -> Float[Tensor, "k c"]:
         """``b - H sum_j z_j a_j``: minus half the gradient by the coefficients."""
@@ -220,9 +245,9 @@ class Pursuit:
     def _largest_correlation(self) -> float:
         return max(float(v.max()) for groups in self._correlations(self._target) for v in groups)
 
-    def _unused(self, residual: Float[Tensor, "k c"]) -> list[Group]:
-        """All correlations with their layer and group, 0 for atoms in use."""
-        found = self._correlations(residual)
+    def _unused(self) -> list[Group]:
+        """The residual's correlations with their layer and group, 0 for atoms in use."""
+        found = self._correlations(self._residual())
         for filter_, (row, column, twist) in zip(self.filters, self.places, strict=True):
             number = layer_of(self._layers, filter_)
             layer = self._layers[number]
@@ -328,19 +353,3 @@ class Pursuit:
     def _refit(self) -> None:
         for colour, each in enumerate(self._sets):
             each.solve(self._gram, self._right[:, colour])
-
-
-def pursue(
-    pursuit: Pursuit, counts: Sequence[int], progress: Callable[[float], None] | None = None
-) -> Iterator[Support]:
-    """The codes of ``counts`` activations (ascending); fewer where nothing more helps."""
-    for count in counts:
-        while len(pursuit.filters) < count and pursuit.step():
-            if progress is not None:
-                progress(len(pursuit.filters) / counts[-1])
-        for _ in range(pursuit.options.sweeps):
-            if pursuit.exact or not (
-                pursuit.exchange() or pursuit.exchange(refit=True) or pursuit.overshoot()
-            ):
-                break
-        yield pursuit.support()

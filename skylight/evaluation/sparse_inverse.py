@@ -28,7 +28,8 @@ from skylight.csc.dictionary import DEGREE, BuiltinName, builtin
 from skylight.csc.layers import Layer
 from skylight.csc.objective import LinearObservation
 from skylight.csc.positions import Positions
-from skylight.csc.pursuit import Pursuit, PursuitOptions, Sign, pursue
+from skylight.csc.pursuit import Pursuit, PursuitOptions, Sign
+from skylight.csc.search import pursue
 from skylight.errors import InputError
 from skylight.evaluation.lit_object import SHOWN_HEIGHT, lit_object
 from skylight.evaluation.pictures import Picture, caption, sized

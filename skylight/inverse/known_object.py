@@ -15,7 +15,8 @@ from skylight.csc.dictionary import FilterBank, builtin
 from skylight.csc.layers import Layer
 from skylight.csc.objective import LinearObservation
 from skylight.csc.positions import Positions
-from skylight.csc.pursuit import Pursuit, PursuitOptions, Support, pursue
+from skylight.csc.pursuit import Pursuit, PursuitOptions, Support
+from skylight.csc.search import pursue
 from skylight.errors import InputError
 from skylight.inverse.object_view import GRID_HEIGHT, ObjectMaterial, shading
 from skylight.models.harmonic import solve_linear

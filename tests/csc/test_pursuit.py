@@ -1,7 +1,8 @@
 """Pursuits against explicit dictionaries: every atom of a small one, as a column of pixels."""
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -16,8 +17,9 @@ from skylight.csc.layers import Layer, PixelLayer
 from skylight.csc.norms import atom_norms
 from skylight.csc.objective import SampledSignal
 from skylight.csc.positions import Positions
-from skylight.csc.pursuit import Atom, Pursuit, PursuitOptions, Sign, Support, pursue
+from skylight.csc.pursuit import Atom, Pursuit, PursuitOptions, Sign, Support
 from skylight.csc.rotated import rotated_filters
+from skylight.csc.search import exchange, exchange_pair, pursue
 from skylight.errors import InputError
 from skylight.sphere.latlong_transform import LatLongTransform
 
@@ -317,7 +319,7 @@ def test_sweeps_of_exchanges_mend_a_greedy_code() -> None:
     greedy = it.start(maps, weights="free", thresholding=False)
     list(pursue(greedy, [4]))
     before = greedy.support().error
-    assert greedy.exchange() > 0
+    assert exchange(greedy) > 0
     assert greedy.support().error < before
     assert len(greedy.filters) == 4
     (swept,) = pursue(it.start(maps, weights="free", thresholding=False, sweeps=20), [4])
@@ -333,8 +335,8 @@ def test_sweeps_never_make_a_code_worse_nor_longer(weights: Sign) -> None:
         search = it.start(maps, weights=weights, norms=True)
         (code,) = pursue(search, [6])
         before = code.error
-        for change in (search.exchange, lambda s=search: s.exchange(refit=True), search.overshoot):
-            change()
+        for change in (exchange, partial(exchange, refit=True), exchange_pair):
+            change(search)
             after = search.support()
             assert after.error <= before * (1 + 1e-9)
             assert len(set(atoms_of(after))) == len(after) == 6
@@ -342,13 +344,55 @@ def test_sweeps_never_make_a_code_worse_nor_longer(weights: Sign) -> None:
             before = after.error
 
 
-def test_an_overshoot_that_does_not_help_is_put_back() -> None:
+def test_an_exchange_of_a_pair_that_does_not_help_is_undone() -> None:
     it, maps = setting(), random(ROWS, 2 * ROWS, 2, seed=3)
     (code,) = pursue(search := it.start(maps, weights="free", sweeps=30), [5])
-    assert not search.overshoot()
+    assert not exchange_pair(search)
     after = search.support()
     assert set(atoms_of(after)) == set(atoms_of(code))
     assert after.error == pytest.approx(code.error, rel=1e-9)
+
+
+def test_best_pair_is_that_of_all_pairs_refitted_one_by_one() -> None:
+    it, maps = coherent(), random(ROWS, 2 * ROWS, 2, seed=5)
+    search = it.start(maps, weights="free", thresholding=False)
+    list(pursue(search, [3]))
+    some = search.peaks()[:12]
+    assert len(some) == 12
+    errors = {}
+    for pair in combinations(some, 2):
+        columns = it.columns([*search.atoms, *pair])
+        _, residual, _, _ = np.linalg.lstsq(columns, it.weighted(maps), rcond=None)
+        errors[pair] = residual.sum()
+    assert set(search.best_pair(some)) == set(min(errors, key=lambda pair: errors[pair]))
+
+
+def test_peaks_are_higher_than_what_is_round_them() -> None:
+    """Against the correlations of the residual with every atom's column."""
+    it, maps = setting(), random(ROWS, 2 * ROWS, 1, seed=6)
+    search = it.start(maps, weights="free")
+    list(pursue(search, [2]))
+    columns, atoms = it.every_column, it.all_atoms()
+    residual = it.weighted(maps - it.maps(search.atoms, torch.from_numpy(search.weights)))
+    height = dict(zip(atoms, np.abs(columns.T @ residual)[:, 0], strict=True))
+    taken = set(it.named(search.atoms))
+    found = it.named(search.peaks())
+    assert len(found) > 10
+    assert not taken & set(found)
+    assert found[0] == max(height.keys() - taken, key=lambda atom: height[atom])
+    assert [height[a] for a in found] == sorted((height[a] for a in found), reverse=True)
+    for atom in found:
+        filter_, (row, column, _) = atom
+        assert filter_ != 0  # the constant is the same everywhere
+        near = [
+            height[other]
+            for other in atoms
+            if other[0] == filter_
+            and other not in taken
+            and abs(other[1][0] - row) <= 1
+            and (other[1][1] - column + 1) % (2 * ROWS) <= 2
+        ]
+        assert max(near) == pytest.approx(height[atom])
 
 
 # which atoms
