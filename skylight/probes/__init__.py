@@ -1,0 +1,1 @@
+"""Shading probes: printable objects whose captured shading lights virtual scenes."""

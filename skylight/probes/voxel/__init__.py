@@ -1,0 +1,1 @@
+"""The voxel shading probe (thesis, chapter 3)."""

@@ -1,0 +1,167 @@
+"""Voxel models: boolean grids, from meshes and files, and the star-shaped probes."""
+
+import struct
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool
+
+from skylight.errors import InputError
+from skylight.imaging.atomic import atomic_path
+from skylight.transport.mesh import read_mesh
+
+_MOST_CELLS = 512**3
+_AXES = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}  # a quarter turn takes the first to the second
+
+
+@dataclass(frozen=True, kw_only=True)
+class VoxelModel:
+    """``occupied[x, y, z]``: cell (x, y, z) fills the cube from that corner to one unit further.
+
+    Axes are the world's: +Y is up. At least one cell is occupied.
+    """
+
+    occupied: Bool[np.ndarray, "x y z"]
+
+    def __post_init__(self) -> None:
+        if self.occupied.ndim != 3 or self.occupied.dtype != np.bool_:
+            raise InputError(
+                f"a voxel model is a boolean grid of 3 axes, got {self.occupied.dtype} of shape "
+                f"{self.occupied.shape}"
+            )
+        if not self.occupied.any():
+            raise InputError("the voxel model is empty: no cell is occupied")
+
+    def __len__(self) -> int:
+        return int(self.occupied.sum())
+
+    @cached_property
+    def padded(self) -> Bool[np.ndarray, "x2 y2 z2"]:
+        """With one empty cell all round."""
+        return np.pad(self.occupied, 1)
+
+    def turned(self, axis: str, quarters: int) -> "VoxelModel":
+        """Turned right-handed by ``quarters`` quarter turns about +X, +Y or +Z."""
+        if axis not in _AXES:
+            raise InputError(f"axis {axis!r}: choose x, y or z")
+        # numpy turns from the first axis towards the second
+        turned = np.rot90(self.occupied, quarters, axes=_AXES[axis])
+        return VoxelModel(occupied=np.ascontiguousarray(turned))
+
+    def cropped(self) -> "VoxelModel":
+        """Without the empty margin."""
+        cells = np.argwhere(self.occupied)
+        low, high = cells.min(0), cells.max(0) + 1
+        x, y, z = (slice(a, b) for a, b in zip(low, high, strict=True))
+        return VoxelModel(occupied=self.occupied[x, y, z].copy())
+
+
+def star_probe(size: int) -> VoxelModel:
+    """The "N-probe": all cells with ``|x| + |y| + |z| <= (N - 1) / 2``; a cross of seven for N = 3.
+
+    Thesis, section 3.4.5 and Fig. 3.8.
+    """
+    if size < 1 or size % 2 == 0:
+        raise InputError(f"a star-shaped probe is an odd number of voxels wide, got {size}")
+    offset = np.abs(np.arange(size) - size // 2)
+    distance = offset[:, None, None] + offset[None, :, None] + offset[None, None, :]
+    return VoxelModel(occupied=distance <= size // 2)
+
+
+def read_voxels(path: str | Path, *, resolution: int = 32) -> VoxelModel:
+    """A voxel model from .npy (boolean grid), .vox (MagicaVoxel), or a mesh file.
+
+    Meshes are voxelised solid, ``resolution`` cells along their longest side.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read as what its name says, or holds no voxel.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".npy":
+        return _read_npy(path)
+    if path.suffix.lower() == ".vox":
+        return _read_vox(path)
+    return voxelise(path, resolution)
+
+
+def write_voxels(path: Path, model: VoxelModel) -> None:
+    """As .npy."""
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        np.save(stream, model.occupied)
+
+
+def voxelise(path: Path, resolution: int) -> VoxelModel:
+    """Cells of a mesh file with their centre inside, or with the surface going through them."""
+    if not 1 <= resolution <= 256:
+        raise InputError(f"a resolution of 1 to 256 voxels, got {resolution}")
+    import trimesh
+
+    vertices, faces = read_mesh(path)
+    mesh = trimesh.Trimesh(vertices.numpy(), faces.numpy(), process=True)
+    pitch = float(mesh.extents.max()) / resolution
+    if not pitch > 0:
+        raise InputError(f"{path}: the mesh is a point")
+    grid = mesh.voxelized(pitch)
+    assert grid is not None
+    grid = grid.fill()
+    return VoxelModel(occupied=np.ascontiguousarray(grid.matrix.astype(bool))).cropped()
+
+
+def _read_npy(path: Path) -> VoxelModel:
+    try:
+        grid = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise InputError(f"{path}: cannot be read as a .npy file ({error})") from error
+    if grid.ndim != 3 or not (grid.dtype == bool or np.isin(grid, [0, 1]).all()):
+        raise InputError(
+            f"{path}: holds {grid.dtype} of shape {grid.shape}, expected a grid (x, y, z) of "
+            "booleans, or of 0 and 1"
+        )
+    return VoxelModel(occupied=grid.astype(bool))
+
+
+def _read_vox(path: Path) -> VoxelModel:
+    """The first model of a MagicaVoxel file, whose z is up: chunks SIZE and XYZI (version 150).
+
+    https://github.com/ephtracy/voxel-model/blob/master/MagicaVoxel-file-format-vox.txt
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error})") from error
+    if data[:4] != b"VOX ":
+        raise InputError(f"{path}: not a MagicaVoxel file, which begins with 'VOX '")
+    size: tuple[int, ...] | None = None
+    try:
+        place = 20 + struct.unpack_from("<i", data, 12)[0]  # past the header and MAIN's content
+        while place + 12 <= len(data):
+            name = data[place : place + 4]
+            length, children = struct.unpack_from("<ii", data, place + 4)
+            if length < 0 or children < 0:
+                raise ValueError("a chunk of negative length")
+            place += 12
+            if name == b"SIZE":
+                size = struct.unpack_from("<iii", data, place)
+            elif name == b"XYZI":
+                if size is None:
+                    raise ValueError("voxels before their size")
+                return _from_xyzi(data[place : place + length], size)
+            place += length + children
+    except (struct.error, ValueError, IndexError) as error:
+        raise InputError(f"{path}: damaged MagicaVoxel file ({error})") from error
+    raise InputError(f"{path}: holds no voxels (no XYZI chunk)")
+
+
+def _from_xyzi(chunk: bytes, size: tuple[int, ...]) -> VoxelModel:
+    if min(size) < 1 or np.prod(size, dtype=np.int64) > _MOST_CELLS:
+        raise ValueError(f"size {size}")
+    (count,) = struct.unpack_from("<i", chunk)
+    cells = np.frombuffer(chunk, np.uint8, 4 * count, 4).reshape(count, 4)[:, :3].astype(int)
+    grid = np.zeros(size, bool)
+    grid[tuple(cells.T)] = True
+    # (x, y, z up) to (x, y up, z): y = z_vox, z = -y_vox
+    return VoxelModel(occupied=np.ascontiguousarray(grid[:, ::-1].transpose(0, 2, 1)))
