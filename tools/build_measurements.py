@@ -22,6 +22,7 @@ from skylight.imaging.atomic import atomic_path
 ROOT = Path(__file__).parents[1]
 # sunny to overcast: categories of real maps, regimes of simulated ones
 KINDS = ("outdoor-sun", "outdoor-lowsun", "outdoor-nosun", "clear", "broken", "overcast")
+_MOST_NUMBERS = 24
 HEAD = """\
 # Measurements
 
@@ -68,8 +69,36 @@ def page(results: Path) -> str:
     contents = [json.loads(path.read_text()) for path in sorted(results.glob("*.json"))]
     parts = [HEAD]
     parts += ["#" + markdown(content) for content in contents if "rows" in content]
+    parts += [_facts(content) for content in contents if "what" in content]
     parts += [_benchmarks(content) for content in contents if "benchmarks" in content]
     return "\n".join(parts)
+
+
+def _facts(content: dict) -> str:
+    """The plain numbers of a tool's own file; its lists are for those who read the file."""
+    told = {"name", "what", "command", "commit", "date", "machine"}
+    facts = [pair for k, v in content.items() if k not in told for pair in _numbers(k, v)]
+    lines = [
+        f"## {content['name']}",
+        "",
+        f"{content['what']}. `{content['command']}`, commit {content['commit']}, "
+        f"{content['date']}, {content['machine']}.",
+        "",
+        "| | |",
+        "|---|---|",
+        *(f"| {name.replace('_', ' ')} | {value} |" for name, value in facts),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _numbers(name: str, value: object) -> list[tuple[str, str]]:
+    """Numbers and words under their names; of tables those that are small enough to read."""
+    if isinstance(value, dict):
+        found = [pair for k, v in value.items() for pair in _numbers(f"{name} {k}", v)]
+        return found if len(found) <= _MOST_NUMBERS else []
+    if isinstance(value, float):
+        return [(name, f"{value:.4g}")]
+    return [(name, str(value))] if isinstance(value, int | str) else []
 
 
 def _benchmarks(content: dict) -> str:
