@@ -56,6 +56,19 @@ def decode_values(encoded: Float[Tensor, "*s"], decode: Decode) -> Float[Tensor,
     )
 
 
+def encode_values(linear: Float[Tensor, "*s"], encoding: Decode) -> Float[Tensor, "*s"]:
+    """The inverse of :func:`decode_values` for linear light >= 0."""
+    if encoding == "srgb":
+        return linear_to_srgb(linear)
+    if isinstance(encoding, int | float) and 0 < encoding < 10:
+        return encode_gamma(linear, encoding)
+    if encoding == "linear":
+        return linear
+    raise InputError(
+        f"unknown encoding {encoding!r}: choose srgb, linear, or a gamma above 0 such as 2.2"
+    )
+
+
 def tone_map(
     radiance: Float[Tensor, "*s 3"], *, quantile: float = 0.98, white: float | None = None
 ) -> UInt8[np.ndarray, "*s 3"]:

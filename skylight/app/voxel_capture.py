@@ -1,0 +1,186 @@
+"""The shading of a printed voxel probe from photographs or a film, files to files."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import UInt8
+
+from skylight import __version__
+from skylight.app.results import results_folder
+from skylight.errors import InputError
+from skylight.imaging.colour import linear_to_srgb
+from skylight.imaging.files import write_json, write_png
+from skylight.probes.capture.board import Board, load_board
+from skylight.probes.capture.frames import FRAMES_MOST, Frame, read_frames
+from skylight.probes.capture.intrinsics import Intrinsics, load_intrinsics
+from skylight.probes.capture.pose import BoardPose, board_pose
+from skylight.probes.capture.response import Response, load_response, saturated
+from skylight.probes.voxel.capture import LightmapCapture
+from skylight.probes.voxel.faces import ORIENTATIONS, visibility_vectors
+from skylight.probes.voxel.lightmap import Lightmap, load_lightmap
+from skylight.probes.voxel.placement import load_standing_probe
+from skylight.probes.voxel.reconstruct import first_slot
+
+Tell = Callable[[str], None]
+MOVED = 0.1  # of a face's shading: more is another light, or another pose than was thought
+_RANK = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setup:
+    """The camera, its response, and the board that it looks for."""
+
+    intrinsics: Intrinsics
+    response: Response
+    board: Board
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaptureResult:
+    """``doubts`` are sentences for the user, empty when all went well."""
+
+    lightmap: Lightmap
+    used: list[str]
+    left_out: list[tuple[str, str]]
+    disagreement: float | None
+    doubts: list[str]
+
+
+def read_setup(camera: Path, board: Path, response: Path | None) -> Setup:
+    """The files of `skylight camera`; without a response, pictures are sRGB."""
+    return Setup(
+        intrinsics=load_intrinsics(camera),
+        response=Response() if response is None else load_response(response),
+        board=load_board(board),
+    )
+
+
+def capture_voxel_probe(
+    source: Path | Sequence[Path] | int,
+    *,
+    setup: Setup,
+    assembly: Path,
+    out: Path,
+    most: int = FRAMES_MOST,
+    tell: Tell = print,
+    warn: Tell = print,
+) -> CaptureResult:
+    """lightmap.npz, lightmap.png and capture.json in ``out``.
+
+    A lightmap that is there is continued: a slot is replaced where a new picture shows it larger.
+
+    Raises
+    ------
+    InputError
+        No picture shows the board and the probe, or a file cannot be used; nothing is written.
+    """
+    placed = load_standing_probe(assembly).placed()
+    before = out / "lightmap.npz"
+    capture = LightmapCapture(placed, load_lightmap(before) if before.exists() else None)
+    found = capture_frames(read_frames(source, most=most), capture, setup)
+    with results_folder(out) as folder:
+        found.lightmap.save(folder / "lightmap.npz")
+        write_png(folder / "lightmap.png", _as_png(found.lightmap))
+        write_json(folder / "capture.json", describe_capture(found))
+    for name, reason in found.left_out:
+        warn(f"left out {name}: {reason}")
+    for doubt in found.doubts:
+        warn(doubt)
+    slots = int(found.lightmap.known.sum())
+    tell(f"{out}: {slots} of 192 slots from {len(found.used)} pictures")
+    return found
+
+
+def capture_frames(
+    frames: Iterable[Frame], capture: LightmapCapture, setup: Setup
+) -> CaptureResult:
+    """Everything that pictures tell, the board found in each on its own."""
+    used, left_out = [], []
+    for frame in frames:
+        found = board_pose(frame.image, setup.board, setup.intrinsics)
+        reason = _unusable(found)
+        if reason is None:
+            assert found is not None
+            linear = setup.response.linearise(frame.image).numpy()
+            capture.add(linear, saturated(frame.image), found.pose, setup.intrinsics)
+            used.append(frame.name)
+        else:
+            left_out.append((frame.name, reason))
+    if not used:
+        reasons = "; ".join(sorted({reason for _, reason in left_out}))
+        raise InputError(
+            f"none of {len(left_out)} pictures can be used ({reasons}): the whole probe and most "
+            "of the board must be in view, sharp, and of the board that was named"
+        )
+    lightmap = capture.lightmap()
+    if not bool(lightmap.known.any()):
+        burnt = int(capture.rejected.sum())
+        raise InputError(
+            f"all {burnt} faces in view are over-exposed: expose shorter"
+            if burnt
+            else f"no face of the probe is whole in any of {len(used)} pictures: step back, and "
+            "check that the assembly is that of the probe"
+        )
+    disagreement = float(np.median(capture.disagreements)) if capture.disagreements else None
+    return CaptureResult(
+        lightmap=lightmap,
+        used=used,
+        left_out=left_out,
+        disagreement=disagreement,
+        doubts=_doubts(capture, lightmap, disagreement),
+    )
+
+
+def describe_capture(found: CaptureResult) -> dict[str, object]:
+    """In plain numbers."""
+    return {
+        "slots": int(found.lightmap.known.sum()),
+        "pictures": found.used,
+        "left_out": [{"name": name, "reason": reason} for name, reason in found.left_out],
+        "disagreement": found.disagreement,
+        "doubts": found.doubts,
+        "coverage": found.lightmap.coverage.tolist(),
+        "pixels_per_texel": found.lightmap.confidence.tolist(),
+        "version": __version__,
+    }
+
+
+def _unusable(found: BoardPose | None) -> str | None:
+    if found is None:
+        return "no marker board in view"
+    if found.is_ambiguous:
+        return "the board is too small or too flat in view to tell its tilt"
+    return None
+
+
+def _doubts(capture: LightmapCapture, lightmap: Lightmap, disagreement: float | None) -> list[str]:
+    doubts = []
+    if disagreement is not None and disagreement > MOVED:
+        doubts.append(
+            f"faces seen twice differ by {disagreement:.0%} (median): the light moved or changed, "
+            "the exposure was not fixed, or the probe stands elsewhere than the assembly says"
+        )
+    burnt = torch.from_numpy(capture.rejected)
+    if bool(burnt.any()):
+        doubts.append(
+            f"{int(burnt.sum())} slots are over-exposed in every picture, the first "
+            f"{first_slot(burnt)}: expose shorter"
+        )
+    vectors = visibility_vectors()
+    for o, name in enumerate(ORIENTATIONS):
+        mine = lightmap.known[o]
+        rank = int(torch.linalg.matrix_rank(vectors[mine])) if mine.any() else 0
+        if rank < _RANK:
+            doubts.append(
+                f"orientation {name} has {int(mine.sum())} captured slots of rank {rank}, {_RANK} "
+                "are needed: walk round the probe, or use a probe that encodes more"
+            )
+    return doubts
+
+
+def _as_png(lightmap: Lightmap) -> UInt8[np.ndarray, "h w 3"]:
+    image = lightmap.image()
+    return (linear_to_srgb(image.clamp(0, 1)).numpy() * 255 + 0.5).astype(np.uint8)

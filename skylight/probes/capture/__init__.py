@@ -1,0 +1,1 @@
+"""The camera of shading probes: calibration, pose and response."""

@@ -1,0 +1,127 @@
+"""What was measured on printed parts, and what of it is not as it should be."""
+
+from dataclasses import asdict, dataclass
+
+from skylight.probes.printing.sizes import PrintSizes
+
+WALL_TOLERANCE_MM = 1e-3
+PLAY_TOLERANCE_MM = 1e-3
+FACE_TOLERANCE_MM = 1e-6
+VOLUME_TOLERANCE_MM3 = 1e-3  # a face of 30 mm off by 1e-6 mm
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartFigures:
+    """One part; ``overhang_mm2`` faces down flatter than 45 degrees, ``bridge_mm`` long."""
+
+    name: str
+    watertight: bool
+    consistent: bool
+    pieces: int
+    volume_mm3: float
+    thinnest_mm: float
+    overhang_mm2: float
+    bridge_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointFigures:
+    """How far a part moves on its collar: sideways, and further on (0: it is at its stop)."""
+
+    carrier: str
+    plugged: str
+    clearances_mm: tuple[float, ...]
+    stop_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactFigures:
+    """The gap between two parts that lie side by side without a joint."""
+
+    first: str
+    second: str
+    gap_mm: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrintReport:
+    """Figures of all parts and of the assembly; ``problems`` is empty where all is well."""
+
+    sizes: PrintSizes
+    parts: tuple[PartFigures, ...]
+    joints: tuple[JointFigures, ...]
+    contacts: tuple[ContactFigures, ...]
+    overlap_mm3: float
+    blocked: tuple[str, ...]
+    face_deviation_mm: float
+    outside_mm3: float
+
+    @property
+    def thinnest_mm(self) -> float:
+        return min(part.thinnest_mm for part in self.parts)
+
+    @property
+    def clearances_mm(self) -> tuple[float, float]:
+        """(least, largest) of all joints and contacts."""
+        every = [c for joint in self.joints for c in joint.clearances_mm]
+        every += [contact.gap_mm for contact in self.contacts]
+        return min(every), max(every)
+
+    @property
+    def sound(self) -> bool:
+        return not self.problems
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """One line for each verdict that fails."""
+        found = []
+        for part in self.parts:
+            found += _part_problems(part, self.sizes)
+        low = self.sizes.clearance_mm - PLAY_TOLERANCE_MM
+        high = 2 * self.sizes.clearance_mm + PLAY_TOLERANCE_MM
+        for joint in self.joints:
+            name = f"{joint.plugged} on {joint.carrier}"
+            worst = [c for c in joint.clearances_mm if not low <= c <= high]
+            found += [f"{name}: clearance {worst[0]:.3f} mm"] if worst else []
+            if joint.stop_mm > PLAY_TOLERANCE_MM:
+                found.append(f"{name}: goes {joint.stop_mm:.3f} mm too far on")
+        for contact in self.contacts:
+            if not low <= contact.gap_mm <= high:
+                found.append(
+                    f"{contact.first} beside {contact.second}: gap {contact.gap_mm:.3f} mm"
+                )
+        if not self.overlap_mm3 <= VOLUME_TOLERANCE_MM3:
+            found.append(f"assembled parts share {self.overlap_mm3:.3g} mm3")
+        found += [f"{name}: meets an earlier part on its way in" for name in self.blocked]
+        if not self.face_deviation_mm <= FACE_TOLERANCE_MM:
+            found.append(f"outer faces are up to {self.face_deviation_mm:.3g} mm off the model's")
+        if not self.outside_mm3 <= VOLUME_TOLERANCE_MM3:
+            found.append(f"{self.outside_mm3:.3g} mm3 of the parts stick out of the model")
+        return tuple(found)
+
+    def content(self) -> dict[str, object]:
+        """For a JSON file."""
+        least, largest = self.clearances_mm
+        return {
+            "sound": self.sound,
+            "problems": list(self.problems),
+            "thinnest_wall_mm": self.thinnest_mm,
+            "least_clearance_mm": least,
+            "largest_clearance_mm": largest,
+            **asdict(self),
+        }
+
+
+def _part_problems(part: PartFigures, sizes: PrintSizes) -> list[str]:
+    found = []
+    if not part.watertight:
+        found.append("has a hole")
+    if not part.consistent:
+        found.append("has triangles that are turned the other way")
+    if part.pieces != 1:
+        found.append(f"is in {part.pieces} pieces")
+    if part.volume_mm3 <= 0:
+        found.append("is inside out")
+    if part.thinnest_mm < sizes.wall_mm - WALL_TOLERANCE_MM:
+        found.append(f"has a wall of {part.thinnest_mm:.3f} mm")
+    return [f"{part.name}: {problem}" for problem in found]

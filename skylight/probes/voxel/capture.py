@@ -1,0 +1,191 @@
+"""Shading copied from pictures of a voxel probe into its lightmap (thesis, section 3.5.2)."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+
+from skylight.probes.capture.intrinsics import FLIP, Intrinsics
+from skylight.probes.capture.pose import Pose
+from skylight.probes.voxel.faces import CONFIGURATIONS, ORIENTATIONS
+from skylight.probes.voxel.lightmap import SIZE, Lightmap
+from skylight.probes.voxel.placement import PlacedProbe
+
+_GRAZING = 0.17  # cosine: faces seen under less than 10 degrees tell little
+_INSET = 0.04  # of a face: what lies nearer to its edge may belong to what is beyond
+_SAMPLES = 4  # along each side of a texel
+_LEAST_COVERAGE = 0.75
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceView:
+    """One face in one picture: its slot, its size on screen and its shading."""
+
+    face: int
+    orientation: int
+    configuration: int
+    area_px: float
+    radiance: Float[np.ndarray, "n n 3"]
+    valid: Bool[np.ndarray, "n n"]
+
+    @property
+    def mean(self) -> Float[np.ndarray, "3"]:
+        return self.radiance[self.valid].mean(0)
+
+
+def visible_faces(
+    probe: PlacedProbe, pose: Pose, intrinsics: Intrinsics
+) -> tuple[list[int], Float[np.ndarray, "f 4 2"], Float[np.ndarray, " f"]]:
+    """(faces that a picture shows whole, all corners in it, areas on screen in px^2).
+
+    Tested in the order of their cost: turned to the camera, inside of the frame, and nothing
+    between the camera and any of a face's corners, the middles of its sides and its own middle.
+    """
+    eye = pose.position
+    middles = probe.corners.mean(1)
+    towards = eye - middles
+    cosine = (towards * probe.normals).sum(1) / np.linalg.norm(towards, axis=1)
+    flat = probe.corners.reshape(-1, 3)
+    in_camera = (pose.to_camera(flat) @ FLIP).reshape(-1, 4, 3)
+    pixels = pose.project(flat, intrinsics).reshape(-1, 4, 2)
+    size = np.array([intrinsics.width, intrinsics.height])
+    inside = ((pixels >= 0) & (pixels <= size - 1)).all((1, 2)) & (in_camera[..., 2] > 0).all(1)
+    # distortion folds what is far outside back into the frame; a pinhole does not
+    ideal = in_camera[..., :2] / in_camera[..., 2:] * (intrinsics.fx, intrinsics.fy)
+    inside &= (np.abs(ideal) < size).all((1, 2))
+    candidates = np.flatnonzero((cosine > _GRAZING) & inside)
+    a, b, c, d = pixels.transpose(1, 0, 2)
+    areas = 0.5 * np.abs(_cross(c - a, d - b))
+    if not len(candidates):
+        return [], pixels, areas
+    corners = probe.corners[candidates]
+    nine = np.concatenate(
+        [corners, 0.5 * (corners + np.roll(corners, 1, axis=1)), middles[candidates, None]], 1
+    )
+    # a hair inwards: an edge belongs to the neighbouring face as well
+    nine = nine + 0.02 * (middles[candidates, None] - nine)
+    free = probe.sees(eye, nine).numpy().all(1)
+    return candidates[free].tolist(), pixels, areas
+
+
+def read_faces(
+    picture: Float[np.ndarray, "h w 3"],
+    saturated: Bool[np.ndarray, "h w"],
+    probe: PlacedProbe,
+    pose: Pose,
+    intrinsics: Intrinsics,
+    *,
+    better_than: Float[np.ndarray, "6 32"] | None = None,
+    size: int = SIZE,
+) -> list[FaceView]:
+    """The shading of all faces that a linear picture shows whole.
+
+    Every texel is the mean of 4 x 4 bilinear samples, each at its own place through the lens'
+    distortion. Samples within 4 % of a face's edge are taken 4 % from it, so that a pose that is
+    off by little does not bring in what is beyond; the thesis shrinks the whole face instead.
+    ``better_than`` leaves out faces that are smaller on screen than what is there for their slot.
+    """
+    shown, _, areas = visible_faces(probe, pose, intrinsics)
+    orientation, configuration = probe.faces.orientation, probe.faces.configuration
+    if better_than is not None:
+        shown = [
+            f for f in shown if areas[f] > better_than[int(orientation[f]), int(configuration[f])]
+        ]
+    if not shown:
+        return []
+    along = (np.arange(size * _SAMPLES) + 0.5) / (size * _SAMPLES)
+    along = along.clip(_INSET, 1 - _INSET)
+    corners = probe.corners[shown]
+    origin = corners[:, 3]  # left, forward
+    right, back = corners[:, 2] - origin, corners[:, 0] - origin
+    points = (
+        origin[:, None, None]
+        + along[:, None, None] * back[:, None, None]
+        + along[:, None] * right[:, None, None]
+    )
+    places = pose.project(points.reshape(-1, 3), intrinsics).astype(np.float32)
+    places = places.reshape(len(shown), -1, size * _SAMPLES, 2)
+    source = np.ascontiguousarray(picture, dtype=np.float32)
+    bright = saturated.astype(np.float32)
+    views = []
+    for face, place in zip(shown, places, strict=True):
+        x, y = place[..., 0].copy(), place[..., 1].copy()
+        colour = cv2.remap(source, x, y, cv2.INTER_LINEAR)
+        burnt = cv2.remap(bright, x, y, cv2.INTER_LINEAR)
+        valid = _binned(burnt[..., None], size)[..., 0] == 0
+        views.append(
+            FaceView(
+                face=face,
+                orientation=int(orientation[face]),
+                configuration=int(configuration[face]),
+                area_px=float(areas[face]),
+                radiance=_binned(colour, size),
+                valid=valid,
+            )
+        )
+    return views
+
+
+class LightmapCapture:
+    """A lightmap that fills with the largest view of each slot, from picture to picture."""
+
+    def __init__(self, probe: PlacedProbe, start: Lightmap | None = None) -> None:
+        self.probe = probe
+        lightmap = start or Lightmap.blank()
+        self.size = lightmap.size
+        self._radiance = lightmap.radiance.numpy().copy()
+        self._coverage = lightmap.coverage.numpy().copy()
+        self._area = lightmap.confidence.numpy() * self.size**2
+        self.rejected = np.zeros((len(ORIENTATIONS), CONFIGURATIONS), bool)
+        """Slots of which some view was too bright for the camera, and none was not."""
+        self.disagreements: list[float] = []
+        """For each face seen again: by how much its mean differs from that of the view kept."""
+        self._face = np.full((len(ORIENTATIONS), CONFIGURATIONS), -1)
+
+    def add(
+        self,
+        picture: Float[np.ndarray, "h w 3"],
+        saturated: Bool[np.ndarray, "h w"],
+        pose: Pose,
+        intrinsics: Intrinsics,
+    ) -> int:
+        """Copy what this linear picture shows larger than any before; how many slots it gave."""
+        views = read_faces(picture, saturated, self.probe, pose, intrinsics, size=self.size)
+        taken = 0
+        for view in sorted(views, key=lambda v: v.area_px):
+            slot = view.orientation, view.configuration
+            share = float(view.valid.mean())
+            if share < _LEAST_COVERAGE:
+                self.rejected[slot] |= self._coverage[slot] == 0
+                continue
+            if self._face[slot] == view.face:
+                kept = self._radiance[slot].mean((0, 1))
+                self.disagreements.append(float(np.abs(view.mean / kept.clip(1e-6) - 1).max()))
+            if view.area_px <= self._area[slot]:
+                continue
+            # what the camera clipped is at least as bright as what it did not
+            filled = np.where(view.valid[..., None], view.radiance, view.mean)
+            self._radiance[slot] = filled
+            self._coverage[slot], self._area[slot] = share, view.area_px
+            self.rejected[slot], self._face[slot] = False, view.face
+            taken += 1
+        return taken
+
+    def lightmap(self) -> Lightmap:
+        """What was captured so far."""
+        return Lightmap(
+            radiance=torch.from_numpy(self._radiance.copy()),
+            coverage=torch.from_numpy(self._coverage.copy()),
+            confidence=torch.from_numpy((self._area / self.size**2).astype(np.float32)),
+        )
+
+
+def _binned(fine: Float[np.ndarray, "a a c"], size: int) -> Float[np.ndarray, "n n c"]:
+    """Means over the samples of each texel."""
+    return fine.reshape(size, _SAMPLES, size, _SAMPLES, -1).mean((1, 3))
+
+
+def _cross(a: Float[np.ndarray, "f 2"], b: Float[np.ndarray, "f 2"]) -> Float[np.ndarray, " f"]:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

@@ -1,0 +1,114 @@
+"""Frame by frame: track the board, capture the probe, complete the lightmap, draw a model."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from skylight.probes.capture.board import Board
+from skylight.probes.capture.intrinsics import Intrinsics
+from skylight.probes.capture.pose import board_pose
+from skylight.probes.capture.response import Response, saturated
+from skylight.probes.voxel.capture import LightmapCapture
+from skylight.probes.voxel.composite import composite
+from skylight.probes.voxel.lightmap import Lightmap
+from skylight.probes.voxel.model import VoxelModel
+from skylight.probes.voxel.placement import PlacedProbe
+from skylight.probes.voxel.reconstruct import SlotReconstruction
+from skylight.probes.voxel.render import VoxelRenderer, lens_rays
+
+STAGES = ("track", "capture", "reconstruct", "draw")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveFrame:
+    """``seconds`` for each of :data:`STAGES` that was reached; ``slots`` known so far."""
+
+    picture: UInt8[np.ndarray, "h w 3"]
+    tracked: bool
+    slots: int
+    seconds: dict[str, float]
+
+
+class LiveView:
+    """What a camera's frames become, one after the other.
+
+    ``to_board`` (4,4) takes the model's cells to millimetres of the board; ``reconstruction`` makes
+    the weights for the slots that are known, which happens again whenever there are more.
+    """
+
+    def __init__(
+        self,
+        *,
+        intrinsics: Intrinsics,
+        board: Board,
+        response: Response,
+        probe: PlacedProbe,
+        model: VoxelModel,
+        to_board: Float[Tensor, "4 4"],
+        reconstruction: Callable[[Lightmap], SlotReconstruction],
+    ) -> None:
+        self._intrinsics, self._board, self._response = intrinsics, board, response
+        self._capture = LightmapCapture(probe)
+        self._renderer = VoxelRenderer(model, to_board)
+        self._rays = lens_rays(intrinsics)
+        self._make = reconstruction
+        self._weights: SlotReconstruction | None = None
+        self._completed: Lightmap | None = None
+
+    def show(self, image: UInt8[np.ndarray, "h w 3"]) -> LiveFrame:
+        """The frame with the model in it, as soon as every side of the probe was seen."""
+        clock = _Clock()
+        found = board_pose(image, self._board, self._intrinsics)
+        clock.mark("track")
+        if found is None:
+            return self._frame(image, False, clock)
+        linear = self._response.linearise(image).numpy()
+        taken = self._capture.add(linear, saturated(image), found.pose, self._intrinsics)
+        clock.mark("capture")
+        if taken:
+            self._complete()
+        clock.mark("reconstruct")
+        if self._completed is None:
+            return self._frame(image, True, clock)
+        drawing = self._renderer.draw(
+            self._completed,
+            self._rays,
+            torch.from_numpy(found.pose.rotation),
+            torch.from_numpy(found.pose.translation),
+        )
+        picture = composite(image, drawing, self._response)
+        clock.mark("draw")
+        return self._frame(picture, True, clock)
+
+    @property
+    def lightmap(self) -> Lightmap:
+        """What was captured so far."""
+        return self._capture.lightmap()
+
+    def _complete(self) -> None:
+        lightmap = self._capture.lightmap()
+        if not bool(lightmap.known.any(1).all()):
+            return
+        if self._weights is None or not torch.equal(self._weights.known, lightmap.known):
+            self._weights = self._make(lightmap)
+        self._completed = self._weights.complete(lightmap)
+
+    def _frame(self, picture: np.ndarray, tracked: bool, clock: "_Clock") -> LiveFrame:
+        slots = int(self._capture.lightmap().known.sum())
+        return LiveFrame(picture=picture, tracked=tracked, slots=slots, seconds=clock.seconds)
+
+
+class _Clock:
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def mark(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.seconds[stage] = now - self._last
+        self._last = now

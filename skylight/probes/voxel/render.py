@@ -1,0 +1,142 @@
+"""Voxel models drawn with a completed lightmap: texture mapping, nothing more."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from skylight.probes.capture.intrinsics import FLIP, Intrinsics
+from skylight.probes.voxel.faces import exposed_faces
+from skylight.probes.voxel.lightmap import Lightmap
+from skylight.probes.voxel.model import VoxelModel
+from skylight.transport.camera import Camera
+from skylight.transport.raycast import Raycaster
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drawing:
+    """What a camera sees of a model: linear ``radiance`` and ``alpha``, the share covered."""
+
+    radiance: Float[Tensor, "h w 3"]
+    alpha: Float[Tensor, "h w"]
+
+    def over(self, background: Float[Tensor, "h w 3"]) -> Float[Tensor, "h w 3"]:
+        """In front of a linear picture; radiance is already weighed by alpha."""
+        return self.radiance + (1 - self.alpha[..., None]) * background
+
+
+def camera_rays(camera: Camera, samples: int = 1) -> Float[Tensor, "h w s 3"]:
+    """Unit directions in the camera's frame through ``samples`` x ``samples`` places of a pixel."""
+    height, width = camera.height, camera.width
+    fine = Camera(
+        focal_px=camera.focal_px * samples,
+        width=width * samples,
+        height=height * samples,
+        center_px=(camera.center_px[0] * samples, camera.center_px[1] * samples),
+    )
+    rays = fine.rays().reshape(height, samples, width, samples, 3)
+    return rays.transpose(1, 2).reshape(height, width, samples**2, 3)
+
+
+def lens_rays(intrinsics: Intrinsics, samples: int = 1) -> Float[Tensor, "h w s 3"]:
+    """The same for a real camera's own picture, distortion and all."""
+    height, width = intrinsics.height, intrinsics.width
+    offset = (np.arange(samples) + 0.5) / samples - 0.5
+    row = np.arange(height)[:, None, None, None] + offset[:, None]
+    column = np.arange(width)[:, None, None] + offset
+    row, column = np.broadcast_arrays(row, column)  # (h, w, samples, samples)
+    pixels = np.stack([column, row], -1).reshape(-1, 2).astype(np.float64)
+    ideal = intrinsics.undistort_points(pixels)
+    x = (ideal[:, 0] - intrinsics.cx) / intrinsics.fx
+    y = (ideal[:, 1] - intrinsics.cy) / intrinsics.fy
+    rays = torch.from_numpy(np.stack([x, y, np.ones_like(x)], 1) @ FLIP)
+    return normalize(rays, dim=1).reshape(height, width, samples**2, 3)
+
+
+class VoxelRenderer:
+    """Draws one model from anywhere; its faces and the ray caster are made once.
+
+    ``to_world`` (4,4) takes the model's cells to the world in which cameras are placed; without
+    it, cells are the world's units.
+    """
+
+    def __init__(self, model: VoxelModel, to_world: Float[Tensor, "4 4"] | None = None) -> None:
+        self.faces = exposed_faces(model)
+        matrix = torch.eye(4, dtype=torch.float64) if to_world is None else to_world.double()
+        self._inverse = torch.linalg.inv(matrix)
+        vertices, triangles = self.faces.triangles()
+        self._caster = Raycaster(vertices, triangles)
+        low, high = vertices.amin(0), vertices.amax(0)
+        self._middle, self._radius = (low + high) / 2, float((high - low).norm()) / 2
+        corners = self.faces.corners
+        self._origin = corners[:, 3]  # left, forward
+        self._right, self._back = corners[:, 2] - corners[:, 3], corners[:, 0] - corners[:, 3]
+        self._slot = self.faces.orientation * 32 + self.faces.configuration
+
+    def draw(
+        self,
+        lightmap: Lightmap,
+        rays: Float[Tensor, "h w s 3"],
+        rotation: Float[Tensor, "3 3"],
+        translation: Float[Tensor, "3"],
+    ) -> Drawing:
+        """By unit ``rays`` of a camera for which world points stand at ``rotation @ x + t``.
+
+        A pixel is the mean of its s rays; texels are interpolated within their slot.
+        """
+        height, width, samples, _ = rays.shape
+        turn = self._inverse[:3, :3] @ rotation.double().T
+        eye = self._inverse[:3, :3] @ (-rotation.double().T @ translation.double())
+        eye = eye + self._inverse[:3, 3]
+        directions = rays.reshape(-1, 3).double() @ turn.T
+        near = torch.nonzero(self._within_reach(eye, directions))[:, 0]
+        directions = directions[near]
+        hits = self._caster.intersect(eye.expand(len(near), 3), directions)
+        found = torch.nonzero(hits.face >= 0)[:, 0]
+        points = eye + hits.distance[found, None] * directions[found]
+        colours = torch.zeros(height * width * samples, 4)
+        colours[near[found], :3] = self._shading(lightmap, hits.face[found] // 2, points)
+        colours[near[found], 3] = 1
+        pixels = colours.reshape(height, width, samples, 4).mean(2)
+        return Drawing(radiance=pixels[..., :3], alpha=pixels[..., 3])
+
+    def _within_reach(self, eye: Float[Tensor, "3"], directions: Float[Tensor, "r 3"]) -> Tensor:
+        """Which rays meet the sphere round the model: most pictures are mostly background."""
+        towards = self._middle - eye
+        distance = float(towards.norm())
+        if distance <= self._radius:
+            return torch.ones(len(directions), dtype=torch.bool)
+        cosine = math.sqrt(1 - (self._radius / distance) ** 2)
+        length = directions[0].norm()  # all have been turned and scaled alike
+        return directions @ (towards / distance) >= cosine * length
+
+    def _shading(
+        self, lightmap: Lightmap, face: Int[Tensor, " r"], points: Float[Tensor, "r 3"]
+    ) -> Float[Tensor, "r 3"]:
+        """Bilinear between the centres of a slot's texels, constant beyond the outermost."""
+        n = lightmap.size
+        offset = points - self._origin[face]
+        row = ((offset * self._back[face]).sum(1) * n - 0.5).clamp(0, n - 1)
+        column = ((offset * self._right[face]).sum(1) * n - 0.5).clamp(0, n - 1)
+        top, left = row.floor().clamp(max=n - 2).long(), column.floor().clamp(max=n - 2).long()
+        down, across = (row - top)[:, None].float(), (column - left)[:, None].float()
+        texels = lightmap.radiance.reshape(-1, 3).float()
+        first = (self._slot[face] * n + top) * n + left
+        upper = (1 - across) * texels[first] + across * texels[first + 1]
+        lower = (1 - across) * texels[first + n] + across * texels[first + n + 1]
+        return (1 - down) * upper + down * lower
+
+
+def looking_at(
+    eye: Float[Tensor, "3"], target: Float[Tensor, "3"]
+) -> tuple[Float[Tensor, "3 3"], Float[Tensor, "3"]]:
+    """(rotation, translation) of a camera at ``eye`` that looks at ``target``, +Y up."""
+    back = normalize(eye.double() - target.double(), dim=0)
+    up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
+    right = normalize(torch.linalg.cross(up, back), dim=0)
+    rotation = torch.stack([right, torch.linalg.cross(back, right), back])
+    return rotation, -rotation @ eye.double()

@@ -1,0 +1,104 @@
+"""The camera's place from a board: known poses are found again."""
+
+import numpy as np
+import pytest
+import torch
+
+from skylight.errors import InputError
+from skylight.probes.capture.board import Board
+from skylight.probes.capture.detect import BoardCorners
+from skylight.probes.capture.frames import Frame
+from skylight.probes.capture.intrinsics import FLIP, PIXEL_SHIFT, Intrinsics
+from skylight.probes.capture.pose import Pose, board_pose, corners_pose
+from tests.probes.capture.conftest import VIEWS
+from tests.probes.capture.scenes import LENS, board_from_tilt
+
+# OpenCV's board from ours, as the Board's docstring states it: (X, Y, Z) -> (X, Z, -Y)
+FLAT = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+
+
+def true_pose(board: Board, view: tuple) -> Pose:
+    rotation, translation = board_from_tilt(board, *view)
+    return Pose(rotation=FLIP @ rotation @ FLAT, translation=FLIP @ translation)
+
+
+def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.degrees(np.arccos(np.clip((np.trace(a.T @ b) - 1) / 2, -1, 1))))
+
+
+@pytest.mark.parametrize("number", range(1, len(VIEWS)))
+def test_pose_from_a_picture(board: Board, frames: list[Frame], number: int) -> None:
+    found = board_pose(frames[number].image, board, LENS)
+    assert found is not None
+    truth = true_pose(board, VIEWS[number])
+    assert angle_deg(found.pose.rotation, truth.rotation) < 0.3
+    assert np.linalg.norm(found.pose.position - truth.position) < 3.0  # 0.3 degrees at 50 cm: 2.6
+    middle = np.array([[board.size_mm[0] / 2, 0, board.size_mm[1] / 2]])
+    assert np.linalg.norm(found.pose.to_camera(middle) - truth.to_camera(middle)) < 1.0
+    assert found.rms_px < 0.3
+    assert found.corners == 35
+    assert not found.is_ambiguous
+
+
+def test_exact_corners_give_the_exact_pose(board: Board) -> None:
+    truth = true_pose(board, VIEWS[5])
+    points = board.corners()
+    pixels = truth.project(points, LENS)
+    numbers = np.arange(len(points))
+    found = corners_pose(BoardCorners(numbers=numbers, pixels=pixels, points=points), LENS)
+    assert found is not None
+    np.testing.assert_allclose(found.pose.rotation, truth.rotation, atol=1e-6)
+    np.testing.assert_allclose(found.pose.translation, truth.translation, atol=1e-3)
+
+
+def test_a_camera_above_a_table_has_positive_height(board: Board, frames: list[Frame]) -> None:
+    found = board_pose(frames[0].image, board, LENS)
+    assert found is not None
+    assert found.pose.position[1] == pytest.approx(500, abs=3)
+
+
+def test_far_away_the_tilt_is_called_ambiguous(board: Board) -> None:
+    far = true_pose(board, (15, 0, 0, [0, 0, 9000]))
+    points = board.corners()
+    generator = np.random.default_rng(3)
+    pixels = far.project(points, LENS) + 0.3 * generator.standard_normal((len(points), 2))
+    numbers = np.arange(len(points))
+    found = corners_pose(BoardCorners(numbers=numbers, pixels=pixels, points=points), LENS)
+    assert found is not None
+    assert found.is_ambiguous
+
+
+def test_without_the_board_there_is_none(board: Board, blank: np.ndarray) -> None:
+    assert board_pose(blank, board, LENS) is None
+
+
+def test_another_size_is_refused(board: Board, blank: np.ndarray) -> None:
+    with pytest.raises(InputError, match="calibrate with pictures of this size"):
+        board_pose(blank[:100, :100].copy(), board, LENS)
+
+
+class TestFrames:
+    pose = true_pose(Board(), VIEWS[6])
+    points = np.array([[0.0, 10, 20], [50, 30, -10]])
+
+    def test_the_renderers_camera_sees_points_where_a_plain_lens_does(self) -> None:
+        plain = Intrinsics(width=640, height=480, fx=500.0, fy=500.0, cx=300.0, cy=250.0)
+        camera = plain.camera()
+        placed = self.pose.placed(camera)
+        seen = camera.project(placed.points_to_camera(torch.from_numpy(self.points))).numpy()
+        np.testing.assert_allclose(
+            seen - PIXEL_SHIFT, self.pose.project(self.points, plain), atol=1e-9
+        )
+        np.testing.assert_allclose(placed.position.numpy(), self.pose.position)
+
+    def test_another_world(self) -> None:
+        turn = true_pose(Board(), VIEWS[4]).rotation
+        shift = np.array([1.0, 2.0, 3.0])
+        other = self.pose.of_world_at(turn, shift)
+        np.testing.assert_allclose(
+            other.to_camera(self.points), self.pose.to_camera(self.points @ turn.T + shift)
+        )
+
+    def test_mirrors_are_refused(self) -> None:
+        with pytest.raises(InputError, match="mirror"):
+            Pose(rotation=np.diag([1.0, 1.0, -1.0]), translation=np.zeros(3))

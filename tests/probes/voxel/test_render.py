@@ -1,0 +1,128 @@
+"""Drawing by texture mapping: which slot is seen, how texels are interpolated, compositing."""
+
+import math
+
+import pytest
+import torch
+
+from skylight.probes.voxel.lightmap import Lightmap
+from skylight.probes.voxel.model import star_probe
+from skylight.probes.voxel.render import Drawing, VoxelRenderer, camera_rays, looking_at
+from skylight.transport.camera import Camera
+
+F64 = torch.float64
+
+
+def camera(size: int = 64, focal: float = 120.0) -> Camera:
+    return Camera(focal_px=focal, width=size, height=size, center_px=(size / 2, size / 2))
+
+
+def vector(*values: float) -> torch.Tensor:
+    return torch.tensor(values, dtype=F64)
+
+
+def slots_as_light(size: int = 4) -> Lightmap:
+    """Red names the slot."""
+    light = torch.zeros(6, 32, size, size, 3)
+    light[..., 0] = torch.arange(1.0, 193.0).reshape(6, 32, 1, 1)
+    return Lightmap(radiance=light, coverage=torch.ones(6, 32), confidence=torch.ones(6, 32))
+
+
+@pytest.mark.parametrize(
+    ("eye", "orientation"),
+    [((5, 0.5, 0.5), 0), ((-4, 0.5, 0.5), 1), ((0.5, 0.5, 5), 4), ((0.5, 0.5, -4), 5)],
+)
+def test_each_side_shows_its_slot(eye: tuple[float, float, float], orientation: int) -> None:
+    renderer = VoxelRenderer(star_probe(1))
+    rotation, translation = looking_at(vector(*eye), vector(0.5, 0.5, 0.5))
+    drawing = renderer.draw(slots_as_light(), camera_rays(camera()), rotation, translation)
+    assert drawing.alpha[32, 32] == 1
+    assert float(drawing.radiance[32, 32, 0]) == pytest.approx(32 * orientation + 1)
+    assert (drawing.alpha[[0, -1]] == 0).all()
+
+
+def test_silhouette_has_the_size_of_the_face() -> None:
+    """A unit square 4 units off at 120 px is 30 x 30 px."""
+    rotation, translation = looking_at(vector(0.5, 0.5, 5), vector(0.5, 0.5, 0.5))
+    rays = camera_rays(camera(), samples=4)
+    drawing = VoxelRenderer(star_probe(1)).draw(slots_as_light(), rays, rotation, translation)
+    assert float(drawing.alpha.sum()) == pytest.approx(900, rel=0.01)
+
+
+def test_light_linear_on_a_face_is_drawn_exactly() -> None:
+    """Bilinear interpolation reproduces it, against the rays' meeting points worked out by hand."""
+    n = 16
+    centre = (torch.arange(n, dtype=torch.float32) + 0.5) / n
+    light = torch.zeros(6, 32, n, n, 3)
+    light[..., 0] = centre  # from left to right
+    light[..., 1] = centre[:, None]  # from forward to backward
+    lightmap = Lightmap(radiance=light, coverage=torch.ones(6, 32), confidence=torch.ones(6, 32))
+    rotation, translation = looking_at(vector(0.5, 0.5, 5), vector(0.5, 0.5, 0.5))
+    drawing = VoxelRenderer(star_probe(1)).draw(
+        lightmap, camera_rays(camera()), rotation, translation
+    )
+    inner = slice(32 - 13, 32 + 13)  # within the centres of the outermost texels
+    x = (torch.arange(64) + 0.5 - 32) / 120 * 4 + 0.5
+    expected = x[inner].float()[None].expand(26, 26)
+    torch.testing.assert_close(drawing.radiance[inner, inner, 0], expected, atol=1e-5, rtol=0)
+    # forward is up on this side, and rows run down
+    torch.testing.assert_close(drawing.radiance[inner, inner, 1], expected.T, atol=1e-5, rtol=0)
+
+
+def test_placing_the_model_is_placing_the_camera() -> None:
+    """A model moved, turned and scaled, seen by a camera that moved with it."""
+    turn, _ = looking_at(vector(1, 2, 3), vector(0, 0, 0))
+    to_world = torch.eye(4, dtype=F64)
+    to_world[:3, :3] = 7 * turn
+    to_world[:3, 3] = vector(3, -2, 5)
+    rotation, translation = looking_at(vector(6, 5, 4), vector(1.5, 1.5, 1.5))
+    rays = camera_rays(camera(focal=200.0))
+    still = VoxelRenderer(star_probe(3)).draw(slots_as_light(), rays, rotation, translation)
+    moved = VoxelRenderer(star_probe(3), to_world).draw(
+        slots_as_light(), rays, rotation @ turn.T,
+        7 * translation - rotation @ turn.T @ to_world[:3, 3],
+    )  # fmt: skip
+    assert float((still.alpha != moved.alpha).double().mean()) < 0.002
+    same = (still.alpha == 1) & (moved.alpha == 1)
+    differ = (still.radiance[same] - moved.radiance[same]).abs().amax(1) > 1e-3
+    assert float(differ.double().mean()) < 0.01
+    assert same.sum() > 500
+
+
+def test_from_within_reach_nothing_is_left_out() -> None:
+    """Rays outside of the bounding sphere's cone are not cast; those that hit are all inside."""
+    model = star_probe(5)
+    renderer = VoxelRenderer(model)
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(5):
+        eye = vector(2.5, 2.5, 2.5) + 6 * torch.nn.functional.normalize(
+            torch.randn(3, dtype=F64, generator=generator), dim=0
+        )
+        rotation, translation = looking_at(eye, vector(2.5, 2.5, 2.5))
+        rays = camera_rays(camera(focal=30.0))
+        drawing = renderer.draw(slots_as_light(), rays, rotation, translation)
+        directions = rays.reshape(-1, 3) @ rotation
+        hits = renderer._caster.intersect(eye.expand(len(directions), 3), directions)
+        assert (drawing.alpha.reshape(-1) == (hits.face >= 0)).all()
+
+
+def test_rays_of_one_pixel_average_to_it() -> None:
+    rays = camera_rays(camera(8), samples=3)
+    assert rays.shape == (8, 8, 9, 3)
+    middle = rays[..., 4, :]
+    torch.testing.assert_close(middle, camera_rays(camera(8))[..., 0, :])
+    assert float(rays.norm(dim=-1).sub(1).abs().max()) < 1e-12
+
+
+def test_over_weighs_by_alpha() -> None:
+    drawing = Drawing(radiance=torch.full((1, 2, 3), 0.25), alpha=torch.tensor([[0.25, 1.0]]))
+    out = drawing.over(torch.ones(1, 2, 3))
+    assert out[0, :, 0].tolist() == [1.0, 0.25]
+
+
+def test_camera_looks_where_it_should() -> None:
+    rotation, translation = looking_at(vector(1, 2, 3), vector(0, 0, 0))
+    seen = rotation @ vector(0, 0, 0) + translation
+    torch.testing.assert_close(seen, vector(0, 0, -math.sqrt(14)))
+    assert torch.det(rotation) == pytest.approx(1)
+    assert (rotation @ vector(0, 1, 0))[1] > 0
