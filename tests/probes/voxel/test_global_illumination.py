@@ -1,0 +1,59 @@
+"""The thesis' errors (Fig. 3.9), and what costs do."""
+
+import pytest
+import torch
+
+from skylight.errors import InputError
+from skylight.probes.voxel.analysis import inspect, transfer_error
+from skylight.probes.voxel.global_illumination import GlobalReconstruction
+from skylight.probes.voxel.model import star_probe
+from skylight.probes.voxel.reconstruct import DirectReconstruction
+from skylight.probes.voxel.transfer import transfer_vectors
+
+
+def known_of(size: int) -> torch.Tensor:
+    return inspect(star_probe(size)).faces > 0
+
+
+@pytest.mark.parametrize(
+    ("size", "direct", "indirect"),
+    [(3, (0.0115, 0.0227), (0.0113, 0.0149)), (5, (0.0113, 0.0224), (0.0094, 0.0127))],
+)
+def test_errors_are_those_of_figure_3_9(size: int, direct: tuple, indirect: tuple) -> None:
+    known = known_of(size)
+    for module, (mean, std) in (
+        (DirectReconstruction(known), direct),
+        (GlobalReconstruction(known), indirect),
+    ):
+        error = transfer_error(module)
+        assert error.mean == pytest.approx(mean, rel=0.06)
+        assert error.std == pytest.approx(std, rel=0.03)
+
+
+def test_squared_errors_are_the_least_without_a_cost_and_grow_with_it() -> None:
+    known, true = known_of(5), transfer_vectors(0.8).flatten(2)
+    modules = [DirectReconstruction(known)]
+    modules += [GlobalReconstruction(known, cost=c) for c in (1.0, 0.1, 0.0)]
+    squares = [float((m.weights.double() @ true - true).square().sum()) for m in modules]
+    assert squares == sorted(squares, reverse=True)
+    fetches = [int(m.fetches.sum()) for m in modules[1:]]
+    assert fetches == sorted(fetches)
+
+
+def test_more_captured_slots_are_not_worse() -> None:
+    three, five = (transfer_error(GlobalReconstruction(known_of(n))) for n in (3, 5))
+    assert five.mean < three.mean
+    assert five.std < three.std
+
+
+def test_captured_slots_stay_as_they_are() -> None:
+    known = known_of(3)
+    module = GlobalReconstruction(known)
+    light = torch.rand(6, 32, 2, 2, 3, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(module(light)[known], light[known])
+    assert not module(light)[:, 31].any()  # closed all round
+
+
+def test_bad_input_is_named() -> None:
+    with pytest.raises(InputError, match="cost of a slot"):
+        GlobalReconstruction(known_of(3), cost=-1.0)
