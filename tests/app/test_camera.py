@@ -10,7 +10,8 @@ import pytest
 from PIL import Image
 
 from skylight.app.camera import exif_exposures, exposure_times
-from skylight.cli import BoardPage, main
+from skylight.cli import main
+from skylight.cli.camera import BoardPage
 from skylight.errors import InputError
 from skylight.probes.capture.board import Board, Page, load_board, save_board
 from skylight.probes.capture.intrinsics import load_intrinsics

@@ -13,13 +13,14 @@ import tyro
 from tyro.conf import Positional
 
 from skylight import __version__
+from skylight.cli.camera import camera
+from skylight.cli.probe import probe
 from skylight.errors import InputError, SkylightError
 
 # Parsing must not import torch, so the choices stand here again; a test compares the two.
 Light = Literal["autoencoder", "sunsky", "sh9", "sh25"]
 ObjectLight = Literal["ani", "iso", "vmf", "sh9", "sh25", "sh49"]
 CodeWeights = Literal["l1", "nonnegative", "free"]
-BoardPage = Literal["A4", "A3", "letter"]
 MapLayout = Literal["auto", "skylatlong", "latlong", "angular", "fisheye"]
 Decoding = tyro.conf.create_mutex_group(required=False)
 DESCRIPTION = """Recovers the light of a scene from a photo of a face, and lights things with it.
@@ -31,9 +32,6 @@ to any command to see where in the program an error came from."""
 app = tyro.extras.SubcommandApp()
 skies = tyro.extras.SubcommandApp()
 export = tyro.extras.SubcommandApp()
-probe = tyro.extras.SubcommandApp()
-voxel = tyro.extras.SubcommandApp()
-camera = tyro.extras.SubcommandApp()
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -447,101 +445,6 @@ def export_scene(
     print(f"{out}: {len(scene.pixels)} pixels lit from {len(scene.directions)} directions")
 
 
-@camera.command(name="board")
-def camera_board(
-    out: Positional[Path] = Path("board.pdf"),
-    columns: int = 7,
-    rows: int = 10,
-    square_mm: float = 25.0,
-    marker_mm: float | None = None,
-    page: BoardPage = "A4",
-    dictionary: str = "DICT_4X4_50",
-    first_marker: int = 0,
-) -> None:
-    """Draw a board to calibrate a camera with, to be printed at 100 %.
-
-    Beside OUT, a .json file of the same name holds the board's measures; calibration reads it.
-
-    Args:
-        out: The page to write: .pdf or .svg.
-        columns: Squares from left to right.
-        rows: Squares from top to bottom.
-        square_mm: Side of a square.
-        marker_mm: Side of a marker; by default 0.72 of a square's.
-        page: Paper; a board wider than high is laid across.
-        dictionary: OpenCV's name of the set of markers.
-        first_marker: Number of the first marker; boards with other numbers can be told apart.
-    """
-    from skylight.app.camera import make_board
-    from skylight.probes.capture.board import Board
-
-    board = Board(
-        columns=columns,
-        rows=rows,
-        square_mm=square_mm,
-        marker_mm=0.72 * square_mm if marker_mm is None else marker_mm,
-        dictionary=dictionary,
-        first_marker=first_marker,
-    )
-    make_board(out, board, page=page)
-
-
-@camera.command(name="calibrate")
-def camera_calibrate(
-    photos: Positional[tuple[Path, ...]] = (),
-    video: Path | None = None,
-    webcam: int | None = None,
-    board: Path = Path("board.json"),
-    out: Path = Path("camera.json"),
-    frames: int = 40,
-) -> None:
-    """Find a camera's focal length and distortion from pictures of a board.
-
-    Take 10 to 20 pictures with focus and zoom fixed: the board tilted by 20 to 40 degrees, each
-    time another way, and also in the picture's corners. The same settings hold for the pictures
-    that are measured later.
-
-    Args:
-        photos: Pictures of the board: JPEG, PNG or TIFF, all of one size.
-        video: Instead of photos, a video; its sharp and different frames are used.
-        webcam: Instead of photos, the number of a webcam, watched for 20 seconds.
-        board: The board's measures, as `skylight camera board` wrote them.
-        out: The .json file.
-        frames: Most frames to use of a video or webcam.
-    """
-    given = [each for each in (photos or None, video, webcam) if each is not None]
-    if len(given) != 1:
-        raise InputError("give photos, --video or --webcam, and only one of them")
-    from skylight.app.camera import calibrate_camera
-
-    def warn(line: str) -> None:
-        print(f"skylight: take care: {line}", file=sys.stderr)
-
-    calibrate_camera(given[0], board, out, most=frames, warn=warn)
-
-
-@camera.command(name="response")
-def camera_response(
-    photos: Positional[tuple[Path, ...]],
-    times: str | None = None,
-    out: Path = Path("response.json"),
-) -> None:
-    """Find how a camera's values encode light, from several exposures of one scene.
-
-    Keep the camera, the scene and its light still, and aperture, ISO and white balance fixed; five
-    exposures from too dark to too bright do well.
-
-    Args:
-        photos: The exposures: JPEG, PNG or TIFF of 8 bits, all of one size.
-        times: Exposure times in their order, such as 1/60,1/30,1/15; by default those in the
-            files' EXIF data.
-        out: The .json file.
-    """
-    from skylight.app.camera import recover_camera_response
-
-    recover_camera_response(photos, out, times=times)
-
-
 @app.command
 def relight(
     scene: Positional[Path],
@@ -580,67 +483,6 @@ def relight(
     print(out)
 
 
-@voxel.command(name="print")
-def print_voxel(
-    out: Path,
-    probe: int | None = None,
-    voxels: Path | None = None,
-    resolution: int = 8,
-    face_mm: float = 20.0,
-    wall_mm: float = 1.6,
-    clearance_mm: float = 0.15,
-    pole_mm: float = 6.0,
-    pole_length_mm: float = 120.0,
-    board_width_mm: float = 175.0,
-    board_height_mm: float = 125.0,
-) -> None:
-    """Make a voxel probe for a 3D printer: thin-walled parts that press together without glue.
-
-    Writes parts.stl and parts.3mf (all parts on the bed), part_NN.stl and foot.stl (each alone),
-    marker_base.stl and .3mf (a plate for a printed ChArUco board and the pole), assembly.json (how
-    the probe stands on the board, and the order of assembly), report.json (what was measured on
-    the parts) and assembly.png.
-
-    Args:
-        out: Folder for the results.
-        probe: Star-shaped probe so many voxels wide: 1, 3, 5, ...
-        voxels: Another model: .npy (grid of booleans), .vox, or a mesh file.
-        resolution: Voxels along the longest side of a mesh.
-        face_mm: Side of a voxel.
-        wall_mm: Thickness of the walls.
-        clearance_mm: Gap per side between parts that slide together.
-        pole_mm: Diameter of the pole, a round rod.
-        pole_length_mm: Length of the pole.
-        board_width_mm: Width of the printed ChArUco pattern, without margin.
-        board_height_mm: Height of that pattern.
-    """
-    from skylight.app.probe_printing import (
-        print_voxel_probe,
-        probe_model,
-        summarise_print,
-        write_printed_probe,
-    )
-    from skylight.app.progress import stage_bar
-    from skylight.app.results import results_folder
-    from skylight.probes.printing.mount import MarkerBoard, Pole
-    from skylight.probes.printing.sizes import PrintSizes
-
-    sizes = PrintSizes(face_mm=face_mm, wall_mm=wall_mm, clearance_mm=clearance_mm)
-    pole = Pole(diameter_mm=pole_mm, length_mm=pole_length_mm)
-    board = MarkerBoard(width_mm=board_width_mm, height_mm=board_height_mm)
-    model, title = probe_model(probe, voxels, resolution)
-    with stage_bar() as progress, results_folder(out) as folder:
-        result = print_voxel_probe(
-            model, sizes, title=title, pole=pole, board=board, progress=progress
-        )
-        progress("writing the results", 0.7)
-        write_printed_probe(folder, result)
-    for problem in result.report.problems:
-        print(f"skylight: take care: {problem}", file=sys.stderr)
-    print(summarise_print(result))
-    print(f"written into {out}: parts.stl, parts.3mf, assembly.png and others")
-
-
 @app.command
 def evaluate(
     name: Positional[str],
@@ -663,7 +505,6 @@ def evaluate(
 
 app.command(skies, name="skies", help="Simulate skies, or index a folder of captured ones.")
 app.command(export, name="export", help="Write what relighting without torch needs.")
-probe.command(voxel, name="voxel", help="Voxel shading probes.")
 app.command(probe, name="probe", help="Make light probes, and use them.")
 app.command(camera, name="camera", help="Measure a camera: a board to print, lens and response.")
 

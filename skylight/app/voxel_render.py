@@ -1,0 +1,122 @@
+"""Voxel models drawn by a captured lightmap: into a photograph, or as a .glb; files to files."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from skylight.app.voxel_capture import Setup
+from skylight.errors import InputError
+from skylight.imaging.files import write_png
+from skylight.probes.capture.frames import read_picture
+from skylight.probes.capture.pose import board_pose
+from skylight.probes.voxel.composite import composite
+from skylight.probes.voxel.export import write_glb
+from skylight.probes.voxel.global_illumination import GlobalReconstruction
+from skylight.probes.voxel.lightmap import Lightmap, load_lightmap
+from skylight.probes.voxel.model import VoxelModel, read_voxels
+from skylight.probes.voxel.reconstruct import DirectReconstruction, SlotReconstruction
+from skylight.probes.voxel.render import VoxelRenderer, lens_rays
+
+Tell = Callable[[str], None]
+Reconstruction = Literal["direct", "global"]
+SAMPLES = 3  # along each side of a pixel
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stand:
+    """Where a virtual model stands on the board: the middle of its base, and its voxels' size."""
+
+    x_mm: float
+    z_mm: float
+    y_mm: float = 0.0
+    voxel_mm: float = 5.0
+
+    def matrix(self, model: VoxelModel) -> Float[Tensor, "4 4"]:
+        """From the model's cells to millimetres of the board."""
+        if not self.voxel_mm > 0:
+            raise InputError(f"voxels must be above 0 mm, got {self.voxel_mm:g}")
+        x, _, z = model.occupied.shape
+        out = torch.eye(4, dtype=torch.float64)
+        out[:3, :3] *= self.voxel_mm
+        out[:3, 3] = torch.tensor([self.x_mm, self.y_mm, self.z_mm], dtype=torch.float64)
+        out[:3, 3] -= self.voxel_mm * torch.tensor([x / 2, 0, z / 2], dtype=torch.float64)
+        return out
+
+
+def reconstruction_for(
+    lightmap: Lightmap, kind: Reconstruction, albedo: float
+) -> SlotReconstruction:
+    """The weights that complete what was captured."""
+    if kind == "direct":
+        return DirectReconstruction(lightmap.known)
+    if kind == "global":
+        return GlobalReconstruction(lightmap.known, albedo=albedo)
+    raise InputError(f"reconstruction {kind!r}: choose direct or global")
+
+
+def turned(model: VoxelModel, turns: str) -> VoxelModel:
+    """Quarter turns as users write them: "y1" is one about +Y, "x2,y3" two about +X, then three."""
+    for turn in filter(None, turns.split(",")):
+        axis, count = turn[:1], turn[1:]
+        if not count.lstrip("-").isdigit():
+            raise InputError(f"turn {turn!r}: write an axis and how many quarters, such as y1")
+        model = model.turned(axis, int(count))
+    return model
+
+
+def render_voxels(
+    model: Path,
+    lightmap: Path,
+    out: Path,
+    *,
+    kind: Reconstruction = "global",
+    albedo: float = 0.8,
+    resolution: int = 32,
+    turns: str = "",
+    photo: Path | None = None,
+    setup: Setup | None = None,
+    stand: Stand | None = None,
+    tell: Tell = print,
+) -> None:
+    """``out``: a .glb of the lit model, or a .png of it in ``photo``.
+
+    Raises
+    ------
+    InputError
+        A file cannot be used; a photo without the camera's files, or without the board in view.
+    """
+    voxels = turned(read_voxels(model, resolution=resolution), turns)
+    captured = load_lightmap(lightmap)
+    completed = reconstruction_for(captured, kind, albedo).complete(captured)
+    if out.suffix.lower() == ".glb":
+        write_glb(out, voxels, completed)
+    elif out.suffix.lower() == ".png":
+        if photo is None or setup is None or stand is None:
+            raise InputError("a .png needs a photo with the board, and the camera that took it")
+        write_png(out, drawn_into(photo, voxels, completed, setup, stand))
+    else:
+        raise InputError(f"{out}: write a .glb of the model, or a .png of it in a photo")
+    tell(f"{out}: {len(voxels)} voxels lit from {int(captured.known.sum())} captured slots")
+
+
+def drawn_into(
+    photo: Path, model: VoxelModel, lightmap: Lightmap, setup: Setup, stand: Stand
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The photo with the model standing in it, as codes of the camera's own response."""
+    image = read_picture(photo).image
+    found = board_pose(image, setup.board, setup.intrinsics)
+    if found is None:
+        raise InputError(f"{photo}: no marker board in view; show most of it")
+    drawing = VoxelRenderer(model, stand.matrix(model)).draw(
+        lightmap,
+        lens_rays(setup.intrinsics, SAMPLES),
+        torch.from_numpy(found.pose.rotation),
+        torch.from_numpy(found.pose.translation),
+    )
+    return composite(image, drawing, setup.response)

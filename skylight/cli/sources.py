@@ -1,0 +1,21 @@
+"""Where pictures come from, and what users are told about them."""
+
+import sys
+from pathlib import Path
+
+from skylight.errors import InputError
+
+
+def one_source(
+    photos: tuple[Path, ...], video: Path | None, webcam: int | None
+) -> tuple[Path, ...] | Path | int:
+    """The one that was given."""
+    given = [each for each in (photos or None, video, webcam) if each is not None]
+    if len(given) != 1:
+        raise InputError("give photos, --video or --webcam, and only one of them")
+    return given[0]
+
+
+def take_care(line: str) -> None:
+    """A doubt, on standard error; the results are there all the same."""
+    print(f"skylight: take care: {line}", file=sys.stderr)
