@@ -23,6 +23,7 @@ from skylight.evaluation.sparse_inverse import SparseInverse
 from skylight.evaluation.synthetic_faces import SyntheticFaces
 from skylight.evaluation.tables import markdown, summarise, summarise_groups
 from skylight.evaluation.transport_compression import TransportCompression
+from skylight.evaluation.voxel_probe import VoxelProbe
 from skylight.imaging.atomic import atomic_path
 from skylight.imaging.files import write_json
 
@@ -78,6 +79,14 @@ def _transport_compression(quick: bool, data: Path | None) -> Evaluation:
     return TransportCompression(data=data)
 
 
+def _voxel_probe(quick: bool, data: Path | None) -> Evaluation:
+    if data is None:
+        raise InputError("voxel-probe needs --data DIR: a folder with hdr and meshes")
+    if quick:  # one map, one mesh, noisy references, and some of the sets
+        return VoxelProbe(data=data, maps=1, models=("bunny",), samples=32, best=6, every_set=20)
+    return VoxelProbe(data=data)
+
+
 EVALUATIONS: dict[str, Callable[[bool, Path | None], Evaluation]] = {
     "synthetic-faces": _synthetic_faces,
     "sky-models": _sky_models,
@@ -86,6 +95,7 @@ EVALUATIONS: dict[str, Callable[[bool, Path | None], Evaluation]] = {
     "sparse-coding": _sparse_coding,
     "sparse-inverse": _sparse_inverse,
     "transport-compression": _transport_compression,
+    "voxel-probe": _voxel_probe,
 }
 
 

@@ -25,6 +25,7 @@ MEASURED = (
     "transport",
     "faces",
     "csc",
+    "probes",
     "inverse",
     "evaluation",
 )

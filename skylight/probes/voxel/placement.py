@@ -57,7 +57,7 @@ class PlacedProbe:
         placement: Placement,
         obstacle: tuple[Float[np.ndarray, "n 3"], np.ndarray] | None = None,
     ) -> None:
-        self.model, self.placement = model, placement
+        self.model, self.placement, self.obstacle = model, placement, obstacle
         self.faces: VoxelFaces = exposed_faces(model)
         self.corners = placement.to_board(self.faces.corners.numpy())
         normals = NORMALS[self.faces.orientation.numpy()].astype(float)
