@@ -124,7 +124,8 @@ def _mesh(mi, solid: Solid):
     content["faces"] = solid.triangles.astype(np.uint32).ravel()
     if painted:
         assert solid.uv is not None
-        content["vertex_texcoords"] = solid.uv.astype(np.float32).ravel()
+        # Mitsuba's v runs downwards
+        content["vertex_texcoords"] = (solid.uv * [1, -1] + [0, 1]).astype(np.float32).ravel()
     content.update()
     return mesh
 
