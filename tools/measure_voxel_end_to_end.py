@@ -31,6 +31,7 @@ from skylight.evaluation.main import commit
 from skylight.imaging.files import read_environment_map, write_json, write_png
 from skylight.imaging.metrics import shading_metrics
 from skylight.probes.capture.board import Board, save_board
+from skylight.probes.capture.frames import read_picture
 from skylight.probes.capture.intrinsics import FLIP, Intrinsics, load_intrinsics
 from skylight.probes.capture.pose import Pose, board_pose
 from skylight.probes.printing.mount import MarkerBoard, Pole
@@ -143,11 +144,14 @@ class Standing:
         flat = IndependentScene([self.board], self.environment)
         for i, (tilt_x, tilt_z, distance, right, up) in enumerate(CALIBRATION):
             pose = _calibration_pose(tilt_x, tilt_z, distance, right, up)
-            write_png(self.work / f"calibration_{i:02d}.png", self._photo(flat, pose, 16, i))
+            path = self.work / f"calibration_{i:02d}.png"
+            if not path.exists():  # those of a run that was stopped are kept
+                write_png(path, self._photo(flat, pose, 16, i))
         whole = IndependentScene(self.all, self.environment)
         for i in range(len(VIEWS)):
-            photo = self._photo(whole, self.pose(i), self.samples, 100 + i)
-            write_png(self.work / f"probe_{i:02d}.png", photo)
+            path = self.work / f"probe_{i:02d}.png"
+            if not path.exists():
+                write_png(path, self._photo(whole, self.pose(i), self.samples, 100 + i))
             print(f"photo {i + 1} of {len(VIEWS)}", flush=True)
 
     def pose(self, number: int) -> Pose:

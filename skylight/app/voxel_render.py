@@ -113,10 +113,14 @@ def drawn_into(
     found = board_pose(image, setup.board, setup.intrinsics)
     if found is None:
         raise InputError(f"{photo}: no marker board in view; show most of it")
-    drawing = VoxelRenderer(model, stand.matrix(model)).draw(
+    renderer = VoxelRenderer(model, stand.matrix(model))
+    window = renderer.window(found.pose, setup.intrinsics)
+    drawing = renderer.draw(
         lightmap,
-        lens_rays(setup.intrinsics, SAMPLES),
+        lens_rays(setup.intrinsics, SAMPLES, window),
         torch.from_numpy(found.pose.rotation),
         torch.from_numpy(found.pose.translation),
     )
-    return composite(image, drawing, setup.response)
+    out = image.copy()
+    out[window] = composite(image[window], drawing, setup.response)
+    return out

@@ -75,13 +75,15 @@ class LiveView:
         clock.mark("reconstruct")
         if self._completed is None:
             return self._frame(image, True, clock)
+        window = self._renderer.window(found.pose, self._intrinsics)
         drawing = self._renderer.draw(
             self._completed,
-            self._rays,
+            self._rays[window],
             torch.from_numpy(found.pose.rotation),
             torch.from_numpy(found.pose.translation),
         )
-        picture = composite(image, drawing, self._response)
+        picture = image.copy()
+        picture[window] = composite(image[window], drawing, self._response)
         clock.mark("draw")
         return self._frame(picture, True, clock)
 

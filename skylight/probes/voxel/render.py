@@ -10,11 +10,15 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from skylight.probes.capture.intrinsics import FLIP, Intrinsics
+from skylight.probes.capture.pose import Pose
 from skylight.probes.voxel.faces import exposed_faces
 from skylight.probes.voxel.lightmap import Lightmap
 from skylight.probes.voxel.model import VoxelModel
 from skylight.transport.camera import Camera
 from skylight.transport.raycast import Raycaster
+
+_BENT_PX = 8
+Window = tuple[slice, slice]  # rows and columns of a picture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,19 +46,21 @@ def camera_rays(camera: Camera, samples: int = 1) -> Float[Tensor, "h w s 3"]:
     return rays.transpose(1, 2).reshape(height, width, samples**2, 3)
 
 
-def lens_rays(intrinsics: Intrinsics, samples: int = 1) -> Float[Tensor, "h w s 3"]:
-    """The same for a real camera's own picture, distortion and all."""
-    height, width = intrinsics.height, intrinsics.width
+def lens_rays(
+    intrinsics: Intrinsics, samples: int = 1, window: Window | None = None
+) -> Float[Tensor, "h w s 3"]:
+    """The same for a real camera's own picture, distortion and all, or for a window of it."""
+    rows, columns = window or (slice(0, intrinsics.height), slice(0, intrinsics.width))
     offset = (np.arange(samples) + 0.5) / samples - 0.5
-    row = np.arange(height)[:, None, None, None] + offset[:, None]
-    column = np.arange(width)[:, None, None] + offset
+    row = np.arange(rows.start, rows.stop)[:, None, None, None] + offset[:, None]
+    column = np.arange(columns.start, columns.stop)[:, None, None] + offset
     row, column = np.broadcast_arrays(row, column)  # (h, w, samples, samples)
     pixels = np.stack([column, row], -1).reshape(-1, 2).astype(np.float64)
     ideal = intrinsics.undistort_points(pixels)
     x = (ideal[:, 0] - intrinsics.cx) / intrinsics.fx
     y = (ideal[:, 1] - intrinsics.cy) / intrinsics.fy
     rays = torch.from_numpy(np.stack([x, y, np.ones_like(x)], 1) @ FLIP)
-    return normalize(rays, dim=1).reshape(height, width, samples**2, 3)
+    return normalize(rays, dim=1).reshape(*row.shape[:2], samples**2, 3)
 
 
 class VoxelRenderer:
@@ -71,6 +77,8 @@ class VoxelRenderer:
         vertices, triangles = self.faces.triangles()
         self._caster = Raycaster(vertices, triangles)
         low, high = vertices.amin(0), vertices.amax(0)
+        box = torch.cartesian_prod(*torch.stack([low, high], 1)) @ matrix[:3, :3].T
+        self._box = (box + matrix[:3, 3]).numpy()
         self._middle, self._radius = (low + high) / 2, float((high - low).norm()) / 2
         corners = self.faces.corners
         self._origin = corners[:, 3]  # left, forward
@@ -89,6 +97,8 @@ class VoxelRenderer:
         A pixel is the mean of its s rays; texels are interpolated within their slot.
         """
         height, width, samples, _ = rays.shape
+        if rays.numel() == 0:
+            return Drawing(radiance=torch.zeros(height, width, 3), alpha=torch.zeros(height, width))
         turn = self._inverse[:3, :3] @ rotation.double().T
         eye = self._inverse[:3, :3] @ (-rotation.double().T @ translation.double())
         eye = eye + self._inverse[:3, 3]
@@ -103,6 +113,22 @@ class VoxelRenderer:
         colours[near[found], 3] = 1
         pixels = colours.reshape(height, width, samples, 4).mean(2)
         return Drawing(radiance=pixels[..., :3], alpha=pixels[..., 3])
+
+    def window(self, pose: Pose, intrinsics: Intrinsics) -> Window:
+        """The rectangle of a camera's picture outside of which nothing of the model is seen."""
+        height, width = intrinsics.height, intrinsics.width
+        ahead = -pose.to_camera(self._box)[:, 2]
+        pixels = pose.project(self._box, intrinsics)
+        # what is beside or behind the camera, or far outside, has no place in the picture to go by
+        if ahead.min() <= 0 or np.abs(pixels - [width / 2, height / 2]).max() > 2 * width:
+            return slice(0, height), slice(0, width)
+        # distortion bends straight edges by a few pixels
+        low = np.floor(pixels.min(0)).astype(int) - _BENT_PX
+        high = np.ceil(pixels.max(0)).astype(int) + _BENT_PX + 1
+        (left, top), (right, bottom) = low.clip(0), high.clip(0)
+        return slice(min(top, height), min(bottom, height)), slice(
+            min(left, width), min(right, width)
+        )
 
     def _within_reach(self, eye: Float[Tensor, "3"], directions: Float[Tensor, "r 3"]) -> Tensor:
         """Which rays meet the sphere round the model: most pictures are mostly background."""

@@ -5,9 +5,17 @@ import math
 import pytest
 import torch
 
+from skylight.probes.capture.intrinsics import Intrinsics
+from skylight.probes.capture.pose import Pose
 from skylight.probes.voxel.lightmap import Lightmap
 from skylight.probes.voxel.model import star_probe
-from skylight.probes.voxel.render import Drawing, VoxelRenderer, camera_rays, looking_at
+from skylight.probes.voxel.render import (
+    Drawing,
+    VoxelRenderer,
+    camera_rays,
+    lens_rays,
+    looking_at,
+)
 from skylight.transport.camera import Camera
 
 F64 = torch.float64
@@ -104,6 +112,29 @@ def test_from_within_reach_nothing_is_left_out() -> None:
         directions = rays.reshape(-1, 3) @ rotation
         hits = renderer._caster.intersect(eye.expand(len(directions), 3), directions)
         assert (drawing.alpha.reshape(-1) == (hits.face >= 0)).all()
+
+
+def test_nothing_is_seen_outside_of_the_window() -> None:
+    """Near, far and half outside of a strongly distorted picture."""
+    lens = Intrinsics(width=96, height=72, fx=80.0, fy=81.0, cx=50.0, cy=33.0, k1=-0.2, k2=0.03)
+    renderer = VoxelRenderer(star_probe(5))
+    rays = lens_rays(lens)
+    shares = []
+    for target in ((2.5, 2.5, 2.5), (6.0, 2.5, 2.5), (2.5, 9.0, 2.5), (40.0, 2.5, 2.5)):
+        for distance in (5.0, 15.0, 60.0):
+            eye = vector(*target) + distance * vector(0.2, 0.4, 0.89)
+            rotation, translation = looking_at(eye, vector(*target))
+            pose = Pose(rotation=rotation.numpy(), translation=translation.numpy())
+            window = renderer.window(pose, lens)
+            whole = renderer.draw(slots_as_light(), rays, rotation, translation)
+            part = renderer.draw(
+                slots_as_light(), lens_rays(lens, 1, window), rotation, translation
+            )
+            torch.testing.assert_close(part.radiance, whole.radiance[window])
+            assert float(whole.alpha.sum()) == float(part.alpha.sum())
+            shares.append(part.alpha.numel() / whole.alpha.numel())
+    assert min(shares) < 0.1
+    assert max(shares) == 1
 
 
 def test_rays_of_one_pixel_average_to_it() -> None:
