@@ -13,8 +13,6 @@ drawn model with a path-traced one in the same light, beside what a perfect capt
 import argparse
 import json
 import platform
-import shlex
-import sys
 import time
 from datetime import UTC, datetime
 from pathlib import Path
@@ -77,8 +75,9 @@ def main() -> None:
     scene = Standing(environment, arguments.samples, arguments.work)
     scene.photograph()
     facts = scene.measure(voxelise(arguments.data / "meshes" / "stanford_bunny.ply", 20))
-    command = "python -m tools.measure_voxel_end_to_end " + " ".join(
-        shlex.quote(a) for a in sys.argv[1:] if not Path(a).is_absolute()
+    command = (
+        f"python -m tools.measure_voxel_end_to_end --data {arguments.data.name} --work DIR "
+        f"--map {arguments.map} --samples {arguments.samples}"
     )
     write_json(
         arguments.out,
