@@ -1,7 +1,7 @@
 """The shading of a printed voxel probe from photographs or a film, files to files."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +16,13 @@ from skylight.imaging.files import write_json, write_png
 from skylight.probes.capture.board import Board, load_board
 from skylight.probes.capture.frames import FRAMES_MOST, Frame, read_frames
 from skylight.probes.capture.intrinsics import Intrinsics, load_intrinsics
-from skylight.probes.capture.pose import BoardPose, board_pose
+from skylight.probes.capture.pose import BoardPose, Pose, board_pose
 from skylight.probes.capture.response import Response, load_response, saturated
+from skylight.probes.voxel.alignment import Aligner, Alignment
 from skylight.probes.voxel.capture import LightmapCapture
 from skylight.probes.voxel.faces import ORIENTATIONS, visibility_vectors
 from skylight.probes.voxel.lightmap import Lightmap, load_lightmap
-from skylight.probes.voxel.placement import load_standing_probe
+from skylight.probes.voxel.placement import StandingProbe, load_standing_probe
 from skylight.probes.voxel.reconstruct import first_slot
 
 Tell = Callable[[str], None]
@@ -46,6 +47,7 @@ class CaptureResult:
     used: list[str]
     left_out: list[tuple[str, str]]
     disagreement: float | None
+    alignment: Alignment | None
     doubts: list[str]
 
 
@@ -77,10 +79,13 @@ def capture_voxel_probe(
     InputError
         No picture shows the board and the probe, or a file cannot be used; nothing is written.
     """
-    placed = load_standing_probe(assembly).placed()
     before = out / "lightmap.npz"
-    capture = LightmapCapture(placed, load_lightmap(before) if before.exists() else None)
-    found = capture_frames(read_frames(source, most=most), capture, setup)
+    found = capture_frames(
+        read_frames(source, most=most),
+        load_standing_probe(assembly),
+        setup,
+        load_lightmap(before) if before.exists() else None,
+    )
     with results_folder(out) as folder:
         found.lightmap.save(folder / "lightmap.npz")
         write_png(folder / "lightmap.png", _as_png(found.lightmap))
@@ -91,24 +96,41 @@ def capture_voxel_probe(
         warn(doubt)
     slots = int(found.lightmap.known.sum())
     tell(f"{out}: {slots} of 192 slots from {len(found.used)} pictures")
+    if found.alignment is not None and found.alignment.agrees:
+        turn, shift = (
+            float(np.linalg.norm(v)) for v in (found.alignment.turn_deg, found.alignment.shift_mm)
+        )
+        tell(f"the probe stands {turn:.1f} degrees and {shift:.1f} mm off its place; allowed for")
     return found
 
 
 def capture_frames(
-    frames: Iterable[Frame], capture: LightmapCapture, setup: Setup
+    frames: Iterable[Frame], standing: StandingProbe, setup: Setup, start: Lightmap | None = None
 ) -> CaptureResult:
-    """Everything that pictures tell, the board found in each on its own."""
-    used, left_out = [], []
+    """Everything that pictures tell, the board found in each on its own.
+
+    The probe's own edges in all of them say where it stands, if they agree; all pictures are held
+    in memory for that.
+    """
+    seen: list[tuple[Frame, Pose]] = []
+    left_out = []
+    aligner = Aligner(standing.placed(), setup.intrinsics)
     for frame in frames:
         found = board_pose(frame.image, setup.board, setup.intrinsics)
-        reason = _unusable(found)
-        if reason is None:
-            assert found is not None
-            linear = setup.response.linearise(frame.image).numpy()
-            capture.add(linear, saturated(frame.image), found.pose, setup.intrinsics)
-            used.append(frame.name)
-        else:
-            left_out.append((frame.name, reason))
+        if found is None or found.is_ambiguous:
+            left_out.append((frame.name, _why_unusable(found)))
+            continue
+        aligner.add(frame.image, found.pose)
+        seen.append((frame, found.pose))
+    alignment = aligner.alignment()
+    if alignment is not None and alignment.agrees:
+        placement = alignment.applied(standing.placement, aligner.middle_mm)
+        standing = replace(standing, placement=placement)
+    capture = LightmapCapture(standing.placed(), start)
+    for frame, pose in seen:
+        linear = setup.response.linearise(frame.image).numpy()
+        capture.add(linear, saturated(frame.image), pose, setup.intrinsics)
+    used = [frame.name for frame, _ in seen]
     if not used:
         reasons = "; ".join(sorted({reason for _, reason in left_out}))
         raise InputError(
@@ -130,7 +152,8 @@ def capture_frames(
         used=used,
         left_out=left_out,
         disagreement=disagreement,
-        doubts=_doubts(capture, lightmap, disagreement),
+        alignment=alignment,
+        doubts=_doubts(capture, lightmap, disagreement, alignment),
     )
 
 
@@ -141,6 +164,7 @@ def describe_capture(found: CaptureResult) -> dict[str, object]:
         "pictures": found.used,
         "left_out": [{"name": name, "reason": reason} for name, reason in found.left_out],
         "disagreement": found.disagreement,
+        "alignment": None if found.alignment is None else describe_alignment(found.alignment),
         "doubts": found.doubts,
         "coverage": found.lightmap.coverage.tolist(),
         "pixels_per_texel": found.lightmap.confidence.tolist(),
@@ -148,16 +172,42 @@ def describe_capture(found: CaptureResult) -> dict[str, object]:
     }
 
 
-def _unusable(found: BoardPose | None) -> str | None:
+def describe_alignment(alignment: Alignment) -> dict[str, object]:
+    """How the probe stands otherwise than it was meant to."""
+    return {
+        "turn_deg": alignment.turn_deg.tolist(),
+        "shift_mm": alignment.shift_mm.tolist(),
+        "turn_spread_deg": alignment.turn_spread_deg,
+        "shift_spread_mm": alignment.shift_spread_mm,
+        "pictures": alignment.pictures,
+        "applied": alignment.agrees,
+    }
+
+
+def _why_unusable(found: BoardPose | None) -> str:
     if found is None:
         return "no marker board in view"
-    if found.is_ambiguous:
-        return "the board is too small or too flat in view to tell its tilt"
-    return None
+    return "the board is too small or too flat in view to tell its tilt"
 
 
-def _doubts(capture: LightmapCapture, lightmap: Lightmap, disagreement: float | None) -> list[str]:
+def _doubts(
+    capture: LightmapCapture,
+    lightmap: Lightmap,
+    disagreement: float | None,
+    alignment: Alignment | None,
+) -> list[str]:
     doubts = []
+    if alignment is None:
+        doubts.append(
+            "the probe's edges are clear in too few pictures to tell where it stands: the "
+            "assembly's word was taken for it"
+        )
+    elif not alignment.agrees:
+        doubts.append(
+            "pictures disagree about where the probe stands (by "
+            f"{alignment.turn_spread_deg:.1f} degrees and {alignment.shift_spread_mm:.1f} mm): did "
+            "it move? The assembly's word was taken for it"
+        )
     if disagreement is not None and disagreement > MOVED:
         doubts.append(
             f"faces seen twice differ by {disagreement:.0%} (median): the light moved or changed, "

@@ -1,6 +1,7 @@
 """A voxel probe's use by the command line: capture, render and live, on drawn pictures."""
 
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from skylight.cli import main
 from skylight.imaging.files import write_json
@@ -122,6 +124,8 @@ def test_capture_tells_the_light_of_each_slot(captured: Path) -> None:
     assert report["slots"] == 29
     assert len(report["pictures"]) >= 10
     assert report["disagreement"] < 0.03
+    assert report["alignment"]["applied"]
+    assert np.linalg.norm(report["alignment"]["shift_mm"]) < 0.4
     assert any("orientation -y has 4" in doubt for doubt in report["doubts"])
     assert Image.open(captured / "lightmap.png").size == (256, 192)
 
@@ -193,6 +197,32 @@ def test_a_film_gets_the_model_as_soon_as_all_sides_were_seen(
     assert len(frames) == 13
     # the same view without the model at first and with it at last
     assert (np.abs(frames[0] - frames[12]).max(-1) > 40).mean() > 0.005
+
+
+def test_a_probe_that_was_turned_on_its_pole_is_found(folder: Path, tmp_path: Path) -> None:
+    """The assembly says 4 degrees less than the pictures show, and 1 mm too far right."""
+    turn = Rotation.from_rotvec([0, -4.0, 0], degrees=True).as_matrix()
+    place = standing().placement
+    wrong = replace(
+        standing(),
+        placement=replace(
+            place,
+            rotation=turn,
+            translation_mm=turn @ (place.translation_mm - MIDDLE) + MIDDLE + [1.0, 0, 0],
+        ),
+    )
+    write_json(tmp_path / "assembly.json", describe_standing_probe(wrong))
+    command = ["probe", "voxel", "capture", *photos(folder), *files(folder, assembly=False)]
+    command += ["--assembly", str(tmp_path / "assembly.json"), "--out", str(tmp_path / "c")]
+    assert main(command) == 0
+    told = json.loads((tmp_path / "c" / "capture.json").read_text())["alignment"]
+    assert told["applied"]
+    np.testing.assert_allclose(told["turn_deg"], [0, 4, 0], atol=0.25)
+    np.testing.assert_allclose(told["shift_mm"], [-1, 0, 0], atol=0.4)
+    found = load_lightmap(tmp_path / "c" / "lightmap.npz")
+    error = (found.radiance - light().radiance)[found.known].mean((1, 2)).abs()
+    relative = error / light().radiance[found.known].mean((1, 2))
+    assert float(relative.median()) < 0.02
 
 
 class TestRefusals:

@@ -1,0 +1,125 @@
+"""Where a probe really stands, from its own edges in all pictures together.
+
+A round pole leaves the turn about it free, and sockets have play: the board's pose alone puts the
+probe where it was meant to stand. Edges of the probe tell better, but those of one picture are
+noisier than the board's many corners; what all pictures say together is not.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from scipy.spatial.transform import Rotation
+
+from skylight.probes.capture.edges import refine_on_edges
+from skylight.probes.capture.intrinsics import Intrinsics
+from skylight.probes.capture.pose import Pose
+from skylight.probes.voxel.faces import NORMALS
+from skylight.probes.voxel.placement import PlacedProbe, Placement
+
+PICTURES_MIN = 4  # whose edges could be followed
+_AGREE_DEG, _AGREE_MM = 0.5, 1.5  # single pictures differ by 0.1 degrees and 0.4 mm
+_WITHIN = 0.1  # share of an edge, at each end, that may be hidden by what it meets
+_LIFTED = 0.02  # voxels, off the edge, before looking at it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Alignment:
+    """Turn (rotation vector) and shift of the probe's middle from where it was meant to stand.
+
+    Medians over ``pictures``, and the median distance of single pictures from them.
+    """
+
+    turn_deg: Float[np.ndarray, "3"]
+    shift_mm: Float[np.ndarray, "3"]
+    turn_spread_deg: float
+    shift_spread_mm: float
+    pictures: int
+
+    @property
+    def agrees(self) -> bool:
+        """Whether pictures tell about the same, so that it is the probe that stands elsewhere."""
+        return self.turn_spread_deg < _AGREE_DEG and self.shift_spread_mm < _AGREE_MM
+
+    def applied(self, placement: Placement, middle_mm: Float[np.ndarray, "3"]) -> Placement:
+        """The placement that edges tell; ``middle_mm`` is the probe's middle as it was meant."""
+        turn = Rotation.from_rotvec(self.turn_deg, degrees=True).as_matrix()
+        moved = turn @ (placement.translation_mm - middle_mm) + middle_mm + self.shift_mm
+        return replace(
+            placement,
+            rotation=turn @ placement.rotation,
+            translation_mm=turn @ (placement.translation_mm - middle_mm)
+            + middle_mm
+            + self.shift_mm,
+        )
+
+
+def edges_of(
+    probe: PlacedProbe,
+) -> tuple[Float[np.ndarray, "n 2 3"], Float[np.ndarray, "n 3"]]:
+    """(ends, outward directions) of the edges between faces of different orientation, mm."""
+    faces = probe.faces
+    corners = (2 * faces.corners).round().long().tolist()  # whole numbers, to compare
+    normals = NORMALS[faces.orientation.numpy()]
+    around: dict[frozenset[tuple[int, ...]], list[int]] = {}
+    for i, square in enumerate(corners):
+        for a, b in zip(square, [*square[1:], square[0]], strict=True):
+            around.setdefault(frozenset([tuple(a), tuple(b)]), []).append(i)
+    ends, outward = [], []
+    for edge, sides in around.items():
+        if len(np.unique(normals[sides], axis=0)) > 1:
+            ends.append(sorted(edge))
+            outward.append(normals[sides].mean(0))
+    placed = probe.placement.to_board(np.array(ends) / 2)
+    return placed, np.array(outward) @ probe.placement.rotation.T
+
+
+def visible_edges(
+    probe: PlacedProbe,
+    eye: Float[np.ndarray, "3"],
+    ends: Float[np.ndarray, "n 2 3"],
+    outward: Float[np.ndarray, "n 3"],
+) -> Bool[np.ndarray, " n"]:
+    """Those of which nothing hides three places from the eye."""
+    share = np.array([_WITHIN, 0.5, 1 - _WITHIN])[:, None]
+    places = ends[:, :1] * (1 - share) + ends[:, 1:] * share
+    places = places + _LIFTED * probe.placement.voxel_mm * outward[:, None]
+    return np.asarray(probe.sees(eye, places).numpy().all(1))
+
+
+class Aligner:
+    """Gathers what each picture's edges say about where the probe stands."""
+
+    def __init__(self, probe: PlacedProbe, intrinsics: Intrinsics) -> None:
+        self._probe, self._intrinsics = probe, intrinsics
+        self._ends, self._outward = edges_of(probe)
+        self.middle_mm = self._ends.reshape(-1, 3).mean(0)
+        self._turns: list[np.ndarray] = []
+        self._shifts: list[np.ndarray] = []
+
+    def add(self, image: UInt8[np.ndarray, "h w 3"], board: Pose) -> bool:
+        """Whether this picture's edges could be followed, from the board's pose on."""
+        visible = visible_edges(self._probe, board.position, self._ends, self._outward)
+        fit = refine_on_edges(image, board, self._intrinsics, self._ends, visible)
+        if not fit.converged:
+            return False
+        # from where the probe was meant to stand to where it does, in the board's frame
+        turn = board.rotation.T @ fit.pose.rotation
+        shift = board.rotation.T @ (fit.pose.translation - board.translation)
+        self._turns.append(Rotation.from_matrix(turn).as_rotvec(degrees=True))
+        self._shifts.append(turn @ self.middle_mm + shift - self.middle_mm)
+        return True
+
+    def alignment(self) -> Alignment | None:
+        """What all pictures say together; None of fewer than :data:`PICTURES_MIN`."""
+        if len(self._turns) < PICTURES_MIN:
+            return None
+        turns, shifts = np.array(self._turns), np.array(self._shifts)
+        turn, shift = np.median(turns, 0), np.median(shifts, 0)
+        return Alignment(
+            turn_deg=turn,
+            shift_mm=shift,
+            turn_spread_deg=float(np.median(np.linalg.norm(turns - turn, axis=1))),
+            shift_spread_mm=float(np.median(np.linalg.norm(shifts - shift, axis=1))),
+            pictures=len(turns),
+        )
