@@ -48,9 +48,7 @@ class Alignment:
         return replace(
             placement,
             rotation=turn @ placement.rotation,
-            translation_mm=turn @ (placement.translation_mm - middle_mm)
-            + middle_mm
-            + self.shift_mm,
+            translation_mm=moved,
         )
 
 
