@@ -7,13 +7,16 @@ the 3-probe, assembled from its printed parts, on its pole over the board, from 
 below, with lens distortion, noise and sRGB codes of 8 bits. The commands `camera calibrate`, `probe
 voxel capture` and `probe voxel render` do the rest. Compared are the poses with the true ones, the
 captured slots with path-traced shading of the probe as it stands (board and pole included), and the
-drawn model with a path-traced one in the same light, beside what a perfect capture gives.
+drawn model with a path-traced one in the same light, beside what a perfect capture gives. A film of
+640 x 480, in which the camera goes once round above the probe and once below, is for `probe voxel
+live`.
 """
 
 import argparse
 import json
 import platform
 import time
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -22,6 +25,8 @@ import numpy as np
 import torch
 
 from skylight.app.probe_printing import describe_assembly, print_voxel_probe, standing_probe
+from skylight.app.voxel_capture import read_setup
+from skylight.app.voxel_live import live_film
 from skylight.app.voxel_render import Stand, reconstruction_for
 from skylight.cli import main as skylight
 from skylight.evaluation.independent_render import IndependentScene, Solid, as_photo
@@ -30,13 +35,18 @@ from skylight.imaging.files import read_environment_map, write_json, write_png
 from skylight.imaging.metrics import shading_metrics
 from skylight.probes.capture.board import Board, save_board
 from skylight.probes.capture.frames import read_picture
-from skylight.probes.capture.intrinsics import FLIP, Intrinsics, load_intrinsics
+from skylight.probes.capture.intrinsics import (
+    FLIP,
+    Intrinsics,
+    load_intrinsics,
+    save_intrinsics,
+)
 from skylight.probes.capture.pose import Pose, board_pose
 from skylight.probes.printing.mount import MarkerBoard, Pole
 from skylight.probes.printing.sizes import PrintSizes
 from skylight.probes.voxel.faces import NORMALS, exposed_faces
 from skylight.probes.voxel.lightmap import Lightmap, load_lightmap
-from skylight.probes.voxel.model import star_probe, voxelise, write_voxels
+from skylight.probes.voxel.model import VoxelModel, star_probe, voxelise, write_voxels
 from skylight.probes.voxel.render import VoxelRenderer, camera_rays, lens_rays, looking_at
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.transport.camera import Camera
@@ -65,6 +75,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True, help="with folders hdr and meshes")
     parser.add_argument("--map", default="abandoned_games_room_02.exr")
     parser.add_argument("--samples", type=int, default=64)
+    parser.add_argument("--frames", type=int, default=60, help="of the film; 0 for none")
     parser.add_argument("--work", type=Path, required=True, help="folder for the pictures")
     parser.add_argument(
         "--out", type=Path, default=Path("benchmarks/results/voxel-end-to-end.json")
@@ -74,10 +85,14 @@ def main() -> None:
     environment = read_environment_map(arguments.data / "hdr" / arguments.map).resize(128)
     scene = Standing(environment, arguments.samples, arguments.work)
     scene.photograph()
-    facts = scene.measure(voxelise(arguments.data / "meshes" / "stanford_bunny.ply", 20))
+    bunny = voxelise(arguments.data / "meshes" / "stanford_bunny.ply", 20)
+    facts = scene.measure(bunny)
+    if arguments.frames:
+        scene.film(arguments.frames)
+        facts["live"] = scene.live(bunny)
     command = (
         f"python -m tools.measure_voxel_end_to_end --data {arguments.data.name} --work DIR "
-        f"--map {arguments.map} --samples {arguments.samples}"
+        f"--map {arguments.map} --samples {arguments.samples} --frames {arguments.frames}"
     )
     write_json(
         arguments.out,
@@ -154,8 +169,12 @@ class Standing:
             print(f"photo {i + 1} of {len(VIEWS)}", flush=True)
 
     def pose(self, number: int) -> Pose:
-        """The true pose of a picture: from above towards board and probe, or from below it."""
-        azimuth, elevation = (np.radians(a) for a in VIEWS[number])
+        """The true pose of a picture."""
+        return self.pose_from(*VIEWS[number])
+
+    def pose_from(self, azimuth_deg: float, elevation_deg: float) -> Pose:
+        """From above towards board and probe, or from below the probe."""
+        azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
         flat = np.array([np.sin(azimuth), 0, np.cos(azimuth)]) * np.cos(elevation)
         towards = flat + np.array([0, np.sin(elevation), 0])
         above = elevation > 0
@@ -165,11 +184,59 @@ class Standing:
         rotation, translation = looking_at(torch.from_numpy(eye), torch.from_numpy(target))
         return Pose(rotation=rotation.numpy(), translation=translation.numpy())
 
-    def _photo(self, scene: IndependentScene, pose: Pose, samples: int, seed: int) -> np.ndarray:
+    def film(self, count: int) -> None:
+        """film.avi: once round above the probe, once round below it."""
+        path = self.work / "film.avi"
+        if path.exists():
+            return
+        whole = IndependentScene(self.all, self.environment)
+        code = cv2.VideoWriter.fourcc(*"MJPG")
+        partial = self.work / "partial.avi"
+        made = cv2.VideoWriter(str(partial), cv2.CAP_FFMPEG, code, 30.0, (640, 480))
+        half = -(-count // 2)
+        for i in range(count):
+            pose = self.pose_from(360 * (i % half) / half, 38.0 if i < half else -16.0)
+            frame = self._photo(whole, pose, self.samples, 1000 + i, lens=halved(LENS))
+            made.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
+            print(f"frame {i + 1} of {count}", flush=True)
+        made.release()
+        partial.rename(path)
+
+    def live(self, model: VoxelModel) -> dict[str, object]:
+        """Frames a second of `probe voxel live`, median milliseconds of each stage."""
+        work = self.work
+        save_intrinsics(work / "small.json", halved(load_intrinsics(work / "camera.json")))
+        report = live_film(
+            work / "film.avi",
+            work / "live.mp4",
+            setup=read_setup(work / "small.json", work / "board.json", None),
+            assembly=work / "assembly.json",
+            model=model,
+            stand=Stand(x_mm=40.0, y_mm=0.0, z_mm=75.0, voxel_mm=MODEL_MM),
+        )
+        return {
+            "frames": report.frames,
+            "tracked": report.tracked,
+            "slots": report.slots,
+            "frames_per_s": report.frames_per_s,
+            **{f"{stage}_ms": ms for stage, ms in report.stage_ms.items()},
+        }
+
+    def _photo(
+        self,
+        scene: IndependentScene,
+        pose: Pose,
+        samples: int,
+        seed: int,
+        lens: Intrinsics = LENS,
+    ) -> np.ndarray:
         """Rendered by a pinhole with room around it, then bent as the lens does."""
-        wide = Camera(focal_px=LENS.fx, width=1500, height=1140, center_px=(750.0, 570.0))
+        width, height = round(1.17 * lens.width), round(1.19 * lens.height)
+        wide = Camera(
+            focal_px=lens.fx, width=width, height=height, center_px=(width / 2, height / 2)
+        )
         linear = scene.radiance(wide, pose.rotation, pose.translation, samples=samples, seed=seed)
-        rays = lens_rays(LENS)[:, :, 0].numpy() @ FLIP
+        rays = lens_rays(lens)[:, :, 0].numpy() @ FLIP
         x = (rays[..., 0] / rays[..., 2] * wide.focal_px + wide.center_px[0] - 0.5).astype(
             np.float32
         )
@@ -179,7 +246,7 @@ class Standing:
         bent = cv2.remap(linear, x, y, cv2.INTER_LINEAR)
         return as_photo(bent, exposure=self.exposure, noise=NOISE, seed=seed)
 
-    def measure(self, model) -> dict[str, object]:
+    def measure(self, model: VoxelModel) -> dict[str, object]:
         """The command line's results beside the truth."""
         work = self.work
         calibration = sorted(map(str, work.glob("calibration_*.png")))
@@ -277,7 +344,9 @@ class Standing:
             "texel_error_median": float(texels.median()),
         }
 
-    def _drawings(self, model, found: Lightmap, camera: list[str], files: list[str]) -> dict:
+    def _drawings(
+        self, model: VoxelModel, found: Lightmap, camera: list[str], files: list[str]
+    ) -> dict:
         """The model in a photo, beside path tracing, from a perfect capture and from this one."""
         work = self.work
         write_voxels(work / "bunny.npy", model)
@@ -320,6 +389,19 @@ class Standing:
         strip = as_photo(torch.cat(shown, 1).numpy(), exposure=1.0, noise=0.0, seed=0)
         write_png(work / "drawings.png", strip)
         return facts
+
+
+def halved(lens: Intrinsics) -> Intrinsics:
+    """The same lens for pictures of half the size; a pixel's centre goes with its corner."""
+    return replace(
+        lens,
+        width=lens.width // 2,
+        height=lens.height // 2,
+        fx=lens.fx / 2,
+        fy=lens.fy / 2,
+        cx=(lens.cx + 0.5) / 2 - 0.5,
+        cy=(lens.cy + 0.5) / 2 - 0.5,
+    )
 
 
 def _run(arguments: list[str]) -> None:
