@@ -1,6 +1,6 @@
 """From a printed probe to a model in a photo, by the command line and an independent renderer.
 
-    DRJIT_LIBLLVM_PATH=... python -m tools.measure_voxel_end_to_end --data DIR --map NAME.exr
+    DRJIT_LIBLLVM_PATH=... python -m tools.measure_voxel_end_to_end --data DIR --work DIR
 
 Mitsuba renders what a camera would see (extra ``render``): the board alone for the calibration, and
 the 3-probe, assembled from its printed parts, on its pole over the board, from above and from
@@ -16,7 +16,7 @@ import argparse
 import json
 import platform
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -83,7 +83,7 @@ def main() -> None:
     arguments = parser.parse_args()
     begun = time.time()
     environment = read_environment_map(arguments.data / "hdr" / arguments.map).resize(128)
-    scene = Standing(environment, arguments.samples, arguments.work)
+    scene = Standing(environment, arguments.map, arguments.samples, arguments.work)
     scene.photograph()
     bunny = voxelise(arguments.data / "meshes" / "stanford_bunny.ply", 20)
     facts = scene.measure(bunny)
@@ -116,7 +116,7 @@ def main() -> None:
 class Standing:
     """The probe on its pole over the board, and the pictures and files of one run."""
 
-    def __init__(self, environment: EnvironmentMap, samples: int, work: Path) -> None:
+    def __init__(self, environment: EnvironmentMap, name: str, samples: int, work: Path) -> None:
         self.environment, self.samples, self.work = environment, samples, work
         work.mkdir(parents=True, exist_ok=True)
         width, height = BOARD.size_mm
@@ -150,6 +150,11 @@ class Standing:
             environment.radiance.mean(-1).flatten() @ environment.grid.solid_angles.float()
         )
         self.exposure = 0.55 / (ALBEDO * level / (4 * np.pi) * 1.6)
+        key = {"map": name, "samples": samples, "lens": asdict(LENS), "views": VIEWS}
+        told = work / "pictures.json"
+        if told.exists() and told.read_text() != json.dumps(key):
+            raise SystemExit(f"{work} has pictures of other settings: choose another --work")
+        told.write_text(json.dumps(key))
         save_board(work / "board.json", BOARD)
         write_json(work / "assembly.json", describe_assembly(self.printed))
 
@@ -254,7 +259,6 @@ class Standing:
         files = ["--board", str(work / "board.json")]
         camera = ["--camera", str(work / "camera.json")]
         _run(["camera", "calibrate", *calibration, *files, "--out", str(work / "camera.json")])
-        (work / "lightmap.npz").unlink(missing_ok=True)
         capture = work / "capture"
         (capture / "lightmap.npz").unlink(missing_ok=True)
         assembly = ["--assembly", str(work / "assembly.json")]

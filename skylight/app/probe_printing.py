@@ -113,6 +113,7 @@ def standing_probe(result: PrintedProbe) -> StandingProbe:
         model=result.printed.model,
         placement=place,
         pole_mm=(float(x), float(z), pole.diameter_mm / 2, float(top)),
+        board_mm=(result.board.width_mm, result.board.height_mm),
     )
 
 

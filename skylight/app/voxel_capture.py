@@ -6,23 +6,25 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import UInt8
 
 from skylight import __version__
 from skylight.app.results import results_folder
 from skylight.errors import InputError
-from skylight.imaging.colour import linear_to_srgb
 from skylight.imaging.files import write_json, write_png
 from skylight.probes.capture.board import Board, load_board
 from skylight.probes.capture.frames import FRAMES_MOST, Frame, read_frames
 from skylight.probes.capture.intrinsics import Intrinsics, load_intrinsics
 from skylight.probes.capture.pose import BoardPose, Pose, board_pose
-from skylight.probes.capture.response import Response, load_response, saturated
+from skylight.probes.capture.response import Response, load_response
 from skylight.probes.voxel.alignment import Aligner, Alignment
 from skylight.probes.voxel.capture import LightmapCapture
 from skylight.probes.voxel.faces import ORIENTATIONS, visibility_vectors
 from skylight.probes.voxel.lightmap import Lightmap, load_lightmap
-from skylight.probes.voxel.placement import StandingProbe, load_standing_probe
+from skylight.probes.voxel.placement import (
+    StandingProbe,
+    describe_standing_probe,
+    load_standing_probe,
+)
 from skylight.probes.voxel.reconstruct import first_slot
 
 Tell = Callable[[str], None]
@@ -44,6 +46,7 @@ class CaptureResult:
     """``doubts`` are sentences for the user, empty when all went well."""
 
     lightmap: Lightmap
+    standing: StandingProbe
     used: list[str]
     left_out: list[tuple[str, str]]
     disagreement: float | None
@@ -67,28 +70,37 @@ def capture_voxel_probe(
     assembly: Path,
     out: Path,
     most: int = FRAMES_MOST,
+    more: bool = False,
     tell: Tell = print,
     warn: Tell = print,
 ) -> CaptureResult:
-    """lightmap.npz, lightmap.png and capture.json in ``out``.
+    """lightmap.npz, lightmap.png, capture.json and assembly.json in ``out``.
 
-    A lightmap that is there is continued: a slot is replaced where a new picture shows it larger.
+    With ``more``, the lightmap that is there is gone on with: a slot is replaced where a new
+    picture shows it larger. assembly.json has the probe where it was found to stand.
 
     Raises
     ------
     InputError
         No picture shows the board and the probe, or a file cannot be used; nothing is written.
     """
+    if most < 1:
+        raise InputError(f"at least 1 frame is needed, got {most}")
     before = out / "lightmap.npz"
-    found = capture_frames(
-        read_frames(source, most=most),
-        load_standing_probe(assembly),
-        setup,
-        load_lightmap(before) if before.exists() else None,
-    )
+    if more != before.exists():
+        raise InputError(
+            f"{out} has no capture to go on with: leave --more out"
+            if more
+            else f"{out} has a capture: add --more to go on with it, or choose another folder"
+        )
+    standing = load_standing_probe(assembly)
+    standing.require_board(setup.board.size_mm)
+    start = load_lightmap(before) if more else None
     with results_folder(out) as folder:
+        found = capture_frames(read_frames(source, most=most), standing, setup, start)
         found.lightmap.save(folder / "lightmap.npz")
-        write_png(folder / "lightmap.png", _as_png(found.lightmap))
+        write_png(folder / "lightmap.png", found.lightmap.png())
+        write_json(folder / "assembly.json", describe_standing_probe(found.standing))
         write_json(folder / "capture.json", describe_capture(found))
     for name, reason in found.left_out:
         warn(f"left out {name}: {reason}")
@@ -96,7 +108,7 @@ def capture_voxel_probe(
         warn(doubt)
     slots = int(found.lightmap.known.sum())
     tell(f"{out}: {slots} of 192 slots from {len(found.used)} pictures")
-    if found.alignment is not None and found.alignment.agrees:
+    if found.alignment is not None and _trusted(found.alignment, standing):
         turn, shift = (
             float(np.linalg.norm(v)) for v in (found.alignment.turn_deg, found.alignment.shift_mm)
         )
@@ -118,18 +130,17 @@ def capture_frames(
     for frame in frames:
         found = board_pose(frame.image, setup.board, setup.intrinsics)
         if found is None or found.is_ambiguous:
-            left_out.append((frame.name, _why_unusable(found)))
+            left_out.append((frame.name, why_unusable(found)))
             continue
         aligner.add(frame.image, found.pose)
         seen.append((frame, found.pose))
     alignment = aligner.alignment()
-    if alignment is not None and alignment.agrees:
+    if alignment is not None and _trusted(alignment, standing):
         placement = alignment.applied(standing.placement, aligner.middle_mm)
         standing = replace(standing, placement=placement)
     capture = LightmapCapture(standing.placed(), start)
     for frame, pose in seen:
-        linear = setup.response.linearise(frame.image).numpy()
-        capture.add(linear, saturated(frame.image), pose, setup.intrinsics)
+        capture.add_photo(frame.image, setup.response, pose, setup.intrinsics)
     used = [frame.name for frame, _ in seen]
     if not used:
         reasons = "; ".join(sorted({reason for _, reason in left_out}))
@@ -149,6 +160,7 @@ def capture_frames(
     disagreement = float(np.median(capture.disagreements)) if capture.disagreements else None
     return CaptureResult(
         lightmap=lightmap,
+        standing=standing,
         used=used,
         left_out=left_out,
         disagreement=disagreement,
@@ -164,12 +176,21 @@ def describe_capture(found: CaptureResult) -> dict[str, object]:
         "pictures": found.used,
         "left_out": [{"name": name, "reason": reason} for name, reason in found.left_out],
         "disagreement": found.disagreement,
-        "alignment": None if found.alignment is None else describe_alignment(found.alignment),
+        "alignment": None
+        if found.alignment is None
+        else {
+            **describe_alignment(found.alignment),
+            "applied": _trusted(found.alignment, found.standing),
+        },
         "doubts": found.doubts,
         "coverage": found.lightmap.coverage.tolist(),
         "pixels_per_texel": found.lightmap.confidence.tolist(),
         "version": __version__,
     }
+
+
+def _trusted(alignment: Alignment, standing: StandingProbe) -> bool:
+    return alignment.agrees and alignment.plausible(standing.placement.voxel_mm)
 
 
 def describe_alignment(alignment: Alignment) -> dict[str, object]:
@@ -180,11 +201,11 @@ def describe_alignment(alignment: Alignment) -> dict[str, object]:
         "turn_spread_deg": alignment.turn_spread_deg,
         "shift_spread_mm": alignment.shift_spread_mm,
         "pictures": alignment.pictures,
-        "applied": alignment.agrees,
     }
 
 
-def _why_unusable(found: BoardPose | None) -> str:
+def why_unusable(found: BoardPose | None) -> str:
+    """Of a picture in which the board was not found, or ambiguously."""
     if found is None:
         return "no marker board in view"
     return "the board is too small or too flat in view to tell its tilt"
@@ -208,6 +229,13 @@ def _doubts(
             f"{alignment.turn_spread_deg:.1f} degrees and {alignment.shift_spread_mm:.1f} mm): did "
             "it move? The assembly's word was taken for it"
         )
+    elif not alignment.plausible(capture.probe.placement.voxel_mm):
+        doubts.append(
+            "by its edges the probe stands far from where the assembly says "
+            f"({np.linalg.norm(alignment.turn_deg):.0f} degrees, "
+            f"{np.linalg.norm(alignment.shift_mm):.0f} mm), further than they can be told from "
+            "one another: turn its notch to the base's, and check the files"
+        )
     if disagreement is not None and disagreement > MOVED:
         doubts.append(
             f"faces seen twice differ by {disagreement:.0%} (median): the light moved or changed, "
@@ -229,8 +257,3 @@ def _doubts(
                 "are needed: walk round the probe, or use a probe that encodes more"
             )
     return doubts
-
-
-def _as_png(lightmap: Lightmap) -> UInt8[np.ndarray, "h w 3"]:
-    image = lightmap.image()
-    return (linear_to_srgb(image.clamp(0, 1)).numpy() * 255 + 0.5).astype(np.uint8)

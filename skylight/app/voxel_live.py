@@ -7,18 +7,18 @@ from time import perf_counter
 
 import cv2
 import numpy as np
+import torch
 
 from skylight.app.voxel_capture import Setup
 from skylight.app.voxel_render import Reconstruction, Stand, reconstruction_for
 from skylight.errors import InputError, OutputError
 from skylight.imaging.atomic import atomic_path
-from skylight.probes.capture.frames import film
+from skylight.probes.capture.frames import film, film_rate
 from skylight.probes.voxel.live import STAGES, LiveView
 from skylight.probes.voxel.model import VoxelModel
 from skylight.probes.voxel.placement import load_standing_probe
 
 Tell = Callable[[str], None]
-FRAMES_PER_S = 30.0  # of the films written
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,26 +63,36 @@ def live_film(
     """
     if out.suffix.lower() != ".mp4":
         raise InputError(f"{out}: films are written as .mp4; choose another name")
+    if most is not None and most < 1:
+        raise InputError(f"at least 1 frame is needed, got {most}")
+    standing = load_standing_probe(assembly)
+    standing.require_board(setup.board.size_mm)
+    rate = film_rate(source)
     view = LiveView(
         intrinsics=setup.intrinsics,
         board=setup.board,
         response=setup.response,
-        probe=load_standing_probe(assembly).placed(),
+        probe=standing.placed(),
         model=model,
-        to_board=stand.matrix(model),
+        to_board=stand.matrix(model, torch.from_numpy(standing.placement.rotation)),
         reconstruction=lambda lightmap: reconstruction_for(lightmap, kind, albedo),
     )
     times: dict[str, list[float]] = {stage: [] for stage in STAGES}
     whole: list[float] = []
     tracked = slots = 0
     with atomic_path(out) as temporary:
-        made = _writer(temporary, setup.intrinsics.width, setup.intrinsics.height)
+        made = _writer(temporary, rate, setup.intrinsics.width, setup.intrinsics.height)
+        started, written = perf_counter(), 0
         try:
             for shot in film(source):
                 begun = perf_counter()
                 frame = view.show(shot.image)
                 whole.append(perf_counter() - begun)
-                made.write(cv2.cvtColor(frame.picture, cv2.COLOR_RGB2BGR))
+                # a webcam's frames last as long as they took
+                late = round((perf_counter() - started) * rate) - written
+                for _ in range(max(1, late) if isinstance(source, int) else 1):
+                    made.write(cv2.cvtColor(frame.picture, cv2.COLOR_RGB2BGR))
+                    written += 1
                 tracked, slots = tracked + frame.tracked, frame.slots
                 for stage, seconds in frame.seconds.items():
                     times[stage].append(seconds)
@@ -112,9 +122,9 @@ def live_film(
     return report
 
 
-def _writer(path: Path, width: int, height: int) -> cv2.VideoWriter:
+def _writer(path: Path, rate: float, width: int, height: int) -> cv2.VideoWriter:
     code = cv2.VideoWriter.fourcc(*"mp4v")
-    made = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, code, FRAMES_PER_S, (width, height))
+    made = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, code, rate, (width, height))
     if not made.isOpened():
         raise OutputError(f"cannot write a film to {path.parent}: choose another folder")
     return made

@@ -1,5 +1,7 @@
 """Voxel models drawn by a captured lightmap: into a photograph, or as a .glb; files to files."""
 
+import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +12,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from skylight.app.voxel_capture import Setup
+from skylight.app.voxel_capture import Setup, why_unusable
 from skylight.errors import InputError
 from skylight.imaging.files import write_png
 from skylight.probes.capture.frames import read_picture
@@ -37,15 +39,28 @@ class Stand:
     y_mm: float = 0.0
     voxel_mm: float = 5.0
 
-    def matrix(self, model: VoxelModel) -> Float[Tensor, "4 4"]:
-        """From the model's cells to millimetres of the board."""
-        if not self.voxel_mm > 0:
-            raise InputError(f"voxels must be above 0 mm, got {self.voxel_mm:g}")
+    def __post_init__(self) -> None:
+        numbers = (self.x_mm, self.y_mm, self.z_mm, self.voxel_mm)
+        if not all(map(math.isfinite, numbers)) or self.voxel_mm <= 0:
+            raise InputError(
+                f"a place in finite mm and voxels above 0 mm are needed, got {numbers}"
+            )
+
+    def matrix(
+        self, model: VoxelModel, rotation: Float[Tensor, "3 3"] | None = None
+    ) -> Float[Tensor, "4 4"]:
+        """From the model's cells to millimetres of the board.
+
+        The model stands parallel to the probe, which is turned by ``rotation`` on the board: its
+        light is known for those six orientations.
+        """
         x, _, z = model.occupied.shape
+        turn = torch.eye(3, dtype=torch.float64) if rotation is None else rotation.double()
+        base = torch.tensor([x / 2, 0, z / 2], dtype=torch.float64)
         out = torch.eye(4, dtype=torch.float64)
-        out[:3, :3] *= self.voxel_mm
+        out[:3, :3] = self.voxel_mm * turn
         out[:3, 3] = torch.tensor([self.x_mm, self.y_mm, self.z_mm], dtype=torch.float64)
-        out[:3, 3] -= self.voxel_mm * torch.tensor([x / 2, 0, z / 2], dtype=torch.float64)
+        out[:3, 3] -= out[:3, :3] @ base
         return out
 
 
@@ -63,10 +78,10 @@ def reconstruction_for(
 def turned(model: VoxelModel, turns: str) -> VoxelModel:
     """Quarter turns as users write them: "y1" is one about +Y, "x2,y3" two about +X, then three."""
     for turn in filter(None, turns.split(",")):
-        axis, count = turn[:1], turn[1:]
-        if not count.lstrip("-").isdigit():
+        found = re.fullmatch(r"([a-z])(-?[0-9]{1,3})", turn)
+        if found is None:
             raise InputError(f"turn {turn!r}: write an axis and how many quarters, such as y1")
-        model = model.turned(axis, int(count))
+        model = model.turned(found[1], int(found[2]))
     return model
 
 
@@ -79,9 +94,9 @@ def render_voxels(
     albedo: float = 0.8,
     resolution: int = 32,
     turns: str = "",
+    stand: Stand,
     photo: Path | None = None,
     setup: Setup | None = None,
-    stand: Stand | None = None,
     tell: Tell = print,
 ) -> None:
     """``out``: a .glb of the lit model, or a .png of it in ``photo``.
@@ -91,17 +106,19 @@ def render_voxels(
     InputError
         A file cannot be used; a photo without the camera's files, or without the board in view.
     """
+    if out.suffix.lower() not in (".glb", ".png"):
+        raise InputError(f"{out}: write a .glb of the model, or a .png of it in a photo")
+    if (out.suffix.lower() == ".png") != (photo is not None):
+        raise InputError("a .png needs a photo with the board, and a .glb has no use for one")
     voxels = turned(read_voxels(model, resolution=resolution), turns)
     captured = load_lightmap(lightmap)
     completed = reconstruction_for(captured, kind, albedo).complete(captured)
-    if out.suffix.lower() == ".glb":
-        write_glb(out, voxels, completed)
-    elif out.suffix.lower() == ".png":
-        if photo is None or setup is None or stand is None:
-            raise InputError("a .png needs a photo with the board, and the camera that took it")
-        write_png(out, drawn_into(photo, voxels, completed, setup, stand))
+    if photo is None:
+        write_glb(out, voxels, completed, voxel_size=stand.voxel_mm / 1000)
     else:
-        raise InputError(f"{out}: write a .glb of the model, or a .png of it in a photo")
+        if setup is None:
+            raise InputError("a photo needs the camera that took it, and the board in it")
+        write_png(out, drawn_into(photo, voxels, completed, setup, stand))
     tell(f"{out}: {len(voxels)} voxels lit from {int(captured.known.sum())} captured slots")
 
 
@@ -111,9 +128,9 @@ def drawn_into(
     """The photo with the model standing in it, as codes of the camera's own response."""
     image = read_picture(photo).image
     found = board_pose(image, setup.board, setup.intrinsics)
-    if found is None:
-        raise InputError(f"{photo}: no marker board in view; show most of it")
-    renderer = VoxelRenderer(model, stand.matrix(model))
+    if found is None or found.is_ambiguous:
+        raise InputError(f"{photo}: {why_unusable(found)}; show most of it, and larger")
+    renderer = VoxelRenderer(model, stand.matrix(model, lightmap.rotation))
     window = renderer.window(found.pose, setup.intrinsics)
     drawing = renderer.draw(
         lightmap,
@@ -121,6 +138,8 @@ def drawn_into(
         torch.from_numpy(found.pose.rotation),
         torch.from_numpy(found.pose.translation),
     )
+    if not bool((drawing.alpha > 0).any()):
+        raise InputError(f"{photo}: the model would stand outside of the picture; see --at-mm")
     out = image.copy()
     out[window] = composite(image[window], drawing, setup.response)
     return out

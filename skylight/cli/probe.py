@@ -150,11 +150,12 @@ def capture_voxel(
     response: Path | None = None,
     out: Path = Path("capture"),
     frames: int = 40,
+    more: bool = False,
 ) -> None:
     """Read the shading of a printed voxel probe from pictures taken all round it.
 
-    Keep exposure, white balance and the light fixed. Writes lightmap.npz, lightmap.png and
-    capture.json; a capture that is there is continued.
+    Keep exposure, white balance and the light fixed. Writes lightmap.npz, lightmap.png,
+    capture.json, and assembly.json, which says where the probe was found to stand.
 
     Args:
         photos: Pictures with the whole probe and most of its board in view.
@@ -166,6 +167,7 @@ def capture_voxel(
         response: The camera's response, as `skylight camera response` wrote it; otherwise sRGB.
         out: Folder for the results.
         frames: Most frames to use of a video or webcam.
+        more: Go on with the capture that is in OUT, in the same light and exposure.
     """
     from skylight.app.voxel_capture import capture_voxel_probe, read_setup
 
@@ -175,6 +177,7 @@ def capture_voxel(
         assembly=assembly,
         out=out,
         most=frames,
+        more=more,
         warn=take_care,
     )
 
@@ -211,7 +214,7 @@ def render_voxel(
         response: The camera's response; otherwise sRGB.
         at_mm: Where the middle of the model's base stands: right, up and down the page from the
             pattern's upper left corner.
-        voxel_mm: Side of a voxel.
+        voxel_mm: Side of a voxel, in a .glb too.
     """
     from skylight.app.voxel_capture import read_setup
     from skylight.app.voxel_render import Stand, render_voxels
@@ -259,7 +262,7 @@ def live_voxel(
         webcam: Instead of it, the number of a webcam.
         camera: The camera, as `skylight camera calibrate` wrote it.
         board: The board's measures, as `skylight camera board` wrote them.
-        assembly: How the probe stands on it, as `skylight probe voxel print` wrote it.
+        assembly: How the probe stands on it, as `print` wrote it or, better, `capture`.
         response: The camera's response; otherwise sRGB.
         out: The film to write: .mp4.
         reconstruction: How slots that no face of the probe shows are completed.
@@ -275,8 +278,9 @@ def live_voxel(
     from skylight.app.voxel_render import Stand, turned
     from skylight.probes.voxel.model import read_voxels
 
-    source = one_source((), video, webcam)
-    assert not isinstance(source, tuple)
+    source = webcam if video is None else video
+    if source is None or (video is not None and webcam is not None):
+        raise InputError("give --video or --webcam, and only one of them")
     live_film(
         source,
         out,

@@ -59,9 +59,7 @@ def _probes(name: str, data: Path | None) -> Path:
 def _sparse_coding(quick: bool, data: Path | None) -> Evaluation:
     data = _probes("sparse-coding", data)
     if quick:  # two maps of 64 rows and short codes
-        return SparseCoding(
-            data=data, height=64, counts=(4, 16, 36), indoor=2, outdoor=0, learned=6
-        )
+        return SparseCoding(data=data, height=64, counts=(4, 16), indoor=2, outdoor=0, learned=6)
     return SparseCoding(data=data)
 
 

@@ -51,7 +51,8 @@ class SparseCoding:
     """``data`` holds maps and an index.csv with the columns file and category.
 
     The first ``indoor`` of every third indoor map are measured, and the first ``outdoor`` of every
-    twenty-first other one: one takes five to ten minutes of a core at 128 rows.
+    twenty-first other one: one takes five to ten minutes of a core at 128 rows. ``kmeans`` has
+    ``learned`` filters from at most ``learned_from`` maps.
     """
 
     data: Path
@@ -60,6 +61,7 @@ class SparseCoding:
     indoor: int = 6
     outdoor: int = 2
     learned: int = 100
+    learned_from: int = 100
     name: str = "sparse-coding"
     seed: int = 0
 
@@ -73,6 +75,7 @@ class SparseCoding:
             "height": self.height,
             "counts": list(self.counts),
             "learned": self.learned,
+            "learned_from": self.learned_from,
         }
 
     def items(self) -> list[str]:
@@ -151,7 +154,8 @@ class SparseCoding:
         if dictionary != "kmeans":
             return _builtin_coder(dictionary, self.height)
         half = list(_index(self.data)).index(item) % 2
-        return _learned_coder(self.data, 1 - half, self.height, self.learned, self.seed)
+        sizes = self.learned, self.learned_from
+        return _learned_coder(self.data, 1 - half, self.height, sizes, self.seed)
 
     def checks(
         self, rows: dict[str, dict[str, dict[str, float]]], items: list[Item]
@@ -217,10 +221,14 @@ def _builtin_coder(dictionary: str, height: int) -> SphericalSparseCoder:
 
 @cache
 def _learned_coder(
-    data: Path, half: int, height: int, count: int, seed: int
+    data: Path, half: int, height: int, sizes: tuple[int, int], seed: int
 ) -> SphericalSparseCoder:
-    """With filters from every second map, those of number ``half`` (0 or 1) and so on."""
-    names = list(_index(data))[half::2]
+    """With filters from every second map, those of number ``half`` (0 or 1) and so on.
+
+    ``sizes``: how many filters, from how many maps at most.
+    """
+    count, most = sizes
+    names = list(_index(data))[half::2][:most]
     maps = [_read(data / name, 128) for name in names]
     return SphericalSparseCoder(learn_patches(maps, count=count, seed=seed), height=height)
 

@@ -19,6 +19,7 @@ _WINDOW = 10  # frames of which the sharpest is taken: a third of a second of mo
 # codes, mean over a thumbnail: noise makes 0.02, a board tilted by 15 degrees at 80 cm 1.5
 _DIFFERENT = 1.0
 _THUMBNAIL = (48, 32)
+_RATE = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,6 +177,16 @@ def film(source: Path | int, *, seconds: float = math.inf) -> Iterator[Frame]:
             raise InputError(f"{name}: it holds no pictures; record it again")
     finally:
         capture.release()
+
+
+def film_rate(source: Path | int) -> float:
+    """Frames a second that a video says it has; 30 where it does not, and for webcams."""
+    if isinstance(source, int):
+        return _RATE
+    capture = cv2.VideoCapture(str(source))
+    rate = float(capture.get(cv2.CAP_PROP_FPS))
+    capture.release()
+    return rate if 1 <= rate <= 480 else _RATE
 
 
 def _as_rgb(picture: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:

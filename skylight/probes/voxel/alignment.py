@@ -19,6 +19,7 @@ from skylight.probes.voxel.placement import PlacedProbe, Placement
 
 PICTURES_MIN = 4  # whose edges could be followed
 _AGREE_DEG, _AGREE_MM = 0.5, 1.5  # single pictures differ by 0.1 degrees and 0.4 mm
+_FAR_DEG, _FAR_VOXELS = 20.0, 0.5
 _WITHIN = 0.1  # share of an edge, at each end, that may be hidden by what it meets
 _LIFTED = 0.02  # voxels, off the edge, before looking at it
 
@@ -40,6 +41,11 @@ class Alignment:
     def agrees(self) -> bool:
         """Whether pictures tell about the same, so that it is the probe that stands elsewhere."""
         return self.turn_spread_deg < _AGREE_DEG and self.shift_spread_mm < _AGREE_MM
+
+    def plausible(self, voxel_mm: float) -> bool:
+        """Whether it is small enough that edges were not taken for others, which look alike."""
+        near = float(np.linalg.norm(self.shift_mm)) < _FAR_VOXELS * voxel_mm
+        return near and float(np.linalg.norm(self.turn_deg)) < _FAR_DEG
 
     def applied(self, placement: Placement, middle_mm: Float[np.ndarray, "3"]) -> Placement:
         """The placement that edges tell; ``middle_mm`` is the probe's middle as it was meant."""

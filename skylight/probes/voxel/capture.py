@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 
 from skylight.probes.capture.intrinsics import FLIP, Intrinsics
 from skylight.probes.capture.pose import Pose
+from skylight.probes.capture.response import Response, saturated
 from skylight.probes.voxel.faces import CONFIGURATIONS, ORIENTATIONS
 from skylight.probes.voxel.lightmap import SIZE, Lightmap
 from skylight.probes.voxel.placement import PlacedProbe
@@ -72,12 +73,12 @@ def visible_faces(
 
 def read_faces(
     picture: Float[np.ndarray, "h w 3"],
-    saturated: Bool[np.ndarray, "h w"],
+    clipped: Bool[np.ndarray, "h w"],
     probe: PlacedProbe,
     pose: Pose,
     intrinsics: Intrinsics,
     *,
-    better_than: Float[np.ndarray, "6 32"] | None = None,
+    corner: tuple[int, int] = (0, 0),
     size: int = SIZE,
 ) -> list[FaceView]:
     """The shading of all faces that a linear picture shows whole.
@@ -85,14 +86,10 @@ def read_faces(
     Every texel is the mean of 4 x 4 bilinear samples, each at its own place through the lens'
     distortion. Samples within 4 % of a face's edge are taken 4 % from it, so that a pose that is
     off by little does not bring in what is beyond; the thesis shrinks the whole face instead.
-    ``better_than`` leaves out faces that are smaller on screen than what is there for their slot.
+    ``corner`` is where the given pixels begin in the camera's picture, (column, row).
     """
     shown, _, areas = visible_faces(probe, pose, intrinsics)
     orientation, configuration = probe.faces.orientation, probe.faces.configuration
-    if better_than is not None:
-        shown = [
-            f for f in shown if areas[f] > better_than[int(orientation[f]), int(configuration[f])]
-        ]
     if not shown:
         return []
     along = (np.arange(size * _SAMPLES) + 0.5) / (size * _SAMPLES)
@@ -105,10 +102,11 @@ def read_faces(
         + along[:, None, None] * back[:, None, None]
         + along[:, None] * right[:, None, None]
     )
-    places = pose.project(points.reshape(-1, 3), intrinsics).astype(np.float32)
+    places = pose.project(points.reshape(-1, 3), intrinsics) - np.array(corner)
+    places = places.astype(np.float32)
     places = places.reshape(len(shown), -1, size * _SAMPLES, 2)
     source = np.ascontiguousarray(picture, dtype=np.float32)
-    bright = saturated.astype(np.float32)
+    bright = clipped.astype(np.float32)
     views = []
     for face, place in zip(shown, places, strict=True):
         x, y = place[..., 0].copy(), place[..., 1].copy()
@@ -142,17 +140,46 @@ class LightmapCapture:
         """Slots of which some view was too bright for the camera, and none was not."""
         self.disagreements: list[float] = []
         """For each face seen again: by how much its mean differs from that of the view kept."""
-        self._face = np.full((len(ORIENTATIONS), CONFIGURATIONS), -1)
+        self._face = lightmap.faces.numpy().copy()
 
     def add(
         self,
         picture: Float[np.ndarray, "h w 3"],
-        saturated: Bool[np.ndarray, "h w"],
+        clipped: Bool[np.ndarray, "h w"],
         pose: Pose,
         intrinsics: Intrinsics,
     ) -> int:
         """Copy what this linear picture shows larger than any before; how many slots it gave."""
-        views = read_faces(picture, saturated, self.probe, pose, intrinsics, size=self.size)
+        return self._keep(
+            read_faces(picture, clipped, self.probe, pose, intrinsics, size=self.size)
+        )
+
+    def add_photo(
+        self,
+        image: UInt8[np.ndarray, "h w 3"],
+        response: Response,
+        pose: Pose,
+        intrinsics: Intrinsics,
+    ) -> int:
+        """:meth:`add` of a picture as the camera gave it; only the probe's part is linearised."""
+        shown, pixels, _ = visible_faces(self.probe, pose, intrinsics)
+        if not shown:
+            return 0
+        left, top = np.floor(pixels[shown].min((0, 1))).astype(int).tolist()
+        right, bottom = np.ceil(pixels[shown].max((0, 1))).astype(int).tolist()
+        codes = np.ascontiguousarray(image[top : bottom + 2, left : right + 2])
+        views = read_faces(
+            response.linearise(codes).numpy(),
+            saturated(codes),
+            self.probe,
+            pose,
+            intrinsics,
+            corner=(left, top),
+            size=self.size,
+        )
+        return self._keep(views)
+
+    def _keep(self, views: list[FaceView]) -> int:
         taken = 0
         for view in sorted(views, key=lambda v: v.area_px):
             slot = view.orientation, view.configuration
@@ -165,8 +192,9 @@ class LightmapCapture:
                 self.disagreements.append(float(np.abs(view.mean / kept.clip(1e-6) - 1).max()))
             if view.area_px <= self._area[slot]:
                 continue
-            # what the camera clipped is at least as bright as what it did not
-            filled = np.where(view.valid[..., None], view.radiance, view.mean)
+            # what the camera clipped is at least as bright as the brightest that it did not
+            brightest = view.radiance[view.valid].max(0)
+            filled = np.where(view.valid[..., None], view.radiance, brightest)
             self._radiance[slot] = filled
             self._coverage[slot], self._area[slot] = share, view.area_px
             self.rejected[slot], self._face[slot] = False, view.face
@@ -179,6 +207,8 @@ class LightmapCapture:
             radiance=torch.from_numpy(self._radiance.copy()),
             coverage=torch.from_numpy(self._coverage.copy()),
             confidence=torch.from_numpy((self._area / self.size**2).astype(np.float32)),
+            faces=torch.from_numpy(self._face.copy()),
+            rotation=torch.from_numpy(self.probe.placement.rotation.copy()),
         )
 
 

@@ -3,14 +3,14 @@
 from io import BytesIO
 from pathlib import Path
 
-import numpy as np
 from PIL import Image
 
 from skylight.imaging.atomic import atomic_path
-from skylight.imaging.colour import linear_to_srgb
 from skylight.probes.voxel.faces import exposed_faces
 from skylight.probes.voxel.lightmap import Lightmap, texture_coordinates
 from skylight.probes.voxel.model import VoxelModel
+
+_LINEAR, _CLAMP = 9729, 33071  # OpenGL's numbers
 
 
 def write_glb(
@@ -21,11 +21,10 @@ def write_glb(
     voxel_size: float = 1.0,
     exposure: float = 1.0,
 ) -> None:
-    """glTF 2.0 with the lightmap as texture, which already holds all light.
+    """glTF 2.0 with the lightmap as texture of an unlit material (KHR_materials_unlit).
 
-    The material is KHR_materials_unlit where a viewer knows it, and black with the lightmap as
-    emission where it does not, so that no viewer lights it again. ``exposure`` scales the light;
-    what exceeds 1 is clipped, as textures hold no more.
+    ``voxel_size`` is in glTF's metres. ``exposure`` scales the light; what exceeds 1 is clipped,
+    as textures hold no more.
     """
     import trimesh
     from trimesh.visual import TextureVisuals
@@ -34,8 +33,7 @@ def write_glb(
     faces = exposed_faces(model)
     vertices, triangles = faces.triangles()
     uv = texture_coordinates(faces.orientation, faces.configuration, inset=0.5 / lightmap.size)
-    encoded = linear_to_srgb((lightmap.image() * exposure).clamp(0, 1))
-    picture = Image.fromarray((encoded.numpy() * 255 + 0.5).astype(np.uint8))
+    picture = Image.fromarray(lightmap.png(exposure))
     material = PBRMaterial(baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=1.0)
     mesh = trimesh.Trimesh(
         vertices.numpy() * voxel_size,
@@ -52,5 +50,10 @@ def write_glb(
 def _unlit(tree: dict) -> None:
     """The texture holds all light there is: no viewer may light it again."""
     tree["extensionsUsed"] = ["KHR_materials_unlit"]
+    # mipmaps would mix slots that lie side by side
+    sampler = {"magFilter": _LINEAR, "minFilter": _LINEAR, "wrapS": _CLAMP, "wrapT": _CLAMP}
+    tree["samplers"] = [sampler]
+    for texture in tree["textures"]:
+        texture["sampler"] = 0
     for material in tree["materials"]:
         material["extensions"] = {"KHR_materials_unlit": {}}

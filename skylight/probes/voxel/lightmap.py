@@ -5,22 +5,30 @@ As one image it is 12 rows of 16 slots: two rows for each orientation in the ord
 for those with a ceiling (after Fig. 3.3 of the thesis). A slot's row 0 lies forward, column 0 left.
 """
 
-from dataclasses import dataclass
+import zlib
+from dataclasses import dataclass, field
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.imaging.atomic import atomic_path
+from skylight.imaging.colour import linear_to_srgb
 from skylight.probes.voxel.faces import CONFIGURATIONS, ORIENTATIONS
 
 SLOTS_ACROSS = 16
 SLOTS_DOWN = len(ORIENTATIONS) * CONFIGURATIONS // SLOTS_ACROSS
 SIZE = 16
 _VERSION = 1
+# what numpy raises for files cut off, damaged, or of another kind
+_DAMAGED = (
+    OSError, ValueError, KeyError, EOFError, TypeError, AttributeError, SyntaxError, BadZipFile,
+    zlib.error,
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,12 +36,18 @@ class Lightmap:
     """``radiance`` (6 orientations, 32 configurations, n, n, 3), linear, >= 0.
 
     ``coverage``: the share of a slot's texels that were seen unsaturated, 0 where nothing was
-    captured. ``confidence``: camera pixels for each texel of the view that was kept.
+    captured. ``confidence``: camera pixels for each texel of the view that was kept. ``faces``:
+    which face of the probe that was, -1 for none. ``rotation`` takes the probe's axes, which are
+    those of the slots, to the board's.
     """
 
     radiance: Float[Tensor, "6 32 n n 3"]
     coverage: Float[Tensor, "6 32"]
     confidence: Float[Tensor, "6 32"]
+    faces: Int[Tensor, "6 32"] = field(default_factory=lambda: torch.full((6, 32), -1))
+    rotation: Float[Tensor, "3 3"] = field(
+        default_factory=lambda: torch.eye(3, dtype=torch.float64)
+    )
 
     def __post_init__(self) -> None:
         slots = (len(ORIENTATIONS), CONFIGURATIONS)
@@ -42,6 +56,7 @@ class Lightmap:
             self.radiance.ndim != 5
             or self.radiance.shape[:2] != slots
             or self.radiance.shape[2] != self.radiance.shape[3]
+            or self.radiance.shape[2] < 2
             or self.radiance.shape[4] != 3
             or shapes[1:] != (slots, slots)
         ):
@@ -71,6 +86,11 @@ class Lightmap:
         slots = self.radiance.reshape(SLOTS_DOWN, SLOTS_ACROSS, n, n, 3)
         return slots.transpose(1, 2).reshape(SLOTS_DOWN * n, SLOTS_ACROSS * n, 3)
 
+    def png(self, exposure: float = 1.0) -> UInt8[np.ndarray, "h w 3"]:
+        """:meth:`image` as sRGB codes; what exceeds 1 is clipped."""
+        encoded = linear_to_srgb((self.image() * exposure).clamp(0, 1))
+        return (encoded.numpy() * 255 + 0.5).astype(np.uint8)
+
     def save(self, path: Path) -> None:
         """As .npz, which :func:`load_lightmap` reads."""
         with atomic_path(path) as temporary, temporary.open("wb") as stream:
@@ -80,22 +100,42 @@ class Lightmap:
                 radiance=self.radiance.numpy().astype(np.float32),
                 coverage=self.coverage.numpy().astype(np.float32),
                 confidence=self.confidence.numpy().astype(np.float32),
+                faces=self.faces.numpy(),
+                rotation=self.rotation.numpy().astype(np.float64),
             )
 
 
 def load_lightmap(path: str | Path) -> Lightmap:
     """A lightmap as :meth:`Lightmap.save` wrote it."""
+    names = ("radiance", "coverage", "confidence", "faces", "rotation")
     try:
         with np.load(path, allow_pickle=False) as content:
             version = int(content["version"])
-            arrays = [torch.from_numpy(content[k]) for k in ("radiance", "coverage", "confidence")]
-    except (OSError, ValueError, KeyError, EOFError) as error:
+            arrays = {name: np.asarray(content[name]) for name in names}
+    except _DAMAGED as error:
         raise InputError(f"{path}: cannot be read as a lightmap ({error})") from error
     if version != _VERSION:
         raise InputError(f"{path}: a lightmap of version {version}, this program reads {_VERSION}")
-    if not all(bool(a.isfinite().all()) for a in arrays):
-        raise InputError(f"{path}: the lightmap has values that are NaN or infinite")
-    return Lightmap(radiance=arrays[0], coverage=arrays[1], confidence=arrays[2])
+    kinds = {"faces": "i", "rotation": "f"}
+    for name, array in arrays.items():
+        if array.dtype.kind != kinds.get(name, "f") or not np.isfinite(array).all():
+            raise InputError(f"{path}: the lightmap's {name} are not finite numbers")
+    if arrays["radiance"].ndim != 5 or arrays["radiance"].min(initial=0) < 0:
+        raise InputError(f"{path}: the lightmap's radiance is no light of 6 x 32 slots")
+    slots = (len(ORIENTATIONS), CONFIGURATIONS)
+    if arrays["faces"].shape != slots or arrays["rotation"].shape != (3, 3):
+        raise InputError(f"{path}: the lightmap's faces or rotation have a wrong shape")
+    off = np.abs(arrays["rotation"] @ arrays["rotation"].T - np.eye(3)).max()
+    if off > 1e-6:
+        raise InputError(f"{path}: the lightmap's rotation is none")
+    tensors = {name: torch.from_numpy(array) for name, array in arrays.items()}
+    return Lightmap(
+        radiance=tensors["radiance"].float(),
+        coverage=tensors["coverage"].float(),
+        confidence=tensors["confidence"].float(),
+        faces=tensors["faces"].long(),
+        rotation=tensors["rotation"].double(),
+    )
 
 
 def texture_coordinates(

@@ -12,7 +12,7 @@ from torch import Tensor
 from skylight.probes.capture.board import Board
 from skylight.probes.capture.intrinsics import Intrinsics
 from skylight.probes.capture.pose import board_pose
-from skylight.probes.capture.response import Response, saturated
+from skylight.probes.capture.response import Response
 from skylight.probes.voxel.capture import LightmapCapture
 from skylight.probes.voxel.composite import composite
 from skylight.probes.voxel.lightmap import Lightmap
@@ -65,10 +65,9 @@ class LiveView:
         clock = _Clock()
         found = board_pose(image, self._board, self._intrinsics)
         clock.mark("track")
-        if found is None:
+        if found is None or found.is_ambiguous:  # a mirrored pose would spoil what is captured
             return self._frame(image, False, clock)
-        linear = self._response.linearise(image).numpy()
-        taken = self._capture.add(linear, saturated(image), found.pose, self._intrinsics)
+        taken = self._capture.add_photo(image, self._response, found.pose, self._intrinsics)
         clock.mark("capture")
         if taken:
             self._complete()

@@ -13,6 +13,7 @@ from skylight.imaging.atomic import atomic_path
 from skylight.transport.mesh import read_mesh
 
 _MOST_CELLS = 512**3
+_WIDEST = 255  # voxels of a star
 _AXES = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}  # a quarter turn takes the first to the second
 
 
@@ -31,6 +32,8 @@ class VoxelModel:
                 f"a voxel model is a boolean grid of 3 axes, got {self.occupied.dtype} of shape "
                 f"{self.occupied.shape}"
             )
+        if self.occupied.size > _MOST_CELLS:
+            raise InputError(f"a grid of {self.occupied.shape} cells is too large: crop it")
         if not self.occupied.any():
             raise InputError("the voxel model is empty: no cell is occupied")
 
@@ -63,8 +66,10 @@ def star_probe(size: int) -> VoxelModel:
 
     Thesis, section 3.4.5 and Fig. 3.8.
     """
-    if size < 1 or size % 2 == 0:
-        raise InputError(f"a star-shaped probe is an odd number of voxels wide, got {size}")
+    if size < 1 or size % 2 == 0 or size > _WIDEST:
+        raise InputError(
+            f"a star-shaped probe is an odd number of voxels wide, up to {_WIDEST}, got {size}"
+        )
     offset = np.abs(np.arange(size) - size // 2)
     distance = offset[:, None, None] + offset[None, :, None] + offset[None, None, :]
     return VoxelModel(occupied=distance <= size // 2)
@@ -105,6 +110,10 @@ def voxelise(path: Path, resolution: int) -> VoxelModel:
     pitch = float(mesh.extents.max()) / resolution
     if not pitch > 0:
         raise InputError(f"{path}: the mesh is a point")
+    # trimesh has cells' centres, not their borders, at multiples of the pitch; a hair smaller, so
+    # that a side which lies in a border counts for the cell within
+    middle = mesh.bounds.mean(0)
+    mesh.vertices = (mesh.vertices - middle) * (1 - 1e-6) + (middle - mesh.bounds[0] - pitch / 2)
     grid = mesh.voxelized(pitch)
     assert grid is not None
     grid = grid.fill()
@@ -116,6 +125,8 @@ def _read_npy(path: Path) -> VoxelModel:
         grid = np.load(path, allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
         raise InputError(f"{path}: cannot be read as a .npy file ({error})") from error
+    if not isinstance(grid, np.ndarray) or grid.dtype.kind not in "biuf":
+        raise InputError(f"{path}: holds no grid of booleans")
     if grid.ndim != 3 or not (grid.dtype == bool or np.isin(grid, [0, 1]).all()):
         raise InputError(
             f"{path}: holds {grid.dtype} of shape {grid.shape}, expected a grid (x, y, z) of "

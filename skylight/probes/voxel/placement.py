@@ -30,7 +30,8 @@ class Placement:
         off = np.abs(self.rotation @ self.rotation.T - np.eye(3)).max()
         if not (off < 1e-6 and np.linalg.det(self.rotation) > 0):
             raise InputError("a placement's rotation must be orthonormal and no mirror")
-        if not (self.voxel_mm > 0 and np.isfinite(self.translation_mm).all()):
+        finite = np.isfinite(self.translation_mm).all() and np.isfinite(self.voxel_mm)
+        if not (finite and self.voxel_mm > 0):
             raise InputError("a placement needs voxels above 0 mm and a finite translation")
 
     @property
@@ -70,10 +71,6 @@ class PlacedProbe:
             placed = np.concatenate([placed, obstacle[0]])
         self._caster = Raycaster(torch.from_numpy(placed), torch.from_numpy(everything))
 
-    def texels(self, size: int) -> Float[np.ndarray, "f size size 3"]:
-        """Centres of the faces' texels."""
-        return self.placement.to_board(self.faces.points(size).numpy())
-
     def sees(
         self, eye: Float[np.ndarray, "3"], points: Float[np.ndarray, "*n 3"]
     ) -> Float[Tensor, "*n"]:
@@ -91,11 +88,22 @@ class StandingProbe:
     """What was printed and where it stands: the probe, its place over the board, and its pole.
 
     The pole is a cylinder (centre x, centre z, radius, height), upright on the board, mm.
+    ``board_mm`` is the width and height of the pattern that it was made for, where that is known.
     """
 
     model: VoxelModel
     placement: Placement
     pole_mm: tuple[float, float, float, float] | None = None
+    board_mm: tuple[float, float] | None = None
+
+    def require_board(self, size_mm: tuple[float, float]) -> None:
+        """Refuse a board of another size than the one the probe stands on."""
+        if self.board_mm is not None and not np.allclose(self.board_mm, size_mm, rtol=0.01):
+            has, told = (f"{w:g} x {h:g} mm" for w, h in (self.board_mm, size_mm))
+            raise InputError(
+                f"the probe stands on a board of {has}, the board's file says {told}: give the "
+                "one that was printed"
+            )
 
     def placed(self) -> PlacedProbe:
         return PlacedProbe(
@@ -114,6 +122,7 @@ def describe_standing_probe(probe: StandingProbe) -> dict[str, object]:
         "rotation": place.rotation.tolist(),
         "translation_mm": place.translation_mm.tolist(),
         "pole_mm": None if probe.pole_mm is None else list(probe.pole_mm),
+        "board_mm": None if probe.board_mm is None else list(probe.board_mm),
     }
 
 
@@ -136,6 +145,8 @@ def load_standing_probe(path: str | Path) -> StandingProbe:
         voxel_mm = float(content["voxel_mm"])  # type: ignore[arg-type]
         listed = content.get("pole_mm")
         pole = None if listed is None else np.array(listed, dtype=np.float64).reshape(4).tolist()
+        size = content.get("board_mm")
+        board = None if size is None else np.array(size, dtype=np.float64).reshape(2).tolist()
     except (TypeError, ValueError) as error:
         raise InputError(f"{path}: its numbers are not those of an assembly ({error})") from error
     if not len(cells) or cells.min() < 0 or cells.max() >= _LARGEST:
@@ -146,6 +157,7 @@ def load_standing_probe(path: str | Path) -> StandingProbe:
         model=VoxelModel(occupied=solid),
         placement=Placement(voxel_mm=voxel_mm, rotation=rotation, translation_mm=translation),
         pole_mm=None if pole is None else (pole[0], pole[1], pole[2], pole[3]),
+        board_mm=None if board is None else (board[0], board[1]),
     )
 
 

@@ -1,5 +1,7 @@
 """Lightmaps completed: missing slots as combinations of captured ones."""
 
+from dataclasses import replace
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
@@ -43,11 +45,7 @@ class SlotReconstruction(nn.Module):
                 f"were not captured, the first {first_slot(absent)}: make weights for the slots "
                 "that were"
             )
-        return Lightmap(
-            radiance=self(lightmap.radiance).clamp(min=0),
-            coverage=lightmap.coverage,
-            confidence=lightmap.confidence,
-        )
+        return replace(lightmap, radiance=self(lightmap.radiance).clamp(min=0))
 
     @property
     def fetches(self) -> Tensor:

@@ -17,7 +17,7 @@ from skylight.probes.voxel.model import VoxelModel
 from skylight.transport.camera import Camera
 from skylight.transport.raycast import Raycaster
 
-_BENT_PX = 8
+_BENT_PX = 4  # by which distortion bends an edge between two of the places looked at
 Window = tuple[slice, slice]  # rows and columns of a picture
 
 
@@ -77,8 +77,8 @@ class VoxelRenderer:
         vertices, triangles = self.faces.triangles()
         self._caster = Raycaster(vertices, triangles)
         low, high = vertices.amin(0), vertices.amax(0)
-        box = torch.cartesian_prod(*torch.stack([low, high], 1)) @ matrix[:3, :3].T
-        self._box = (box + matrix[:3, 3]).numpy()
+        box = (_box_edges(low, high) @ matrix[:3, :3].T + matrix[:3, 3]).numpy()
+        self._box = box
         self._middle, self._radius = (low + high) / 2, float((high - low).norm()) / 2
         corners = self.faces.corners
         self._origin = corners[:, 3]  # left, forward
@@ -122,7 +122,6 @@ class VoxelRenderer:
         # what is beside or behind the camera, or far outside, has no place in the picture to go by
         if ahead.min() <= 0 or np.abs(pixels - [width / 2, height / 2]).max() > 2 * width:
             return slice(0, height), slice(0, width)
-        # distortion bends straight edges by a few pixels
         low = np.floor(pixels.min(0)).astype(int) - _BENT_PX
         high = np.ceil(pixels.max(0)).astype(int) + _BENT_PX + 1
         (left, top), (right, bottom) = low.clip(0), high.clip(0)
@@ -157,12 +156,25 @@ class VoxelRenderer:
         return (1 - down) * upper + down * lower
 
 
+def _box_edges(low: Float[Tensor, "3"], high: Float[Tensor, "3"]) -> Float[Tensor, "n 3"]:
+    """Places along the twelve edges of a box, 17 on each."""
+    share = torch.linspace(0, 1, 17, dtype=torch.float64)
+    grids = []
+    for axis in range(3):
+        along = [torch.tensor([0.0, 1.0], dtype=torch.float64)] * 3
+        along[axis] = share
+        grids.append(torch.cartesian_prod(*along))
+    return low + torch.cat(grids) * (high - low)
+
+
 def looking_at(
     eye: Float[Tensor, "3"], target: Float[Tensor, "3"]
 ) -> tuple[Float[Tensor, "3 3"], Float[Tensor, "3"]]:
     """(rotation, translation) of a camera at ``eye`` that looks at ``target``, +Y up."""
     back = normalize(eye.double() - target.double(), dim=0)
-    up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
+    # straight up or down, the picture's top is -Z
+    steep = abs(float(back[1])) > 1 - 1e-9
+    up = torch.tensor([0.0, 0.0, -1.0] if steep else [0.0, 1.0, 0.0], dtype=torch.float64)
     right = normalize(torch.linalg.cross(up, back), dim=0)
     rotation = torch.stack([right, torch.linalg.cross(back, right), back])
     return rotation, -rotation @ eye.double()

@@ -11,7 +11,7 @@ from torch import Tensor
 EXHAUSTIVE = 14  # rows: 16,384 subsets
 _LARGEST = 6  # terms, of more rows than that
 _AT_ONCE = 20_000
-_DEPENDENT = 1e-7  # of a row's length: what is left of it beside the others of a subset
+_DEPENDENT = 1e-7  # of a row's power: what is left of it beside the others of a subset
 
 
 def sparse_combinations(

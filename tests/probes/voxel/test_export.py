@@ -44,6 +44,10 @@ def test_nobody_lights_it_again(tmp_path: Path) -> None:
     content = json.loads(data[20 : 20 + length])
     (material,) = content["materials"]
     assert content["extensionsUsed"] == ["KHR_materials_unlit"]
+    # no mipmaps, which would mix neighbouring slots
+    (sampler,) = content["samplers"]
+    assert sampler["minFilter"] == sampler["magFilter"] == 9729
+    assert [texture["sampler"] for texture in content["textures"]] == [0]
     assert material["extensions"] == {"KHR_materials_unlit": {}}
     assert material["pbrMetallicRoughness"]["baseColorTexture"]["index"] == 0
     view = content["bufferViews"][content["images"][0]["bufferView"]]

@@ -8,7 +8,7 @@ from skylight.probes.voxel.analysis import inspect, transfer_error
 from skylight.probes.voxel.global_illumination import GlobalReconstruction
 from skylight.probes.voxel.model import star_probe
 from skylight.probes.voxel.reconstruct import DirectReconstruction
-from skylight.probes.voxel.transfer import transfer_vectors
+from skylight.probes.voxel.transfer import slot_transfer, transfer_vectors
 
 
 def known_of(size: int) -> torch.Tensor:
@@ -57,3 +57,24 @@ def test_captured_slots_stay_as_they_are() -> None:
 def test_bad_input_is_named() -> None:
     with pytest.raises(InputError, match="cost of a slot"):
         GlobalReconstruction(known_of(3), cost=-1.0)
+
+
+@pytest.mark.parametrize("albedo", [0.02, 0.1, 0.5, 1.0])
+def test_dark_material_is_completed_as_well_as_bright(albedo: float) -> None:
+    """A slot costs the same for all albedos: for small ones it comes to direct light alone."""
+    known = torch.zeros(6, 32, dtype=torch.bool)
+    known[:, [0, 1, 2, 4, 8]] = True
+    vectors = slot_transfer(albedo).flatten(1)
+    errors = []
+    for module in (GlobalReconstruction(known, albedo=albedo), DirectReconstruction(known)):
+        missed = module.weights[2].double() @ vectors - vectors
+        errors.append(float(missed.norm() / vectors.norm()))
+        assert (module.fetches[:, :31] > 0).all()
+    assert errors[0] < max(1.02 * errors[1], 0.03)
+
+
+def test_albedo_of_nothing_is_refused() -> None:
+    known = torch.ones(6, 32, dtype=torch.bool)
+    for albedo in (0.0, 1.1, float("nan")):
+        with pytest.raises(InputError, match="albedo"):
+            GlobalReconstruction(known, albedo=albedo)

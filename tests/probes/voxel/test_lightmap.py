@@ -1,5 +1,6 @@
 """Lightmaps: where slots lie in the picture, what texture coordinates find there, files."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -49,10 +50,12 @@ def test_picture_has_two_rows_for_each_orientation() -> None:
 
 
 def test_files_keep_everything(tmp_path: Path) -> None:
-    one = numbered()
+    turn = torch.tensor([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]], dtype=torch.float64)
+    faces = torch.arange(192).reshape(6, 32) - 1
+    one = replace(numbered(), rotation=turn, faces=faces)
     one.save(tmp_path / "a.npz")
     again = load_lightmap(tmp_path / "a.npz")
-    for name in ("radiance", "coverage", "confidence"):
+    for name in ("radiance", "coverage", "confidence", "faces", "rotation"):
         torch.testing.assert_close(getattr(again, name), getattr(one, name))
     assert again.known.all()
     assert not Lightmap.blank().known.any()
@@ -60,14 +63,30 @@ def test_files_keep_everything(tmp_path: Path) -> None:
 
 def test_files_that_are_no_lightmaps_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
-    path.write_bytes(b"nothing")
+    numbered().save(path)
+    whole = path.read_bytes()
+    for damaged in (b"nothing", whole[: len(whole) // 2], whole[:200] + b"x" * 300 + whole[500:]):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match="cannot be read as a lightmap"):
+            load_lightmap(path)
+    np.save(tmp_path / "b.npy", np.ones(3))
     with pytest.raises(InputError, match="cannot be read as a lightmap"):
-        load_lightmap(path)
-    np.savez(path, version=np.array(99), radiance=0, coverage=0, confidence=0)
+        load_lightmap(tmp_path / "b.npy")
+    some = dict.fromkeys(("radiance", "coverage", "confidence", "faces", "rotation"), 0)
+    np.savez(path, version=np.array(99), **some)
     with pytest.raises(InputError, match="version 99"):
+        load_lightmap(path)
+    dark = numbered()
+    dark.radiance[1, 1] = -1.0
+    dark.save(path)
+    with pytest.raises(InputError, match="no light"):
+        load_lightmap(path)
+    skewed = replace(numbered(), rotation=2 * torch.eye(3, dtype=torch.float64))
+    skewed.save(path)
+    with pytest.raises(InputError, match="rotation is none"):
         load_lightmap(path)
     one = numbered()
     one.radiance[0, 0, 0, 0, 0] = float("nan")
     one.save(path)
-    with pytest.raises(InputError, match="NaN"):
+    with pytest.raises(InputError, match="not finite"):
         load_lightmap(path)

@@ -75,8 +75,20 @@ def test_a_sphere_is_voxelised_solid(tmp_path: Path) -> None:
     # cells that the surface goes through count, about half of each too much
     shell = 4 * np.pi * (2 / 20) / 2
     assert 4 / 3 * np.pi < volume < 4 / 3 * np.pi + 2.2 * shell
-    assert max(model.occupied.shape) in (20, 21)
+    assert model.occupied.shape == (20, 20, 20)
     assert model.occupied[tuple(n // 2 for n in model.occupied.shape)]
+
+
+@pytest.mark.parametrize("resolution", [2, 8, 24])
+def test_a_box_fills_its_cells_exactly(tmp_path: Path, resolution: int) -> None:
+    """2 x 1 x 1, off the origin: no cell too many, none too few."""
+    path = tmp_path / "box.ply"
+    box = trimesh.creation.box((2.0, 1.0, 1.0))
+    box.apply_translation([0.3, -7.1, 4.4])
+    box.export(path)
+    model = voxelise(path, resolution)
+    assert model.occupied.shape == (resolution, resolution // 2, resolution // 2)
+    assert model.occupied.all()
 
 
 @pytest.mark.parametrize(
@@ -106,7 +118,12 @@ def test_grids_that_are_no_models_are_refused(tmp_path: Path) -> None:
             read_voxels(tmp_path / f"{name}.npy")
     with pytest.raises(InputError, match="empty"):
         VoxelModel(occupied=np.zeros((2, 2, 2), bool))
-    with pytest.raises(InputError, match="odd"):
-        star_probe(4)
+    for size in (4, 1001):
+        with pytest.raises(InputError, match="odd"):
+            star_probe(size)
+    np.savez(tmp_path / "archive.npz", grid=np.ones((2, 2, 2), bool))
+    (tmp_path / "archive.npz").rename(tmp_path / "archive.npy")
+    with pytest.raises(InputError, match="no grid"):
+        read_voxels(tmp_path / "archive.npy")
     with pytest.raises(InputError, match="axis"):
         star_probe(3).turned("w", 1)

@@ -2,13 +2,14 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
 from skylight.probes.capture.intrinsics import Intrinsics
 from skylight.probes.capture.pose import Pose
 from skylight.probes.voxel.lightmap import Lightmap
-from skylight.probes.voxel.model import star_probe
+from skylight.probes.voxel.model import VoxelModel, star_probe
 from skylight.probes.voxel.render import (
     Drawing,
     VoxelRenderer,
@@ -135,6 +136,30 @@ def test_nothing_is_seen_outside_of_the_window() -> None:
             shares.append(part.alpha.numel() / whole.alpha.numel())
     assert min(shares) < 0.1
     assert max(shares) == 1
+
+
+def test_edges_that_distortion_bends_stay_in_the_window() -> None:
+    """A wide solid near a strong barrel distortion: corners alone would cut thousands of pixels."""
+    lens = Intrinsics(
+        width=640, height=480, fx=480.0, fy=480.0, cx=320.0, cy=240.0, k1=-0.25, k2=0.05
+    )
+    solid = VoxelModel(occupied=np.ones((10, 10, 10), bool))
+    renderer = VoxelRenderer(solid)
+    eye, target = vector(5, 5, 10 + 13), vector(5, 5, 5)
+    rotation, translation = looking_at(eye, target)
+    pose = Pose(rotation=rotation.numpy(), translation=translation.numpy())
+    rows, columns = renderer.window(pose, lens)
+    whole = renderer.draw(slots_as_light(), lens_rays(lens), rotation, translation).alpha
+    whole[rows, columns] = 0
+    assert float(whole.sum()) == 0
+    assert rows.stop - rows.start < 480
+
+
+@pytest.mark.parametrize("y", [10.0, -10.0])
+def test_cameras_may_look_straight_up_and_down(y: float) -> None:
+    rotation, translation = looking_at(vector(1, y, 2), vector(1, 0, 2))
+    torch.testing.assert_close(rotation @ rotation.T, torch.eye(3, dtype=F64))
+    torch.testing.assert_close(rotation @ vector(1, 0, 2) + translation, vector(0, 0, -10))
 
 
 def test_rays_of_one_pixel_average_to_it() -> None:

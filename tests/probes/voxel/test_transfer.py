@@ -2,14 +2,17 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.probes.voxel.faces import NORMALS
+from skylight.probes.voxel import faces as voxel_faces
+from skylight.probes.voxel.faces import NORMALS, exposed_faces
+from skylight.probes.voxel.model import VoxelModel
 from skylight.probes.voxel.transfer import slot_transfer, traced_slot_transfer, transfer_vectors
 from skylight.sphere import harmonics
-from skylight.transport.path_tracer import Sampling
+from skylight.transport.path_tracer import DiffuseScene, Sampling, radiosity_transfer
 
 LEFT, RIGHT, FORWARD, BACKWARD, TOP = 1, 2, 4, 8, 16
 
@@ -69,3 +72,36 @@ def test_bad_input_is_named() -> None:
         slot_transfer(1.2)
     with pytest.raises(InputError, match="size must be 1 or more"):
         slot_transfer(0.5, size=0)
+
+
+@pytest.mark.parametrize("orientation", range(6))
+def test_every_orientation_is_that_of_its_own_geometry(orientation: int) -> None:
+    """Left, forward and top occupied, built in the world and traced there: no frame is trusted."""
+    configuration = 1 | 4 | 16
+    normal = NORMALS[orientation]
+    right, forward = voxel_faces.RIGHT[orientation], voxel_faces.FORWARD[orientation]
+    solid = np.zeros((3, 3, 3), bool)
+    centre = np.array([1, 1, 1]) - normal  # the cell whose face looks into the middle
+    solid[tuple(centre)] = True
+    for step in (-right, forward, normal):
+        solid[tuple(np.array([1, 1, 1]) + step)] = True
+    faces = exposed_faces(VoxelModel(occupied=solid))
+    mine = (faces.orientation == orientation) & (faces.cells == torch.from_numpy(centre)).all(1)
+    (face,) = torch.nonzero(mine)[:, 0].tolist()
+    assert int(faces.configuration[face]) == configuration
+    size = 4
+    points = faces.points(size)[face].reshape(-1, 3)
+    traced = radiosity_transfer(
+        points,
+        torch.from_numpy(normal).double().expand(len(points), 3),
+        DiffuseScene.uniform(*faces.triangles(), 0.8),
+        degree=4,
+        albedo=0.8,
+        sampling=Sampling(samples=2048),
+        generator=torch.Generator().manual_seed(orientation),
+    )
+    expected = transfer_vectors(0.8, size=size)[orientation, configuration].reshape(-1, 25)
+    difference = (traced.mean - expected).square().mean().sqrt()
+    noise = traced.standard_error.square().mean().sqrt()
+    assert float(difference) < 1.6 * float(noise)
+    assert float(noise) < 0.05 * float(expected.square().mean().sqrt())
