@@ -21,6 +21,7 @@ from skylight.errors import InputError
 from skylight.evaluation.pictures import Picture, captioned_rows
 from skylight.evaluation.run import Check, Item, Metrics
 from skylight.evaluation.voxel_scene import ALBEDO, MODELS, PIXELS, RESOLUTION, baked, voxel_scene
+from skylight.imaging.atomic import atomic_path
 from skylight.imaging.collection import read_categories
 from skylight.imaging.colour import tone_map
 from skylight.imaging.files import read_environment_map, write_png
@@ -73,8 +74,11 @@ class VoxelProbe:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.maps < 1:
-            raise InputError(f"at least one map is needed, got {self.maps}")
+        if self.maps < 1 or not 1 <= self.best < LIT:
+            raise InputError(
+                f"one map or more and sets of 1 to {LIT - 1} are needed, got {self.maps} and "
+                f"{self.best}"
+            )
         for folder in ("hdr", "meshes"):
             if not (self.data / folder).is_dir():
                 raise InputError(f"{self.data} has no folder {folder}: give one with hdr, meshes")
@@ -98,7 +102,7 @@ class VoxelProbe:
 
     def measure(self, item: str, picture: Path) -> Item:
         if item == TRANSFER:
-            return self._transfer()
+            return self._transfer(picture)
         light = read_environment_map(self.data / "hdr" / item).resize(LIGHT_HEIGHT)
         sampling = Sampling(samples=self.samples)
         scores: dict[str, dict[str, list[float]]] = {}
@@ -135,7 +139,7 @@ class VoxelProbe:
                 found[f"probe{size}_{kind}"] = reconstruction(size, kind).complete(captured)
         return found
 
-    def _transfer(self) -> Item:
+    def _transfer(self, picture: Path) -> Item:
         """Figs. 3.6, 3.7 and 3.9."""
         metrics: Metrics = {}
         for size in PROBES:
@@ -145,15 +149,14 @@ class VoxelProbe:
                     "transfer_l1": error.mean,
                     "transfer_l1_std": error.std,
                 }
-        largest = max(self.best, 1)
+        occluders = {n: float(r.mean()) for n, r in residuals_by_occluders(albedo=ALBEDO).items()}
+        best = best_sets(self.best, albedo=ALBEDO, exhaustive=min(self.best, 7))
+        plot_residuals(picture, occluders, [one.residual for one in best])
         facts = {
-            "by_occluders": {
-                str(most): float(left.mean())
-                for most, left in residuals_by_occluders(albedo=ALBEDO).items()
-            },
+            "by_occluders": {str(most): left for most, left in occluders.items()},
             "best_sets": [
                 {"configurations": list(one.configurations), "residual": one.residual}
-                for one in best_sets(largest, albedo=ALBEDO, exhaustive=min(largest, 7))
+                for one in best
             ],
             **self._sets_of_five(),
         }
@@ -196,6 +199,22 @@ class VoxelProbe:
                 found[f"mae {row}"] = Check.at_most(rows[row]["mae"]["mean"], 0.09)
                 found[f"ssim {row}"] = Check.at_least(rows[row]["ssim"]["mean"], 0.95)
         return found
+
+
+def plot_residuals(path: Path, occluders: dict[int, float], best: list[float]) -> None:
+    """Figs. 3.6 and 3.7: mean squared residuals of what is left to complete."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    left.bar([f"≤ {most}" for most in occluders], list(occluders.values()))
+    left.set(xlabel="all faces of so many occluders known", ylabel="mean squared residual")
+    right.plot(range(1, len(best) + 1), best, marker="o")
+    right.set(xlabel="configurations in the best set")
+    for axes in (left, right):
+        axes.grid(alpha=0.3)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=110, format="png")
 
 
 def _side_by_side(views: list[Float[Tensor, "h w 3"]], white: float) -> Picture:

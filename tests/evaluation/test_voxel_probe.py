@@ -53,6 +53,7 @@ def test_items_have_scores_and_a_picture(data: Path, tmp_path: Path) -> None:
 
 def test_transfer_has_the_thesis_numbers(data: Path, tmp_path: Path) -> None:
     item = small(data).measure(TRANSFER, tmp_path / "b.png")
+    assert (tmp_path / "b.png").read_bytes()[:4] == b"\x89PNG"
     assert item.metrics["probe5_global"]["transfer_l1"] == pytest.approx(0.0094, rel=0.25)
     assert item.facts["probe3_set"] == pytest.approx(2.71, abs=0.01)
     rows = {
