@@ -53,7 +53,7 @@ from skylight.transport.camera import Camera
 from skylight.transport.path_tracer import DiffuseScene, Sampling, shade
 
 ALBEDO, BLACK, WHITE = 0.8, 0.04, 0.85
-BOARD = Board(columns=7, rows=5, square_mm=25.0, marker_mm=18.0)
+BOARD = Board(columns=5, rows=4, square_mm=40.0, marker_mm=30.0)
 LENS = Intrinsics(
     width=1280, height=960, fx=1050.0, fy=1052.0, cx=634.0, cy=483.0,
     k1=-0.11, k2=0.06, p1=8e-4, p2=-5e-4,
