@@ -53,7 +53,7 @@ from skylight.transport.camera import Camera
 from skylight.transport.path_tracer import DiffuseScene, Sampling, shade
 
 ALBEDO, BLACK, WHITE = 0.8, 0.04, 0.85
-BOARD = Board(columns=5, rows=4, square_mm=40.0, marker_mm=30.0)
+BOARD = Board(columns=7, rows=5, square_mm=25.0, marker_mm=18.0)
 LENS = Intrinsics(
     width=1280, height=960, fx=1050.0, fy=1052.0, cx=634.0, cy=483.0,
     k1=-0.11, k2=0.06, p1=8e-4, p2=-5e-4,
@@ -75,7 +75,9 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True, help="with folders hdr and meshes")
     parser.add_argument("--map", default="abandoned_games_room_02.exr")
     parser.add_argument("--samples", type=int, default=64)
-    parser.add_argument("--frames", type=int, default=60, help="of the film; 0 for none")
+    parser.add_argument(
+        "--frames", type=int, default=0, help="of a film for live drawing; 0 for none"
+    )
     parser.add_argument("--work", type=Path, required=True, help="folder for the pictures")
     parser.add_argument(
         "--out", type=Path, default=Path("benchmarks/results/voxel-end-to-end.json")
