@@ -42,9 +42,9 @@ def test_live_frame(benchmark) -> None:
         to_board=Stand(x_mm=60.0, z_mm=75.0, voxel_mm=5.0).matrix(model),
         reconstruction=lambda lightmap: DirectReconstruction(lightmap.known),
     )
-    frames = [photograph(number) for number in range(len(VIEWS))]
-    for frame in frames:  # by now all sides have been seen
-        view.show(frame)
+    photos = [photograph(number) for number in range(len(VIEWS))]
+    # by now all sides have been seen; frames without a board cost next to nothing
+    frames = [photo for photo in photos if view.show(photo).tracked]
     turn = iter(range(1_000_000))
     shown = benchmark(lambda: view.show(frames[next(turn) % len(frames)]))
     assert shown.tracked
