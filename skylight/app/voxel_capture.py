@@ -18,18 +18,17 @@ from skylight.probes.capture.pose import BoardPose, Pose, board_pose
 from skylight.probes.capture.response import Response, load_response
 from skylight.probes.voxel.alignment import Aligner, Alignment
 from skylight.probes.voxel.capture import LightmapCapture
-from skylight.probes.voxel.faces import ORIENTATIONS, visibility_vectors
+from skylight.probes.voxel.faces import OCCLUDERS, ORIENTATIONS
 from skylight.probes.voxel.lightmap import Lightmap, load_lightmap
 from skylight.probes.voxel.placement import (
     StandingProbe,
     describe_standing_probe,
     load_standing_probe,
 )
-from skylight.probes.voxel.reconstruct import first_slot
+from skylight.probes.voxel.reconstruct import first_slot, ranks
 
 Tell = Callable[[str], None]
 MOVED = 0.1  # of a face's shading: more is another light, or another pose than was thought
-_RANK = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +50,7 @@ class CaptureResult:
     left_out: list[tuple[str, str]]
     disagreement: float | None
     alignment: Alignment | None
+    aligned: bool
     doubts: list[str]
 
 
@@ -108,7 +108,7 @@ def capture_voxel_probe(
         warn(doubt)
     slots = int(found.lightmap.known.sum())
     tell(f"{out}: {slots} of 192 slots from {len(found.used)} pictures")
-    if found.alignment is not None and _trusted(found.alignment, standing):
+    if found.alignment is not None and found.aligned:
         turn, shift = (
             float(np.linalg.norm(v)) for v in (found.alignment.turn_deg, found.alignment.shift_mm)
         )
@@ -135,7 +135,8 @@ def capture_frames(
         aligner.add(frame.image, found.pose)
         seen.append((frame, found.pose))
     alignment = aligner.alignment()
-    if alignment is not None and _trusted(alignment, standing):
+    aligned = alignment is not None and alignment.trusted(standing.placement.voxel_mm)
+    if alignment is not None and aligned:
         placement = alignment.applied(standing.placement, aligner.middle_mm)
         standing = replace(standing, placement=placement)
     capture = LightmapCapture(standing.placed(), start)
@@ -165,6 +166,7 @@ def capture_frames(
         left_out=left_out,
         disagreement=disagreement,
         alignment=alignment,
+        aligned=aligned,
         doubts=_doubts(capture, lightmap, disagreement, alignment),
     )
 
@@ -180,17 +182,13 @@ def describe_capture(found: CaptureResult) -> dict[str, object]:
         if found.alignment is None
         else {
             **describe_alignment(found.alignment),
-            "applied": _trusted(found.alignment, found.standing),
+            "applied": found.aligned,
         },
         "doubts": found.doubts,
         "coverage": found.lightmap.coverage.tolist(),
         "pixels_per_texel": found.lightmap.confidence.tolist(),
         "version": __version__,
     }
-
-
-def _trusted(alignment: Alignment, standing: StandingProbe) -> bool:
-    return alignment.agrees and alignment.plausible(standing.placement.voxel_mm)
 
 
 def describe_alignment(alignment: Alignment) -> dict[str, object]:
@@ -247,13 +245,11 @@ def _doubts(
             f"{int(burnt.sum())} slots are over-exposed in every picture, the first "
             f"{first_slot(burnt)}: expose shorter"
         )
-    vectors = visibility_vectors()
-    for o, name in enumerate(ORIENTATIONS):
-        mine = lightmap.known[o]
-        rank = int(torch.linalg.matrix_rank(vectors[mine])) if mine.any() else 0
-        if rank < _RANK:
+    slots, needed = lightmap.known.sum(1).tolist(), len(OCCLUDERS)
+    for name, count, rank in zip(ORIENTATIONS, slots, ranks(lightmap.known).tolist(), strict=True):
+        if rank < needed:
             doubts.append(
-                f"orientation {name} has {int(mine.sum())} captured slots of rank {rank}, {_RANK} "
+                f"orientation {name} has {count} captured slots of rank {rank}, {needed} "
                 "are needed: walk round the probe, or use a probe that encodes more"
             )
     return doubts

@@ -140,6 +140,4 @@ def drawn_into(
     )
     if not bool((drawing.alpha > 0).any()):
         raise InputError(f"{photo}: the model would stand outside of the picture; see --at-mm")
-    out = image.copy()
-    out[window] = composite(image[window], drawing, setup.response)
-    return out
+    return composite(image, drawing, setup.response, window)

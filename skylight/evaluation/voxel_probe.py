@@ -33,7 +33,7 @@ from skylight.probes.voxel.analysis import (
     residuals_by_occluders,
     transfer_error,
 )
-from skylight.probes.voxel.faces import CONFIGURATIONS, ORIENTATIONS, exposed_faces
+from skylight.probes.voxel.faces import exposed_faces
 from skylight.probes.voxel.global_illumination import GlobalReconstruction
 from skylight.probes.voxel.lightmap import Lightmap
 from skylight.probes.voxel.model import star_probe
@@ -224,7 +224,5 @@ def _side_by_side(views: list[Float[Tensor, "h w 3"]], white: float) -> Picture:
 @cache
 def reconstruction(size: int, kind: str) -> SlotReconstruction:
     """The weights of an N-probe that was captured whole."""
-    faces = exposed_faces(star_probe(size))
-    known = torch.zeros(len(ORIENTATIONS), CONFIGURATIONS, dtype=torch.bool)
-    known[faces.orientation, faces.configuration] = True
+    known = exposed_faces(star_probe(size)).counts() > 0
     return DirectReconstruction(known) if kind == "direct" else GlobalReconstruction(known)

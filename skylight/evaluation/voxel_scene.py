@@ -134,11 +134,10 @@ def baked(size: int, environment: EnvironmentMap, sampling: Sampling, seed: int)
         generator=torch.Generator().manual_seed(seed),
     ).mean.reshape(len(faces), SIZE, SIZE, 3)
     total = torch.zeros(192, SIZE, SIZE, 3, dtype=found.dtype)
-    slot = faces.orientation * 32 + faces.configuration
-    total.index_add_(0, slot, found)
-    count = torch.bincount(slot, minlength=192)
-    radiance = total / count.clamp(min=1)[:, None, None, None]
-    known = (count > 0).reshape(6, 32).float()
+    total.index_add_(0, faces.slot, found)
+    count = faces.counts()
+    radiance = total / count.clamp(min=1).reshape(-1, 1, 1, 1)
+    known = (count > 0).float()
     return Lightmap(
         radiance=radiance.reshape(6, 32, SIZE, SIZE, 3).float(), coverage=known, confidence=known
     )

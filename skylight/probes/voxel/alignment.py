@@ -47,6 +47,10 @@ class Alignment:
         near = float(np.linalg.norm(self.shift_mm)) < _FAR_VOXELS * voxel_mm
         return near and float(np.linalg.norm(self.turn_deg)) < _FAR_DEG
 
+    def trusted(self, voxel_mm: float) -> bool:
+        """Whether it is to be applied."""
+        return self.agrees and self.plausible(voxel_mm)
+
     def applied(self, placement: Placement, middle_mm: Float[np.ndarray, "3"]) -> Placement:
         """The placement that edges tell; ``middle_mm`` is the probe's middle as it was meant."""
         turn = Rotation.from_rotvec(self.turn_deg, degrees=True).as_matrix()

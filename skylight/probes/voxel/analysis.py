@@ -20,7 +20,6 @@ from skylight.probes.voxel.faces import (
     OCCLUDERS,
     ORIENTATIONS,
     exposed_faces,
-    visibility_vectors,
 )
 from skylight.probes.voxel.global_illumination import ALBEDO, GlobalReconstruction
 from skylight.probes.voxel.model import VoxelModel
@@ -28,6 +27,7 @@ from skylight.probes.voxel.reconstruct import (
     DirectReconstruction,
     SlotReconstruction,
     occluders_in_words,
+    ranks,
 )
 from skylight.probes.voxel.transfer import slot_transfer, transfer_vectors
 
@@ -90,16 +90,12 @@ class ProbeReport:
 
 def inspect(model: VoxelModel, *, albedo: float = ALBEDO) -> ProbeReport:
     """Configurations of a model, how often they occur, and what can be told from them."""
-    faces = exposed_faces(model)
-    count = torch.zeros(len(ORIENTATIONS), CONFIGURATIONS, dtype=torch.int64)
-    slot = (faces.orientation, faces.configuration)
-    count.index_put_(slot, torch.ones(len(faces), dtype=torch.int64), accumulate=True)
-    known, vectors = count > 0, visibility_vectors()
-    rank = torch.stack([torch.linalg.matrix_rank(vectors[k]) for k in known])
+    count = exposed_faces(model).counts()
+    known = count > 0
     complete = bool(known.any(1).all())
     return ProbeReport(
         faces=count,
-        rank=rank,
+        rank=ranks(known),
         direct=transfer_error(DirectReconstruction(known), albedo) if complete else None,
         globally=(
             transfer_error(GlobalReconstruction(known, albedo=albedo), albedo) if complete else None

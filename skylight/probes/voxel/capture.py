@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, UInt8
 from skylight.probes.capture.intrinsics import FLIP, Intrinsics
 from skylight.probes.capture.pose import Pose
 from skylight.probes.capture.response import Response, saturated
-from skylight.probes.voxel.faces import CONFIGURATIONS, ORIENTATIONS
+from skylight.probes.voxel.faces import CONFIGURATIONS, ORIENTATIONS, places_on
 from skylight.probes.voxel.lightmap import SIZE, Lightmap
 from skylight.probes.voxel.placement import PlacedProbe
 
@@ -78,7 +78,6 @@ def read_faces(
     pose: Pose,
     intrinsics: Intrinsics,
     *,
-    corner: tuple[int, int] = (0, 0),
     size: int = SIZE,
 ) -> list[FaceView]:
     """The shading of all faces that a linear picture shows whole.
@@ -86,22 +85,29 @@ def read_faces(
     Every texel is the mean of 4 x 4 bilinear samples, each at its own place through the lens'
     distortion. Samples within 4 % of a face's edge are taken 4 % from it, so that a pose that is
     off by little does not bring in what is beyond; the thesis shrinks the whole face instead.
-    ``corner`` is where the given pixels begin in the camera's picture, (column, row).
     """
     shown, _, areas = visible_faces(probe, pose, intrinsics)
+    return _sampled(picture, clipped, (0, 0), probe, pose, intrinsics, shown, areas, size)
+
+
+def _sampled(
+    picture: Float[np.ndarray, "h w 3"],
+    clipped: Bool[np.ndarray, "h w"],
+    corner: tuple[int, int],
+    probe: PlacedProbe,
+    pose: Pose,
+    intrinsics: Intrinsics,
+    shown: list[int],
+    areas: Float[np.ndarray, " f"],
+    size: int,
+) -> list[FaceView]:
+    """:func:`read_faces` of faces known to be shown, from pixels that begin at (column, row)."""
     orientation, configuration = probe.faces.orientation, probe.faces.configuration
     if not shown:
         return []
-    along = (np.arange(size * _SAMPLES) + 0.5) / (size * _SAMPLES)
-    along = along.clip(_INSET, 1 - _INSET)
-    corners = probe.corners[shown]
-    origin = corners[:, 3]  # left, forward
-    right, back = corners[:, 2] - origin, corners[:, 0] - origin
-    points = (
-        origin[:, None, None]
-        + along[:, None, None] * back[:, None, None]
-        + along[:, None] * right[:, None, None]
-    )
+    along = (torch.arange(size * _SAMPLES, dtype=torch.float64) + 0.5) / (size * _SAMPLES)
+    along = along.clamp(_INSET, 1 - _INSET)
+    points = places_on(torch.from_numpy(probe.corners[shown]), along).numpy()
     places = pose.project(points.reshape(-1, 3), intrinsics) - np.array(corner)
     places = places.astype(np.float32)
     places = places.reshape(len(shown), -1, size * _SAMPLES, 2)
@@ -162,21 +168,17 @@ class LightmapCapture:
         intrinsics: Intrinsics,
     ) -> int:
         """:meth:`add` of a picture as the camera gave it; only the probe's part is linearised."""
-        shown, pixels, _ = visible_faces(self.probe, pose, intrinsics)
+        shown, pixels, areas = visible_faces(self.probe, pose, intrinsics)
         if not shown:
             return 0
         left, top = np.floor(pixels[shown].min((0, 1))).astype(int).tolist()
         right, bottom = np.ceil(pixels[shown].max((0, 1))).astype(int).tolist()
         codes = np.ascontiguousarray(image[top : bottom + 2, left : right + 2])
-        views = read_faces(
-            response.linearise(codes).numpy(),
-            saturated(codes),
-            self.probe,
-            pose,
-            intrinsics,
-            corner=(left, top),
-            size=self.size,
-        )
+        linear = response.linearise(codes).numpy()
+        views = _sampled(
+            linear, saturated(codes), (left, top), self.probe, pose, intrinsics, shown, areas,
+            self.size,
+        )  # fmt: skip
         return self._keep(views)
 
     def _keep(self, views: list[FaceView]) -> int:

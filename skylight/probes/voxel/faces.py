@@ -48,17 +48,32 @@ class VoxelFaces:
         pair = torch.cat([first + torch.tensor([0, 1, 2]), first + torch.tensor([0, 2, 3])], 1)
         return self.corners.reshape(-1, 3), pair.reshape(-1, 3)
 
+    @property
+    def slot(self) -> Int[Tensor, " f"]:
+        """The number of each face's slot, 0 to 191."""
+        return self.orientation * CONFIGURATIONS + self.configuration
+
+    def counts(self) -> Int[Tensor, "6 32"]:
+        """How many faces each slot has."""
+        slots = len(ORIENTATIONS) * CONFIGURATIONS
+        return torch.bincount(self.slot, minlength=slots).reshape(-1, CONFIGURATIONS)
+
     def points(self, size: int) -> Float[Tensor, "f size size 3"]:
         """Centres of ``size`` x ``size`` texels; row 0 lies forward, column 0 left."""
-        along = (torch.arange(size, dtype=torch.float64) + 0.5) / size
-        origin = self.corners[:, 3]  # left, forward
-        right = self.corners[:, 2] - origin
-        back = self.corners[:, 0] - origin
-        return (
-            origin[:, None, None]
-            + along[:, None, None] * back[:, None, None]
-            + along[:, None] * right[:, None, None]
-        )
+        return places_on(self.corners, (torch.arange(size, dtype=torch.float64) + 0.5) / size)
+
+
+def places_on(
+    corners: Float[Tensor, "f 4 3"], along: Float[Tensor, " n"]
+) -> Float[Tensor, "f n n 3"]:
+    """Places on squares at shares ``along`` of their sides, from forward back and from left."""
+    origin = corners[:, 3]  # left, forward
+    right, back = corners[:, 2] - origin, corners[:, 0] - origin
+    return (
+        origin[:, None, None]
+        + along[:, None, None] * back[:, None, None]
+        + along[:, None] * right[:, None, None]
+    )
 
 
 def exposed_faces(model: VoxelModel) -> VoxelFaces:

@@ -81,8 +81,7 @@ class LiveView:
             torch.from_numpy(found.pose.rotation),
             torch.from_numpy(found.pose.translation),
         )
-        picture = image.copy()
-        picture[window] = composite(image[window], drawing, self._response)
+        picture = composite(image, drawing, self._response, window)
         clock.mark("draw")
         return self._frame(picture, True, clock)
 

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from skylight.errors import InputError
@@ -94,6 +94,12 @@ def _completing(
         found = sparse_combinations(vectors[have], vectors[want], cost=cost)
         weights[want[:, None], have] = found
     return weights
+
+
+def ranks(known: Bool[Tensor, "6 32"]) -> Int[Tensor, "6"]:
+    """Of each orientation's visibility vectors: 5 tell direct light completely."""
+    vectors = visibility_vectors()
+    return torch.stack([torch.linalg.matrix_rank(vectors[mine]) for mine in known])
 
 
 def first_slot(mask: Bool[Tensor, "6 32"]) -> str:

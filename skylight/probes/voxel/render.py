@@ -19,6 +19,7 @@ from skylight.transport.raycast import Raycaster
 
 _BENT_PX = 4  # by which distortion bends an edge between two of the places looked at
 Window = tuple[slice, slice]  # rows and columns of a picture
+WHOLE: Window = (slice(None), slice(None))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +84,7 @@ class VoxelRenderer:
         corners = self.faces.corners
         self._origin = corners[:, 3]  # left, forward
         self._right, self._back = corners[:, 2] - corners[:, 3], corners[:, 0] - corners[:, 3]
-        self._slot = self.faces.orientation * 32 + self.faces.configuration
+        self._slot = self.faces.slot
 
     def draw(
         self,
