@@ -8,7 +8,7 @@ below, with lens distortion, noise and sRGB codes of 8 bits. The commands `camer
 voxel capture` and `probe voxel render` do the rest. Compared are the poses with the true ones, the
 captured slots with path-traced shading of the probe as it stands (board and pole included), and the
 drawn model with a path-traced one in the same light, beside what a perfect capture gives. A film of
-640 x 480, in which the camera goes once round above the probe and once below, is for `probe voxel
+640 x 480, in which the camera goes once round below the probe and once above, is for `probe voxel
 live`.
 """
 
@@ -192,7 +192,7 @@ class Standing:
         return Pose(rotation=rotation.numpy(), translation=translation.numpy())
 
     def film(self, count: int) -> None:
-        """film.avi: once round above the probe, once round below it."""
+        """film.avi: once round below the probe, once round above it."""
         path = self.work / "film.avi"
         if path.exists():
             return
@@ -202,7 +202,7 @@ class Standing:
         made = cv2.VideoWriter(str(partial), cv2.CAP_FFMPEG, code, 30.0, (640, 480))
         half = -(-count // 2)
         for i in range(count):
-            pose = self.pose_from(360 * (i % half) / half, 38.0 if i < half else -16.0)
+            pose = self.pose_from(360 * (i % half) / half, -16.0 if i < half else 38.0)
             frame = self._photo(whole, pose, self.samples, 1000 + i, lens=halved(LENS))
             made.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
             print(f"frame {i + 1} of {count}", flush=True)

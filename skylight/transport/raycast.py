@@ -57,14 +57,23 @@ class Raycaster:
         answer = self._scene.run(_float32(origins), _float32(directions), query="OCCLUDED")
         return torch.from_numpy(answer == 0)
 
+    def faces_hit(
+        self, origins: Float[Tensor, "r 3"], directions: Float[Tensor, "#r 3"]
+    ) -> Int[Tensor, " r"]:
+        """The first triangle along each ray, -1 for none; several times faster than where on it.
+
+        Nothing is copied where both are contiguous float32.
+        """
+        found = self._scene.run(_float32(origins), _float32(directions), query="INTERSECT")
+        return torch.from_numpy(found.astype(np.int64))
+
     def intersect(self, origins: Float[Tensor, "r 3"], directions: Float[Tensor, "#r 3"]) -> Hits:
         """The first triangle along each ray.
 
         embree only names the triangle; where on it is worked out again in float64
         (Moeller and Trumbore 1997, eq. 6), so positions do not carry float32 noise.
         """
-        found = self._scene.run(_float32(origins), _float32(directions), query="INTERSECT")
-        face = torch.from_numpy(found.astype(np.int64))
+        face = self.faces_hit(origins, directions)
         hit = face >= 0
         origin = origins.detach().to("cpu", torch.float64)[hit]
         direction = directions.detach().to("cpu", torch.float64).expand(len(face), 3)[hit]

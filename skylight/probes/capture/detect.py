@@ -10,6 +10,7 @@ from skylight.errors import InputError
 from skylight.probes.capture.board import Board
 
 CORNERS_MIN = 6  # a homography needs 4; two more show whether it fits
+_ENLARGE_BELOW_PX = 1_000_000  # pictures in which markers may be too small to be read as they are
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,9 +39,17 @@ def find_corners(image: UInt8[np.ndarray, "h w 3"], board: Board) -> BoardCorner
             f"{image.shape}"
         )
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    pattern = board.charuco()
-    found, numbers, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(grey)
-    if found is None or numbers is None or len(numbers) < CORNERS_MIN:
+    parameters = cv2.aruco.CharucoParameters()
+    # markers of a dozen pixels are often misread; where the others say they must be, they count
+    parameters.tryRefineMarkers = True
+    detector = cv2.aruco.CharucoDetector(board.charuco(), parameters)
+    found, numbers, _, _ = detector.detectBoard(grey)
+    if _too_few(numbers) and grey.size < _ENLARGE_BELOW_PX:
+        double = cv2.resize(grey, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+        found, numbers, _, _ = detector.detectBoard(double)
+        # pixel centres at integers: the corner of the picture is at -1/2 in both
+        found = None if found is None else (np.asarray(found) + 0.5) / 2 - 0.5
+    if found is None or _too_few(numbers):
         return None
     numbers = np.asarray(numbers).ravel().astype(np.int64)
     points = board.corners()[numbers]
@@ -49,3 +58,7 @@ def find_corners(image: UInt8[np.ndarray, "h w 3"], board: Board) -> BoardCorner
         return None
     pixels = np.asarray(found, dtype=np.float64).reshape(-1, 2)
     return BoardCorners(numbers=numbers, pixels=pixels, points=points)
+
+
+def _too_few(numbers: np.ndarray | None) -> bool:
+    return numbers is None or len(numbers) < CORNERS_MIN

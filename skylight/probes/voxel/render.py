@@ -1,18 +1,17 @@
 """Voxel models drawn with a completed lightmap: texture mapping, nothing more."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
-from torch.nn.functional import normalize
+from torch.nn.functional import grid_sample, normalize
 
 from skylight.probes.capture.intrinsics import FLIP, Intrinsics
 from skylight.probes.capture.pose import Pose
 from skylight.probes.voxel.faces import exposed_faces
-from skylight.probes.voxel.lightmap import Lightmap
+from skylight.probes.voxel.lightmap import SLOTS_ACROSS, Lightmap
 from skylight.probes.voxel.model import VoxelModel
 from skylight.transport.camera import Camera
 from skylight.transport.raycast import Raycaster
@@ -77,13 +76,12 @@ class VoxelRenderer:
         self._inverse = torch.linalg.inv(matrix)
         vertices, triangles = self.faces.triangles()
         self._caster = Raycaster(vertices, triangles)
-        low, high = vertices.amin(0), vertices.amax(0)
-        box = (_box_edges(low, high) @ matrix[:3, :3].T + matrix[:3, 3]).numpy()
-        self._box = box
-        self._middle, self._radius = (low + high) / 2, float((high - low).norm()) / 2
+        box = _box_edges(vertices.amin(0), vertices.amax(0))
+        self._box = (box @ matrix[:3, :3].T + matrix[:3, 3]).numpy()
         corners = self.faces.corners
         self._origin = corners[:, 3]  # left, forward
-        self._right, self._back = corners[:, 2] - corners[:, 3], corners[:, 0] - corners[:, 3]
+        right, back = corners[:, 2] - corners[:, 3], corners[:, 0] - corners[:, 3]
+        self._frame = torch.stack([right, back, torch.linalg.cross(back, right)], 1)
         self._slot = self.faces.slot
 
     def draw(
@@ -98,20 +96,15 @@ class VoxelRenderer:
         A pixel is the mean of its s rays; texels are interpolated within their slot.
         """
         height, width, samples, _ = rays.shape
-        if rays.numel() == 0:
-            return Drawing(radiance=torch.zeros(height, width, 3), alpha=torch.zeros(height, width))
         turn = self._inverse[:3, :3] @ rotation.double().T
-        eye = self._inverse[:3, :3] @ (-rotation.double().T @ translation.double())
-        eye = eye + self._inverse[:3, 3]
-        directions = rays.reshape(-1, 3).double() @ turn.T
-        near = torch.nonzero(self._within_reach(eye, directions))[:, 0]
-        directions = directions[near]
-        hits = self._caster.intersect(eye.expand(len(near), 3), directions)
-        found = torch.nonzero(hits.face >= 0)[:, 0]
-        points = eye + hits.distance[found, None] * directions[found]
+        eye = self._inverse[:3, 3] - turn @ translation.double()
+        # in float32: 1e-5 of a cell where the camera is a hundred cells away
+        directions = rays.reshape(-1, 3).float() @ turn.T.float()
+        face = self._caster.faces_hit(eye.float().expand(len(directions), 3), directions)
+        found = torch.nonzero(face >= 0)[:, 0]
         colours = torch.zeros(height * width * samples, 4)
-        colours[near[found], :3] = self._shading(lightmap, hits.face[found] // 2, points)
-        colours[near[found], 3] = 1
+        colours[found, :3] = self._shading(lightmap, face[found] // 2, eye, directions[found])
+        colours[found, 3] = 1
         pixels = colours.reshape(height, width, samples, 4).mean(2)
         return Drawing(radiance=pixels[..., :3], alpha=pixels[..., 3])
 
@@ -130,31 +123,29 @@ class VoxelRenderer:
             min(left, width), min(right, width)
         )
 
-    def _within_reach(self, eye: Float[Tensor, "3"], directions: Float[Tensor, "r 3"]) -> Tensor:
-        """Which rays meet the sphere round the model: most pictures are mostly background."""
-        towards = self._middle - eye
-        distance = float(towards.norm())
-        if distance <= self._radius:
-            return torch.ones(len(directions), dtype=torch.bool)
-        cosine = math.sqrt(1 - (self._radius / distance) ** 2)
-        length = directions[0].norm()  # all have been turned and scaled alike
-        return directions @ (towards / distance) >= cosine * length
-
     def _shading(
-        self, lightmap: Lightmap, face: Int[Tensor, " r"], points: Float[Tensor, "r 3"]
+        self,
+        lightmap: Lightmap,
+        face: Int[Tensor, " r"],
+        eye: Float[Tensor, "3"],
+        directions: Float[Tensor, "r 3"],
     ) -> Float[Tensor, "r 3"]:
-        """Bilinear between the centres of a slot's texels, constant beyond the outermost."""
+        """Bilinear between the centres of a slot's texels, constant beyond the outermost.
+
+        In a face's own frame (right, back, out), the ray from e along d meets it at
+        ``e - d e_out / d_out``.
+        """
         n = lightmap.size
-        offset = points - self._origin[face]
-        row = ((offset * self._back[face]).sum(1) * n - 0.5).clamp(0, n - 1)
-        column = ((offset * self._right[face]).sum(1) * n - 0.5).clamp(0, n - 1)
-        top, left = row.floor().clamp(max=n - 2).long(), column.floor().clamp(max=n - 2).long()
-        down, across = (row - top)[:, None].float(), (column - left)[:, None].float()
-        texels = lightmap.radiance.reshape(-1, 3).float()
-        first = (self._slot[face] * n + top) * n + left
-        upper = (1 - across) * texels[first] + across * texels[first + 1]
-        lower = (1 - across) * texels[first + n] + across * texels[first + n + 1]
-        return (1 - down) * upper + down * lower
+        along = torch.einsum("rij,rj->ri", self._frame.float()[face], directions)
+        start = torch.einsum("fij,fj->fi", self._frame, eye - self._origin).float()[face]
+        place = (start[:, :2] - start[:, 2:] / along[:, 2:] * along[:, :2]) * n - 0.5
+        place = place.clamp(0, n - 1)
+        slot = self._slot[face]
+        corner = torch.stack([slot % SLOTS_ACROSS, slot // SLOTS_ACROSS], 1) * n
+        image = lightmap.image().permute(2, 0, 1).float()
+        size = torch.tensor([image.shape[2], image.shape[1]])
+        grid = 2 * (corner + place) / (size - 1) - 1  # the next slot has no weight
+        return grid_sample(image[None], grid[None, None], align_corners=True)[0, :, 0].T
 
 
 def _box_edges(low: Float[Tensor, "3"], high: Float[Tensor, "3"]) -> Float[Tensor, "n 3"]:
