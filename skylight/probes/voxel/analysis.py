@@ -141,8 +141,7 @@ def best_sets(
     """Fig. 3.7: the sets of 1, 2, ... ``largest`` configurations that leave the least residual.
 
     All sets of up to ``exhaustive`` are tried. Larger ones start from the one before with the best
-    addition, and exchange one member for one outside, the best pair at a time, while that helps:
-    never worse than greedy growth.
+    addition, and exchange one member for one outside, the best pair at a time, while that helps.
     """
     if not 1 <= largest < LIT:
         raise InputError(f"sets have 1 to {LIT - 1} configurations, got {largest}")
