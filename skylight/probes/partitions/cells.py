@@ -1,0 +1,128 @@
+"""A design's cells: where they are, and what a surface gathers from each."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from scipy.sparse.csgraph import connected_components
+from torch import Tensor
+
+from skylight.errors import InputError
+from skylight.probes.partitions.design import ProbeDesign
+from skylight.probes.partitions.polygons import Tessellation, voronoi
+
+# cos of the angle that a merged cell may at most reach from its normal: 89.4 degrees
+_LEAST_HEIGHT = 0.01
+_CHUNK = 2**16  # directions that are looked at together
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cells:
+    """The n cells of a design; make them with :meth:`of`. float64 throughout.
+
+    ``normals`` (n,3): a cell's one seed (thesis, 4.5), or for merged regions the direction of
+    ``int_cell w dw``, in which the cell is seen best.
+    """
+
+    design: ProbeDesign
+    tessellation: Tessellation
+    normals: Float[Tensor, "n 3"]
+
+    @staticmethod
+    def of(design: ProbeDesign) -> "Cells":
+        """Raises :class:`InputError` for cells that cannot be built.
+
+        Those are cells of unconnected parts, cells that their own face cannot see all of, and
+        cells round others, whose walls nothing would hold.
+        """
+        tessellation = voronoi(design.seeds)
+        total = _per_cell(tessellation.vector_integrals().T, design).T
+        normals = total / total.norm(dim=1, keepdim=True)
+        alone = torch.bincount(design.labels)[design.labels] == 1
+        normals[design.labels[alone]] = design.seeds[alone]
+        cells = Cells(design=design, tessellation=tessellation, normals=normals)
+        cells._check()
+        return cells
+
+    @property
+    def count(self) -> int:
+        return self.design.count
+
+    @property
+    def solid_angles(self) -> Float[Tensor, " n"]:
+        """Of each cell, sr."""
+        return _per_cell(self.tessellation.solid_angles()[None], self.design)[0]
+
+    @property
+    def regions(self) -> tuple[Float[Tensor, "_ 3"], ...]:
+        """Each seed's Voronoi polygon, unit corners, counter-clockwise seen from outside."""
+        t = self.tessellation
+        return tuple(t.vertices[polygon] for polygon in t.polygons)
+
+    @property
+    def facing(self) -> Float[Tensor, " n"]:
+        """int_cell <n_i, w>+ dw: what each face gathers from its own cell under radiance 1."""
+        return (self.normals * self._vector_integrals()).sum(1)
+
+    @property
+    def neighbours(self) -> Bool[Tensor, "n n"]:
+        """Cells that share a wall."""
+        t, label = self.tessellation, self.design.labels
+        shared = torch.zeros(self.count, self.count, dtype=torch.bool)
+        shared[label[t.left], label[t.right]] = True
+        return (shared | shared.T) & ~torch.eye(self.count, dtype=torch.bool)
+
+    def cell_of(self, directions: Float[Tensor, "m 3"]) -> Int[Tensor, " m"]:
+        """The cell of each direction (of any length but 0): that of its closest seed."""
+        parts = [
+            (part.double() @ self.design.seeds.T).argmax(1) for part in directions.split(_CHUNK)
+        ]
+        return self.design.labels[torch.cat(parts)]
+
+    def clamped_cosine(self, normals: Float[Tensor, "m 3"]) -> Float[Tensor, "m n"]:
+        """int_cell <n, w>+ dw of each unit normal and cell, exact; rows sum to pi.
+
+        See :mod:`skylight.probes.partitions.polygons`.
+        """
+        return _per_cell(self.tessellation.clamped_cosine(normals), self.design)
+
+    def _vector_integrals(self) -> Float[Tensor, "n 3"]:
+        return _per_cell(self.tessellation.vector_integrals().T, self.design).T
+
+    def _check(self) -> None:
+        t, label = self.tessellation, self.design.labels
+        inside = label[t.left] == label[t.right]
+        links = torch.zeros(len(label), len(label))
+        links[t.left[inside], t.right[inside]] = 1
+        parts, part = connected_components(links.numpy(), directed=False)
+        if parts > self.count:
+            first = [int(label[torch.from_numpy(part == i)][0]) for i in range(parts)]
+            broken = next(i for i in range(self.count) if first.count(i) > 1)
+            raise InputError(
+                f"the merge {_seeds(self.design, broken)} is not connected: merge only seeds "
+                "whose regions share a border"
+            )
+        for region, polygon in enumerate(t.polygons):
+            cell = int(label[region])
+            if bool((t.vertices[polygon] @ self.normals[cell] < _LEAST_HEIGHT).any()):
+                raise InputError(
+                    f"the merge {_seeds(self.design, cell)} makes a cell that reaches below its "
+                    "own face's horizon: merge fewer seeds"
+                )
+        walls = torch.zeros(len(t.vertices), len(t.vertices))
+        walls[t.starts[~inside], t.ends[~inside]] = 1
+        at_wall = torch.cat([t.starts[~inside], t.ends[~inside]]).unique()
+        pieces, _ = connected_components(walls[at_wall][:, at_wall].numpy(), directed=False)
+        if pieces > 1:
+            raise InputError(
+                "a merged cell goes round others, whose walls nothing would hold: merge fewer seeds"
+            )
+
+
+def _per_cell(values: Float[Tensor, "m s"], design: ProbeDesign) -> Float[Tensor, "m n"]:
+    total = values.new_zeros(len(values), design.count)
+    return total.index_add_(1, design.labels, values)
+
+
+def _seeds(design: ProbeDesign, cell: int) -> list[int]:
+    return torch.nonzero(design.labels == cell)[:, 0].tolist()

@@ -1,0 +1,152 @@
+"""Spherical Voronoi diagrams, and integrals over their polygons in closed form.
+
+Lambert (1760): a polygon of the unit sphere with arcs of length ``t_k`` about unit poles ``p_k``
+(counter-clockwise seen from outside) has ``int w dw = 1/2 sum_k t_k p_k``, so a surface of normal n
+that sees all of it gathers ``1/2 sum_k t_k <n, p_k>``. Where the surface's horizon cuts the polygon
+the arcs are cut too, and the horizon's own arc, whose pole is n, closes what is left.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree, SphericalVoronoi
+from torch import Tensor
+
+from skylight.sphere.frame import angle_between
+
+_SAME_VERTEX = 1e-7
+_CHUNK = 2**20  # arcs times normals that are looked at together
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tessellation:
+    """The sphere parted by arcs of great circles, each shorter than pi.
+
+    Arc k goes from vertex ``starts[k]`` to ``ends[k]``, with region ``left[k]`` on its left seen
+    from outside and ``right[k]`` on the other side.
+    """
+
+    vertices: Float[Tensor, "v 3"]
+    starts: Int[Tensor, " e"]
+    ends: Int[Tensor, " e"]
+    left: Int[Tensor, " e"]
+    right: Int[Tensor, " e"]
+    polygons: tuple[Int[Tensor, " _"], ...]
+
+    @property
+    def lengths(self) -> Float[Tensor, " e"]:
+        """Arc lengths, radians."""
+        return angle_between(self.vertices[self.starts], self.vertices[self.ends])
+
+    @property
+    def poles(self) -> Float[Tensor, "e 3"]:
+        """Unit normals of the arcs' planes, towards the left."""
+        cross = torch.linalg.cross(self.vertices[self.starts], self.vertices[self.ends])
+        return cross / cross.norm(dim=1, keepdim=True)
+
+    def vector_integrals(self) -> Float[Tensor, "r 3"]:
+        """int_region w dw for each region."""
+        return self._per_region((self.lengths[:, None] * self.poles).T).T / 2
+
+    def solid_angles(self) -> Float[Tensor, " r"]:
+        """Of each region, sr: fans of triangles (Van Oosterom and Strackee 1983)::
+
+        tan(area / 2) = det(a, b, c) / (1 + <a,b> + <b,c> + <c,a>)
+        """
+        areas = []
+        for polygon in self.polygons:
+            corners = self.vertices[polygon]
+            a, b, c = corners[:1].expand(len(corners) - 2, 3), corners[1:-1], corners[2:]
+            volume = (a * torch.linalg.cross(b, c)).sum(1)
+            scale = 1 + (a * b).sum(1) + (b * c).sum(1) + (c * a).sum(1)
+            areas.append(2 * torch.atan2(volume, scale).sum())
+        return torch.stack(areas)
+
+    def clamped_cosine(self, normals: Float[Tensor, "m 3"]) -> Float[Tensor, "m r"]:
+        """int_region max(<n, w>, 0) dw of each unit normal and region, exact."""
+        normals = normals.double()
+        step = max(1, _CHUNK // len(self.starts))
+        return torch.cat([self._clamped_cosine(part) for part in normals.split(step)])
+
+    def _clamped_cosine(self, normals: Float[Tensor, "m 3"]) -> Float[Tensor, "m r"]:
+        height = normals @ self.vertices.T
+        above = height > 0
+        above_start, above_end = above[:, self.starts], above[:, self.ends]
+        length = self.lengths
+        # what of each arc is above the horizon, and the azimuth at which it crosses it
+        lit = torch.where(above_start & above_end, length, 0.0)
+        azimuth = torch.zeros_like(lit)
+        row, arc = (above_start != above_end).nonzero(as_tuple=True)
+        start, end = self.starts[arc], self.ends[arc]
+        # |h_b| a + |h_a| b lies on the horizon: towards it from either end of the arc
+        from_start, from_end = height[row, end].abs(), height[row, start].abs()
+        starts_above = above_start[row, arc]
+        near = torch.where(starts_above, from_start, from_end)
+        far = torch.where(starts_above, from_end, from_start)
+        angle = length[arc]
+        lit[row, arc] = torch.atan2(far * torch.sin(angle), near + far * torch.cos(angle))
+        across, along = _tangents(normals)
+        x, y = across @ self.vertices.T, along @ self.vertices.T
+        crossing = torch.atan2(
+            from_start * y[row, start] + from_end * y[row, end],
+            from_start * x[row, start] + from_end * x[row, end],
+        )
+        # going down ends what is lit on the left, where the horizon's arc begins
+        azimuth[row, arc] = torch.where(starts_above, -crossing, crossing)
+        turn = self._per_region(azimuth)
+        # a convex region's piece of the horizon is shorter than half a turn
+        turn = turn - 2 * math.pi * torch.round(turn / (2 * math.pi))
+        total = self._per_region(lit * (normals @ self.poles.T)) + turn
+        return total.clamp(min=0) / 2
+
+    def _per_region(self, values: Float[Tensor, "m e"]) -> Float[Tensor, "m r"]:
+        """Sum over each region's arcs, with a sign for those that run the other way."""
+        total = values.new_zeros(len(values), len(self.polygons))
+        return total.index_add_(1, self.left, values).index_add_(1, self.right, -values)
+
+
+def voronoi(seeds: Float[Tensor, "s 3"]) -> Tessellation:
+    """The spherical Voronoi diagram of unit seeds whose hull holds the origin.
+
+    Region i belongs to seed i. Where more than three seeds are as close as each other, as in
+    symmetric sets, Qhull gives one vertex several times; they are put together.
+    """
+    diagram = SphericalVoronoi(seeds.numpy())
+    same = KDTree(diagram.vertices).query_pairs(_SAME_VERTEX, output_type="ndarray")
+    size = len(diagram.vertices)
+    links = coo_array((np.ones(len(same)), (same[:, 0], same[:, 1])), shape=(size, size))
+    kinds, kind = connected_components(links, directed=False)
+    vertices = np.zeros((kinds, 3))
+    np.add.at(vertices, kind, diagram.vertices)
+    vertices = torch.from_numpy(vertices / np.linalg.norm(vertices, axis=1, keepdims=True))
+    polygons = []
+    for region, across, along in zip(diagram.regions, *_tangents(seeds), strict=True):
+        corners = torch.from_numpy(np.unique(kind[region])).long()
+        place = vertices[corners]
+        polygons.append(corners[torch.atan2(place @ along, place @ across).argsort()])
+    arcs: dict[tuple[int, int], int] = {}
+    for region, polygon in enumerate(polygons):
+        loop = polygon.tolist()
+        arcs.update(dict.fromkeys(zip(loop, loop[1:] + loop[:1], strict=True), region))
+    one_way = [(a, b) for a, b in arcs if a < b]
+    return Tessellation(
+        vertices=vertices,
+        starts=torch.tensor([a for a, _ in one_way]),
+        ends=torch.tensor([b for _, b in one_way]),
+        left=torch.tensor([arcs[a, b] for a, b in one_way]),
+        right=torch.tensor([arcs[b, a] for a, b in one_way]),
+        polygons=tuple(polygons),
+    )
+
+
+def _tangents(normals: Float[Tensor, "m 3"]) -> tuple[Float[Tensor, "m 3"], Float[Tensor, "m 3"]]:
+    """Two unit vectors that make a right-handed frame with each unit normal."""
+    axis = torch.nn.functional.one_hot(normals.abs().argmin(1), 3).to(normals)
+    across = torch.linalg.cross(axis, normals)
+    across = across / across.norm(dim=1, keepdim=True)
+    return across, torch.linalg.cross(normals, across)

@@ -1,0 +1,178 @@
+"""The probe as an encoder of light: Eq. 4.3 to 4.25."""
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+from torch.autograd import gradcheck
+
+from skylight.errors import InputError
+from skylight.probes.partitions.cells import Cells
+from skylight.probes.partitions.design import ProbeDesign
+from skylight.probes.partitions.designs import named_design
+from skylight.probes.partitions.probe import PartitionProbe
+from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.grid import DirectionGrid
+
+GRID = DirectionGrid.latlong(32)
+RGB = torch.tensor([0.9, 0.6, 0.3]).double()
+
+
+def random(*shape: int, seed: int = 0) -> Tensor:
+    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def probe_of(name: str, albedo: float | Tensor = 0.8, **options: Tensor) -> PartitionProbe:
+    return PartitionProbe(Cells.of(named_design(name)), albedo, **options)
+
+
+@pytest.mark.parametrize("name", ["6d", "14d-indoor", "14d-outdoor", "110d"])
+def test_uniform_light_gives_the_exact_form_factor(name: str) -> None:
+    probe = probe_of(name, RGB)
+    cells = probe.cells
+    gathered = cells.clamped_cosine(cells.normals).diagonal()
+    expected = RGB / math.pi * gathered[:, None] * 2.5
+    radiance = torch.full((1, len(GRID), 3), 2.5).double()
+    torch.testing.assert_close(probe.encode(radiance, GRID)[0], expected, rtol=1e-12, atol=0)
+    environment = EnvironmentMap(radiance=torch.full((32, 64, 3), 2.5))
+    torch.testing.assert_close(probe.encode_map(environment), expected.float(), rtol=1e-6, atol=0)
+
+
+@pytest.mark.parametrize("name", ["6d", "14d-sun-6"])
+def test_decoded_shading_encodes_to_itself(name: str) -> None:
+    probe = probe_of(name, RGB)
+    shading = random(2, probe.cells.count, 3)
+    again = probe.encode(probe.decode(shading, GRID), GRID)
+    torch.testing.assert_close(again, shading, rtol=1e-12, atol=0)
+
+
+def test_light_of_the_cells_comes_back() -> None:
+    """Eq. 4.4 to 4.6 on radiance that is constant in each cell."""
+    probe = probe_of("14d")
+    light = random(1, 14, 3)
+    shading = probe.encode(light[:, probe.cells.cell_of(GRID.directions)], GRID)
+    torch.testing.assert_close(probe.light(shading), light, rtol=1e-12, atol=0)
+    torch.testing.assert_close(shading * probe.weights, light, rtol=1e-12, atol=0)
+
+
+def test_a_lamp_gives_its_cosine_to_its_own_face_alone() -> None:
+    probe = probe_of("6d", 0.5)
+    grid = DirectionGrid.latlong(256)
+    lamp = int((grid.directions @ torch.tensor([0.6, 0.7, 0.2]).double()).argmax())
+    radiance = torch.zeros(1, len(grid), 3).double()
+    radiance[0, lamp] = 100.0
+    shading = probe.encode(radiance, grid)[0, :, 0]
+    direction, angle = grid.directions[lamp], grid.solid_angles[lamp]
+    face = int(probe.cells.cell_of(direction[None]))
+    expected = 0.5 / math.pi * float(probe.cells.normals[face] @ direction * angle) * 100
+    assert float(shading[face]) == pytest.approx(expected, rel=1e-3)
+    assert float(shading.sum() - shading[face]) == 0
+
+
+def test_maps_are_shared_between_cells_within_their_pixels() -> None:
+    """One linear map, two resolutions: coarse pixels lie across borders."""
+    probe = probe_of("14d")
+    coarse = EnvironmentMap(radiance=random(16, 32, 3).float())
+    fine = coarse.radiance.repeat_interleave(64, 0).repeat_interleave(64, 1).reshape(1, -1, 3)
+    expected = probe.encode(fine, DirectionGrid.latlong(1024))[0]
+    torch.testing.assert_close(probe.encode_map(coarse), expected, rtol=0.01, atol=0)
+    nearest = probe.encode(coarse.flat[None], coarse.grid)[0]
+    assert float((nearest - expected).abs().max()) > 3 * float(
+        (probe.encode_map(coarse) - expected).abs().max()
+    )
+
+
+@pytest.mark.parametrize("name", ["14d", "14d-outdoor"])
+def test_basis_and_dual_basis_are_bi_orthogonal(name: str) -> None:
+    probe = probe_of(name, RGB)
+    basis, dual = probe.basis(GRID), probe.dual_basis(GRID)
+    for colour in range(3):
+        product = (basis[..., colour] * GRID.solid_angles) @ dual[..., colour].T
+        identity = torch.eye(probe.cells.count).double()
+        torch.testing.assert_close(product, identity, rtol=0, atol=1e-12)
+
+
+def test_projecting_on_the_basis_is_encoding() -> None:
+    """Eq. 4.20: coefficients are the shading."""
+    probe, radiance = probe_of("14d", RGB), random(1, len(GRID), 3)
+    coefficients = torch.einsum("ndk,dk,d->nk", probe.basis(GRID), radiance[0], GRID.solid_angles)
+    torch.testing.assert_close(coefficients, probe.encode(radiance, GRID)[0])
+    # and its values are those of Eq. 4.18, but for how finely the grid covers the cells
+    grid = DirectionGrid.latlong(128)
+    cell = probe.cells.cell_of(grid.directions)
+    cosine = (probe.cells.normals[cell] * grid.directions).sum(1)
+    expected = RGB / math.pi * cosine[:, None]
+    values = probe.basis(grid)[cell, torch.arange(len(grid))]
+    torch.testing.assert_close(values, expected, rtol=0.03, atol=0)
+
+
+def test_faces_without_walls_gather_more_by_a_known_factor() -> None:
+    """Eq. 4.23 to 4.25: under uniform light s'' is s; a bare face shows rho L."""
+    probe = probe_of("14d-outdoor", 0.7)
+    radiance = torch.full((1, len(GRID), 3), 3.0).double()
+    bare = probe.unpartitioned(radiance, GRID)
+    torch.testing.assert_close(bare, torch.full_like(bare, 2.1), rtol=1e-12, atol=0)
+    corrected = bare * probe.correction[:, None]
+    torch.testing.assert_close(corrected, probe.encode(radiance, GRID), rtol=1e-12, atol=0)
+
+
+def test_bare_faces_show_irradiance() -> None:
+    probe, environment = probe_of("6d", 1.0), EnvironmentMap(radiance=random(32, 64, 3))
+    bare = probe.unpartitioned(environment.flat[None], environment.grid)[0]
+    expected = torch.stack([environment.irradiance(n) for n in probe.cells.normals]) / math.pi
+    torch.testing.assert_close(bare, expected, rtol=2e-3, atol=0)
+
+
+def test_measured_walls_are_undone() -> None:
+    cells = Cells.of(named_design("14d"))
+    response = torch.diag(0.8 * cells.facing) + 0.02 * cells.neighbours
+    probe = PartitionProbe(cells, torch.linspace(0.5, 0.9, 14).double()[:, None], response=response)
+    light = random(1, 14, 3)
+    shading = probe.encode(light[:, cells.cell_of(GRID.directions)], GRID)
+    torch.testing.assert_close(probe.light(shading), light, rtol=1e-10, atol=0)
+    expected = torch.linspace(0.5, 0.9, 14).double()[:, None] / math.pi * (response @ light[0])
+    torch.testing.assert_close(shading[0], expected, rtol=1e-10, atol=0)
+    # the ideal weights would be wrong by what the walls do
+    assert float(((shading * probe.weights - light) / light).abs().median()) > 0.05
+
+
+def test_encoding_and_decoding_have_gradients() -> None:
+    probe, grid = probe_of("6d"), DirectionGrid.latlong(6)
+    radiance = random(1, len(grid), 3).requires_grad_()
+    assert gradcheck(lambda x: probe.decode(probe.encode(x, grid) ** 2, grid), radiance)
+
+
+def test_a_probe_in_single_precision_works_too() -> None:
+    probe, shading = probe_of("6d", RGB), random(1, 6, 3).float()
+    expected = probe.decode(shading, GRID)
+    again = probe.float().encode(probe.decode(shading, GRID), GRID)
+    assert expected.dtype == again.dtype == torch.float32
+    torch.testing.assert_close(again, shading, rtol=1e-5, atol=0)
+
+
+def test_what_cannot_be_encoded_is_refused() -> None:
+    probe = probe_of("110d")
+    with pytest.raises(InputError, match="finer grid"):
+        probe.encode(random(1, 32, 3), DirectionGrid.latlong(4))
+    with pytest.raises(InputError, match="only a part"):
+        probe.encode(random(1, 64, 3), DirectionGrid.sky(4))
+    with pytest.raises(InputError, match="ground first"):
+        probe.encode_map(EnvironmentMap(radiance=random(8, 32, 3)))
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"albedo": 0.0}, "above 0"),
+        ({"albedo": 1.2}, "at most 1"),
+        ({"albedo": torch.full((6,), 0.5)}, "does not fit 6 faces"),
+        ({"response": torch.eye(5)}, "measure it on this design"),
+        ({"response": torch.ones(6, 6)}, "cannot be inverted"),
+        ({"response": torch.full((6, 6), torch.nan)}, "cannot be inverted"),
+    ],
+)
+def test_impossible_probes_are_refused(options: dict, reason: str) -> None:
+    cells = Cells.of(ProbeDesign.of("cube", named_design("6d").seeds))
+    with pytest.raises(InputError, match=reason):
+        PartitionProbe(cells, **options)
