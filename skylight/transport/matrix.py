@@ -4,11 +4,8 @@ Thesis, section 5.3.1: s = diag(rho) T l (Eq. 5.2) with T from Eq. 5.3.
 """
 
 import math
-import mmap
-import multiprocessing
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
-from multiprocessing.process import BaseProcess
 
 import numpy as np
 import torch
@@ -16,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from skylight.sphere.grid import DirectionGrid
+from skylight.transport.forked import in_processes, shared_array
 from skylight.transport.raycast import Raycaster
 
 BLOCK_DIRECTIONS = 64  # cast together; bounds the scratch memory
@@ -105,32 +103,15 @@ def diffuse_transport(
     points = SurfaceRays.leaving(positions, normals, geometric_normals, raycaster)
     directions = grid.directions.numpy().astype(np.float32)
     weight = (grid.solid_angles / math.pi).numpy().astype(np.float32)
-    matrix = _shared_array(len(positions), len(grid)) if workers > 1 else None
-    if matrix is None:
-        matrix = np.empty((len(positions), len(grid)), dtype=np.float32)
+    matrix = shared_array((len(positions), len(grid)), np.float32)
 
-    def fill(starts: range, report: Callable[[float], None] | None = None) -> None:
-        for count, start in enumerate(starts, 1):
-            block = slice(start, start + BLOCK_DIRECTIONS)
-            cosine = points.visible_cosines(directions[block])
-            matrix[:, block] = (cosine * weight[block, None]).T
-            if report is not None:
-                report(count / len(starts))
+    def fill(number: int) -> None:
+        block = slice(number * BLOCK_DIRECTIONS, (number + 1) * BLOCK_DIRECTIONS)
+        cosine = points.visible_cosines(directions[block])
+        matrix[:, block] = (cosine * weight[block, None]).T
 
-    def help_out(starts: range) -> None:
-        torch.set_num_threads(1)  # a fork has lost torch's threads and would wait for them
-        fill(starts)
-
-    # Interleaved shares take about equally long, so this process's progress stands for all.
-    shares = [
-        range(k * BLOCK_DIRECTIONS, len(grid), workers * BLOCK_DIRECTIONS) for k in range(workers)
-    ]
-    context = multiprocessing.get_context("fork") if workers > 1 else None
-    helpers = [context.Process(target=help_out, args=(s,)) for s in shares[1:]] if context else []
-    for helper in helpers:
-        helper.start()
-    fill(shares[0], progress)
-    _join(helpers)
+    blocks = -(-len(grid) // BLOCK_DIRECTIONS)
+    in_processes(fill, blocks, workers=workers, progress=progress)
     return TransportMatrix(matrix=torch.from_numpy(matrix), grid=grid)
 
 
@@ -172,16 +153,3 @@ class SurfaceRays:
             free = facing[~blocked.numpy()]
             row[free] = cosine[free]
         return out
-
-
-def _shared_array(rows: int, columns: int) -> Float[np.ndarray, "m n"]:
-    """Anonymous memory that forked processes write to as well; freed with the array."""
-    size = max(1, rows * columns * 4)
-    return np.frombuffer(mmap.mmap(-1, size), np.float32, rows * columns).reshape(rows, columns)
-
-
-def _join(helpers: Iterable[BaseProcess]) -> None:
-    for helper in helpers:
-        helper.join()
-        if helper.exitcode != 0:
-            raise RuntimeError(f"a ray casting process died with exit code {helper.exitcode}")

@@ -288,7 +288,7 @@ def _follow(
         if lit is not None:
             free, radiance = lit(vertices, uniform[:, 2:])
             total.index_add_(0, owner[free], throughput[free, None] * radiance)
-        directions, cosine = _about(vertices.normals, uniform[:, :2])
+        directions, cosine = cosine_directions(vertices.normals, uniform[:, :2])
         if bounce == sampling.bounces:  # whatever is hit gives no more light
             free = ~scene.raycaster.occluded(vertices.starts, directions)
         else:
@@ -312,7 +312,7 @@ def _follow(
         uniform = torch.rand(len(owner), 4, generator=generator)
 
 
-def _about(
+def cosine_directions(
     normals: Float[Tensor, "r 3"], uniform: Float[Tensor, "r 2"]
 ) -> tuple[Float[Tensor, "r 3"], Float[Tensor, " r"]]:
     """(directions of density cos / pi about the normals, their cosines).

@@ -1,0 +1,125 @@
+"""Transfer coefficients on disk: .npz, float16, with a key of all that they depend on."""
+
+import hashlib
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from skylight.errors import InputError
+from skylight.imaging.atomic import atomic_path
+from skylight.probes.partitions.cells import Cells
+from skylight.transport.forked import Progress
+from skylight.probes.partitions.receivers import Receivers
+from skylight.probes.partitions.scene import Scene
+from skylight.probes.partitions.transfer import (
+    TransferCoefficients,
+    TransferSampling,
+    transfer_coefficients,
+)
+
+_VERSION = 1  # one more whenever the numbers change that the same scene gives
+_DAMAGED = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
+
+
+def transfer_key(
+    scene: Scene,
+    cells: Cells,
+    receivers: Receivers | None = None,
+    *,
+    sampling: TransferSampling | None = None,
+) -> str:
+    """SHA-256 of the scene, the cells, the receivers and the sampling; equal keys, equal numbers.
+
+    A design's name and the names of files are no part of it.
+    """
+    digest = hashlib.sha256(f"{_VERSION} {sampling or TransferSampling()}".encode())
+    design = {"seeds": cells.design.seeds, "labels": cells.design.labels}
+    for part in (scene, receivers):
+        if part is None:
+            digest.update(b"none")
+            continue
+        # a frozen dataclass keeps what it has worked out beside its fields
+        fields = {name: getattr(part, name) for name in part.__dataclass_fields__}
+        _add(digest, fields)
+    _add(digest, design)
+    return digest.hexdigest()
+
+
+def _add(digest: "hashlib._Hash", tensors: Mapping[str, Tensor | None]) -> None:
+    for name, tensor in tensors.items():
+        if tensor is not None:
+            digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+            digest.update(np.ascontiguousarray(tensor.numpy()).tobytes())
+
+
+def save_transfer(path: str | Path, coefficients: TransferCoefficients, key: str) -> None:
+    """As float16: 6 n bytes for each receiver, to 0.05 % or 3e-8, whichever is more."""
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        np.savez(
+            stream,
+            version=np.array(_VERSION),
+            key=np.array(key),
+            values=coefficients.values.numpy().astype(np.float16),
+            orders=coefficients.orders.numpy().astype(np.float64),
+        )
+
+
+def load_transfer(path: str | Path, key: str | None = None) -> TransferCoefficients:
+    """What :func:`save_transfer` wrote.
+
+    Raises
+    ------
+    InputError
+        No such file, a damaged one, or one of another ``key``.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            version, found = int(content["version"]), str(content["key"])
+            values, orders = np.asarray(content["values"]), np.asarray(content["orders"])
+    except _DAMAGED as error:
+        raise InputError(f"{path}: cannot be read as transfer coefficients ({error})") from error
+    if version != _VERSION:
+        raise InputError(
+            f"{path}: transfer coefficients of version {version}, this program reads {_VERSION}; "
+            "make them again"
+        )
+    if key is not None and found != key:
+        raise InputError(
+            f"{path}: made for another scene, probe or sampling than these; make them again"
+        )
+    if values.dtype != np.float16 or values.ndim != 3 or values.shape[2] != 3:
+        raise InputError(f"{path}: the transfer coefficients have a wrong shape")
+    if orders.dtype != np.float64 or orders.ndim != 1:
+        raise InputError(f"{path}: the sums of the bounces have a wrong shape")
+    return TransferCoefficients(
+        values=torch.from_numpy(values.astype(np.float32)), orders=torch.from_numpy(orders)
+    )
+
+
+def kept_transfer(
+    path: str | Path,
+    scene: Scene,
+    cells: Cells,
+    receivers: Receivers | None = None,
+    *,
+    sampling: TransferSampling | None = None,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> TransferCoefficients:
+    """:func:`transfer_coefficients` from ``path`` if they stand there, else made and put there.
+
+    A file of something else is replaced.
+    """
+    key = transfer_key(scene, cells, receivers, sampling=sampling)
+    try:
+        return load_transfer(path, key)
+    except InputError:
+        made = transfer_coefficients(
+            scene, cells, receivers, sampling=sampling, workers=workers, progress=progress
+        )
+        save_transfer(path, made, key)
+        return load_transfer(path, key)  # the same numbers the first time and later
