@@ -1,0 +1,156 @@
+import pytest
+import torch
+import trimesh
+
+from skylight.errors import InputError
+from skylight.probes.encoder.basis import SurfaceTransfer
+from skylight.probes.encoder.encoder import ObjectEncoder
+from skylight.probes.encoder.points import choose_points
+from skylight.probes.partitions.cells import Cells
+from skylight.probes.partitions.designs import named_design
+from skylight.probes.partitions.probe import PartitionProbe
+from skylight.probes.partitions.relit import Relighting
+from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.grid import DirectionGrid
+from tests.probes.encoder.objects import GRID, lights, ring_and_ball, solid, transfer_of
+
+
+@pytest.fixture(scope="module")
+def points() -> SurfaceTransfer:
+    candidates = transfer_of(ring_and_ball(), 300)
+    return candidates.at(choose_points(candidates, 14))
+
+
+def test_the_dual_is_biorthogonal(points):
+    encoder = ObjectEncoder(points)
+    products = torch.einsum("ckd,cld,d->ckl", encoder.basis, encoder.dual, GRID.solid_angles)
+    torch.testing.assert_close(
+        products, torch.eye(14).double().expand(3, 14, 14), atol=1e-6, rtol=0
+    )
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_the_dual_solves_the_normal_equations(points, noise):
+    encoder = ObjectEncoder(points, noise=noise)
+    ridge = noise**2 * encoder.gram.diagonal(dim1=1, dim2=2).mean(1)
+    torch.testing.assert_close(encoder.ridge, ridge)
+    system = encoder.gram + ridge[:, None, None] * torch.eye(14)
+    torch.testing.assert_close(encoder.dual, torch.linalg.solve(system, encoder.basis))
+
+
+def test_decoded_light_explains_the_shading_and_is_the_least(points):
+    encoder = ObjectEncoder(points)
+    light = lights(3)
+    shading = encoder.encode(light)
+    decoded = encoder.decode(shading)
+    torch.testing.assert_close(encoder.encode(decoded), shading)
+    # what light differs by from the least is orthogonal to the least
+    rest = ((light - decoded) * decoded * GRID.solid_angles[:, None]).sum((1, 2))
+    power = (decoded.square() * GRID.solid_angles[:, None]).sum((1, 2))
+    assert float((rest / power).abs().max()) < 1e-10
+    # and lights of the span come back
+    torch.testing.assert_close(encoder.decode(encoder.encode(decoded)), decoded)
+
+
+def test_points_light_other_bodies_by_one_product(points):
+    body = transfer_of(solid(trimesh.creation.icosphere(2)), 50, seed=1)
+    encoder = ObjectEncoder(points, noise=0.01)
+    shading = encoder.encode(lights(2))
+    relit = Relighting(encoder.transfer(body))(shading)
+    expected = body.shading(encoder.decode(shading))
+    torch.testing.assert_close(relit.double(), expected, atol=1e-5, rtol=1e-5)
+
+
+def test_points_of_the_basis_relight_themselves(points):
+    transfer = ObjectEncoder(points).transfer(points)
+    one = torch.eye(14)[..., None].expand(-1, -1, 3)
+    torch.testing.assert_close(transfer.values, one, atol=1e-5, rtol=0)
+    white = points.shading(torch.ones(1, len(GRID), 3)).mean()
+    assert float(transfer.orders.sum()) == pytest.approx(float(white), rel=1e-5)
+
+
+def test_a_partition_probe_is_the_special_case_of_a_diagonal_gram():
+    probe = PartitionProbe(Cells.of(named_design("14d")), 0.7)
+    grid = DirectionGrid.latlong(32)
+    encoder = ObjectEncoder(SurfaceTransfer(functions=probe.basis(grid), grid=grid))
+    off = encoder.gram - torch.diag_embed(encoder.gram.diagonal(dim1=1, dim2=2))
+    assert float(off.abs().max()) < 1e-12
+    torch.testing.assert_close(encoder.dual.permute(1, 2, 0), probe.dual_basis(grid))
+    light = torch.rand(2, len(grid), 3, dtype=torch.float64)
+    torch.testing.assert_close(encoder.encode(light), probe.encode(light, grid))
+
+
+def test_noise_gain_is_the_error_that_noise_puts_into_light(points):
+    encoder = ObjectEncoder(points)
+    generator = torch.Generator().manual_seed(0)
+    noise = torch.randn(4000, 14, 3, generator=generator, dtype=torch.float64)
+    error = encoder.decode(noise).square() * GRID.solid_angles[:, None]
+    strength = encoder.gram.diagonal(dim1=1, dim2=2).mean(1)  # per colour
+    measured = (error.sum(1).mean(0) / 14 * strength).sqrt().max()
+    assert encoder.noise_gain == pytest.approx(float(measured), rel=0.02)
+    assert encoder.noise_gain > 1
+    assert encoder.condition == pytest.approx(
+        float(torch.linalg.cond(encoder.gram).sqrt().max()), rel=1e-6
+    )
+
+
+def test_orthogonal_functions_of_one_norm_gain_nothing():
+    functions = torch.zeros(8, len(GRID), 3, dtype=torch.float64)
+    for i in range(8):
+        mine = slice(32 * i, 32 * (i + 1))  # a row of the grid
+        functions[i, mine] = 1 / GRID.solid_angles[mine, None].sum().sqrt()
+    encoder = ObjectEncoder(SurfaceTransfer(functions=functions, grid=GRID))
+    assert encoder.noise_gain == pytest.approx(1)
+    assert encoder.condition == pytest.approx(1)
+
+
+@pytest.mark.parametrize("wrong", [0.2, 5.0])
+def test_the_ridge_of_the_noise_recovers_white_light_best(points, wrong):
+    noise = 0.1
+    generator = torch.Generator().manual_seed(2)
+    # white noise on the sphere: variance 1 / dw
+    light = torch.randn(500, len(GRID), 3, generator=generator, dtype=torch.float64)
+    light /= GRID.solid_angles.sqrt()[:, None]
+    shading = points.shading(light)
+    level = noise * shading.square().mean((0, 1)).sqrt()
+    noisy = shading + level * torch.randn(shading.shape, generator=generator, dtype=torch.float64)
+
+    def error(assumed: float) -> float:
+        decoded = ObjectEncoder(points, noise=assumed).decode(noisy)
+        return float(((decoded - light).square() * GRID.solid_angles[:, None]).sum())
+
+    assert error(noise) < error(wrong * noise)
+
+
+def test_maps_are_averaged_to_the_grid(points):
+    encoder = ObjectEncoder(points)
+    fine = EnvironmentMap(radiance=torch.rand(32, 64, 3))
+    torch.testing.assert_close(
+        encoder.encode_map(fine), encoder.encode(fine.resize(16).flat[None])[0]
+    )
+    with pytest.raises(InputError, match="whole sphere"):
+        encoder.encode_map(EnvironmentMap(radiance=torch.rand(8, 32, 3)))
+
+
+def test_light_has_a_gradient(points):
+    light = lights(1).requires_grad_()
+    encoder = ObjectEncoder(points)
+    encoder.decode(encoder.encode(light)).sum().backward()
+    assert light.grad is not None
+    assert bool(light.grad.abs().sum() > 0)
+
+
+def test_refusals(points):
+    twice = points.at(torch.tensor([0, 1, 1]))
+    with pytest.raises(InputError, match="same as others"):
+        ObjectEncoder(twice)
+    assert ObjectEncoder(twice, noise=0.01).noise_gain < 5
+    with pytest.raises(InputError, match="0 or more"):
+        ObjectEncoder(points, noise=-0.1)
+    dark = SurfaceTransfer(functions=torch.zeros(2, len(GRID), 3), grid=GRID)
+    with pytest.raises(InputError, match="no light"):
+        ObjectEncoder(dark, noise=0.1)
+    other = DirectionGrid.latlong(8)
+    coarse = SurfaceTransfer(functions=torch.ones(2, len(other), 3), grid=other)
+    with pytest.raises(InputError, match="one and the same grid"):
+        ObjectEncoder(points).transfer(coarse)
