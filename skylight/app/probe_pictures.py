@@ -9,6 +9,7 @@ from jaxtyping import Float, UInt8
 from manifold3d import Manifold
 
 from skylight.app.report import ACCENT, MUTED, STYLE, save, show, write_numbers
+from skylight.probes.printing.mount import MarkerBoard
 from skylight.probes.printing.part import PrintedPart, box, part_of
 from skylight.probes.printing.picture import shaded_picture
 
@@ -73,7 +74,7 @@ def standing(result: "PrintedProbe", panel_px: int) -> UInt8[np.ndarray, "h w 3"
     """The probe assembled on its pole and marker base."""
     mount = result.mount
     parts = [mount.on_base(part) for part in (*result.printed.parts, mount.foot)]
-    paper = _paper(result)
+    paper = paper_parts(result.board, result.mount.paper_hole_mm)
     colours = [*_voxel_colours(result), _FOOT, _BASE, _POLE, _PAPER, *[_INK] * (len(paper) - 1)]
     return shaded_picture(
         [*parts, mount.base, _rod(result), *paper],
@@ -132,11 +133,10 @@ def _rod(result: "PrintedProbe") -> PrintedPart:
     return part_of("pole", rod.translate((board.width_mm / 2, board.height_mm / 2, low)))
 
 
-def _paper(result: "PrintedProbe") -> list[PrintedPart]:
+def paper_parts(board: MarkerBoard, hole_mm: float) -> list[PrintedPart]:
     """The paper and its dark squares, pierced by the base's socket; a picture, not the pattern."""
-    board = result.board
     side = max(board.width_mm, board.height_mm) / _PATTERN
-    hole = result.mount.paper_hole_mm / 2
+    hole = hole_mm / 2
     centre = (board.width_mm / 2, board.height_mm / 2, -1.0)
     cut = Manifold.cylinder(3.0, hole, hole, 48).translate(centre)
     margin = board.margin_mm

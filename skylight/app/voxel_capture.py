@@ -1,6 +1,6 @@
 """The shading of a printed voxel probe from photographs or a film, files to files."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -8,14 +8,19 @@ import numpy as np
 import torch
 
 from skylight import __version__
+from skylight.app.board_pictures import (
+    MOVED,
+    BoardPictures,
+    Setup,
+    Tell,
+    require_capture,
+    tell_doubts,
+)
 from skylight.app.results import results_folder
 from skylight.errors import InputError
 from skylight.imaging.files import write_json, write_png
-from skylight.probes.capture.board import Board, load_board
 from skylight.probes.capture.frames import FRAMES_MOST, Frame, read_frames
-from skylight.probes.capture.intrinsics import Intrinsics, load_intrinsics
-from skylight.probes.capture.pose import BoardPose, Pose, board_pose
-from skylight.probes.capture.response import Response, load_response
+from skylight.probes.capture.pose import Pose
 from skylight.probes.voxel.alignment import Aligner, Alignment
 from skylight.probes.voxel.capture import LightmapCapture
 from skylight.probes.voxel.faces import OCCLUDERS, ORIENTATIONS
@@ -26,18 +31,6 @@ from skylight.probes.voxel.placement import (
     load_standing_probe,
 )
 from skylight.probes.voxel.reconstruct import first_slot, ranks
-
-Tell = Callable[[str], None]
-MOVED = 0.1  # of a face's shading: more is another light, or another pose than was thought
-
-
-@dataclass(frozen=True, kw_only=True)
-class Setup:
-    """The camera, its response, and the board that it looks for."""
-
-    intrinsics: Intrinsics
-    response: Response
-    board: Board
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,15 +45,6 @@ class CaptureResult:
     alignment: Alignment | None
     aligned: bool
     doubts: list[str]
-
-
-def read_setup(camera: Path, board: Path, response: Path | None) -> Setup:
-    """The files of `skylight camera`; without a response, pictures are sRGB."""
-    return Setup(
-        intrinsics=load_intrinsics(camera),
-        response=Response() if response is None else load_response(response),
-        board=load_board(board),
-    )
 
 
 def capture_voxel_probe(
@@ -84,15 +68,8 @@ def capture_voxel_probe(
     InputError
         No picture shows the board and the probe, or a file cannot be used; nothing is written.
     """
-    if most < 1:
-        raise InputError(f"at least 1 frame is needed, got {most}")
     before = out / "lightmap.npz"
-    if more != before.exists():
-        raise InputError(
-            f"{out} has no capture to go on with: leave --more out"
-            if more
-            else f"{out} has a capture: add --more to go on with it, or choose another folder"
-        )
+    require_capture(before, more=more, most=most)
     standing = load_standing_probe(assembly)
     standing.require_board(setup.board.size_mm)
     start = load_lightmap(before) if more else None
@@ -102,10 +79,7 @@ def capture_voxel_probe(
         write_png(folder / "lightmap.png", found.lightmap.png())
         write_json(folder / "assembly.json", describe_standing_probe(found.standing))
         write_json(folder / "capture.json", describe_capture(found))
-    for name, reason in found.left_out:
-        warn(f"left out {name}: {reason}")
-    for doubt in found.doubts:
-        warn(doubt)
+    tell_doubts(found.left_out, found.doubts, warn)
     slots = int(found.lightmap.known.sum())
     tell(f"{out}: {slots} of 192 slots from {len(found.used)} pictures")
     if found.alignment is not None and found.aligned:
@@ -125,15 +99,12 @@ def capture_frames(
     in memory for that.
     """
     seen: list[tuple[Frame, Pose]] = []
-    left_out = []
+    pictures = BoardPictures(frames, setup)
     aligner = Aligner(standing.placed(), setup.intrinsics)
-    for frame in frames:
-        found = board_pose(frame.image, setup.board, setup.intrinsics)
-        if found is None or found.is_ambiguous:
-            left_out.append((frame.name, why_unusable(found)))
-            continue
-        aligner.add(frame.image, found.pose)
-        seen.append((frame, found.pose))
+    for frame, pose in pictures:
+        aligner.add(frame.image, pose)
+        seen.append((frame, pose))
+    pictures.require_some()
     alignment = aligner.alignment()
     aligned = alignment is not None and alignment.trusted(standing.placement.voxel_mm)
     if alignment is not None and aligned:
@@ -142,28 +113,21 @@ def capture_frames(
     capture = LightmapCapture(standing.placed(), start)
     for frame, pose in seen:
         capture.add_photo(frame.image, setup.response, pose, setup.intrinsics)
-    used = [frame.name for frame, _ in seen]
-    if not used:
-        reasons = "; ".join(sorted({reason for _, reason in left_out}))
-        raise InputError(
-            f"none of {len(left_out)} pictures can be used ({reasons}): the whole probe and most "
-            "of the board must be in view, sharp, and of the board that was named"
-        )
     lightmap = capture.lightmap()
     if not bool(lightmap.known.any()):
         burnt = int(capture.rejected.sum())
         raise InputError(
             f"all {burnt} faces in view are over-exposed: expose shorter"
             if burnt
-            else f"no face of the probe is whole in any of {len(used)} pictures: step back, and "
+            else f"no face of the probe is whole in any of {len(seen)} pictures: step back, and "
             "check that the assembly is that of the probe"
         )
     disagreement = float(np.median(capture.disagreements)) if capture.disagreements else None
     return CaptureResult(
         lightmap=lightmap,
         standing=standing,
-        used=used,
-        left_out=left_out,
+        used=pictures.used,
+        left_out=pictures.left_out,
         disagreement=disagreement,
         alignment=alignment,
         aligned=aligned,
@@ -200,13 +164,6 @@ def describe_alignment(alignment: Alignment) -> dict[str, object]:
         "shift_spread_mm": alignment.shift_spread_mm,
         "pictures": alignment.pictures,
     }
-
-
-def why_unusable(found: BoardPose | None) -> str:
-    """Of a picture in which the board was not found, or ambiguously."""
-    if found is None:
-        return "no marker board in view"
-    return "the board is too small or too flat in view to tell its tilt"
 
 
 def _doubts(

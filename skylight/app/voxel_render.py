@@ -12,18 +12,18 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from skylight.app.voxel_capture import Setup, why_unusable
+from skylight.app.board_pictures import Setup, why_unusable
 from skylight.errors import InputError
 from skylight.imaging.files import write_png
+from skylight.probes.capture.drawing import composite, lens_rays
 from skylight.probes.capture.frames import read_picture
 from skylight.probes.capture.pose import board_pose
-from skylight.probes.voxel.composite import composite
 from skylight.probes.voxel.export import write_glb
 from skylight.probes.voxel.global_illumination import GlobalReconstruction
 from skylight.probes.voxel.lightmap import Lightmap, load_lightmap
 from skylight.probes.voxel.model import VoxelModel, read_voxels
 from skylight.probes.voxel.reconstruct import DirectReconstruction, SlotReconstruction
-from skylight.probes.voxel.render import VoxelRenderer, lens_rays
+from skylight.probes.voxel.render import VoxelRenderer
 
 Tell = Callable[[str], None]
 Reconstruction = Literal["direct", "global"]

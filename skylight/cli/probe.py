@@ -6,6 +6,7 @@ from typing import Literal
 import tyro
 from tyro.conf import Positional
 
+from skylight.cli.partitions import partitions
 from skylight.cli.sources import one_source, take_care
 from skylight.errors import InputError
 
@@ -169,7 +170,8 @@ def capture_voxel(
         frames: Most frames to use of a video or webcam.
         more: Go on with the capture that is in OUT, in the same light and exposure.
     """
-    from skylight.app.voxel_capture import capture_voxel_probe, read_setup
+    from skylight.app.board_pictures import read_setup
+    from skylight.app.voxel_capture import capture_voxel_probe
 
     capture_voxel_probe(
         one_source(photos, video, webcam),
@@ -216,7 +218,7 @@ def render_voxel(
             pattern's upper left corner.
         voxel_mm: Side of a voxel, in a .glb too.
     """
-    from skylight.app.voxel_capture import read_setup
+    from skylight.app.board_pictures import read_setup
     from skylight.app.voxel_render import Stand, render_voxels
 
     render_voxels(
@@ -273,7 +275,7 @@ def live_voxel(
         voxel_mm: Side of a voxel.
         frames: Stop after so many.
     """
-    from skylight.app.voxel_capture import read_setup
+    from skylight.app.board_pictures import read_setup
     from skylight.app.voxel_live import live_film
     from skylight.app.voxel_render import Stand, turned
     from skylight.probes.voxel.model import read_voxels
@@ -295,3 +297,4 @@ def live_voxel(
 
 
 probe.command(voxel, name="voxel", help="Voxel shading probes.")
+probe.command(partitions, name="partitions", help="Shading probes that part the sphere.")

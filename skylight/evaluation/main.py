@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemaining
 
 from skylight.errors import InputError, OutputError
 from skylight.evaluation.curves import write_curves
+from skylight.evaluation.partition_probe import PartitionProbeTable
 from skylight.evaluation.pictures import write_sheet
 from skylight.evaluation.real_faces import RealFaces
 from skylight.evaluation.run import Evaluation, measure_all
@@ -85,6 +86,16 @@ def _voxel_probe(quick: bool, data: Path | None) -> Evaluation:
     return VoxelProbe(data=data)
 
 
+def _partition_probe(quick: bool, data: Path | None) -> Evaluation:
+    if data is None:
+        raise InputError("partition-probe needs --data DIR: a folder with hdr and meshes")
+    if quick:  # one map each, noisy references, and probes of few cells
+        return PartitionProbeTable(
+            data=data, indoor=1, sunny=1, samples=64, rays=64, even=(6, 14), width=96
+        )
+    return PartitionProbeTable(data=data)
+
+
 EVALUATIONS: dict[str, Callable[[bool, Path | None], Evaluation]] = {
     "synthetic-faces": _synthetic_faces,
     "sky-models": _sky_models,
@@ -94,6 +105,7 @@ EVALUATIONS: dict[str, Callable[[bool, Path | None], Evaluation]] = {
     "sparse-inverse": _sparse_inverse,
     "transport-compression": _transport_compression,
     "voxel-probe": _voxel_probe,
+    "partition-probe": _partition_probe,
 }
 
 

@@ -8,10 +8,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from skylight.probes.capture.drawing import camera_rays, looking_at
 from skylight.probes.voxel.faces import NORMALS, VoxelFaces, exposed_faces
 from skylight.probes.voxel.lightmap import SIZE, Lightmap
 from skylight.probes.voxel.model import VoxelModel, star_probe, voxelise
-from skylight.probes.voxel.render import VoxelRenderer, camera_rays, looking_at
+from skylight.probes.voxel.render import VoxelRenderer
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.transport.camera import Camera
 from skylight.transport.path_tracer import DiffuseScene, Sampling, shade

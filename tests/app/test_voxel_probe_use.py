@@ -18,15 +18,15 @@ from skylight.cli import main
 from skylight.errors import InputError
 from skylight.imaging.files import write_json
 from skylight.probes.capture.board import Board, save_board
+from skylight.probes.capture.drawing import composite, lens_rays, looking_at
 from skylight.probes.capture.intrinsics import FLIP, Intrinsics, save_intrinsics
 from skylight.probes.capture.pose import OPENCV_FROM_BOARD, Pose
 from skylight.probes.capture.response import Response
-from skylight.probes.voxel.composite import composite
 from skylight.probes.voxel.faces import exposed_faces, visibility_vectors
 from skylight.probes.voxel.lightmap import Lightmap, load_lightmap
 from skylight.probes.voxel.model import star_probe, write_voxels
 from skylight.probes.voxel.placement import Placement, StandingProbe, describe_standing_probe
-from skylight.probes.voxel.render import VoxelRenderer, lens_rays, looking_at
+from skylight.probes.voxel.render import VoxelRenderer
 from tests.probes.capture.scenes import picture_of_board
 
 BOARD = Board(columns=7, rows=5, square_mm=30.0, marker_mm=22.0)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from skylight.probes.capture.drawing import camera_rays, looking_at
 from skylight.probes.voxel.faces import exposed_faces
 from skylight.probes.voxel.model import star_probe
-from skylight.probes.voxel.render import camera_rays, looking_at
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.transport.camera import Camera
 from skylight.transport.raycast import Raycaster

@@ -87,7 +87,7 @@ def check_print(
     )
 
 
-def part_figures(part: PrintedPart) -> PartFigures:
+def part_figures(part: PrintedPart, *, opposed_cos: float = 0.0) -> PartFigures:
     """Whether a part is one closed, rightly turned surface, its thinnest wall and overhang."""
     from trimesh import Trimesh  # slow to import
 
@@ -99,17 +99,20 @@ def part_figures(part: PrintedPart) -> PartFigures:
         consistent=bool(mesh.is_winding_consistent),
         pieces=int(mesh.body_count),
         volume_mm3=part.volume_mm3,
-        thinnest_mm=thinnest_wall_mm(part),
+        thinnest_mm=thinnest_wall_mm(part, opposed_cos=opposed_cos),
         overhang_mm2=area,
         bridge_mm=bridge,
     )
 
 
-def thinnest_wall_mm(part: PrintedPart) -> float:
+def thinnest_wall_mm(part: PrintedPart, *, opposed_cos: float = 0.0) -> float:
     """The shortest way through material, straight inward from samples all over the surface.
 
     Samples are at most 0.8 mm apart, and near every corner of every triangle. A surface from
     which the ray never comes out (a hole, or turned inside out) has thickness 0.
+
+    With ``opposed_cos``, only surfaces count that face away from each other by that cosine or
+    more: where two sides run together in an edge, however sharp, they make no wall.
     """
     points, normals = surface_samples(part)
     caster = _caster([part])
@@ -117,8 +120,12 @@ def thinnest_wall_mm(part: PrintedPart) -> float:
     hits = caster.intersect(torch.from_numpy(points - _START_MM * normals), inward)
     faces = part.corners[hits.face.clamp(min=0).numpy()]
     exit_normal = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
-    leaves = (exit_normal * -normals).sum(1) > 0
-    thickness = np.where(leaves & (hits.face >= 0).numpy(), hits.distance.numpy(), -_START_MM)
+    opposed = (exit_normal * -normals).sum(1)
+    opposed /= np.maximum(np.linalg.norm(exit_normal, axis=1), 1e-300)
+    leaves = (opposed > opposed_cos) & (hits.face >= 0).numpy()
+    thickness = np.where(leaves, hits.distance.numpy(), -_START_MM)
+    if opposed_cos > 0 and leaves.any():
+        thickness = thickness[leaves]
     return float(thickness.min() + _START_MM)
 
 
@@ -255,22 +262,33 @@ def _blocked(
     blocked = []
     for joint in joints:
         moving, outward = solids[joint.plugged], np.array(joint.outward, float)
-        there = [s for s in solids[: joint.plugged] if s is not None]
-        if moving is None or not there:
-            continue
-        boxes = np.array([s.bounding_box() for s in there]).reshape(-1, 2, 3)
-        own = np.array(moving.bounding_box()).reshape(2, 3)
-        away = float(np.abs(outward) @ (np.ptp(own, axis=0) + np.ptp(boxes, axis=(0, 1))))
-        for distance in np.arange(step, away + step, step).tolist():
-            low, high = own + distance * outward
-            close = ((low < boxes[:, 1] - 1e-6) & (boxes[:, 0] + 1e-6 < high)).all(1)
-            if not close.any():
-                continue
-            moved = moving.translate(tuple(distance * outward))
-            if any(_shared(there[i], moved) > _OVERLAP_MM3 for i in np.flatnonzero(close)):
-                blocked.append(parts[joint.plugged].name)
-                break
+        if meets_on_its_way(solids[: joint.plugged], moving, outward, step):
+            blocked.append(parts[joint.plugged].name)
     return tuple(blocked)
+
+
+def meets_on_its_way(
+    fixed: Sequence[Manifold | None],
+    moving: Manifold | None,
+    outward: Float[np.ndarray, " 3"],
+    step_mm: float,
+) -> bool:
+    """Whether a solid that comes in from ``outward`` meets another, tried at every step."""
+    there = [s for s in fixed if s is not None]
+    if moving is None or not there:
+        return False
+    boxes = np.array([s.bounding_box() for s in there]).reshape(-1, 2, 3)
+    own = np.array(moving.bounding_box()).reshape(2, 3)
+    away = float(np.abs(outward) @ (np.ptp(own, axis=0) + np.ptp(boxes, axis=(0, 1))))
+    for distance in np.arange(step_mm, away + step_mm, step_mm).tolist():
+        low, high = own + distance * outward
+        close = ((low < boxes[:, 1] - 1e-6) & (boxes[:, 0] + 1e-6 < high)).all(1)
+        if not close.any():
+            continue
+        moved = moving.translate(tuple(distance * outward))
+        if any(_shared(there[i], moved) > _OVERLAP_MM3 for i in np.flatnonzero(close)):
+            return True
+    return False
 
 
 def _outside_mm3(solids: Sequence[Manifold | None], outer: OuterShape) -> float:

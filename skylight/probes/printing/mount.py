@@ -84,9 +84,9 @@ def make_mount(
             f"its socket takes one of {2 * (room - sizes.wall_mm - sizes.clearance_mm):.1f} mm at "
             "most"
         )
-    boss = _boss_mm(pole, board)
+    boss = boss_mm(pole, board)
     foot_stop = sizes.face_mm / 2  # above the face's plane
-    base_stop = board.paper_mm + sizes.wall_mm  # below the board's plane
+    base_stop = base_stop_mm(board, sizes.wall_mm)
     face_above_board = pole.length_mm - base_stop - foot_stop
     if face_above_board - sizes.wall_mm < boss:
         least = boss + sizes.wall_mm + base_stop + foot_stop
@@ -100,10 +100,10 @@ def make_mount(
     translation = np.array([*centre, -face_above_board]) - BOARD_FROM_PROBE @ floor
     return Mount(
         foot=_foot(face, collar, sizes, radius),
-        base=_base(board, sizes, radius, boss),
+        base=marker_base(pole, board, wall_mm=sizes.wall_mm, clearance_mm=sizes.clearance_mm),
         rotation=BOARD_FROM_PROBE.copy(),
         translation_mm=translation,
-        paper_hole_mm=2 * (radius + sizes.wall_mm + sizes.clearance_mm),
+        paper_hole_mm=paper_hole_mm(pole, wall_mm=sizes.wall_mm, clearance_mm=sizes.clearance_mm),
     )
 
 
@@ -128,11 +128,24 @@ def _foot(face: np.ndarray, collar: np.ndarray, sizes: PrintSizes, radius: float
     return part_of("foot", (flange - notch) + tube + socket - bore, (0, 1, 0))
 
 
-def _base(board: MarkerBoard, sizes: PrintSizes, radius: float, boss: float) -> PrintedPart:
+def base_stop_mm(board: MarkerBoard, wall_mm: float) -> float:
+    """How far below the board's plane the pole ends."""
+    return board.paper_mm + wall_mm
+
+
+def paper_hole_mm(pole: Pole, *, wall_mm: float, clearance_mm: float) -> float:
+    """Diameter of the hole that the base's socket needs in the paper."""
+    return pole.diameter_mm + 2 * (wall_mm + 2 * clearance_mm)
+
+
+def marker_base(
+    pole: Pole, board: MarkerBoard, *, wall_mm: float, clearance_mm: float
+) -> PrintedPart:
     """A plate with the paper's recess; its floor is two walls thick, one below the pole."""
-    wall, paper = sizes.wall_mm, board.paper_mm
+    wall, paper, boss = wall_mm, board.paper_mm, boss_mm(pole, board)
+    radius = pole.diameter_mm / 2 + clearance_mm
     size = np.array([board.width_mm, board.height_mm])
-    recess = board.margin_mm + sizes.clearance_mm
+    recess = board.margin_mm + clearance_mm
     rim = recess + max(3.0, 2 * wall)
     plate = box(np.array([-rim, -rim, 0]), np.array([*(size + rim), paper + 2 * wall]))
     pocket = box(np.array([-recess, -recess, -wall]), np.array([*(size + recess), paper]))
@@ -152,7 +165,7 @@ def _base(board: MarkerBoard, sizes: PrintSizes, radius: float, boss: float) -> 
     return part_of("marker_base", solid - cylinder(radius, -boss - wall, paper + wall), (0, 0, -1))
 
 
-def _boss_mm(pole: Pole, board: MarkerBoard) -> float:
+def boss_mm(pole: Pole, board: MarkerBoard) -> float:
     """Height of the base's socket above the board: two poles, which keeps it upright."""
     boss = 2 * pole.diameter_mm
     if boss > min(board.width_mm, board.height_mm) / 2:

@@ -76,7 +76,7 @@ class PrintReport:
         """One line for each verdict that fails."""
         found = []
         for part in self.parts:
-            found += _part_problems(part, self.sizes)
+            found += part_problems(part, self.sizes.wall_mm)
         low = self.sizes.clearance_mm - PLAY_TOLERANCE_MM
         high = 2 * self.sizes.clearance_mm + PLAY_TOLERANCE_MM
         for joint in self.joints:
@@ -112,7 +112,8 @@ class PrintReport:
         }
 
 
-def _part_problems(part: PartFigures, sizes: PrintSizes) -> list[str]:
+def part_problems(part: PartFigures, wall_mm: float) -> list[str]:
+    """One line for each verdict on a single part that fails."""
     found = []
     if not part.watertight:
         found.append("has a hole")
@@ -122,6 +123,6 @@ def _part_problems(part: PartFigures, sizes: PrintSizes) -> list[str]:
         found.append(f"is in {part.pieces} pieces")
     if part.volume_mm3 <= 0:
         found.append("is inside out")
-    if part.thinnest_mm < sizes.wall_mm - WALL_TOLERANCE_MM:
+    if part.thinnest_mm < wall_mm - WALL_TOLERANCE_MM:
         found.append(f"has a wall of {part.thinnest_mm:.3f} mm")
     return [f"{part.name}: {problem}" for problem in found]

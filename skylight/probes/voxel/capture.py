@@ -7,9 +7,10 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
 
-from skylight.probes.capture.intrinsics import FLIP, Intrinsics
+from skylight.probes.capture.intrinsics import Intrinsics
 from skylight.probes.capture.pose import Pose
 from skylight.probes.capture.response import Response, saturated
+from skylight.probes.capture.view import in_frame, part_around
 from skylight.probes.voxel.faces import CONFIGURATIONS, ORIENTATIONS, places_on
 from skylight.probes.voxel.lightmap import SIZE, Lightmap
 from skylight.probes.voxel.placement import PlacedProbe
@@ -48,14 +49,7 @@ def visible_faces(
     middles = probe.corners.mean(1)
     towards = eye - middles
     cosine = (towards * probe.normals).sum(1) / np.linalg.norm(towards, axis=1)
-    flat = probe.corners.reshape(-1, 3)
-    in_camera = (pose.to_camera(flat) @ FLIP).reshape(-1, 4, 3)
-    pixels = pose.project(flat, intrinsics).reshape(-1, 4, 2)
-    size = np.array([intrinsics.width, intrinsics.height])
-    inside = ((pixels >= 0) & (pixels <= size - 1)).all((1, 2)) & (in_camera[..., 2] > 0).all(1)
-    # distortion folds what is far outside back into the frame; a pinhole does not
-    ideal = in_camera[..., :2] / in_camera[..., 2:] * (intrinsics.fx, intrinsics.fy)
-    inside &= (np.abs(ideal) < size).all((1, 2))
+    pixels, inside = in_frame(probe.corners, pose, intrinsics)
     candidates = np.flatnonzero((cosine > _GRAZING) & inside)
     a, b, c, d = pixels.transpose(1, 0, 2)
     areas = 0.5 * np.abs(_cross(c - a, d - b))
@@ -171,12 +165,10 @@ class LightmapCapture:
         shown, pixels, areas = visible_faces(self.probe, pose, intrinsics)
         if not shown:
             return 0
-        left, top = np.floor(pixels[shown].min((0, 1))).astype(int).tolist()
-        right, bottom = np.ceil(pixels[shown].max((0, 1))).astype(int).tolist()
-        codes = np.ascontiguousarray(image[top : bottom + 2, left : right + 2])
+        codes, corner = part_around(image, pixels[shown])
         linear = response.linearise(codes).numpy()
         views = _sampled(
-            linear, saturated(codes), (left, top), self.probe, pose, intrinsics, shown, areas,
+            linear, saturated(codes), corner, self.probe, pose, intrinsics, shown, areas,
             self.size,
         )  # fmt: skip
         return self._keep(views)

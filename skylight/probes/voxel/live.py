@@ -1,8 +1,6 @@
 """Frame by frame: track the board, capture the probe, complete the lightmap, draw a model."""
 
-import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -10,28 +8,19 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from skylight.probes.capture.board import Board
+from skylight.probes.capture.drawing import composite, lens_rays
 from skylight.probes.capture.intrinsics import Intrinsics
+from skylight.probes.capture.live import Clock, LiveFrame
 from skylight.probes.capture.pose import board_pose
 from skylight.probes.capture.response import Response
 from skylight.probes.voxel.capture import LightmapCapture
-from skylight.probes.voxel.composite import composite
 from skylight.probes.voxel.lightmap import Lightmap
 from skylight.probes.voxel.model import VoxelModel
 from skylight.probes.voxel.placement import PlacedProbe
 from skylight.probes.voxel.reconstruct import SlotReconstruction
-from skylight.probes.voxel.render import VoxelRenderer, lens_rays
+from skylight.probes.voxel.render import VoxelRenderer
 
 STAGES = ("track", "capture", "reconstruct", "draw")
-
-
-@dataclass(frozen=True, kw_only=True)
-class LiveFrame:
-    """``seconds`` for each of :data:`STAGES` that was reached; ``slots`` known so far."""
-
-    picture: UInt8[np.ndarray, "h w 3"]
-    tracked: bool
-    slots: int
-    seconds: dict[str, float]
 
 
 class LiveView:
@@ -62,7 +51,7 @@ class LiveView:
 
     def show(self, image: UInt8[np.ndarray, "h w 3"]) -> LiveFrame:
         """The frame with the model in it, as soon as every side of the probe was seen."""
-        clock = _Clock()
+        clock = Clock()
         found = board_pose(image, self._board, self._intrinsics)
         clock.mark("track")
         if found is None or found.is_ambiguous:  # a mirrored pose would spoil what is captured
@@ -98,17 +87,6 @@ class LiveView:
             self._weights = self._make(lightmap)
         self._completed = self._weights.complete(lightmap)
 
-    def _frame(self, picture: np.ndarray, tracked: bool, clock: "_Clock") -> LiveFrame:
-        slots = int(self._capture.lightmap().known.sum())
-        return LiveFrame(picture=picture, tracked=tracked, slots=slots, seconds=clock.seconds)
-
-
-class _Clock:
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._last = time.perf_counter()
-
-    def mark(self, stage: str) -> None:
-        now = time.perf_counter()
-        self.seconds[stage] = now - self._last
-        self._last = now
+    def _frame(self, picture: np.ndarray, tracked: bool, clock: Clock) -> LiveFrame:
+        known = int(self._capture.lightmap().known.sum())
+        return LiveFrame(picture=picture, tracked=tracked, known=known, seconds=clock.seconds)

@@ -10,6 +10,14 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.probes.capture.json_files import read_object, require_keys
+from skylight.probes.capture.standing import (
+    Pole,
+    cylinder_mesh,
+    read_stand,
+    require_board,
+    require_rigid,
+    unhidden,
+)
 from skylight.probes.voxel.faces import NORMALS, VoxelFaces, exposed_faces
 from skylight.probes.voxel.model import VoxelModel
 from skylight.transport.raycast import Raycaster
@@ -27,12 +35,9 @@ class Placement:
     translation_mm: Float[np.ndarray, "3"]
 
     def __post_init__(self) -> None:
-        off = np.abs(self.rotation @ self.rotation.T - np.eye(3)).max()
-        if not (off < 1e-6 and np.linalg.det(self.rotation) > 0):
-            raise InputError("a placement's rotation must be orthonormal and no mirror")
-        finite = np.isfinite(self.translation_mm).all() and np.isfinite(self.voxel_mm)
-        if not (finite and self.voxel_mm > 0):
-            raise InputError("a placement needs voxels above 0 mm and a finite translation")
+        require_rigid(self.rotation, self.translation_mm)
+        if not (np.isfinite(self.voxel_mm) and self.voxel_mm > 0):
+            raise InputError("a placement needs voxels above 0 mm")
 
     @property
     def matrix(self) -> Float[Tensor, "4 4"]:
@@ -75,12 +80,7 @@ class PlacedProbe:
         self, eye: Float[np.ndarray, "3"], points: Float[np.ndarray, "*n 3"]
     ) -> Float[Tensor, "*n"]:
         """1 where nothing is between a point of a face and the eye, 0 elsewhere."""
-        flat = torch.from_numpy(points.reshape(-1, 3))
-        towards = torch.from_numpy(eye) - flat
-        # past the surface the point lies on; the eye is outside of everything
-        start = flat + self._caster.epsilon * towards / towards.norm(dim=1, keepdim=True)
-        free = ~self._caster.occluded(start, towards)
-        return free.double().reshape(points.shape[:-1])
+        return unhidden(self._caster, eye, points)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,21 +93,18 @@ class StandingProbe:
 
     model: VoxelModel
     placement: Placement
-    pole_mm: tuple[float, float, float, float] | None = None
+    pole_mm: Pole | None = None
     board_mm: tuple[float, float] | None = None
 
     def require_board(self, size_mm: tuple[float, float]) -> None:
         """Refuse a board of another size than the one the probe stands on."""
-        if self.board_mm is not None and not np.allclose(self.board_mm, size_mm, rtol=0.01):
-            has, told = (f"{w:g} x {h:g} mm" for w, h in (self.board_mm, size_mm))
-            raise InputError(
-                f"the probe stands on a board of {has}, the board's file says {told}: give the "
-                "one that was printed"
-            )
+        require_board(self.board_mm, size_mm)
 
     def placed(self) -> PlacedProbe:
         return PlacedProbe(
-            self.model, self.placement, None if self.pole_mm is None else _cylinder(*self.pole_mm)
+            self.model,
+            self.placement,
+            None if self.pole_mm is None else cylinder_mesh(self.pole_mm),
         )
 
 
@@ -140,13 +137,8 @@ def load_standing_probe(path: str | Path) -> StandingProbe:
         raise InputError(f"{path}: of format {content['format']}, this program reads {_VERSION}")
     try:
         cells = np.array(content["cells"], dtype=np.int64).reshape(-1, 3)
-        rotation = np.array(content["rotation"], dtype=np.float64).reshape(3, 3)
-        translation = np.array(content["translation_mm"], dtype=np.float64).reshape(3)
         voxel_mm = float(content["voxel_mm"])  # type: ignore[arg-type]
-        listed = content.get("pole_mm")
-        pole = None if listed is None else np.array(listed, dtype=np.float64).reshape(4).tolist()
-        size = content.get("board_mm")
-        board = None if size is None else np.array(size, dtype=np.float64).reshape(2).tolist()
+        rotation, translation, pole, board = read_stand(content)
     except (TypeError, ValueError) as error:
         raise InputError(f"{path}: its numbers are not those of an assembly ({error})") from error
     if not len(cells) or cells.min() < 0 or cells.max() >= _LARGEST:
@@ -156,18 +148,6 @@ def load_standing_probe(path: str | Path) -> StandingProbe:
     return StandingProbe(
         model=VoxelModel(occupied=solid),
         placement=Placement(voxel_mm=voxel_mm, rotation=rotation, translation_mm=translation),
-        pole_mm=None if pole is None else (pole[0], pole[1], pole[2], pole[3]),
-        board_mm=None if board is None else (board[0], board[1]),
+        pole_mm=pole,
+        board_mm=board,
     )
-
-
-def _cylinder(
-    x: float, z: float, radius: float, height: float
-) -> tuple[Float[np.ndarray, "n 3"], np.ndarray]:
-    """Its side, as 24 flat strips."""
-    angle = np.arange(24) * (2 * np.pi / 24)
-    ring = np.stack([x + radius * np.cos(angle), 0 * angle, z + radius * np.sin(angle)], 1)
-    i = np.arange(24)
-    j = (i + 1) % 24
-    strips = np.concatenate([np.stack([i, j, j + 24], 1), np.stack([i, j + 24, i + 24], 1)])
-    return np.concatenate([ring, ring + np.array([0.0, height, 0.0])]), strips

@@ -1,66 +1,17 @@
 """Voxel models drawn with a completed lightmap: texture mapping, nothing more."""
 
-from dataclasses import dataclass
-
-import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
-from torch.nn.functional import grid_sample, normalize
+from torch.nn.functional import grid_sample
 
-from skylight.probes.capture.intrinsics import FLIP, Intrinsics
+from skylight.probes.capture.drawing import Drawing, Window, box_edges, window_of
+from skylight.probes.capture.intrinsics import Intrinsics
 from skylight.probes.capture.pose import Pose
 from skylight.probes.voxel.faces import exposed_faces
 from skylight.probes.voxel.lightmap import SLOTS_ACROSS, Lightmap
 from skylight.probes.voxel.model import VoxelModel
-from skylight.transport.camera import Camera
 from skylight.transport.raycast import Raycaster
-
-_BENT_PX = 4  # by which distortion bends an edge between two of the places looked at
-Window = tuple[slice, slice]  # rows and columns of a picture
-WHOLE: Window = (slice(None), slice(None))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Drawing:
-    """What a camera sees of a model: linear ``radiance`` and ``alpha``, the share covered."""
-
-    radiance: Float[Tensor, "h w 3"]
-    alpha: Float[Tensor, "h w"]
-
-    def over(self, background: Float[Tensor, "h w 3"]) -> Float[Tensor, "h w 3"]:
-        """In front of a linear picture; radiance is already weighed by alpha."""
-        return self.radiance + (1 - self.alpha[..., None]) * background
-
-
-def camera_rays(camera: Camera, samples: int = 1) -> Float[Tensor, "h w s 3"]:
-    """Unit directions in the camera's frame through ``samples`` x ``samples`` places of a pixel."""
-    height, width = camera.height, camera.width
-    fine = Camera(
-        focal_px=camera.focal_px * samples,
-        width=width * samples,
-        height=height * samples,
-        center_px=(camera.center_px[0] * samples, camera.center_px[1] * samples),
-    )
-    rays = fine.rays().reshape(height, samples, width, samples, 3)
-    return rays.transpose(1, 2).reshape(height, width, samples**2, 3)
-
-
-def lens_rays(
-    intrinsics: Intrinsics, samples: int = 1, window: Window | None = None
-) -> Float[Tensor, "h w s 3"]:
-    """The same for a real camera's own picture, distortion and all, or for a window of it."""
-    rows, columns = window or (slice(0, intrinsics.height), slice(0, intrinsics.width))
-    offset = (np.arange(samples) + 0.5) / samples - 0.5
-    row = np.arange(rows.start, rows.stop)[:, None, None, None] + offset[:, None]
-    column = np.arange(columns.start, columns.stop)[:, None, None] + offset
-    row, column = np.broadcast_arrays(row, column)  # (h, w, samples, samples)
-    pixels = np.stack([column, row], -1).reshape(-1, 2).astype(np.float64)
-    ideal = intrinsics.undistort_points(pixels)
-    x = (ideal[:, 0] - intrinsics.cx) / intrinsics.fx
-    y = (ideal[:, 1] - intrinsics.cy) / intrinsics.fy
-    rays = torch.from_numpy(np.stack([x, y, np.ones_like(x)], 1) @ FLIP)
-    return normalize(rays, dim=1).reshape(*row.shape[:2], samples**2, 3)
 
 
 class VoxelRenderer:
@@ -76,7 +27,7 @@ class VoxelRenderer:
         self._inverse = torch.linalg.inv(matrix)
         vertices, triangles = self.faces.triangles()
         self._caster = Raycaster(vertices, triangles)
-        box = _box_edges(vertices.amin(0), vertices.amax(0))
+        box = box_edges(vertices.amin(0), vertices.amax(0))
         self._box = (box @ matrix[:3, :3].T + matrix[:3, 3]).numpy()
         corners = self.faces.corners
         self._origin = corners[:, 3]  # left, forward
@@ -110,18 +61,7 @@ class VoxelRenderer:
 
     def window(self, pose: Pose, intrinsics: Intrinsics) -> Window:
         """The rectangle of a camera's picture outside of which nothing of the model is seen."""
-        height, width = intrinsics.height, intrinsics.width
-        ahead = -pose.to_camera(self._box)[:, 2]
-        pixels = pose.project(self._box, intrinsics)
-        # what is beside or behind the camera, or far outside, has no place in the picture to go by
-        if ahead.min() <= 0 or np.abs(pixels - [width / 2, height / 2]).max() > 2 * width:
-            return slice(0, height), slice(0, width)
-        low = np.floor(pixels.min(0)).astype(int) - _BENT_PX
-        high = np.ceil(pixels.max(0)).astype(int) + _BENT_PX + 1
-        (left, top), (right, bottom) = low.clip(0), high.clip(0)
-        return slice(min(top, height), min(bottom, height)), slice(
-            min(left, width), min(right, width)
-        )
+        return window_of(self._box, pose, intrinsics)
 
     def _shading(
         self,
@@ -146,27 +86,3 @@ class VoxelRenderer:
         size = torch.tensor([image.shape[2], image.shape[1]])
         grid = 2 * (corner + place) / (size - 1) - 1  # the next slot has no weight
         return grid_sample(image[None], grid[None, None], align_corners=True)[0, :, 0].T
-
-
-def _box_edges(low: Float[Tensor, "3"], high: Float[Tensor, "3"]) -> Float[Tensor, "n 3"]:
-    """Places along the twelve edges of a box, 17 on each."""
-    share = torch.linspace(0, 1, 17, dtype=torch.float64)
-    grids = []
-    for axis in range(3):
-        along = [torch.tensor([0.0, 1.0], dtype=torch.float64)] * 3
-        along[axis] = share
-        grids.append(torch.cartesian_prod(*along))
-    return low + torch.cat(grids) * (high - low)
-
-
-def looking_at(
-    eye: Float[Tensor, "3"], target: Float[Tensor, "3"]
-) -> tuple[Float[Tensor, "3 3"], Float[Tensor, "3"]]:
-    """(rotation, translation) of a camera at ``eye`` that looks at ``target``, +Y up."""
-    back = normalize(eye.double() - target.double(), dim=0)
-    # straight up or down, the picture's top is -Z
-    steep = abs(float(back[1])) > 1 - 1e-9
-    up = torch.tensor([0.0, 0.0, -1.0] if steep else [0.0, 1.0, 0.0], dtype=torch.float64)
-    right = normalize(torch.linalg.cross(up, back), dim=0)
-    rotation = torch.stack([right, torch.linalg.cross(back, right), back])
-    return rotation, -rotation @ eye.double()

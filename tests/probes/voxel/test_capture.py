@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from skylight.probes.capture.drawing import lens_rays, looking_at
 from skylight.probes.capture.intrinsics import Intrinsics
 from skylight.probes.capture.pose import Pose
 from skylight.probes.voxel.capture import LightmapCapture, read_faces, visible_faces
@@ -13,7 +14,7 @@ from skylight.probes.voxel.faces import exposed_faces
 from skylight.probes.voxel.lightmap import Lightmap
 from skylight.probes.voxel.model import star_probe
 from skylight.probes.voxel.placement import PlacedProbe, Placement
-from skylight.probes.voxel.render import VoxelRenderer, lens_rays, looking_at
+from skylight.probes.voxel.render import VoxelRenderer
 
 F64 = torch.float64
 VOXEL_MM = 20.0

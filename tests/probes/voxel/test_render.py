@@ -6,17 +6,12 @@ import numpy as np
 import pytest
 import torch
 
+from skylight.probes.capture.drawing import Drawing, camera_rays, lens_rays, looking_at
 from skylight.probes.capture.intrinsics import Intrinsics
 from skylight.probes.capture.pose import Pose
 from skylight.probes.voxel.lightmap import Lightmap
 from skylight.probes.voxel.model import VoxelModel, star_probe
-from skylight.probes.voxel.render import (
-    Drawing,
-    VoxelRenderer,
-    camera_rays,
-    lens_rays,
-    looking_at,
-)
+from skylight.probes.voxel.render import VoxelRenderer
 from skylight.transport.camera import Camera
 
 F64 = torch.float64

@@ -1,0 +1,129 @@
+"""The picture of a printed partition probe: standing, taken apart, its cells, and in numbers."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from manifold3d import Manifold
+from torch import Tensor
+
+from skylight.app.probe_pictures import paper_parts
+from skylight.app.report import ACCENT, MUTED, STYLE, save, show, write_numbers
+from skylight.probes.partitions.picture import draw_cells
+from skylight.probes.printing.mount import BOARD_FROM_PROBE
+from skylight.probes.printing.part import part_of
+from skylight.probes.printing.picture import shaded_picture
+
+if TYPE_CHECKING:
+    from skylight.app.partition_printing import PrintedPartitions
+
+# linear reflectances; the shells are lighter than their paint, to be seen
+_LOWER, _UPPER, _WHITE = (0.12, 0.13, 0.15), (0.22, 0.24, 0.28), (0.85, 0.85, 0.84)
+_BASE, _POLE, _PAPER, _INK = (0.55, 0.58, 0.62), (0.75, 0.76, 0.78), (0.9,) * 3, (0.05,) * 3
+_PANEL_PX = 600
+_AZIMUTH, _ELEVATION = math.radians(-28.0), math.radians(24.0)
+
+
+def write_partition_picture(
+    path: Path, result: "PrintedPartitions", *, panel_px: int = _PANEL_PX
+) -> None:
+    """Write the picture as a PNG; panels are ``panel_px`` high."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    scale = panel_px / _PANEL_PX
+    with rc_context(STYLE):
+        figure = Figure(figsize=(15.2, 13.2), dpi=84 * scale, facecolor="white")
+        sizes = result.sizes
+        title = f"{result.cells.design.name}, to print"
+        figure.text(0.02, 0.967, title, fontsize=17, fontweight="bold")
+        said = (
+            f"shell {sizes.outer_mm:g} mm, kernel {sizes.kernel_mm:g} mm from its centre, walls "
+            f"{sizes.wall_mm:g} mm, clearance {sizes.clearance_mm:g} mm"
+        )
+        figure.text(0.98, 0.97, said, ha="right", color=MUTED, fontsize=11.5)
+        if result.report.problems:
+            text = "Take care: " + "; ".join(result.report.problems[:3])
+            figure.text(0.02, 0.948, text, color=ACCENT)
+        grid = figure.add_gridspec(
+            2, 2, left=0.02, right=0.98, top=0.925, bottom=0.02, wspace=0.04, hspace=0.09
+        )
+        panels = {
+            "On its pole and marker base": standing(result, panel_px),
+            "Taken apart along the pins": taken_apart(result, panel_px),
+            "Its cells, from two sides": draw_cells(result.cells, size=panel_px // 2),
+        }
+        for place, (name, picture) in enumerate(panels.items()):
+            axes = figure.add_subplot(grid[place // 2, place % 2])
+            show(axes, picture, name)
+            axes.images[0].set_interpolation("bilinear")  # panels are not to the pixel
+            for spine in axes.spines.values():
+                spine.set_visible(False)
+        numbers = figure.add_subplot(grid[1, 1].subgridspec(1, 3, width_ratios=(0.1, 1, 0.1))[1])
+        write_numbers(numbers, "In numbers", _rows(result))
+        save(figure, path)
+
+
+def standing(result: "PrintedPartitions", panel_px: int) -> UInt8[np.ndarray, "h w 3"]:
+    """The probe assembled on its pole and marker base."""
+    x, z, radius, top = result.standing.pole_mm
+    rod = Manifold.cylinder(result.pole.length_mm, radius, radius, 48).rotate((-90, 0, 0))
+    rod = rod.translate((x, top - result.pole.length_mm, z))
+    flat = [result.base, *paper_parts(result.board, result.paper_hole_mm)]
+    lying = [part.moved(BOARD_FROM_PROBE.T, np.zeros(3)) for part in flat]
+    placed = [part.shifted(result.standing.translation_mm) for part in result.printed.parts]
+    return shaded_picture(
+        [*placed, part_of("pole", rod, (0, 1, 0)), *lying],
+        np.array([_LOWER, _WHITE, _UPPER, _POLE, _BASE, _PAPER, *[_INK] * (len(lying) - 2)]),
+        size=(panel_px, panel_px),
+        up=(0, 1, 0),
+        azimuth_rad=_AZIMUTH,
+        elevation_rad=_ELEVATION,
+    )
+
+
+def taken_apart(result: "PrintedPartitions", panel_px: int) -> UInt8[np.ndarray, "h w 3"]:
+    """The halves drawn away from the kernel, seen across the way in."""
+    printed = result.printed
+    way = printed.split.way_in
+    step = 0.75 * result.sizes.outer_mm * way
+    across = math.atan2(float(way[0]), float(way[2])) + math.pi / 2
+    return shaded_picture(
+        [printed.lower.shifted(-step), printed.kernel, printed.upper.shifted(step)],
+        np.array([_LOWER, _WHITE, _UPPER]) + 0.1,
+        size=(panel_px, panel_px),
+        up=(0, 1, 0),
+        azimuth_rad=across,
+        elevation_rad=math.radians(12.0),
+    )
+
+
+def _rows(result: "PrintedPartitions") -> list[tuple[str, str]]:
+    report, printed, seen = result.report, result.printed, result.visibility
+    least, largest = report.clearances_mm
+    width, depth, height = result.bed.size_mm
+    black = printed.lower.volume_mm3 + printed.upper.volume_mm3
+    free = 2 * result.face_radii_mm
+    return [
+        ("cells", f"{result.cells.count}"),
+        ("half shells, black", f"{black / 1000:.1f} cm³"),
+        ("kernel, white", f"{printed.kernel.volume_mm3 / 1000:.1f} cm³"),
+        ("marker base", f"{result.base.volume_mm3 / 1000:.1f} cm³"),
+        ("on the bed", f"{width:.0f} × {depth:.0f} × {height:.0f} mm"),
+        ("thinnest wall, measured", f"{report.thinnest_mm:.3f} mm"),
+        ("clearances, measured", f"{least:.3f} to {largest:.3f} mm"),
+        ("parts share, when assembled", f"{report.overlap_mm3:.1g} mm³"),
+        ("faces free about their centres", f"{free.min():.1f} to {free.max():.1f} mm"),
+        ("own light lost, mean and most", _shares(seen.loss)),
+        ("others' light let in, mean and most", _shares(seen.leak)),
+        ("pins", f"{len(printed.split.pinned)}"),
+        ("pole", f"{result.pole.diameter_mm:g} × {result.pole.length_mm:g} mm"),
+        ("hole in the marker's paper", f"{result.paper_hole_mm:.1f} mm"),
+        ("all checks", "pass" if report.sound else f"{len(report.problems)} fail"),
+    ]
+
+
+def _shares(values: Float[Tensor, " n"]) -> str:
+    return f"{100 * float(values.mean()):.1f} %, {100 * float(values.max()):.1f} %"

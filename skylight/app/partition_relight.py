@@ -1,0 +1,191 @@
+"""Virtual scenes in a photograph, lit by a captured partition probe; files to files."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skylight.app.board_pictures import Setup, why_unusable
+from skylight.app.partition_capture import completed_shading
+from skylight.app.progress import stage_bar
+from skylight.errors import InputError
+from skylight.imaging.files import write_png
+from skylight.probes.capture.drawing import lens_rays
+from skylight.probes.capture.frames import read_picture
+from skylight.probes.capture.pose import board_pose
+from skylight.probes.partitions.cells import Cells
+from skylight.probes.partitions.composite import StandingScene, board_transfer
+from skylight.probes.partitions.drawing import Mesh
+from skylight.probes.partitions.ground import Ground
+from skylight.probes.partitions.placement import StandingPartitions, load_standing_partitions
+from skylight.probes.partitions.probe import PartitionProbe
+from skylight.probes.partitions.refine import refined
+from skylight.probes.partitions.samples import ProbeCapture, load_capture
+from skylight.probes.partitions.scene import Scene
+from skylight.probes.partitions.scene_files import DEFAULT_ALBEDO, read_scene
+from skylight.probes.partitions.transfer import TransferSampling
+
+Tell = Callable[[str], None]
+SAMPLES = 3  # along each side of a pixel
+LARGEST_MM = 60.0  # of a scene whose size nobody names
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneStand:
+    """Where a scene stands on the board: the middle of its base, how large, and how turned.
+
+    Either ``height_mm`` or ``scale`` (mm for each of its units); without both, its longest side is
+    60 mm. ``turn_deg`` is counter-clockwise seen from above.
+    """
+
+    x_mm: float
+    z_mm: float
+    y_mm: float = 0.0
+    height_mm: float | None = None
+    scale: float | None = None
+    turn_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.height_mm is not None and self.scale is not None:
+            raise InputError("give a scene's height or its scale, not both")
+        sizes = [size for size in (self.height_mm, self.scale) if size is not None]
+        numbers = (self.x_mm, self.y_mm, self.z_mm, self.turn_deg, *sizes)
+        if not all(map(math.isfinite, numbers)) or any(size <= 0 for size in sizes):
+            raise InputError("a scene needs a place in finite mm and a size above 0")
+        if self.y_mm < 0:
+            raise InputError(f"the scene would stand {-self.y_mm:g} mm below the board")
+
+    def placed(self, scene: Scene) -> Scene:
+        """The scene in millimetres of the board."""
+        low, high = scene.vertices.amin(0), scene.vertices.amax(0)
+        rise, longest = float(high[1] - low[1]), float((high - low).max())
+        if self.height_mm is not None and rise == 0:
+            raise InputError("a flat scene has no height: give its scale")
+        if longest == 0:
+            raise InputError("all of the scene's vertices are in one place")
+        height = LARGEST_MM * rise / longest if self.height_mm is None else self.height_mm
+        size = LARGEST_MM / longest if rise == 0 else height / rise
+        size = size if self.scale is None else self.scale
+        sine, cosine = (f(math.radians(self.turn_deg)) for f in (math.sin, math.cos))
+        matrix = torch.eye(4, dtype=torch.float64)
+        matrix[:3, :3] = size * torch.tensor(
+            [[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]], dtype=torch.float64
+        )
+        base = torch.stack([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
+        place = torch.tensor([self.x_mm, self.y_mm, self.z_mm], dtype=torch.float64)
+        matrix[:3, 3] = place - matrix[:3, :3] @ base
+        return scene.placed(matrix)
+
+
+@dataclass(frozen=True, kw_only=True)
+class VirtualScene:
+    """A mesh file, how it stands, and how its transfer coefficients are worked out.
+
+    ``albedo`` is for meshes without colours. No edge is left longer than ``edge_mm``, so that
+    shadows show on large triangles. The coefficients are kept in the file ``cache``.
+    """
+
+    mesh: Path
+    stand: SceneStand
+    cache: Path
+    albedo: tuple[float, float, float] = DEFAULT_ALBEDO
+    ground_albedo: float = 0.5
+    edge_mm: float = 4.0
+    sampling: TransferSampling = field(default_factory=TransferSampling)
+    workers: int = 1
+
+    def on_board(
+        self, cells: Cells, rotation: Float[Tensor, "3 3"], real: Mesh | None = None
+    ) -> StandingScene:
+        """Ready to be lit by a probe that is turned like that, and hidden by its mesh."""
+        scene = refined(self.stand.placed(read_scene(self.mesh, self.albedo)), self.edge_mm)
+        ground = Ground.under(scene, albedo=self.ground_albedo)
+        with stage_bar() as progress:
+            transfer = board_transfer(
+                self.cache,
+                scene,
+                ground,
+                cells,
+                rotation,
+                sampling=self.sampling,
+                workers=self.workers,
+                progress=lambda share: progress("how light gets about", share),
+            )
+        return StandingScene(scene, ground, transfer, cells, rotation, real)
+
+
+def read_probe(
+    assembly: Path, capture: Path | None, albedo: Float[np.ndarray, "3"] | None = None
+) -> tuple[StandingPartitions, PartitionProbe, ProbeCapture]:
+    """A printed probe, what it makes of light, and its capture: blank where none is named."""
+    standing = load_standing_partitions(assembly)
+    if capture is None:
+        plain = np.full(3, 0.8) if albedo is None else albedo
+        captured = ProbeCapture.blank(standing.design, plain)
+    else:
+        captured = load_capture(capture)
+        captured.require_design(standing.design)
+    cells = Cells.of(standing.design)
+    probe = PartitionProbe(cells, torch.from_numpy(captured.albedo), response=standing.response)
+    return standing, probe, captured
+
+
+def captured_light(
+    capture: ProbeCapture, standing: StandingPartitions, probe: PartitionProbe, warn: Tell
+) -> Float[Tensor, "n 3"]:
+    """Radiance of each cell, 1 is the camera's largest code; says which cells are guessed."""
+    return probe.light(completed_shading(capture, standing, probe, warn)[None])[0]
+
+
+def relight_scene(
+    scene: VirtualScene,
+    photo: Path,
+    out: Path,
+    *,
+    assembly: Path,
+    capture: Path,
+    setup: Setup,
+    tell: Tell = print,
+    warn: Tell = print,
+) -> None:
+    """``out`` (.png): the photo with the scene on the board, its shadow and its bounce.
+
+    Raises
+    ------
+    InputError
+        A file cannot be used, the photo does not show the board, or not where the scene stands.
+    """
+    if out.suffix.lower() != ".png":
+        raise InputError(f"{out}: pictures are written as .png; choose another name")
+    image = read_picture(photo).image
+    found = board_pose(image, setup.board, setup.intrinsics)
+    if found is None or found.is_ambiguous:
+        raise InputError(f"{photo}: {why_unusable(found)}; show most of it, and larger")
+    standing, probe, captured = read_probe(assembly, capture)
+    standing.require_board(setup.board.size_mm)
+    light = captured_light(captured, standing, probe, warn)
+    placed = standing.placed()
+    on_board = scene.on_board(
+        probe.cells, torch.from_numpy(standing.rotation), (placed.vertices, placed.triangles)
+    )
+    lit = on_board.lit(light)
+    picture = on_board.put_into(
+        image,
+        lit,
+        found.pose,
+        setup.intrinsics,
+        setup.response,
+        lambda window: lens_rays(setup.intrinsics, SAMPLES, window),
+    )
+    if np.array_equal(picture, image):
+        raise InputError(f"{photo}: the scene would stand outside of the picture; see --at-mm")
+    write_png(out, picture)
+    tell(
+        f"{out}: {len(on_board.scene.vertices)} vertices lit by {probe.cells.count} cells; "
+        f"transfer coefficients in {scene.cache}"
+    )

@@ -1,0 +1,228 @@
+"""The spherical-partitions probe on synthetic captures (thesis, section 4.7, table 4.1).
+
+One item a light map. A probe's shading under the map is computed, a scene of three models on a
+ground is lit with it, and compared with path tracing. Table 4.1 is over indoor maps. Sunny maps,
+turned so that the sun is on its path over the probe, give metrics that end in ``_sunny``.
+
+``mae`` and ``rmse`` are relative to the reference's mean. ``mae_thesis`` and ``rmse_thesis`` are
+the thesis' as far as its table tells: that its MAE exceeds its RMSE, by up to 1.64, means that
+MAE sums the colours' errors and RMSE takes their vectors' length. Probes without walls are wrong
+by a known factor, pi over what the cells' faces gather, so that their errors give the scale of its
+pictures: the reference's mean is 0.9 (:data:`THESIS_MEAN`).
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skylight.errors import InputError
+from skylight.evaluation.partition_scene import (
+    DEGREE,
+    WIDTH,
+    PartitionScene,
+    harmonic_light,
+    partition_scene,
+)
+from skylight.evaluation.pictures import captioned_rows
+from skylight.evaluation.run import Check, Item, Metrics
+from skylight.imaging.collection import read_categories
+from skylight.imaging.colour import tone_map
+from skylight.imaging.files import read_environment_map, write_png
+from skylight.imaging.metrics import shading_metrics
+from skylight.probes.partitions.cells import Cells
+from skylight.probes.partitions.designs import named_design
+from skylight.probes.partitions.probe import PartitionProbe
+from skylight.probes.partitions.relit import Relighting
+from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.frame import angles_from_direction
+
+EVEN = (6, 14, 38, 110)
+OUTDOOR = ("14d-outdoor", "14d-sun-12")
+LIGHT_HEIGHT = 128
+THESIS_MEAN = 0.9
+THESIS_MAE = {"sh25": 0.138, "38d": 0.210, "110d": 0.114}
+ORDER = ("110d", "sh25", "38d", "sh9", "14d", "6d")
+_SUNNY = "_sunny"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartitionProbeTable:
+    """``data`` holds the folders hdr (maps and an index.csv) and meshes."""
+
+    data: Path
+    indoor: int = 100
+    sunny: int = 100
+    samples: int = 1024
+    rays: int = 256
+    even: tuple[int, ...] = EVEN
+    width: int = WIDTH
+    name: str = "partition-probe"
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for folder in ("hdr", "meshes"):
+            if not (self.data / folder).is_dir():
+                raise InputError(f"{self.data} has no folder {folder}: give one with hdr, meshes")
+
+    def config(self) -> dict[str, object]:
+        return {
+            "indoor": self.indoor,
+            "sunny": self.sunny,
+            "samples": self.samples,
+            "rays": self.rays,
+            "even": self.even,
+            "width": self.width,
+            "seed": self.seed,
+        }
+
+    def items(self) -> list[str]:
+        return [*self._maps("indoor")[: self.indoor], *self._maps("outdoor-sun")[: self.sunny]]
+
+    def _maps(self, category: str) -> list[str]:
+        return [
+            name for name, kind in read_categories(self.data / "hdr").items() if kind == category
+        ]
+
+    def measure(self, item: str, picture: Path) -> Item:
+        scene = partition_scene(self.data / "meshes", self.width)
+        light = read_environment_map(self.data / "hdr" / item).resize(LIGHT_HEIGHT)
+        sunny = item in self._maps("outdoor-sun")
+        if sunny:
+            light = with_sun_in_the_east(light)
+        truth, noise = scene.traced(light, self.samples, self.seed)
+        found = self._sunny(scene, light) if sunny else self._indoor(scene, light)
+        suffix = _SUNNY if sunny else ""
+        metrics: Metrics = {
+            row.replace("-", "_"): {
+                name + suffix: value for name, value in scored(scene, radiance, truth).items()
+            }
+            for row, radiance in found.items()
+        }
+        shown = {"path traced": truth, **found}
+        white = 2.5 * float(truth.median())
+        tiles = {
+            name: tone_map(scene.picture(radiance.float()), white=white)
+            for name, radiance in shown.items()
+        }
+        write_png(picture, captioned_rows(tiles, columns=4))
+        return Item(name=item, metrics=metrics, facts={"noise": noise})
+
+    def _indoor(
+        self, scene: PartitionScene, light: EnvironmentMap
+    ) -> dict[str, Float[Tensor, "m 3"]]:
+        """Every row of table 4.1, and the indoor design."""
+        transfer, harmonic = self._harmonic(scene), harmonic_light(light)
+        found = {
+            "unshadowed": scene.lit_sphere(light),
+            "sh9": transfer[:, :9] @ harmonic[:9],
+            f"sh{(DEGREE + 1) ** 2}": transfer @ harmonic,
+        }
+        for count in self.even:
+            row = f"{count}d"
+            found[row] = self._lit(scene, row, light)
+            found[f"{row}_np"], found[f"{row}_np_corr"] = self._without_walls(scene, row, light)
+        found["14d-indoor"] = self._lit(scene, "14d-indoor", light)
+        return found
+
+    def _sunny(
+        self, scene: PartitionScene, light: EnvironmentMap
+    ) -> dict[str, Float[Tensor, "m 3"]]:
+        transfer, harmonic = self._harmonic(scene), harmonic_light(light)
+        found = {"sh25": transfer @ harmonic}
+        for row in (*(f"{count}d" for count in self.even), *OUTDOOR):
+            found[row] = self._lit(scene, row, light)
+        return found
+
+    def _lit(
+        self, scene: PartitionScene, design: str, light: EnvironmentMap
+    ) -> Float[Tensor, "m 3"]:
+        """With the probe's walls."""
+        probe, relighting = _probe(design), _relighting(scene, design, self.rays)
+        return relighting(probe.light(probe.encode_map(light)[None]).float())[0]
+
+    def _without_walls(
+        self, scene: PartitionScene, design: str, light: EnvironmentMap
+    ) -> tuple[Float[Tensor, "m 3"], Float[Tensor, "m 3"]]:
+        """NP and NP corr. of the thesis, 4.4.5."""
+        probe, relighting = _probe(design), _relighting(scene, design, self.rays)
+        shading = probe.unpartitioned(light.flat[None], light.grid)
+        corrected = probe.correction[:, None].float() * shading
+        plain, right = (relighting(probe.light(s).float())[0] for s in (shading, corrected))
+        return plain, right
+
+    def _harmonic(self, scene: PartitionScene) -> Float[Tensor, "m k"]:
+        return _harmonic_transfer(scene, self.samples, self.seed)
+
+    def checks(
+        self, rows: dict[str, dict[str, dict[str, float]]], items: list[Item]
+    ) -> dict[str, Check]:
+        """The thesis' orderings, three of its numbers, and what outdoor designs are for."""
+        found: dict[str, Check] = {}
+
+        def mean(row: str, metric: str) -> float:
+            return rows[row][metric]["mean"]
+
+        present = [row for row in ORDER if row in rows and "mae" in rows[row]]
+        for metric in ("mae", "rmse"):
+            for better, worse in pairwise(present):
+                found[f"{metric}: {better} before {worse}"] = Check.below(
+                    mean(better, metric), mean(worse, metric), worse
+                )
+        walls = [f"{count}d_np" for count in self.even if f"{count}d_np" in rows]
+        for less, more in pairwise(walls):
+            found[f"mae: {less} below {more}"] = Check.below(
+                mean(less, "mae"), mean(more, "mae"), more
+            )
+        for count in self.even:
+            row = f"{count}d_np_corr"
+            if row in rows and "6d" in rows:
+                off = mean(row, "mae") / mean("6d", "mae")
+                found[f"mae: {row} / 6d"] = Check.at_most(off, 1.5)
+        for row, thesis in THESIS_MAE.items():
+            if row in present:
+                off = abs(mean(row, "mae_thesis") / thesis - 1)
+                found[f"mae_thesis {row}, off the thesis' {thesis}"] = Check.at_most(off, 0.35)
+        if "14d_outdoor" in rows and "14d" in rows:
+            ratio = mean("14d_outdoor", "rmse_sunny") / mean("14d", "rmse_sunny")
+            found["rmse_sunny: 14d_outdoor / 14d"] = Check.at_most(ratio, 0.7)
+        return found
+
+
+def with_sun_in_the_east(light: EnvironmentMap) -> EnvironmentMap:
+    """Turned about the vertical until its brightest direction is over +X."""
+    azimuth, _ = angles_from_direction(light.brightest_direction()[None])
+    return light.rotate_azimuth(math.pi / 2 - float(azimuth[0]))
+
+
+def scored(
+    scene: PartitionScene, radiance: Float[Tensor, "m 3"], truth: Float[Tensor, "m 3"]
+) -> dict[str, float]:
+    """Errors of what the camera sees."""
+    pictures = scene.picture(radiance.float()), scene.picture(truth.float())
+    covered = scene.picture(torch.ones_like(truth))[..., 0] > 0
+    found = shading_metrics(*pictures, covered)
+    off = (radiance.double() - truth.double()) / truth.double().mean() * THESIS_MEAN
+    found["mae_thesis"] = float(off.abs().sum(1).mean())
+    found["rmse_thesis"] = float(off.square().sum(1).mean().sqrt())
+    return found
+
+
+@cache
+def _probe(design: str) -> PartitionProbe:
+    return PartitionProbe(Cells.of(named_design(design)))
+
+
+@cache
+def _relighting(scene: PartitionScene, design: str, rays: int) -> Relighting:
+    return scene.relighting(named_design(design), rays)
+
+
+@cache
+def _harmonic_transfer(scene: PartitionScene, samples: int, seed: int) -> Float[Tensor, "m k"]:
+    return scene.harmonic_transfer(samples, seed)

@@ -1,0 +1,119 @@
+"""A virtual scene on the marker board, lit by a probe and put into a photograph of the board.
+
+Differential rendering (Debevec 1998, "Rendering synthetic objects into real scenes"): the ground
+under the scene changes by what the scene does to its light,
+``out = photo + rho / pi (E_with - E_without)``. A photo shows ``rho / pi E_without``, so that with
+the ground's own albedo rho this is ``photo * E_with / E_without``. That form is used: rho cancels
+(but for light that goes to and fro between ground and scene), patterns stay, and nothing becomes
+negative.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from skylight.probes.capture.drawing import UNSEEN, Window, composite, shaded, window_of
+from skylight.probes.capture.intrinsics import Intrinsics
+from skylight.probes.capture.pose import Pose
+from skylight.probes.capture.response import Response
+from skylight.probes.partitions.cells import Cells
+from skylight.probes.partitions.drawing import Mesh, SceneRenderer
+from skylight.transport.forked import Progress
+from skylight.probes.partitions.ground import ACROSS, Ground
+from skylight.probes.partitions.relit import Relighting
+from skylight.probes.partitions.scene import Scene
+from skylight.probes.partitions.transfer import TransferCoefficients, TransferSampling
+from skylight.probes.partitions.transfer_file import kept_transfer
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LitScene:
+    """``radiance`` of a scene's vertices, and ``shade`` E_with / E_without of the ground's."""
+
+    radiance: Float[Tensor, "v 3"]
+    shade: Float[Tensor, "k k 3"]
+
+
+class StandingScene:
+    """A scene in the board's frame (mm) and the ground under it, with their transfer coefficients.
+
+    A direction w of the probe's frame, in which ``cells`` lie, is ``rotation @ w`` on the board.
+    ``transfer`` is that of :func:`board_transfer`. The ``real`` probe with its pole hides what is
+    behind it; that it stands in the light of scene and ground is neglected.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        ground: Ground,
+        transfer: TransferCoefficients,
+        cells: Cells,
+        rotation: Float[Tensor, "3 3"],
+        real: Mesh | None = None,
+    ) -> None:
+        self.scene, self.ground, self.transfer = scene, ground, transfer
+        self._renderer = SceneRenderer(scene, real)
+        count = len(scene.vertices)
+        values = transfer.values.clone()
+        values[count:] = ground.smoothed(values[count:])
+        self._relighting = Relighting(replace(transfer, values=values))
+        up = rotation.double()[1:2]  # +Y of the board in the probe's frame
+        self._bare = ground.albedo / torch.pi * cells.clamped_cosine(up)[0]
+        self._fade = ground.fade()[..., None]
+
+    def lit(self, light: Float[Tensor, "n 3"]) -> LitScene:
+        """Eq. 4.16 by the radiance of the cells; what is below 0 by noise counts as 0."""
+        light = light.clamp(min=0).float()
+        radiance = self._relighting(light[None])[0]
+        count = len(self.scene.vertices)
+        bare = self._bare.float() @ light
+        with_scene = radiance[count:].reshape(ACROSS, ACROSS, 3)
+        ratio = torch.where(bare > 0, with_scene / bare.clamp(min=1e-12), 1.0)
+        return LitScene(radiance=radiance[:count], shade=1 + self._fade * (ratio - 1))
+
+    def put_into(
+        self,
+        image: UInt8[np.ndarray, "h w 3"],
+        lit: LitScene,
+        pose: Pose,
+        intrinsics: Intrinsics,
+        response: Response,
+        rays: Callable[[Window], Float[Tensor, "h w s 3"]],
+    ) -> UInt8[np.ndarray, "h w 3"]:
+        """A picture with the scene in it, by the camera's ``rays`` for a window of the picture."""
+        place = torch.from_numpy(pose.rotation), torch.from_numpy(pose.translation)
+        around = self.ground.extent(lit.shade, UNSEEN).numpy()
+        if len(around):
+            window = window_of(around, pose, intrinsics)
+            through = rays(window)
+            shade = self.ground.seen(lit.shade, through, *place)
+            free = self._renderer.uncovered(window, through, pose, intrinsics)
+            image = shaded(image, 1 + free[..., None] * (shade - 1), response, window)
+        window = self._renderer.window(pose, intrinsics)
+        drawing = self._renderer.draw(lit.radiance, rays(window), *place)
+        return composite(image, drawing, response, window)
+
+
+def board_transfer(
+    path: Path,
+    scene: Scene,
+    ground: Ground,
+    cells: Cells,
+    rotation: Float[Tensor, "3 3"],
+    *,
+    sampling: TransferSampling | None = None,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> TransferCoefficients:
+    """Of the scene's vertices, then the ground's; kept in ``path``."""
+    to_probe = torch.eye(4, dtype=torch.float64)
+    to_probe[:3, :3] = rotation.double().T
+    together = Scene.joined([scene, ground.scene()]).placed(to_probe)
+    return kept_transfer(
+        path, together, cells, sampling=sampling, workers=workers, progress=progress
+    )

@@ -1,0 +1,225 @@
+"""Virtual scenes by the command line: relight, live and export, on drawn pictures of a 6D probe."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from skylight.app.partition_relight import SceneStand
+from skylight.cli import main
+from skylight.errors import InputError
+from skylight.imaging.files import write_json
+from skylight.probes.capture.board import save_board
+from skylight.probes.capture.intrinsics import FLIP, save_intrinsics
+from skylight.probes.capture.pose import OPENCV_FROM_BOARD
+from skylight.probes.capture.response import Response
+from skylight.probes.partitions.cells import Cells
+from skylight.probes.partitions.designs import named_design
+from skylight.probes.partitions.placement import (
+    StandingPartitions,
+    describe_standing_partitions,
+)
+from skylight.probes.partitions.probe import PartitionProbe
+from skylight.probes.partitions.samples import ProbeCapture, fingerprint, save_capture
+from skylight.probes.partitions.sizes import ProbeSizes
+from tests.app.test_voxel_probe_use import BOARD, LENS, pose
+from tests.probes.capture.scenes import picture_of_board
+from tests.probes.partitions.boards import box
+from tests.probes.partitions.pictures import looking_from, picture_of_faces
+
+DESIGN = named_design("6d")
+CELLS = Cells.of(DESIGN)
+MIDDLE = np.array([105.0, 150.0, 75.0])
+ALBEDO = 0.8
+# of the cells +x, -x, +y, -y, +z, -z
+LIGHT = torch.tensor(
+    [[0.9, 0.8, 0.6], [0.1, 0.1, 0.2], [0.5, 0.5, 0.6], [0.1, 0.1, 0.1], [0.3] * 3, [0.2] * 3],
+    dtype=torch.float64,
+)
+
+
+def shading() -> np.ndarray:
+    facing = CELLS.facing[:, None]
+    return (ALBEDO / np.pi * facing * LIGHT).numpy()
+
+
+def standing() -> StandingPartitions:
+    return StandingPartitions(
+        design=DESIGN,
+        sizes=ProbeSizes(),
+        rotation=np.eye(3),
+        translation_mm=MIDDLE,
+        pole_mm=(105.0, 75.0, 3.0, 125.0),
+        board_mm=BOARD.size_mm,
+        response=torch.diag(CELLS.facing),
+    )
+
+
+def board_picture(where) -> np.ndarray:
+    return picture_of_board(
+        BOARD, LENS, FLIP @ where.rotation @ OPENCV_FROM_BOARD.T, FLIP @ where.translation
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A photo of the board, a cube of 20 units, and the files of camera, board, probe, capture."""
+    folder = tmp_path_factory.mktemp("scene")
+    save_board(folder / "board.json", BOARD)
+    save_intrinsics(folder / "camera.json", LENS)
+    write_json(folder / "probe.json", describe_standing_partitions(standing()))
+    ones = np.ones(6)
+    capture = ProbeCapture(
+        design=DESIGN.name,
+        fingerprint=fingerprint(DESIGN),
+        albedo=np.full(3, ALBEDO),
+        shading=shading(),
+        area_px=50 * ones,
+        clipped=0 * ones,
+        saturated=np.zeros(6, bool),
+        disagreement=np.full(6, np.nan),
+    )
+    save_capture(folder / "capture.json", capture)
+    Image.fromarray(board_picture(pose(30, 35))).save(folder / "photo.png")
+    import trimesh
+
+    cube = trimesh.Trimesh(box().vertices.numpy(), box().faces.numpy())
+    cube.export(folder / "cube.ply")
+    return folder
+
+
+def command(folder: Path, verb: str, out: str, *more: str, names: tuple[str, ...]) -> list[str]:
+    files = [part for name in names for part in (f"--{name}", str(folder / f"{name}.json"))]
+    scene = ["--scene", str(folder / "cube.ply"), "--at-mm", "60", "0", "90", "--height-mm", "30"]
+    quick = ["--rays", "32", "--bounces", "1", "--workers", "1", "--edge-mm", "10"]
+    cache = ["--cache", str(folder / "cube.npz")]
+    arguments = [*files, *scene, *quick, *cache, "--out", str(folder / out), *more]
+    return ["probe", "partitions", verb, *arguments]
+
+
+ALL = ("camera", "board", "probe", "capture")
+
+
+def test_a_scene_is_put_into_a_photo(folder: Path) -> None:
+    photo = ["--photo", str(folder / "photo.png")]
+    assert main(command(folder, "relight", "out.png", *photo, names=ALL)) == 0
+    before = np.asarray(Image.open(folder / "photo.png")).astype(float)
+    after = np.asarray(Image.open(folder / "out.png")).astype(float)
+    where = pose(30, 35)
+
+    def at(picture: np.ndarray, *places: tuple[float, float, float]) -> np.ndarray:
+        pixels = np.rint(where.project(np.array(places), LENS)).astype(int)
+        return np.stack([picture[y - 1 : y + 2, x - 1 : x + 2].mean((0, 1)) for x, y in pixels])
+
+    # the faces +y and +z, open to light that mostly comes from their own cells
+    top, front = (
+        Response()
+        .linearise(
+            np.rint(at(after, (60.0, 30.0, 90.0), (60.0, 22.0, 105.0))).astype(np.uint8)[None]
+        )[0]
+        .numpy()
+    )
+    probe = PartitionProbe(CELLS, ALBEDO)
+    share = CELLS.clamped_cosine(torch.tensor([[0.0, 1, 0], [0, 0, 1.0]]).double()) / np.pi
+    expected = 0.7 * (share @ probe.light(torch.from_numpy(shading())[None])[0]).numpy()
+    np.testing.assert_allclose(top, expected[0], rtol=0.06)
+    # the ground stands in for the cells below
+    np.testing.assert_allclose(front, expected[1], rtol=0.3)
+    # shadow on the board's margin and paper to the left, away from the light at +x
+    left, right = (60.0 - 21, 0.0, 90.0), (60.0 + 90, 0.0, 90.0)
+    ratio = (at(after, left) + 1) / (at(before, left) + 1)
+    assert ratio.mean() < 0.9
+    assert np.abs(at(after, right) - at(before, right)).max() < 8
+    assert (after[:60] == before[:60]).all()
+
+
+def test_coefficients_are_kept(folder: Path) -> None:
+    photo = ["--photo", str(folder / "photo.png")]
+    assert main(command(folder, "relight", "one.png", *photo, names=ALL)) == 0
+    written = (folder / "cube.npz").stat().st_mtime_ns
+    assert main(command(folder, "relight", "two.png", *photo, names=ALL)) == 0
+    assert (folder / "cube.npz").stat().st_mtime_ns == written
+    assert (folder / "one.png").read_bytes() == (folder / "two.png").read_bytes()
+
+
+def test_what_cannot_be_done_is_said_in_a_line(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photo = ["--photo", str(folder / "photo.png")]
+    for out, more, told in [
+        ("a.jpg", photo, ".png"),
+        ("a.png", [*photo, "--at-mm", "9000", "0", "9000"], "outside of the picture"),
+        ("a.png", [*photo, "--scale", "2"], "not both"),
+        ("a.png", [*photo, "--at-mm", "60", "-5", "90"], "below the board"),
+    ]:
+        assert main(command(folder, "relight", out, *more, names=ALL)) == 2
+        error = capsys.readouterr().err.strip().splitlines()[-1]
+        assert told in error
+
+
+def test_export_has_the_same_light(folder: Path) -> None:
+    arguments = command(folder, "export", "cube.glb", names=("probe", "capture"))
+    assert main(arguments) == 0
+    data = (folder / "cube.glb").read_bytes()
+    length = int.from_bytes(data[12:16], "little")
+    (mesh,) = json.loads(data[20 : 20 + length])["meshes"]
+    np.testing.assert_allclose(mesh["extras"]["light"], LIGHT, atol=1e-9)
+    import trimesh
+
+    read = trimesh.load(folder / "cube.glb", force="mesh", process=False)
+    # metres, standing on the origin
+    np.testing.assert_allclose(read.bounds, [[-0.015, 0, -0.015], [0.015, 0.03, 0.015]], atol=1e-7)
+
+
+def test_film_shows_the_scene_once_enough_cells_were_seen(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    placed = standing().placed()
+    film = folder / "film.avi"
+    writer = cv2.VideoWriter(
+        str(film), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (640, 480)
+    )
+    response = Response()
+
+    def shine(cells: np.ndarray, points: np.ndarray) -> np.ndarray:
+        return shading()[cells]
+
+    for towards in ((0.8, 0.9, 0.3), (0.5, 0.9, 0.8), (0.5, 0.9, 0.8), (-0.4, 0.7, 0.9)):
+        where = looking_from(np.array(towards), MIDDLE - [0, 60.0, 0], 330.0)
+        behind = response.linearise(board_picture(where)).numpy()
+        light = picture_of_faces(placed, shine, LENS, where, behind)
+        writer.write(cv2.cvtColor(response.encode(torch.from_numpy(light)), cv2.COLOR_RGB2BGR))
+    writer.release()
+    arguments = command(
+        folder, "live", "live.mp4", "--video", str(film), names=("camera", "board", "probe")
+    )
+    assert main(arguments) == 0
+    told = capsys.readouterr().out
+    assert "4 frames, 4 tracked" in told
+    assert "of 6 cells" in told
+    assert all(stage in told for stage in ("track", "capture", "relight", "draw"))
+    made = cv2.VideoCapture(str(folder / "live.mp4"))
+    plain = cv2.VideoCapture(str(film))
+    changed = [
+        (np.abs(a.astype(int) - b.astype(int)).max(2) > 40).mean()
+        for a, b in ((made.read()[1], plain.read()[1]) for _ in range(4))
+    ]
+    assert changed[3] > 0.003
+
+
+def test_stand_says_how_large_and_where() -> None:
+    cube = box(2.0)
+    turned = SceneStand(x_mm=10.0, z_mm=20.0, y_mm=3.0, height_mm=8.0, turn_deg=90.0).placed(cube)
+    torch.testing.assert_close(turned.vertices.amin(0), torch.tensor([6, 3, 16.0]).double())
+    torch.testing.assert_close(turned.vertices.amax(0), torch.tensor([14, 11, 24.0]).double())
+    # counter-clockwise from above: +X goes to -Z
+    right = int((cube.vertices[:, 0] - cube.vertices[:, 1] - cube.vertices[:, 2]).argmax())
+    assert float(turned.vertices[right, 2]) == pytest.approx(16)
+    default = SceneStand(x_mm=0.0, z_mm=0.0).placed(cube)
+    assert float(default.vertices[:, 1].max()) == pytest.approx(60)
+    with pytest.raises(InputError, match="not both"):
+        SceneStand(x_mm=0.0, z_mm=0.0, height_mm=1.0, scale=1.0)

@@ -1,0 +1,111 @@
+"""The evaluation of partition probes, on small meshes under made-up lights."""
+
+import math
+from pathlib import Path
+
+import pytest
+import torch
+import trimesh
+
+from skylight.errors import InputError
+from skylight.evaluation.partition_probe import (
+    THESIS_MEAN,
+    PartitionProbeTable,
+    scored,
+    with_sun_in_the_east,
+)
+from skylight.evaluation.partition_scene import ALBEDO, MODELS, partition_scene
+from skylight.imaging.files import write_environment_map
+from skylight.probes.partitions.designs import named_design
+from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.frame import angle_between
+
+
+def uniform() -> EnvironmentMap:
+    return EnvironmentMap(radiance=torch.tensor([1.0, 0.8, 0.6]).expand(16, 32, 3).clone())
+
+
+def sunny(column: int = 5) -> EnvironmentMap:
+    radiance = uniform().radiance.clone()
+    radiance[4, column] = 400.0
+    return EnvironmentMap(radiance=radiance)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data")
+    (folder / "hdr").mkdir()
+    (folder / "meshes").mkdir()
+    write_environment_map(folder / "hdr" / "room.exr", uniform())
+    write_environment_map(folder / "hdr" / "day.exr", sunny())
+    lines = ["file,category", "room.exr,indoor", "day.exr,outdoor-sun"]
+    (folder / "hdr" / "index.csv").write_text("\n".join(lines) + "\n")
+    for name, _ in MODELS:
+        trimesh.creation.icosphere(subdivisions=2).export(folder / "meshes" / name)
+    return folder
+
+
+def small(data: Path) -> PartitionProbeTable:
+    return PartitionProbeTable(data=data, samples=64, rays=64, even=(6,), width=48)
+
+
+def test_uniform_light_is_drawn_right_by_all_that_know_shadows(data: Path, tmp_path: Path) -> None:
+    item = small(data).measure("room.exr", tmp_path / "a.png")
+    noise = float(item.facts["noise"])  # type: ignore[arg-type]
+    for row in ("6d", "6d_np_corr", "14d_indoor", "sh9", "sh25"):
+        assert item.metrics[row]["mae"] < 0.02 + 2 * noise, row
+    # without walls, faces show pi over what their cells send
+    excess = math.pi / named_facing("6d") - 1
+    assert item.metrics["6d_np"]["mae"] == pytest.approx(excess, rel=0.05)
+    assert item.metrics["unshadowed"]["mae"] > 0.03
+    assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def named_facing(name: str) -> float:
+    from skylight.probes.partitions.cells import Cells
+
+    facing = Cells.of(named_design(name)).facing
+    assert float(facing.max() - facing.min()) < 1e-9
+    return float(facing[0])
+
+
+def test_a_sun_on_the_path_casts_shadows_that_even_cells_miss(data: Path, tmp_path: Path) -> None:
+    evaluation = small(data)
+    assert evaluation.items() == ["room.exr", "day.exr"]
+    item = evaluation.measure("day.exr", tmp_path / "b.png")
+    found = item.metrics
+    assert found["14d_outdoor"]["rmse_sunny"] < 0.8 * found["6d"]["rmse_sunny"]
+    assert all(set(scores) == {f"{s.removesuffix('_sunny')}_sunny" for s in scores}
+               for scores in found.values())  # fmt: skip
+
+
+def test_the_sun_is_turned_to_the_east() -> None:
+    for column in (0, 5, 20, 31):
+        turned = with_sun_in_the_east(sunny(column))
+        direction = turned.brightest_direction()
+        level = torch.tensor([float(direction[0]), 0.0, float(direction[2])]).double()
+        east = torch.tensor([1.0, 0.0, 0.0]).double()
+        assert float(angle_between(level / level.norm(), east)) < math.radians(6)
+
+
+def test_the_thesis_measures(data: Path) -> None:
+    scene = partition_scene(data / "meshes", 48)
+    truth = torch.full((len(scene.points), 3), 2.0)
+    found = scored(scene, truth * torch.tensor([1.1, 1.0, 0.7]), truth)
+    assert found["mae"] == pytest.approx(0.4 / 3, rel=1e-5)
+    assert found["mae_thesis"] == pytest.approx(0.4 * THESIS_MEAN, rel=1e-5)
+    assert found["rmse_thesis"] == pytest.approx(math.hypot(0.1, 0.3) * THESIS_MEAN, rel=1e-5)
+
+
+def test_a_ball_in_the_sun_is_lit_by_its_cosine(data: Path) -> None:
+    scene = partition_scene(data / "meshes", 48)
+    light = uniform()
+    lit = scene.lit_sphere(light)
+    expected = ALBEDO * torch.tensor([1.0, 0.8, 0.6]).double()
+    assert torch.allclose(lit, expected.expand_as(lit), rtol=0.02)
+
+
+def test_a_folder_without_meshes_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "hdr").mkdir()
+    with pytest.raises(InputError, match="no folder meshes"):
+        PartitionProbeTable(data=tmp_path)

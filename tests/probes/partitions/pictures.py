@@ -1,0 +1,79 @@
+"""Pictures of partition probes whose faces shine as they are told, ray by ray."""
+
+from collections.abc import Callable
+from itertools import product
+
+import numpy as np
+import torch
+
+from skylight.probes.capture.intrinsics import FLIP, Intrinsics
+from skylight.probes.capture.pose import Pose
+from skylight.probes.partitions.placement import PlacedPartitions
+from skylight.transport.raycast import Raycaster
+from tests.probes.capture.scenes import rays_through, shrink
+
+Shine = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""(cells (m,), points (m,3)) -> radiance (m,3)."""
+WALLS = 0.01
+KERNEL_MM, RADIUS_MM, FREE_MM = 9.0, 30.0, 8.0
+
+
+def cube_probe(rotation: np.ndarray, middle: np.ndarray) -> PlacedPartitions:
+    """A probe of six cells made by hand: a cube with a sheet from each edge outwards.
+
+    Faces are +x, -x, +y, -y, +z, -z as the design "6d" has them.
+    """
+    corners = np.array(list(product((-1.0, 1.0), repeat=3)))
+    vertices = np.concatenate([KERNEL_MM * corners, RADIUS_MM / np.sqrt(3) * corners])
+    triangles = []
+    for axis, side in product(range(3), (-1, 1)):
+        a, b, c, d = np.flatnonzero(corners[:, axis] == side).tolist()
+        triangles += [[a, b, c], [b, c, d]]
+    for i, j in product(range(8), repeat=2):
+        if i < j and np.abs(corners[i] - corners[j]).sum() == 2:
+            triangles += [[i, j, i + 8], [j, i + 8, j + 8]]
+    normals = np.stack([s * np.eye(3)[axis] for axis in range(3) for s in (1, -1)]) @ rotation.T
+    return PlacedPartitions(
+        face_centres=KERNEL_MM * normals + middle,
+        normals=normals,
+        face_radii=np.full(6, FREE_MM),
+        vertices=vertices @ rotation.T + middle,
+        triangles=np.array(triangles),
+    )
+
+
+def picture_of_faces(
+    probe: PlacedPartitions,
+    shine: Shine,
+    lens: Intrinsics,
+    pose: Pose,
+    behind: np.ndarray | None = None,
+) -> np.ndarray:
+    """Linear light (h,w,3): shining faces, dark walls, and what is behind, as linear light too."""
+    rays = rays_through(lens) @ FLIP @ pose.rotation
+    start = torch.from_numpy(pose.position).expand(len(rays), 3)
+    hits = Raycaster(torch.from_numpy(probe.vertices), torch.from_numpy(probe.triangles)).intersect(
+        start, torch.from_numpy(rays)
+    )
+    there = hits.face.numpy() >= 0
+    points = pose.position + hits.distance.numpy()[there, None] * rays[there]
+    above = np.einsum("mnc,nc->mn", points[:, None] - probe.face_centres, probe.normals)
+    # a point outside of the kernel is above one of its faces
+    on_face, cells = np.abs(above.max(1)) < 1e-3, above.argmax(1)
+    seen = np.full((len(points), 3), WALLS)
+    seen[on_face] = shine(cells[on_face], points[on_face])
+    light, share = np.zeros((len(rays), 3)), np.zeros(len(rays))
+    light[there], share[there] = seen, 1.0
+    shape = 2 * lens.height, 2 * lens.width
+    shining = np.stack([shrink(light[:, c].reshape(shape)) for c in range(3)], -1)
+    empty = 1 - shrink(share.reshape(shape))[..., None]
+    return shining + empty * (0.1 if behind is None else behind)
+
+
+def looking_from(towards: np.ndarray, target: np.ndarray, distance_mm: float) -> Pose:
+    """A camera upright in a direction from what it looks at."""
+    back = towards / np.linalg.norm(towards)
+    right = np.cross([0.0, 1.0, 0.0], back)
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(back, right), back])
+    return Pose(rotation=rotation, translation=-rotation @ (target + distance_mm * back))
