@@ -49,7 +49,7 @@ CORNER = standing_rotation(CELLS) @ np.array([1.0, 1.0, -1.0])
 def standing() -> StandingPartitions:
     return StandingPartitions(
         design=named_design("6d"),
-        sizes=ProbeSizes(),
+        sizes=ProbeSizes(outer_mm=60.0, kernel_mm=9.0),
         rotation=standing_rotation(CELLS),
         translation_mm=MIDDLE,
         pole_mm=(105.0, 75.0, 3.0, 120.0),
@@ -328,7 +328,16 @@ class TestCells:
 def test_sizes_that_do_not_fit_are_no_print(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = ["probe", "partitions", "print", "6d", "--out", str(tmp_path / "p")]
+    command = [
+        "probe",
+        "partitions",
+        "print",
+        "6d",
+        "--kernel-mm",
+        "9",
+        "--out",
+        str(tmp_path / "p"),
+    ]
     assert main([*command, "--outer-mm", "20"]) == 2
     assert "make outer_mm 28 or more" in capsys.readouterr().err
     assert main([*command, "--lon", "3"]) == 2

@@ -23,7 +23,7 @@ from skylight.probes.printing.mount import Pole
 
 @pytest.fixture(scope="module")
 def cube() -> PrintedPartitions:
-    return print_partition_probe(named_design("6d"), ProbeSizes())
+    return print_partition_probe(named_design("6d"), ProbeSizes(outer_mm=60.0, kernel_mm=9.0))
 
 
 @pytest.fixture(scope="module")
@@ -87,4 +87,6 @@ def test_summary(cube: PrintedPartitions) -> None:
 
 def test_short_poles_are_refused() -> None:
     with pytest.raises(InputError, match=r"make it longer than \d+ mm"):
-        print_partition_probe(named_design("6d"), ProbeSizes(), pole=Pole(length_mm=20.0))
+        print_partition_probe(
+            named_design("6d"), ProbeSizes(outer_mm=60.0, kernel_mm=9.0), pole=Pole(length_mm=20.0)
+        )

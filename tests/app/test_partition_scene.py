@@ -50,7 +50,7 @@ def shading() -> np.ndarray:
 def standing() -> StandingPartitions:
     return StandingPartitions(
         design=DESIGN,
-        sizes=ProbeSizes(),
+        sizes=ProbeSizes(outer_mm=60.0, kernel_mm=9.0),
         rotation=np.eye(3),
         translation_mm=MIDDLE,
         pole_mm=(105.0, 75.0, 3.0, 125.0),
@@ -130,9 +130,9 @@ def test_a_scene_is_put_into_a_photo(folder: Path) -> None:
     # the ground stands in for the cells below
     np.testing.assert_allclose(front, expected[1], rtol=0.3)
     # shadow on the board's margin and paper to the left, away from the light at +x
-    left, right = (60.0 - 21, 0.0, 90.0), (60.0 + 90, 0.0, 90.0)
+    left, right = (60.0 - 42, 0.0, 90.0), (60.0 + 90, 0.0, 90.0)
     ratio = (at(after, left) + 1) / (at(before, left) + 1)
-    assert ratio.mean() < 0.9
+    assert ratio.mean() < 0.97  # of codes, 0.93 of the light
     assert np.abs(at(after, right) - at(before, right)).max() < 8
     assert (after[:60] == before[:60]).all()
 
@@ -188,7 +188,7 @@ def test_film_shows_the_scene_once_enough_cells_were_seen(
     def shine(cells: np.ndarray, points: np.ndarray) -> np.ndarray:
         return shading()[cells]
 
-    for towards in ((0.8, 0.9, 0.3), (0.5, 0.9, 0.8), (0.5, 0.9, 0.8), (-0.4, 0.7, 0.9)):
+    for towards in ((1.0, 0.5, 0.1), (0.1, 0.5, 1.0), (0.2, 1.0, 0.3), (0.2, 0.9, 0.4)):
         where = looking_from(np.array(towards), MIDDLE - [0, 60.0, 0], 330.0)
         behind = response.linearise(board_picture(where)).numpy()
         light = picture_of_faces(placed, shine, LENS, where, behind)
@@ -200,15 +200,18 @@ def test_film_shows_the_scene_once_enough_cells_were_seen(
     assert main(arguments) == 0
     told = capsys.readouterr().out
     assert "4 frames, 4 tracked" in told
-    assert "of 6 cells" in told
+    assert "3 of 6 cells" in told
     assert all(stage in told for stage in ("track", "capture", "relight", "draw"))
     made = cv2.VideoCapture(str(folder / "live.mp4"))
     plain = cv2.VideoCapture(str(film))
+    frames = [(made.read()[1].astype(float), plain.read()[1].astype(float)) for _ in range(4)]
+    # means of 8 x 8 pixels, which compression keeps
     changed = [
-        (np.abs(a.astype(int) - b.astype(int)).max(2) > 40).mean()
-        for a, b in ((made.read()[1], plain.read()[1]) for _ in range(4))
+        (np.abs((a - b).reshape(60, 8, 80, 8, 3).mean((1, 3))).max(2) > 15).mean()
+        for a, b in frames
     ]
-    assert changed[3] > 0.003
+    assert changed[0] == changed[1] == 0
+    assert changed[3] > 0.005
 
 
 def test_stand_says_how_large_and_where() -> None:

@@ -17,8 +17,8 @@ class ProbeSizes:
     between parts that meet.
     """
 
-    outer_mm: float = 60.0
-    kernel_mm: float = 9.0
+    outer_mm: float = 80.0
+    kernel_mm: float = 8.0
     wall_mm: float = 1.6
     clearance_mm: float = 0.15
 

@@ -137,7 +137,7 @@ def test_photo_is_multiplied_on_the_ground_and_kept_elsewhere() -> None:
     assert float(drawing.alpha.sum()) > 500
     assert float((shade < 0.7).all(2).double().mean()) > 0.02
     off = np.abs(made.astype(float) - expected.clamp(0, 255).numpy())
-    assert off.max() <= 1.0
+    assert off.max() <= 1.5
     assert (made == photo).all(2).mean() > 0.1
 
 

@@ -20,7 +20,7 @@ from skylight.probes.partitions.sizes import ProbeSizes
 from skylight.probes.partitions.solids import WallNet
 from skylight.probes.printing.part import part_of
 
-SIZES = ProbeSizes()
+SIZES = ProbeSizes(outer_mm=60.0, kernel_mm=9.0)
 
 
 def parts_of(name: str, sizes: ProbeSizes = SIZES) -> ProbeParts:

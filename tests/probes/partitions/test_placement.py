@@ -25,7 +25,7 @@ def standing() -> StandingPartitions:
     design = named_design("6d")
     return StandingPartitions(
         design=design,
-        sizes=ProbeSizes(),
+        sizes=ProbeSizes(outer_mm=60.0, kernel_mm=9.0),
         rotation=standing_rotation(Cells.of(design)),
         translation_mm=np.array([87.5, 148.0, 62.5]),
         pole_mm=(87.5, 62.5, 3.0, 118.0),
@@ -110,7 +110,7 @@ def test_oriented_probes_are_not_turned() -> None:
     with pytest.raises(InputError, match="must not be turned"):
         StandingPartitions(
             design=design,
-            sizes=ProbeSizes(),
+            sizes=ProbeSizes(outer_mm=60.0, kernel_mm=9.0),
             rotation=standing().rotation,
             translation_mm=np.zeros(3),
             pole_mm=(0.0, 0.0, 3.0, 1.0),

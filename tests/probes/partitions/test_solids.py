@@ -19,7 +19,7 @@ from skylight.probes.partitions.solids import (
     wall_solid,
 )
 
-SIZES = ProbeSizes()
+SIZES = ProbeSizes(outer_mm=60.0, kernel_mm=9.0)
 
 
 def net_of(name: str) -> WallNet:
@@ -98,7 +98,11 @@ def test_walls_end_a_clearance_above_the_kernels_edges() -> None:
 @pytest.mark.parametrize(
     ("name", "sizes", "message"),
     [
-        ("110d", ProbeSizes(), "too narrow: above the kernel its walls leave"),
+        (
+            "110d",
+            ProbeSizes(outer_mm=60.0, kernel_mm=9.0),
+            "too narrow: above the kernel its walls leave",
+        ),
         ("38d", ProbeSizes(wall_mm=6.0), "walls close it; make kernel_mm"),
     ],
 )
@@ -109,7 +113,7 @@ def test_cells_that_walls_close_are_refused(name: str, sizes: ProbeSizes, messag
 
 def test_kernels_that_reach_outside_are_refused() -> None:
     with pytest.raises(InputError, match=r"corners are 15\.6 mm from the centre"):
-        kernel_solid(net_of("6d"), ProbeSizes(outer_mm=36.0))
+        kernel_solid(net_of("6d"), ProbeSizes(outer_mm=36.0, kernel_mm=9.0))
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from skylight.probes.partitions.visibility import Visibility, measure_visibility
 from skylight.probes.printing.part import PrintedPart, merged
 from skylight.transport.raycast import Raycaster
 
-SIZES = ProbeSizes()
+SIZES = ProbeSizes(outer_mm=60.0, kernel_mm=9.0)
 
 
 @pytest.fixture(scope="module")
