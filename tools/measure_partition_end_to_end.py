@@ -123,7 +123,7 @@ class Standing:
         printed = print_partition_probe(
             named_design(arguments.design),
             ProbeSizes(),
-            pole=Pole(diameter_mm=6.0, length_mm=230.0),
+            pole=Pole(diameter_mm=6.0, length_mm=190.0),
             board=MarkerBoard(width_mm=width, height_mm=height, margin_mm=MARGIN_MM),
         )
         self.probe = printed.standing

@@ -16,7 +16,7 @@ from skylight.transport.camera import Camera
 _BENT_PX = 4  # by which distortion bends an edge between two of the places looked at
 Window = tuple[slice, slice]  # rows and columns of a picture
 WHOLE: Window = (slice(None), slice(None))
-UNSEEN = 1 / 500  # share of its light by which a pixel may change unseen
+UNSEEN = 1 / 150  # share of its light by which a pixel changes by less than one sRGB code
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,12 +23,12 @@ from skylight.probes.capture.pose import Pose
 from skylight.probes.capture.response import Response
 from skylight.probes.partitions.cells import Cells
 from skylight.probes.partitions.drawing import Mesh, SceneRenderer
-from skylight.transport.forked import Progress
 from skylight.probes.partitions.ground import ACROSS, Ground
 from skylight.probes.partitions.relit import Relighting
 from skylight.probes.partitions.scene import Scene
 from skylight.probes.partitions.transfer import TransferCoefficients, TransferSampling
 from skylight.probes.partitions.transfer_file import kept_transfer
+from skylight.transport.forked import Progress
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,7 +74,8 @@ class StandingScene:
         bare = self._bare.float() @ light
         with_scene = radiance[count:].reshape(ACROSS, ACROSS, 3)
         ratio = torch.where(bare > 0, with_scene / bare.clamp(min=1e-12), 1.0)
-        return LitScene(radiance=radiance[:count], shade=1 + self._fade * (ratio - 1))
+        shade = 1 + self._fade * (ratio - 1)
+        return LitScene(radiance=radiance[:count].contiguous(), shade=shade)
 
     def put_into(
         self,
