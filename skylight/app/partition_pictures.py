@@ -9,8 +9,15 @@ from jaxtyping import Float, UInt8
 from manifold3d import Manifold
 from torch import Tensor
 
-from skylight.app.probe_pictures import paper_parts
-from skylight.app.report import ACCENT, MUTED, STYLE, save, show, write_numbers
+from skylight.app.print_sheet import (
+    BASE,
+    INK,
+    PANEL_PX,
+    PAPER,
+    POLE,
+    paper_parts,
+    write_sheet_of_prints,
+)
 from skylight.probes.partitions.picture import draw_cells
 from skylight.probes.printing.mount import BOARD_FROM_PROBE
 from skylight.probes.printing.part import part_of
@@ -21,49 +28,28 @@ if TYPE_CHECKING:
 
 # linear reflectances; the shells are lighter than their paint, to be seen
 _LOWER, _UPPER, _WHITE = (0.12, 0.13, 0.15), (0.22, 0.24, 0.28), (0.85, 0.85, 0.84)
-_BASE, _POLE, _PAPER, _INK = (0.55, 0.58, 0.62), (0.75, 0.76, 0.78), (0.9,) * 3, (0.05,) * 3
-_PANEL_PX = 600
 _AZIMUTH, _ELEVATION = math.radians(-28.0), math.radians(24.0)
 
 
 def write_partition_picture(
-    path: Path, result: "PrintedPartitions", *, panel_px: int = _PANEL_PX
+    path: Path, result: "PrintedPartitions", *, panel_px: int = PANEL_PX
 ) -> None:
     """Write the picture as a PNG; panels are ``panel_px`` high."""
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
-
-    scale = panel_px / _PANEL_PX
-    with rc_context(STYLE):
-        figure = Figure(figsize=(15.2, 13.2), dpi=84 * scale, facecolor="white")
-        sizes = result.sizes
-        title = f"{result.cells.design.name}, to print"
-        figure.text(0.02, 0.967, title, fontsize=17, fontweight="bold")
-        said = (
-            f"shell {sizes.outer_mm:g} mm, kernel {sizes.kernel_mm:g} mm from its centre, walls "
-            f"{sizes.wall_mm:g} mm, clearance {sizes.clearance_mm:g} mm"
-        )
-        figure.text(0.98, 0.97, said, ha="right", color=MUTED, fontsize=11.5)
-        if result.report.problems:
-            text = "Take care: " + "; ".join(result.report.problems[:3])
-            figure.text(0.02, 0.948, text, color=ACCENT)
-        grid = figure.add_gridspec(
-            2, 2, left=0.02, right=0.98, top=0.925, bottom=0.02, wspace=0.04, hspace=0.09
-        )
-        panels = {
+    sizes = result.sizes
+    write_sheet_of_prints(
+        path,
+        title=result.cells.design.name,
+        sizes=f"shell {sizes.outer_mm:g} mm, kernel {sizes.kernel_mm:g} mm from its centre, walls "
+        f"{sizes.wall_mm:g} mm, clearance {sizes.clearance_mm:g} mm",
+        problems=result.report.problems,
+        panels={
             "On its pole and marker base": standing(result, panel_px),
             "Taken apart along the pins": taken_apart(result, panel_px),
             "Its cells, from two sides": draw_cells(result.cells, size=panel_px // 2),
-        }
-        for place, (name, picture) in enumerate(panels.items()):
-            axes = figure.add_subplot(grid[place // 2, place % 2])
-            show(axes, picture, name)
-            axes.images[0].set_interpolation("bilinear")  # panels are not to the pixel
-            for spine in axes.spines.values():
-                spine.set_visible(False)
-        numbers = figure.add_subplot(grid[1, 1].subgridspec(1, 3, width_ratios=(0.1, 1, 0.1))[1])
-        write_numbers(numbers, "In numbers", _rows(result))
-        save(figure, path)
+        },
+        rows=_rows(result),
+        panel_px=panel_px,
+    )
 
 
 def standing(result: "PrintedPartitions", panel_px: int) -> UInt8[np.ndarray, "h w 3"]:
@@ -76,7 +62,7 @@ def standing(result: "PrintedPartitions", panel_px: int) -> UInt8[np.ndarray, "h
     placed = [part.shifted(result.standing.translation_mm) for part in result.printed.parts]
     return shaded_picture(
         [*placed, part_of("pole", rod, (0, 1, 0)), *lying],
-        np.array([_LOWER, _WHITE, _UPPER, _POLE, _BASE, _PAPER, *[_INK] * (len(lying) - 2)]),
+        np.array([_LOWER, _WHITE, _UPPER, POLE, BASE, PAPER, *[INK] * (len(lying) - 2)]),
         size=(panel_px, panel_px),
         up=(0, 1, 0),
         azimuth_rad=_AZIMUTH,

@@ -8,8 +8,15 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from manifold3d import Manifold
 
-from skylight.app.report import ACCENT, MUTED, STYLE, save, show, write_numbers
-from skylight.probes.printing.mount import MarkerBoard
+from skylight.app.print_sheet import (
+    BASE,
+    INK,
+    PANEL_PX,
+    PAPER,
+    POLE,
+    paper_parts,
+    write_sheet_of_prints,
+)
 from skylight.probes.printing.part import PrintedPart, box, part_of
 from skylight.probes.printing.picture import shaded_picture
 
@@ -26,48 +33,27 @@ _VOXELS = np.array(
         [0.72, 0.7, 0.66],
     ]
 )
-_FOOT, _BASE, _POLE = (0.33, 0.36, 0.40), (0.55, 0.58, 0.62), (0.75, 0.76, 0.78)
-_PAPER, _INK = (0.9, 0.9, 0.9), (0.05, 0.05, 0.05)
+_FOOT = (0.33, 0.36, 0.40)
 _APART = 1.0  # of a face, between parts taken apart
-_PANEL_PX = 600
-_PATTERN = 7  # squares along the board's longer side in the picture
 
 
-def write_print_picture(path: Path, result: "PrintedProbe", *, panel_px: int = _PANEL_PX) -> None:
+def write_print_picture(path: Path, result: "PrintedProbe", *, panel_px: int = PANEL_PX) -> None:
     """Write the picture as a PNG; panels are ``panel_px`` high."""
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
-
-    scale = panel_px / _PANEL_PX
-    with rc_context(STYLE):
-        figure = Figure(figsize=(15.2, 13.2), dpi=84 * scale, facecolor="white")
-        sizes = result.printed.sizes
-        figure.text(0.02, 0.967, f"{result.title}, to print", fontsize=17, fontweight="bold")
-        said = (
-            f"faces {sizes.face_mm:g} mm, walls {sizes.wall_mm:g} mm, "
-            f"clearance {sizes.clearance_mm:g} mm"
-        )
-        figure.text(0.98, 0.97, said, ha="right", color=MUTED, fontsize=11.5)
-        if result.report.problems:
-            text = "Take care: " + "; ".join(result.report.problems[:3])
-            figure.text(0.02, 0.948, text, color=ACCENT)
-        grid = figure.add_gridspec(
-            2, 2, left=0.02, right=0.98, top=0.925, bottom=0.02, wspace=0.04, hspace=0.09
-        )
-        panels = {
+    sizes = result.printed.sizes
+    write_sheet_of_prints(
+        path,
+        title=result.title,
+        sizes=f"faces {sizes.face_mm:g} mm, walls {sizes.wall_mm:g} mm, "
+        f"clearance {sizes.clearance_mm:g} mm",
+        problems=result.report.problems,
+        panels={
             "On its pole and marker base": standing(result, panel_px),
             "Taken apart": taken_apart(result, panel_px),
             "On the printer's bed": on_bed(result, panel_px),
-        }
-        for place, (name, picture) in enumerate(panels.items()):
-            axes = figure.add_subplot(grid[place // 2, place % 2])
-            show(axes, picture, name)
-            axes.images[0].set_interpolation("bilinear")  # panels are not to the pixel
-            for spine in axes.spines.values():
-                spine.set_visible(False)
-        numbers = figure.add_subplot(grid[1, 1].subgridspec(1, 3, width_ratios=(0.1, 1, 0.1))[1])
-        write_numbers(numbers, "In numbers", _rows(result))
-        save(figure, path)
+        },
+        rows=_rows(result),
+        panel_px=panel_px,
+    )
 
 
 def standing(result: "PrintedProbe", panel_px: int) -> UInt8[np.ndarray, "h w 3"]:
@@ -75,7 +61,7 @@ def standing(result: "PrintedProbe", panel_px: int) -> UInt8[np.ndarray, "h w 3"
     mount = result.mount
     parts = [mount.on_base(part) for part in (*result.printed.parts, mount.foot)]
     paper = paper_parts(result.board, result.mount.paper_hole_mm)
-    colours = [*_voxel_colours(result), _FOOT, _BASE, _POLE, _PAPER, *[_INK] * (len(paper) - 1)]
+    colours = [*_voxel_colours(result), _FOOT, BASE, POLE, PAPER, *[INK] * (len(paper) - 1)]
     return shaded_picture(
         [*parts, mount.base, _rod(result), *paper],
         np.array(colours),
@@ -131,25 +117,6 @@ def _rod(result: "PrintedProbe") -> PrintedPart:
     rod = Manifold.cylinder(pole.length_mm, radius, radius, 48)
     low = board.paper_mm + sizes.wall_mm - pole.length_mm
     return part_of("pole", rod.translate((board.width_mm / 2, board.height_mm / 2, low)))
-
-
-def paper_parts(board: MarkerBoard, hole_mm: float) -> list[PrintedPart]:
-    """The paper and its dark squares, pierced by the base's socket; a picture, not the pattern."""
-    side = max(board.width_mm, board.height_mm) / _PATTERN
-    hole = hole_mm / 2
-    centre = (board.width_mm / 2, board.height_mm / 2, -1.0)
-    cut = Manifold.cylinder(3.0, hole, hole, 48).translate(centre)
-    margin = board.margin_mm
-    sheet = box(
-        np.array([-margin, -margin, 0.0]),
-        np.array([board.width_mm + margin, board.height_mm + margin, board.paper_mm]),
-    )
-    squares = []
-    for row in range(round(board.height_mm / side)):
-        for column in range(row % 2, round(board.width_mm / side), 2):
-            low = np.array([column * side, row * side, -0.05])
-            squares.append(box(low, low + np.array([side, side, 0.1])) - cut)
-    return [part_of("paper", sheet - cut), *(part_of("square", s) for s in squares if s.num_tri())]
 
 
 def _rows(result: "PrintedProbe") -> list[tuple[str, str]]:

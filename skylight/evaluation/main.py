@@ -91,7 +91,7 @@ def _partition_probe(quick: bool, data: Path | None) -> Evaluation:
         raise InputError("partition-probe needs --data DIR: a folder with hdr and meshes")
     if quick:  # one map each, noisy references, and probes of few cells
         return PartitionProbeTable(
-            data=data, indoor=1, sunny=1, samples=64, rays=64, even=(6, 14), width=96
+            data=data, indoor=1, sunny=1, samples=64, rays=64, even=(6, 14), width=96, searches=0
         )
     return PartitionProbeTable(data=data)
 

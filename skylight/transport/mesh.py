@@ -28,13 +28,7 @@ def read_mesh(path: str | Path) -> tuple[Float[Tensor, "n 3"], Int[Tensor, "f 3"
     """
     import trimesh  # slow to import
 
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such mesh")
-    if path.suffix.lower() not in MESH_SUFFIXES:
-        raise InputError(
-            f"{path}: '{path.suffix}' is no mesh known here: use {', '.join(MESH_SUFFIXES)}"
-        )
+    path = existing_mesh(path)
     try:
         mesh = trimesh.load_mesh(path, process=True)
     # its readers raise whatever their parsing stumbles over
@@ -44,6 +38,18 @@ def read_mesh(path: str | Path) -> tuple[Float[Tensor, "n 3"], Int[Tensor, "f 3"
         return creased(mesh)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+
+
+def existing_mesh(path: str | Path) -> Path:
+    """The path, once it is sure that a file with a mesh's ending is there."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such mesh")
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise InputError(
+            f"{path}: '{path.suffix}' is no mesh known here: use {', '.join(MESH_SUFFIXES)}"
+        )
+    return path
 
 
 def creased(mesh: "Trimesh") -> tuple[Float[Tensor, "n 3"], Int[Tensor, "f 3"]]:

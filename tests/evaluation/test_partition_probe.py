@@ -46,7 +46,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def small(data: Path) -> PartitionProbeTable:
-    return PartitionProbeTable(data=data, samples=64, rays=64, even=(6,), width=48)
+    return PartitionProbeTable(data=data, samples=64, rays=64, even=(6,), width=48, searches=0)
 
 
 def test_uniform_light_is_drawn_right_by_all_that_know_shadows(data: Path, tmp_path: Path) -> None:

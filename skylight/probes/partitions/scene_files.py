@@ -12,7 +12,7 @@ from torch import Tensor
 from skylight.errors import InputError
 from skylight.imaging.colour import srgb_to_linear
 from skylight.probes.partitions.scene import Scene
-from skylight.transport.mesh import MESH_SUFFIXES
+from skylight.transport.mesh import existing_mesh
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -37,13 +37,7 @@ def read_scene(path: str | Path, albedo: tuple[float, float, float] = DEFAULT_AL
     """
     import trimesh  # slow to import
 
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such mesh")
-    if path.suffix.lower() not in MESH_SUFFIXES:
-        raise InputError(
-            f"{path}: '{path.suffix}' is no mesh known here: use {', '.join(MESH_SUFFIXES)}"
-        )
+    path = existing_mesh(path)
     try:
         loaded = trimesh.load_scene(path, process=False)
         meshes = loaded.dump()

@@ -16,10 +16,10 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.probes.partitions.cells import Cells
-from skylight.transport.forked import Progress, in_processes, shared_array
 from skylight.probes.partitions.gather import MOST_RAYS, Gatherer, Nodes, gather_all
 from skylight.probes.partitions.receivers import Receivers
 from skylight.probes.partitions.scene import Scene
+from skylight.transport.forked import Progress, in_processes, shared_array
 
 
 @dataclass(frozen=True, kw_only=True)

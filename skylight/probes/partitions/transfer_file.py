@@ -12,7 +12,6 @@ from torch import Tensor
 from skylight.errors import InputError
 from skylight.imaging.atomic import atomic_path
 from skylight.probes.partitions.cells import Cells
-from skylight.transport.forked import Progress
 from skylight.probes.partitions.receivers import Receivers
 from skylight.probes.partitions.scene import Scene
 from skylight.probes.partitions.transfer import (
@@ -20,6 +19,7 @@ from skylight.probes.partitions.transfer import (
     TransferSampling,
     transfer_coefficients,
 )
+from skylight.transport.forked import Progress
 
 _VERSION = 1  # one more whenever the numbers change that the same scene gives
 _DAMAGED = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
