@@ -21,14 +21,10 @@ UNSEEN = 1 / 150  # share of its light by which a pixel changes by less than one
 
 @dataclass(frozen=True, kw_only=True)
 class Drawing:
-    """What a camera sees of a model: linear ``radiance`` and ``alpha``, the share covered."""
+    """What a camera sees of a model: ``alpha``, the share covered, and linear ``radiance`` times it."""
 
     radiance: Float[Tensor, "h w 3"]
     alpha: Float[Tensor, "h w"]
-
-    def over(self, background: Float[Tensor, "h w 3"]) -> Float[Tensor, "h w 3"]:
-        """In front of a linear picture; radiance is already weighed by alpha."""
-        return self.radiance + (1 - self.alpha[..., None]) * background
 
 
 def camera_rays(camera: Camera, samples: int = 1) -> Float[Tensor, "h w s 3"]:
