@@ -21,7 +21,7 @@ UNSEEN = 1 / 150  # share of its light by which a pixel changes by less than one
 
 @dataclass(frozen=True, kw_only=True)
 class Drawing:
-    """What a camera sees of a model: ``alpha``, the share covered, and linear ``radiance`` times it."""
+    """What a camera sees: ``alpha``, the share covered, and linear ``radiance`` times it."""
 
     radiance: Float[Tensor, "h w 3"]
     alpha: Float[Tensor, "h w"]
