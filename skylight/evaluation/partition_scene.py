@@ -55,9 +55,9 @@ class PartitionScene:
     def picture(self, radiance: Float[Tensor, "m 3"]) -> Float[Tensor, "h w 3"]:
         return self.gbuffer.image(radiance)
 
-    def relighting(self, design: ProbeDesign, rays: int) -> Relighting:
+    def relighting(self, design: ProbeDesign, rays: int, seed: int) -> Relighting:
         """From the light of a design's cells, with all bounces."""
-        sampling = TransferSampling(rays=rays, bounces=_BOUNCES)
+        sampling = TransferSampling(rays=rays, bounces=_BOUNCES, seed=seed)
         return Relighting(
             transfer_coefficients(self.scene, Cells.of(design), self.points, sampling=sampling)
         )

@@ -1,7 +1,7 @@
 """Where the sun stands for a place and a time."""
 
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, date, datetime, time, timedelta
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,11 @@ class Place:
     altitude_m: float = 0.0
 
 
+def sun_midnight(place: Place, day: date) -> datetime:
+    """When a day begins by the place's mean sun time, in UTC: 4 minutes earlier a degree east."""
+    return datetime.combine(day, time(), UTC) - timedelta(hours=place.longitude_deg / 15)
+
+
 def sun_angles(place: Place, times: list[datetime]) -> tuple[NDArray, NDArray]:
     """True (refraction-free) sun azimuth (clockwise from north) and zenith angle, radians.
 
@@ -28,7 +33,7 @@ def sun_angles(place: Place, times: list[datetime]) -> tuple[NDArray, NDArray]:
     import pandas as pd
     import pvlib
 
-    if any(time.tzinfo is None for time in times):
+    if any(moment.tzinfo is None for moment in times):
         raise ValueError("sun_angles needs times with a time zone, e.g. datetime(..., tzinfo=UTC)")
     table = pvlib.solarposition.get_solarposition(
         pd.DatetimeIndex(times),

@@ -22,7 +22,11 @@ def shared_array(shape: tuple[int, ...], dtype: DTypeLike) -> Shaped[np.ndarray,
     """
     count = int(np.prod(shape, dtype=np.int64))
     size = max(1, count * np.dtype(dtype).itemsize)
-    return np.frombuffer(mmap.mmap(-1, size), dtype, count).reshape(shape)
+    try:
+        memory = mmap.mmap(-1, size)
+    except OSError as error:
+        raise MemoryError(f"{size / 1e9:.1f} GB of memory cannot be had") from error
+    return np.frombuffer(memory, dtype, count).reshape(shape)
 
 
 def in_processes(

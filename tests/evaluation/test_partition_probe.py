@@ -1,6 +1,7 @@
 """The evaluation of partition probes, on small meshes under made-up lights."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -77,6 +78,48 @@ def test_a_sun_on_the_path_casts_shadows_that_even_cells_miss(data: Path, tmp_pa
     assert found["14d_outdoor"]["rmse_sunny"] < 0.8 * found["6d"]["rmse_sunny"]
     assert all(set(scores) == {f"{s.removesuffix('_sunny')}_sunny" for s in scores}
                for scores in found.values())  # fmt: skip
+
+
+def test_a_searched_design_is_scored_on_maps_that_the_search_did_not_see(
+    data: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "hdr"
+    folder.mkdir()
+    for name, column in (("a.exr", 5), ("b.exr", 20)):
+        write_environment_map(folder / name, sunny(column))
+    lines = ["file,category", "a.exr,indoor", "b.exr,indoor"]
+    (folder / "index.csv").write_text("\n".join(lines) + "\n")
+    (tmp_path / "meshes").symlink_to(data / "meshes")
+    evaluation = replace(small(data), data=tmp_path, searches=1, steps=20, even=(6, 14))
+    items = [evaluation.measure(name, tmp_path / f"{name}.png") for name in ("a.exr", "b.exr")]
+    held = ["14d_optimised" in item.metrics for item in items]
+    assert sorted(held) == [False, True]
+    found = items[held.index(True)].metrics
+    assert set(found["14d_optimised"]) == {f"{name}_held_out" for name in found["6d"]}
+    assert found["14d"]["mae_held_out"] == found["14d"]["mae"]
+    assert found["14d_optimised"]["mae_held_out"] != found["14d"]["mae"]
+
+
+def test_checks_tell_good_from_bad() -> None:
+    """Rows as in the thesis' table 4.1, where only the goals that are ours can be missed."""
+    mae = {"110d": 0.114, "sh25": 0.138, "38d": 0.21, "sh9": 0.242, "14d": 0.442, "6d": 0.546}
+    mae |= {"unshadowed": 0.646, "6d_np": 1.991, "14d_np": 7.668, "38d_np": 24.7, "110d_np": 75.7}
+    mae |= {"6d_np_corr": 0.694, "14d_np_corr": 0.702, "38d_np_corr": 0.673, "110d_np_corr": 0.663}
+    rows = {
+        row: {name: {"mean": v} for name in ("mae", "rmse", "mae_thesis")} for row, v in mae.items()
+    }
+    rows["14d"] |= {"mae_held_out": {"mean": 0.4}, "rmse_sunny": {"mean": 0.5}}
+    rows["14d_optimised"] = {"mae_held_out": {"mean": 0.33}}
+    rows["14d_outdoor"] = {"rmse_sunny": {"mean": 0.2}}
+    evaluation = PartitionProbeTable.__new__(PartitionProbeTable)
+    object.__setattr__(evaluation, "even", (6, 14, 38, 110))
+    checks = evaluation.checks(rows, [])
+    assert len(checks) == 24
+    missed = [name for name, check in checks.items() if not check.ok]
+    assert missed == ["mae_held_out: 14d_optimised / 14d"]
+    rows["sh25"]["mae"]["mean"] = 0.1
+    missed = {name for name, check in evaluation.checks(rows, []).items() if not check.ok}
+    assert {"mae: 110d is the best", "mae: 110d before sh25"} <= missed
 
 
 def test_the_sun_is_turned_to_the_east() -> None:

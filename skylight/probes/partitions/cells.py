@@ -91,12 +91,10 @@ class Cells:
 
     def _check(self) -> None:
         t, label = self.tessellation, self.design.labels
-        inside = label[t.left] == label[t.right]
-        links = torch.zeros(len(label), len(label))
-        links[t.left[inside], t.right[inside]] = 1
-        parts, part = connected_components(links.numpy(), directed=False)
+        part = t.pieces(label)
+        parts = int(part.max()) + 1
         if parts > self.count:
-            first = [int(label[torch.from_numpy(part == i)][0]) for i in range(parts)]
+            first = [int(label[part == i][0]) for i in range(parts)]
             broken = next(i for i in range(self.count) if first.count(i) > 1)
             raise InputError(
                 f"the merge {_seeds(self.design, broken)} is not connected: merge only seeds "
@@ -104,11 +102,13 @@ class Cells:
             )
         for region, polygon in enumerate(t.polygons):
             cell = int(label[region])
-            if bool((t.vertices[polygon] @ self.normals[cell] < _LEAST_HEIGHT).any()):
+            # not below: a cell of the whole sphere has no normal
+            if not bool((t.vertices[polygon] @ self.normals[cell] >= _LEAST_HEIGHT).all()):
                 raise InputError(
                     f"the merge {_seeds(self.design, cell)} makes a cell that reaches below its "
                     "own face's horizon: merge fewer seeds"
                 )
+        inside = label[t.left] == label[t.right]
         walls = torch.zeros(len(t.vertices), len(t.vertices))
         walls[t.starts[~inside], t.ends[~inside]] = 1
         at_wall = torch.cat([t.starts[~inside], t.ends[~inside]]).unique()

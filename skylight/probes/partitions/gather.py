@@ -9,7 +9,8 @@ Techniques, 5A.9)::
     1 / pi int (1 - V) L(y) <n, w>+ dw ~  sum over blocked rays of  e_i / N_i  L(y(x, ray))
 
 Points that see all or nothing of a cell are exact, nothing is negative, and the weights of all
-rays add up to 1, so white furnaces stay white. Given the numbers N_i > 0 the estimate has no bias.
+rays add up to 1, so white furnaces stay white. Of a cell that is seen in part, the bias is below
+2 % of the cell at 16 rays and 1 % at 64, since the numbers N_i depend on where the rays went.
 Cells no ray fell in, which are small, are taken as visible as the point's whole surroundings.
 """
 

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from datetime import UTC, date, datetime, time, timedelta
+from datetime import date, timedelta
 from pathlib import Path
 
 import torch
@@ -15,7 +15,7 @@ from skylight.imaging.collection import INDEX_NAME, read_categories
 from skylight.imaging.files import read_environment_map
 from skylight.skies.atmosphere import ClearSky
 from skylight.skies.simulator import draw_day, simulate_sky, sunlit_moments
-from skylight.skies.sun import Place
+from skylight.skies.sun import Place, sun_midnight
 from skylight.sphere.envmap import EnvironmentMap, shift_columns
 
 MAP_HEIGHT = 32
@@ -66,7 +66,7 @@ def read_maps(folder: Path, category: str | None = None) -> Lights:
         maps.append(_whole(environment).radiance)
     return Lights(
         maps=torch.stack(maps),
-        names=tuple(file.name for file in files),
+        names=tuple(file.relative_to(folder).as_posix() for file in files),
         groups=tuple(range(len(files))),
     )
 
@@ -77,7 +77,7 @@ def simulated_lights(
     """A day's skies at a place under many weathers, one an hour; -Z is north, +X east."""
     if weathers < 1:
         raise InputError(f"weathers must be 1 or more, got {weathers}")
-    midnight = datetime.combine(day, time(), UTC) - timedelta(hours=place.longitude_deg / 15)
+    midnight = sun_midnight(place, day)
     maps, names, groups = [], [], []
     for number in range(weathers):
         tell("simulating skies", number / weathers)

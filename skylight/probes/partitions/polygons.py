@@ -49,6 +49,14 @@ class Tessellation:
         cross = torch.linalg.cross(self.vertices[self.starts], self.vertices[self.ends])
         return cross / cross.norm(dim=1, keepdim=True)
 
+    def pieces(self, labels: Int[Tensor, " r"]) -> Int[Tensor, " r"]:
+        """Numbers 0, 1, ... of the connected pieces that regions of one label form."""
+        same = labels[self.left] == labels[self.right]
+        links = torch.zeros(len(labels), len(labels))
+        links[self.left[same], self.right[same]] = 1
+        _, piece = connected_components(links.numpy(), directed=False)
+        return torch.from_numpy(piece).long()
+
     def vector_integrals(self) -> Float[Tensor, "r 3"]:
         """int_region w dw for each region."""
         return self._per_region((self.lengths[:, None] * self.poles).T).T / 2

@@ -25,7 +25,9 @@ class PartitionProbe(nn.Module):
     without it A is ``diag(cells.facing)``.
 
     On a grid each direction belongs to one cell, and each cell's directions weigh as much as
-    the cell, so that uniform light comes out exactly and decoded shading encodes to itself.
+    the cell, so that uniform light comes out exactly and decoded shading encodes to itself. Basis
+    functions are off by how finely the grid covers the cells: with 128 rows by at most 0.5 % for
+    14 even cells and 5 % for 110, with 64 rows by 2 % and 21 %.
     """
 
     albedo: Tensor
@@ -84,7 +86,7 @@ class PartitionProbe(nn.Module):
         samples = math.ceil(_FINE_ROWS / height)
         fine = environment.radiance.repeat_interleave(samples, 0).repeat_interleave(samples, 1)
         grid = DirectionGrid.latlong(height * samples, width * samples)
-        return self.encode(fine.reshape(1, -1, 3), grid)[0]
+        return self.encode(fine.reshape(1, -1, 3).to(self.response.device), grid)[0]
 
     def light(self, shading: Float[Tensor, "b n 3"]) -> Float[Tensor, "b n 3"]:
         """Each cell's constant radiance, ``A^-1 (pi s / rho)``: s_i w_i if ideal (Eq. 4.6)."""

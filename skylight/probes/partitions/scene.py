@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, KDTree
 from torch import Tensor
 from torch.nn.functional import normalize
 
@@ -18,6 +18,7 @@ from skylight.transport.gbuffer import vertex_normals
 from skylight.transport.mesh import CREASE_RAD
 from skylight.transport.raycast import Raycaster
 
+_SAME_PLANE = 1e-4  # of normals, and of distances over the scene's diagonal
 # of a triangle: a rule of degree 2 that keeps off the corners, and the middle
 _PLACES = torch.tensor([[4, 1, 1], [1, 4, 1], [1, 1, 4], [2, 2, 2]]).double() / 6
 
@@ -133,15 +134,18 @@ class Scene:
 
         That is not so for a ground under everything.
         """
-        corner = self.vertices[self.faces[:, 0]]
-        # joggled, so that flat scenes have a hull as well
-        hull = torch.from_numpy(ConvexHull(self.vertices.numpy(), qhull_options="QJ").vertices)
-        hull = self.vertices[hull.long()]
         result = self.open_faces.clone()
-        for some in torch.nonzero(self.open_faces)[:, 0].split(1 << 14):
-            normal = self.face_normals[some]
-            lowest = (normal @ hull.T).amin(1) - (normal * corner[some]).sum(1)
-            result[some] = lowest < -self.raycaster.epsilon
+        which = torch.nonzero(result)[:, 0]
+        if not len(which) or len(_places(self.vertices)[0]) <= 3:
+            return torch.zeros_like(result)
+        # nothing is behind a triangle if, turned round, it lies in the scene's convex hull
+        places = (self.vertices - self.vertices.mean(0)) / self.raycaster.diagonal
+        # joggled, so that flat scenes have a hull as well
+        hull = KDTree(ConvexHull(places.numpy(), qhull_options="QJ").equations)
+        normal, corner = self.face_normals[which], places[self.faces[which, 0]]
+        plane = torch.cat([-normal, (normal * corner).sum(1, keepdim=True)], 1)
+        apart, _ = hull.query(plane.numpy(), distance_upper_bound=_SAME_PLANE)
+        result[which] = torch.from_numpy(np.isinf(apart))
         return result
 
     @cached_property

@@ -7,18 +7,17 @@ great circle, as they do at an equinox): it runs from the first through the midd
 
 import math
 from dataclasses import dataclass, replace
-from datetime import UTC, date, datetime, time, timedelta
+from datetime import date, timedelta
 
 import torch
 from jaxtyping import Float
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.probes.partitions.cells import Cells
 from skylight.probes.partitions.design import ProbeDesign
 from skylight.probes.partitions.polygons import voronoi
-from skylight.skies.sun import Place, sun_angles
+from skylight.skies.sun import Place, sun_angles, sun_midnight
 from skylight.sphere.frame import direction_from_angles, rotation_about
 
 STRIP_WIDTH_RAD = math.radians(20.0)
@@ -91,7 +90,7 @@ def sun_path(place: Place, day: date) -> SunPath:
 
 def sun_directions(place: Place, day: date) -> Float[Tensor, "1441 3"]:
     """Where the sun stands, from midnight to midnight in the place's sun time, every minute."""
-    midnight = datetime.combine(day, time(), UTC) - timedelta(hours=place.longitude_deg / 15)
+    midnight = sun_midnight(place, day)
     times = [midnight + timedelta(minutes=i) for i in range(_MINUTES_OF_DAY + 1)]
     azimuth, zenith = sun_angles(place, times)
     return direction_from_angles(torch.from_numpy(azimuth), torch.from_numpy(zenith))
@@ -160,12 +159,8 @@ def _side(directions: Float[Tensor, "m 3"], path: SunPath, height: float) -> Flo
 
 def _parted(seeds: Float[Tensor, "s 3"], labels: Tensor) -> Tensor:
     """New labels 0..n-1 in the order of the old: one for each connected piece."""
-    diagram = voronoi(seeds)
-    same = labels[diagram.left] == labels[diagram.right]
-    links = torch.zeros(len(seeds), len(seeds))
-    links[diagram.left[same], diagram.right[same]] = 1
-    _, piece = connected_components(links.numpy(), directed=False)
-    keys = torch.stack([labels, torch.from_numpy(piece).to(labels)], 1)
+    piece = voronoi(seeds).pieces(labels)
+    keys = torch.stack([labels, piece.to(labels)], 1)
     return keys.unique(dim=0, return_inverse=True)[1]
 
 

@@ -81,7 +81,7 @@ def transfer_coefficients(
     progress : called with the share that is done, in [0, 1].
 
     Memory: 24 bytes for each blocked ray of a vertex (0.5 GB for 100,000 vertices, 512 rays and
-    40 % blocked), and 24 n bytes for each receiver.
+    40 % blocked), 64 n bytes for each vertex, and 24 n for each other receiver.
     """
     sampling = sampling or TransferSampling()
     tell = progress or (lambda _share: None)

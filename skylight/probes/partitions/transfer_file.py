@@ -22,7 +22,8 @@ from skylight.probes.partitions.transfer import (
 from skylight.transport.forked import Progress
 
 _VERSION = 1  # one more whenever the numbers change that the same scene gives
-_DAMAGED = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
+_NAMES = {"version", "key", "values", "orders"}
+_DAMAGED = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile)
 
 
 def transfer_key(
@@ -58,6 +59,9 @@ def _add(digest: "hashlib._Hash", tensors: Mapping[str, Tensor | None]) -> None:
 
 def save_transfer(path: str | Path, coefficients: TransferCoefficients, key: str) -> None:
     """As float16: 6 n bytes for each receiver, to 0.05 % or 3e-8, whichever is more."""
+    largest = float(coefficients.values.abs().amax()) if len(coefficients) else 0.0
+    if largest > torch.finfo(torch.float16).max:
+        raise InputError(f"coefficients of {largest:g} do not fit: albedos must be below 1")
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         np.savez(
             stream,
@@ -112,14 +116,34 @@ def kept_transfer(
 ) -> TransferCoefficients:
     """:func:`transfer_coefficients` from ``path`` if they stand there, else made and put there.
 
-    A file of something else is replaced.
+    Those of another scene, probe, sampling or version are replaced.
+
+    Raises
+    ------
+    InputError
+        The file holds something else, or is damaged; it stays as it is.
     """
     key = transfer_key(scene, cells, receivers, sampling=sampling)
+    if Path(path).exists():
+        _require_ours(path)
+        try:
+            return load_transfer(path, key)
+        except InputError:
+            pass  # stale
+    made = transfer_coefficients(
+        scene, cells, receivers, sampling=sampling, workers=workers, progress=progress
+    )
+    save_transfer(path, made, key)
+    return load_transfer(path, key)  # the same numbers the first time and later
+
+
+def _require_ours(path: str | Path) -> None:
     try:
-        return load_transfer(path, key)
-    except InputError:
-        made = transfer_coefficients(
-            scene, cells, receivers, sampling=sampling, workers=workers, progress=progress
+        with np.load(path, allow_pickle=False) as content:
+            ours = set(content.files) == _NAMES
+    except _DAMAGED:
+        ours = False
+    if not ours:
+        raise InputError(
+            f"{path}: holds no transfer coefficients, or is damaged: delete it, or name another"
         )
-        save_transfer(path, made, key)
-        return load_transfer(path, key)  # the same numbers the first time and later

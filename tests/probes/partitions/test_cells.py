@@ -76,6 +76,8 @@ def test_cells_must_be_seen_by_their_faces() -> None:
     # two faces of a cube reach just to the horizon of what lies between them
     with pytest.raises(InputError, match="reaches below its own face's horizon"):
         cells_of(CUBE, [0, 1])
+    with pytest.raises(InputError, match="reaches below its own face's horizon"):
+        cells_of(CUBE, [0, 1, 2, 3, 4, 5])  # whose normal is nowhere
 
 
 def test_cells_round_others_have_walls_that_nothing_holds() -> None:

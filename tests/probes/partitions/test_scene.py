@@ -87,6 +87,32 @@ def test_what_is_open_and_what_has_a_back_that_counts():
     assert not quad([0, 0, 0], [0, 0, 1], [1, 0, 1], [1, 0, 0]).two_sided.any()
 
 
+@pytest.mark.parametrize("inward", [False, True])
+def test_backs_count_where_any_vertex_is_behind(inward: bool):
+    """Against looking at every vertex from every triangle, for an open shell over a ground."""
+    shell = trimesh.creation.icosphere(subdivisions=2)
+    shell.update_faces(shell.triangles_center[:, 1] > -0.4)
+    faces = shell.faces[:, ::-1] if inward else shell.faces
+    ball = Scene.of(
+        torch.from_numpy(shell.vertices.copy()),
+        torch.from_numpy(faces.copy()),
+        torch.full((3,), 0.5),
+    )
+    for scene in (
+        ball,
+        Scene.joined([ball, quad([-3, -1, -3], [-3, -1, 3], [3, -1, 3], [3, -1, -3])]),
+    ):
+        corner = scene.vertices[scene.faces[:, 0]]
+        height = (scene.vertices[None] - corner[:, None]) @ scene.face_normals[:, :, None]
+        behind = height[..., 0].amin(1) < -scene.raycaster.epsilon
+        assert scene.two_sided.equal(behind)
+
+
+def test_a_lone_triangle_has_nothing_behind_it():
+    one = Scene.of(torch.eye(3), torch.tensor([[0, 1, 2]]), torch.full((3,), 0.5))
+    assert not one.two_sided.any()
+
+
 @pytest.mark.parametrize(
     ("vertices", "faces", "albedo", "message"),
     [

@@ -7,7 +7,11 @@ import torch
 from skylight.errors import InputError, OutputError
 from skylight.probes.partitions import transfer_file
 from skylight.probes.partitions.receivers import Receivers
-from skylight.probes.partitions.transfer import TransferSampling, transfer_coefficients
+from skylight.probes.partitions.transfer import (
+    TransferCoefficients,
+    TransferSampling,
+    transfer_coefficients,
+)
 from skylight.probes.partitions.transfer_file import (
     kept_transfer,
     load_transfer,
@@ -69,8 +73,24 @@ def test_what_is_kept_is_used_and_what_is_stale_is_made_again(tmp_path, scene, m
         assert kept_transfer(path, scene, cells, sampling=SAMPLING).values.equal(first.values)
     dark = replace(scene, albedo=scene.albedo * 0)
     assert not kept_transfer(path, dark, cells, sampling=SAMPLING).values.any()
-    path.write_bytes(path.read_bytes()[:500])
     assert kept_transfer(path, scene, cells, sampling=SAMPLING).values.equal(first.values)
+
+
+def test_what_is_something_else_is_never_replaced(tmp_path, scene):
+    path = tmp_path / "t.npz"
+    np.savez(path, radiance=np.ones(3))
+    for content in (path.read_bytes(), path.read_bytes()[:50], b"ply\nformat ascii 1.0\n"):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match="delete it, or name another"):
+            kept_transfer(path, scene, six_cells(), sampling=SAMPLING)
+        assert path.read_bytes() == content
+
+
+def test_numbers_that_half_precision_does_not_hold_are_refused(tmp_path):
+    large = TransferCoefficients(values=torch.full((1, 6, 3), 7e4), orders=torch.ones(1))
+    with pytest.raises(InputError, match="do not fit"):
+        save_transfer(tmp_path / "t.npz", large, "key")
+    assert not list(tmp_path.iterdir())
 
 
 def test_files_that_are_refused(tmp_path, made):
