@@ -7,8 +7,9 @@ the probe as printed (shells of black paint, 4 % albedo, and a white kernel) on 
 board. The commands `camera calibrate`, `probe partitions capture` and `probe partitions relight` do
 the rest. Compared are the samples with path-traced shading of the kernel as it stands, and the
 composite with a rendered picture of the mesh on the board in the same light, beside what a perfect
-capture gives. The same with a probe that leans by 0.5 degrees and a kernel whose albedo is thought
-to be 10 % higher. A film of 640 x 480 is for `probe partitions live`.
+capture gives. The same with probes that stand 0.5 degrees off, about their pole or about other
+axes, and a kernel whose albedo is thought to be 10 % higher; capturing aligns what it can. A film
+of 640 x 480 is for `probe partitions live`.
 """
 
 import argparse
@@ -36,13 +37,14 @@ from skylight.probes.capture.drawing import lens_rays
 from skylight.probes.capture.frames import read_picture
 from skylight.probes.capture.intrinsics import load_intrinsics, save_intrinsics
 from skylight.probes.capture.response import Response
+from skylight.probes.capture.standing import cylinder_mesh
 from skylight.probes.partitions.capture import FaceDiscs
 from skylight.probes.partitions.designs import named_design
 from skylight.probes.partitions.placement import (
     StandingPartitions,
     describe_standing_partitions,
 )
-from skylight.probes.partitions.samples import load_capture, save_capture
+from skylight.probes.partitions.samples import ProbeCapture, load_capture, save_capture
 from skylight.probes.partitions.scene_files import read_scene
 from skylight.probes.partitions.sizes import ProbeSizes
 from skylight.probes.printing.mount import MarkerBoard, Pole
@@ -66,7 +68,7 @@ from tools.rendered_photos import (
 
 MESH_ALBEDO = 0.7
 STAND = SceneStand(x_mm=40.0, z_mm=75.0, height_mm=50.0)
-LEAN_DEG, ALBEDO_ERROR = 0.5, 1.1
+OFF_DEG, ALBEDO_ERROR = 0.5, 1.1
 _RING_PX = 61  # round the mesh, where its shadow falls
 _LIVE_EDGE_MM = 2.0
 
@@ -154,8 +156,10 @@ class Standing:
         self.photographer.calibrate()
         facts = self.photographer.pose_errors(load_intrinsics(self.work / "camera.json"))
         self._capture("capture", "assembly.json", ALBEDO)
-        write_json(self.work / "leaning.json", describe_standing_partitions(leaning(self.probe)))
-        self._capture("leaning", "leaning.json", ALBEDO * ALBEDO_ERROR)
+        for name, axis in _off_axes().items():
+            told = describe_standing_partitions(standing_off(self.probe, axis))
+            write_json(self.work / f"{name}.json", told)
+            self._capture(name, f"{name}.json", ALBEDO * ALBEDO_ERROR)
         true = self._true_shading()
         found = load_capture(self.work / "capture" / "shading.json")
         save_capture(
@@ -163,8 +167,10 @@ class Standing:
             replace(found, shading=true, area_px=np.ones(len(true)), clipped=np.zeros(len(true))),
         )
         facts |= {"cells_captured": int(found.known.sum()), **_errors("sample", found, true)}
-        amiss = load_capture(self.work / "leaning" / "shading.json")
-        facts |= _errors("leaning_sample", amiss, true)
+        for name in _off_axes():
+            facts |= _errors(
+                f"{name}_sample", load_capture(self.work / name / "shading.json"), true
+            )
         return facts | self._composites()
 
     def live(self, frames: int) -> dict[str, object]:
@@ -230,15 +236,14 @@ class Standing:
         work, stand = self.work, STAND
         photo = self.photographer.photos[0]
         place = [str(v) for v in (stand.x_mm, stand.y_mm, stand.z_mm)]
-        for name, capture, assembly in (
-            ("capture", work / "capture" / "shading.json", "assembly.json"),
-            ("perfect", work / "perfect.json", "assembly.json"),
-            ("leaning", work / "leaning" / "shading.json", "leaning.json"),
-        ):
+        files = {"perfect": (work / "assembly.json", work / "perfect.json")}
+        for name in ("capture", *_off_axes()):
+            files[name] = (work / name / "assembly.json", work / name / "shading.json")
+        for name, (assembly, capture) in files.items():
             run(
                 ["probe", "partitions", "relight", "--scene", str(self.mesh), "--photo", str(photo),
                  "--at-mm", *place, "--height-mm", str(stand.height_mm),
-                 "--probe", str(work / assembly), "--capture", str(capture),
+                 "--probe", str(assembly), "--capture", str(capture),
                  *self.photographer.command_files, "--cache", str(work / f"{name}.transfer.npz"),
                  "--out", str(work / f"{name}.png")]
             )  # fmt: skip
@@ -248,13 +253,14 @@ class Standing:
             "empty_ring_mae": mae(Response().linearise(shown["photo"])[ring], truth[ring])
         }
         error = {}
-        for name in ("capture", "perfect", "leaning"):
+        for name in files:
             shown[name] = read_picture(work / f"{name}.png").image
             found = Response().linearise(shown[name])
             error[name] = facts[f"{name}_mae"] = mae(found[mesh], truth[mesh])
             facts[f"{name}_ring_mae"] = mae(found[ring], truth[ring])
         facts["mae_ratio"] = error["capture"] / error["perfect"]
-        facts["leaning_mae_ratio"] = error["leaning"] / error["perfect"]
+        off = [error[name] / error["perfect"] for name in _off_axes()]
+        facts |= {"off_mae_ratio_median": float(np.median(off)), "off_mae_ratio_max": max(off)}
         rows, columns = (slice(v.min(), v.max()) for v in np.nonzero(ring.numpy()))
         write_png(work / "composites.png", np.hstack([p[rows, columns] for p in shown.values()]))
         return facts
@@ -290,32 +296,36 @@ class Standing:
         return torch.from_numpy(truth), torch.from_numpy(inner), torch.from_numpy(ring)
 
 
-def leaning(probe: StandingPartitions) -> StandingPartitions:
-    """Thought to stand upright, but half a degree off about its foot."""
-    tilt = rotation_about(torch.tensor([1.0, 0.0, 0.0]).double(), np.radians(LEAN_DEG)).numpy()
+def _off_axes() -> dict[str, Float[np.ndarray, "3"]]:
+    """About its pole, and about two axes drawn at random."""
+    drawn = np.random.default_rng(0).standard_normal((2, 3))
+    axes = np.stack([[0.0, 1.0, 0.0], *drawn])
+    return {f"off_{i}": axis / np.linalg.norm(axis) for i, axis in enumerate(axes)}
+
+
+def standing_off(probe: StandingPartitions, axis: Float[np.ndarray, "3"]) -> StandingPartitions:
+    """Thought to stand upright, but half a degree off about an axis through its foot."""
+    turn = rotation_about(torch.from_numpy(axis), np.radians(OFF_DEG)).numpy()
     x, z = probe.pole_mm[:2]
     foot = np.array([x, 0.0, z])
     return replace(
         probe,
-        rotation=tilt @ probe.rotation,
-        translation_mm=tilt @ (probe.translation_mm - foot) + foot,
+        rotation=turn @ probe.rotation,
+        translation_mm=turn @ (probe.translation_mm - foot) + foot,
     )
 
 
 def _pole(probe: StandingPartitions) -> Solid:
-    from skylight.probes.capture.standing import cylinder_mesh
-
     vertices, triangles = cylinder_mesh(probe.pole_mm)
     return Solid(vertices=vertices, triangles=triangles, albedo=ALBEDO)
 
 
-def _errors(name: str, found: object, true: Float[np.ndarray, "n 3"]) -> dict[str, object]:
+def _errors(name: str, found: ProbeCapture, true: Float[np.ndarray, "n 3"]) -> dict[str, object]:
     """Of the cells that were captured, relative to each one's mean."""
-    known = found.known  # type: ignore[attr-defined]
-    off = np.abs(found.shading - true).mean(1) / true.mean(1)  # type: ignore[attr-defined]
+    off = np.abs(found.shading - true).mean(1) / true.mean(1)
     return {
-        f"{name}_error_median": float(np.median(off[known])),
-        f"{name}_error_max": float(off[known].max()),
+        f"{name}_error_median": float(np.median(off[found.known])),
+        f"{name}_error_max": float(off[found.known].max()),
     }
 
 

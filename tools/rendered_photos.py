@@ -4,6 +4,7 @@ With lens distortion, noise and sRGB codes of 8 bits, from poses that are known.
 run left behind are used again.
 """
 
+import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -61,14 +62,29 @@ class Photographer:
 
     def __post_init__(self) -> None:
         self.work.mkdir(parents=True, exist_ok=True)
-        key = json.dumps(
-            {"name": self.name, "samples": self.samples, "lens": asdict(LENS), "views": VIEWS}
-        )
+        key = self._key()
         told = self.work / "pictures.json"
         if told.exists() and told.read_text() != key:
             raise SystemExit(f"{self.work} has pictures of other settings: choose another --work")
         told.write_text(key)
         save_board(self.work / "board.json", BOARD)
+
+    def _key(self) -> str:
+        """All that the pictures depend on."""
+        digest = hashlib.sha256(str((self.environment.radiance.sum(), NOISE, BOARD)).encode())
+        for solid in self.solids:
+            for values in (solid.vertices, solid.triangles, solid.albedo, solid.paint):
+                digest.update(b"" if values is None else np.asarray(values).tobytes())
+        poses = [self.pose(i) for i in range(len(VIEWS))]
+        digest.update(np.stack([p.translation for p in poses]).round(6).tobytes())
+        return json.dumps(
+            {
+                "name": self.name,
+                "samples": self.samples,
+                "lens": asdict(LENS),
+                "all": digest.hexdigest(),
+            }
+        )
 
     @property
     def exposure(self) -> float:
@@ -130,8 +146,8 @@ class Photographer:
         return Pose(rotation=rotation.numpy(), translation=translation.numpy())
 
     def film(self, count: int) -> Path:
-        """film.avi, 640 x 480: once round below the probe, once round above it."""
-        path = self.work / "film.avi"
+        """film_COUNT.avi, 640 x 480: once round below the probe, once round above it."""
+        path = self.work / f"film_{count}.avi"
         if path.exists():
             return path
         code = cv2.VideoWriter.fourcc(*"MJPG")
