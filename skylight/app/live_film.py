@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import UInt8
 
 from skylight.errors import InputError, OutputError
-from skylight.imaging.atomic import atomic_path
-from skylight.probes.capture.frames import film, film_rate
+from skylight.imaging.atomic import atomic_path, require_place
+from skylight.probes.capture.frames import film, film_rate, require_film
 from skylight.probes.capture.live import LiveFrame
 
 Show = Callable[[UInt8[np.ndarray, "h w 3"]], LiveFrame]
@@ -44,12 +44,14 @@ class LiveReport:
         )
 
 
-def check_film(out: Path, most: int | None) -> None:
-    """Refuse, before any work, what :func:`write_film` could not write."""
+def check_film(source: Path | int, out: Path, most: int | None) -> None:
+    """Refuse, before any work, what :func:`write_film` could not read or write."""
     if out.suffix.lower() != ".mp4":
         raise InputError(f"{out}: films are written as .mp4; choose another name")
     if most is not None and most < 1:
         raise InputError(f"at least 1 frame is needed, got {most}")
+    require_film(source)
+    require_place(out)
 
 
 def write_film(
@@ -64,7 +66,7 @@ def write_film(
     InputError
         The source or another file cannot be used, or no frame shows the board.
     """
-    check_film(out, most)
+    check_film(source, out, most)
     rate = film_rate(source)
     times: dict[str, list[float]] = {}
     whole: list[float] = []

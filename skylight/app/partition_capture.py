@@ -1,6 +1,7 @@
 """The shading of a printed partition probe from photographs or a film, files to files."""
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +23,14 @@ from skylight.app.results import results_folder
 from skylight.errors import InputError
 from skylight.imaging.files import write_json
 from skylight.probes.capture.frames import FRAMES_MOST, Frame, read_frames, read_picture
+from skylight.probes.capture.pose import Pose
 from skylight.probes.capture.response import Response, load_response
+from skylight.probes.partitions.alignment import (
+    PartitionAligner,
+    PartitionAlignment,
+    moved,
+    stood,
+)
 from skylight.probes.partitions.capture import LEAST_AREA_PX, SampleCapture
 from skylight.probes.partitions.kernel_albedo import (
     KernelAlbedo,
@@ -45,6 +53,7 @@ from skylight.probes.partitions.samples import (
     save_capture,
 )
 
+_TURNED_DEG = 3.0  # more is no play of sockets
 _UNSURE = 0.05  # standard error of an albedo, of itself
 
 
@@ -57,6 +66,7 @@ class PartitionCaptureResult:
     used: list[str]
     left_out: list[tuple[str, str]]
     doubts: list[str]
+    alignment: PartitionAlignment
 
 
 def capture_partition_probe(
@@ -70,15 +80,15 @@ def capture_partition_probe(
     more: bool = False,
     warn: Tell = print,
 ) -> PartitionCaptureResult:
-    """shading.json, capture.json and a copy of assembly.json in ``out``.
+    """shading.json, capture.json and assembly.json in ``out``.
 
     With ``more``, the shading that is there is gone on with: a cell's is replaced where a new
-    picture shows its face larger.
+    picture shows its face larger. assembly.json has the probe where it was found to stand.
 
     Raises
     ------
     InputError
-        No picture shows the board and a face, or a file cannot be used; nothing is written.
+        No picture shows the board and the probe, or a file cannot be used; nothing is written.
     """
     before = out / "shading.json"
     require_capture(before, more=more, most=most)
@@ -88,11 +98,12 @@ def capture_partition_probe(
     start.require_design(standing.design)
     if not np.array_equal(start.albedo, albedo.rgb):
         raise InputError(f"{before} was captured with another --albedo: give the same")
+    earlier = _earlier(out / "capture.json") if more else {}
     with results_folder(out) as folder:
         found = capture_faces(read_frames(source, most=most), standing, setup, start)
         save_capture(folder / "shading.json", found.capture)
         write_json(folder / "assembly.json", describe_standing_partitions(found.standing))
-        write_json(folder / "capture.json", describe_partition_capture(found))
+        write_json(folder / "capture.json", describe_partition_capture(found, earlier))
     tell_doubts(found.left_out, found.doubts, warn)
     return found
 
@@ -100,13 +111,35 @@ def capture_partition_probe(
 def capture_faces(
     frames: Iterable[Frame], standing: StandingPartitions, setup: Setup, start: ProbeCapture
 ) -> PartitionCaptureResult:
-    """Everything that pictures tell, the board found in each on its own; one at a time."""
-    probe = standing.placed()
-    capture = SampleCapture(probe, start)
+    """Everything that pictures tell, the board found in each on its own.
+
+    The outlines of the probe's faces in all of them say where it stands; all pictures are held in
+    memory for that.
+    """
+    placed = standing.placed()
+    aligner = PartitionAligner(standing, placed, setup.intrinsics)
+    seen: list[tuple[Frame, Pose]] = []
     pictures = BoardPictures(frames, setup)
     for frame, pose in pictures:
-        capture.add_photo(frame.image, setup.response, pose, setup.intrinsics)
+        aligner.add(frame.image, pose)
+        seen.append((frame, pose))
     pictures.require_some()
+    alignment = aligner.alignment()
+    if not alignment.shown:
+        raise InputError(
+            f"no probe where the assembly says, in any of {len(seen)} pictures: the edges of its "
+            "white faces are not there; stand it on the board, and check that the assembly is its"
+        )
+    if alignment.doubt is None:
+        placed = moved(placed, alignment.fit.motion, standing.translation_mm)
+        standing = stood(standing, alignment.fit.motion)
+    capture = SampleCapture(placed, start)
+    for (frame, pose), shown in zip(seen, alignment.shown_in.tolist(), strict=True):
+        if shown:
+            capture.add_photo(frame.image, setup.response, pose, setup.intrinsics)
+        else:
+            pictures.used.remove(frame.name)
+            pictures.left_out.append((frame.name, "no probe where the others show it"))
     captured = capture.captured()
     if not captured.known.any():
         burnt, small = int(capture.rejected.sum()), int(capture.small.sum())
@@ -123,7 +156,9 @@ def capture_faces(
         standing=standing,
         used=pictures.used,
         left_out=pictures.left_out,
-        doubts=_doubts(captured, capture.small, probe.normals),
+        doubts=_doubts_of_stand(alignment, standing)
+        + _doubts(captured, capture.small, placed.normals),
+        alignment=alignment,
     )
 
 
@@ -149,22 +184,42 @@ def completed_shading(
     return shading
 
 
-def describe_partition_capture(found: PartitionCaptureResult) -> dict[str, object]:
-    """In plain numbers."""
+def describe_partition_capture(
+    found: PartitionCaptureResult, earlier: Mapping[str, object]
+) -> dict[str, object]:
+    """In plain numbers, after the pictures of an ``earlier`` description that was gone on with."""
+    left_out = [{"name": name, "reason": reason} for name, reason in found.left_out]
+    alignment = found.alignment
     return {
         "cells": len(found.capture.known),
         "captured": int(found.capture.known.sum()),
-        "pictures": found.used,
-        "left_out": [{"name": name, "reason": reason} for name, reason in found.left_out],
+        "pictures": [*_listed(earlier, "pictures"), *found.used],
+        "left_out": [*_listed(earlier, "left_out"), *left_out],
+        "alignment": {
+            "turn_deg": alignment.fit.motion.turn_deg.tolist(),
+            "shift_mm": alignment.fit.motion.shift_mm.tolist(),
+            "share_of_outline": alignment.fit.share,
+            "share_unmoved": alignment.unmoved.share,
+            "same_every_deg": alignment.same_every_deg,
+            "applied": alignment.doubt is None,
+        },
         "doubts": found.doubts,
         "version": __version__,
     }
 
 
 def summarise_partition_capture(found: PartitionCaptureResult) -> str:
-    """One line."""
-    known = found.capture.known
-    return f"{known.sum()} of {len(known)} cells from {len(found.used)} pictures"
+    """What was captured, and where the probe stood."""
+    known, alignment = found.capture.known, found.alignment
+    told = f"{known.sum()} of {len(known)} cells from {len(found.used)} pictures"
+    if alignment.doubt is not None:
+        return told
+    motion, every = alignment.fit.motion, alignment.same_every_deg
+    alike = f" (or a multiple of {every:g} more: its edges are alike)" if every < 360 else ""
+    return (
+        f"{told}; the probe stands {np.linalg.norm(motion.turn_deg):.1f} degrees{alike} and "
+        f"{np.linalg.norm(motion.shift_mm):.1f} mm off its place; allowed for"
+    )
 
 
 def measure_albedo(
@@ -200,6 +255,34 @@ def measure_albedo(
             "and the rectangles"
         )
     return found
+
+
+def _earlier(path: Path) -> dict[str, object]:
+    """The report that is gone on with; nothing where it was taken away."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot read {path} ({error}): take it away or mend it") from error
+    return content if isinstance(content, dict) else {}
+
+
+def _listed(content: Mapping[str, object], key: str) -> list[object]:
+    found = content.get(key)
+    return found if isinstance(found, list) else []
+
+
+def _doubts_of_stand(alignment: PartitionAlignment, standing: StandingPartitions) -> list[str]:
+    if alignment.doubt is not None:
+        return [
+            f"the edges of the probe's faces do not tell where it stands ({alignment.doubt}): the "
+            "assembly's word was taken for it; add pictures from all round"
+        ]
+    if standing.design.oriented and abs(alignment.turn_deg) > _TURNED_DEG:
+        return [
+            f"the probe is turned by {alignment.turn_deg:.0f} degrees about its pole, and its "
+            "design belongs to the world's directions: turn its -Z north again, with the board"
+        ]
+    return []
 
 
 def _doubts(

@@ -26,6 +26,7 @@ def live_scene(
     albedo: Float[np.ndarray, "3"] | None = None,
     most: int | None = None,
     tell: Tell = print,
+    warn: Tell = print,
 ) -> LiveReport:
     """Write ``out`` (.mp4) with the scene drawn into each frame of a video or webcam.
 
@@ -37,13 +38,12 @@ def live_scene(
     InputError
         The source or another file cannot be used, or no frame shows the board.
     """
-    check_film(out, most)
+    check_film(source, out, most)
+    scene.require(out)
     standing, probe, captured = read_probe(assembly, capture, albedo)
     standing.require_board(setup.board.size_mm)
     placed = standing.placed()
-    on_board = scene.on_board(
-        probe.cells, torch.from_numpy(standing.rotation), (placed.vertices, placed.triangles)
-    )
+    on_board = scene.beside(placed, probe.cells, torch.from_numpy(standing.rotation), warn)
     view = PartitionLiveView(
         intrinsics=setup.intrinsics,
         board=setup.board,

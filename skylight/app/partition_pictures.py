@@ -91,7 +91,6 @@ def _rows(result: "PrintedPartitions") -> list[tuple[str, str]]:
     least, largest = report.clearances_mm
     width, depth, height = result.bed.size_mm
     black = printed.lower.volume_mm3 + printed.upper.volume_mm3
-    free = 2 * result.face_radii_mm
     return [
         ("cells", f"{result.cells.count}"),
         ("half shells, black", f"{black / 1000:.1f} cm³"),
@@ -101,7 +100,7 @@ def _rows(result: "PrintedPartitions") -> list[tuple[str, str]]:
         ("thinnest wall, measured", f"{report.thinnest_mm:.3f} mm"),
         ("clearances, measured", f"{least:.3f} to {largest:.3f} mm"),
         ("parts share, when assembled", f"{report.overlap_mm3:.1g} mm³"),
-        ("faces free about their centres", f"{free.min():.1f} to {free.max():.1f} mm"),
+        ("discs that are free on the faces", free_discs(result.face_radii_mm)),
         ("own light lost, mean and most", _shares(seen.loss)),
         ("others' light let in, mean and most", _shares(seen.leak)),
         ("pins", f"{len(printed.split.pinned)}"),
@@ -109,6 +108,12 @@ def _rows(result: "PrintedPartitions") -> list[tuple[str, str]]:
         ("hole in the marker's paper", f"{result.paper_hole_mm:.1f} mm"),
         ("all checks", "pass" if report.sound else f"{len(report.problems)} fail"),
     ]
+
+
+def free_discs(radii_mm: Float[np.ndarray, " n"]) -> str:
+    """Diameters from the smallest to the largest, in words."""
+    least, most = (f"{2 * radius:.1f}" for radius in (radii_mm.min(), radii_mm.max()))
+    return f"{least} mm" if least == most else f"{least} to {most} mm"
 
 
 def _shares(values: Float[Tensor, " n"]) -> str:

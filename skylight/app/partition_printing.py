@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from skylight import __version__
-from skylight.app.partition_pictures import write_partition_picture
+from skylight.app.partition_pictures import free_discs, write_partition_picture
 from skylight.errors import InputError
 from skylight.imaging.files import write_json
 from skylight.inverse.photo import Progress
@@ -34,6 +34,8 @@ from skylight.probes.printing.mount import (
 )
 from skylight.probes.printing.part import PrintedPart
 
+_HANGING = 2.0  # diameters of the shell, between it and the board
+
 
 @dataclass(frozen=True, kw_only=True)
 class PrintedPartitions:
@@ -57,6 +59,17 @@ class PrintedPartitions:
         return paper_hole_mm(
             self.pole, wall_mm=self.sizes.wall_mm, clearance_mm=self.sizes.clearance_mm
         )
+
+    @property
+    def doubts(self) -> list[str]:
+        """Sentences about what can be printed but will be hard to use."""
+        good = _good_pole_mm(self.sizes, self.board)
+        if self.pole.length_mm >= good:
+            return []
+        return [
+            f"on a pole of {self.pole.length_mm:g} mm the shell hides part of the board from "
+            f"cameras that look into it from above: make it {good:.0f} mm or longer"
+        ]
 
 
 def print_partition_probe(
@@ -206,8 +219,7 @@ def summarise_partition_print(result: PrintedPartitions) -> str:
             f"{result.printed.kernel.volume_mm3 / 1000:.1f} cm3 white",
             f"measured    walls {report.thinnest_mm:.2f} mm or more, clearances {least:.2f} to "
             f"{largest:.2f} mm",
-            f"faces       free for {2 * result.face_radii_mm.min():.1f} to "
-            f"{2 * result.face_radii_mm.max():.1f} mm about their centres",
+            f"faces       discs of {free_discs(result.face_radii_mm)} across are free on them",
             f"sight       {100 * loss.mean():.1f} % of a cell's light is lost (at most "
             f"{100 * loss.max():.1f} %), {100 * leak.mean():.0f} % comes in from others (at most "
             f"{100 * leak.max():.0f} %)",
@@ -226,10 +238,18 @@ def _over_board(
     if clear < 0:
         raise InputError(
             f"a pole of {pole.length_mm:g} mm is lost in its sockets: make it longer than "
-            f"{pole.length_mm - clear:.0f} mm, better three times as long as the probe is wide"
+            f"{pole.length_mm - clear:.0f} mm, better {_good_pole_mm(sizes, board):.0f} mm"
         )
     x, z = foot.axis
     return np.array([board.width_mm / 2 - x, height, board.height_mm / 2 - z])
+
+
+def _good_pole_mm(sizes: ProbeSizes, board: MarkerBoard) -> float:
+    """Length of a pole up to a shell that hangs twice its diameter over the board.
+
+    From 60 degrees above the horizon, the shell then hides none of the default board.
+    """
+    return base_stop_mm(board, sizes.wall_mm) + _HANGING * sizes.outer_mm
 
 
 def _lying(printed: ProbeParts) -> list[PrintedPart]:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -14,23 +15,31 @@ from skylight.app.board_pictures import Setup, why_unusable
 from skylight.app.partition_capture import completed_shading
 from skylight.app.progress import stage_bar
 from skylight.errors import InputError
+from skylight.imaging.atomic import require_place
 from skylight.imaging.files import write_png
-from skylight.probes.capture.drawing import lens_rays
+from skylight.probes.capture.drawing import box_edges, is_empty, lens_rays, window_of
 from skylight.probes.capture.frames import read_picture
-from skylight.probes.capture.pose import board_pose
+from skylight.probes.capture.intrinsics import Intrinsics
+from skylight.probes.capture.pose import Pose, board_pose
 from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.composite import StandingScene, board_transfer
+from skylight.probes.partitions.composite import StandingScene, board_transfer, meets
 from skylight.probes.partitions.drawing import Mesh
 from skylight.probes.partitions.ground import Ground
-from skylight.probes.partitions.placement import StandingPartitions, load_standing_partitions
+from skylight.probes.partitions.kernel_albedo import read_albedo
+from skylight.probes.partitions.placement import (
+    PlacedPartitions,
+    StandingPartitions,
+    load_standing_partitions,
+)
 from skylight.probes.partitions.probe import PartitionProbe
 from skylight.probes.partitions.refine import refined
-from skylight.probes.partitions.samples import ProbeCapture, load_capture
+from skylight.probes.partitions.samples import ProbeCapture, light_above_0, load_capture
 from skylight.probes.partitions.scene import Scene
 from skylight.probes.partitions.scene_files import DEFAULT_ALBEDO, read_scene
 from skylight.probes.partitions.transfer import TransferSampling
 
 Tell = Callable[[str], None]
+_UNEXPLAINED = 0.02  # of the shading, root mean square; noise of a capture is below
 SAMPLES = 3  # along each side of a pixel
 LARGEST_MM = 60.0  # of a scene whose size nobody names
 
@@ -99,12 +108,41 @@ class VirtualScene:
     sampling: TransferSampling = field(default_factory=TransferSampling)
     workers: int = 1
 
+    def require(self, out: Path) -> None:
+        """Refuse what cannot be used, before any work: ``out``, the cache's place, the mesh."""
+        require_place(out)
+        require_place(self.cache)
+        _ = self.placed
+
+    @cached_property
+    def placed(self) -> tuple[Scene, Ground]:
+        """In millimetres of the board, in triangles that are small enough, and what is below."""
+        scene = refined(self.stand.placed(read_scene(self.mesh, self.albedo)), self.edge_mm)
+        return scene, Ground.under(scene, albedo=self.ground_albedo)
+
+    def is_seen(self, pose: Pose, intrinsics: Intrinsics) -> bool:
+        """Whether the scene or its ground is in the camera's picture, hidden or not."""
+        scene, ground = self.placed
+        around = [each.vertices.aminmax(dim=0) for each in (scene, ground.scene())]
+        return not all(
+            is_empty(window_of(box_edges(low, high).numpy(), pose, intrinsics))
+            for low, high in around
+        )
+
+    def beside(
+        self, real: PlacedPartitions, cells: Cells, rotation: Float[Tensor, "3 3"], warn: Tell
+    ) -> StandingScene:
+        """:meth:`on_board`, hidden by the real probe; says where they are in one place."""
+        mesh = real.vertices, real.triangles
+        if meets(self.placed[0], mesh):
+            warn("the scene and the probe or its pole are in one place: see --at-mm")
+        return self.on_board(cells, rotation, mesh)
+
     def on_board(
         self, cells: Cells, rotation: Float[Tensor, "3 3"], real: Mesh | None = None
     ) -> StandingScene:
         """Ready to be lit by a probe that is turned like that, and hidden by its mesh."""
-        scene = refined(self.stand.placed(read_scene(self.mesh, self.albedo)), self.edge_mm)
-        ground = Ground.under(scene, albedo=self.ground_albedo)
+        scene, ground = self.placed
         with stage_bar() as progress:
             transfer = board_transfer(
                 self.cache,
@@ -125,7 +163,7 @@ def read_probe(
     """A printed probe, what it makes of light, and its capture: blank where none is named."""
     standing = load_standing_partitions(assembly)
     if capture is None:
-        plain = np.full(3, 0.8) if albedo is None else albedo
+        plain = read_albedo(None).rgb if albedo is None else albedo
         captured = ProbeCapture.blank(standing.design, plain)
     else:
         captured = load_capture(capture)
@@ -138,8 +176,18 @@ def read_probe(
 def captured_light(
     capture: ProbeCapture, standing: StandingPartitions, probe: PartitionProbe, warn: Tell
 ) -> Float[Tensor, "n 3"]:
-    """Radiance of each cell, 1 is the camera's largest code; says which cells are guessed."""
-    return probe.light(completed_shading(capture, standing, probe, warn)[None])[0]
+    """Radiance of each cell, 0 or more, 1 is the camera's largest code.
+
+    Says which cells are guessed, and when no light of the cells explains the shading.
+    """
+    light, left = light_above_0(completed_shading(capture, standing, probe, warn), probe)
+    if left > _UNEXPLAINED:
+        warn(
+            f"{left:.0%} of the shading is explained by no light of the cells: the probe is "
+            "turned otherwise than the assembly says, its kernel has another albedo, or the light "
+            "moved"
+        )
+    return light
 
 
 def relight_scene(
@@ -162,17 +210,18 @@ def relight_scene(
     """
     if out.suffix.lower() != ".png":
         raise InputError(f"{out}: pictures are written as .png; choose another name")
+    scene.require(out)
     image = read_picture(photo).image
     found = board_pose(image, setup.board, setup.intrinsics)
     if found is None or found.is_ambiguous:
         raise InputError(f"{photo}: {why_unusable(found)}; show most of it, and larger")
+    if not scene.is_seen(found.pose, setup.intrinsics):
+        raise InputError(f"{photo}: the scene would stand outside of the picture; see --at-mm")
     standing, probe, captured = read_probe(assembly, capture)
     standing.require_board(setup.board.size_mm)
     light = captured_light(captured, standing, probe, warn)
-    placed = standing.placed()
-    on_board = scene.on_board(
-        probe.cells, torch.from_numpy(standing.rotation), (placed.vertices, placed.triangles)
-    )
+    rotation = torch.from_numpy(standing.rotation)
+    on_board = scene.beside(standing.placed(), probe.cells, rotation, warn)
     lit = on_board.lit(light)
     picture = on_board.put_into(
         image,
@@ -183,7 +232,10 @@ def relight_scene(
         lambda window: lens_rays(setup.intrinsics, SAMPLES, window),
     )
     if np.array_equal(picture, image):
-        raise InputError(f"{photo}: the scene would stand outside of the picture; see --at-mm")
+        raise InputError(
+            f"{photo}: nothing of the scene would be seen, it is behind the probe or only just "
+            "beyond the picture's edge; see --at-mm"
+        )
     write_png(out, picture)
     tell(
         f"{out}: {len(on_board.scene.vertices)} vertices lit by {probe.cells.count} cells; "

@@ -37,7 +37,7 @@ def live_film(
     InputError
         The source or another file cannot be used, or no frame shows the board.
     """
-    check_film(out, most)
+    check_film(source, out, most)
     standing = load_standing_probe(assembly)
     standing.require_board(setup.board.size_mm)
     view = LiveView(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import OmitArgPrefixes
 
-from skylight.cli.sources import one_source, take_care
+from skylight.cli.sources import film_source, take_care
 from skylight.errors import InputError
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def live(
     webcam: int | None = None,
     probe: Path = Path("assembly.json"),
     capture: Path | None = None,
-    kernel_albedo: str = "0.8",
+    kernel_albedo: str | None = None,
     camera: Path = Path("camera.json"),
     board: Path = Path("board.json"),
     response: Path | None = None,
@@ -131,7 +131,7 @@ def live(
         webcam: Instead of it, the number of a webcam.
         probe: The printed probe and its place, as `print` or `capture` wrote it.
         capture: Shading to begin with, as `capture` wrote it, with the kernel's albedo.
-        kernel_albedo: Without --capture: a number, or a file that `albedo` wrote.
+        kernel_albedo: Without --capture: a number, or a file that `albedo` wrote; otherwise 0.8.
         camera: The camera, as `skylight camera calibrate` wrote it.
         board: The board's measures, as `skylight camera board` wrote them.
         response: The camera's response; otherwise sRGB.
@@ -142,11 +142,10 @@ def live(
     from skylight.app.partition_live import live_scene
     from skylight.probes.partitions.kernel_albedo import read_albedo
 
-    source = one_source((), video, webcam)
-    if isinstance(source, tuple):
-        raise InputError("give --video or --webcam")
+    if capture is not None and kernel_albedo is not None:
+        raise InputError("the capture has the kernel's albedo: give it without --kernel-albedo")
     live_scene(
-        source,
+        film_source(video, webcam),
         out,
         scene=virtual.read(out),
         setup=read_setup(camera, board, response),
@@ -154,6 +153,7 @@ def live(
         capture=capture,
         albedo=read_albedo(kernel_albedo).rgb,
         most=frames,
+        warn=take_care,
     )
 
 
@@ -162,6 +162,7 @@ def export(
     probe: Path = Path("capture/assembly.json"),
     capture: Path = Path("capture/shading.json"),
     exposure: float = 1.0,
+    atlas_px: int | None = None,
     out: Path = Path("scene.glb"),
 ) -> None:
     """Write a scene as .glb with its light baked in, and the coefficients to light it anew.
@@ -173,10 +174,19 @@ def export(
         probe: The printed probe and its place, as `print` or `capture` wrote it.
         capture: Its shading, as `capture` wrote it.
         exposure: The baked colours are the light times this.
+        atlas_px: Work the light out at the texels of a texture so wide and high instead of at
+            the vertices; the coefficients go to OUT with the ending .atlas.npz, and to the cache
+            in place of the vertices'.
         out: The .glb to write.
     """
     from skylight.app.partition_export import export_scene
 
     export_scene(
-        virtual.read(out), out, assembly=probe, capture=capture, exposure=exposure, warn=take_care
+        virtual.read(out),
+        out,
+        assembly=probe,
+        capture=capture,
+        exposure=exposure,
+        atlas_px=atlas_px,
+        warn=take_care,
     )

@@ -65,7 +65,7 @@ def print_partitions(
     wall_mm: float = 1.6,
     clearance_mm: float = 0.15,
     pole_mm: float = 6.0,
-    pole_length_mm: float = 120.0,
+    pole_length_mm: float = 190.0,
     board_width_mm: float = 175.0,
     board_height_mm: float = 125.0,
 ) -> None:
@@ -88,7 +88,8 @@ def print_partitions(
         wall_mm: Thickness of the walls.
         clearance_mm: Gap per side between parts that meet.
         pole_mm: Diameter of the pole, a round rod.
-        pole_length_mm: Length of the pole.
+        pole_length_mm: Length of the pole; longer for a larger shell, so that cameras that look
+            into the upper cells see the board beside it.
         board_width_mm: Width of the printed ChArUco pattern, without margin.
         board_height_mm: Height of that pattern.
     """
@@ -113,7 +114,7 @@ def print_partitions(
         result = print_partition_probe(found, sizes, pole=pole, board=board, progress=progress)
         progress("writing the results", 0.9)
         write_printed_partitions(folder, result)
-    for problem in result.report.problems:
+    for problem in [*result.report.problems, *result.doubts]:
         take_care(problem)
     print(summarise_partition_print(result))
     print(f"written into {out}: parts.stl, parts.3mf, assembly.png and others")
@@ -165,7 +166,7 @@ def capture_partitions(
     board: Path = Path("board.json"),
     assembly: Path = Path("assembly.json"),
     response: Path | None = None,
-    albedo: str = "0.8",
+    albedo: str | None = None,
     out: Path = Path("capture"),
     frames: int = 40,
     more: bool = False,
@@ -183,7 +184,7 @@ def capture_partitions(
         board: The board's measures, as `skylight camera board` wrote them.
         assembly: How the probe stands on it, as `skylight probe partitions print` wrote it.
         response: The camera's response, as `skylight camera response` wrote it; otherwise sRGB.
-        albedo: Of the kernel: a number, or a file that `albedo` wrote.
+        albedo: Of the kernel: a number, or a file that `albedo` wrote; otherwise 0.8.
         out: Folder for the results.
         frames: Most frames to use of a video or webcam.
         more: Go on with the capture that is in OUT, in the same light and exposure.

@@ -7,7 +7,7 @@ import tyro
 from tyro.conf import Positional
 
 from skylight.cli.partitions import partitions
-from skylight.cli.sources import one_source, take_care
+from skylight.cli.sources import film_source, one_source, take_care
 from skylight.errors import InputError
 
 # Parsing must not import torch, so the choices stand here again.
@@ -280,11 +280,8 @@ def live_voxel(
     from skylight.app.voxel_render import Stand, turned
     from skylight.probes.voxel.model import read_voxels
 
-    source = webcam if video is None else video
-    if source is None or (video is not None and webcam is not None):
-        raise InputError("give --video or --webcam, and only one of them")
     live_film(
-        source,
+        film_source(video, webcam),
         out,
         setup=read_setup(camera, board, response),
         assembly=assembly,

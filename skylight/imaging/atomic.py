@@ -19,6 +19,20 @@ _MEND = {
 }
 
 
+def require_place(path: str | Path) -> None:
+    """Refuse, before any work, a file in a folder that is not there, or that is a folder itself.
+
+    Raises
+    ------
+    OutputError
+        :func:`atomic_path` could not write there.
+    """
+    path = Path(path)
+    _require_file(path)
+    if not path.resolve().parent.is_dir():
+        raise OutputError(f"cannot write {path}: no such folder; {_MEND[errno.ENOENT]}")
+
+
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """A temporary file beside ``path`` that takes its place when the block ends well.
@@ -28,8 +42,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     :class:`OutputError` about ``path``, so do nothing but write in it.
     """
     path = Path(path)
-    if path.exists() and not path.is_file():
-        raise OutputError(f"cannot write {path}: it is no ordinary file; choose another name")
+    _require_file(path)
     target = path.resolve()  # replace the file that a link points to, not the link
     temporary = target.with_name(f".partial-{uuid4().hex[:12]}{path.suffix}")
     try:
@@ -45,3 +58,8 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def _require_file(path: Path) -> None:
+    if path.exists() and not path.is_file():
+        raise OutputError(f"cannot write {path}: it is no ordinary file; choose another name")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from skylight.app.partition_capture import completed_shading
 from skylight.cli import main
@@ -22,16 +23,19 @@ from skylight.probes.capture.response import Response, save_response
 from skylight.probes.partitions.cells import Cells
 from skylight.probes.partitions.design import load_design
 from skylight.probes.partitions.designs import named_design
-from skylight.probes.partitions.halves import standing_rotation
+from skylight.probes.partitions.halves import probe_parts, standing_rotation
 from skylight.probes.partitions.kernel_albedo import read_albedo
 from skylight.probes.partitions.placement import (
     PlacedPartitions,
     StandingPartitions,
     describe_standing_partitions,
+    load_standing_partitions,
+    placed_parts,
 )
 from skylight.probes.partitions.probe import PartitionProbe
 from skylight.probes.partitions.samples import load_capture
 from skylight.probes.partitions.sizes import ProbeSizes
+from skylight.probes.partitions.visibility import measure_visibility
 from tests.probes.capture.scenes import picture_of_board
 from tests.probes.partitions.pictures import looking_from, picture_of_faces
 from tests.probes.partitions.test_kernel_albedo import GAMMA, MATERIAL, PATCH
@@ -54,8 +58,28 @@ def standing() -> StandingPartitions:
         translation_mm=MIDDLE,
         pole_mm=(105.0, 75.0, 3.0, 120.0),
         board_mm=(210.0, 150.0),
-        response=torch.diag(CELLS.facing),
+        response=response(),
     )
+
+
+@cache
+def response() -> torch.Tensor:
+    parts = probe_parts(
+        CELLS,
+        ProbeSizes(outer_mm=60.0, kernel_mm=9.0),
+        rotation=standing_rotation(CELLS),
+        pole_mm=6.0,
+    )
+    sizes = ProbeSizes(outer_mm=60.0, kernel_mm=9.0)
+    placed = placed_parts(parts, sizes, np.zeros(3), (0.0, 0.0, 3.0, -40.0))
+    return measure_visibility(
+        CELLS,
+        placed.caster,
+        centres=placed.face_centres,
+        radii=placed.face_radii,
+        rotation=standing_rotation(CELLS),
+        directions=4000,
+    ).response
 
 
 @cache
@@ -131,6 +155,8 @@ def test_a_capture_is_continued(
     assert "captured with another --albedo" in capsys.readouterr().err
     assert capture(folder, out, folder / "lower.png", "--more") == 0
     assert load_capture(out / "shading.json").known.all()
+    report = json.loads((out / "capture.json").read_text())
+    assert [Path(name).name for name in report["pictures"]] == ["upper.png", "lower.png"]
 
 
 def test_cells_that_are_missing_get_their_neighbours_light(captured: Path) -> None:
@@ -149,6 +175,44 @@ def test_cells_that_are_missing_get_their_neighbours_light(captured: Path) -> No
     few = replace(found, area_px=found.area_px * (np.arange(6) < 2))
     with pytest.raises(InputError, match="only 2 of 6 cells"):
         completed_shading(few, standing(), probe, said.append)
+
+
+@pytest.mark.parametrize("turned", [-17.0, 8.0])
+def test_a_probe_that_was_turned_is_found_again(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], turned: float
+) -> None:
+    true = standing()
+    turn = Rotation.from_euler("y", turned, degrees=True).as_matrix()
+    wrong = replace(true, rotation=turn @ true.rotation)
+    write_json(tmp_path / "a.json", describe_standing_partitions(wrong))
+    pictures = [folder / "upper.png", folder / "lower.png"]
+    out = tmp_path / "c"
+    assert capture(folder, out, *pictures, "--assembly", tmp_path / "a.json") == 0
+    assert "degrees (or a multiple of 120 more" in capsys.readouterr().out
+    np.testing.assert_allclose(load_capture(out / "shading.json").shading, SHINE, rtol=0.02)
+    found = load_standing_partitions(out / "assembly.json")
+    left = Rotation.from_matrix(found.rotation @ true.rotation.T).magnitude()
+    assert np.degrees(left) < 1.5
+    assert np.linalg.norm(found.translation_mm - true.translation_mm) < 1.0
+
+
+def test_a_board_without_the_probe_is_refused(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    where = pose(1.0)
+    board = picture_of_board(
+        BOARD, LENS, FLIP @ where.rotation @ OPENCV_FROM_BOARD.T, FLIP @ where.translation
+    )
+    Image.fromarray(board).save(tmp_path / "board.png")
+    assert capture(folder, tmp_path / "c", tmp_path / "board.png") == 2
+    told = capsys.readouterr().err
+    assert "no probe where the assembly says, in any of 1 pictures" in told
+    assert told.count("\n") == 1
+    assert not (tmp_path / "c").exists()
+    both = [folder / "upper.png", tmp_path / "board.png", folder / "lower.png"]
+    assert capture(folder, tmp_path / "c", *both) == 0
+    assert "board.png: no probe where the others show it" in capsys.readouterr().err
+    assert load_capture(tmp_path / "c" / "shading.json").known.all()
 
 
 class TestDoubts:

@@ -1,6 +1,7 @@
 """A printed partition probe: a folder of files that agree with one another."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from PIL import Image
 
 from skylight.app.partition_printing import (
     PrintedPartitions,
+    free_discs,
     print_partition_probe,
     summarise_partition_print,
     write_printed_partitions,
@@ -83,10 +85,28 @@ def test_summary(cube: PrintedPartitions) -> None:
     said = summarise_partition_print(cube)
     assert "two half shells with 4 pins" in said
     assert "walls 1.60 mm or more" in said
+    across = 2 * cube.face_radii_mm[0]
+    assert f"discs of {across:.1f} mm across are free" in said
+
+
+def test_discs_of_several_sizes() -> None:
+    assert free_discs(np.array([4.0, 4.85])) == "8.0 to 9.7 mm"
+
+
+def test_poles_that_let_the_shell_hide_the_board_are_told(cube: PrintedPartitions) -> None:
+    """Seen 60 degrees from above, its shadow on the board begins at c / tan 60 - r / sin 60."""
+    assert "make it 122 mm or longer" in cube.doubts[0]
+    assert not replace(cube, pole=Pole(length_mm=190.0)).doubts
+    wide = replace(cube, sizes=ProbeSizes(outer_mm=80.0), pole=Pole(length_mm=161.8))
+    assert not wide.doubts
+    slope = np.radians(60)
+    centre = 2.5 * 80.0
+    hidden_from = centre / np.tan(slope) - 40 / np.sin(slope)
+    assert hidden_from >= wide.board.height_mm / 2
 
 
 def test_short_poles_are_refused() -> None:
-    with pytest.raises(InputError, match=r"make it longer than \d+ mm"):
+    with pytest.raises(InputError, match=r"make it longer than \d+ mm, better 122 mm"):
         print_partition_probe(
             named_design("6d"), ProbeSizes(outer_mm=60.0, kernel_mm=9.0), pole=Pole(length_mm=20.0)
         )

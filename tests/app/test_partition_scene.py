@@ -1,6 +1,7 @@
 """Virtual scenes by the command line: relight, live and export, on drawn pictures of a 6D probe."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -9,7 +10,7 @@ import pytest
 import torch
 from PIL import Image
 
-from skylight.app.partition_relight import SceneStand
+from skylight.app.partition_relight import SceneStand, captured_light
 from skylight.cli import main
 from skylight.errors import InputError
 from skylight.imaging.files import write_json
@@ -59,6 +60,20 @@ def standing() -> StandingPartitions:
     )
 
 
+def captured() -> ProbeCapture:
+    ones = np.ones(6)
+    return ProbeCapture(
+        design=DESIGN.name,
+        fingerprint=fingerprint(DESIGN),
+        albedo=np.full(3, ALBEDO),
+        shading=shading(),
+        area_px=50 * ones,
+        clipped=0 * ones,
+        saturated=np.zeros(6, bool),
+        disagreement=np.full(6, np.nan),
+    )
+
+
 def board_picture(where) -> np.ndarray:
     return picture_of_board(
         BOARD, LENS, FLIP @ where.rotation @ OPENCV_FROM_BOARD.T, FLIP @ where.translation
@@ -72,18 +87,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save_board(folder / "board.json", BOARD)
     save_intrinsics(folder / "camera.json", LENS)
     write_json(folder / "probe.json", describe_standing_partitions(standing()))
-    ones = np.ones(6)
-    capture = ProbeCapture(
-        design=DESIGN.name,
-        fingerprint=fingerprint(DESIGN),
-        albedo=np.full(3, ALBEDO),
-        shading=shading(),
-        area_px=50 * ones,
-        clipped=0 * ones,
-        saturated=np.zeros(6, bool),
-        disagreement=np.full(6, np.nan),
-    )
-    save_capture(folder / "capture.json", capture)
+    save_capture(folder / "capture.json", captured())
     Image.fromarray(board_picture(pose(30, 35))).save(folder / "photo.png")
     import trimesh
 
@@ -155,10 +159,81 @@ def test_what_cannot_be_done_is_said_in_a_line(
         ("a.png", [*photo, "--at-mm", "9000", "0", "9000"], "outside of the picture"),
         ("a.png", [*photo, "--scale", "2"], "not both"),
         ("a.png", [*photo, "--at-mm", "60", "-5", "90"], "below the board"),
+        ("none/a.png", photo, "none/a.png: no such folder"),
+        ("a.png", [*photo, "--cache", str(folder / "no" / "c.npz")], "c.npz: no such folder"),
+        ("a.png", ["--photo", str(folder / "b.png"), "--scene", "no.obj"], "no.obj"),
     ]:
-        assert main(command(folder, "relight", out, *more, names=ALL)) == 2
+        assert main(command(folder, "relight", out, *more, names=ALL)) in (1, 2)
         error = capsys.readouterr().err.strip().splitlines()[-1]
         assert told in error
+
+
+def test_nothing_is_worked_out_for_what_is_outside(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise AssertionError("nothing is to be worked out")
+
+    monkeypatch.setattr("skylight.app.partition_relight.read_probe", refused)
+    arguments = command(folder, "relight", "a.png", "--photo", str(folder / "photo.png"), names=ALL)
+    assert main([*arguments, "--at-mm", "9000", "0", "9000"]) == 2
+
+
+def test_a_hidden_scene_is_not_said_to_be_outside(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A speck within the kernel; and it is said that both are in one place."""
+    inside = ["--at-mm", "105", "149.5", "75", "--height-mm", "1", "--cache"]
+    arguments = command(folder, "relight", "a.png", "--photo", str(folder / "photo.png"), names=ALL)
+    assert main([*arguments, *inside, str(folder / "speck.npz")]) == 2
+    told = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "behind the probe" in told
+    assert "outside" not in told
+
+
+def test_scenes_in_the_probe_are_doubted(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = command(folder, "relight", "a.png", "--photo", str(folder / "photo.png"), names=ALL)
+    assert main([*arguments, "--cache", str(folder / "beside.npz")]) == 0
+    assert "in one place" not in capsys.readouterr().err
+    there = ["--at-mm", "105", "0", "75", "--cache", str(folder / "pole.npz")]
+    assert main([*arguments, *there]) == 0
+    assert "take care: the scene and the probe or its pole are in one place" in (
+        capsys.readouterr().err
+    )
+
+
+def test_films_need_one_source_and_one_albedo(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    some = ("camera", "board", "probe")
+    none = ["--video", str(folder / "none.mp4")]
+    for more, names, told in [
+        ([], some, "give --video or --webcam, and only one of them"),
+        ([*none, "--webcam", "0"], some, "only one of them"),
+        (none, some, "there is no such file; give a video"),
+        ([*none, "--kernel-albedo", "0.7"], ALL, "without --kernel-albedo"),
+    ]:
+        assert main(command(folder, "live", "live.mp4", *more, names=names)) == 2
+        assert told in capsys.readouterr().err
+
+
+def test_light_that_no_cells_send_out_is_told() -> None:
+    """A face that its neighbours' light must reach, and that is black."""
+    facing = torch.diag(CELLS.facing)
+    leak = torch.full((6, 6), 0.1, dtype=torch.float64) * float(CELLS.facing[0])
+    probe = PartitionProbe(CELLS, ALBEDO, response=facing + leak)
+    real = replace(standing(), response=probe.response)
+    fair = ALBEDO / np.pi * (probe.response @ LIGHT).numpy()
+    wrong = fair.copy()
+    wrong[1] = 0.0
+    doubts: list[str] = []
+    light = captured_light(replace(captured(), shading=fair), real, probe, doubts.append)
+    torch.testing.assert_close(light, LIGHT)
+    assert not doubts
+    light = captured_light(replace(captured(), shading=wrong), real, probe, doubts.append)
+    assert bool((light >= 0).all())
+    assert bool((probe.light(torch.from_numpy(wrong)[None]) < 0).any())
+    assert "explained by no light of the cells" in doubts[0]
 
 
 def test_export_has_the_same_light(folder: Path) -> None:

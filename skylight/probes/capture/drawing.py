@@ -13,9 +13,11 @@ from skylight.probes.capture.pose import Pose
 from skylight.probes.capture.response import Response
 from skylight.transport.camera import Camera
 
+_BORDER = 17  # places looked at along each edge of a picture
 _BENT_PX = 4  # by which distortion bends an edge between two of the places looked at
 Window = tuple[slice, slice]  # rows and columns of a picture
 WHOLE: Window = (slice(None), slice(None))
+NOWHERE: Window = (slice(0, 0), slice(0, 0))
 UNSEEN = 1 / 150  # share of its light by which a pixel changes by less than one sRGB code
 
 
@@ -60,8 +62,11 @@ def lens_rays(
 def window_of(points: Float[np.ndarray, "n 3"], pose: Pose, intrinsics: Intrinsics) -> Window:
     """The rectangle of a camera's picture in which all points and what is between them are seen.
 
-    The points, in the world, are close together along edges: see :func:`box_edges`.
+    The points, in the world, are close together along edges: see :func:`box_edges`. ``NOWHERE``
+    where all of them are beyond the same edge of the picture.
     """
+    if _beyond(points, pose, intrinsics):
+        return NOWHERE
     height, width = intrinsics.height, intrinsics.width
     ahead = -pose.to_camera(points)[:, 2]
     pixels = pose.project(points, intrinsics)
@@ -72,6 +77,30 @@ def window_of(points: Float[np.ndarray, "n 3"], pose: Pose, intrinsics: Intrinsi
     high = np.ceil(pixels.max(0)).astype(int) + _BENT_PX + 1
     (left, top), (right, bottom) = low.clip(0), high.clip(0)
     return slice(min(top, height), min(bottom, height)), slice(min(left, width), min(right, width))
+
+
+def _beyond(points: Float[np.ndarray, "n 3"], pose: Pose, intrinsics: Intrinsics) -> bool:
+    """Whether a plane through the camera and one edge of its picture has all points outside.
+
+    The edges are those of the picture without distortion, so that points far off can be judged, for
+    which distortion means nothing.
+    """
+    u, v = (np.linspace(-0.5, n - 0.5, _BORDER) for n in (intrinsics.width, intrinsics.height))
+    across, down = ([np.full(_BORDER, w[i]) for i in (0, -1)] for w in (v, u))
+    border = [np.stack([u, row], 1) for row in across]
+    border += [np.stack([column, v], 1) for column in down]
+    ideal = intrinsics.undistort_points(np.concatenate(border))
+    focal, centre = [intrinsics.fx, intrinsics.fy], [intrinsics.cx, intrinsics.cy]
+    low, high = ((end - centre) / focal for end in (ideal.min(0), ideal.max(0)))
+    seen = pose.to_camera(points) @ FLIP
+    place, ahead = seen[:, :2], seen[:, 2:]
+    outside = np.concatenate([place < low * ahead, place > high * ahead, ahead <= 0], 1)
+    return bool(outside.all(0).any())
+
+
+def is_empty(window: Window) -> bool:
+    """Whether no pixel is in a rectangle of :func:`window_of`."""
+    return any(each.stop <= each.start for each in window)
 
 
 def box_edges(low: Float[Tensor, "3"], high: Float[Tensor, "3"]) -> Float[Tensor, "n 3"]:

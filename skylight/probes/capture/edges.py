@@ -86,20 +86,18 @@ def refine_on_edges(
             f"{len(edges)} edges and {len(visible)} marks of visibility: give one each"
         )
     shown = edges[visible]
-    grey = cv2.GaussianBlur(
-        cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), _BLUR_PX
-    )
+    grey = blurred_grey(image)
     if not search_px > 0:
         raise InputError(f"the search must reach further than 0 px, got {search_px:g}")
     current, search, last = pose, search_px, min(search_px, _SEARCH_LAST_PX)
     for _ in range(_ROUNDS):
         points, normals, slopes = _samples(shown, current, intrinsics)
-        offsets = _strongest_steps(grey, points, normals, search)
+        offsets = strongest_steps(grey, points, normals, search)
         found = np.isfinite(offsets)
         if found.sum() < _SAMPLES_MIN:
             return _kept(pose, f"only {int(found.sum())} places on edges are seen in the picture")
         miss, slope = offsets[found], slopes[found]
-        weight, scale = _tukey_weights(miss)
+        weight, scale = tukey_weights(miss)
         solved = _motion(slope, miss, weight)
         if solved is None:
             return _kept(pose, "the edges that are seen leave a motion undetermined")
@@ -119,6 +117,12 @@ def refine_on_edges(
             return EdgeFit(pose=current, converged=True, samples=used, rms_px=rms, moved_px=moved)
         search = max(last, min(search, 0.75 * search + 0.25 * 6 * scale))
     return _kept(pose, f"the edges did not come to rest within {_ROUNDS} rounds")
+
+
+def blurred_grey(image: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
+    """Brightness in codes, in which steps are sought."""
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    return cv2.GaussianBlur(grey, (0, 0), _BLUR_PX)
 
 
 def _kept(pose: Pose, reason: str) -> EdgeFit:
@@ -153,26 +157,41 @@ def _samples(
             along.append(np.broadcast_to(b - a, (count, 3)))
     if not points:
         return np.zeros((0, 2)), np.zeros((0, 2)), np.zeros((0, 6))
-    places3d, direction = np.concatenate(points), np.concatenate(along)
+    pixels, normal, slopes = across_edges(np.concatenate(points), np.concatenate(along), intrinsics)
+    return pixels, normal, np.einsum("si,sij->sj", normal, slopes)
+
+
+def across_edges(
+    places: Float[np.ndarray, "s 3"], along: Float[np.ndarray, "s 3"], intrinsics: Intrinsics
+) -> tuple[Float[np.ndarray, "s 2"], Float[np.ndarray, "s 2"], Float[np.ndarray, "s 2 6"]]:
+    """(pixels, normals there of edges that go ``along``, d(pixel) / d(motion)) of places on edges.
+
+    In OpenCV's camera frame. Motions 0-2 turn about the camera, 3-5 shift.
+    """
     still = np.zeros(3)
     pixels, slopes = cv2.projectPoints(
-        places3d, still, still, intrinsics.matrix, intrinsics.distortion
+        places, still, still, intrinsics.matrix, intrinsics.distortion
     )
-    # columns 0-2: turning about the camera, 3-5: shifting, which also gives the edge's direction
     slopes = slopes[:, :6].reshape(-1, 2, 6)
-    tangent = np.einsum("sij,sj->si", slopes[:, :, 3:], direction)
+    # shifting also gives the edge's direction
+    tangent = np.einsum("sij,sj->si", slopes[:, :, 3:], along)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True) + 1e-12
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], 1)
-    return pixels.reshape(-1, 2), normal, np.einsum("si,sij->sj", normal, slopes)
+    return pixels.reshape(-1, 2), normal, slopes
 
 
-def _strongest_steps(
+def strongest_steps(
     grey: Float[np.ndarray, "h w"],
     points: Float[np.ndarray, "s 2"],
     normals: Float[np.ndarray, "s 2"],
     search: float,
+    *,
+    rising: bool = False,
 ) -> Float[np.ndarray, " s"]:
-    """How far along its normal each place has the strongest step; NaN without a clear one."""
+    """How far along its normal each place has the strongest step; NaN without a clear one.
+
+    With ``rising``, of the steps alone that get brighter along the normal.
+    """
     if not len(points):
         return np.zeros(0)
     reach = int(np.ceil(search / _STEP_PX)) + 1  # one more at both ends to tell a peak by
@@ -187,7 +206,8 @@ def _strongest_steps(
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    steps = np.abs(values[:, 2:] - values[:, :-2]) / (2 * _STEP_PX)
+    steps = (values[:, 2:] - values[:, :-2]) / (2 * _STEP_PX)
+    steps = steps if rising else np.abs(steps)
     best = 1 + steps[:, 1:-1].argmax(1)
     row = np.arange(len(points))
     left, peak, right = steps[row, best - 1], steps[row, best], steps[row, best + 1]
@@ -198,7 +218,7 @@ def _strongest_steps(
     return np.where(is_peak & inside, out, np.nan).astype(np.float64)
 
 
-def _tukey_weights(miss: Float[np.ndarray, " s"]) -> tuple[Float[np.ndarray, " s"], float]:
+def tukey_weights(miss: Float[np.ndarray, " s"]) -> tuple[Float[np.ndarray, " s"], float]:
     """(1 - (r / c)^2)^2 within c = 4.685 scale, about the median; and the scale.
 
     About the median of |r|, not of r: normals of neighbouring edges point either way.

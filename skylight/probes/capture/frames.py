@@ -145,6 +145,15 @@ def _difference(a: _Candidate, b: _Candidate) -> float:
     return float(np.abs(a.thumbnail - b.thumbnail).mean())
 
 
+def require_film(source: Path | int) -> None:
+    """Refuse a video's file that is not there, and webcams below 0."""
+    if isinstance(source, int):
+        if source < 0:
+            raise InputError(f"webcams are numbered from 0, got {source}")
+    elif not source.is_file():
+        raise InputError(f"cannot read {source}: there is no such file; give a video")
+
+
 def film(source: Path | int, *, seconds: float = math.inf) -> Iterator[Frame]:
     """Every frame of a video; of a webcam (its number), those of ``seconds``.
 
@@ -153,8 +162,7 @@ def film(source: Path | int, *, seconds: float = math.inf) -> Iterator[Frame]:
     InputError
         A film that cannot be opened or has no pictures.
     """
-    if isinstance(source, Path) and not source.is_file():
-        raise InputError(f"cannot read {source}: there is no such file; give a video")
+    require_film(source)
     live = isinstance(source, int)
     name = f"webcam {source}" if live else str(source)
     # what OpenCV prints of a failure says less than our message

@@ -135,7 +135,7 @@ class SampleCapture:
         """Cells that were too small in some view and are in no other."""
         self.rejected = start.saturated.copy()
         """Cells of which some view was too bright for the camera, and none was not."""
-        self.disagreements: list[list[float]] = [[] for _ in self._area]
+        self.disagreements = [[d] if np.isfinite(d) else [] for d in start.disagreement.tolist()]
         """Of each cell seen again: by how much views differ from the one kept, of its maximum."""
 
     def add_photo(

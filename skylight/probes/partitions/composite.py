@@ -14,10 +14,18 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from skylight.probes.capture.drawing import UNSEEN, Window, composite, shaded, window_of
+from skylight.probes.capture.drawing import (
+    NOWHERE,
+    UNSEEN,
+    Window,
+    composite,
+    is_empty,
+    shaded,
+    window_of,
+)
 from skylight.probes.capture.intrinsics import Intrinsics
 from skylight.probes.capture.pose import Pose
 from skylight.probes.capture.response import Response
@@ -29,6 +37,7 @@ from skylight.probes.partitions.scene import Scene
 from skylight.probes.partitions.transfer import TransferCoefficients, TransferSampling
 from skylight.probes.partitions.transfer_file import kept_transfer
 from skylight.transport.forked import Progress
+from skylight.transport.raycast import Raycaster
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,15 +98,41 @@ class StandingScene:
         """A picture with the scene in it, by the camera's ``rays`` for a window of the picture."""
         place = torch.from_numpy(pose.rotation), torch.from_numpy(pose.translation)
         around = self.ground.extent(lit.shade, UNSEEN).numpy()
-        if len(around):
-            window = window_of(around, pose, intrinsics)
+        window = window_of(around, pose, intrinsics) if len(around) else NOWHERE
+        if not is_empty(window):
             through = rays(window)
             shade = self.ground.seen(lit.shade, through, *place)
             free = self._renderer.uncovered(window, through, pose, intrinsics)
             image = shaded(image, 1 + free[..., None] * (shade - 1), response, window)
         window = self._renderer.window(pose, intrinsics)
+        if is_empty(window):
+            return image.copy()
         drawing = self._renderer.draw(lit.radiance, rays(window), *place)
         return composite(image, drawing, response, window)
+
+
+def meets(scene: Scene, real: Mesh) -> bool:
+    """Whether a scene and a real thing are in one place.
+
+    Edges of one go through the other, or the thing's middle has the scene on all six sides.
+    """
+    vertices, faces = map(torch.from_numpy, real)
+    if _goes_through(scene.vertices, scene.faces, Raycaster(vertices, faces)):
+        return True
+    if _goes_through(vertices, faces, scene.raycaster):
+        return True
+    low, high = vertices.aminmax(dim=0)
+    axes = torch.cat([torch.eye(3), -torch.eye(3)])
+    hit = scene.raycaster.faces_hit(((low + high) / 2).expand(6, 3), axes)
+    return bool((hit >= 0).all())
+
+
+def _goes_through(
+    vertices: Float[Tensor, "v 3"], faces: Int[Tensor, "f 3"], caster: Raycaster
+) -> bool:
+    """Whether an edge of the triangles meets those of the caster."""
+    start, end = vertices[faces].reshape(-1, 3), vertices[faces.roll(-1, 1)].reshape(-1, 3)
+    return bool((caster.intersect(start, end - start).distance <= 1).any())
 
 
 def board_transfer(

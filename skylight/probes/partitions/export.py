@@ -1,12 +1,13 @@
-"""A scene lit by a probe's cells as one .glb file: any viewer shows it, and engines can relight it.
+"""A scene lit by a probe's cells as a .glb file: any viewer shows it, and engines can relight it.
 
 The format is described in docs/relightable_glb.md.
 """
 
+import json
 import math
-from io import BytesIO
 from pathlib import Path
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from numpy.typing import ArrayLike
@@ -14,8 +15,11 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.imaging.atomic import atomic_path
+from skylight.probes.capture.response import Response
+from skylight.probes.partitions.atlas import Atlas
 from skylight.probes.partitions.probe import PartitionProbe
 from skylight.probes.partitions.scene import Scene
+from skylight.probes.unlit_glb import baked_material, write_unlit_glb
 
 KIND, FORMAT = "skylight relightable mesh", 1
 _BAKED = "_BAKED"  # trimesh exports colours as bytes only: they travel under another name
@@ -40,12 +44,9 @@ def write_relightable_glb(
     from trimesh.visual import TextureVisuals
     from trimesh.visual.material import PBRMaterial
 
-    if not (math.isfinite(exposure) and exposure > 0):
-        raise InputError(f"the exposure must be above 0, got {exposure:g}")
     transfer, light = transfer.float(), light.clamp(min=0)
-    baked = torch.einsum("vnc,nc->vc", transfer, light.float()) * exposure
     names = [f"_T{i}" for i in range(probe.cells.count)]
-    attributes: dict[str, ArrayLike] = {_BAKED: baked.clamp(0, 1).numpy()}
+    attributes: dict[str, ArrayLike] = {_BAKED: _baked(transfer, light, exposure).numpy()}
     attributes |= {name: transfer[:, i].contiguous().numpy() for i, name in enumerate(names)}
     mesh = trimesh.Trimesh(
         scene.vertices.numpy(),
@@ -55,34 +56,91 @@ def write_relightable_glb(
         visual=TextureVisuals(material=PBRMaterial(metallicFactor=0.0, doubleSided=True)),
         process=False,
     )
-    facts = {
-        "kind": KIND,
-        "format": FORMAT,
-        "attributes": names,
-        "light": light.tolist(),
-        "exposure": exposure,
-        **_probe_facts(probe, rotation),
-    }
+    facts = {"attributes": names, **_facts(light, exposure, probe, rotation)}
 
     def finish(tree: dict) -> None:
-        tree["extensionsUsed"] = ["KHR_materials_unlit"]
-        for material in tree["materials"]:
-            material["extensions"] = {"KHR_materials_unlit": {}}
         (only,) = tree["meshes"]
         only["extras"] = facts
         named = only["primitives"][0]["attributes"]
         named["COLOR_0"] = named.pop(_BAKED)
 
-    buffer = BytesIO()
-    mesh.export(buffer, file_type="glb", include_normals=True, tree_postprocessor=finish)
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(buffer.getvalue())
+    write_unlit_glb(path, mesh, normals=True, finish=finish)
 
 
-def _probe_facts(probe: PartitionProbe, rotation: Float[Tensor, "3 3"]) -> dict[str, object]:
+def atlas_path(path: Path) -> Path:
+    """The file beside a .glb that holds the coefficients of its texels."""
+    return path.with_suffix(".atlas.npz")
+
+
+def write_relightable_atlas(
+    path: Path,
+    scene: Scene,
+    atlas: Atlas,
+    transfer: Float[Tensor, "m n 3"],
+    light: Float[Tensor, "n 3"],
+    *,
+    probe: PartitionProbe,
+    rotation: Float[Tensor, "3 3"],
+    exposure: float = 1.0,
+) -> None:
+    """As :func:`write_relightable_glb`, with ``transfer`` of the covered texels of an ``atlas``.
+
+    The baked light is the texture of the .glb, sRGB in 8 bit; :func:`atlas_path` beside it has
+    ``transfer`` (n,h,w,3) as float16, ``coverage`` (h,w) and ``extras``, the facts as JSON.
+    """
+    import trimesh
+    from trimesh.visual import TextureVisuals
+
+    light = light.clamp(min=0)
+    baked = atlas.image(_baked(transfer.float(), light, exposure))
+    vertex, uv, faces = atlas.vertices(scene)
+    mesh = trimesh.Trimesh(
+        scene.vertices[vertex].numpy(),
+        faces.numpy(),
+        vertex_normals=scene.normals[vertex].numpy(),
+        visual=TextureVisuals(
+            uv=uv.numpy(), material=baked_material(Response().encode(baked), two_sided=True)
+        ),
+        process=False,
+    )
+    beside = atlas_path(path)
+    facts = {"atlas": beside.name, **_facts(light, exposure, probe, rotation)}
+
+    def finish(tree: dict) -> None:
+        (only,) = tree["meshes"]
+        only["extras"] = facts
+
+    with atomic_path(beside) as temporary, temporary.open("wb") as stream:
+        np.savez(
+            stream,
+            transfer=atlas.image(transfer.half()).permute(2, 0, 1, 3).contiguous().numpy(),
+            coverage=atlas.covered.numpy(),
+            extras=np.array(json.dumps(facts)),
+        )
+    write_unlit_glb(path, mesh, normals=True, finish=finish)
+
+
+def _baked(
+    transfer: Float[Tensor, "m n 3"], light: Float[Tensor, "n 3"], exposure: float
+) -> Float[Tensor, "m 3"]:
+    if not (math.isfinite(exposure) and exposure > 0):
+        raise InputError(f"the exposure must be above 0, got {exposure:g}")
+    return (torch.einsum("mnc,nc->mc", transfer, light.float()) * exposure).clamp(0, 1)
+
+
+def _facts(
+    light: Float[Tensor, "n 3"],
+    exposure: float,
+    probe: PartitionProbe,
+    rotation: Float[Tensor, "3 3"],
+) -> dict[str, object]:
     """What an engine needs to make light of shading, or of a picture of its own surroundings."""
     cells = probe.cells
     return {
+        "kind": KIND,
+        "format": FORMAT,
+        "light": light.tolist(),
+        "exposure": exposure,
         "design": cells.design.name,
         "seeds": (cells.design.seeds @ rotation.double().T).tolist(),
         "cell_of_seed": cells.design.labels.tolist(),

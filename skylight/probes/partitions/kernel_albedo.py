@@ -12,6 +12,7 @@ from skylight.imaging.files import write_json
 from skylight.probes.capture.json_files import read_object, require_keys
 from skylight.probes.capture.response import Response, saturated
 
+USUAL = 0.8  # of white filament, where nobody says or measures it
 _KIND, _FORMAT = "kernel albedo", 1
 _BLOCKS = 4  # along each side of a patch, to tell how even it is
 _LEAST_SIDE_PX = 2 * _BLOCKS
@@ -48,10 +49,7 @@ class KernelAlbedo:
     def __post_init__(self) -> None:
         if not ((self.rgb > 0) & (self.rgb <= 1)).all():
             told = ", ".join(f"{value:.3g}" for value in self.rgb)
-            raise InputError(
-                f"an albedo is above 0 and at most 1, not ({told}): material and card must lie "
-                "side by side, in the same light and without gloss"
-            )
+            raise InputError(f"an albedo is above 0 and at most 1, not ({told})")
         if not (np.isfinite(self.error).all() and (self.error >= 0).all()):
             raise InputError("an albedo's error must be finite and 0 or more")
 
@@ -77,7 +75,7 @@ def albedo_beside_card(
         raise InputError("the card is black in the photo: expose longer, or check its rectangle")
     rgb = card_albedo * here / there
     relative = np.hypot(here_error / np.maximum(here, 1e-9), there_error / there)
-    return KernelAlbedo(rgb=rgb, error=rgb * relative, told_by="grey card")
+    return _compared(rgb, rgb * relative, "grey card")
 
 
 def albedo_beside_chart(
@@ -109,7 +107,7 @@ def albedo_beside_chart(
     error = (
         np.sqrt(variance * (1 / len(known) + (rgb - middle) ** 2 / spread) + here_error**2) / slope
     )
-    return KernelAlbedo(rgb=rgb, error=error, told_by="ColorChecker")
+    return _compared(rgb, error, "ColorChecker")
 
 
 def save_albedo(path: str | Path, albedo: KernelAlbedo) -> None:
@@ -126,19 +124,33 @@ def save_albedo(path: str | Path, albedo: KernelAlbedo) -> None:
     )
 
 
-def read_albedo(told: str) -> KernelAlbedo:
-    """From a number, or the name of a file that :func:`save_albedo` wrote.
+def read_albedo(told: str | None) -> KernelAlbedo:
+    """From a number, or the name of a file that :func:`save_albedo` wrote; 0.8 from None.
 
     Raises
     ------
     InputError
         It is neither, or no albedo.
     """
+    if told is None:
+        return KernelAlbedo(rgb=np.full(3, USUAL), error=np.zeros(3), told_by="assumed")
     try:
         value = float(told)
     except ValueError:
         return _load(Path(told))
     return KernelAlbedo(rgb=np.full(3, value), error=np.zeros(3), told_by="given")
+
+
+def _compared(
+    rgb: Float[np.ndarray, "3"], error: Float[np.ndarray, "3"], told_by: str
+) -> KernelAlbedo:
+    try:
+        return KernelAlbedo(rgb=rgb, error=error, told_by=told_by)
+    except InputError as wrong:
+        raise InputError(
+            f"{wrong}: material and {told_by} must lie side by side, in the same light and "
+            "without gloss"
+        ) from wrong
 
 
 def _load(path: Path) -> KernelAlbedo:

@@ -14,7 +14,7 @@ from skylight.probes.partitions.capture import FaceDiscs, FaceSample, read_sampl
 from skylight.probes.partitions.composite import LitScene, StandingScene
 from skylight.probes.partitions.placement import PlacedPartitions
 from skylight.probes.partitions.probe import PartitionProbe
-from skylight.probes.partitions.samples import completed
+from skylight.probes.partitions.samples import completed, light_above_0
 
 STAGES = ("track", "capture", "relight", "draw")
 NEWER = 0.2  # share of a new sample in what is known: light follows within five frames or so
@@ -93,7 +93,7 @@ class PartitionLiveView:
         if 2 * int(known.sum()) < len(known):
             return
         shading = completed(torch.from_numpy(self._shading.shading), known, self._probe)
-        self._lit = self._scene.lit(self._probe.light(shading[None])[0])
+        self._lit = self._scene.lit(light_above_0(shading, self._probe)[0])
 
     def _frame(self, picture: np.ndarray, tracked: bool, clock: Clock) -> LiveFrame:
         known = int(self._shading.known.sum())

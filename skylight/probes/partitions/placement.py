@@ -1,11 +1,13 @@
 """Where a printed partition probe stands over its marker board, and what its faces see."""
 
+import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from skylight.errors import InputError
@@ -27,6 +29,7 @@ from skylight.probes.printing.part import merged
 from skylight.transport.raycast import Raycaster
 
 _KIND, _FORMAT = "partition probe assembly", 1
+_ORIENTED_MOST_DEG = 25.0  # as it may be found to stand, of which the user is told
 
 
 class PlacedPartitions:
@@ -75,7 +78,8 @@ class StandingPartitions:
 
     def __post_init__(self) -> None:
         require_rigid(self.rotation, self.translation_mm)
-        if self.design.oriented and not np.allclose(self.rotation, np.eye(3), atol=1e-6):
+        turned = Rotation.from_matrix(self.rotation).magnitude()
+        if self.design.oriented and turned > math.radians(_ORIENTED_MOST_DEG):
             raise InputError(f"{self.design.name}: an oriented probe must not be turned")
         count = self.design.count
         if self.response.shape != (count, count) or not bool(self.response.isfinite().all()):

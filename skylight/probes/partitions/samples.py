@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
+from scipy.optimize import nnls
 from torch import Tensor
 
 from skylight.errors import InputError
@@ -116,6 +117,22 @@ def completed(
     light = torch.linalg.solve(system, told)
     filled = albedo / torch.pi * (probe.response.cpu() @ light)
     return torch.where(known[:, None], shading, filled.clamp(min=0).to(shading))
+
+
+def light_above_0(
+    shading: Float[Tensor, "n 3"], probe: PartitionProbe
+) -> tuple[Float[Tensor, "n 3"], float]:
+    """(the radiance L >= 0 of the cells that explains shading best, by how much it does not).
+
+    Least squares of ``|A L - pi s / rho|`` in each colour (Lawson & Hanson 1974). That is
+    :meth:`PartitionProbe.light` where nothing in that is below 0. The second is the root of what
+    is left over of the squares, of all of them.
+    """
+    told = (torch.pi * shading.double() / probe.albedo.cpu()).numpy()
+    found = [nnls(probe.response.cpu().double().numpy(), colour) for colour in told.T]
+    light = torch.from_numpy(np.stack([each for each, _ in found], 1))
+    left, whole = np.linalg.norm([norm for _, norm in found]), np.linalg.norm(told)
+    return light.to(shading), float(left / whole) if whole > 0 else 0.0
 
 
 def name_cells(cells: Bool[np.ndarray, " n"], normals: Float[np.ndarray, "n 3"]) -> str:

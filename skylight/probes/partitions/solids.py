@@ -98,7 +98,7 @@ def face_radii(net: WallNet, sizes: ProbeSizes) -> Float[np.ndarray, " n"]:
     centres = sizes.kernel_mm * net.normals
     walls = np.full(len(centres), np.inf)
     for side in (net.left, net.right):
-        np.minimum.at(walls, side, _sector_distance(centres[side], net.ends_of_walls, net.poles))
+        np.minimum.at(walls, side, sector_distance(centres[side], net.ends_of_walls, net.poles))
     narrow = int(walls.argmin())
     opening = 2 * walls[narrow] - sizes.wall_mm
     if opening < _LEAST_OPENING_MM:
@@ -280,7 +280,7 @@ def _widest_gap(axis: np.ndarray, others: np.ndarray) -> float:
     return float(np.diff([*angle, angle[0] + 2 * np.pi]).max())
 
 
-def _sector_distance(
+def sector_distance(
     points: Float[np.ndarray, "e 3"],
     ends: Float[np.ndarray, "e 2 3"],
     poles: Float[np.ndarray, "e 3"],

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from scipy.spatial.transform import Rotation
 
+from skylight.probes.capture.alignment import Motion
 from skylight.probes.capture.edges import refine_on_edges
 from skylight.probes.capture.intrinsics import Intrinsics
 from skylight.probes.capture.pose import Pose
@@ -25,14 +26,12 @@ _LIFTED = 0.02  # voxels, off the edge, before looking at it
 
 
 @dataclass(frozen=True, kw_only=True)
-class Alignment:
-    """Turn (rotation vector) and shift of the probe's middle from where it was meant to stand.
+class Alignment(Motion):
+    """The probe's motion from where it was meant to stand.
 
     Medians over ``pictures``, and the median distance of single pictures from them.
     """
 
-    turn_deg: Float[np.ndarray, "3"]
-    shift_mm: Float[np.ndarray, "3"]
     turn_spread_deg: float
     shift_spread_mm: float
     pictures: int
@@ -53,12 +52,10 @@ class Alignment:
 
     def applied(self, placement: Placement, middle_mm: Float[np.ndarray, "3"]) -> Placement:
         """The placement that edges tell; ``middle_mm`` is the probe's middle as it was meant."""
-        turn = Rotation.from_rotvec(self.turn_deg, degrees=True).as_matrix()
-        moved = turn @ (placement.translation_mm - middle_mm) + middle_mm + self.shift_mm
         return replace(
             placement,
-            rotation=turn @ placement.rotation,
-            translation_mm=moved,
+            rotation=self.rotation @ placement.rotation,
+            translation_mm=self.of_points(placement.translation_mm, middle_mm),
         )
 
 

@@ -2,10 +2,20 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
-from skylight.probes.capture.drawing import camera_rays, looking_at
+from skylight.probes.capture.drawing import (
+    box_edges,
+    camera_rays,
+    is_empty,
+    lens_rays,
+    looking_at,
+    window_of,
+)
+from skylight.probes.capture.intrinsics import Intrinsics
+from skylight.probes.capture.pose import Pose
 from skylight.transport.camera import Camera
 
 F64 = torch.float64
@@ -39,3 +49,42 @@ def test_camera_looks_where_it_should() -> None:
     torch.testing.assert_close(seen, vector(0, 0, -math.sqrt(14)))
     assert torch.det(rotation) == pytest.approx(1)
     assert (rotation @ vector(0, 1, 0))[1] > 0
+
+
+LENS = Intrinsics(width=96, height=72, fx=80.0, fy=81.0, cx=50.0, cy=33.0, k1=-0.2, k2=0.03)
+STILL = Pose(rotation=np.eye(3), translation=np.zeros(3))
+
+
+def box_at(x: float, y: float, z: float, half: float = 1.0) -> np.ndarray:
+    middle = vector(x, y, z)
+    return box_edges(middle - half, middle + half).numpy()
+
+
+@pytest.mark.parametrize(
+    "place",
+    [(40, 0, -10), (-40, 0, -10), (0, 40, -10), (0, -40, -10), (900, 0, -1), (0, 0, 30), (9, 0, 0)],
+)
+def test_what_is_beyond_an_edge_has_no_window(place: tuple[float, float, float]) -> None:
+    """However far, and also where it begins beside the camera and ends behind it."""
+    assert is_empty(window_of(box_at(*place), STILL, LENS))
+
+
+def test_what_only_may_be_outside_has_a_window() -> None:
+    around = box_at(0, 0, 0, half=50.0)  # the camera is in it
+    assert window_of(around, STILL, LENS) == (slice(0, 72), slice(0, 96))
+    wide = box_edges(vector(-500, -1, -12), vector(500, 1, -10)).numpy()
+    assert not is_empty(window_of(wide, STILL, LENS))
+
+
+def test_windows_are_empty_only_where_no_ray_meets_the_box() -> None:
+    rays = lens_rays(LENS)[:, :, 0].reshape(-1, 3).numpy()
+    empty = 0
+    for x in np.linspace(-12, 12, 49):
+        box = box_at(float(x), 0.4 * float(x), -9.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            near, far = box.min(0) / rays, box.max(0) / rays
+        enter, leave = np.minimum(near, far).max(1), np.maximum(near, far).min(1)
+        if is_empty(window_of(box, STILL, LENS)):
+            empty += 1
+            assert not (enter < leave).any()
+    assert 5 < empty < 40

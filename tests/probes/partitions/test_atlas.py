@@ -4,7 +4,7 @@ import torch
 import trimesh
 
 from skylight.errors import InputError
-from skylight.probes.partitions.atlas import Atlas
+from skylight.probes.partitions.atlas import Atlas, UnusableLayout
 from skylight.probes.partitions.scene import Scene, texture_at
 from skylight.probes.partitions.transfer import TransferSampling, transfer_coefficients
 from tests.probes.partitions.shapes import QUAD, six_cells, solid
@@ -64,6 +64,55 @@ def test_texels_receive_what_their_points_do():
     picture = atlas.image(found.values)
     assert picture.shape == (64, 64, 6, 3)
     np.testing.assert_allclose(picture.sum(2).mean((0, 1)), [0.9, 0.5, 0.2], atol=2e-3)
+
+
+def layout(*triangles: list[list[float]]) -> Scene:
+    """Triangles side by side, (0, 0), (1, 0), (0, 1) in space, with these places in a texture."""
+    count = len(triangles)
+    one = torch.tensor([[0, 0, 0], [1, 0, 0], [0, 1, 0]]).double()
+    corners = (one + torch.arange(count).double()[:, None, None] * torch.eye(3)[2]).reshape(-1, 3)
+    uv = torch.tensor(triangles).reshape(-1, 2).double()
+    faces = torch.arange(3 * count).reshape(-1, 3)
+    return Scene.of(corners, faces, torch.zeros(3), uv=uv, texture=torch.zeros(1, 1, 3))
+
+
+LOWER, UPPER = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], [[1.0, 1.0], [0.0, 1.0], [1.0, 0.0]]
+
+
+def test_triangles_that_overlap_are_refused():
+    # the diagonal, which is both's, goes through texels' centres
+    assert Atlas.of_file(layout(LOWER, UPPER), 16).covered.all()
+    shifted = [[1.0, 0.8], [0.0, 0.8], [0.8, 0.0]]
+    over = Atlas(corners=torch.tensor([LOWER, shifted]), size=64)
+    along = (torch.arange(64).double() + 0.5) / 64
+    v, u = torch.meshgrid(along.flip(0), along, indexing="ij")
+    right = u - v / 4 < 0.8  # the side from (0.8, 0) to (1, 0.8)
+    expected = (u + v < 1) & (v < 0.8) & (u + v > 0.8) & right
+    assert float((over.overlapping != expected).float().mean()) < 0.002
+    assert 0.1 < float(expected.float().mean()) < 0.2
+    with pytest.raises(UnusableLayout, match=r"overlap: \d+ texels of 64 x 64.*charts"):
+        Atlas.of_file(layout(LOWER, shifted), 64)
+    # the same place twice, and once as a mirror image
+    for again in (LOWER, LOWER[::-1]):
+        with pytest.raises(UnusableLayout, match="overlap"):
+            Atlas.of_file(layout(LOWER, again), 16)
+
+
+def test_swatches_of_colour_are_no_places():
+    point = [[0.9, 0.9]] * 3
+    with pytest.raises(UnusableLayout, match="50 % of the surface"):
+        Atlas.of_file(layout(LOWER, point), 16)
+
+
+def test_charts_do_not_overlap():
+    pytest.importorskip("xatlas")
+    ball = solid(trimesh.creation.icosphere(subdivisions=3))
+    atlas = Atlas.of_charts(ball, 256)
+    assert not atlas.overlapping.any()
+    vertex, uv, faces = atlas.vertices(ball)
+    torch.testing.assert_close(vertex[faces], ball.faces)
+    torch.testing.assert_close(uv[faces], atlas.corners)
+    assert len(vertex) < len(ball.vertices) * 1.5
 
 
 def test_what_is_refused(painted):

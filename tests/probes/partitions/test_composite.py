@@ -10,7 +10,8 @@ from skylight.probes.capture.drawing import lens_rays, looking_at
 from skylight.probes.capture.intrinsics import Intrinsics
 from skylight.probes.capture.pose import Pose
 from skylight.probes.capture.response import Response
-from skylight.probes.partitions.composite import StandingScene
+from skylight.probes.capture.standing import cylinder_mesh
+from skylight.probes.partitions.composite import StandingScene, meets
 from skylight.probes.partitions.ground import ACROSS
 from tests.probes.partitions.boards import (
     F64,
@@ -156,3 +157,29 @@ def test_the_real_probe_takes_no_shadow_and_hides_the_scene() -> None:
     assert (made[on_pole] == 120).all()
     without = box_on_board().put_into(photo, lit, pose, LENS, Response(), rays.__getitem__)
     assert (without[on_pole] != 120).any()
+
+
+def test_far_from_the_picture_nothing_is_drawn() -> None:
+    scene = box_on_board()
+    rotation, translation = looking_at(
+        torch.tensor([3e3, 90.0, 0.0], dtype=F64), torch.tensor([4e3, 0.0, 0.0], dtype=F64)
+    )
+    away = Pose(rotation=rotation.numpy(), translation=translation.numpy())
+    photo = np.full((120, 160, 3), 120, np.uint8)
+
+    def refused(window: object) -> torch.Tensor:
+        raise AssertionError("no rays are wanted")
+
+    lit = scene.lit(from_direction((1.0, 0.8, 0.5)))
+    made = scene.put_into(photo, lit, away, LENS, Response(), refused)
+    assert (made == photo).all()
+
+
+@pytest.mark.parametrize(
+    ("x", "side", "together"),
+    [(0.0, 20.0, True), (12.9, 20.0, True), (13.1, 20.0, False), (0.0, 300.0, True)],
+)
+def test_scenes_that_meet_a_pole(x: float, side: float, together: bool) -> None:
+    """Of 6 mm and 80 mm high: through the box, at its side, beside it, and all within."""
+    pole = cylinder_mesh((x, 0.0, 3.0, 80.0))
+    assert meets(box(side), pole) == together

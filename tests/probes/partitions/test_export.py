@@ -1,5 +1,6 @@
 """The .glb file as another program reads it, from its bytes alone."""
 
+import io
 import json
 import struct
 from pathlib import Path
@@ -7,15 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from skylight.errors import InputError
-from skylight.probes.partitions.export import write_relightable_glb
+from skylight.probes.partitions.atlas import Atlas
+from skylight.probes.partitions.export import write_relightable_atlas, write_relightable_glb
 from skylight.probes.partitions.probe import PartitionProbe
 from tests.probes.partitions.boards import F64, box, fourteen, turn_about_y
 
 ROTATION = turn_about_y(0.4)
 _TYPES = {5126: np.dtype("<f4"), 5125: np.dtype("<u4")}
-_WIDTHS = {"SCALAR": 1, "VEC3": 3}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
 
 
 class Read:
@@ -41,6 +44,17 @@ class Read:
         kind, width = _TYPES[told["componentType"]], _WIDTHS[told["type"]]
         count = told["count"] * width
         return np.frombuffer(self.bytes, kind, count, start).reshape(-1, width)
+
+    def texture(self) -> np.ndarray:
+        """Codes of the only material's base colour."""
+        material = self.tree["materials"][self.primitive["material"]]
+        texture = self.tree["textures"][
+            material["pbrMetallicRoughness"]["baseColorTexture"]["index"]
+        ]
+        view = self.tree["bufferViews"][self.tree["images"][texture["source"]]["bufferView"]]
+        start = view.get("byteOffset", 0)
+        data = self.bytes[start : start + view["byteLength"]]
+        return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
 
 
 @pytest.fixture
@@ -124,3 +138,48 @@ def test_too_bright_colours_clip(tmp_path: Path, probe: PartitionProbe) -> None:
     assert float(Read(path)["COLOR_0"].max()) == 1
     with pytest.raises(InputError, match="exposure"):
         write(path, probe, exposure=0.0)
+
+
+def test_texels_are_relit_by_the_files_alone(tmp_path: Path, probe: PartitionProbe) -> None:
+    """The texture is the coefficients' product with the light, and each texel a place."""
+    pytest.importorskip("xatlas")
+    path, scene = tmp_path / "a.glb", box(1.0)
+    atlas = Atlas.of_charts(scene, 64)
+    positions = atlas.receivers(scene).positions
+    generator = torch.Generator().manual_seed(0)
+    transfer = 0.1 * torch.rand(len(positions), 14, 3, generator=generator)
+    # of this cell, what tells places
+    transfer[:, 3] = (positions + torch.tensor([0.5, 0, 0.5])).float()
+    light = torch.rand(14, 3, generator=generator)
+    write_relightable_atlas(
+        path, scene, atlas, transfer, light, probe=probe, rotation=ROTATION, exposure=0.4
+    )
+    file = Read(path)
+    facts = file.mesh["extras"]
+    with np.load(tmp_path / facts["atlas"], allow_pickle=False) as content:
+        beside = {name: content[name] for name in content.files}
+    assert json.loads(str(beside["extras"])) == facts
+    assert beside["transfer"].shape == (14, 64, 64, 3)
+    assert beside["transfer"].dtype == np.float16
+    np.testing.assert_allclose(
+        beside["transfer"][:, beside["coverage"]].transpose(1, 0, 2), transfer, atol=5e-4
+    )
+    lit = facts["exposure"] * np.einsum(
+        "nhwc,nc->hwc", beside["transfer"].astype(float), facts["light"]
+    )
+    encoded = np.where(lit > 0.0031308, 1.055 * np.abs(lit) ** (1 / 2.4) - 0.055, 12.92 * lit)
+    # half a code for its rounding, and some for that of float16
+    np.testing.assert_allclose(file.texture(), 255 * encoded.clip(0, 1), atol=0.6)
+    assert 0.1 < lit.mean() < 0.9
+
+    assert set(file.primitive["attributes"]) == {"POSITION", "NORMAL", "TEXCOORD_0"}
+    triangles = file.values(file.primitive["indices"]).reshape(-1, 3)
+    middles = file["POSITION"][triangles].mean(1) + np.array([0.5, 0, 0.5])
+    column, row = (file["TEXCOORD_0"][triangles].mean(1) * 64).astype(int).T
+    texel = 1 / np.sqrt(beside["coverage"].sum() / 6)
+    there = beside["transfer"][3, row, column].astype(float)
+    assert np.abs(there - middles).max() < texel
+    corners = np.sort(file["POSITION"][triangles], 1)
+    np.testing.assert_allclose(corners, np.sort(scene.vertices[scene.faces], 1), atol=1e-6)
+    (sampler,) = file.tree["samplers"]
+    assert sampler["minFilter"] == sampler["magFilter"] == 9729

@@ -137,7 +137,7 @@ class TestCard:
             ((-1, 0, 20, 20), CARD, 0.25, "leaves the photo"),
             (PATCH, (0, 0, 5, 40), 0.25, "card must be 8 pixels"),
             (PATCH, CARD, 0.0, "card's albedo is above 0"),
-            (PATCH, CARD, 0.9, "an albedo is above 0 and at most 1, not"),
+            (PATCH, CARD, 0.9, "at most 1, not .*: material and grey card must lie side by side"),
         ],
     )
     def test_what_makes_no_sense_is_refused(
@@ -165,9 +165,13 @@ class TestFile:
         np.testing.assert_array_equal(read.rgb, 0.8)
         np.testing.assert_array_equal(read.error, 0.0)
 
+    def test_without_a_number_it_is_white_filament(self) -> None:
+        np.testing.assert_array_equal(read_albedo(None).rgb, 0.8)
+
     @pytest.mark.parametrize("told", ["1.2", "0", "nan", "-1"])
     def test_numbers_that_are_no_albedo(self, told: str) -> None:
-        with pytest.raises(InputError, match="above 0 and at most 1"):
+        """No advice about cards to who has none."""
+        with pytest.raises(InputError, match=r"above 0 and at most 1, not \(.*\)$"):
             read_albedo(told)
 
     def test_files_that_are_none(self, tmp_path: Path) -> None:
