@@ -168,8 +168,9 @@ def test_cells_that_are_missing_get_their_neighbours_light(captured: Path) -> No
     assert said == []
     one_less = replace(found, area_px=found.area_px * (np.arange(6) != 2))
     filled = completed_shading(one_less, standing(), probe, said.append)
-    others = found.shading[[0, 1, 4, 5]].mean(0)  # all cells are alike
-    np.testing.assert_allclose(filled[2], others, rtol=1e-6)
+    light = probe.light(filled[None])[0]
+    torch.testing.assert_close(light[2], light[[0, 1, 4, 5]].mean(0), rtol=1e-6, atol=0)
+    np.testing.assert_array_equal(filled[[0, 1, 3, 4, 5]], found.shading[[0, 1, 3, 4, 5]])
     assert "1 of 6 cells were not captured" in said[0]
     assert "cell 2 towards" in said[0]
     few = replace(found, area_px=found.area_px * (np.arange(6) < 2))
