@@ -82,7 +82,7 @@ def photograph(light: Lightmap, from_: Pose) -> np.ndarray:
     drawing = renderer().draw(
         light, rays(), torch.from_numpy(from_.rotation), torch.from_numpy(from_.translation)
     )
-    return drawing.over(torch.full((360, 480, 3), 0.9)).numpy()
+    return (drawing.radiance + 0.9 * (1 - drawing.alpha[..., None])).numpy()
 
 
 NOTHING = np.zeros((360, 480), bool)
