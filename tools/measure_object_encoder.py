@@ -10,21 +10,17 @@ Errors are relative RMS of the other object's shading, the median over the maps.
 """
 
 import argparse
-import json
 import math
-import platform
 import time
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from skylight.evaluation.main import commit
 from skylight.imaging.collection import read_categories
-from skylight.imaging.files import read_environment_map, write_json
+from skylight.imaging.files import read_environment_map
 from skylight.probes.encoder.basis import SurfaceTransfer, surface_transfer
 from skylight.probes.encoder.encoder import ObjectEncoder
 from skylight.probes.encoder.harmonic_light import nonnegative_harmonics
@@ -35,6 +31,7 @@ from skylight.probes.partitions.probe import PartitionProbe
 from skylight.probes.partitions.scene_files import read_scene
 from skylight.sphere import harmonics
 from skylight.sphere.grid import DirectionGrid
+from tools.measured import write_measured
 
 OBJECTS = ("stanford_dragon.ply", "stanford_bunny.ply")
 ROWS, DEGREE, NOISE, ALBEDO = 32, 4, 0.01, 0.8
@@ -59,22 +56,15 @@ def main() -> None:
         found = measure(objects[source], objects[target], maps, generator)
         facts |= {f"{label}_{name}": value for name, value in found.items()}
     command = f"python -m tools.measure_object_encoder --data {arguments.data.name}"
-    write_json(
+    write_measured(
         arguments.out,
-        {
-            "name": "object-encoder",
-            "what": f"relative RMS error of one object lit from points of another, median over "
-            f"{len(names)} maps, {100 * NOISE:g} % noise",
-            "command": command + f" --every {arguments.every}",
-            "commit": commit(),
-            "date": datetime.now(UTC).date().isoformat(),
-            "machine": f"{platform.machine()}, torch {torch.__version__}",
-            "seed": 0,
-            "seconds": time.time() - begun,
-            **facts,
-        },
+        name="object-encoder",
+        what=f"relative RMS error of one object lit from points of another, median over "
+        f"{len(names)} maps, {100 * NOISE:g} % noise",
+        command=command + f" --every {arguments.every}",
+        begun=begun,
+        facts=facts,
     )
-    print(json.dumps(facts, indent=2))
 
 
 def measure(

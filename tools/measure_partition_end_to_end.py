@@ -13,11 +13,8 @@ of 640 x 480 is for `probe partitions live`.
 """
 
 import argparse
-import json
-import platform
 import time
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 import cv2
@@ -30,7 +27,6 @@ from skylight.app.partition_live import live_scene
 from skylight.app.partition_printing import describe_partition_assembly, print_partition_probe
 from skylight.app.partition_relight import SceneStand, VirtualScene
 from skylight.evaluation.independent_render import IndependentScene, Solid
-from skylight.evaluation.main import commit
 from skylight.imaging.files import read_environment_map, write_json, write_png
 from skylight.imaging.metrics import mae
 from skylight.probes.capture.drawing import lens_rays
@@ -52,6 +48,7 @@ from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import rotation_about
 from skylight.transport.path_tracer import Sampling, shade
 from skylight.transport.raycast import Raycaster
+from tools.measured import write_measured
 from tools.rendered_photos import (
     ALBEDO,
     BLACK,
@@ -96,23 +93,15 @@ def main() -> None:
         f"--map {arguments.map} --design {arguments.design} --samples {arguments.samples} "
         f"--frames {arguments.frames}"
     )
-    write_json(
+    write_measured(
         arguments.out or Path(f"benchmarks/results/{name}.json"),
-        {
-            "name": name,
-            "what": f"a printed {arguments.design} probe rendered by Mitsuba, captured and relit "
-            f"from by the command line, in the light of {arguments.map}",
-            "command": command,
-            "commit": commit(),
-            "date": datetime.now(UTC).date().isoformat(),
-            "machine": f"{platform.machine()}, torch {torch.__version__}",
-            "seed": 0,
-            "samples": arguments.samples,
-            "seconds": time.time() - begun,
-            **facts,
-        },
+        name=name,
+        what=f"a printed {arguments.design} probe rendered by Mitsuba, captured and relit "
+        f"from by the command line, in the light of {arguments.map}",
+        command=command,
+        begun=begun,
+        facts={"samples": arguments.samples, **facts},
     )
-    print(json.dumps(facts, indent=2))
 
 
 class Standing:

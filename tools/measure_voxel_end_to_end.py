@@ -13,10 +13,7 @@ live`.
 """
 
 import argparse
-import json
-import platform
 import time
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +24,6 @@ from skylight.app.probe_printing import describe_assembly, print_voxel_probe, st
 from skylight.app.voxel_live import live_film
 from skylight.app.voxel_render import Stand, reconstruction_for
 from skylight.evaluation.independent_render import IndependentScene, Solid, as_photo
-from skylight.evaluation.main import commit
 from skylight.imaging.files import read_environment_map, write_json, write_png
 from skylight.imaging.metrics import shading_metrics
 from skylight.probes.capture.drawing import camera_rays, looking_at
@@ -41,6 +37,7 @@ from skylight.probes.voxel.render import VoxelRenderer
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.transport.camera import Camera
 from skylight.transport.path_tracer import Sampling, shade
+from tools.measured import write_measured
 from tools.rendered_photos import (
     ALBEDO,
     BOARD,
@@ -81,23 +78,15 @@ def main() -> None:
         f"python -m tools.measure_voxel_end_to_end --data {arguments.data.name} --work DIR "
         f"--map {arguments.map} --samples {arguments.samples} --frames {arguments.frames}"
     )
-    write_json(
+    write_measured(
         arguments.out,
-        {
-            "name": "voxel-end-to-end",
-            "what": "a printed 3-probe rendered by Mitsuba, captured and drawn with by the command "
-            f"line, in the light of {arguments.map}",
-            "command": command,
-            "commit": commit(),
-            "date": datetime.now(UTC).date().isoformat(),
-            "machine": f"{platform.machine()}, torch {torch.__version__}",
-            "seed": 0,
-            "samples": arguments.samples,
-            "seconds": time.time() - begun,
-            **facts,
-        },
+        name="voxel-end-to-end",
+        what="a printed 3-probe rendered by Mitsuba, captured and drawn with by the command "
+        f"line, in the light of {arguments.map}",
+        command=command,
+        begun=begun,
+        facts={"samples": arguments.samples, **facts},
     )
-    print(json.dumps(facts, indent=2))
 
 
 class Standing:

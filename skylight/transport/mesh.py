@@ -1,8 +1,9 @@
 """Meshes from files, ready to be shaded."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -28,28 +29,33 @@ def read_mesh(path: str | Path) -> tuple[Float[Tensor, "n 3"], Int[Tensor, "f 3"
     """
     import trimesh  # slow to import
 
-    path = existing_mesh(path)
-    try:
-        mesh = trimesh.load_mesh(path, process=True)
-    # its readers raise whatever their parsing stumbles over
-    except Exception as error:
-        raise InputError(f"{path}: damaged, or no {path.suffix} mesh ({error})") from error
+    path = Path(path)
+    mesh = loaded_mesh(path, lambda file: trimesh.load_mesh(file, process=True))
     try:
         return creased(mesh)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
 
-def existing_mesh(path: str | Path) -> Path:
-    """The path, once it is sure that a file with a mesh's ending is there."""
-    path = Path(path)
+def loaded_mesh(path: Path, load: Callable[[Path], Any]) -> Any:
+    """What one of trimesh's readers makes of a mesh file.
+
+    Raises
+    ------
+    InputError
+        A missing or damaged file, or another format.
+    """
     if not path.is_file():
         raise InputError(f"{path}: there is no such mesh")
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise InputError(
             f"{path}: '{path.suffix}' is no mesh known here: use {', '.join(MESH_SUFFIXES)}"
         )
-    return path
+    try:
+        return load(path)
+    # the readers raise whatever their parsing stumbles over
+    except Exception as error:
+        raise InputError(f"{path}: damaged, or no {path.suffix} mesh ({error})") from error
 
 
 def creased(mesh: "Trimesh") -> tuple[Float[Tensor, "n 3"], Int[Tensor, "f 3"]]:

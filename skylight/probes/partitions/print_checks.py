@@ -1,7 +1,7 @@
 """Measurements on the parts of a partition probe, as they stand when assembled."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from manifold3d import Manifold
@@ -11,20 +11,18 @@ from skylight.probes.partitions.sizes import ProbeSizes
 from skylight.probes.printing.checks import meets_on_its_way, overlap_mm3, part_figures, play_mm
 from skylight.probes.printing.part import PrintedPart
 from skylight.probes.printing.report import (
-    PLAY_TOLERANCE_MM,
-    VOLUME_TOLERANCE_MM3,
-    PartFigures,
-    part_problems,
+    FACE_TOLERANCE_MM,
+    MeasuredParts,
+    clearance_problems,
 )
 
 # two sides within 37 degrees of parallel make a wall, others an edge
 OPPOSED_COS = 0.8
-_FACE_TOLERANCE_MM = 1e-6
 _FAR = 4.0  # clearances up to which play is looked for
 
 
 @dataclass(frozen=True, kw_only=True)
-class PartitionPrintReport:
+class PartitionPrintReport(MeasuredParts):
     """Figures of all parts; ``problems`` is empty where all is well.
 
     ``kernel_play_mm``: how far the kernel moves in the closed shell along +-x, +-y, +-z;
@@ -34,17 +32,9 @@ class PartitionPrintReport:
     """
 
     sizes: ProbeSizes
-    parts: tuple[PartFigures, ...]
     kernel_play_mm: tuple[float, ...]
     pin_play_mm: tuple[float, ...]
     seam_mm: float
-    overlap_mm3: float
-    blocked: tuple[str, ...]
-    face_deviation_mm: float
-
-    @property
-    def thinnest_mm(self) -> float:
-        return min(part.thinnest_mm for part in self.parts)
 
     @property
     def clearances_mm(self) -> tuple[float, float]:
@@ -53,41 +43,20 @@ class PartitionPrintReport:
         return min(every), max(every)
 
     @property
-    def sound(self) -> bool:
-        return not self.problems
-
-    @property
     def problems(self) -> tuple[str, ...]:
         """One line for each verdict that fails."""
-        found = [line for part in self.parts for line in part_problems(part, self.sizes.wall_mm)]
-        low = self.sizes.clearance_mm - PLAY_TOLERANCE_MM
-        high = 2 * self.sizes.clearance_mm + PLAY_TOLERANCE_MM
+        found = self._part_problems(self.sizes.wall_mm)
         plays = {
             "kernel in its shell": self.kernel_play_mm,
             "upper half on its pins": self.pin_play_mm,
             "upper half on the lower": (self.seam_mm,),
         }
         for name, play in plays.items():
-            worst = [mm for mm in play if not low <= mm <= high]
-            found += [f"{name}: clearance {worst[0]:.3f} mm"] if worst else []
-        if not self.overlap_mm3 <= VOLUME_TOLERANCE_MM3:
-            found.append(f"assembled parts share {self.overlap_mm3:.3g} mm3")
-        found += [f"{name}: meets an earlier part on its way in" for name in self.blocked]
-        if not self.face_deviation_mm <= _FACE_TOLERANCE_MM:
+            found += clearance_problems(name, play, self.sizes.clearance_mm)
+        found += self._fit_problems()
+        if not self.face_deviation_mm <= FACE_TOLERANCE_MM:
             found.append(f"faces are up to {self.face_deviation_mm:.3g} mm off their planes")
         return tuple(found)
-
-    def content(self) -> dict[str, object]:
-        """For a JSON file."""
-        least, largest = self.clearances_mm
-        return {
-            "sound": self.sound,
-            "problems": list(self.problems),
-            "thinnest_wall_mm": self.thinnest_mm,
-            "least_clearance_mm": least,
-            "largest_clearance_mm": largest,
-            **asdict(self),
-        }
 
 
 def check_partition_parts(

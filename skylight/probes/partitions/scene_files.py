@@ -12,7 +12,7 @@ from torch import Tensor
 from skylight.errors import InputError
 from skylight.imaging.colour import srgb_to_linear
 from skylight.probes.partitions.scene import Scene
-from skylight.transport.mesh import existing_mesh
+from skylight.transport.mesh import loaded_mesh
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -37,13 +37,8 @@ def read_scene(path: str | Path, albedo: tuple[float, float, float] = DEFAULT_AL
     """
     import trimesh  # slow to import
 
-    path = existing_mesh(path)
-    try:
-        loaded = trimesh.load_scene(path, process=False)
-        meshes = loaded.dump()
-    # its readers raise whatever their parsing stumbles over
-    except Exception as error:
-        raise InputError(f"{path}: damaged, or no {path.suffix} mesh ({error})") from error
+    path = Path(path)
+    meshes = loaded_mesh(path, lambda file: trimesh.load_scene(file, process=False).dump())
     try:
         return scene_of(meshes, albedo, linear=path.suffix.lower() in _LINEAR_SUFFIXES)
     except InputError as error:
