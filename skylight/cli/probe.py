@@ -7,6 +7,7 @@ import tyro
 from tyro.conf import Positional
 
 from skylight.cli.partitions import partitions
+from skylight.cli.probe_merge import merge_exposures
 from skylight.cli.sources import film_source, one_source, take_care
 from skylight.errors import InputError
 
@@ -293,5 +294,6 @@ def live_voxel(
     )
 
 
+probe.command(name="merge")(merge_exposures)
 probe.command(voxel, name="voxel", help="Voxel shading probes.")
 probe.command(partitions, name="partitions", help="Shading probes that part the sphere.")

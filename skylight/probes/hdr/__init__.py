@@ -1,0 +1,1 @@
+"""HDR probes from photographs: exposures merged, mirror balls unwrapped, two views blended."""
