@@ -22,7 +22,7 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from skylight.errors import AssetError
-from skylight.faces.landmarks import DetectedFace
+from skylight.faces.landmarks import DetectedFace, LandmarkerName
 from skylight.faces.model import HeadModel
 from skylight.transport.camera import Camera
 
@@ -33,6 +33,10 @@ FOCAL_GUESS = 1.9
 FOCAL_GUESS_SIGMA = 0.3
 FOCAL_EXIF_SIGMA = 0.05
 _JAW = np.arange(17)
+_ERRORS: dict[LandmarkerName, str] = {
+    "dlib": "landmark_errors.npz",
+    "mediapipe": "mediapipe_landmarks.npz",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,7 +164,7 @@ class FitProblem:
         known = focal_px is not None
         self.log_focal0 = np.log(focal_px if known else FOCAL_GUESS * max(width, height))
         self.focal_sigma = FOCAL_EXIF_SIGMA if known else FOCAL_GUESS_SIGMA
-        self.whiten = _whitening() / self.eye_distance
+        self.whiten = _whitening(face.landmarker) / self.eye_distance
 
     @staticmethod
     def landmarks_of(model: HeadModel, fit: FaceFit) -> Float[ndarray, "68 2"]:
@@ -317,9 +321,9 @@ class FitProblem:
 
 
 @cache
-def _whitening() -> Float[ndarray, "136 136"]:
+def _whitening(landmarker: LandmarkerName) -> Float[ndarray, "136 136"]:
     """W with W^T W = S^-1, S in squared eye distances."""
-    source = files("skylight.faces") / "data" / "landmark_errors.npz"
+    source = files("skylight.faces") / "data" / _ERRORS[landmarker]
     try:
         with source.open("rb") as stream, np.load(stream) as stored:
             moment = stored["second_moment"].astype(np.float64)

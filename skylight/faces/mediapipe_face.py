@@ -1,0 +1,151 @@
+"""MediaPipe's face landmarker (478 points) from its ``.task`` file, run by LiteRT alone.
+
+The file is a zip of networks. BlazeFace (Bazarevsky et al. 2019) finds faces in a square of the
+picture; the landmark network (Kartynnik et al. 2019, Grishchenko et al. 2020) sees each face in an
+upright square of its own. What stands around them, anchors, suppression and squares, follows
+MediaPipe's graphs (``mediapipe/tasks/cc/vision/face_landmarker``), with two additions: BlazeFace
+looks at parts of the picture too, for small faces, and the landmark network looks twice, the
+second time at the square that its own landmarks ask for, as MediaPipe does from frame to frame.
+"""
+
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+
+from skylight.errors import AssetError
+from skylight.faces.blazeface import ANCHORS, SIDE, Square, decode, suppress, upright, views
+from skylight.faces.landmarks import DetectedFace
+from skylight.faces.litert import Network, read_task
+
+DETECTOR, LANDMARKS = "face_detector.tflite", "face_landmarks_detector.tflite"
+POINTS = 478
+_LEAST_PRESENCE, _WEAKEST_SHARE = 0.5, 0.9
+_RIGHT_EYE, _LEFT_EYE = 33, 263  # outer corners among the 478
+_LOOKS = 2
+# The one of the 478 points that stands for each of iBUG's 68: of those that MediaPipe's own
+# outlines name (face oval, brows, eyes, lips), the one nearest on rendered people.
+IBUG = (
+    *(162, 127, 93, 132, 172, 136, 149, 148, 152),  # jaw, from the person's right ear to the chin
+    *(377, 378, 365, 397, 361, 323, 356, 389),  # and on to the left ear
+    *(70, 63, 105, 66, 107, 336, 296, 334, 293, 300),  # brows
+    *(168, 197, 5, 4, 240, 97, 2, 326, 460),  # bridge, tip and base of the nose
+    *(33, 160, 158, 133, 153, 144, 362, 385, 387, 263, 373, 380),  # eyes
+    *(61, 39, 37, 0, 267, 269, 291, 405, 314, 17, 84, 181),  # lips' outer edge
+    *(78, 82, 13, 312, 308, 317, 14, 87),  # and inner edge
+)
+
+
+class MediaPipeLandmarker:
+    """Faces by the models in ``task_file``: the ``face_landmarker.task`` that Google offers.
+
+    Raises
+    ------
+    DependencyError
+        LiteRT is not installed (extra ``mediapipe``).
+    InputError
+        ``task_file`` is missing, damaged, or not a face landmarker.
+    """
+
+    def __init__(self, task_file: str | Path) -> None:
+        models = read_task(Path(task_file), (DETECTOR, LANDMARKS))
+        self._detector = Network(models[DETECTOR], f"{task_file}: {DETECTOR}")
+        self._landmarks = Network(models[LANDMARKS], f"{task_file}: {LANDMARKS}")
+        self._detector.check_outputs(16 * ANCHORS, ANCHORS)
+        self._landmarks.check_outputs(3 * POINTS, 1)
+
+    def detect(self, image: UInt8[ndarray, "h w 3"]) -> list[DetectedFace]:
+        return [
+            DetectedFace(points=to_ibug(points), score=presence, landmarker="mediapipe")
+            for points, presence in self.faces(image)
+        ]
+
+    def faces(self, image: UInt8[ndarray, "h w 3"]) -> list[tuple[Float[ndarray, "478 2"], float]]:
+        """(pixels (x, y) of the 478 points, probability of a face) of all faces, largest first."""
+        read = []
+        for square in self.find(image):
+            for _ in range(_LOOKS):
+                points, presence = self.read(image, square)
+                square = _square_of_landmarks(points)
+            if presence >= _LEAST_PRESENCE:
+                read.append((points, presence))
+        # cloth and leaves reach two thirds of a real face's probability; a lone weak face is kept
+        strongest = max((presence for _, presence in read), default=0.0)
+        read = [face for face in read if face[1] >= _WEAKEST_SHARE * strongest]
+        read.sort(key=lambda face: -np.linalg.norm(np.ptp(face[0], axis=0)))
+        return [
+            (points, presence)
+            for i, (points, presence) in enumerate(read)
+            if not any(_part_of(points, larger) for larger, _ in read[:i])
+        ]
+
+    def find(self, image: UInt8[ndarray, "h w 3"]) -> list[Square]:
+        """Upright squares around the faces that BlazeFace sees, the surest first."""
+        scores, candidates = [], []
+        whole, *parts = views(*image.shape[:2])
+        for square in (whole, *parts):
+            seen = square.cut(image, SIDE, cv2.BORDER_CONSTANT)
+            regressors, logits = self._detector.run(seen / np.float32(127.5) - 1)[:2]
+            score, found = decode(regressors.reshape(-1, 16), logits.ravel())
+            # a face that a part of the picture cuts is whole in another
+            inside = (square is whole) | ((found[:, :2] > 0) & (found[:, :2] < 1)).all((1, 2))
+            scores.append(score[inside])
+            candidates.append(square.to_picture(found[inside]))
+        return [
+            _square_of_candidate(candidate)
+            for candidate in suppress(np.concatenate(scores), np.concatenate(candidates))
+        ]
+
+    def read(
+        self, image: UInt8[ndarray, "h w 3"], square: Square
+    ) -> tuple[Float[ndarray, "478 2"], float]:
+        """Pixels (x, y) of the 478 points of the face in ``square``; the probability of a face."""
+        seen = square.cut(image, self._landmarks.side, cv2.BORDER_REPLICATE)
+        points, logit = self._landmarks.run(seen / np.float32(255))[:2]
+        points = points.reshape(POINTS, 3)[:, :2].astype(np.float64) / self._landmarks.side
+        return square.to_picture(points), float(1 / (1 + np.exp(-logit.item())))
+
+
+def _square_of_candidate(candidate: Float[ndarray, "8 2"]) -> Square:
+    return upright(candidate[:2], candidate[2], candidate[3])
+
+
+def _square_of_landmarks(points: Float[ndarray, "478 2"]) -> Square:
+    box = np.stack([points.min(0), points.max(0)])
+    return upright(box, points[_RIGHT_EYE], points[_LEFT_EYE])
+
+
+def _part_of(points: Float[ndarray, "478 2"], larger: Float[ndarray, "478 2"]) -> bool:
+    """Whether what was read is a larger face once more, or an eye or mouth taken for a face."""
+    centre = points.mean(0)
+    return bool(((centre > larger.min(0)) & (centre < larger.max(0))).all())
+
+
+def to_ibug(points: Float[ndarray, "478 2"]) -> Float[ndarray, "68 2"]:
+    """iBUG's landmarks from the 478: the nearest points, less their mean error on rendered people.
+
+    MediaPipe's points and iBUG's are not defined alike, so part of the distance between them is
+    always the same, seen along and across the line of the eyes.
+    """
+    return points[list(IBUG)] - _mean_errors() @ eye_axes(points)
+
+
+def eye_axes(points: Float[ndarray, "478 2"]) -> Float[ndarray, "2 2"]:
+    """Rows: from the right eye's outer corner to the left's, and as far at right angles down."""
+    x, y = points[_LEFT_EYE] - points[_RIGHT_EYE]
+    return np.array([[x, y], [-y, x]])
+
+
+@cache
+def _mean_errors() -> Float[ndarray, "68 2"]:
+    """In units of :func:`eye_axes` (``tools/measure_landmarks.py``)."""
+    source = files("skylight.faces") / "data" / "mediapipe_landmarks.npz"
+    try:
+        with source.open("rb") as stream, np.load(stream) as stored:
+            return stored["mean_error"].astype(np.float64)
+    except (OSError, KeyError, ValueError) as error:
+        raise AssetError(f"{source} cannot be read ({error}); reinstall skylight") from error
