@@ -6,6 +6,8 @@ from pathlib import Path
 import hypothesis
 import pytest
 
+from tests.face_captures import MadeCaptures, make_captures
+
 # Timings are for benchmarks, so no deadlines. On CI every run draws the same examples: a change
 # is judged by what it changes, and chance finds its cases on people's machines.
 hypothesis.settings.register_profile(
@@ -22,3 +24,9 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("no collected data: set SKYLIGHT_TEST_DATA to its folder")
     return folder
+
+
+@pytest.fixture(scope="session")
+def face_captures(tmp_path_factory: pytest.TempPathFactory) -> MadeCaptures:
+    """Captures of a rendered person; tests that write take a copy of the folder."""
+    return make_captures(tmp_path_factory.mktemp("captures") / "faces")

@@ -21,17 +21,17 @@ import skylight
 from skylight.app.estimate import estimate
 from skylight.app.results import results_folder
 from skylight.app.sky_folders import with_time_left
-from skylight.cli import Light, MapLayout, explain, main
+from skylight.cli import Landmarks, Light, MapLayout, explain, main
 from skylight.errors import AssetError, InputError, OutputError
-from skylight.faces.landmarks import DetectedFace
+from skylight.faces.landmarks import DetectedFace, LandmarkerName, default_landmarker
 from skylight.faces.model import HeadModel
 from skylight.imaging.files import read_environment_map
-from skylight.inverse.photo import Progress, estimate_photo
+from skylight.inverse.photo import Progress, estimate_photo, estimate_photos
 from skylight.models.shipped import LightName, autoencoder_light
 from skylight.skies.layouts import Layout
 from skylight.sphere.frame import angles_from_direction
 
-RESULTS = {"probe.exr", "probe.hdr", "mesh.obj", "estimate.json", "report.png"}
+RESULTS = {"probe.exr", "probe.hdr", "posterior.exr", "mesh.obj", "estimate.json", "report.png"}
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +47,25 @@ def results(portrait: Path) -> Path:
     out = portrait.parent / "out"
     assert main(["estimate", str(portrait), "--light", "sh9", "--out", str(out)]) == 0
     return out
+
+
+class Faces:
+    """A landmarker that sees the same faces in every picture."""
+
+    def __init__(self, *faces: DetectedFace) -> None:
+        self.faces = list(faces)
+
+    def detect(self, image: np.ndarray) -> list[DetectedFace]:
+        return self.faces
+
+
+def profile() -> DetectedFace:
+    """The mean head, turned by 80 degrees."""
+    head = HeadModel.load()
+    c, s = np.cos(np.radians(80)), np.sin(np.radians(80))
+    points = head.landmarks(head.mean) @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T
+    pixels = points[:, :2] * [1500, -1500] / (1.5 - points[:, 2:]) + 256
+    return DetectedFace(points=pixels, score=1.0)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -75,6 +94,9 @@ class TestResults:
         assert told["sun"]["zenith_deg"] == pytest.approx(np.degrees(float(zenith)), abs=0.01)
         assert told["objective"]["total"] == pytest.approx(told["objective"]["data"])
         assert len(told["params"]) == 27
+        (face,) = told["faces"]
+        assert face["source"] == told["sources"][0]
+        assert 0 < min(face["albedo"]) < max(face["albedo"]) < 1
 
     def test_both_maps_hold_the_same_light(self, results: Path) -> None:
         exr, hdr = (read_environment_map(results / f"probe.{kind}") for kind in ("exr", "hdr"))
@@ -215,30 +237,68 @@ class TestFailures:
         assert main(arguments) == 2
         assert "no face 2" in one_line(capsys)
 
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            (["--landmarks", "mediapipe"], "name it with --landmark-model"),
+            (["--landmark-model", "a.task"], "a.task: dlib's landmarks bring their own model"),
+            (["--landmarks", "mediapipe", "--landmark-model", "a.task"], "there is no such file"),
+        ],
+    )
+    def test_landmarkers_that_cannot_be(
+        self,
+        portrait: Path,
+        options: list[str],
+        message: str,
+        tmp_path: Path,
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:
+        assert main(["estimate", str(portrait), *options, "--out", str(tmp_path / "out")]) == 2
+        assert message in one_line(capsys)
+
+    @pytest.mark.parametrize(
+        ("wrong", "expected"),
+        [
+            (["b.png"], "add --shared-light"),
+            (["--face", "1", "--faces", "all"], "contradict"),
+            (["b.png", "--shared-light"], "b.png"),
+        ],
+    )
+    def test_several_faces_that_cannot_be(
+        self,
+        wrong: list[str],
+        expected: str,
+        portrait: Path,
+        tmp_path: Path,
+        capsys: pytest.CaptureFixture[str],
+        monkeypatch: pytest.MonkeyPatch,
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        assert main(["estimate", str(portrait), *wrong]) == 2
+        assert expected in one_line(capsys)
+        assert not list(tmp_path.iterdir())
+
     def test_face_turned_away(self, portrait: Path) -> None:
-        class Profile:
-            """Sees the mean head, turned by 80 degrees."""
-
-            def detect(self, image: np.ndarray) -> list[DetectedFace]:
-                head = HeadModel.load()
-                angle = np.radians(80)
-                turn = np.array(
-                    [
-                        [np.cos(angle), 0, np.sin(angle)],
-                        [0, 1, 0],
-                        [-np.sin(angle), 0, np.cos(angle)],
-                    ]
-                )
-                points = head.landmarks(head.mean) @ turn.T
-                pixels = points[:, :2] * [1500, -1500] / (1.5 - points[:, 2:]) + 256
-                return [DetectedFace(points=pixels, score=1.0)]
-
-        photo = skylight.read_photo(portrait)
         with pytest.raises(InputError, match="turned away") as caught:
-            estimate_photo(photo, landmarker=Profile())
+            estimate_photo(skylight.read_photo(portrait), landmarker=Faces(profile()))
         message, code = explain(caught.value)
         assert code == 2
         assert "use a picture" in message
+
+    def test_a_face_turned_away_among_others_is_left_out(self, portrait: Path) -> None:
+        photo = skylight.read_photo(portrait)
+        (frontal,) = default_landmarker().detect(photo.encoded)
+        result = estimate_photos(
+            [photo],
+            light="sh9",
+            faces="all",
+            sources=["group.png"],
+            landmarker=Faces(profile(), frontal),
+        )
+        (seen,) = result.seen
+        assert (seen.number, seen.name) == (2, "group.png, face 2")
+        (advice,) = [line for line in result.estimate.advice if "left out" in line]
+        assert "group.png, face 1: the face is turned away" in advice
 
     def test_folder_that_cannot_be_written(
         self, portrait: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -275,6 +335,7 @@ class TestFailures:
             ["estimate", "a.png", "--light", "moon"],
             ["estimate", "a.png", "--gamma", "2.2", "--linear"],
             ["estimate", "a.png", "--face", "first"],
+            ["estimate", "a.png", "--faces", "some"],
             ["fly"],
             ["skies"],
             ["export", "scene"],
@@ -446,6 +507,10 @@ class TestRelight:
 
 def test_light_choices_are_the_models() -> None:
     assert Light == LightName
+
+
+def test_landmark_choices_are_the_landmarkers() -> None:
+    assert Landmarks == LandmarkerName
 
 
 def test_public_names_exist() -> None:

@@ -137,8 +137,8 @@ def _estimate(
 ) -> PhotoEstimate:
     photo, source = as_photo(codes, None)
     result = estimate_with_steps(
-        photo, source, light="autoencoder", face=1, device="cpu", progress=progress
+        [photo], [source], light="autoencoder", face=1, device="cpu", progress=progress
     )
     progress("writing the results", 0.0)
-    write_results(folder, photo, title, result)
+    write_results(folder, [photo], [title], result)
     return result

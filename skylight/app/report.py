@@ -11,8 +11,11 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from skylight.app.summary import residual, sun_angles_deg, where
+from skylight.app.doubt import draw_region, probe_title
+from skylight.app.summary import sun_angles_deg, where
+from skylight.faces.landmarks import DetectedFace
 from skylight.faces.model import HeadModel
+from skylight.faces.observe import FaceView
 from skylight.imaging.atomic import atomic_path
 from skylight.imaging.colour import linear_to_srgb, tone_map
 from skylight.imaging.photo import Photo
@@ -27,6 +30,7 @@ from skylight.transport.scene import EvaluationScene, evaluation_scene
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
 
 SCENE_HEIGHT, SCENE_GRID = 144, 32  # for looking at: twice the scores' pixels, as much memory
 OVERLAY_SIDE_PX = 420
@@ -59,7 +63,7 @@ def write_report(path: Path, photo: Photo, result: PhotoEstimate, *, title: str)
     with rc_context(STYLE):
         figure = Figure(figsize=(16, 10.2), dpi=120, facecolor="white")
         figure.text(0.02, 0.962, f"Light of {title}", fontsize=17, fontweight="bold")
-        figure.text(0.98, 0.965, _LIGHTS[estimate.light], ha="right", color=MUTED, fontsize=11.5)
+        figure.text(0.98, 0.965, LIGHTS[estimate.light], ha="right", color=MUTED, fontsize=11.5)
         if estimate.advice:
             care = "Take care: " + "; ".join(estimate.advice)
             figure.text(0.02, 0.936, care, color=ACCENT, fontsize=10.5)
@@ -69,12 +73,15 @@ def write_report(path: Path, photo: Photo, result: PhotoEstimate, *, title: str)
         _photo(axes[0], photo, result)
         show(axes[1], _overlay(photo, result), "Head and landmarks")
         image = view.image
-        show(axes[2], _codes(image, white), "Face as seen")
-        show(axes[3], _codes(_rendered(result), white), "Re-rendered in the light found")
-        _residual(figure, axes[4], result)
+        rendered = estimate.faces[0].rendered
+        show(axes[2], codes(image, white), "Face as seen")
+        show(axes[3], codes(over_grey(view, rendered), white), "Re-rendered in the light found")
+        shown = show_residual(axes[4], view, rendered, "Render minus seen")
+        _residual_bar(figure, axes[4], shown)
         found = rows[1].subgridspec(2, 3, width_ratios=(2.9, 0.93, 0.95), wspace=0.06, hspace=0.18)
         probe = figure.add_subplot(found[:, 0])
-        show_probe(probe, estimate.environment, "Light around the camera")
+        show_probe(probe, estimate.environment, probe_title(estimate.posterior))
+        draw_region(probe, estimate.posterior)
         scene = evaluation_scene(SCENE_HEIGHT, SCENE_GRID)
         matt, metal = relit(scene, estimate.environment)
         show(figure.add_subplot(found[0, 1]), matt, "Matt objects in this light")
@@ -84,7 +91,7 @@ def write_report(path: Path, photo: Photo, result: PhotoEstimate, *, title: str)
         save(figure, path)
 
 
-_LIGHTS = {
+LIGHTS = {
     "autoencoder": "light model: learnt skies (autoencoder)",
     "sunsky": "light model: sun and Preetham sky",
     "sh9": "light model: 9 spherical harmonics",
@@ -183,24 +190,30 @@ def white_of(values: Float[Tensor, "m 3"]) -> float:
     return max(1.05 * float(torch.quantile(luminance(values.float()), 0.98)), 1e-30)
 
 
-def _codes(linear: Float[Tensor, "h w 3"], white: float) -> UInt8[np.ndarray, "h w 3"]:
+def codes(linear: Float[Tensor, "h w 3"], white: float) -> UInt8[np.ndarray, "h w 3"]:
     return (255 * linear_to_srgb((linear / white).clamp(0, 1))).round().to(torch.uint8).numpy()
 
 
 def _photo(axes: "Axes", photo: Photo, result: PhotoEstimate) -> None:
     """The whole picture with the face framed."""
+    show(axes, photo.encoded, "Photograph")
+    frame_head(axes, photo, result.face)
+
+
+def frame_head(axes: "Axes", photo: Photo, face: DetectedFace) -> tuple[float, float]:
+    """Draw a frame around a head of the picture shown; its upper left corner."""
     from matplotlib.patches import Rectangle
 
-    show(axes, photo.encoded, "Photograph")
-    low, high = _head_window(photo, result)
+    low, high = _head_window(photo, face)
     axes.add_patch(
         Rectangle(tuple(low), *(high - low), fill=False, edgecolor=ACCENT, linewidth=1.8)
     )
+    return float(low[0]), float(low[1])
 
 
-def _head_window(photo: Photo, result: PhotoEstimate) -> tuple[np.ndarray, np.ndarray]:
+def _head_window(photo: Photo, face: DetectedFace) -> tuple[np.ndarray, np.ndarray]:
     """(left, top) and (right, bottom) in pixels around the head's front, within the picture."""
-    points = result.face.points
+    points = face.points
     margin = 0.5 * np.ptp(points, axis=0).max()
     height, width = photo.encoded.shape[:2]
     low = np.clip(points.min(0) - margin * np.array([1.0, 1.2]), 0, None)
@@ -210,7 +223,7 @@ def _head_window(photo: Photo, result: PhotoEstimate) -> tuple[np.ndarray, np.nd
 
 def _overlay(photo: Photo, result: PhotoEstimate) -> UInt8[np.ndarray, "h w 3"]:
     """The fitted head, shaded by a lamp at the camera, over the picture, with the landmarks."""
-    low, high = _head_window(photo, result)
+    low, high = _head_window(photo, result.face)
     crop = photo.encoded[low[1] : high[1], low[0] : high[0]]
     scale = OVERLAY_SIDE_PX / max(crop.shape[:2])
     width, height = (max(1, round(scale * side)) for side in (crop.shape[1], crop.shape[0]))
@@ -242,29 +255,33 @@ def _overlay(photo: Photo, result: PhotoEstimate) -> UInt8[np.ndarray, "h w 3"]:
     return canvas
 
 
-def _rendered(result: PhotoEstimate) -> Float[Tensor, "h w 3"]:
-    """The estimate's face over a dimmed, grey picture."""
-    view = result.view
-    rendered = (0.35 * luminance(view.image))[..., None].repeat(1, 1, 3)
+def over_grey(view: FaceView, rendered: Float[Tensor, "m 3"]) -> Float[Tensor, "h w 3"]:
+    """The re-rendered face over its picture, dimmed and grey."""
+    picture = (0.35 * luminance(view.image))[..., None].repeat(1, 1, 3)
     rows, columns = view.observation.places.unbind(1)
-    rendered[rows, columns] = result.estimate.rendered.to(rendered)
-    return rendered
+    picture[rows, columns] = rendered.to(picture)
+    return picture
 
 
-def _residual(figure: "Figure", axes: "Axes", result: PhotoEstimate) -> None:
+def show_residual(
+    axes: "Axes", view: FaceView, rendered: Float[Tensor, "m 3"], title: str
+) -> "AxesImage":
     """Relative difference of luminance, red where the render is too bright."""
-    view = result.view
     seen = luminance(view.observation.pixels)
-    value = (luminance(result.estimate.rendered) - seen) / seen.mean()
+    value = (luminance(rendered) - seen) / seen.mean()
     canvas = np.full(tuple(view.image.shape[:2]), np.nan)
     rows, columns = view.observation.places.unbind(1)
     canvas[rows.numpy(), columns.numpy()] = value.numpy()
     shown = axes.imshow(canvas, cmap="RdBu_r", vmin=-RESIDUAL_LIMIT, vmax=RESIDUAL_LIMIT)
     axes.set_facecolor("#eceff2")
-    axes.set_title("Render minus seen")
+    axes.set_title(title)
     axes.set_anchor("NW")
     axes.set_xticks([])
     axes.set_yticks([])
+    return shown
+
+
+def _residual_bar(figure: "Figure", axes: "Axes", shown: "AxesImage") -> None:
     inset = axes.inset_axes((0.1, 0.045, 0.8, 0.028))
     bar = figure.colorbar(shown, cax=inset, orientation="horizontal")
     percent = round(100 * RESIDUAL_LIMIT)
@@ -283,9 +300,9 @@ def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
         ("brightest", where(azimuth_deg, zenith_deg)),
         ("   azimuth, right of ahead", f"{azimuth_deg:+.0f}°"),
         ("   zenith angle", f"{zenith_deg:.0f}°"),
-        ("skin albedo", _rgb(estimate.albedo)),
-        ("ground albedo", _rgb(estimate.ground_albedo)),
-        ("mean residual", f"{100 * residual(result.view.observation, estimate):.0f} %"),
+        ("skin albedo", rgb(estimate.albedo)),
+        ("ground albedo", rgb(estimate.ground_albedo)),
+        ("mean residual", f"{100 * estimate.faces[0].residual:.0f} %"),
         ("pixels used", f"{len(result.view.observation.pixels)}"),
         ("landmarks off, of eye distance", f"{100 * fit.landmark_error:.1f} %"),
         ("face turned by", f"{math.degrees(fit.facing_angle_rad):.0f}°"),
@@ -295,5 +312,5 @@ def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
     ]
 
 
-def _rgb(color: Float[Tensor, "3"]) -> str:
+def rgb(color: Float[Tensor, "3"]) -> str:
     return "  ".join(f"{float(value):.2f}" for value in color)

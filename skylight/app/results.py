@@ -3,10 +3,12 @@
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from skylight.app.doubt import posterior_map
+from skylight.app.group_report import write_group_report
 from skylight.app.report import write_report
 from skylight.app.summary import describe
 from skylight.errors import OutputError
@@ -49,13 +51,32 @@ def results_folder(out: Path) -> Iterator[Path]:
                 out.rmdir()
 
 
-def write_results(folder: Path, photo: Photo, source: str, result: PhotoEstimate) -> None:
-    """probe.exr, probe.hdr, mesh.obj, estimate.json and report.png of one estimate."""
+def write_results(
+    folder: Path, photos: Sequence[Photo], sources: Sequence[str], result: PhotoEstimate
+) -> None:
+    """probe.exr, probe.hdr, posterior.exr, mesh.obj, estimate.json and report.png of one estimate.
+
+    Several faces have a mesh each, mesh_1.obj and so on, in the order of estimate.json.
+    """
     write_environment_map(folder / "probe.exr", result.estimate.environment)
     write_environment_map(folder / "probe.hdr", result.estimate.environment)
-    write_mesh(folder / "mesh.obj", result.fit)
-    write_json(folder / "estimate.json", describe(result, source))
-    write_report(folder / "report.png", photo, result, title=Path(source).name)
+    write_environment_map(folder / "posterior.exr", posterior_map(result.estimate.posterior))
+    write_json(folder / "estimate.json", describe(result, sources))
+    for name, seen in zip(mesh_names(result), result.seen, strict=True):
+        write_mesh(folder / name, seen.fit)
+    first, *more = sources
+    title = Path(first).name + (f" and {len(more)} more" if more else "")
+    if len(result.seen) == 1:
+        photo = photos[result.seen[0].photo]
+        write_report(folder / "report.png", photo, result, title=title)
+    else:
+        write_group_report(folder / "report.png", photos, result, title=title)
+
+
+def mesh_names(result: PhotoEstimate) -> list[str]:
+    """The file of each face's head."""
+    count = len(result.seen)
+    return ["mesh.obj"] if count == 1 else [f"mesh_{n}.obj" for n in range(1, count + 1)]
 
 
 def write_mesh(path: Path, fit: FaceFit) -> None:

@@ -2,49 +2,61 @@
 
 import math
 import platform
+from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 
-from skylight.inverse.photo import PhotoEstimate
-from skylight.inverse.solve import Estimate
-from skylight.sphere.envmap import luminance
+from skylight.app.doubt import describe_posterior, sure_of_the_sun
+from skylight.inverse.estimate import Estimate, FaceLight
+from skylight.inverse.photo import PhotoEstimate, SeenFace
 from skylight.sphere.frame import angles_from_direction
-from skylight.transport.observation import Observation
 
 PACKAGES = ("skylight", "torch", "numpy", "scipy", "dlib-bin", "embreex")
 
 
-def describe(result: PhotoEstimate, source: str) -> dict[str, object]:
+def describe(result: PhotoEstimate, sources: Sequence[str]) -> dict[str, object]:
     """What estimate.json holds; ``skylight relight --latent`` reads the autoencoder's."""
-    estimate, fit = result.estimate, result.fit
+    estimate = result.estimate
     azimuth_deg, zenith_deg = sun_angles_deg(estimate)
-    eye_distance_px = result.face.eye_distance_px
     return {
-        "source": source,
+        "sources": list(sources),
         "light": estimate.light,
         "frame": "the camera looks along -Z, the centre of the map; +X is the picture's right, "
         "+Y up; azimuth from -Z towards +X, zenith from +Y; linear Rec.709",
         "sun": {"azimuth_deg": azimuth_deg, "zenith_deg": zenith_deg},
-        "albedo": estimate.albedo.tolist(),
+        "posterior": describe_posterior(estimate.posterior),
         "ground_albedo": estimate.ground_albedo.tolist(),
         "params": estimate.params.tolist(),
         "exposure": estimate.exposure,
         "objective": {**estimate.terms, "total": math.fsum(estimate.terms.values())},
         "status": estimate.status,
         "advice": list(estimate.advice),
-        "residual": residual(result.view.observation, estimate),
         "stats": estimate.stats,
-        "face": {
-            "landmark_error": fit.landmark_error,
-            "landmark_error_px": fit.landmark_error * eye_distance_px,
-            "outer_eye_distance_px": eye_distance_px,
-            "facing_angle_deg": math.degrees(fit.facing_angle_rad),
-            "focal_length_px": fit.camera.focal_px,
-            "fit_converged": fit.converged,
-            "pixels_used": len(result.view.observation.pixels),
-        },
+        "faces": [
+            _describe_face(seen, light, sources)
+            for seen, light in zip(result.seen, estimate.faces, strict=True)
+        ],
         "seconds": result.seconds,
         "versions": _versions(),
         "seed": None,  # no step of an estimate draws random numbers
+    }
+
+
+def _describe_face(seen: SeenFace, light: FaceLight, sources: Sequence[str]) -> dict[str, object]:
+    fit, eye_distance_px = seen.fit, seen.face.eye_distance_px
+    return {
+        "source": sources[seen.photo],
+        "number": seen.number,
+        "albedo": light.albedo.tolist(),
+        "gloss": light.gloss,
+        "exposure": light.exposure,
+        "residual": light.residual,
+        "landmark_error": fit.landmark_error,
+        "landmark_error_px": fit.landmark_error * eye_distance_px,
+        "outer_eye_distance_px": eye_distance_px,
+        "facing_angle_deg": math.degrees(fit.facing_angle_rad),
+        "focal_length_px": fit.camera.focal_px,
+        "fit_converged": fit.converged,
+        "pixels_used": len(seen.view.observation.pixels),
     }
 
 
@@ -52,12 +64,6 @@ def sun_angles_deg(estimate: Estimate) -> tuple[float, float]:
     """(azimuth, zenith) of the brightest direction in the upper half, degrees."""
     azimuth, zenith = angles_from_direction(estimate.sun_direction)
     return math.degrees(float(azimuth)), math.degrees(float(zenith))
-
-
-def residual(observation: Observation, estimate: Estimate) -> float:
-    """Mean |rendered - seen| / mean seen luminance of the face's pixels."""
-    seen = luminance(observation.pixels)
-    return float((luminance(estimate.rendered) - seen).abs().mean() / seen.mean())
 
 
 def where(azimuth_deg: float, zenith_deg: float) -> str:
@@ -85,12 +91,18 @@ def summary(result: PhotoEstimate) -> str:
     """A few lines for the terminal."""
     estimate = result.estimate
     azimuth_deg, zenith_deg = sun_angles_deg(estimate)
-    off = residual(result.view.observation, estimate)
+    count = len(estimate.faces)
+    labels = ["face"] if count == 1 else [f"face {n}" for n in range(1, count + 1)]
     return "\n".join(
         [
             f"brightest   azimuth {azimuth_deg:+.0f}°, zenith {zenith_deg:.0f}° "
             f"({where(azimuth_deg, zenith_deg)})",
-            f"face        re-rendered to within {100 * off:.0f} % on average",
+            f"sun         {sure_of_the_sun(estimate.posterior)}",
+            f"verdict     {estimate.posterior.verdict}",
+            *(
+                f"{label:<12}re-rendered to within {100 * face.residual:.0f} % on average"
+                for label, face in zip(labels, estimate.faces, strict=True)
+            ),
             f"solver      {estimate.status} after {sum(result.seconds.values()):.0f} s",
         ]
     )

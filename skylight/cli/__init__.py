@@ -14,12 +14,14 @@ from tyro.conf import Positional
 
 from skylight import __version__
 from skylight.cli.camera import camera
+from skylight.cli.faces import faces
 from skylight.cli.probe import probe
 from skylight.errors import InputError, SkylightError
 
 # Parsing must not import torch, so the choices stand here again; a test compares the two.
 Light = Literal["autoencoder", "sunsky", "sh9", "sh25"]
 ObjectLight = Literal["ani", "iso", "vmf", "sh9", "sh25", "sh49"]
+Landmarks = Literal["dlib", "mediapipe"]
 CodeWeights = Literal["l1", "nonnegative", "free"]
 MapLayout = Literal["auto", "skylatlong", "latlong", "angular", "fisheye"]
 Decoding = tyro.conf.create_mutex_group(required=False)
@@ -92,48 +94,81 @@ def explain(error: BaseException) -> tuple[str, int]:
 @app.command
 def estimate(
     photo: Positional[Path],
+    more: Positional[tuple[Path, ...]] = (),
+    shared_light: bool = False,
     light: Light = "autoencoder",
-    face: int = 1,
+    face: int | None = None,
+    faces: Literal["one", "all"] = "one",
     device: Literal["cpu", "cuda"] = "cpu",
     out: Path | None = None,
     gamma: Annotated[float | None, Decoding] = None,
     linear: Annotated[bool, Decoding] = False,
+    landmarks: Landmarks = "dlib",
+    landmark_model: Path | None = None,
 ) -> None:
-    """Recover the light in which a face was photographed.
+    """Recover the light in which a face was photographed, or several.
+
+    Faces under one light tell more of it together: all of a picture with --faces all, those of
+    several pictures with --shared-light. Every face has its own albedo, every picture its own
+    exposure. Cameras are taken to be level and, of several pictures, to look the same way: a
+    burst, a person who turns, a group that is photographed again.
 
     Writes probe.exr and probe.hdr (linear lat-long maps of 64 x 128 pixels in the camera's frame:
-    the centre is where the camera looks, its right is the picture's right), mesh.obj (the fitted
-    head), estimate.json (all numbers) and report.png (a picture of it all).
+    the centre is where the camera looks, its right is the picture's right), posterior.exr (how
+    likely the sun stands where, per sr), mesh.obj (the fitted head; mesh_1.obj and so on where
+    there are several), estimate.json (all numbers) and report.png (a picture of it all).
 
     Args:
         photo: Colour picture of a face: JPEG, PNG, TIFF, EXR or Radiance HDR.
+        more: Further pictures in the same light; only with --shared-light.
+        shared_light: All pictures were taken in one light by cameras that looked the same way.
         light: Light model: learnt skies, Preetham's sky with a sun, or spherical harmonics with
             9 or 25 coefficients.
-        face: Which face, counted from 1, the largest.
+        face: Which face of each picture, counted from 1, the largest; 1 unless said otherwise.
+        faces: One face of each picture, or all.
         device: Where the optimisation runs.
         out: Folder for the results; by default PHOTO's name with _light, in the current folder.
         gamma: The picture's values are light to the power of 1/GAMMA, instead of sRGB.
         linear: The picture's values are proportional to light, instead of sRGB.
+        landmarks: What finds the face: dlib, or MediaPipe's landmarker, free for commercial use.
+        landmark_model: MediaPipe's face_landmarker.task, which you download yourself.
     """
-    from skylight.app.estimate import check_device, estimate_with_steps
+    from skylight.app.estimate import check_device, choose_landmarker, estimate_with_steps
     from skylight.app.progress import stage_bar
-    from skylight.app.results import results_folder, write_results
+    from skylight.app.results import mesh_names, results_folder, write_results
     from skylight.app.summary import summary
     from skylight.imaging.photo import read_photo
 
+    if more and not shared_light:
+        raise InputError(
+            f"{1 + len(more)} pictures: add --shared-light if they were taken in the same light by "
+            "cameras that looked the same way, else estimate them one by one"
+        )
+    if face is not None and faces == "all":
+        raise InputError(f"--face {face} and --faces all contradict each other: leave one out")
     out = out or Path(f"{photo.stem}_light")
-    picture = read_photo(photo, decode="linear" if linear else gamma)
+    paths = (photo, *more)
+    pictures = [read_photo(path, decode="linear" if linear else gamma) for path in paths]
     check_device(device)
+    landmarker = choose_landmarker(landmarks, landmark_model)
     with stage_bar() as progress, results_folder(out) as folder:
         result = estimate_with_steps(
-            picture, str(photo), light=light, face=face, device=device, progress=progress
+            pictures,
+            [str(path) for path in paths],
+            light=light,
+            face="all" if faces == "all" else face or 1,
+            device=device,
+            landmarker=landmarker,
+            progress=progress,
         )
         progress("writing the results", 0.0)
-        write_results(folder, picture, str(photo), result)
+        write_results(folder, pictures, [str(path) for path in paths], result)
     for advice in result.estimate.advice:
         print(f"skylight: take care: {advice}", file=sys.stderr)
     print(summary(result))
-    print(f"written into {out}: probe.exr, probe.hdr, mesh.obj, estimate.json, report.png")
+    meshes = ", ".join(mesh_names(result))
+    files = f"probe.exr, probe.hdr, posterior.exr, {meshes}, estimate.json, report.png"
+    print(f"written into {out}: {files}")
 
 
 @app.command(name="estimate-object")
@@ -506,6 +541,7 @@ def evaluate(
 app.command(skies, name="skies", help="Simulate skies, or index a folder of captured ones.")
 app.command(export, name="export", help="Write what relighting without torch needs.")
 app.command(probe, name="probe", help="Make light probes, and use them.")
+app.command(faces, name="faces", help="Faces whose light is known: render or calibrate.")
 app.command(camera, name="camera", help="Measure a camera: a board to print, lens and response.")
 
 

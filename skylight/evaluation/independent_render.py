@@ -1,7 +1,7 @@
 """Pictures by Mitsuba 3 (extra ``render``): a path tracer that shares nothing with ours."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -35,7 +35,7 @@ class IndependentScene:
     """Solids under a distant light; ``radiance`` renders linear light."""
 
     def __init__(self, solids: Sequence[Solid], environment: EnvironmentMap) -> None:
-        mi = _mitsuba()
+        mi = mitsuba_variant()
         sky = convert_latlong(environment.radiance, "skylight", "mitsuba").float().contiguous()
         content: dict[str, object] = {
             "type": "scene",
@@ -60,29 +60,42 @@ class IndependentScene:
         ``rotation`` leads into skylight's camera frame: -Z ahead, +Y up. Distances must be above
         1e-3 and below 1e5 units.
         """
-        mi = _mitsuba()
-        sensor = mi.load_dict(
-            {
-                "type": "perspective",
-                "fov": float(np.degrees(2 * np.arctan(camera.width / (2 * camera.focal_px)))),
-                "fov_axis": "x",
-                "near_clip": 1e-3,
-                "far_clip": 1e5,
-                "principal_point_offset_x": 0.5 - camera.center_px[0] / camera.width,
-                "principal_point_offset_y": 0.5 - camera.center_px[1] / camera.height,
-                "to_world": mi.ScalarTransform4f(_to_world(rotation, translation).tolist()),
-                "film": {
-                    "type": "hdrfilm",
-                    "width": camera.width,
-                    "height": camera.height,
-                    "rfilter": {"type": "box"},
-                    "pixel_format": "rgb",
-                },
-                "sampler": {"type": "independent", "sample_count": samples},
-            }
-        )
+        mi = mitsuba_variant()
+        film = {"pixel_format": "rgb"}
+        sensor = mi.load_dict(pinhole(camera, rotation, translation, samples=samples, film=film))
         picture = mi.render(self._scene, sensor=sensor, spp=samples, seed=mi.UInt32(seed))
         return np.array(picture, dtype=np.float32)
+
+
+def pinhole(
+    camera: Camera,
+    rotation: Float[np.ndarray, "3 3"],
+    translation: Float[np.ndarray, "3"],
+    *,
+    samples: int,
+    film: Mapping[str, object],
+    sampler: str = "independent",
+) -> dict[str, object]:
+    """Mitsuba's description of a camera, with a film of its size and what ``film`` adds."""
+    mi = mitsuba_variant()
+    return {
+        "type": "perspective",
+        "fov": float(np.degrees(2 * np.arctan(camera.width / (2 * camera.focal_px)))),
+        "fov_axis": "x",
+        "near_clip": 1e-3,
+        "far_clip": 1e5,
+        "principal_point_offset_x": 0.5 - camera.center_px[0] / camera.width,
+        "principal_point_offset_y": 0.5 - camera.center_px[1] / camera.height,
+        "to_world": mi.ScalarTransform4f(_to_world(rotation, translation).tolist()),
+        "film": {
+            "type": "hdrfilm",
+            "width": camera.width,
+            "height": camera.height,
+            "rfilter": {"type": "box"},
+            **film,
+        },
+        "sampler": {"type": sampler, "sample_count": samples},
+    }
 
 
 def _to_world(
@@ -131,7 +144,7 @@ def _mesh(mi, solid: Solid):
 
 
 @cache
-def _mitsuba():
+def mitsuba_variant():
     """The fastest variant that works here: LLVM where a recent one is found, else scalar."""
     try:
         import mitsuba as mi

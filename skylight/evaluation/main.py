@@ -12,11 +12,15 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
 from skylight.errors import InputError, OutputError
+from skylight.evaluation.captured_faces import CapturedFaces
 from skylight.evaluation.curves import write_curves
+from skylight.evaluation.face_sensitivity import SIZES, FaceSensitivity
+from skylight.evaluation.known_faces import FaceSource
 from skylight.evaluation.partition_probe import PartitionProbeTable
 from skylight.evaluation.pictures import write_sheet
 from skylight.evaluation.real_faces import RealFaces
-from skylight.evaluation.run import Evaluation, measure_all
+from skylight.evaluation.run import Evaluation, Illustrated, measure_all
+from skylight.evaluation.shared_light import SharedLight
 from skylight.evaluation.sky_models import SkyModels
 from skylight.evaluation.sky_representations import SkyRepresentations
 from skylight.evaluation.sparse_coding import SparseCoding
@@ -25,16 +29,36 @@ from skylight.evaluation.synthetic_faces import SyntheticFaces
 from skylight.evaluation.tables import markdown, summarise, summarise_groups
 from skylight.evaluation.transport_compression import TransportCompression
 from skylight.evaluation.voxel_probe import VoxelProbe
+from skylight.faces.captures import CAPTURES_NAME
 from skylight.imaging.atomic import atomic_path
 from skylight.imaging.files import write_json
+from skylight.models.shipped import LightName
 
 SHEET_STRIPS = 12
 
 
 def _synthetic_faces(quick: bool, data: Path | None) -> Evaluation:
-    if data is not None:
-        raise InputError("synthetic-faces makes its own data: leave --data out")
-    return SyntheticFaces(count=20 if quick else 150)
+    if quick:  # without the rows of the known geometry, which trace a second transport
+        return SyntheticFaces(count=24, data=data, known_geometry=False)
+    return SyntheticFaces(count=150 if data is None else None, data=data)
+
+
+def _shared_light(quick: bool, data: Path | None) -> Evaluation:
+    if data is None:
+        raise InputError(
+            "shared-light needs --data DIR: faces in scenes of four, made by "
+            "'skylight faces render --per-scene 4'"
+        )
+    return SharedLight(data=data, scenes=8 if quick else None)
+
+
+def _face_sensitivity(quick: bool, data: Path | None) -> Evaluation:
+    source = FaceSource(data=data, count=3 if quick else 24, size=max(SIZES))
+    if quick:
+        methods: tuple[LightName, ...] = ("sh9", "autoencoder")
+        few = {"sizes": (90, 192), "angles_deg": (0.0, 15.0), "sigmas": (0.0, 1.1)}
+        return FaceSensitivity(source=source, methods=methods, **few)
+    return FaceSensitivity(source=source)
 
 
 def _sky_models(quick: bool, data: Path | None) -> Evaluation:
@@ -47,7 +71,12 @@ def _sky_representations(quick: bool, data: Path | None) -> Evaluation:
 
 def _real_faces(quick: bool, data: Path | None) -> Evaluation:
     if data is None:
-        raise InputError("real-faces needs --data DIR: photographs with an index.json beside them")
+        raise InputError(
+            "real-faces needs --data DIR: photographs with a captures.csv (the true light is "
+            "known) or an index.json (notes alone)"
+        )
+    if (data / CAPTURES_NAME).is_file():
+        return CapturedFaces(data=data, every=3 if quick else 1)
     return RealFaces(data=data, every=3 if quick else 1)
 
 
@@ -106,6 +135,8 @@ EVALUATIONS: dict[str, Callable[[bool, Path | None], Evaluation]] = {
     "transport-compression": _transport_compression,
     "voxel-probe": _voxel_probe,
     "partition-probe": _partition_probe,
+    "shared-light": _shared_light,
+    "face-sensitivity": _face_sensitivity,
 }
 
 
@@ -178,6 +209,8 @@ def run_evaluation(
     write_curves(out, rows)
     strips = [out / "pictures" / f"{i.name}.png" for i in items[:SHEET_STRIPS]]
     write_sheet(out / "sheet.png", strips)
+    if isinstance(evaluation, Illustrated):
+        evaluation.illustrate(out, rows, items)
     return out / "results.json"
 
 

@@ -110,7 +110,9 @@ def sized(picture: Picture, width: int, height: int, *, smooth: bool = False) ->
     return cv2.resize(picture, (width, height), interpolation=way)
 
 
-def write_sheet(path: Path, strips: list[Path], titles: list[str] | None = None) -> None:
+def write_sheet(
+    path: Path, strips: list[Path], titles: list[str] | None = None, *, width: int = SHEET_WIDTH
+) -> None:
     """The strips that exist, from left to right and downwards, in as many columns as fit.
 
     ``titles``, one for each strip, are written above them.
@@ -125,10 +127,10 @@ def write_sheet(path: Path, strips: list[Path], titles: list[str] | None = None)
             tiles.append(np.vstack([*above, tile]))
     if not tiles:
         return
-    height, width = (max(t.shape[i] for t in tiles) + 4 for i in (0, 1))
-    columns = min(len(tiles), max(1, SHEET_WIDTH // width))
-    sheet = np.full((-(-len(tiles) // columns) * height, columns * width, 3), 255, np.uint8)
+    high, wide = (max(t.shape[i] for t in tiles) + 4 for i in (0, 1))
+    columns = min(len(tiles), max(1, width // wide))
+    sheet = np.full((-(-len(tiles) // columns) * high, columns * wide, 3), 255, np.uint8)
     for i, tile in enumerate(tiles):
-        top, left = i // columns * height, i % columns * width
+        top, left = i // columns * high, i % columns * wide
         sheet[top : top + tile.shape[0], left : left + tile.shape[1]] = tile
     write_png(path, sheet)

@@ -88,6 +88,17 @@ class Evaluation(Protocol):
     ) -> dict[str, Check]: ...
 
 
+@runtime_checkable
+class Illustrated(Protocol):
+    """An evaluation with figures of its own."""
+
+    def illustrate(
+        self, out: Path, rows: dict[str, dict[str, dict[str, float]]], items: list[Item]
+    ) -> None:
+        """Writes them into ``out``, from results and the items' pictures."""
+        ...
+
+
 def measure_all(
     evaluation: Evaluation,
     out: Path,
@@ -169,7 +180,7 @@ def _read_cache(path: Path, config: dict[str, object]) -> dict[str, Item]:
 def code_hash() -> str:
     """SHA-256 over the sources and model files that make the numbers: others' are stale."""
     root = Path(str(skylight.__path__[0]))
-    left_out = {root / "evaluation" / f"{n}.py" for n in ("tables", "main")}
+    left_out = {root / "evaluation" / f"{n}.py" for n in ("tables", "main", "thesis_figures")}
     digest = hashlib.sha256()
     for path in sorted(p for package in MEASURED for p in (root / package).rglob("*")):
         is_data = path.parent.name == "data"

@@ -164,18 +164,24 @@ def autoencoder_start(sky: Float[Tensor, "h w 3"]) -> Float[Tensor, "1 p"]:
 def descend(
     loss: SkyLoss, start: Float[Tensor, "1 p"], *, held: int = HELD, released: int = RELEASED
 ) -> Float[Tensor, "n 3"]:
-    """Radiance at the least loss that descent from ``start`` finds in so many iterations.
+    """Radiance of :func:`fitted_parameters`."""
+    with torch.no_grad():
+        return loss.model.radiance(fitted_parameters(loss, start, held=held, released=released))[0]
+
+
+def fitted_parameters(
+    loss: SkyLoss, start: Float[Tensor, "1 p"], *, held: int = HELD, released: int = RELEASED
+) -> Float[Tensor, "1 p"]:
+    """Those at the least loss that descent from ``start`` finds in so many iterations.
 
     The azimuth is held at first. A map turned by parts of a column has a kink wherever the turn
     is a whole number of columns, and at that kink, where all starts are, the one-sided gradient
     of a sharp sun can point uphill: joint descent then stops before the sky is fitted.
     """
-    model = loss.model
-    free = model.to_free(start)
+    free = loss.model.to_free(start)
     best = minimise(_held(loss, free), free, iterations=held).x
     best = minimise(loss, best, iterations=released).x
-    with torch.no_grad():
-        return model.radiance(model.from_free(best))[0]
+    return loss.model.from_free(best)
 
 
 def _held(loss: SkyLoss, start: Float[Tensor, "s q"]) -> Objective:

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from skylight.evaluation.run import Item
+from skylight.evaluation.thesis_figures import BESIDE, METRICS, ThesisTable
 
 Rows = dict[str, dict[str, dict[str, float]]]  # method -> metric -> mean, median, std, n
 
@@ -24,6 +25,8 @@ LABELS = {
     "sun_dw_mae_fixed": "Sun-dω MAE (l), at the true sun",
     "sun_angle_deg": "Sun-ang (l), deg",
     "pose_deg": "pose error, deg",
+    "in_region": "true sun in the 90 % region",
+    "region_sr": "90 % region of the sun, sr",
     "psnr": "tone-mapped PSNR, dB",
     "tone_mapped_ssim": "tone-mapped SSIM",
     "floats": "floats",
@@ -32,66 +35,15 @@ LABELS = {
     "seconds": "seconds",
     "cpu_seconds": "seconds of a core",
     "transport_seconds": "seconds of ray tracing",
+    "peak_mib": "peak memory of the process so far, MiB",
 }
 _COLUMNS = 8
-GROUPED_BY = ("category", "half", "regime")  # facts of which each value gets its own rows
-_THESIS_METRICS = (
-    "mae",
-    "rmse",
-    "si_rmse",
-    "full_dw_mae",
-    "sky_dw_mae",
-    "sun_dw_mae",
-    "sun_angle_deg",
-)
-# Per method the means, then the standard deviations, in the order above.
-THESIS: dict[str, dict[str, tuple[tuple[float, ...], tuple[float, ...]]]] = {
-    "sky-models": {  # Table 5.1: 135 captured skies
-        "sh9": (
-            (0.56, 0.64, 0.50, 0.47, 0.46, 0.43, 20.29),
-            (0.62, 0.69, 0.53, 0.26, 0.25, 0.26, 22.64),
-        ),
-        "sh25": (
-            (0.53, 0.62, 0.48, 0.41, 0.45, 0.42, 13.93),
-            (0.62, 0.70, 0.53, 0.26, 0.25, 0.26, 14.39),
-        ),
-        "sunsky": (
-            (0.54, 0.37, 0.23, 0.40, 0.18, 0.06, 0.68),
-            (0.43, 0.28, 0.21, 0.18, 0.14, 0.10, 1.52),
-        ),
-        "autoencoder_feedforward": (
-            (1.54, 1.05, 0.14, 0.50, 0.23, 0.10, 4.61),
-            (4.69, 3.06, 0.16, 0.70, 0.27, 0.10, 13.63),
-        ),
-        "autoencoder": (
-            (0.35, 0.29, 0.17, 0.30, 0.22, 0.16, 6.52),
-            (0.32, 0.29, 0.19, 0.21, 0.22, 0.20, 14.51),
-        ),
-    },
-    "synthetic-faces": {  # Table 5.2: 135 faces under captured skies
-        "sh9": (
-            (0.68, 0.53, 0.41, 1.04, 0.43, 0.35, 18.31),
-            (0.39, 0.30, 0.22, 0.48, 0.23, 0.20, 19.52),
-        ),
-        "sh25": (
-            (0.71, 0.52, 0.43, 1.22, 0.46, 0.34, 22.38),
-            (0.51, 0.33, 0.22, 0.37, 0.21, 0.21, 18.54),
-        ),
-        "sunsky": (
-            (0.92, 0.71, 0.55, 1.42, 0.64, 0.26, 42.23),
-            (0.56, 0.47, 0.39, 1.57, 0.42, 0.20, 30.31),
-        ),
-        "autoencoder": (
-            (0.75, 0.60, 0.45, 0.80, 0.62, 0.15, 23.55),
-            (0.38, 0.33, 0.29, 0.27, 0.32, 0.12, 21.75),
-        ),
-    },
-}
-_THESIS_TITLE = {
-    "sky-models": "The thesis, Table 5.1 (mean ± standard deviation over 135 captured skies)",
-    "synthetic-faces": "The thesis, Table 5.2 (mean ± standard deviation over 135 faces)",
-}
-
+GROUPED_BY = (
+    "category",
+    "half",
+    "regime",
+    "skin tone",
+)  # facts of which each value gets its own rows
 _PEERS_METRICS = ("psnr", "tone_mapped_ssim")
 # Heading, columns, rows: what others measured by the same protocol, on their own maps.
 PEERS: dict[str, tuple[str, list[str], list[tuple[str, list[str]]]]] = {
@@ -164,16 +116,8 @@ def markdown(results: dict) -> str:
         ),
     ]
     name = results["name"].removesuffix("-real")
-    if name in THESIS:
-        columns = list(THESIS[name])
-        cells = [
-            (
-                LABELS[metric],
-                [f"{mean[i]:.2f} ± {std[i]:.2f}" for mean, std in THESIS[name].values()],
-            )
-            for i, metric in enumerate(_THESIS_METRICS)
-        ]
-        lines += ["", f"{_THESIS_TITLE[name]}:", "", *_table(columns, cells)]
+    if name in BESIDE:
+        lines += _thesis(BESIDE[name])
     if name in PEERS:
         lines += ["", PEERS[name][0], "", *_table(*PEERS[name][1:])]
     for group, inside in results.get("groups", {}).items():
@@ -188,6 +132,15 @@ def markdown(results: dict) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
+def _thesis(table: ThesisTable) -> list[str]:
+    methods = list(table.means)
+    cells = [
+        (LABELS[k], [f"{table.mean(m, k):.2f} ± {table.std(m, k):.2f}" for m in methods])
+        for k in METRICS
+    ]
+    return ["", f"{table.title}:", "", *_table(methods, cells)]
+
+
 def _by_number(metric: str) -> list[tuple[int, str]]:
     """l2_4 before l2_16."""
     return [(int(p) if p.isdigit() else 0, p) for p in re.split(r"(\d+)", metric)]
@@ -195,7 +148,7 @@ def _by_number(metric: str) -> list[tuple[int, str]]:
 
 def _group(title: str, rows: Rows) -> list[str]:
     """A group's means and standard deviations, of the metrics that others quote; or nothing."""
-    metrics = [m for m in (*_THESIS_METRICS, *_PEERS_METRICS) if any(m in r for r in rows.values())]
+    metrics = [m for m in (*METRICS, *_PEERS_METRICS) if any(m in r for r in rows.values())]
     if not metrics:
         return []
     count = max(s["n"] for metrics_of in rows.values() for s in metrics_of.values())

@@ -12,6 +12,7 @@ from torch import Tensor
 from skylight.errors import InputError
 from skylight.faces.fit import FaceFit
 from skylight.faces.model import HeadModel, Region
+from skylight.faces.skin_mask import colour_distance, skin_like
 from skylight.sphere.envmap import luminance
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.camera import Camera
@@ -24,12 +25,16 @@ from skylight.transport.render import Specular
 
 # Left out: pixels that the camera sees at more than 75 degrees,
 GRAZING_COSINE = 0.25
-# those darker than this part of the face's 90th percentile (nostrils, black; hair and beards are
-# brighter than that, as is skin in shadow, and stay in),
+# those darker than this part of the face's 90th percentile (nostrils, black),
 DARK_SHARE = 0.01
-# and those of which more than this part was over-exposed.
+# and those of another colour than most of the face (glasses, beards, strands of hair), in spreads.
+STRANGE_COLOUR = 3.5
+# Where more than this part was over-exposed, the light is known to have been at least so bright.
 CLIPPED_SHARE = 0.02
 FEWEST_PIXELS = 60
+# The rest of the head tells where a sun behind the face stands, where it is bare: parts, and how
+# dark against the face their skin may be. What is above a hairline is lit from the sky.
+BARE_PARTS = {Region.EAR: 0.3, Region.NECK: 0.25, Region.SCALP: 0.7}
 # Index of refraction 1.4; the roughness is nominal, and its strength is estimated per face.
 SKIN_GLOSS = Specular(f0=0.028, roughness=0.5)
 
@@ -54,37 +59,38 @@ def observe_face(
     model: HeadModel,
     fit: FaceFit,
     *,
-    face_height_px: int = 88,
+    face_height_px: int = 72,
     grid_height: int = 64,
     workers: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> FaceView:
     """Cut out the face, pick its pixels and trace their transport.
 
-    Visibility comes from the whole head, so nose, brows and chin cast their shadows.
+    Visibility comes from the whole head, so nose, brows and chin cast their shadows. Pixels are
+    those of the face's skin and of what else of the head is bare (:func:`skin_like`): of a sun
+    behind the person, the face itself sees nothing. Over-exposed ones count as lower bounds.
     ``face_height_px`` is the height of the skin region after down-sampling (never up): beyond
     90 px estimates hardly change (thesis, 5.5.5.1), while memory grows: the transport takes
     4 * pixels * 2 * grid_height**2 bytes, 100 MB for 3,000 pixels and 64 rows.
     """
     vertices, faces = torch.from_numpy(fit.vertices), torch.from_numpy(model.faces.copy())
-    skin = torch.from_numpy((model.regions == Region.FACE)[model.faces].all(1))
     image, camera, clipped_share = _cut_out(picture, clipped, model, fit, face_height_px)
     raycaster = Raycaster(vertices, faces)
     surface = rasterize(camera, vertices, faces, raycaster)
-    rows, columns = surface.pixels.unbind(1)
-    seen = image[rows, columns]
     view = -torch.nn.functional.normalize(surface.positions, dim=1)
     facing = (surface.normals * view).sum(1)
-    on_skin = skin[surface.faces] & (facing > GRAZING_COSINE) & _inside(surface, skin)
+    on_skin = _bare_skin(image, surface, facing, model)
+    rows, columns = surface.pixels.unbind(1)
+    seen = image[rows, columns]
     if not bool(on_skin.any()):
         raise InputError("the face is turned away: no skin of it faces the camera")
     bright = torch.quantile(luminance(seen[on_skin]), 0.9)
-    lit = luminance(seen) > DARK_SHARE * bright
-    used = on_skin & lit & (clipped_share[rows, columns] <= CLIPPED_SHARE)
-    if int(used.sum()) < FEWEST_PIXELS:
+    used = on_skin & (luminance(seen) > DARK_SHARE * bright)
+    over = clipped_share[rows, columns] > CLIPPED_SHARE
+    if int((used & ~over).sum()) < FEWEST_PIXELS:
         raise InputError(
-            f"only {int(used.sum())} usable pixels on the face ({int(on_skin.sum())} of skin): "
-            "it is too small, over-exposed, too dark or turned away"
+            f"only {int((used & ~over).sum())} usable pixels on the face ({int(on_skin.sum())} of "
+            "skin): it is too small, over-exposed, too dark or turned away"
         )
     transport = diffuse_transport(
         surface.origins[used],
@@ -103,6 +109,7 @@ def observe_face(
         places=surface.pixels[used],
         transport=transport,
         gloss=gloss,
+        clipped=over[used],
     )
     return FaceView(image=image, camera=camera, surface=surface, used=used, observation=observation)
 
@@ -144,8 +151,32 @@ def _cut_out(
     return torch.from_numpy(small), cut, torch.from_numpy(share)
 
 
-def _inside(surface: GBuffer, skin: Bool[Tensor, " f"]) -> Bool[Tensor, " m"]:
-    """Pixels whose eight neighbours show skin too: borders mix with what lies beside."""
-    mask = surface.image(skin[surface.faces].float()[:, None])[..., 0].numpy()
-    inner = cv2.erode(mask, np.ones((3, 3), np.uint8), borderValue=0)
-    return torch.from_numpy(inner)[surface.pixels[:, 0], surface.pixels[:, 1]] > 0
+def _bare_skin(
+    image: Float[Tensor, "h w 3"],
+    surface: GBuffer,
+    facing: Float[Tensor, " m"],
+    model: HeadModel,
+) -> Bool[Tensor, " m"]:
+    """The surface's pixels that show skin, on the face and wherever else the head is bare.
+
+    Their eight neighbours show the same part: borders mix with what lies beside.
+    """
+    linear = image.numpy()
+
+    def mask(regions: list[Region], *, whole: bool) -> Bool[np.ndarray, "h w"]:
+        corners = np.isin(model.regions, regions)[model.faces]
+        inside = torch.from_numpy(corners.all(1) if whole else corners.any(1))[surface.faces]
+        inside = inside & (facing > GRAZING_COSINE)
+        drawn = surface.image(inside.float()[:, None])[..., 0].numpy()
+        if whole:
+            drawn = cv2.erode(drawn, np.ones((3, 3), np.uint8), borderValue=0)
+        return drawn > 0
+
+    face = mask([Region.FACE], whole=True)
+    if not face.any():
+        return torch.zeros(len(surface), dtype=torch.bool)
+    head = mask([Region.FACE, *BARE_PARTS], whole=False)
+    skin = face & (colour_distance(linear, face) < STRANGE_COLOUR)
+    for region, darkest in BARE_PARTS.items():
+        skin |= skin_like(linear, face, head, mask([region], whole=True), darkest)
+    return torch.from_numpy(skin)[surface.pixels[:, 0], surface.pixels[:, 1]]

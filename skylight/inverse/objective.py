@@ -1,10 +1,14 @@
-"""The objective of inverse lighting (thesis, Eq. 5.8) as a function of free parameters."""
+"""The objective of inverse lighting (thesis, Eq. 5.8) as a function of free parameters.
+
+One light, seen on one face or more: every face adds its own data term and priors.
+"""
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from skylight.models.base import LightModel, Prior, without_azimuth
@@ -13,6 +17,8 @@ from skylight.transport.matrix import DiffuseTransport
 from skylight.transport.observation import Observation
 
 CHARBONNIER_EPSILON = 1e-6
+MOST_ALBEDO = 0.95  # of skin, in any channel
+SCALES = 2.0 ** torch.arange(-4, 4.01, 0.125)  # of albedo against light
 GLOSS_SPREAD = 0.7  # of log gloss: skin from matt to oily, a factor of two either way
 
 
@@ -22,7 +28,8 @@ class ObjectiveWeights:
 
     ``noise`` is the expected mean deviation of a pixel from the model, relative to the face's
     mean radiance: not sensor noise, but freckles, gloss and wrong geometry. Neighbouring pixels
-    deviate together, so the pixels count as ``independent`` observations, whatever their number.
+    deviate together, so a face's pixels count as ``independent`` observations, whatever their
+    number; those of several faces add up.
     """
 
     noise: float = 0.06
@@ -33,13 +40,63 @@ class ObjectiveWeights:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FaceTerm:
+    """One face as the objective sees it.
+
+    ``target`` (m,3) the pixels; ``share`` (m,1) each pixel's weight over all pixels and channels,
+    with sum 1/3; ``photo`` counts the photographs from 0: faces of one share its exposure.
+    ``level`` is the face's mean luminance in the target's units, which deviations are relative
+    to: a dark face in the shade says as much about light as a bright one. Where ``clipped``, the
+    target is a lower bound: what is brighter deviates by nothing.
+    """
+
+    target: Float[Tensor, "m 3"]
+    share: Float[Tensor, "m 1"]
+    transport: DiffuseTransport
+    gloss: DiffuseTransport | None
+    photo: int = 0
+    level: float = 1.0
+    clipped: Bool[Tensor, " m"] | None = None
+
+    @staticmethod
+    def of(observation: Observation) -> "FaceTerm":
+        """The only face of a photograph whose mean luminance is 1."""
+        gloss = observation.gloss
+        return FaceTerm(
+            target=observation.pixels,
+            share=(observation.weights / observation.weights.sum())[:, None] / 3,
+            transport=DiffuseTransport(observation.transport),
+            gloss=None if gloss is None else DiffuseTransport(gloss),
+            clipped=observation.clipped,
+        )
+
+    @property
+    def exact_share(self) -> Float[Tensor, "m 1"]:
+        """``share`` where the target is more than a bound."""
+        return self.share if self.clipped is None else self.share * ~self.clipped[:, None]
+
+    def deviation(self, shading: Float[Tensor, "*b m 3"]) -> Float[Tensor, "*b m 3"]:
+        """How far the face is from this shading, in its own level."""
+        deviation = (shading - self.target) / self.level
+        if self.clipped is None:
+            return deviation
+        return torch.where(self.clipped[:, None], deviation.clamp(max=0), deviation)
+
+    def data_term(
+        self, shading: Float[Tensor, "*b m 3"], weights: ObjectiveWeights
+    ) -> Float[Tensor, "*b"]:
+        """How unlikely the face is under this shading, in nats."""
+        return data_term(self.deviation(shading), self.share, weights)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Unpacked:
-    """The physical meaning of a batch of free parameters."""
+    """The physical meaning of a batch of free parameters: n photographs of f faces in all."""
 
     light: Float[Tensor, "b p"]
-    gloss: Float[Tensor, " b"]
-    exposure: Float[Tensor, " b"]
-    albedo: Float[Tensor, "b 3"]
+    exposure: Float[Tensor, "b n"]
+    gloss: Float[Tensor, "b f"]
+    albedo: Float[Tensor, "b f 3"]
     ground_albedo: Float[Tensor, "b 3"]
 
 
@@ -49,96 +106,155 @@ def charbonnier(x: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
 
 
 class SkyObjective:
-    """Eq. 5.8 for a model of the sky over a Lambertian ground.
+    """Eq. 5.8 for a model of the sky over a Lambertian ground, summed over the faces it lights.
 
     Beyond the thesis, a share of surface reflection: shading is rho T l + gloss G l, with one
-    unknown strength for the face (1 is what the index of refraction of skin says). On dark skin
+    unknown strength for each face (1 is what the index of refraction of skin says). On dark skin
     highlights are as bright as the diffuse part, and taken for diffuse they pull the sun aside.
 
     ``albedo_prior`` is a density over *log* albedo: over albedo itself it would be the same
     distribution, but its maximum would lean towards dark skin.
 
-    Free parameters of one problem: those of the light model, then log exposure, log gloss, then
-    the logits of skin and ground albedo, so that 0 < albedo < 1 always holds. The observation is
-    scaled to a mean luminance of 1 beforehand (``scale``), which makes the loss's epsilon mean
-    the same for every picture.
+    Free parameters of one problem: those of the light model, a log exposure for each photograph,
+    for each face log gloss and the logits of skin albedo, then the logits of ground albedo, so
+    that 0 < albedo < 1 always holds. Targets are scaled beforehand to a mean luminance of 1 in
+    each photograph, which makes the loss's epsilon mean the same for every picture.
     """
 
     def __init__(
         self,
-        observation: Observation,
+        faces: Sequence[FaceTerm],
         model: LightModel,
         light_prior: Prior,
         albedo_prior: Prior,
         weights: ObjectiveWeights,
     ) -> None:
+        self.faces = tuple(faces)
+        self.photo_count = 1 + max(face.photo for face in faces)
         self.model = model
         self.light_prior = light_prior
         self.albedo_prior = albedo_prior
         self.weights = weights
-        self.target = observation.pixels
-        share = observation.weights / observation.weights.sum()
-        self.share = share[:, None] / 3
-        self.transport = DiffuseTransport(observation.transport)
-        self.gloss = None if observation.gloss is None else DiffuseTransport(observation.gloss)
         self.ground = LambertianGround(model.grid.layout[0])  # type: ignore[index]
         self.ground_prior = ground_prior()
 
     @property
     def size(self) -> int:
-        return self.model.parameter_count + 8
+        return self.model.parameter_count + 3 + self.photo_count + 4 * len(self.faces)
 
     def pack(
         self,
         light: Float[Tensor, "b p"],
-        exposure: Float[Tensor, " b"],
-        gloss: Float[Tensor, " b"],
-        albedo: Float[Tensor, "b 3"],
+        exposure: Float[Tensor, "b n"],
+        gloss: Float[Tensor, "b f"],
+        albedo: Float[Tensor, "b f 3"],
         ground_albedo: Float[Tensor, "b 3"],
     ) -> Float[Tensor, "b q"]:
+        skin = torch.cat([gloss.log()[..., None], torch.logit(albedo, eps=1e-4)], 2)
         return torch.cat(
             [
                 self.model.to_free(light),
-                exposure.log()[:, None],
-                gloss.log()[:, None],
-                torch.logit(albedo, eps=1e-4),
+                exposure.log(),
+                skin.flatten(1),
                 torch.logit(ground_albedo, eps=1e-4),
             ],
             1,
         )
 
     def unpack(self, free: Float[Tensor, "b q"]) -> Unpacked:
-        p = self.model.parameter_count
+        sizes = (self.model.parameter_count, self.photo_count, 4 * len(self.faces), 3)
+        light, exposure, skin, ground_albedo = free.split(sizes, 1)
+        skin = skin.unflatten(1, (-1, 4))
         return Unpacked(
-            light=self.model.from_free(free[:, :p]),
+            light=self.model.from_free(light),
             # beyond e^+-20 a line search has gone astray; exp must not overflow on its way back
-            exposure=free[:, p].clamp(-20, 20).exp(),
-            gloss=free[:, p + 1].clamp(-20, 5).exp(),
-            albedo=torch.sigmoid(free[:, p + 2 : p + 5]),
-            ground_albedo=torch.sigmoid(free[:, p + 5 : p + 8]),
+            exposure=exposure.clamp(-20, 20).exp(),
+            gloss=skin[..., 0].clamp(-20, 5).exp(),
+            albedo=torch.sigmoid(skin[..., 1:]),
+            ground_albedo=torch.sigmoid(ground_albedo),
         )
 
-    def shading(self, parts: Unpacked) -> Float[Tensor, "b m 3"]:
-        """rho T l + gloss G l with the exposure in l."""
-        sky = self.model.radiance(parts.light) * parts.exposure[:, None, None]
-        ground = self.ground.radiance(sky, parts.ground_albedo)
-        shading = self.transport(sky, ground, parts.albedo)
-        if self.gloss is None:
-            return shading
-        return shading + self.gloss(sky, ground, parts.gloss[:, None].expand(-1, 3))
+    def shading(self, parts: Unpacked) -> list[Float[Tensor, "b _ 3"]]:
+        """Each face's rho T l + gloss G l with its photograph's exposure in l."""
+        radiance = self.model.radiance(parts.light)
+        skies = [radiance * e[:, None, None] for e in parts.exposure.unbind(1)]
+        grounds = [self.ground.radiance(sky, parts.ground_albedo) for sky in skies]
+        shadings = []
+        for k, face in enumerate(self.faces):
+            sky, ground = skies[face.photo], grounds[face.photo]
+            shading = face.transport(sky, ground, parts.albedo[:, k])
+            if face.gloss is not None:
+                gloss = parts.gloss[:, k, None].expand(-1, 3)
+                shading = shading + face.gloss(sky, ground, gloss)
+            shadings.append(shading)
+        return shadings
 
     def terms(self, free: Float[Tensor, "b q"]) -> dict[str, Float[Tensor, " b"]]:
-        """Each part of the objective, weighted; they add up to it."""
+        """Each part of the objective, weighted and summed over faces; they add up to it."""
         parts = self.unpack(free)
         light = without_azimuth(self.model, free[:, : self.model.parameter_count])
         w = self.weights
+        data = [f.data_term(s, w) for f, s in zip(self.faces, self.shading(parts), strict=True)]
+        skin = self.albedo_prior.log_prob(parts.albedo.log().flatten(0, 1))
         return {
-            "data": data_term(self.shading(parts) - self.target, self.share, w),
+            "data": torch.stack(data).sum(0),
             "light_prior": -w.light_prior * self.light_prior.log_prob(light),
-            "albedo_prior": -w.albedo_prior * self.albedo_prior.log_prob(parts.albedo.log()),
+            "albedo_prior": -w.albedo_prior * skin.unflatten(0, (-1, len(self.faces))).sum(1),
             "ground_prior": -w.ground_prior * self.ground_prior.log_prob(parts.ground_albedo.log()),
-            "gloss_prior": 0.5 * (parts.gloss.log() / GLOSS_SPREAD) ** 2,
+            "gloss_prior": (0.5 * (parts.gloss.log() / GLOSS_SPREAD) ** 2).sum(1),
         }
+
+    @torch.no_grad()
+    def likeliest_scale(self, free: Float[Tensor, "b q"]) -> Float[Tensor, "b q"]:
+        """The likeliest albedos among those that the pictures cannot tell apart.
+
+        Albedo and gloss times c under 1/c of a photograph's exposure look the same: only the
+        priors know c, and between skins of different tone they have valleys that a descent does
+        not cross. Every photograph's c is searched from 1/16 to 16; the objective never rises.
+        """
+        return self._with_scales(free, lambda cost: SCALES.to(free)[cost.argmin(0)])
+
+    @torch.no_grad()
+    def safest_scale(self, free: Float[Tensor, "b q"]) -> Float[Tensor, "b q"]:
+        """Of the same albedos those whose light is expected to be the least wrong.
+
+        Light is 1/c times as bright. If c is the truth with probability p(c) and s is answered,
+        light is off by |c/s - 1| of itself, and sum p(c) |c/s - 1| is least where s is the
+        median of c under the weights p(c) c. Where only one tone is likely that is its own;
+        between a dark and a light skin it leans to the light one, since light ten times too
+        bright is a larger error than a tenth of it.
+        """
+
+        def median(cost: Float[Tensor, "c b"]) -> Float[Tensor, " b"]:
+            scales = SCALES.to(free)
+            weight = (-cost).softmax(0) * scales[:, None]
+            return scales[(weight.cumsum(0) < 0.5 * weight.sum(0)).sum(0)]
+
+        return self._with_scales(free, median)
+
+    def _with_scales(
+        self,
+        free: Float[Tensor, "b q"],
+        choose: Callable[[Float[Tensor, "c b"]], Float[Tensor, " b"]],
+    ) -> Float[Tensor, "b q"]:
+        """Each photograph's c chosen by what the priors say of all :data:`SCALES`, in nats."""
+        parts = self.unpack(free)
+        exposure, gloss, albedo = parts.exposure.clone(), parts.gloss.clone(), parts.albedo.clone()
+        scales = SCALES.to(free)
+        for photo in range(self.photo_count):
+            mine = [k for k, face in enumerate(self.faces) if face.photo == photo]
+            tried = scales[:, None, None, None] * albedo[None, :, mine]
+            rarity = -self.weights.albedo_prior * self.albedo_prior.log_prob(
+                tried.log().flatten(0, 2)
+            ).unflatten(0, tried.shape[:3])
+            shine = (scales[:, None, None] * gloss[None, :, mine]).log()
+            cost = (rarity + 0.5 * (shine / GLOSS_SPREAD) ** 2).sum(2)
+            possible = (tried < MOST_ALBEDO).flatten(2).all(2) | (scales[:, None] == 1)
+            scale = choose(torch.where(possible, cost, torch.inf))
+            exposure[:, photo] /= scale
+            gloss[:, mine] *= scale[:, None]
+            albedo[:, mine] *= scale[:, None, None]
+        return self.pack(parts.light, exposure, gloss, albedo, parts.ground_albedo)
 
     def __call__(
         self, free: Float[Tensor, "b q"], index: Int[Tensor, " b"] | None = None

@@ -16,6 +16,7 @@ from skylight.sphere.grid import DirectionGrid
 from skylight.transport.forked import in_processes, shared_array
 from skylight.transport.raycast import Raycaster
 
+FEWEST_ROWS = 6
 BLOCK_DIRECTIONS = 64  # cast together; bounds the scratch memory
 
 
@@ -71,7 +72,11 @@ class DiffuseTransport(nn.Module):
     ) -> Float[Tensor, "b m 3"]:
         """rho (T l) (Eq. 5.2) for a batch of lights, one albedo per light."""
         light = torch.cat([sky, ground[:, None]], dim=1)
-        return albedo[:, None] * torch.einsum("mn,bnc->bmc", self.folded, light)
+        rows = light.transpose(1, 2).flatten(0, 1)
+        # BLAS takes fewer rows one by one: of one light, 150 ms instead of 20 for 3,700 pixels
+        padded = torch.nn.functional.pad(rows, (0, 0, 0, max(0, FEWEST_ROWS - len(rows))))
+        shading = torch.nn.functional.linear(padded, self.folded)[: len(rows)]
+        return albedo[:, None] * shading.unflatten(0, (-1, 3)).transpose(1, 2)
 
 
 def diffuse_transport(

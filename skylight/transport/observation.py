@@ -3,9 +3,10 @@
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from skylight.sphere.grid import DirectionGrid
 from skylight.transport.matrix import TransportMatrix
 
 
@@ -18,6 +19,9 @@ class Observation:
 
     ``places`` (m,2) are the pixels' (row, column) in their picture: the image pyramid merges
     neighbours by them.
+
+    ``clipped`` (m,) tells where ``pixels`` are lower bounds, because the picture is over-exposed
+    there; None where it is nowhere.
     """
 
     pixels: Float[Tensor, "m 3"]
@@ -25,6 +29,7 @@ class Observation:
     places: Int[Tensor, "m 2"]
     transport: TransportMatrix
     gloss: TransportMatrix | None = None
+    clipped: Bool[Tensor, " m"] | None = None
 
     def __post_init__(self) -> None:
         count = len(self.pixels)
@@ -45,11 +50,32 @@ class Observation:
         """The same with all pixels multiplied."""
         return replace(self, pixels=self.pixels * factor)
 
+    def on_rows(self, rows: int) -> "Observation":
+        """The same for light on a lat-long grid of fewer rows: T summed over blocks of columns.
+
+        A direction of the coarse grid sends the same radiance from all fine pixels in it.
+        """
+
+        def summed(transport: TransportMatrix) -> TransportMatrix:
+            layout = transport.grid.layout
+            if layout is None or layout[0] % rows:
+                raise ValueError(f"the transport's grid {layout} must be a multiple of {rows} rows")
+            block = layout[0] // rows
+            cells = transport.matrix.unflatten(1, (rows, block, -1, block)).sum((2, 4))
+            return TransportMatrix(matrix=cells.flatten(1), grid=DirectionGrid.latlong(rows))
+
+        return replace(
+            self,
+            transport=summed(self.transport),
+            gloss=None if self.gloss is None else summed(self.gloss),
+        )
+
     def coarser(self, level: int) -> "Observation":
         """The observation at 1 / 2^level of the picture's resolution; level 0 is itself.
 
         Pixels and transport rows are weighted means over blocks, which commutes with shading:
-        it is linear in T. A block's weight is the sum of its pixels' weights.
+        it is linear in T. A block's weight is the sum of its pixels' weights. It counts as clipped
+        where any of its pixels is.
         """
         if level == 0:
             return self
@@ -67,6 +93,10 @@ class Observation:
             rows.index_add_(0, index, share * transport.matrix[kept])
             return TransportMatrix(matrix=rows, grid=transport.grid)
 
+        over = None
+        if self.clipped is not None:  # a mean with a lower bound in it is one
+            over = torch.zeros(len(blocks), dtype=torch.long)
+            over = over.index_add_(0, index, self.clipped[kept].long()) > 0
         places = torch.zeros(len(blocks), 2, dtype=torch.long)
         places[index] = cell[kept]
         return Observation(
@@ -75,4 +105,5 @@ class Observation:
             places=places,
             transport=merged(self.transport),
             gloss=None if self.gloss is None else merged(self.gloss),
+            clipped=over,
         )

@@ -2,16 +2,13 @@
 
 import json
 
-import numpy as np
 import pytest
 import torch
-from scipy.spatial.transform import Rotation
 
 from skylight.evaluation.main import run_evaluation
 from skylight.evaluation.real_faces import RealFaces
 from skylight.evaluation.scores import score
 from skylight.evaluation.sky_models import SkyModels
-from skylight.evaluation.synthetic_faces import SyntheticFaces, pose_error_deg, synthetic_face
 from skylight.models.shipped import sunsky_light
 from skylight.sphere.envmap import EnvironmentMap
 
@@ -40,26 +37,6 @@ def test_brightness_alone_is_seen_by_brightness_alone(sky):
     assert scores["mae"] == pytest.approx(2, rel=1e-5)
     assert scores["mae_aligned"] == pytest.approx(0, abs=1e-5)
     assert not any(name.startswith("sun_") for name in scores)
-
-
-def test_pose_error_is_the_angle_of_the_relative_rotation():
-    truth = synthetic_face(20_000_000, 64).truth
-    turn = Rotation.from_rotvec(np.radians(7.0) * np.array([0.6, 0.0, 0.8])).as_matrix()
-    assert pose_error_deg(truth, truth) == pytest.approx(0, abs=1e-5)
-    turned = type(truth)(**{**truth.__dict__, "rotation": turn @ truth.rotation})
-    assert pose_error_deg(turned, truth) == pytest.approx(7.0)
-
-
-def test_synthetic_faces(tmp_path):
-    evaluation = SyntheticFaces(count=1, size=160, methods=("sh9", "sh25"))
-    path = run_evaluation(evaluation, tmp_path, command="c")
-    results = json.loads(path.read_text())
-    assert {"sh9", "sh25"} <= set(results["rows"])
-    if results["items"]["face0000"]["found"]:
-        assert {"sh9_fitted", "sh25_fitted"} <= set(results["rows"])
-        assert results["rows"]["sh9_fitted"]["pose_deg"]["median"] < 15
-    assert set(results["rows"]["sh9"]) >= SHADING | {"sun_angle_deg", "seconds"}
-    assert (tmp_path / "sheet.png").is_file()
 
 
 def test_sky_models(tmp_path):

@@ -53,7 +53,7 @@ def test_row_0_of_paint_is_at_v_1() -> None:
     white = EnvironmentMap(radiance=torch.ones(8, 16, 3))
     rotation, translation = looking_at(vector(0, 0, 4), vector(0, 0, 0))
     picture = IndependentScene([square], white).radiance(
-        CAMERA, rotation.numpy(), translation.numpy(), samples=16
+        CAMERA, rotation.numpy(), translation.numpy(), samples=64
     )
     # the square is 60 pixels wide about (29, 27)
     np.testing.assert_allclose(picture[14, 44], [0.8, 0, 0], atol=0.05)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from skylight.errors import InputError
 from skylight.faces.model import HeadModel, Region
-from skylight.faces.observe import GRAZING_COSINE, observe_face
+from skylight.faces.observe import BARE_PARTS, GRAZING_COSINE, observe_face
 from skylight.faces.synthetic import render_face
 from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.transport.camera import Camera
@@ -54,13 +54,37 @@ def view(head, person):
 
 
 def test_only_skin_is_used(head, view):
-    corners = head.faces[view.surface.faces[view.used].numpy()]
-    assert (head.regions[corners] == Region.FACE).all()
-    # none at the border of the skin
-    skin = torch.from_numpy((head.regions == Region.FACE)[head.faces].all(1))
-    mask = view.surface.image(skin[view.surface.faces].float()[:, None])[..., 0]
-    for row, column in view.observation.places.tolist():
-        assert mask[row - 1 : row + 2, column - 1 : column + 2].sum() == 9
+    corners = head.regions[head.faces[view.surface.faces[view.used].numpy()]]
+    region = corners[:, 0]
+    assert (corners == region[:, None]).all()
+    assert set(region.tolist()) <= {Region.FACE, *BARE_PARTS}
+    assert (region == Region.FACE).mean() > 0.5
+    # none at the border of its part
+    for part in set(region.tolist()):
+        inside = torch.from_numpy((head.regions == part)[head.faces].all(1))
+        mask = view.surface.image(inside[view.surface.faces].float()[:, None])[..., 0]
+        for row, column in view.observation.places[torch.from_numpy(region == part)].tolist():
+            assert mask[row - 1 : row + 2, column - 1 : column + 2].sum() == 9
+
+
+def test_a_bare_scalp_is_used_and_hair_on_it_is_not(head, person, view):
+    def share(seen):
+        corners = head.regions[head.faces[seen.surface.faces[seen.used].numpy()]]
+        return float((corners[:, 0] == Region.SCALP).mean())
+
+    assert share(view) > 0.05
+    vertices = torch.from_numpy(person.truth.vertices)
+    scalp = person.truth.camera.project(vertices[torch.from_numpy(head.regions == Region.SCALP)])
+    columns, rows = scalp.floor().long().clamp(0, SIZE - 1).unbind(1)
+    hairy = person.picture.clone()
+    for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
+        hairy[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3] *= 0.12
+    face = torch.from_numpy(head.regions == Region.FACE)
+    columns, rows = person.truth.camera.project(vertices[face]).floor().long().unbind(1)
+    for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
+        near = slice(row - 2, row + 3), slice(column - 2, column + 3)
+        hairy[near] = person.picture[near]
+    assert share(observed(head, person, picture=hairy)) == 0
 
 
 def test_an_observation_is_the_cut_picture_at_the_used_points(view):
@@ -123,15 +147,18 @@ def test_pictures_are_scaled_down_to_the_working_height(head, person):
     assert tuple(view.image.shape[:2]) == view.surface.layout
 
 
-def test_over_exposed_pixels_are_left_out(head, person, view):
+def test_over_exposed_pixels_are_lower_bounds(head, person, view):
     points = person.truth.camera.project(view.surface.positions[view.used])
     middle = int(points[:, 0].mean())
     clipped = person.clipped.clone()
     clipped[:, :middle] = True
     half = observed(head, person, clipped=clipped)
-    left = person.truth.camera.project(half.surface.positions[half.used])
-    assert float(left[:, 0].min()) > middle - 1
-    assert 0.2 < len(left) / len(points) < 0.8
+    torch.testing.assert_close(half.observation.places, view.observation.places)
+    bound = half.observation.clipped
+    assert bool(bound[points[:, 0] < middle - 1].all())
+    torch.testing.assert_close(
+        bound[points[:, 0] > middle + 1], view.observation.clipped[points[:, 0] > middle + 1]
+    )
     with pytest.raises(InputError, match=r"only 0 usable pixels .* over-exposed"):
         observed(head, person, clipped=torch.ones_like(clipped))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.inverse.objective import ObjectiveWeights, SkyObjective, best_exposure
+from skylight.inverse.objective import FaceTerm, ObjectiveWeights, SkyObjective, best_exposure
 from skylight.models.prior import GaussianMixture
 from skylight.models.sunsky import SunSky
 from skylight.sphere.grid import DirectionGrid
@@ -56,11 +56,11 @@ def observation(*, gloss=True):
 
 
 def objective(seen):
-    return SkyObjective(seen, MODEL, normal(9), normal(3), WEIGHTS)
+    return SkyObjective([FaceTerm.of(seen)], MODEL, normal(9), normal(3), WEIGHTS)
 
 
 def parameters(count=5, seed=2):
-    """Plausible (light, exposure, gloss, albedo, ground albedo)."""
+    """Plausible (light, exposure, gloss, albedo, ground albedo) of one face."""
     rng = np.random.default_rng(seed)
     parts = (
         np.concatenate(
@@ -73,9 +73,9 @@ def parameters(count=5, seed=2):
             ],
             1,
         ),
-        rng.uniform(0.1, 5, count),
-        rng.uniform(0.3, 3, count),
-        rng.uniform(0.05, 0.8, (count, 3)),
+        rng.uniform(0.1, 5, (count, 1)),
+        rng.uniform(0.3, 3, (count, 1)),
+        rng.uniform(0.05, 0.8, (count, 1, 3)),
         rng.uniform(0.05, 0.4, (count, 3)),
     )
     return tuple(torch.from_numpy(p) for p in parts)
@@ -95,11 +95,11 @@ def test_unpacking_undoes_packing():
 def test_shading_is_transport_times_the_whole_sphere(gloss):
     seen = observation(gloss=gloss)
     whole, (light, exposure, shine, albedo, ground) = objective(seen), parameters()
-    full = whole.ground.append(MODEL.radiance(light), ground) * exposure[:, None, None]
-    expected = albedo[:, None] * (seen.transport.matrix @ full)
+    full = whole.ground.append(MODEL.radiance(light), ground) * exposure[:, None]
+    expected = albedo * (seen.transport.matrix @ full)
     if seen.gloss is not None:
-        expected = expected + shine[:, None, None] * (seen.gloss.matrix @ full)
-    found = whole.shading(whole.unpack(whole.pack(*parameters())))
+        expected = expected + shine[:, None] * (seen.gloss.matrix @ full)
+    (found,) = whole.shading(whole.unpack(whole.pack(*parameters())))
     torch.testing.assert_close(found, expected)
 
 
@@ -114,9 +114,9 @@ def test_parts_add_up_and_are_what_they_say():
     light = torch.cat([free[:, :6], free[:, 7:10]], 1)
     constant = 0.5 * np.log(2 * np.pi)
     torch.testing.assert_close(terms["light_prior"], 0.5 * (light**2).sum(1) + 9 * constant)
-    log_albedo = given[3].log()
+    log_albedo = given[3][:, 0].log()
     torch.testing.assert_close(terms["albedo_prior"], 0.5 * (log_albedo**2).sum(1) + 3 * constant)
-    gap = (whole.shading(whole.unpack(free)) - seen.pixels).abs().mean(2)
+    gap = (whole.shading(whole.unpack(free))[0] - seen.pixels).abs().mean(2)
     data = 250 / 0.06 * (gap @ seen.weights) / seen.weights.sum()
     torch.testing.assert_close(terms["data"], data, atol=4.2, rtol=0)  # Charbonnier's 1e-3
 
@@ -124,7 +124,7 @@ def test_parts_add_up_and_are_what_they_say():
 def test_ground_and_gloss_are_drawn_to_the_usual():
     whole, (light, exposure, gloss, albedo, ground) = objective(observation()), parameters()
     usual = whole.ground_prior.means[0].exp().expand(5, 3)
-    terms = whole.terms(whole.pack(light, exposure, torch.ones(5), albedo, usual))
+    terms = whole.terms(whole.pack(light, exposure, torch.ones(5, 1), albedo, usual))
     least = -whole.ground_prior.log_prob(whole.ground_prior.means)
     torch.testing.assert_close(terms["ground_prior"], least.expand(5), atol=1e-4, rtol=0)
     torch.testing.assert_close(terms["gloss_prior"], torch.zeros(5), atol=1e-9, rtol=0)
@@ -138,7 +138,7 @@ def test_own_shading_leaves_no_residual():
     free = objective(seen).pack(*parameters())
     whole = objective(seen)
     for k in range(len(free)):
-        own = whole.shading(whole.unpack(free[k : k + 1]))[0]
+        own = whole.shading(whole.unpack(free[k : k + 1]))[0][0]
         data = objective(replace(seen, pixels=own.detach())).terms(free)["data"]
         assert float(data[k]) == pytest.approx(WEIGHTS.independent / WEIGHTS.noise * 1e-3)
         assert int(data.argmin()) == k
@@ -162,10 +162,10 @@ def test_slopes_are_those_of_finite_differences(gloss):
 def test_the_pyramid_commutes_with_shading(level):
     seen = observation()
     whole, free = objective(seen), objective(seen).pack(*parameters(count=1))
-    shaded = replace(seen, pixels=whole.shading(whole.unpack(free))[0])
+    shaded = replace(seen, pixels=whole.shading(whole.unpack(free))[0][0])
     coarse = shaded.coarser(level)
     smaller = objective(coarse)
-    torch.testing.assert_close(coarse.pixels, smaller.shading(smaller.unpack(free))[0])
+    torch.testing.assert_close(coarse.pixels, smaller.shading(smaller.unpack(free))[0][0])
     assert len(coarse.pixels) < len(seen.pixels)
     torch.testing.assert_close(coarse.weights.sum(), seen.weights.sum())
     # by hand: weighted means over blocks of the picture
@@ -180,6 +180,65 @@ def test_two_small_steps_of_the_pyramid_are_one_large_one():
     torch.testing.assert_close(once.places, twice.places)
     torch.testing.assert_close(once.pixels, twice.pixels)
     torch.testing.assert_close(once.transport.matrix, twice.transport.matrix)
+
+
+def test_a_block_with_a_lower_bound_in_it_is_one():
+    seen = observation()
+    clipped = torch.zeros(len(seen.pixels), dtype=torch.bool)
+    clipped[[1, 30]] = True
+    coarse = replace(seen, clipped=clipped).coarser(1)
+    holds = [
+        bool(clipped[(seen.places // 2 == place).all(1) & (seen.weights > 0)].any())
+        for place in coarse.places
+    ]
+    assert coarse.clipped.tolist() == holds
+    assert sum(holds) == 2
+
+
+def test_what_is_brighter_than_a_lower_bound_deviates_by_nothing():
+    seen = observation()
+    clipped = torch.arange(len(seen.pixels)) % 2 == 0
+    face = FaceTerm.of(replace(seen, clipped=clipped))
+    brighter, darker = face.deviation(seen.pixels + 0.1), face.deviation(seen.pixels - 0.1)
+    assert (brighter[clipped] == 0).all()
+    torch.testing.assert_close(brighter[~clipped], torch.full_like(brighter[~clipped], 0.1))
+    torch.testing.assert_close(darker, torch.full_like(darker, -0.1))
+    assert (face.exact_share[clipped] == 0).all()
+    torch.testing.assert_close(face.exact_share[~clipped], face.share[~clipped])
+
+
+def tones(weights, means, spread):
+    """Skins of a few grey tones."""
+    log = torch.tensor(means).log()[:, None].expand(-1, 3)
+    factors = (torch.eye(3) / spread).expand(len(means), 3, 3)
+    return GaussianMixture(torch.tensor(weights), log.clone(), factors.clone())
+
+
+def scaled_albedo(prior, albedo, how):
+    """(albedo, objective before and after) of a choice of scale."""
+    whole = SkyObjective([FaceTerm.of(observation())], MODEL, normal(9), prior, WEIGHTS)
+    light, exposure, gloss, _, ground = parameters(count=1)
+    albedo = torch.tensor(albedo).expand(1, 1, 3)
+    free = whole.pack(light, exposure, gloss, albedo, ground)
+    after = getattr(whole, how)(free)
+    same, other = whole.unpack(free), whole.unpack(after)
+    torch.testing.assert_close(whole.shading(same)[0], whole.shading(other)[0])
+    return float(other.albedo.mean()), float(whole(free)), float(whole(after))
+
+
+def test_of_albedos_that_look_alike_the_likeliest_is_found_across_a_valley():
+    prior = tones([0.001, 0.999], [0.05, 0.4], 0.1)
+    albedo, before, after = scaled_albedo(prior, 0.05, "likeliest_scale")
+    assert albedo == pytest.approx(0.4, rel=0.07)
+    assert after < before
+
+
+@pytest.mark.parametrize(("dark", "wanted"), [(0.99, 0.05), (0.7, 0.4), (0.1, 0.4)])
+def test_the_safest_albedo_is_the_weighted_median(dark, wanted):
+    # light 8 times too bright (1/8 as likely would do) against light 7/8 too dark
+    prior = tones([dark, 1 - dark], [0.05, 0.4], 0.1)
+    albedo, _, _ = scaled_albedo(prior, 0.1, "safest_scale")
+    assert albedo == pytest.approx(wanted, rel=0.15)
 
 
 def test_the_best_exposure_matches_the_mean():

@@ -1,6 +1,7 @@
 """Finding the sun by linear least squares: the small solver, and a bumpy ball under known suns."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -105,6 +106,24 @@ def test_highlights_do_not_pull_the_sun_aside(ball, sun):
     assert degrees_between(scan.candidates[0], direction) < CELL_DEG
     blind = scan_sun(seen(ball, light, 0.06, shine=1.5, gloss=False))
     assert scan.residuals.min() < 0.8 * blind.residuals.min()
+
+
+def test_lower_bounds_tell_of_a_sun_behind(ball):
+    # a picture exposed for the shade: the rim that the sun lights is as white as can be
+    light, direction = under(SUNS[3], share=0.8)
+    whole = seen(ball, light, 0.5, shine=0.0, gloss=False)
+    white = 2 * float(whole.pixels.median())
+    over = (whole.pixels >= white).any(1)
+    assert 0.05 < float(over.float().mean()) < 0.4
+    cut = replace(whole, pixels=whole.pixels.clamp(max=white))
+    told = scan_sun(replace(cut, clipped=over))
+    plain = scan_sun(cut)
+    off, plain_off = (degrees_between(scan.candidates[0], direction) for scan in (told, plain))
+    assert off < 0.7 * plain_off
+    assert float(told.residuals.min()) < 0.8 * float(plain.residuals.min())
+    # nothing is clipped: the same scan
+    none = replace(whole, clipped=torch.zeros_like(over))
+    torch.testing.assert_close(scan_sun(none).residuals, scan_sun(whole).residuals)
 
 
 def test_one_direction_alone_is_explained_entirely(ball):

@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from skylight.faces.skin import SkinPrior
-from skylight.inverse.objective import SkyObjective
-from skylight.inverse.solve import SolverOptions, solve_harmonic, solve_sky
+from skylight.inverse.harmonic import solve_harmonic
+from skylight.inverse.objective import FaceTerm, SkyObjective
+from skylight.inverse.solve import Round, SolverOptions, solve_sky
 from skylight.models.harmonic import HarmonicLight
 from skylight.models.shipped import sunsky_light, sunsky_prior
 from skylight.sphere.frame import direction_from_angles
@@ -56,15 +57,25 @@ def watched(azimuth, zenith):
         transport=transport,
         gloss=gloss,
     )
-    objective = SkyObjective(blank, model, sunsky_prior(), ALBEDO_PRIOR, SolverOptions().weights)
+    objective = SkyObjective(
+        [FaceTerm.of(blank)], model, sunsky_prior(), ALBEDO_PRIOR, SolverOptions().weights
+    )
     ground = torch.tensor([[0.15, 0.13, 0.11]])
-    free = objective.pack(light, torch.tensor([2.5]), torch.ones(1), MODES[:1], ground)
+    free = objective.pack(light, torch.tensor([[2.5]]), torch.ones(1, 1), MODES[:1, None], ground)
     with torch.no_grad():
-        pixels = objective.shading(objective.unpack(free))[0]
+        pixels = objective.shading(objective.unpack(free))[0][0]
     observation = Observation(
         pixels=pixels, weights=blank.weights, places=places, transport=transport, gloss=gloss
     )
     return observation, direction_from_angles(*angles[0].double())
+
+
+def rounds(*iterations):
+    """So many iterations on each level, the coarsest first."""
+    return tuple(
+        Round(level=3 - k, starts=2 if k == 0 else 1, iterations=count)
+        for k, count in enumerate(iterations)
+    )
 
 
 def solved(observation, prior=None, **options):
@@ -104,7 +115,7 @@ def test_an_estimate_is_in_itself_consistent(first):
     flat = found.environment.flat
     rendered = found.albedo * (observation.transport.matrix @ flat)
     assert observation.gloss is not None
-    rendered = rendered + found.stats["gloss"] * (observation.gloss.matrix @ flat)
+    rendered = rendered + found.faces[0].gloss * (observation.gloss.matrix @ flat)
     torch.testing.assert_close(rendered, found.rendered, rtol=1e-4, atol=1e-5)
     sky = sunsky_light().radiance(found.params[None])[0] * found.exposure
     torch.testing.assert_close(sky, found.environment.upper().flat, rtol=1e-4, atol=1e-5)
@@ -131,9 +142,9 @@ def test_a_brighter_exposure_changes_only_the_exposure(first):
 
 def test_the_status_tells_how_it_ended(first):
     observation, _ = first
-    patient = solved(observation, iterations=(5, 5, 5, 200), tolerance=1e-3)
+    patient = solved(observation, rounds=rounds(5, 5, 5, 200), tolerance=1e-3)
     assert patient.status == "converged"
-    assert solved(observation, iterations=(2, 1, 1, 1), tolerance=0.0).status == "iteration limit"
+    assert solved(observation, rounds=rounds(2, 1, 1, 1), tolerance=0.0).status == "iteration limit"
 
     class Flaw:
         """A prior that is not a number once, on the first step after the start."""
@@ -149,7 +160,7 @@ def test_the_status_tells_how_it_ended(first):
             return sunsky_prior().sample(count, generator)
 
     # without tolerance it cannot converge, so the flaw is what the status has to tell
-    flawed = solved(observation, Flaw(), iterations=(3, 1, 1, 1), tolerance=0.0)
+    flawed = solved(observation, Flaw(), rounds=rounds(3, 1, 1, 1), tolerance=0.0)
     assert flawed.status == "recovered from a non-finite step"
     assert flawed.stats["nonfinite"] > 0
     assert flawed.environment.radiance.isfinite().all()
@@ -164,7 +175,7 @@ def test_progress_rises_to_one(first):
         sunsky_prior(),
         ALBEDO_PRIOR,
         MODES,
-        SolverOptions(iterations=(1, 1, 1, 1)),
+        SolverOptions(rounds=rounds(1, 1, 1, 1)),
         told.append,
     )
     assert told == sorted(told)
@@ -180,7 +191,7 @@ def test_pictures_that_no_light_explains_come_with_advice(first):
         places=observation.places,
         transport=observation.transport,
     )
-    (advice,) = solved(spoilt, iterations=(3, 3, 3, 3)).advice
+    (advice,) = solved(spoilt, rounds=rounds(3, 3, 3, 3)).advice
     assert "unreliable" in advice
 
 

@@ -127,3 +127,16 @@ def test_shading_and_its_gradient(random_transport):
     torch.testing.assert_close(sky.grad, back[:, :-1])
     torch.testing.assert_close(ground.grad, back[:, -1])
     torch.autograd.gradcheck(shading, (sky, ground, albedo))
+
+
+@pytest.mark.parametrize("lights", [1, 2, 5])
+def test_shading_of_few_lights_is_that_of_many(random_transport, lights):
+    # the product pads few lights to a fast size
+    generator = torch.Generator().manual_seed(2)
+    n = len(random_transport.grid) // 2
+    sky = torch.rand(lights, n, 3, generator=generator, dtype=random_transport.matrix.dtype)
+    ground, albedo = sky[:, 0], sky[:, 1]
+    shading = DiffuseTransport(random_transport)(sky, ground, albedo)
+    whole = torch.cat([sky, ground[:, None].expand(-1, n, -1)], 1)
+    expected = albedo[:, None] * torch.einsum("mn,bnc->bmc", random_transport.matrix, whole)
+    torch.testing.assert_close(shading, expected)

@@ -1,0 +1,121 @@
+"""``skylight faces``: faces whose light is known, rendered or captured."""
+
+from pathlib import Path
+
+import tyro
+from tyro.conf import Positional
+
+from skylight.errors import InputError
+
+faces = tyro.extras.SubcommandApp()
+
+
+@faces.command(name="render")
+def render_faces(
+    out: Path,
+    count: int = 150,
+    size: int = 288,
+    samples: int = 64,
+    seed: int = 0,
+    per_scene: int = 1,
+    hair: bool = False,
+    sunny: bool = False,
+    workers: int = 0,
+) -> None:
+    """Render people by path tracing, each with the light that was there; a stopped run goes on.
+
+    Every face gets a folder: picture.png (8-bit sRGB), picture.exr (linear), probe.exr (the light
+    in the picture's units and the camera's frame), mesh.npz and face.json (camera, albedo, tone,
+    seed). Needs the extra 'render'.
+
+    Args:
+        out: Folder for the faces.
+        count: How many faces.
+        size: Side of a picture, pixels.
+        samples: Light paths per pixel.
+        seed: Others give other people and skies.
+        per_scene: So many faces in a row share sky, ground, camera direction and exposure.
+        hair: Give heads a cap of hair that casts shadow and hides the scalp.
+        sunny: Only skies whose sun is visible.
+        workers: Processes that work at the same time; 0 for one per core.
+    """
+    for name, value, least in (
+        ("count", count, 1),
+        ("size", size, 32),
+        ("samples", samples, 1),
+        ("seed", seed, 0),
+        ("per-scene", per_scene, 1),
+        ("workers", workers, 0),
+    ):
+        if value < least:
+            raise InputError(f"--{name} must be {least} or more, got {value}")
+    import os
+
+    from skylight.app.progress import stage_bar
+    from skylight.app.sky_folders import with_time_left
+    from skylight.evaluation.rendered_faces.batch import render_folder
+    from skylight.evaluation.rendered_faces.options import RenderOptions
+
+    options = RenderOptions(
+        size=size,
+        samples=samples,
+        seed=seed,
+        per_scene=per_scene,
+        hair=hair,
+        sunny=sunny,
+    )
+    with stage_bar() as progress:
+        made = render_folder(
+            out,
+            count,
+            options,
+            workers=workers or os.cpu_count() or 1,
+            progress=with_time_left("face", progress),
+        )
+    print(f"{out}: {count} faces, {made} of them rendered now")
+
+
+@faces.command(name="calibrate-azimuth")
+def calibrate_azimuth(
+    data: Positional[Path],
+    choose: tuple[str, ...] = (),
+    auto: bool = False,
+) -> None:
+    """Find how far each light probe is turned against its photograph, by the face in it.
+
+    DATA holds captures.csv with the columns photo, probe, azimuth_deg, visible_sun and person.
+    For every photograph without an azimuth, DATA/azimuth gets a picture: how well the face relit
+    by the probe fits the photograph for each azimuth, and the local minima, numbered, with the
+    relit face of each. Look at it and choose; the choice is written into captures.csv.
+
+    Args:
+        data: Folder of captures.
+        choose: PHOTO=N, several of them if you like: minimum N is right for PHOTO.
+        auto: Take the best minimum of each photograph that has no azimuth.
+    """
+    from skylight.app.azimuth_calibration import choose as write_choice
+    from skylight.app.azimuth_calibration import parse_choices, picture_path, propose
+    from skylight.app.progress import stage_bar
+    from skylight.app.sky_folders import with_time_left
+
+    for photo, azimuth_deg in write_choice(data, parse_choices(choose)).items() if choose else ():
+        print(f"{photo}: {azimuth_deg:+g} degrees")
+    if choose and not auto:
+        return
+    with stage_bar() as progress:
+        found, problems = propose(data, with_time_left("photograph", progress))
+    if auto:
+        for photo, azimuth_deg in write_choice(data, dict.fromkeys(found, 1)).items():
+            print(f"{photo}: {azimuth_deg:+g} degrees, the best of its minima")
+    else:
+        for photo, proposal in found.items():
+            pairs = zip(proposal.azimuths_deg, proposal.errors, strict=True)
+            listed = ", ".join(f"{n}: {a:+.0f} ({e:.3f})" for n, (a, e) in enumerate(pairs, 1))
+            print(f"{photo}: {listed}; {picture_path(data, photo)}")
+    if problems:
+        raise InputError(
+            f"{len(problems)} of {len(problems) + len(found)} photographs got no azimuth: "
+            + "; ".join(problems.values())
+        )
+    if not found:
+        print(f"{data}: every photograph has an azimuth; empty its azimuth_deg to find it anew")

@@ -1,0 +1,114 @@
+"""Rendered faces on disk: a folder each."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+
+from skylight.errors import InputError
+from skylight.evaluation.rendered_faces.options import RenderOptions
+from skylight.evaluation.rendered_faces.render import RenderedFace
+from skylight.faces.fit import FaceFit
+from skylight.imaging.atomic import atomic_path
+from skylight.imaging.colour import srgb_to_linear
+from skylight.imaging.files import (
+    read_environment_map,
+    write_environment_map,
+    write_json,
+    write_png,
+)
+from skylight.imaging.hdr import read_linear, write_exr
+from skylight.transport.camera import Camera
+
+_FACTS = ("number", "scene", "cluster", "sky_seed", "sun_transmittance", "exposure")
+_ARRAYS = ("rotation", "translation", "identity", "expression", "vertices")
+
+
+def folder_name(number: int) -> str:
+    return f"face{number:04d}"
+
+
+def rendered_faces(directory: Path) -> list[Path]:
+    """The faces' folders in ``directory``, in order.
+
+    Raises :class:`InputError` where there are none.
+    """
+    found = sorted(note.parent for note in directory.glob("face*/face.json"))
+    if not found:
+        raise InputError(
+            f"{directory}: no rendered faces; make some with: "
+            f"skylight faces render --out {directory}"
+        )
+    return found
+
+
+def write_rendered_face(folder: Path, face: RenderedFace, options: RenderOptions) -> None:
+    """picture.png, picture.exr, hair.png, probe.exr, mesh.npz and face.json.
+
+    The mesh is the head model's, in metres and the camera's frame: the camera is at the origin,
+    looks along -Z, and +Y is up.
+    """
+    write_png(folder / "picture.png", face.encoded)
+    write_png(folder / "hair.png", np.repeat(face.hair[..., None], 3, 2).astype(np.uint8) * 255)
+    with atomic_path(folder / "picture.exr") as temporary:
+        write_exr(temporary, face.linear.numpy(), half=True, header={})
+    write_environment_map(folder / "probe.exr", face.environment)
+    arrays = {name: getattr(face.truth, name) for name in _ARRAYS}
+    with atomic_path(folder / "mesh.npz") as temporary:
+        np.savez_compressed(temporary, landmarks=face.landmarks, **arrays)
+    camera = face.truth.camera
+    write_json(
+        folder / "face.json",
+        {name: getattr(face, name) for name in _FACTS}
+        | {
+            "camera": {"focal_px": camera.focal_px, "center_px": list(camera.center_px)},
+            "albedo": face.albedo.tolist(),
+            "ground_albedo": face.ground_albedo.tolist(),
+            "sun_direction": face.sun_direction.tolist(),
+            "options": asdict(options),
+        },
+    )
+
+
+def read_rendered_face(folder: Path) -> RenderedFace:
+    """What :func:`write_rendered_face` wrote.
+
+    Raises :class:`InputError` for a folder that is not complete.
+    """
+    try:
+        facts = json.loads((folder / "face.json").read_text(encoding="utf-8"))
+        encoded = np.array(Image.open(folder / "picture.png").convert("RGB"))
+        hair = np.array(Image.open(folder / "hair.png"))[..., 0] > 0
+        with np.load(folder / "mesh.npz") as stored:
+            arrays = {name: stored[name] for name in (*_ARRAYS, "landmarks")}
+        height, width = encoded.shape[:2]
+        camera = Camera(
+            focal_px=facts["camera"]["focal_px"],
+            width=width,
+            height=height,
+            center_px=tuple(facts["camera"]["center_px"]),
+        )
+        plain = {name: facts[name] for name in _FACTS}
+        albedo, ground = torch.tensor(facts["albedo"]), torch.tensor(facts["ground_albedo"])
+        sun = torch.tensor(facts["sun_direction"], dtype=torch.float64)
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise InputError(f"{folder}: no complete rendered face ({error})") from error
+    codes = torch.from_numpy(encoded)
+    landmarks = arrays.pop("landmarks")
+    return RenderedFace(
+        encoded=encoded,
+        picture=srgb_to_linear(codes.float() / 255),
+        clipped=(codes == 255).any(2),
+        environment=read_environment_map(folder / "probe.exr"),
+        albedo=albedo,
+        ground_albedo=ground,
+        truth=FaceFit(camera=camera, landmark_error=0.0, converged=True, **arrays),
+        linear=torch.from_numpy(read_linear(folder / "picture.exr")),
+        landmarks=landmarks,
+        hair=hair,
+        sun_direction=sun,
+        **plain,
+    )

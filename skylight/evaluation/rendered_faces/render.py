@@ -1,0 +1,83 @@
+"""One face: who, where, under which light; traced and photographed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from numpy import ndarray
+from torch import Tensor
+
+from skylight.evaluation.rendered_faces.options import RenderOptions
+from skylight.evaluation.rendered_faces.people import person, seen_parts
+from skylight.evaluation.rendered_faces.photograph import compose, exposure_for, photograph
+from skylight.evaluation.rendered_faces.scene_light import scene_light
+from skylight.evaluation.rendered_faces.trace import trace
+from skylight.faces.fit import FitProblem
+from skylight.faces.model import HeadModel
+from skylight.faces.synthetic import SyntheticFace
+from skylight.imaging.colour import srgb_to_linear
+from skylight.sphere.envmap import EnvironmentMap
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderedFace(SyntheticFace):
+    """A path-traced face and everything that made it.
+
+    ``albedo`` is the mean diffuse albedo of the bare skin in the picture and ``linear`` the picture
+    before noise and quantisation. ``landmarks`` are the true 68 points (x, y; the jaw's on the
+    silhouette), ``cluster`` the tone from 0, light, to 5, dark, ``sun_direction`` a unit vector in
+    the camera's frame, ``hair`` the pixels that the cap covers. ``exposure`` turned the sky's units
+    into the picture's.
+    """
+
+    linear: Float[Tensor, "h w 3"]
+    landmarks: Float[ndarray, "68 2"]
+    hair: Bool[ndarray, "h w"]
+    cluster: int
+    number: int
+    scene: int
+    sky_seed: int
+    sun_direction: Float[Tensor, "3"]
+    sun_transmittance: float
+    exposure: float
+
+
+def render(number: int, options: RenderOptions) -> RenderedFace:
+    """Face ``number``, from its number and the options alone."""
+    scene = number // options.per_scene
+    light = scene_light(scene, options)
+    first = scene * options.per_scene
+    people = [person(first + i, light.focal, options) for i in range(options.per_scene)]
+    exposure = exposure_for(
+        people, light.environment, np.random.default_rng((options.seed, scene, 3))
+    )
+    who = people[number - first]
+    rng = np.random.default_rng((options.seed, number, 2))
+    paths = int(rng.integers(2**30))
+    layers = trace(who, light.environment, samples=options.samples, seed=paths)
+    parts = seen_parts(who)
+    camera = who.truth.camera
+    traced = compose(layers, parts.depth_m, parts.skin, camera, light.environment)
+    linear = exposure * traced
+    encoded = photograph(linear, rng)
+    codes = torch.from_numpy(encoded)
+    return RenderedFace(
+        encoded=encoded,
+        picture=srgb_to_linear(codes.float() / 255),
+        clipped=(codes == 255).any(2),
+        environment=EnvironmentMap(radiance=light.environment.radiance * exposure),
+        albedo=torch.from_numpy(layers.albedo[parts.bare & (layers.cover > 0.999)].mean(0)),
+        ground_albedo=light.ground_albedo,
+        truth=who.truth,
+        linear=torch.from_numpy(linear),
+        landmarks=FitProblem.landmarks_of(HeadModel.load(), who.truth),
+        hair=parts.hair,
+        cluster=who.cluster,
+        number=number,
+        scene=scene,
+        sky_seed=light.sky_seed,
+        sun_direction=light.sun,
+        sun_transmittance=light.transmittance,
+        exposure=exposure,
+    )

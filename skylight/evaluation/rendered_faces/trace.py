@@ -1,0 +1,159 @@
+"""A person's layers of light by Mitsuba: what leaves the skin, what its surface reflects."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from numpy import ndarray
+
+from skylight.evaluation.independent_render import mitsuba_variant, pinhole
+from skylight.evaluation.rendered_faces.people import Person
+from skylight.evaluation.rendered_faces.smooth_head import SmoothHead, normals_of
+from skylight.faces.model import Region
+from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.frame import convert_latlong
+
+INDEX = 1.4  # of refraction, of skin and (nearly) of the cornea
+EYE_ROUGHNESS = 0.2
+HAIR_ROUGHNESS = 0.55
+_DEPTH = 5  # path vertices of diffuse light; what is left out lies below 1 % in deep corners
+_FINER = 8  # columns of the light's map given to Mitsuba, per column of ours
+_MARGIN = 3  # px round the head
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layers:
+    """Pictures in the light's units: ``diffuse`` light from inside, ``gloss`` from the surface.
+
+    Where a pixel is covered in part, all are scaled by ``cover``. ``albedo`` is that of what the
+    camera sees, so diffuse / albedo is irradiance / pi.
+    """
+
+    diffuse: Float[ndarray, "h w 3"]
+    gloss: Float[ndarray, "h w 3"]
+    albedo: Float[ndarray, "h w 3"]
+    cover: Float[ndarray, "h w"]
+
+
+def trace(person: Person, environment: EnvironmentMap, *, samples: int, seed: int) -> Layers:
+    """Two renders of the head under a full map.
+
+    The inside is Lambertian, path traced with the light that skin throws onto skin. The surface is
+    a GGX lobe with Fresnel's reflectance (Mitsuba's ``principled``, black), direct light only: it
+    does not show the face mirrored in itself.
+    """
+    mi = mitsuba_variant()
+    light = {"type": "envmap", "bitmap": mi.Bitmap(fine_map(environment))}
+    top, left, height, width = window(person)
+    film: dict[str, object] = {
+        "pixel_format": "rgba",
+        "crop_offset_x": left,
+        "crop_offset_y": top,
+        "crop_width": width,
+        "crop_height": height,
+    }
+    camera = person.truth.camera
+    pose = np.eye(3), np.zeros(3)
+    # well spread samples: at 49 of them a third to a half of the noise of independent ones
+    spread = "multijitter"
+    sensor = mi.load_dict(pinhole(camera, *pose, samples=samples, film=film, sampler=spread))
+    path = {"type": "path", "max_depth": _DEPTH, "hide_emitters": True}
+    albedo_too = {"type": "aov", "aovs": "albedo:albedo", "paths": path}
+    inside = _render(mi, person, light, sensor, albedo_too, inner_bsdf(), 2 * seed)
+    direct = {"type": "path", "max_depth": 2, "hide_emitters": True}
+    surface = _render(mi, person, light, sensor, direct, surface_bsdf(), 2 * seed + 1)
+
+    def whole(part: Float[ndarray, "a b c"]) -> Float[ndarray, "h w c"]:
+        out = np.zeros((camera.height, camera.width, part.shape[-1]), np.float32)
+        out[top : top + height, left : left + width] = part
+        return out
+
+    return Layers(
+        diffuse=whole(inside[..., :3]),
+        gloss=whole(surface[..., :3]),
+        albedo=whole(inside[..., 4:7]),
+        cover=whole(inside[..., 3:4])[..., 0],
+    )
+
+
+def fine_map(environment: EnvironmentMap) -> Float[ndarray, "h w 3"]:
+    """The map as Mitsuba wants it so that each of our pixels is an even patch of light.
+
+    Mitsuba interpolates between columns at pixel centres but rows at v = i / (rows - 1): hence
+    8 h + 1 rows, those on our pixels' borders being the mean of both sides.
+    """
+    ours = convert_latlong(environment.radiance, "skylight", "mitsuba").float()
+    columns = ours.repeat_interleave(_FINER, 1)
+    rows = torch.cat([columns, columns[-1:]]).repeat_interleave(_FINER, 0)[: 1 - _FINER]
+    rows[_FINER:-_FINER:_FINER] = (columns[1:] + columns[:-1]) / 2
+    return rows.contiguous().numpy()
+
+
+def window(person: Person) -> tuple[int, int, int, int]:
+    """(top, left, height, width) of the part of the picture that the person is in."""
+    camera = person.truth.camera
+    points = person.points
+    if person.cap is not None:
+        points = np.concatenate([points, person.cap.points])
+    seen = camera.project(torch.from_numpy(points)).numpy()
+    sides = np.array([camera.width, camera.height])
+    low = np.clip(np.floor(seen.min(0)).astype(int) - _MARGIN, 0, sides - 8)
+    high = np.clip(np.ceil(seen.max(0)).astype(int) + _MARGIN, low + 8, sides)
+    return int(low[1]), int(low[0]), int(high[1] - low[1]), int(high[0] - low[0])
+
+
+def inner_bsdf() -> dict[str, object]:
+    """What leaves the inside of skin, eyes and hair of the colours on their vertices."""
+    colours = {"type": "mesh_attribute", "name": "vertex_albedo"}
+    return {"type": "diffuse", "reflectance": colours}
+
+
+def surface_bsdf() -> dict[str, object]:
+    """What the surface reflects, as rough as the vertices say."""
+    return {
+        "type": "principled",
+        "base_color": {"type": "rgb", "value": 0.0},
+        "roughness": {"type": "mesh_attribute", "name": "vertex_roughness"},
+        "eta": INDEX,
+        "diffuse_reflectance_sampling_rate": 0.0,
+    }
+
+
+def _render(mi, person: Person, light, sensor, integrator, bsdf, seed: int):
+    head = SmoothHead.load()
+    eyes = head.belongs[Region.EYEBALL] > 0.5
+    roughness = np.where(eyes, EYE_ROUGHNESS, person.paint.roughness)
+    scene: dict[str, object] = {
+        "type": "scene",
+        "light": light,
+        "head": _mesh(mi, person.points, head.faces, person.paint.albedo, roughness, bsdf),
+    }
+    if person.cap is not None:
+        many = len(person.cap.points)
+        colour, rough = np.tile(person.paint.hair, (many, 1)), np.full(many, HAIR_ROUGHNESS)
+        scene["cap"] = _mesh(mi, person.cap.points, person.cap.faces, colour, rough, bsdf)
+    picture = mi.render(
+        mi.load_dict(scene), sensor=sensor, integrator=mi.load_dict(integrator), seed=seed
+    )
+    return np.array(picture, dtype=np.float32)
+
+
+def _mesh(mi, points, faces, albedo, roughness, bsdf):
+    properties = mi.Properties()
+    properties["bsdf"] = mi.load_dict({"type": "twosided", "bsdf": bsdf})
+    mesh = mi.Mesh(
+        "mesh",
+        vertex_count=len(points),
+        face_count=len(faces),
+        has_vertex_normals=True,
+        props=properties,
+    )
+    mesh.add_attribute("vertex_albedo", 3, albedo.astype(np.float32).ravel())
+    mesh.add_attribute("vertex_roughness", 1, roughness.astype(np.float32).ravel())
+    content = mi.traverse(mesh)
+    content["vertex_positions"] = points.astype(np.float32).ravel()
+    content["vertex_normals"] = normals_of(points, faces).astype(np.float32).ravel()
+    content["faces"] = faces.astype(np.uint32).ravel()
+    content.update()
+    return mesh

@@ -1,0 +1,239 @@
+"""Observations of one light -> that light as spherical harmonics: a robust linear problem."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skylight.inverse.estimate import UNEXPLAINED, Estimate, FaceLight, advice, residual
+from skylight.inverse.objective import ObjectiveWeights, charbonnier, data_term
+from skylight.inverse.posterior import sun_evidence, sun_posterior
+from skylight.inverse.scan import SCAN_HEIGHT, scan_sun
+from skylight.models.base import Prior
+from skylight.models.harmonic import HarmonicLight, solve_linear
+from skylight.sphere.envmap import EnvironmentMap, luminance
+from skylight.transport.observation import Observation
+
+REWEIGHTINGS = 8
+MOST_REWEIGHTINGS = 30  # where several faces share a light
+SETTLED = 1e-3  # a smaller relative change of the faces' colours
+DAYLIGHT_CHROMA = 0.15  # by which daylight varies in the log of its channels' ratios
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Fit:
+    """``product`` the first albedo times the coefficients, ``mean`` what that shades on average.
+
+    ``colour`` (f,3) the faces' factors on it, ``data`` the data term in nats.
+    """
+
+    product: Float[Tensor, "k 3"]
+    colour: Float[Tensor, "f 3"]
+    mean: Float[Tensor, "3"]
+    data: float
+    rounds: int
+    settled: bool
+
+
+class HarmonicProblem:
+    """SH coefficients from all faces under one light: give it each face, then solve.
+
+    Surface reflection is left out: highlights count as outliers. Keeps each observation's
+    transport, without its gloss.
+    """
+
+    def __init__(
+        self, model: HarmonicLight, albedo_prior: Prior, albedo_modes: Float[Tensor, "k 3"]
+    ) -> None:
+        self.model = model
+        self.albedo_prior = albedo_prior
+        self.albedo_modes = albedo_modes
+        self._faces: list[Observation] = []
+        self._photos: list[int] = []
+        self._scanned: list[Observation] = []
+
+    def add(self, observation: Observation, photo: int = 0) -> None:
+        """One more face; photographs come in order, counted from 0."""
+        weights = observation.weights
+        if observation.clipped is not None:  # a linear fit has no use for bounds
+            weights = weights * ~observation.clipped
+        self._faces.append(replace(observation, gloss=None, weights=weights))
+        self._photos.append(photo)
+        self._scanned.append(observation.coarser(1).on_rows(SCAN_HEIGHT))
+
+    def solve(self, progress: Callable[[float], None] | None = None) -> Estimate:
+        """Robust fit of SH coefficients by reweighted linear least squares, cut off at zero.
+
+        A pixel's weight is divided by its mean Charbonnier residual over the channels, which
+        share it. Shading is linear in the coefficients, so there is no start to choose. Several
+        faces have a colour factor each (albedo times exposure; the first one's is 1), and light
+        and factors are fitted together, by Gauss-Newton steps that share the reweighting.
+        ``status`` is "converged" unless they did not settle.
+        """
+        model, faces = self.model, self._faces
+        fit = self._fit()
+        albedos, exposures = self._split(fit.colour, fit.mean)
+        coefficients = (fit.product / albedos[0]).to(faces[0].pixels)
+        with torch.no_grad():
+            radiance = model.radiance(coefficients.reshape(1, -1))[0]
+        layout = model.grid.layout
+        assert layout is not None
+        environment = EnvironmentMap(radiance=radiance.reshape(*layout, 3).float())
+        lights = []
+        for face, photo, albedo in zip(faces, self._photos, albedos.float(), strict=True):
+            rendered = exposures[photo] * albedo * (face.transport.matrix @ environment.flat)
+            lights.append(
+                FaceLight(
+                    photo=photo,
+                    exposure=exposures[photo],
+                    albedo=albedo,
+                    gloss=0.0,
+                    rendered=rendered,
+                    residual=residual(rendered, face.pixels, face.clipped),
+                )
+            )
+        ground = environment.radiance[layout[0] // 2 :].reshape(-1, 3).mean(0)
+        down = environment.upper().irradiance(torch.tensor([0.0, 1.0, 0.0])) / torch.pi
+        if progress is not None:
+            progress(1.0)
+        # harmonics this smooth have no sun of their own to add to the scan's
+        posterior = sun_posterior(
+            sun_evidence(self._scanned, scan_sun(self._scanned).faces),
+            None,
+            explained=all(light.residual <= UNEXPLAINED for light in lights),
+            exposure=lights[0].exposure,
+            albedo=lights[0].albedo,
+            gloss=None,
+            albedo_prior=self.albedo_prior,
+        )
+        return Estimate(
+            light=model.name,
+            environment=environment,
+            params=coefficients.reshape(-1),
+            ground_albedo=(ground / down.clamp(min=1e-12)).clamp(0, 1),
+            sun_direction=environment.brightest_direction(),
+            posterior=posterior,
+            faces=tuple(lights),
+            terms={"data": fit.data},
+            status="converged" if fit.settled else "iteration limit",
+            advice=advice(tuple(lights)),
+            stats={"evaluations": fit.rounds, "nonfinite": 0},
+        )
+
+    def _fit(self) -> "_Fit":
+        faces = self._faces
+        # float64: rounding in the reweighting does not reach the float32 of the result
+        shading = [face.transport.project(self.model.basis).double() for face in faces]
+        pixels = [face.pixels.double() for face in faces]
+        means = [float(luminance(p).mean()) for p in pixels]
+        # each face counts alike, as in the objective
+        first = faces[0].weights.double().sum()
+        given = [f.weights.double() * (first / f.weights.double().sum()) for f in faces]
+        colour = torch.stack([(w[:, None] * p).sum(0) for w, p in zip(given, pixels, strict=True)])
+        colour = (colour / colour[0]).clamp(min=1e-6)
+        weights = given
+        lit: list[Float[Tensor, "_ 3"]] = []
+        for rounds in range(1, MOST_REWEIGHTINGS + 1):
+            product, change = _gauss_newton(
+                shading,
+                [p / c for p, c in zip(pixels, colour, strict=True)],
+                torch.cat(weights),
+                lit,
+            )
+            lit = [one @ product for one in shading]
+            colour = colour * change
+            gaps = [
+                (one * c - p) / mean
+                for one, c, p, mean in zip(lit, colour, pixels, means, strict=True)
+            ]
+            weights = [w / charbonnier(gap).mean(1) for w, gap in zip(given, gaps, strict=True)]
+            settled = bool((change.log().abs() < SETTLED).all())
+            if settled and rounds >= REWEIGHTINGS:
+                break
+        shares = [w[:, None] / w.sum() / 3 for w in given]
+        return _Fit(
+            product=product,
+            colour=colour,
+            mean=torch.cat(lit).mean(0).clamp(min=1e-6 * means[0]),
+            data=sum(
+                float(data_term(gap, share, ObjectiveWeights()))
+                for gap, share in zip(gaps, shares, strict=True)
+            ),
+            rounds=rounds,
+            settled=settled,
+        )
+
+    def _split(
+        self, colour: Float[Tensor, "f 3"], mean: Float[Tensor, "3"]
+    ) -> tuple[Float[Tensor, "f 3"], list[float]]:
+        """(albedos, exposure of each photograph) from the faces' colour factors.
+
+        The fit knows only albedo times light. Of the skin prior's modes, as albedos of the first
+        photograph's faces, the one is taken that leaves the light most neutral, plus its
+        negative log-likelihood (the ambiguity of Eq. 5.9), for all faces that follow from it. A
+        further photograph is exposed so that one of its faces is as bright as a mode.
+        """
+        modes = self.albedo_modes.double()
+        rows = [[k for k, p in enumerate(self._photos) if p == n] for n in sorted({*self._photos})]
+        best: tuple[float, Float[Tensor, "f 3"], list[float]] | None = None
+        for lead in rows[0]:
+            for mode in modes:
+                # albedos up to the exposure of each photograph; exactly the mode for its face
+                albedos = colour / colour[lead] * mode
+                chroma = torch.log(mean / albedos[0])
+                cost = 0.5 * float(((chroma - chroma.mean()) ** 2).sum()) / DAYLIGHT_CHROMA**2
+                exposures = [1.0]
+                for mine in rows[1:]:
+                    levels = luminance(albedos[mine])[:, None] / luminance(modes)
+                    rarity = [self._rarity(albedos[mine] / level) for level in levels.flatten()]
+                    exposures.append(float(levels.flatten()[torch.tensor(rarity).argmin()]))
+                    albedos[mine] /= exposures[-1]
+                cost += self._rarity(albedos)
+                if best is None or cost < best[0]:
+                    best = cost, albedos, exposures
+        assert best is not None
+        return best[1], best[2]
+
+    def _rarity(self, albedos: Float[Tensor, "f 3"]) -> float:
+        """-ln p of all albedos together."""
+        return -float(self.albedo_prior.log_prob(albedos.log().float()).sum())
+
+
+def _gauss_newton(
+    shading: list[Float[Tensor, "_ k"]],
+    pixels: list[Float[Tensor, "_ 3"]],
+    weights: Float[Tensor, " m"],
+    lit: list[Float[Tensor, "_ 3"]],
+) -> tuple[Float[Tensor, "k 3"], Float[Tensor, "f 3"]]:
+    """(coefficients, factors by which the faces' colours change), the first face's being 1.
+
+    ``pixels`` are over the colours so far. A face is modelled by B c + x (B c_0), with the
+    ``lit`` B c_0 of the step before, and its colour grows by 1 + x; with ``lit`` empty it stays.
+    """
+    faces, coefficients = len(shading), shading[0].shape[1]
+    product = torch.zeros(coefficients, 3).double()
+    change = torch.ones(faces, 3).double()
+    for channel in range(3):
+        basis = torch.cat(shading)
+        if lit:
+            column = [one[:, channel : channel + 1] for one in lit]
+            basis = torch.cat([basis, torch.block_diag(*column)[:, 1:]], 1)
+        solution = solve_linear(basis, torch.cat(pixels), weights)[:, channel]
+        product[:, channel] = solution[:coefficients]
+        if lit:
+            change[1:, channel] += solution[coefficients:].clamp(-0.5, 1.0)
+    return product, change
+
+
+def solve_harmonic(
+    observation: Observation,
+    model: HarmonicLight,
+    albedo_prior: Prior,
+    albedo_modes: Float[Tensor, "k 3"],
+) -> Estimate:
+    """:class:`HarmonicProblem` of one face."""
+    problem = HarmonicProblem(model, albedo_prior, albedo_modes)
+    problem.add(observation)
+    return problem.solve()

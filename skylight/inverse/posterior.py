@@ -1,0 +1,290 @@
+"""How sure is the light? A density over the sun's direction, intervals, and a verdict.
+
+**Sun.** The linear scan finds the best explanation of a face with the sun at d. Its weights are
+divided by the deviations it leaves (to a floor), twice, so that brows, beards and highlights count
+for little; what is left is then about the mean absolute deviation m(d) over the face's mean.
+As in the objective, an explanation is unlikely by its deviation, in units of a temperature:
+
+    L(d) ~ exp(-m(d) / t),
+
+for several faces under one light with the sum of their m(d). No direction of the upper hemisphere
+is preferred beforehand. Fitted heads are turned wrongly by about three degrees, and their light
+with them, so L is spread by a von Mises-Fisher kernel V. The optimisation knows more than the scan,
+namely which skies there are; its sun s is trusted by a lobe about it over a constant, since some
+estimates are plain wrong. As a density over the hemisphere,
+
+    p(d) ~ (V * L)(d) (1 + h V_s(d) / V_s(s))^k.
+
+**No sun.** Where the best sun lowers m by little against ambient light alone, no sun is seen.
+
+**Exposure and albedo.** A picture fixes their product, and the prior over skin says how it may be
+split: see :func:`split_density`.
+
+Everything in :class:`DoubtModel` was fitted to rendered faces: ``tools/calibrate_posterior.py``.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Literal
+
+import torch
+from jaxtyping import Bool, Float
+from scipy.sparse.csgraph import connected_components
+from torch import Tensor
+
+from skylight.inverse.objective import GLOSS_SPREAD
+from skylight.inverse.scan import FaceScan, scan_face
+from skylight.models.base import Prior
+from skylight.sphere.envmap import luminance
+from skylight.sphere.grid import DirectionGrid
+from skylight.transport.observation import Observation
+
+Verdict = Literal[
+    "reliable",
+    "ambiguous: back-lit",
+    "ambiguous: several directions",
+    "ambiguous: wide region",
+    "overcast: no sun",
+    "unreliable: the face is not explained",
+]
+SHARE = 0.9
+ROWS = 32  # of the upper hemisphere: 2.8 degrees, half the scan's cells
+REWEIGHTINGS = 2
+MAIN_PART = 0.8  # of the region: less in its likeliest part means several
+LEAST_DEVIATION = 0.05  # of the face's mean: smaller ones do not count more
+_NEIGHBOURS_RAD = math.radians(4.5)  # a cell's diagonal is 4 degrees
+
+
+@dataclass(frozen=True, kw_only=True)
+class DoubtModel:
+    """Constants of the posterior, and of the verdicts; ``_rad`` are spreads per axis.
+
+    ``temperature`` t, ``kernel_rad`` of V, and ``estimate_rad``, ``estimate_height`` h and
+    ``estimate_weight`` k of the estimate's lobe. A sun that lowers the deviation by less than
+    ``sun_gain`` is none; regions with a radius beyond ``wide_rad`` are wide. ``..._spread`` are of
+    log exposure and log albedo beyond what the skin prior tells; exposure adds ``unseen_spread``
+    times the share of the hemisphere in the region, since a sun that the face hardly sees may be
+    of any strength.
+    """
+
+    temperature: float = 0.033
+    kernel_rad: float = math.radians(3.0)
+    estimate_rad: float = math.radians(8.0)
+    estimate_height: float = 10.0
+    estimate_weight: float = 0.75
+    sun_gain: float = 0.085
+    wide_rad: float = math.radians(20.0)
+    exposure_spread: float = 0.25
+    unseen_spread: float = 1.0
+    albedo_spread: float = 0.3
+
+
+DOUBT = DoubtModel()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SunEvidence:
+    """What faces say of the sun: m(d) of the module's text (n,), summed over the faces.
+
+    ``gain``: by how much the best sun lowers the deviation of a face, against no sun at all.
+    """
+
+    deviations: Float[Tensor, " n"]
+    gain: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegionPart:
+    """A connected part of a region: its share of all probability and its densest direction."""
+
+    share: float
+    peak: Float[Tensor, "3"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SunPosterior:
+    """Where the sun may be, and how well exposure and albedo are known.
+
+    ``density`` (n,) per sr over the directions of ``grid``, the upper hemisphere, integrates to
+    1; it supposes that there is a sun. ``region`` is the smallest set of directions with 90 % of
+    it, ``parts`` its connected parts, likeliest first. ``sun_gain`` is by how much of the face's
+    mean the best sun lowers the deviation. The intervals (90 %) are those of
+    :attr:`Estimate.exposure` and of a common factor on :attr:`Estimate.albedo`.
+    """
+
+    grid: DirectionGrid
+    density: Float[Tensor, " n"]
+    region: Bool[Tensor, " n"]
+    parts: tuple[RegionPart, ...]
+    sun_gain: float
+    exposure_interval: tuple[float, float]
+    albedo_scale_interval: tuple[float, float]
+    verdict: Verdict
+
+    @property
+    def region_sr(self) -> float:
+        """Solid angle of the region."""
+        return float(self.grid.solid_angles[self.region].sum())
+
+    @property
+    def region_radius_rad(self) -> float:
+        """Radius r of the cap as large as the region: 2 pi (1 - cos r)."""
+        return math.acos(1 - min(self.region_sr / (2 * math.pi), 1.0))
+
+
+def sun_evidence(observations: Sequence[Observation], scans: Sequence[FaceScan]) -> SunEvidence:
+    """Robust scans of all faces under one light, from their ordinary scans."""
+    deviations, unlit = [], []
+    for observation, scan in zip(observations, scans, strict=True):
+        weights = observation.weights.double() / observation.weights.double().sum()
+        seen = luminance(observation.pixels).double()
+        mean = weights @ seen
+        robust = weights
+        for _ in range(REWEIGHTINGS):
+            away = scan.deviations / mean
+            robust = weights / (away.square() + LEAST_DEVIATION**2).sqrt()
+            scan = scan_face(replace(observation, weights=robust.float()))
+        energy = robust @ (seen / mean).square()
+        deviations.append(scan.unexplained * energy)
+        unlit.append(scan.unlit * float(energy))
+    total = torch.stack(deviations).sum(0)
+    gain = (math.fsum(unlit) - float(total.min())) / len(observations)
+    return SunEvidence(deviations=total, gain=gain)
+
+
+def sun_density(
+    evidence: SunEvidence, estimate: Float[Tensor, "3"] | None, model: DoubtModel = DOUBT
+) -> Float[Tensor, " n"]:
+    """p of the module's text at the directions of ``DirectionGrid.sky(32)``, per sr.
+
+    ``evidence`` is about ``DirectionGrid.sky(16)``, the scan's; ``estimate`` is the optimised sun,
+    or None where there is none.
+    """
+    cells, fine = DirectionGrid.sky(ROWS // 2), DirectionGrid.sky(ROWS)
+    nats = (evidence.deviations - evidence.deviations.min()) / model.temperature
+    density = _kernel(model.kernel_rad) @ (torch.exp(-nats) * cells.solid_angles)
+    if estimate is not None:
+        lobe = _lobes(fine, estimate[None], model.estimate_rad)[:, 0]
+        density = density * (1 + model.estimate_height * lobe) ** model.estimate_weight
+    return density / (density @ fine.solid_angles)
+
+
+@lru_cache(maxsize=1)
+def _kernel(spread_rad: float) -> Float[Tensor, "n k"]:
+    """Lobes about the scan's cells at the density's directions."""
+    return _lobes(DirectionGrid.sky(ROWS), DirectionGrid.sky(ROWS // 2).directions, spread_rad)
+
+
+def _lobes(
+    grid: DirectionGrid, centres: Float[Tensor, "k 3"], spread_rad: float
+) -> Float[Tensor, "n k"]:
+    """Von Mises-Fisher lobes of height 1, of a spread per axis that is small."""
+    cosine = grid.directions @ centres.double().T
+    return torch.exp((cosine.clamp(max=1) - 1) / spread_rad**2)
+
+
+def smallest_region(
+    density: Float[Tensor, " n"], solid_angles: Float[Tensor, " n"], share: float = SHARE
+) -> Bool[Tensor, " n"]:
+    """The densest directions, as few as hold ``share`` of the whole."""
+    order = density.argsort(descending=True, stable=True)
+    mass = (density * solid_angles)[order]
+    before = mass.cumsum(0) - mass
+    region = torch.zeros(len(density), dtype=torch.bool)
+    region[order[before < share * mass.sum()]] = True
+    return region
+
+
+def region_parts(
+    grid: DirectionGrid, density: Float[Tensor, " n"], region: Bool[Tensor, " n"]
+) -> tuple[RegionPart, ...]:
+    """The connected parts of a region of ``DirectionGrid.sky(32)``, likeliest first."""
+    directions = grid.directions[region]
+    mass = (density * grid.solid_angles)[region]
+    near = directions @ directions.T > math.cos(_NEIGHBOURS_RAD)
+    count, labels = connected_components(near.numpy(), directed=False)
+    parts = []
+    for label in range(count):
+        inside = torch.from_numpy(labels == label)
+        peak = directions[inside][density[region][inside].argmax()]
+        parts.append(RegionPart(share=float(mass[inside].sum()), peak=peak))
+    return tuple(sorted(parts, key=lambda part: -part.share))
+
+
+def sun_posterior(
+    evidence: SunEvidence,
+    estimate: Float[Tensor, "3"] | None,
+    *,
+    explained: bool,
+    exposure: float,
+    albedo: Float[Tensor, "3"],
+    gloss: float | None,
+    albedo_prior: Prior,
+    model: DoubtModel = DOUBT,
+) -> SunPosterior:
+    """The posterior with its verdict; ``explained``: the faces look alike in the light found.
+
+    ``exposure``, ``albedo`` and ``gloss`` (None where the model has none) are a face's own.
+    """
+    grid = DirectionGrid.sky(ROWS)
+    density = sun_density(evidence, estimate, model)
+    region = smallest_region(density, grid.solid_angles)
+    share = float(grid.solid_angles[region].sum()) / (2 * math.pi)
+    split = split_density(albedo, gloss, albedo_prior)
+    low, high = interval(-split[0], split[1], model.exposure_spread + model.unseen_spread * share)
+    posterior = SunPosterior(
+        grid=grid,
+        density=density,
+        region=region,
+        parts=region_parts(grid, density, region),
+        sun_gain=evidence.gain,
+        exposure_interval=(low * exposure, high * exposure),
+        albedo_scale_interval=interval(*split, model.albedo_spread),
+        verdict="reliable",
+    )
+    return replace(posterior, verdict=_verdict(posterior, explained, model))
+
+
+def _verdict(posterior: SunPosterior, explained: bool, model: DoubtModel) -> Verdict:
+    """The first reason for doubt, if there is one."""
+    if not explained:
+        return "unreliable: the face is not explained"
+    if posterior.sun_gain < model.sun_gain:
+        return "overcast: no sun"
+    mass = posterior.density * posterior.grid.solid_angles
+    ahead = float(mass[posterior.grid.directions[:, 2] < 0].sum())
+    if posterior.region_radius_rad > model.wide_rad and ahead > 0.5:
+        return "ambiguous: back-lit"
+    if posterior.parts[0].share < MAIN_PART * SHARE:
+        return "ambiguous: several directions"
+    if posterior.region_radius_rad > model.wide_rad:
+        return "ambiguous: wide region"
+    return "reliable"
+
+
+def split_density(
+    albedo: Float[Tensor, "3"], gloss: float | None, albedo_prior: Prior
+) -> tuple[Float[Tensor, " k"], Float[Tensor, " k"]]:
+    """(log s, p): how likely albedo is s times what was estimated; p sums to 1.
+
+    Skin of albedo s a in light of 1 / s looks the same if its gloss is s times as strong too, so
+    the priors alone say how likely s is: p(log s) ~ p_albedo(log a + log s) p_gloss(log g + log s),
+    the last where ``gloss`` (the strength g) was estimated.
+    """
+    shift = torch.linspace(-3.0, 3.0, 601, dtype=torch.float64)
+    level = albedo_prior.log_prob(albedo.log() + shift[:, None].to(albedo)).double()
+    if gloss is not None:
+        level = level - 0.5 * ((math.log(gloss) + shift) / GLOSS_SPREAD) ** 2
+    return shift, torch.softmax(level, 0)
+
+
+def interval(
+    logs: Float[Tensor, " k"], share: Float[Tensor, " k"], spread: float
+) -> tuple[float, float]:
+    """90 % of exp(x + e): x one of ``logs`` with its share, e normal with that spread."""
+    at = torch.linspace(-6.0, 6.0, 1201, dtype=torch.float64)
+    reached = torch.special.ndtr((at[:, None] - logs[None]) / spread) @ share
+    low, high = (int((reached < q).sum()) for q in ((1 - SHARE) / 2, (1 + SHARE) / 2))
+    return math.exp(float(at[low])), math.exp(float(at[min(high, len(at) - 1)]))

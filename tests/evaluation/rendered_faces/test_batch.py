@@ -1,0 +1,119 @@
+"""Folders of faces: whole, resumed, reproducible, and read as they were written."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+pytest.importorskip("mitsuba", reason="mitsuba is not installed")
+
+from skylight.cli import main
+from skylight.errors import InputError
+from skylight.evaluation.rendered_faces import batch
+from skylight.evaluation.rendered_faces.batch import render_folder
+from skylight.evaluation.rendered_faces.files import read_rendered_face, rendered_faces
+from skylight.evaluation.rendered_faces.options import RenderOptions
+from skylight.faces.fit import camera_project
+from skylight.faces.model import HeadModel
+from skylight.skies.simulated import EVALUATION_SEEDS
+from skylight.sphere.frame import angle_between
+
+TINY = RenderOptions(size=40, samples=4, seed=1, per_scene=2, hair=True)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("faces")
+    assert render_folder(out, 2, TINY) == 2
+    return out
+
+
+def test_faces_of_a_scene_share_light_and_exposure_and_nothing_else(folder: Path) -> None:
+    first, second = (read_rendered_face(face) for face in rendered_faces(folder))
+    assert torch.equal(first.environment.radiance, second.environment.radiance)
+    assert first.exposure == second.exposure
+    assert (first.scene, second.scene) == (0, 0)
+    assert (first.number, second.number) == (0, 1)
+    assert (first.cluster, second.cluster) == (0, 1)
+    assert first.truth.camera == second.truth.camera
+    assert np.abs(first.truth.identity - second.truth.identity).max() > 0.1
+    assert np.abs(first.truth.rotation - second.truth.rotation).max() > 0.01
+    assert first.albedo.mean() > second.albedo.mean()
+
+
+def test_the_truth_fits_together(folder: Path) -> None:
+    face = read_rendered_face(rendered_faces(folder)[0])
+    model, truth = HeadModel.load(), face.truth
+    shape = model.vertices(truth.identity, truth.expression)
+    np.testing.assert_allclose(truth.vertices, shape @ truth.rotation.T + truth.translation)
+    points = camera_project(truth.camera, model.landmarks(truth.vertices))
+    np.testing.assert_allclose(face.landmarks[17:], points[17:], atol=1e-6)
+    assert face.environment.layout == (64, 128)
+    brightest = face.environment.brightest_direction()
+    assert float(torch.rad2deg(angle_between(face.sun_direction, brightest))) < 4
+    assert face.sky_seed >= EVALUATION_SEEDS
+    # the light below the horizon is the ground's bounce of that above
+    sky = face.environment.upper().with_ground(torch.zeros(3))
+    bounce = face.ground_albedo / np.pi * sky.irradiance(torch.tensor([0.0, 1.0, 0.0]))
+    # a sum over pixel centres against exact integrals
+    torch.testing.assert_close(face.environment.radiance[-1, 0], bounce, rtol=0.02, atol=0)
+    # the picture is the linear one, give or take noise, codes and clipping
+    seen = face.linear.clamp(0, 1)
+    assert float((seen - face.picture).abs().median()) < 0.02
+    assert 0.02 < face.hair.mean() < 0.4
+
+
+def test_a_second_run_makes_only_what_is_missing_and_the_same(folder: Path, tmp_path: Path) -> None:
+    assert render_folder(folder, 2, TINY) == 0
+    reports: list[tuple[int, int]] = []
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "face0000").mkdir()  # there, as far as a run can tell
+    made = render_folder(other, 2, TINY, progress=lambda *state: reports.append(state))
+    assert (made, reports) == (1, [(1, 2), (2, 2)])
+    first, again = (read_rendered_face(d / "face0001") for d in (folder, other))
+    differ = np.abs(first.encoded.astype(int) - again.encoded)
+    assert differ.max() <= 1  # the order of float sums may differ
+    assert (differ > 0).mean() < 0.001
+    assert not list(other.glob(".partial-*"))
+
+
+def test_other_options_want_another_folder(folder: Path) -> None:
+    with pytest.raises(InputError, match="another folder"):
+        render_folder(folder, 2, RenderOptions(size=40, samples=5))
+
+
+def test_a_face_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(batch, "write_rendered_face", fail)
+    monkeypatch.setattr(batch, "render", lambda *_: None)
+    with pytest.raises(KeyboardInterrupt):
+        render_folder(tmp_path, 1, TINY)
+    assert [file.name for file in tmp_path.iterdir()] == ["options.json"]
+
+
+def test_folders_without_faces_or_with_damaged_ones_are_named(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no rendered faces"):
+        rendered_faces(tmp_path)
+    face = tmp_path / "face0000"
+    face.mkdir()
+    facts = json.loads((folder / "face0000" / "face.json").read_text())
+    del facts["albedo"]
+    (face / "face.json").write_text(json.dumps(facts))
+    with pytest.raises(InputError, match="face0000"):
+        read_rendered_face(face)
+
+
+def test_the_command_renders_and_refuses(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = str(tmp_path / "faces")
+    options = ["--size", "32", "--samples", "1", "--workers", "1"]
+    assert main(["faces", "render", "--count", "1", "--out", out, *options]) == 0
+    assert "1 faces, 1 of them rendered now" in capsys.readouterr().out
+    assert main(["faces", "render", "--count", "0", "--out", out]) == 2
+    assert "--count must be 1 or more" in capsys.readouterr().err

@@ -1,0 +1,77 @@
+"""Background, exposure and noise."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+pytest.importorskip("mitsuba", reason="mitsuba is not installed")
+
+from skylight.evaluation.rendered_faces.options import RenderOptions
+from skylight.evaluation.rendered_faces.people import person
+from skylight.evaluation.rendered_faces.photograph import (
+    background,
+    brightest_skin,
+    compose,
+    exposure_for,
+    photograph,
+)
+from skylight.evaluation.rendered_faces.trace import Layers
+from skylight.imaging.colour import srgb_to_linear
+from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.frame import angles_from_direction
+from skylight.transport.camera import Camera
+
+CAMERA = Camera(focal_px=64.0, width=48, height=48, center_px=(24.0, 24.0))
+
+
+def test_the_background_is_what_lies_ahead() -> None:
+    """A map whose red is the azimuth and whose green is the zenith angle."""
+    plain = EnvironmentMap(radiance=torch.zeros(64, 128, 3))
+    azimuth, zenith = angles_from_direction(plain.grid.directions)
+    named = torch.stack([azimuth, zenith, zenith * 0], -1).reshape(64, 128, 3).float()
+    seen = background(EnvironmentMap(radiance=named), CAMERA)
+    assert seen[24, 47, 0] == pytest.approx(math.atan(23.5 / 64), abs=0.005)
+    assert seen[24, 0, 0] == pytest.approx(-math.atan(23.5 / 64), abs=0.005)
+    assert seen[0, 24, 1] == pytest.approx(math.pi / 2 - math.atan(23.5 / 64), abs=0.005)
+
+
+def test_layers_add_up() -> None:
+    rng = np.random.default_rng(0)
+    albedo = rng.uniform(0.1, 0.6, (48, 48, 3))
+    cover = np.ones((48, 48))
+    cover[:, :10] = 0
+    albedo[:, :10] = 0
+    layers = Layers(
+        diffuse=albedo * 2.0, gloss=np.full((48, 48, 3), 0.25), albedo=albedo, cover=cover
+    )
+    light = EnvironmentMap(radiance=torch.full((16, 32, 3), 3.0))
+    skin = cover > 0
+    picture = compose(layers, np.ones((48, 48)), skin, CAMERA, light)
+    np.testing.assert_allclose(picture[:, 10:], albedo[:, 10:] * 2 + 0.25, rtol=1e-5)
+    np.testing.assert_allclose(picture[:, :10], 3.25, rtol=1e-5)
+
+
+def test_skin_in_even_light_is_as_bright_as_its_albedo_and_exposed_below_white() -> None:
+    pale, dark = (person(n, 2.0, RenderOptions(size=48)) for n in (0, 5))
+    even = EnvironmentMap(radiance=torch.full((32, 64, 3), 2.0))
+    brightest = brightest_skin(pale, even)
+    assert brightest == pytest.approx(2 * np.quantile(pale.paint.albedo[:, 0], 0.9), rel=0.2)
+    exposure = exposure_for([dark, pale], even, np.random.default_rng(0))
+    assert 0.69 < exposure * brightest < 0.96
+    assert exposure < exposure_for([dark], even, np.random.default_rng(0)) / 2
+
+
+@pytest.mark.parametrize("level", [0.04, 0.5])
+def test_noise_grows_with_the_root_of_light(level: float) -> None:
+    codes = photograph(np.full((200, 200, 3), level), np.random.default_rng(0))
+    linear = srgb_to_linear(torch.from_numpy(codes).float() / 255).numpy()
+    assert linear.mean() == pytest.approx(level, rel=2e-3)
+    step = np.gradient(srgb_to_linear(torch.arange(256) / 255).numpy())[int(codes.mean())]
+    want = math.sqrt(level / 8000 + (4 / 8000) ** 2 + step**2 / 12)
+    assert linear.std() == pytest.approx(want, rel=0.1)
+
+
+def test_overexposed_light_is_white() -> None:
+    assert (photograph(np.full((4, 4, 3), 2.0), np.random.default_rng(0)) == 255).all()
