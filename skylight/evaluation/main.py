@@ -38,9 +38,8 @@ SHEET_STRIPS = 12
 
 
 def _synthetic_faces(quick: bool, data: Path | None) -> Evaluation:
-    if quick:  # without the rows of the known geometry, which trace a second transport
-        return SyntheticFaces(count=24, data=data, known_geometry=False)
-    return SyntheticFaces(count=150 if data is None else None, data=data)
+    whole = 150 if data is None else None
+    return SyntheticFaces(count=24 if quick else whole, data=data)
 
 
 def _shared_light(quick: bool, data: Path | None) -> Evaluation:
