@@ -156,7 +156,7 @@ def estimate(
             pictures,
             [str(path) for path in paths],
             light=light,
-            face="all" if faces == "all" else face or 1,
+            face="all" if faces == "all" else 1 if face is None else face,
             device=device,
             landmarker=landmarker,
             progress=progress,

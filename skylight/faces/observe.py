@@ -12,7 +12,7 @@ from torch import Tensor
 from skylight.errors import InputError
 from skylight.faces.fit import FaceFit
 from skylight.faces.model import HeadModel, Region
-from skylight.faces.skin_mask import colour_distance, skin_like
+from skylight.faces.skin_mask import SkinLikeness
 from skylight.sphere.envmap import luminance
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.camera import Camera
@@ -67,7 +67,7 @@ def observe_face(
     """Cut out the face, pick its pixels and trace their transport.
 
     Visibility comes from the whole head, so nose, brows and chin cast their shadows. Pixels are
-    those of the face's skin and of what else of the head is bare (:func:`skin_like`): of a sun
+    those of the face's skin and of what else of the head is bare (:class:`SkinLikeness`): of a sun
     behind the person, the face itself sees nothing. Over-exposed ones count as lower bounds.
     ``face_height_px`` is the height of the skin region after down-sampling (never up): beyond
     90 px estimates hardly change (thesis, 5.5.5.1), while memory grows: the transport takes
@@ -79,14 +79,14 @@ def observe_face(
     surface = rasterize(camera, vertices, faces, raycaster)
     view = -torch.nn.functional.normalize(surface.positions, dim=1)
     facing = (surface.normals * view).sum(1)
-    on_skin = _bare_skin(image, surface, facing, model)
     rows, columns = surface.pixels.unbind(1)
+    over = clipped_share[rows, columns] > CLIPPED_SHARE
+    on_skin = _bare_skin(image, clipped_share > CLIPPED_SHARE, surface, facing, model)
     seen = image[rows, columns]
     if not bool(on_skin.any()):
         raise InputError("the face is turned away: no skin of it faces the camera")
     bright = torch.quantile(luminance(seen[on_skin]), 0.9)
     used = on_skin & (luminance(seen) > DARK_SHARE * bright)
-    over = clipped_share[rows, columns] > CLIPPED_SHARE
     if int((used & ~over).sum()) < FEWEST_PIXELS:
         raise InputError(
             f"only {int((used & ~over).sum())} usable pixels on the face ({int(on_skin.sum())} of "
@@ -109,7 +109,7 @@ def observe_face(
         places=surface.pixels[used],
         transport=transport,
         gloss=gloss,
-        clipped=over[used],
+        clipped=over[used] if bool(over[used].any()) else None,
     )
     return FaceView(image=image, camera=camera, surface=surface, used=used, observation=observation)
 
@@ -153,15 +153,18 @@ def _cut_out(
 
 def _bare_skin(
     image: Float[Tensor, "h w 3"],
+    clipped: Bool[Tensor, "h w"],
     surface: GBuffer,
     facing: Float[Tensor, " m"],
     model: HeadModel,
 ) -> Bool[Tensor, " m"]:
     """The surface's pixels that show skin, on the face and wherever else the head is bare.
 
-    Their eight neighbours show the same part: borders mix with what lies beside.
+    Their eight neighbours show the same part: borders mix with what lies beside. Over-exposed
+    skin has lost its colour, so on the face it needs none, and elsewhere it is skin where what
+    is not over-exposed beside it is.
     """
-    linear = image.numpy()
+    linear, white = image.numpy(), clipped.numpy()
 
     def mask(regions: list[Region], *, whole: bool) -> Bool[np.ndarray, "h w"]:
         corners = np.isin(model.regions, regions)[model.faces]
@@ -173,10 +176,11 @@ def _bare_skin(
         return drawn > 0
 
     face = mask([Region.FACE], whole=True)
-    if not face.any():
-        return torch.zeros(len(surface), dtype=torch.bool)
+    if not (face & ~white).any():
+        return torch.from_numpy(face)[surface.pixels[:, 0], surface.pixels[:, 1]]
     head = mask([Region.FACE, *BARE_PARTS], whole=False)
-    skin = face & (colour_distance(linear, face) < STRANGE_COLOUR)
+    likeness = SkinLikeness.of(linear, face, white)
+    skin = face & (white | (likeness.colour_distance < STRANGE_COLOUR))
     for region, darkest in BARE_PARTS.items():
-        skin |= skin_like(linear, face, head, mask([region], whole=True), darkest)
+        skin |= likeness.bare(head, mask([region], whole=True), darkest)
     return torch.from_numpy(skin)[surface.pixels[:, 0], surface.pixels[:, 1]]

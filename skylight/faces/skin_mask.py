@@ -5,6 +5,8 @@ with the face's own skin in the logarithms of its ratios red : green and blue : 
 rough it is: hair and cloth have detail where skin is smooth.
 """
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
@@ -19,33 +21,58 @@ LEAST_PART = 0.5  # of a part of the head that looks like skin, else none of it 
 _EPSILON = 1e-4
 
 
-def skin_like(
-    image: Float[ndarray, "h w 3"],
-    face: Bool[ndarray, "h w"],
-    head: Bool[ndarray, "h w"],
-    part: Bool[ndarray, "h w"],
-    darkest: float,
-) -> Bool[ndarray, "h w"]:
-    """The pixels of ``part`` that look like those of ``face``, which most show skin.
+@dataclass(frozen=True, kw_only=True)
+class SkinLikeness:
+    """How a picture compares with the skin of the ``face`` in it (a mask).
 
-    All are masks over the linear ``image``; ``head`` is where skin may be at all. Pixels darker
-    than ``darkest`` times the face's median are left out, and so are those that are cut off from
-    the face by others: a hairline or a collar is an edge. Where less than half of ``part`` looks
-    like skin, what does is taken for chance and nothing is returned.
+    Where ``clipped`` (over-exposed) a pixel has lost its colour and its detail.
     """
-    if not part.any():
-        return part
-    detail, green = roughness(image), image[..., 1]
-    alike = (
-        (colour_distance(image, face) < FARTHEST)
-        & (detail < ROUGHEST * np.quantile(detail[face], 0.8))
-        & (green > darkest * np.median(green[face]))
-    )
-    _, label = cv2.connectedComponents((head & alike | face).astype(np.uint8), connectivity=4)
-    alike &= part & np.isin(label, np.unique(label[face]))
-    if alike.sum() < LEAST_PART * part.sum():
-        return np.zeros_like(part)
-    return alike
+
+    face: Bool[ndarray, "h w"]
+    clipped: Bool[ndarray, "h w"]
+    colour_distance: Float[ndarray, "h w"]
+    roughness: Float[ndarray, "h w"]
+    brightness: Float[ndarray, "h w"]
+
+    @staticmethod
+    def of(
+        image: Float[ndarray, "h w 3"], face: Bool[ndarray, "h w"], clipped: Bool[ndarray, "h w"]
+    ) -> "SkinLikeness":
+        """Of a linear picture; some of the face must not be clipped."""
+        exact, green = face & ~clipped, image[..., 1]
+        detail = roughness(image)
+        return SkinLikeness(
+            face=face,
+            clipped=clipped,
+            colour_distance=colour_distance(image, exact),
+            roughness=detail / max(float(np.quantile(detail[exact], 0.8)), _EPSILON),
+            brightness=green / max(float(np.median(green[exact])), _EPSILON),
+        )
+
+    def bare(
+        self, head: Bool[ndarray, "h w"], part: Bool[ndarray, "h w"], darkest: float
+    ) -> Bool[ndarray, "h w"]:
+        """The pixels of ``part`` that show bare skin; ``head`` is where skin may be at all.
+
+        Pixels darker than ``darkest`` times the face's median are left out, and so are those that
+        are cut off from the face by others: a hairline or a collar is an edge. Where less than
+        half of what is not clipped in ``part`` looks like skin, what does is taken for chance and
+        nothing is returned.
+        """
+        exact = part & ~self.clipped
+        alike = (
+            (self.colour_distance < FARTHEST)
+            & (self.roughness < ROUGHEST)
+            & (self.brightness > darkest)
+        ) & ~self.clipped
+        # what is white goes with its neighbours, whose border with it is an edge of their own
+        white = cv2.dilate((self.clipped & head).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        passable = head & (alike | white) | self.face
+        _, label = cv2.connectedComponents(passable.astype(np.uint8), connectivity=4)
+        joined = np.isin(label, np.unique(label[self.face]))
+        if not exact.any() or (alike & exact & joined).sum() < LEAST_PART * exact.sum():
+            return np.zeros_like(part)
+        return part & joined & (alike | self.clipped)
 
 
 def colour_distance(

@@ -97,7 +97,10 @@ class _Fit:
 
 def _fit(observation: Observation, lights: Float[Tensor, "n w 3"]) -> _Fit:
     """Least squares for each light: three albedos and one strength of gloss, none below 0."""
-    share = (observation.weights / observation.weights.sum()).double()
+    weights = observation.weights
+    if observation.clipped is not None:  # bounds say nothing to least squares
+        weights = weights * ~observation.clipped
+    share = (weights / weights.sum()).double()
     seen = observation.pixels.double()
 
     def shading(matrix: Float[Tensor, "m n"]) -> Float[Tensor, "m w 3"]:

@@ -4,7 +4,7 @@ One light, seen on one face or more: every face adds its own data term and prior
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -205,39 +205,17 @@ class SkyObjective:
         }
 
     @torch.no_grad()
-    def likeliest_scale(self, free: Float[Tensor, "b q"]) -> Float[Tensor, "b q"]:
-        """The likeliest albedos among those that the pictures cannot tell apart.
+    def safest_scale(self, free: Float[Tensor, "b q"]) -> Float[Tensor, "b q"]:
+        """Of the albedos that look alike those whose light is expected to be the least wrong.
 
         Albedo and gloss times c under 1/c of a photograph's exposure look the same: only the
         priors know c, and between skins of different tone they have valleys that a descent does
-        not cross. Every photograph's c is searched from 1/16 to 16; the objective never rises.
+        not cross. Every photograph's c is one of :data:`SCALES`. If c is the truth with
+        probability p(c) and s is answered, light is off by |c/s - 1| of itself, and
+        sum p(c) |c/s - 1| is least where s is the median of c under the weights p(c) c. Where
+        only one tone is likely that is its own; between a dark and a light skin it leans to the
+        light one, since light ten times too bright is a larger error than a tenth of it.
         """
-        return self._with_scales(free, lambda cost: SCALES.to(free)[cost.argmin(0)])
-
-    @torch.no_grad()
-    def safest_scale(self, free: Float[Tensor, "b q"]) -> Float[Tensor, "b q"]:
-        """Of the same albedos those whose light is expected to be the least wrong.
-
-        Light is 1/c times as bright. If c is the truth with probability p(c) and s is answered,
-        light is off by |c/s - 1| of itself, and sum p(c) |c/s - 1| is least where s is the
-        median of c under the weights p(c) c. Where only one tone is likely that is its own;
-        between a dark and a light skin it leans to the light one, since light ten times too
-        bright is a larger error than a tenth of it.
-        """
-
-        def median(cost: Float[Tensor, "c b"]) -> Float[Tensor, " b"]:
-            scales = SCALES.to(free)
-            weight = (-cost).softmax(0) * scales[:, None]
-            return scales[(weight.cumsum(0) < 0.5 * weight.sum(0)).sum(0)]
-
-        return self._with_scales(free, median)
-
-    def _with_scales(
-        self,
-        free: Float[Tensor, "b q"],
-        choose: Callable[[Float[Tensor, "c b"]], Float[Tensor, " b"]],
-    ) -> Float[Tensor, "b q"]:
-        """Each photograph's c chosen by what the priors say of all :data:`SCALES`, in nats."""
         parts = self.unpack(free)
         exposure, gloss, albedo = parts.exposure.clone(), parts.gloss.clone(), parts.albedo.clone()
         scales = SCALES.to(free)
@@ -247,10 +225,12 @@ class SkyObjective:
             rarity = -self.weights.albedo_prior * self.albedo_prior.log_prob(
                 tried.log().flatten(0, 2)
             ).unflatten(0, tried.shape[:3])
-            shine = (scales[:, None, None] * gloss[None, :, mine]).log()
+            glossy = torch.tensor([self.faces[k].gloss is not None for k in mine]).to(free)
+            shine = (scales[:, None, None] * gloss[None, :, mine]).log() * glossy
             cost = (rarity + 0.5 * (shine / GLOSS_SPREAD) ** 2).sum(2)
             possible = (tried < MOST_ALBEDO).flatten(2).all(2) | (scales[:, None] == 1)
-            scale = choose(torch.where(possible, cost, torch.inf))
+            weight = (-torch.where(possible, cost, torch.inf)).softmax(0) * scales[:, None]
+            scale = scales[(weight.cumsum(0) < 0.5 * weight.sum(0)).sum(0)]
             exposure[:, photo] /= scale
             gloss[:, mine] *= scale[:, None]
             albedo[:, mine] *= scale[:, None, None]

@@ -35,6 +35,7 @@ Stage = str
 Progress = Callable[[Stage, float], None]
 STAGES = ("finding the face", "fitting the head", "tracing light", "estimating the light")
 MOST_TURNED_RAD = math.radians(60)
+SUN_SPREAD_RAD = math.radians(1.4)  # half a pixel of the sky
 KEPT_ROWS = 16  # of the transport of several faces, once the solver has taken what it needs
 
 
@@ -252,7 +253,8 @@ def light_problem(
     skin = _skin_prior()
     modes = SkinPrior.load().means.float()
     if light == "autoencoder":
-        return SkyProblem(autoencoder_light(), latent_prior(), skin, modes, options)
+        model = autoencoder_light(sun_spread_rad=SUN_SPREAD_RAD)
+        return SkyProblem(model, latent_prior(), skin, modes, options)
     if light == "sunsky":
         return SkyProblem(sunsky_light(), sunsky_prior(), skin, modes, options)
     return HarmonicProblem(HarmonicLight(2 if light == "sh9" else 4), skin, modes)

@@ -138,14 +138,15 @@ class SkyProblem:
             )
             evaluations += result.evaluations
             nonfinite += result.nonfinite
-            free = objective.likeliest_scale(result.x)
+            # in the tone to answer with, so that hue and light settle to it
+            free = objective.safest_scale(result.x)
             with torch.no_grad():
                 scores = objective(free)
             if progress is not None:
                 progress(number / len(options.rounds))
         assert result is not None
         best = int(scores.argmin())
-        final = objective.safest_scale(free[best : best + 1])
+        final = free[best : best + 1]
         with torch.no_grad():
             parts = objective.unpack(final)
             shadings = objective.shading(parts)

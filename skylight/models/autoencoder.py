@@ -227,6 +227,11 @@ class AutoencoderLight(nn.Module):
     ``latent_mean`` and ``latent_scale`` (lower triangular) whiten the latents for optimisers;
     ``bank`` holds latents of training skies with the zenith angle of their sun, from which
     :meth:`starts_towards` takes those whose sun is at the right height.
+
+    ``sun_spread_rad`` widens the sun's lobe and turns it apart from the sky. A sun much sharper
+    than a pixel jumps from one to the next, and a turn by part of a pixel blurs it: between, the
+    objective is flat or has a kink, and an optimiser stops there, up to 10 degrees from the sun.
+    Half a pixel, 1.4 degrees, is smooth, and no face can tell it from a point.
     """
 
     name = "autoencoder"
@@ -243,8 +248,10 @@ class AutoencoderLight(nn.Module):
         bank: Float[Tensor, "k z"],
         bank_zenith_rad: Float[Tensor, " k"],
         white_centroids: Float[Tensor, "c z"],
+        sun_spread_rad: float = 0.0,
     ) -> None:
         super().__init__()
+        self.sun_spread_rad = sun_spread_rad
         self.network = network.eval().requires_grad_(False)
         self.decoder = FrozenDecoder(self.network)
         self.latent_mean: Tensor
@@ -268,10 +275,15 @@ class AutoencoderLight(nn.Module):
         return -limit, limit
 
     def radiance(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b n 3"]:
-        z = params[:, :LATENT]
-        sky = self.network.finish(self.decoder(z), z)
-        turned = shift_columns(sky, params[:, LATENT] - CENTRE_AZIMUTH_RAD)
-        return turned.reshape(len(params), -1, 3)
+        z, azimuth = params[:, :LATENT], params[:, LATENT]
+        head = self.network.sun_head
+        if head is None or self.sun_spread_rad == 0:
+            sky = self.network.finish(self.decoder(z), z)
+            return shift_columns(sky, azimuth - CENTRE_AZIMUTH_RAD).flatten(1, 2)
+        sky = self.network.uncode(self.decoder(z))
+        turned = shift_columns(sky, azimuth - CENTRE_AZIMUTH_RAD)
+        lobe = head.lobe(z[:, -COORDINATES:], azimuth, self.sun_spread_rad)
+        return (turned + lobe).flatten(1, 2)
 
     def to_free(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b p"]:
         """Whitened latents; the azimuth as it is."""

@@ -24,8 +24,12 @@ def data_folder() -> Path:
 
 
 @cache
-def autoencoder_light(checkpoint: Path | None = None) -> AutoencoderLight:
+def autoencoder_light(
+    checkpoint: Path | None = None, *, sun_spread_rad: float = 0.0
+) -> AutoencoderLight:
     """The sky autoencoder as a light model; ``checkpoint`` replaces the shipped network.
+
+    ``sun_spread_rad`` is :class:`AutoencoderLight`'s.
 
     Another network has other latents: give it its own bank and prior in the same folder.
     """
@@ -42,6 +46,7 @@ def autoencoder_light(checkpoint: Path | None = None) -> AutoencoderLight:
             bank=bank["bank"],
             bank_zenith_rad=bank["bank_zenith_rad"],
             white_centroids=prior.means.float(),
+            sun_spread_rad=sun_spread_rad,
         )
     except (OSError, SafetensorError, KeyError, RuntimeError) as error:
         raise AssetError(

@@ -49,10 +49,21 @@ class SunHead(nn.Module):
         self.aside: Tensor
         self.register_buffer("aside", aside, persistent=False)
 
-    def lobe(self, coordinates: Float[Tensor, "b 5"]) -> Float[Tensor, "b h w 3"]:
-        """Radiance of the suns alone."""
+    def lobe(
+        self,
+        coordinates: Float[Tensor, "b 5"],
+        azimuth_rad: Float[Tensor, " b"] | None = None,
+        spread_rad: float = 0.0,
+    ) -> Float[Tensor, "b h w 3"]:
+        """Radiance of the suns alone, at the map's centre or at azimuths of their own.
+
+        ``spread_rad`` is added to the lobe's width: 1 / kappa + spread^2 for 1 / kappa.
+        """
         zenith, energy, kappa = _parameters(coordinates)
-        sun = direction_from_angles(torch.full_like(zenith, self.azimuth_rad), zenith)
+        kappa = 1 / (1 / kappa + spread_rad**2)
+        if azimuth_rad is None:
+            azimuth_rad = torch.full_like(zenith, self.azimuth_rad)
+        sun = direction_from_angles(azimuth_rad, zenith)
         # cos - 1 as half a squared chord: float32's cosine is too coarse for kappa times it
         chord = (sun[:, None] - self.directions.to(sun)).square().sum(-1)
         exponent = -0.5 * kappa[:, None] * chord

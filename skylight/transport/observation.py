@@ -43,6 +43,8 @@ class Observation:
 
         if len(self.places) != count:
             raise ValueError(f"places ({len(self.places)}) must match pixels ({count})")
+        if self.clipped is not None and len(self.clipped) != count:
+            raise ValueError(f"clipped ({len(self.clipped)}) must match pixels ({count})")
         if self.gloss is not None and self.gloss.matrix.shape != self.transport.matrix.shape:
             raise ValueError("gloss must have the shape of the transport")
 
@@ -74,13 +76,15 @@ class Observation:
         """The observation at 1 / 2^level of the picture's resolution; level 0 is itself.
 
         Pixels and transport rows are weighted means over blocks, which commutes with shading:
-        it is linear in T. A block's weight is the sum of its pixels' weights. It counts as clipped
-        where any of its pixels is.
+        it is linear in T. A block's weight is the sum of its pixels' weights. Clipped pixels make
+        blocks of their own.
         """
         if level == 0:
             return self
         cell = self.places // 2**level
         key = cell[:, 0] * (int(cell[:, 1].max()) + 1) + cell[:, 1]
+        if self.clipped is not None:  # a mean with a lower bound in it would be no more than one
+            key = 2 * key + self.clipped
         kept = self.weights > 0
         blocks, index = torch.unique(key[kept], return_inverse=True)
         weight = self.weights[kept]
@@ -93,10 +97,7 @@ class Observation:
             rows.index_add_(0, index, share * transport.matrix[kept])
             return TransportMatrix(matrix=rows, grid=transport.grid)
 
-        over = None
-        if self.clipped is not None:  # a mean with a lower bound in it is one
-            over = torch.zeros(len(blocks), dtype=torch.long)
-            over = over.index_add_(0, index, self.clipped[kept].long()) > 0
+        over = None if self.clipped is None else blocks % 2 == 1
         places = torch.zeros(len(blocks), 2, dtype=torch.long)
         places[index] = cell[kept]
         return Observation(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skylight.faces.skin_mask import colour_distance, roughness, skin_like
+from skylight.faces.skin_mask import SkinLikeness, colour_distance, roughness
 
 SKIN = np.array([0.4, 0.25, 0.18])
 SIZE = 40
@@ -25,8 +25,9 @@ def picture(colour, *, rough=0.0, line=None):
     return image
 
 
-def used(image, darkest=0.3):
-    return skin_like(image, FACE, HEAD, PART, darkest)
+def used(image, darkest=0.3, clipped=None):
+    clipped = np.zeros_like(FACE) if clipped is None else clipped
+    return SkinLikeness.of(image, FACE, clipped).bare(HEAD, PART, darkest)
 
 
 def test_skin_goes_on_across_the_border():
@@ -63,7 +64,8 @@ def test_less_than_half_of_a_part_is_chance():
 
 
 def test_a_part_out_of_sight_is_empty():
-    assert not skin_like(picture(SKIN), FACE, HEAD, np.zeros_like(PART), 0.3).any()
+    likeness = SkinLikeness.of(picture(SKIN), FACE, np.zeros_like(FACE))
+    assert not likeness.bare(HEAD, np.zeros_like(PART), 0.3).any()
 
 
 def test_colour_distance_is_blind_to_brightness_and_counts_in_spreads():
@@ -80,3 +82,15 @@ def test_roughness_is_zero_on_even_skin_and_grows_with_detail():
     assert roughness(flat).max() < 1e-6
     checks = 1 + 0.2 * (np.indices((SIZE, SIZE)).sum(0) % 2)[..., None]
     assert roughness(flat * checks)[5:-5, 5:-5].min() > 0.05
+
+
+def test_white_skin_goes_with_its_neighbours():
+    image, clipped = picture(SKIN), np.zeros_like(FACE)
+    image[2:8, :15] = 1.0
+    clipped[2:8, :15] = True
+    found = used(image, clipped=clipped)
+    assert found[3:7, 1:14].all()
+    assert found[PART & ~clipped].mean() > 0.7
+    cloth = picture(SKIN * [1.0, 1.4, 2.5])
+    cloth[2:8, :15] = 1.0
+    assert not used(cloth, clipped=clipped).any()

@@ -21,8 +21,11 @@ from skylight.models.autoencoder import (
     WrapConv,
     load_network,
 )
+from skylight.models.shipped import autoencoder_light
+from skylight.models.sun_head import COORDINATES
 from skylight.sphere.envmap import luminance
 from skylight.sphere.frame import direction_from_angles
+from skylight.sphere.grid import DirectionGrid
 from skylight.training.autoencoder import save_network
 
 F64 = torch.float64
@@ -278,3 +281,34 @@ def test_unusable_checkpoints(tmp_path: Path, damage) -> None:
     assert "\n" not in message
     assert str(path) in message
     assert "train.py" in message
+
+
+def test_a_spread_sun_moves_smoothly_and_keeps_its_energy() -> None:
+    spread = math.radians(1.4)
+    smooth, sharp = autoencoder_light(sun_spread_rad=spread), autoencoder_light()
+    params = smooth.starts_towards(torch.tensor([[0.4, 0.6, -0.7]], dtype=F64))[0, :1].float()
+    steps = torch.linspace(-0.5, 0.5, 11) * 2 * math.pi / WIDTH  # over one pixel
+    turned = params.expand(len(steps), -1).clone()
+    turned[:, LATENT] += steps
+    grid = DirectionGrid.sky(HEIGHT)
+
+    def suns(light: AutoencoderLight) -> tuple[torch.Tensor, torch.Tensor]:
+        """(the brightest pixel's share of the light, all light) at each step."""
+        energy = luminance(light.radiance(turned)).double() * grid.solid_angles
+        return energy.amax(1) / energy.sum(1), energy.sum(1)
+
+    (share, total), (sharp_share, sharp_total) = suns(smooth), suns(sharp)
+    torch.testing.assert_close(total, sharp_total, rtol=1e-3, atol=0.0)
+    # a sharp sun between two pixels is torn in halves; a spread one hardly changes
+    assert float(share.amax() / share.amin()) < 1.5 < float(sharp_share.amax() / sharp_share.amin())
+    energy = luminance(smooth.radiance(turned)).double() * grid.solid_angles
+    near = grid.directions @ direction_from_angles(*sun_angles(params)) > math.cos(0.15)
+    middle = (energy * near) @ grid.directions
+    azimuth = torch.atan2(middle[:, 0], -middle[:, 2]).float()
+    torch.testing.assert_close(azimuth.diff(), steps.diff(), rtol=0.2, atol=0.0)
+
+
+def sun_angles(params: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """(azimuth, zenith angle) of the sun of one set of parameters."""
+    zenith = math.pi / 2 * torch.sigmoid(1.5 * params[0, LATENT - COORDINATES].double())
+    return params[0, LATENT].double(), zenith
