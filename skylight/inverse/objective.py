@@ -13,11 +13,13 @@ from torch import Tensor
 
 from skylight.models.base import LightModel, Prior, without_azimuth
 from skylight.models.ground import LambertianGround, ground_prior
+from skylight.models.prior import GaussianMixture
 from skylight.transport.matrix import DiffuseTransport
 from skylight.transport.observation import Observation
 
 CHARBONNIER_EPSILON = 1e-6
 MOST_ALBEDO = 0.95  # of skin, in any channel
+DAYLIGHT_HUE = 0.2  # in the log of each channel against their mean
 SCALES = 2.0 ** torch.arange(-4, 4.01, 0.125)  # of albedo against light
 GLOSS_SPREAD = 0.7  # of log gloss: skin from matt to oily, a factor of two either way
 
@@ -126,7 +128,7 @@ class SkyObjective:
         faces: Sequence[FaceTerm],
         model: LightModel,
         light_prior: Prior,
-        albedo_prior: Prior,
+        albedo_prior: GaussianMixture,
         weights: ObjectiveWeights,
     ) -> None:
         self.faces = tuple(faces)
@@ -134,6 +136,8 @@ class SkyObjective:
         self.model = model
         self.light_prior = light_prior
         self.albedo_prior = albedo_prior
+        grey = torch.full((3, 3), 1 / 3)
+        self.tone_prior = albedo_prior.widened(DAYLIGHT_HUE**2 * (torch.eye(3) - grey))
         self.weights = weights
         self.ground = LambertianGround(model.grid.layout[0])  # type: ignore[index]
         self.ground_prior = ground_prior()
@@ -214,7 +218,9 @@ class SkyObjective:
         probability p(c) and s is answered, light is off by |c/s - 1| of itself, and
         sum p(c) |c/s - 1| is least where s is the median of c under the weights p(c) c. Where
         only one tone is likely that is its own; between a dark and a light skin it leans to the
-        light one, since light ten times too bright is a larger error than a tenth of it.
+        light one, since light ten times too bright is a larger error than a tenth of it. The
+        albedo's hue is as uncertain as the light's, by :data:`DAYLIGHT_HUE`, and p(c) allows for
+        it: a skin that looks a little grey need not be the darkest.
         """
         parts = self.unpack(free)
         exposure, gloss, albedo = parts.exposure.clone(), parts.gloss.clone(), parts.albedo.clone()
@@ -222,7 +228,7 @@ class SkyObjective:
         for photo in range(self.photo_count):
             mine = [k for k, face in enumerate(self.faces) if face.photo == photo]
             tried = scales[:, None, None, None] * albedo[None, :, mine]
-            rarity = -self.weights.albedo_prior * self.albedo_prior.log_prob(
+            rarity = -self.weights.albedo_prior * self.tone_prior.log_prob(
                 tried.log().flatten(0, 2)
             ).unflatten(0, tried.shape[:3])
             glossy = torch.tensor([self.faces[k].gloss is not None for k in mine]).to(free)

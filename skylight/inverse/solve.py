@@ -15,6 +15,7 @@ from skylight.inverse.posterior import sun_evidence, sun_posterior
 from skylight.inverse.scan import SCAN_HEIGHT, scan_sun
 from skylight.inverse.starts import choose_starts
 from skylight.models.base import LightModel, Prior
+from skylight.models.prior import GaussianMixture
 from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.transport.observation import Observation
 
@@ -74,7 +75,7 @@ class SkyProblem:
         self,
         model: LightModel,
         light_prior: Prior,
-        albedo_prior: Prior,
+        albedo_prior: GaussianMixture,
         albedo_modes: Float[Tensor, "k 3"],
         options: SolverOptions | None = None,
     ) -> None:
@@ -206,7 +207,7 @@ def solve_sky(
     observation: Observation,
     model: LightModel,
     light_prior: Prior,
-    albedo_prior: Prior,
+    albedo_prior: GaussianMixture,
     albedo_modes: Float[Tensor, "k 3"],
     options: SolverOptions | None = None,
     progress: Callable[[float], None] | None = None,

@@ -149,3 +149,29 @@ def test_what_is_no_mixture_is_refused() -> None:
         GaussianMixture(torch.ones(1), torch.zeros(1, 2), torch.ones(1, 2, 2))
     with pytest.raises(ValueError, match="finite"):
         GaussianMixture(torch.ones(1), torch.full((1, 2), math.nan), eye)
+
+
+def test_a_widened_mixture_is_the_density_of_noisy_samples() -> None:
+    generator = torch.Generator().manual_seed(4)
+    factors = torch.randn(2, 3, 3, generator=generator, dtype=torch.float64).triu() * 0.3
+    factors += 2 * torch.eye(3)
+    mixture = GaussianMixture(
+        torch.tensor([0.3, 0.7]).double(),
+        torch.randn(2, 3, generator=generator, dtype=torch.float64),
+        factors,
+    )
+    grey = torch.eye(3).double() - 1 / 3  # semi-definite
+    x = torch.randn(20, 3, generator=generator, dtype=torch.float64)
+    expected = sum(
+        weight
+        * torch.distributions.MultivariateNormal(
+            mean, torch.linalg.inv(factor @ factor.T) + 0.5 * grey
+        )
+        .log_prob(x)
+        .exp()
+        for weight, mean, factor in zip(
+            mixture.weights, mixture.means, mixture.precision_factors, strict=True
+        )
+    )
+    torch.testing.assert_close(mixture.widened(0.5 * grey).log_prob(x), expected.log())
+    torch.testing.assert_close(mixture.widened(0 * grey).log_prob(x), mixture.log_prob(x))
