@@ -19,7 +19,7 @@ from skimage.data import astronaut
 
 import skylight
 from skylight.app.estimate import estimate
-from skylight.app.results import results_folder
+from skylight.app.results import MESHES, results_folder
 from skylight.app.sky_folders import with_time_left
 from skylight.cli import Landmarks, Light, MapLayout, explain, main
 from skylight.errors import AssetError, InputError, OutputError
@@ -96,6 +96,9 @@ class TestResults:
         assert len(told["params"]) == 27
         (face,) = told["faces"]
         assert face["source"] == told["sources"][0]
+        assert face["landmarker"] == "dlib"
+        assert face["landmark_score"] > 0
+        assert "ai-edge-litert" in told["versions"]
         assert 0 < min(face["albedo"]) < max(face["albedo"]) < 1
 
     def test_both_maps_hold_the_same_light(self, results: Path) -> None:
@@ -233,9 +236,12 @@ class TestFailures:
     def test_face_that_is_not_there(
         self, portrait: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        arguments = ["estimate", str(portrait), "--face", "2", "--out", str(tmp_path / "out")]
-        assert main(arguments) == 2
-        assert "no face 2" in one_line(capsys)
+        for number in ("2", "0"):
+            out = str(tmp_path / "out")
+            assert main(["estimate", str(portrait), "--face", number, "--out", out]) == 2
+            line = one_line(capsys)
+            assert f"no face {number}" in line
+            assert "choose --face 1 to 1" in line
 
     @pytest.mark.parametrize(
         ("options", "message"),
@@ -299,6 +305,23 @@ class TestFailures:
         assert (seen.number, seen.name) == (2, "group.png, face 2")
         (advice,) = [line for line in result.estimate.advice if "left out" in line]
         assert "group.png, face 1: the face is turned away" in advice
+
+    def test_photographs_without_a_face_keep_their_numbers(
+        self, portrait: Path, tmp_path: Path
+    ) -> None:
+        _landscape(tmp_path / "hills.png")
+        photos = [skylight.read_photo(path) for path in (tmp_path / "hills.png", portrait)]
+        result = estimate_photos(photos, light="sh9", sources=["hills.png", "portrait.png"])
+        (seen,), (light,) = result.seen, result.estimate.faces
+        assert seen.photo == light.photo == 1
+        assert any("left out: hills.png: no face" in line for line in result.estimate.advice)
+
+    def test_arrays_are_told_apart(self) -> None:
+        hills = np.random.default_rng(7).integers(0, 255, (64, 64, 3), dtype=np.uint8)
+        with pytest.raises(InputError, match=r"picture 1: no face.*; picture 2: no face"):
+            estimate(hills, hills, light="sh9")
+        with pytest.raises(InputError, match="the picture: no face"):
+            estimate(hills, light="sh9")
 
     def test_folder_that_cannot_be_written(
         self, portrait: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -375,7 +398,7 @@ class TestFailures:
 
 class TestResultsFolder:
     def fill(self, folder: Path, *names: str, stop: BaseException | None = None) -> None:
-        with results_folder(folder) as partial:
+        with results_folder(folder, MESHES) as partial:
             for name in names:
                 (partial / name).write_text("new")
             if stop:
@@ -391,6 +414,19 @@ class TestResultsFolder:
                 self.fill(folder, "a.txt", stop=stop)
         assert contents(old) == {"a.txt": b"good"}
         assert not new.exists()
+
+    def test_meshes_of_an_earlier_run_go_and_nothing_else(self, tmp_path: Path) -> None:
+        mine = ("mesh_of_me.obj", "mesh_1.ply")
+        for name in mine:
+            (tmp_path / name).write_text("mine")
+        self.fill(tmp_path, "mesh_1.obj", "mesh_2.obj", "mesh_10.obj")
+        with pytest.raises(KeyboardInterrupt):
+            self.fill(tmp_path, "mesh.obj", stop=KeyboardInterrupt())
+        assert {*contents(tmp_path)} == {*mine, "mesh_1.obj", "mesh_2.obj", "mesh_10.obj"}
+        self.fill(tmp_path, "mesh.obj")
+        assert {*contents(tmp_path)} == {*mine, "mesh.obj"}
+        self.fill(tmp_path, "mesh_1.obj", "mesh_2.obj")
+        assert {*contents(tmp_path)} == {*mine, "mesh_1.obj", "mesh_2.obj"}
 
     def test_a_folder_in_a_files_place_is_kept(self, tmp_path: Path) -> None:
         (tmp_path / "b.txt").mkdir()

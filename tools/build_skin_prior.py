@@ -96,7 +96,8 @@ def sensitivities(nm: Float[ndarray, " n"]) -> Float[ndarray, "3 n"]:
 def melanin(nm: Float[ndarray, " n"], chromophores: dict[str, ndarray]) -> Float[ndarray, " n"]:
     """Absorption of melanin, 1 at 550 nm.
 
-    The table starts at 450 nm; it is a power law (nm^-3.33, Jacques), which is continued below.
+    The table starts at 450 nm; it is a power law, 6.6e11 nm^-3.33 per cm (S. L. Jacques, "Skin
+    Optics", Oregon Medical Laser Center News, January 1998), which is continued below.
     """
     table = np.log(chromophores["Melanin_wl"]), np.log(chromophores["Melanin_mua_per_cm"])
     exponent, _ = np.polyfit(*table, 1)

@@ -26,7 +26,7 @@ def describe_posterior(posterior: SunPosterior) -> dict[str, object]:
         "region_sr": posterior.region_sr,
         "region_radius_deg": math.degrees(posterior.region_radius_rad),
         "region_parts": [
-            {"share": part.share, **_angles(part.peak)}
+            {"share": part.share, **named_angles(part.peak)}
             for part in posterior.parts
             if part.share >= 0.01
         ],
@@ -36,9 +36,15 @@ def describe_posterior(posterior: SunPosterior) -> dict[str, object]:
     }
 
 
-def _angles(direction: Float[Tensor, "3"]) -> dict[str, float]:
+def angles_deg(direction: Float[Tensor, "3"]) -> tuple[float, float]:
+    """(azimuth, zenith) of a direction, degrees."""
     azimuth, zenith = angles_from_direction(direction)
-    return {"azimuth_deg": math.degrees(azimuth), "zenith_deg": math.degrees(zenith)}
+    return math.degrees(float(azimuth)), math.degrees(float(zenith))
+
+
+def named_angles(direction: Float[Tensor, "3"]) -> dict[str, float]:
+    """:func:`angles_deg` as estimate.json has them."""
+    return dict(zip(("azimuth_deg", "zenith_deg"), angles_deg(direction), strict=True))
 
 
 def sure_of_the_sun(posterior: SunPosterior) -> str:

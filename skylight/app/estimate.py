@@ -66,7 +66,10 @@ def estimate(
     InputError
         The picture cannot be used; the message says why and what to do.
     """
-    pictures = [as_photo(one, decode) for one in (image, *more)]
+    pictures = [
+        as_photo(one, decode, f"picture {number}" if more else "the picture")
+        for number, one in enumerate((image, *more), start=1)
+    ]
     return estimate_with_steps(
         [photo for photo, _ in pictures],
         [source for _, source in pictures],
@@ -120,15 +123,15 @@ def choose_landmarker(name: LandmarkerName, model: str | Path | None) -> FaceLan
     return default_landmarker()
 
 
-def as_photo(image: Image, decode: Decode | None) -> tuple[Photo, str]:
-    """(photo, what errors call it)."""
+def as_photo(image: Image, decode: Decode | None, name: str = "the picture") -> tuple[Photo, str]:
+    """(photo, what errors call it): ``name`` where it is no file."""
     if isinstance(image, str | Path):
         return read_photo(image, decode=decode), str(image)
     if isinstance(image, np.ndarray):
-        return photo_from_codes(image, decode=decode), "the picture"
+        return photo_from_codes(image, decode=decode), name
     if decode is not None:
         raise InputError("decode is for files and 8-bit codes: a Photo is decoded already")
-    return image, "the picture"
+    return image, name
 
 
 def check_device(device: Device) -> None:

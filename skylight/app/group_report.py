@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from skylight.app.doubt import draw_region, probe_title
+from skylight.app.doubt import angles_deg, draw_region, probe_title
 from skylight.app.report import (
     ACCENT,
     LIGHTS,
@@ -25,7 +25,7 @@ from skylight.app.report import (
     white_of,
     write_numbers,
 )
-from skylight.app.summary import sun_angles_deg, where
+from skylight.app.summary import where
 from skylight.imaging.photo import Photo
 from skylight.inverse.photo import PhotoEstimate
 from skylight.transport.scene import evaluation_scene
@@ -155,7 +155,7 @@ def _light(area: "SubFigure", result: PhotoEstimate) -> None:
 
 def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
     estimate = result.estimate
-    azimuth_deg, zenith_deg = sun_angles_deg(estimate)
+    azimuth_deg, zenith_deg = angles_deg(estimate.sun_direction)
     return [
         ("brightest", where(azimuth_deg, zenith_deg)),
         ("   azimuth, right of ahead", f"{azimuth_deg:+.0f}°"),

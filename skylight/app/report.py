@@ -11,8 +11,8 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from skylight.app.doubt import draw_region, probe_title
-from skylight.app.summary import sun_angles_deg, where
+from skylight.app.doubt import angles_deg, draw_region, probe_title
+from skylight.app.summary import where
 from skylight.faces.landmarks import DetectedFace
 from skylight.faces.model import HeadModel
 from skylight.faces.observe import FaceView
@@ -266,9 +266,14 @@ def over_grey(view: FaceView, rendered: Float[Tensor, "m 3"]) -> Float[Tensor, "
 def show_residual(
     axes: "Axes", view: FaceView, rendered: Float[Tensor, "m 3"], title: str
 ) -> "AxesImage":
-    """Relative difference of luminance, red where the render is too bright."""
-    seen = luminance(view.observation.pixels)
+    """Relative difference of luminance, red where the render is too bright.
+
+    To be brighter than an over-exposed pixel is no difference.
+    """
+    seen, clipped = luminance(view.observation.pixels), view.observation.clipped
     value = (luminance(rendered) - seen) / seen.mean()
+    if clipped is not None:
+        value = torch.where(clipped, value.clamp(max=0), value)
     canvas = np.full(tuple(view.image.shape[:2]), np.nan)
     rows, columns = view.observation.places.unbind(1)
     canvas[rows.numpy(), columns.numpy()] = value.numpy()
@@ -294,7 +299,7 @@ def _residual_bar(figure: "Figure", axes: "Axes", shown: "AxesImage") -> None:
 
 def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
     estimate, fit = result.estimate, result.fit
-    azimuth_deg, zenith_deg = sun_angles_deg(estimate)
+    azimuth_deg, zenith_deg = angles_deg(estimate.sun_direction)
     terms = estimate.terms.items()
     return [
         ("brightest", where(azimuth_deg, zenith_deg)),

@@ -1,6 +1,7 @@
 """A folder of results: all files of a run or, where it fails, those of the run before."""
 
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -19,13 +20,16 @@ from skylight.imaging.files import write_environment_map, write_json
 from skylight.imaging.photo import Photo
 from skylight.inverse.photo import PhotoEstimate
 
+MESHES = re.compile(r"mesh(_[1-9][0-9]*)?\.obj")  # the files of :func:`mesh_names`
+
 
 @contextmanager
-def results_folder(out: Path) -> Iterator[Path]:
+def results_folder(out: Path, replaced: re.Pattern[str] | None = None) -> Iterator[Path]:
     """A temporary folder in ``out``; its files move to ``out`` when the block ends well.
 
     Made before the work starts, so that a folder that cannot be written to is found at once.
-    Whatever ends the block early, files of an earlier run stay as they were.
+    Whatever ends the block early, files of an earlier run stay as they were; when it ends well,
+    those whose whole name matches ``replaced`` go, whether or not there are new ones.
     """
     is_new = not out.exists()
     try:
@@ -44,6 +48,11 @@ def results_folder(out: Path) -> Iterator[Path]:
                 raise OutputError(f"cannot write {out / file.name}: a folder has that name")
         for file in made:
             os.replace(file, out / file.name)
+        names = {file.name for file in made}
+        if replaced is not None:
+            for file in sorted(out.iterdir()):
+                if file.is_file() and replaced.fullmatch(file.name) and file.name not in names:
+                    file.unlink()
     finally:
         shutil.rmtree(partial, ignore_errors=True)
         if is_new:

@@ -5,24 +5,22 @@ import platform
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 
-from skylight.app.doubt import describe_posterior, sure_of_the_sun
-from skylight.inverse.estimate import Estimate, FaceLight
+from skylight.app.doubt import angles_deg, describe_posterior, named_angles, sure_of_the_sun
+from skylight.inverse.estimate import FaceLight
 from skylight.inverse.photo import PhotoEstimate, SeenFace
-from skylight.sphere.frame import angles_from_direction
 
-PACKAGES = ("skylight", "torch", "numpy", "scipy", "dlib-bin", "embreex")
+PACKAGES = ("skylight", "torch", "numpy", "scipy", "dlib-bin", "ai-edge-litert", "embreex")
 
 
 def describe(result: PhotoEstimate, sources: Sequence[str]) -> dict[str, object]:
     """What estimate.json holds; ``skylight relight --latent`` reads the autoencoder's."""
     estimate = result.estimate
-    azimuth_deg, zenith_deg = sun_angles_deg(estimate)
     return {
         "sources": list(sources),
         "light": estimate.light,
         "frame": "the camera looks along -Z, the centre of the map; +X is the picture's right, "
         "+Y up; azimuth from -Z towards +X, zenith from +Y; linear Rec.709",
-        "sun": {"azimuth_deg": azimuth_deg, "zenith_deg": zenith_deg},
+        "sun": named_angles(estimate.sun_direction),
         "posterior": describe_posterior(estimate.posterior),
         "ground_albedo": estimate.ground_albedo.tolist(),
         "params": estimate.params.tolist(),
@@ -50,6 +48,8 @@ def _describe_face(seen: SeenFace, light: FaceLight, sources: Sequence[str]) -> 
         "gloss": light.gloss,
         "exposure": light.exposure,
         "residual": light.residual,
+        "landmarker": seen.face.landmarker,
+        "landmark_score": seen.face.score,
         "landmark_error": fit.landmark_error,
         "landmark_error_px": fit.landmark_error * eye_distance_px,
         "outer_eye_distance_px": eye_distance_px,
@@ -58,12 +58,6 @@ def _describe_face(seen: SeenFace, light: FaceLight, sources: Sequence[str]) -> 
         "fit_converged": fit.converged,
         "pixels_used": len(seen.view.observation.pixels),
     }
-
-
-def sun_angles_deg(estimate: Estimate) -> tuple[float, float]:
-    """(azimuth, zenith) of the brightest direction in the upper half, degrees."""
-    azimuth, zenith = angles_from_direction(estimate.sun_direction)
-    return math.degrees(float(azimuth)), math.degrees(float(zenith))
 
 
 def where(azimuth_deg: float, zenith_deg: float) -> str:
@@ -90,7 +84,7 @@ def _versions() -> dict[str, str | None]:
 def summary(result: PhotoEstimate) -> str:
     """A few lines for the terminal."""
     estimate = result.estimate
-    azimuth_deg, zenith_deg = sun_angles_deg(estimate)
+    azimuth_deg, zenith_deg = angles_deg(estimate.sun_direction)
     count = len(estimate.faces)
     labels = ["face"] if count == 1 else [f"face {n}" for n in range(1, count + 1)]
     return "\n".join(

@@ -135,7 +135,7 @@ def estimate(
     """
     from skylight.app.estimate import check_device, choose_landmarker, estimate_with_steps
     from skylight.app.progress import stage_bar
-    from skylight.app.results import mesh_names, results_folder, write_results
+    from skylight.app.results import MESHES, mesh_names, results_folder, write_results
     from skylight.app.summary import summary
     from skylight.imaging.photo import read_photo
 
@@ -151,7 +151,7 @@ def estimate(
     pictures = [read_photo(path, decode="linear" if linear else gamma) for path in paths]
     check_device(device)
     landmarker = choose_landmarker(landmarks, landmark_model)
-    with stage_bar() as progress, results_folder(out) as folder:
+    with stage_bar() as progress, results_folder(out, MESHES) as folder:
         result = estimate_with_steps(
             pictures,
             [str(path) for path in paths],

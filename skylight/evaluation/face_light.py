@@ -19,9 +19,9 @@ from skylight.faces.fit import FaceFit, fit_face
 from skylight.faces.landmarks import default_landmarker
 from skylight.faces.model import HeadModel
 from skylight.faces.observe import FaceView, observe_face
+from skylight.inverse.estimate import Estimate
 from skylight.inverse.photo import estimate_light
 from skylight.inverse.posterior import SunPosterior
-from skylight.inverse.solve import Estimate
 from skylight.models.shipped import LightName
 from skylight.sphere.envmap import EnvironmentMap
 
@@ -30,7 +30,7 @@ METHODS: tuple[LightName, ...] = ("sh9", "sh25", "sunsky", "autoencoder")
 
 
 @dataclass(frozen=True, kw_only=True)
-class FaceLight:
+class LitFace:
     """Estimates by method, all from one ``view``, and their metrics."""
 
     view: FaceView
@@ -59,7 +59,7 @@ def light_of(
     seconds: dict[str, float],
     *,
     face_height_px: int | None = None,
-) -> FaceLight:
+) -> LitFace:
     """Every method's light, with the head where ``fit`` says; transport is traced once.
 
     ``seconds`` is told what each stage took: "transport", and each method under its name.
@@ -79,7 +79,7 @@ def light_of(
             "cpu_seconds": time.process_time() - cpu_start,
             "transport_seconds": seconds["transport"],
         }
-    return FaceLight(view=view, estimates=estimates, metrics=metrics)
+    return LitFace(view=view, estimates=estimates, metrics=metrics)
 
 
 def coverage(posterior: SunPosterior, sun: Float[Tensor, "3"]) -> dict[str, float]:
@@ -98,10 +98,10 @@ def face_score(found: EnvironmentMap, face: KnownFace) -> dict[str, float]:
 
 @contextmanager
 def stage(seconds: dict[str, float], name: str) -> Iterator[None]:
-    """Notes the seconds that the block took."""
+    """Adds the seconds that the block took to those noted under ``name``."""
     start = time.perf_counter()
     yield
-    seconds[name] = time.perf_counter() - start
+    seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start
 
 
 def peak_mib() -> float:

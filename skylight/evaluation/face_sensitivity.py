@@ -4,6 +4,7 @@ As in the thesis every curve starts from the true head. All methods share one tr
 condition.
 """
 
+import zlib
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
@@ -76,7 +77,7 @@ class FaceSensitivity:
             label, changed, height = UNCHANGED, face, None
             if condition is not None:
                 label = condition.label
-                changed = perturbed(face, condition, noise_seed=sum(item.encode()))
+                changed = perturbed(face, condition, noise_seed=zlib.crc32(item.encode()))
                 if condition.factor == "size":
                     height = face_height_px(changed.truth)
             took: dict[str, float] = {}

@@ -1,5 +1,6 @@
 """Faces whose light, geometry and skin are known: rendered on the spot, or read from a folder."""
 
+import hashlib
 import json
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,13 +13,13 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.evaluation.rendered_faces.files import read_rendered_face, rendered_faces
+from skylight.evaluation.rendered_faces.scene_light import LOWEST_TRANSMITTANCE
 from skylight.faces.fit import FaceFit
 from skylight.faces.synthetic import SyntheticFace, render_face
 from skylight.models.ground import GROUND_ALBEDOS
 from skylight.skies.simulated import simulated_skies
 from skylight.sphere.envmap import EnvironmentMap
 
-LOWEST_TRANSMITTANCE = 0.5  # the sun is visible
 FIRST_SEED = 20_000_000
 _SEEDS_APART = 1000  # so that each face finds a day of its own
 
@@ -57,10 +58,19 @@ class FaceSource:
     seed: int = FIRST_SEED
 
     def config(self) -> dict[str, object]:
-        """What a face depends on besides its name."""
-        if self.data is not None:
-            return {"data": str(self.data.resolve())}
-        return {"size": self.size, "seed": self.seed}
+        """What a face depends on besides its name: of a folder, its faces' facts and pictures."""
+        if self.data is None:
+            return {"size": self.size, "seed": self.seed}
+        digest = hashlib.sha256()
+        for name in self.names():
+            face = self.data / name
+            try:
+                for part in (face / "face.json", face / "picture.png"):
+                    content = hashlib.sha256(part.read_bytes()).hexdigest()
+                    digest.update(f"{name} {part.name} {content}\n".encode())
+            except OSError as error:
+                raise InputError(f"{face}: no complete rendered face ({error})") from error
+        return {"faces": digest.hexdigest()}
 
     def names(self) -> list[str]:
         if self.data is None:
@@ -69,7 +79,9 @@ class FaceSource:
 
     def scene(self, name: str) -> int:
         """Which scene a face of the folder belongs to, from its facts alone."""
-        facts = (self.data or Path()) / name / "face.json"
+        if self.data is None:
+            raise InputError("only faces of a folder have scenes: give it as data")
+        facts = self.data / name / "face.json"
         try:
             return int(json.loads(facts.read_text(encoding="utf-8"))["scene"])
         except (OSError, ValueError, KeyError, TypeError) as error:

@@ -64,7 +64,7 @@ class RealFaces:
             across = float(estimate.environment.mean_direction(upper_only=True)[0])
             metrics[method] = {
                 "finite": float(bool(estimate.environment.radiance.isfinite().all())),
-                "residual": _residual(estimate, ours),
+                "residual": estimate.faces[0].residual,
                 "light_x": across,
             }
             if side is not None:
@@ -94,12 +94,6 @@ class RealFaces:
             name = f"light from the side that the note names, of {count:.0f} photographs"
             checks[name] = Check.at_least(ours["right_side"]["mean"], 0.8)
         return checks
-
-
-def _residual(estimate: Estimate, ours: PhotoEstimate) -> float:
-    """Mean deviation of the re-rendered face, relative to its mean luminance."""
-    true = luminance(ours.view.observation.pixels)
-    return float((luminance(estimate.rendered) - true).abs().mean() / true.mean())
 
 
 def _face(ours: PhotoEstimate) -> np.ndarray:

@@ -74,7 +74,8 @@ class SharedLight:
             fit = fitted_head(face, seconds)
             if fit is None:
                 return Item(name=item, metrics={}, problem=f"{name}: {NOT_FOUND}")
-            view = observe_face(face.picture, face.clipped, HeadModel.load(), fit)
+            with stage(seconds, "transport"):
+                view = observe_face(face.picture, face.clipped, HeadModel.load(), fit)
             observations.append(view.observation)
         metrics, first = {}, {}
         for count in COUNTS:

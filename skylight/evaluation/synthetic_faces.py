@@ -10,7 +10,7 @@ from skylight.evaluation.face_ablation import from_true_light, with_true_albedo
 from skylight.evaluation.face_light import (
     METHODS,
     NOT_FOUND,
-    FaceLight,
+    LitFace,
     coverage,
     face_score,
     fitted_head,
@@ -104,7 +104,7 @@ class SyntheticFaces:
         facts |= {"seconds": seconds, "peak_mib": peak_mib()}
         return Item(name=item, metrics=metrics, facts=facts)
 
-    def _known(self, face: KnownFace, found: FaceLight) -> dict[str, dict[str, float]]:
+    def _known(self, face: KnownFace, found: LitFace) -> dict[str, dict[str, float]]:
         """Rows in which something is known that is not in a photograph."""
         rows = {}
         if self.ablation:

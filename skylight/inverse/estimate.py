@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import Literal
 
-import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
@@ -18,9 +17,10 @@ UNEXPLAINED = 0.25  # a face whose residual is larger cannot be trusted
 class FaceLight:
     """What a face does with the light: it sees ``albedo * T l + gloss * G l`` with l exposed.
 
-    ``exposure`` is its photograph's; ``rendered`` (m,3) its observation's pixels, in the
-    photograph's radiance units; ``residual`` their mean deviation in luminance, relative to the
-    face's mean. ``gloss`` is 0 where a model leaves surface reflection out.
+    ``photo`` is the number of its photograph among all that were given, from 0, and ``exposure``
+    that photograph's; ``rendered`` (m,3) its observation's pixels, in the photograph's radiance
+    units; ``residual`` their mean deviation in luminance, relative to the face's mean. ``gloss``
+    is 0 where a model leaves surface reflection out.
     """
 
     photo: int
@@ -42,7 +42,7 @@ class Estimate:
     case), and ``advice`` says what to do where the result should not be trusted (empty where
     nothing is known against it). ``posterior`` says how sure the sun, exposure and albedo are.
 
-    Of several photographs the map has the first one's units: a face of another sees it times
+    Of several photographs the map has the first used one's units: a face of another sees it times
     the ratio of the two exposures. ``exposure``, ``albedo`` and ``rendered`` are the first face's.
     """
 
@@ -78,12 +78,16 @@ def residual(
 ) -> float:
     """Mean |rendered - seen| in luminance, relative to the mean luminance seen.
 
-    Where ``clipped``, what was seen is a lower bound, and more is no deviation.
+    Where ``clipped``, what was seen is a lower bound: both means leave out the bounds that are
+    kept. The residual is 0 where these are all there is.
     """
     true = luminance(seen)
     deviation = luminance(rendered) - true
     if clipped is not None:
-        deviation = torch.where(clipped, deviation.clamp(max=0), deviation)
+        counted = ~clipped | (deviation < 0)
+        if not bool(counted.any()):
+            return 0.0
+        deviation, true = deviation[counted], true[counted]
     return float(deviation.abs().mean() / true.mean())
 
 

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skylight.errors import InputError
 from skylight.inverse.estimate import UNEXPLAINED, Estimate, FaceLight, advice, residual
 from skylight.inverse.objective import ObjectiveWeights, charbonnier, data_term
 from skylight.inverse.posterior import sun_evidence, sun_posterior
@@ -55,10 +56,18 @@ class HarmonicProblem:
         self._scanned: list[Observation] = []
 
     def add(self, observation: Observation, photo: int = 0) -> None:
-        """One more face; photographs come in order, counted from 0."""
+        """One more face; photographs come in order, counted from 0.
+
+        Raises
+        ------
+        InputError
+            All of the face is over-exposed.
+        """
         weights = observation.weights
         if observation.clipped is not None:  # a linear fit has no use for bounds
             weights = weights * ~observation.clipped
+            if not bool((weights > 0).any()):
+                raise InputError("the whole face is over-exposed; use a darker picture")
         self._faces.append(replace(observation, gloss=None, weights=weights))
         self._photos.append(photo)
         self._scanned.append(observation.coarser(1).on_rows(SCAN_HEIGHT))
@@ -225,15 +234,3 @@ def _gauss_newton(
         if lit:
             change[1:, channel] += solution[coefficients:].clamp(-0.5, 1.0)
     return product, change
-
-
-def solve_harmonic(
-    observation: Observation,
-    model: HarmonicLight,
-    albedo_prior: Prior,
-    albedo_modes: Float[Tensor, "k 3"],
-) -> Estimate:
-    """:class:`HarmonicProblem` of one face."""
-    problem = HarmonicProblem(model, albedo_prior, albedo_modes)
-    problem.add(observation)
-    return problem.solve()

@@ -43,7 +43,8 @@ KEPT_ROWS = 16  # of the transport of several faces, once the solver has taken w
 class SeenFace:
     """Face ``number`` (1 is the largest) of photograph ``photo``, counted from 0, named ``name``.
 
-    Of several faces ``view.observation`` keeps its transport for :data:`KEPT_ROWS` rows only.
+    Where several heads were fitted, whether or not all could be used, ``view.observation`` keeps
+    its transport for :data:`KEPT_ROWS` rows only.
     """
 
     photo: int
@@ -124,9 +125,9 @@ def estimate_photos(
     Faces turned away by more than 60 degrees, those too small to use, and photographs without
     the wanted face are left out where others remain; a line of ``estimate.advice`` names each.
 
-    Memory: a face on 88 rows of pixels takes about 200 MB while its light is traced (T and gloss
-    of 3,000 to 4,000 pixels and 8,192 directions) and 190 MB from then on, so eight faces fit
-    in 2.5 GB.
+    Memory: a face on 72 rows of pixels takes about 160 MB while its light is traced (T and gloss
+    of about 2,500 pixels and 8,192 directions) and 130 MB from then on, so eight faces fit in
+    2.5 GB.
 
     Raises
     ------
@@ -220,8 +221,12 @@ def estimate_photos(
         if one.face.score < 0
     ]
     advice = (*estimate.advice, *unsure, *(f"left out: {reason}" for reason in left_out))
+    # the problem counts only the photographs that it was given
+    lights = tuple(
+        replace(light, photo=one.photo) for light, one in zip(estimate.faces, seen, strict=True)
+    )
     return PhotoEstimate(
-        estimate=replace(estimate, advice=advice), seen=tuple(seen), seconds=seconds
+        estimate=replace(estimate, faces=lights, advice=advice), seen=tuple(seen), seconds=seconds
     )
 
 

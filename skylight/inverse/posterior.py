@@ -1,8 +1,9 @@
 """How sure is the light? A density over the sun's direction, intervals, and a verdict.
 
-**Sun.** The linear scan finds the best explanation of a face with the sun at d. Its weights are
-divided by the deviations it leaves (to a floor), twice, so that brows, beards and highlights count
-for little; what is left is then about the mean absolute deviation m(d) over the face's mean.
+**Sun.** The linear scan finds the best explanation of a face with the sun at d. The weights are
+divided, for all d alike, by the deviations (to a floor) that the best d leaves, twice, so that
+brows, beards and highlights count for little; what is left is then about the mean absolute
+deviation m(d) over the face's mean.
 As in the objective, an explanation is unlikely by its deviation, in units of a temperature:
 
     L(d) ~ exp(-m(d) / t),
@@ -20,7 +21,10 @@ estimates are plain wrong. As a density over the hemisphere,
 **Exposure and albedo.** A picture fixes their product, and the prior over skin says how it may be
 split: see :func:`split_density`.
 
-Everything in :class:`DoubtModel` was fitted to rendered faces: ``tools/calibrate_posterior.py``.
+Of :class:`DoubtModel`, ``temperature``, ``estimate_rad``, ``estimate_height`` and
+``estimate_weight`` were fitted to rendered faces: ``tools/calibrate_posterior.py``. The others were
+set by looking at the faces of development: ``kernel_rad``, the error of fitted heads' poses,
+``sun_gain``, ``wide_rad`` and the ``..._spread``.
 """
 
 import math

@@ -1,6 +1,7 @@
 """Perturbations by exactly what was asked, and the curves made of them."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -140,3 +141,24 @@ def test_every_condition_has_a_row_for_each_method(tmp_path, monkeypatch):
     assert [round(pose_error_deg(fit, truth)) for fit, _ in seen] == [0, 0, 15, 15]
     # only a resampled picture sets how many pixels are looked at
     assert [height for _, height in seen] == [None, face_height_px(seen[1][0]), None, None]
+
+
+def test_every_face_has_noise_of_its_own(face, tmp_path, monkeypatch):
+    seeds = []
+
+    def noted(face, condition, noise_seed):
+        seeds.append(noise_seed)
+        return face
+
+    def light_of(*_, **__):
+        return SimpleNamespace(metrics={})
+
+    monkeypatch.setattr(FaceSource, "read", lambda self, name: face)
+    monkeypatch.setattr(face_sensitivity, "perturbed", noted)
+    monkeypatch.setattr(face_sensitivity, "light_of", light_of)
+    evaluation = FaceSensitivity(
+        source=replace(SOURCE, count=24), sizes=(), angles_deg=(0.0,), sigmas=(0.0, 1.1)
+    )
+    for name in evaluation.items():
+        evaluation.measure(name, tmp_path / "face.png")
+    assert len(seeds) == len(set(seeds)) == 24

@@ -8,6 +8,7 @@ import pytest
 
 from skylight.errors import InputError
 from skylight.evaluation import shared_light
+from skylight.evaluation.face_light import stage
 from skylight.evaluation.known_faces import FaceSource, KnownFace, rendered_here
 from skylight.evaluation.shared_light import SharedLight
 
@@ -71,6 +72,16 @@ def test_every_face_counts_once_for_each_number_of_faces(folder, estimated, tmp_
     # a turn of the sky turns a sun above the horizon by less; its brightest pixels leave a margin
     assert 0 < angle["4 faces"] < angle["2 faces"] < angle["1 face"] < 25
     assert (tmp_path / "scene.png").is_file()
+    seconds = item.facts["seconds"]
+    assert isinstance(seconds, dict)
+    assert {"transport", *angle} <= seconds.keys()
+
+
+def test_what_is_done_four_times_is_timed_in_sum():
+    seconds = {"head": 100.0}
+    with stage(seconds, "head"):
+        pass
+    assert 100 < seconds["head"] < 101
 
 
 def test_a_scene_with_a_face_that_is_not_found_is_left_out(folder, estimated, monkeypatch):

@@ -54,6 +54,17 @@ def test_every_value_of_a_grouping_fact_has_its_rows():
     }
 
 
+def test_every_verdict_has_its_rows():
+    verdicts = ("reliable", "doubtful", "reliable")
+    measured = [
+        Item(name=str(i), metrics={"autoencoder": {"mae": float(i)}}, facts={"verdict": verdict})
+        for i, verdict in enumerate(verdicts)
+    ]
+    groups = summarise_groups(measured)
+    assert list(groups) == ["verdict: doubtful", "verdict: reliable"]
+    assert groups["verdict: reliable"]["autoencoder"]["mae"]["mean"] == 1.0  # of 0 and 2
+
+
 def test_real_skies_stand_beside_the_thesis_too():
     page = markdown(results("sky-models-real", items()))
     assert "| MAE (s) | 1 ± 0.82 [1] | 2 ± 0.82 [2] |" in page

@@ -99,6 +99,17 @@ def test_every_error_is_the_least_possible(observation, probe):
         assert float(curve.error[place]) == pytest.approx(expected, rel=1e-4)
 
 
+def test_over_exposed_pixels_say_nothing(observation, probe):
+    clipped = torch.arange(60) % 4 == 0
+    cut = torch.where(clipped[:, None], 0.3 * observation.pixels, observation.pixels)
+    over = replace(observation, pixels=cut, clipped=clipped)
+    curve = azimuth_curve(over, probe)
+    rest = replace(observation, weights=observation.weights * ~clipped)
+    torch.testing.assert_close(curve.error, azimuth_curve(rest, probe).error)
+    blind = azimuth_curve(replace(over, clipped=None), probe)
+    assert float(curve.error.min()) < 1e-4 < 0.05 < float(blind.error.min())
+
+
 def test_the_relit_face_is_the_one_measured(observation, probe):
     matched = relit_face(observation, probe, 5 * 360 / WIDTH)
     torch.testing.assert_close(matched, observation.pixels, atol=1e-4, rtol=1e-4)

@@ -238,3 +238,14 @@ def test_the_smallest_region_of_equal_densities_is_as_large_as_its_share():
     density = torch.full((len(GRID),), 1 / (2 * math.pi), dtype=torch.float64)
     region = smallest_region(density, GRID.solid_angles, 0.5)
     assert float(GRID.solid_angles[region].sum()) == pytest.approx(math.pi, abs=2e-3)
+
+
+def test_faces_add_their_deviations_and_share_the_gain(lit_ball):
+    one, other = ball(light_of(FRONT, 0.6), noise=0.05), ball(light_of(towards(-120.0, 40.0), 0.3))
+    both = sun_evidence([one, other], [scan_face(one), scan_face(other)])
+    alone = lit_ball, watched(other)
+    torch.testing.assert_close(both.deviations, sum(face.deviations for face in alone))
+    unlit = sum(face.gain + float(face.deviations.min()) for face in alone)
+    assert both.gain == pytest.approx((unlit - float(both.deviations.min())) / 2)
+    twice = sun_evidence([one, one], [scan_face(one)] * 2)
+    assert twice.gain == pytest.approx(lit_ball.gain)

@@ -2,16 +2,20 @@
 
 import copy
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
+from skylight.errors import InputError
 from skylight.faces.skin import SkinPrior
-from skylight.inverse.harmonic import solve_harmonic
+from skylight.inverse.estimate import residual
+from skylight.inverse.harmonic import HarmonicProblem
 from skylight.inverse.objective import FaceTerm, SkyObjective
 from skylight.inverse.solve import Round, SolverOptions, solve_sky
 from skylight.models.harmonic import HarmonicLight
 from skylight.models.shipped import sunsky_light, sunsky_prior
+from skylight.sphere.envmap import luminance
 from skylight.sphere.frame import direction_from_angles
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.gloss import glossy_transport
@@ -195,8 +199,8 @@ def test_pictures_that_no_light_explains_come_with_advice(first):
     assert "unreliable" in advice
 
 
-@pytest.mark.parametrize("degree", [2, 4])
-def test_harmonic_light_is_reproduced(degree):
+def harmonic_ball(degree):
+    """A light model, and a ball in a light of that model."""
     transport, _, places = ball(rows=32)
     model = HarmonicLight(degree, height=32)
     generator = torch.Generator().manual_seed(degree)
@@ -210,15 +214,57 @@ def test_harmonic_light_is_reproduced(degree):
         places=places,
         transport=transport,
     )
-    found = solve_harmonic(observation, model, ALBEDO_PRIOR, MODES)
+    return model, observation
+
+
+def solve_harmonic(observation, model):
+    problem = HarmonicProblem(model, ALBEDO_PRIOR, MODES)
+    problem.add(observation)
+    return problem.solve()
+
+
+@pytest.mark.parametrize("degree", [2, 4])
+def test_harmonic_light_is_reproduced(degree):
+    model, observation = harmonic_ball(degree)
+    found = solve_harmonic(observation, model)
     error = (found.rendered - observation.pixels).abs().mean() / observation.pixels.mean()
     assert float(error) < 0.01
     assert (found.albedo == MODES).all(1).any()
     assert found.status == "converged"
     assert found.advice == ()
-    again = solve_harmonic(observation, model, ALBEDO_PRIOR, MODES)
+    again = solve_harmonic(observation, model)
     torch.testing.assert_close(again.params, found.params, rtol=1e-5, atol=1e-6)
-    brighter = solve_harmonic(observation.scaled(8.0), model, ALBEDO_PRIOR, MODES)
+    brighter = solve_harmonic(observation.scaled(8.0), model)
     torch.testing.assert_close(
         brighter.environment.radiance, 8 * found.environment.radiance, rtol=1e-3, atol=1e-3
     )
+
+
+def test_harmonic_light_is_found_from_what_is_not_over_exposed():
+    model, observation = harmonic_ball(2)
+    level = luminance(observation.pixels)
+    clipped = level > level.quantile(0.7)
+    cut = torch.where(clipped[:, None], 0.5 * observation.pixels, observation.pixels)
+    found = solve_harmonic(replace(observation, pixels=cut, clipped=clipped), model)
+    torch.testing.assert_close(found.rendered, observation.pixels, rtol=0.02, atol=0.0)
+    assert found.faces[0].residual < 0.01
+    blind = solve_harmonic(replace(observation, pixels=cut), model)
+    assert blind.faces[0].residual > 0.05
+
+
+def test_harmonic_light_needs_a_pixel_that_is_not_over_exposed():
+    model, observation = harmonic_ball(2)
+    white = torch.ones(len(observation.pixels), dtype=torch.bool)
+    with pytest.raises(InputError, match="whole face is over-exposed"):
+        HarmonicProblem(model, ALBEDO_PRIOR, MODES).add(replace(observation, clipped=white))
+
+
+def test_bounds_that_are_kept_leave_the_residual_alone():
+    seen = torch.tensor([1.0, 2.0, 4.0, 4.0])[:, None].expand(-1, 3)
+    rendered = torch.tensor([1.5, 2.0, 9.0, 3.0])[:, None].expand(-1, 3)
+    clipped = torch.tensor([False, False, True, True])
+    # 0.5, 0 and, from the bound that is not kept, 1 over a mean of 7 / 3
+    assert residual(rendered, seen, clipped) == pytest.approx(1.5 / 7)
+    assert residual(rendered[:3], seen[:3], clipped[:3]) == pytest.approx(0.5 / 3)
+    assert residual(rendered, seen) == pytest.approx(6.5 / 11)
+    assert residual(rendered[2:3], seen[2:3], clipped[2:3]) == 0

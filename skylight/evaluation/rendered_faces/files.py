@@ -3,6 +3,7 @@
 import json
 from dataclasses import asdict
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 import torch
@@ -94,7 +95,7 @@ def read_rendered_face(folder: Path) -> RenderedFace:
         plain = {name: facts[name] for name in _FACTS}
         albedo, ground = torch.tensor(facts["albedo"]), torch.tensor(facts["ground_albedo"])
         sun = torch.tensor(facts["sun_direction"], dtype=torch.float64)
-    except (OSError, KeyError, ValueError, TypeError) as error:
+    except (OSError, KeyError, ValueError, TypeError, BadZipFile, EOFError) as error:
         raise InputError(f"{folder}: no complete rendered face ({error})") from error
     codes = torch.from_numpy(encoded)
     landmarks = arrays.pop("landmarks")

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Float
@@ -47,7 +48,7 @@ def skin_colour() -> RegularGridInterpolator:
         with source.open("rb") as stream, np.load(stream) as stored:
             axes = np.log(stored["melanin"]), np.log(stored["blood"])
             return RegularGridInterpolator(axes, np.log(stored["albedo"]))
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, KeyError, ValueError, BadZipFile, EOFError) as error:
         raise AssetError(f"{source} cannot be read ({error}); reinstall skylight") from error
 
 

@@ -25,7 +25,7 @@ class Clipping:
     ``azimuth_deg``, ``zenith_deg``  middle of the largest.
     ``light_share``      of the light from all directions, the share that is counted there. It is
                          counted at the level of saturation, so the true share is at least this.
-    ``irradiance``       sum of L dw over it, red, green and blue; the true one is at least this.
+    ``radiance_sr``      sum of L dw over it, red, green and blue; the true one is at least this.
     """
 
     solid_angle_sr: float
@@ -33,7 +33,7 @@ class Clipping:
     azimuth_deg: float
     zenith_deg: float
     light_share: float
-    irradiance: tuple[float, float, float]
+    radiance_sr: tuple[float, float, float]
 
     def sentence(self) -> str:
         """For the user."""
@@ -68,7 +68,7 @@ def find_clipping(probe: ProbeMap) -> Clipping | None:
         azimuth_deg=math.degrees(float(azimuth)),
         zenith_deg=math.degrees(float(zenith)),
         light_share=float(luminance(held) / luminance(total).clamp(min=1e-30)),
-        irradiance=(float(held[0]), float(held[1]), float(held[2])),
+        radiance_sr=(float(held[0]), float(held[1]), float(held[2])),
     )
 
 

@@ -1,6 +1,7 @@
 """Folders of faces: whole, resumed, reproducible, and read as they were written."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -108,11 +109,22 @@ def test_folders_without_faces_or_with_damaged_ones_are_named(folder: Path, tmp_
         read_rendered_face(face)
 
 
+@pytest.mark.parametrize("kept", [0, 1000])
+def test_a_damaged_mesh_is_named(folder: Path, tmp_path: Path, kept: int) -> None:
+    face = shutil.copytree(folder / "face0000", tmp_path / "face0000")
+    whole = (face / "mesh.npz").read_bytes()
+    (face / "mesh.npz").write_bytes(whole[:kept])
+    with pytest.raises(InputError, match="face0000"):
+        read_rendered_face(face)
+
+
 def test_the_command_renders_and_refuses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = str(tmp_path / "faces")
-    options = ["--size", "32", "--samples", "1", "--workers", "1"]
+    # the module's options, whose day is already found
+    options = ["--size", "40", "--samples", "4", "--seed", "1", "--per-scene", "2", "--hair"]
+    options += ["--workers", "1"]
     assert main(["faces", "render", "--count", "1", "--out", out, *options]) == 0
     assert "1 faces, 1 of them rendered now" in capsys.readouterr().out
     assert main(["faces", "render", "--count", "0", "--out", out]) == 2

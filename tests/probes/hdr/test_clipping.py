@@ -39,7 +39,7 @@ def test_a_clipped_disc_in_a_ball() -> None:
     azimuth = math.degrees(math.atan2(SUN[0], -SUN[2]))
     assert (found.azimuth_deg, found.zenith_deg) == pytest.approx((azimuth, zenith), abs=1.0)
     # every channel is counted with 50, the level of saturation
-    assert min(found.irradiance) > 50 * true
+    assert min(found.radiance_sr) > 50 * true
     assert 0 < found.light_share < 1
     assert f"azimuth {azimuth:.0f}" in found.sentence()
 
