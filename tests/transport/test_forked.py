@@ -41,9 +41,11 @@ def test_the_death_of_a_helper_is_told():
 
 
 def test_an_interrupt_ends_all_processes_and_says_so_once():
+    # a job in a shell's background starts with interrupts ignored
     program = """
-import time
+import signal, time
 from skylight.transport.forked import in_processes
+signal.signal(signal.SIGINT, signal.default_int_handler)
 print("on", flush=True)
 in_processes(lambda i: time.sleep(0.2), 1000, workers=3)
 """

@@ -45,7 +45,7 @@ def sunny(row: int, column: int) -> EnvironmentMap:
 @pytest.mark.parametrize("column", [3, 20, 28])
 def test_layers_agree_with_our_own_renderer(column: int) -> None:
     who, light = grey_person(0.05), sunny(5, column)
-    layers = trace(who, light, samples=36, seed=0)
+    layers = trace(who, light, samples=64, seed=0)
     mesh, faces = torch.from_numpy(who.points), torch.from_numpy(SmoothHead.load().faces.copy())
     caster = Raycaster(mesh, faces)
     surface = rasterize(who.truth.camera, mesh, faces, caster)
@@ -57,7 +57,7 @@ def test_layers_agree_with_our_own_renderer(column: int) -> None:
     bare = torch.from_numpy(seen_parts(who).bare)[rows, columns]
     # Schlick's formula, ours, is up to a quarter below Fresnel's for light at 60 degrees
     for ours, theirs, low, high in (
-        (diffuse, layers.diffuse, 0.98, 1.02),
+        (diffuse, layers.diffuse, 0.97, 1.03),
         (both - diffuse, layers.gloss, 0.97, 1.2),
     ):
         a, b = ours[bare].numpy(), theirs[rows, columns][bare.numpy()]
@@ -73,7 +73,7 @@ def test_the_sun_lights_its_own_side() -> None:
     columns = np.nonzero(bare)[1]
     left = bare & (np.arange(48)[None] < np.median(columns))
     for column, brighter in ((6, left), (26, bare & ~left)):  # a sun behind the camera
-        light = trace(who, sunny(4, column), samples=8, seed=1).diffuse.mean(2)
+        light = trace(who, sunny(4, column), samples=16, seed=1).diffuse.mean(2)
         other = bare & ~brighter
         assert light[brighter].mean() > 1.2 * light[other].mean()
 
@@ -82,7 +82,7 @@ def test_skin_throws_light_onto_skin() -> None:
     """An even light makes a convex body as bright as its albedo, a face darker: less so if pale."""
     white = EnvironmentMap(radiance=torch.ones(16, 32, 3))
     pale, dark = (
-        trace(grey_person(albedo), white, samples=16, seed=2).diffuse / albedo
+        trace(grey_person(albedo), white, samples=32, seed=2).diffuse / albedo
         for albedo in (0.8, 0.05)
     )
     bare = seen_parts(grey_person(0.8)).bare
@@ -91,7 +91,7 @@ def test_skin_throws_light_onto_skin() -> None:
 
 
 def test_layers_say_what_colour_they_show_and_what_they_cover() -> None:
-    layers = trace(grey_person(0.3), sunny(5, 3), samples=4, seed=3)
+    layers = trace(grey_person(0.3), sunny(5, 3), samples=16, seed=3)
     np.testing.assert_allclose(layers.albedo, 0.3 * layers.cover[..., None].repeat(3, 2), atol=1e-5)
     assert layers.cover.max() == 1
     assert layers.cover[0, 0] == 0
