@@ -22,8 +22,8 @@ from skylight.faces.captures import (
 from skylight.imaging.colour import tone_map
 from skylight.imaging.files import write_png
 from skylight.imaging.photo import read_photo
+from skylight.inverse.estimate import Estimate
 from skylight.inverse.photo import estimate_light, estimate_photo
-from skylight.inverse.solve import Estimate
 from skylight.models.shipped import LightName
 from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.transport.scene import evaluation_scene

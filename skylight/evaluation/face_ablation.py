@@ -3,8 +3,6 @@
 (The third answer, true geometry, is a matter of which head the transport is traced on.)
 """
 
-import copy
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -19,6 +17,7 @@ from skylight.evaluation.sky_fits import (
 )
 from skylight.faces.skin import SkinPrior
 from skylight.inverse.estimate import Estimate
+from skylight.inverse.photo import skin_prior, smooth_autoencoder
 from skylight.inverse.solve import solve_sky
 from skylight.models.autoencoder import CENTRE_AZIMUTH_RAD
 from skylight.models.prior import GaussianMixture
@@ -39,15 +38,14 @@ def with_true_albedo(observation: Observation, face: KnownFace) -> Estimate:
         means=face.albedo.log()[None],
         precision_factors=torch.eye(3)[None] / KNOWN_WITHIN,
     )
-    return solve_sky(observation, autoencoder_light(), latent_prior(), known, face.albedo[None])
+    return solve_sky(observation, smooth_autoencoder(), latent_prior(), known, face.albedo[None])
 
 
 def from_true_light(observation: Observation, face: KnownFace) -> Estimate:
     """Only one start: the parameters that fit the true sky."""
-    skin = SkinPrior.load()
-    prior = copy.deepcopy(skin.log_albedo).float()
     model = OneStart(true_parameters(face.environment))
-    return solve_sky(observation, model, latent_prior(), prior, skin.means.float())
+    modes = SkinPrior.load().means.float()
+    return solve_sky(observation, model, latent_prior(), skin_prior(), modes)
 
 
 def true_parameters(
@@ -72,7 +70,7 @@ class OneStart:
     """The autoencoder with nowhere to start from but ``parameters``."""
 
     def __init__(self, parameters: Float[Tensor, "1 p"]) -> None:
-        model = autoencoder_light()
+        model = smooth_autoencoder()
         self.model = model
         self.parameters = parameters
         self.name = model.name

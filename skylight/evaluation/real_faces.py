@@ -14,8 +14,8 @@ from skylight.evaluation.run import Check, Item
 from skylight.imaging.colour import tone_map
 from skylight.imaging.files import write_png
 from skylight.imaging.photo import read_photo
+from skylight.inverse.estimate import Estimate
 from skylight.inverse.photo import PhotoEstimate, estimate_light, estimate_photo
-from skylight.inverse.solve import Estimate
 from skylight.models.shipped import LightName
 from skylight.sphere.envmap import luminance
 

@@ -19,6 +19,7 @@ from skylight.imaging.photo import Photo
 from skylight.inverse.estimate import Estimate
 from skylight.inverse.harmonic import HarmonicProblem
 from skylight.inverse.solve import SkyProblem, SolverOptions
+from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.harmonic import HarmonicLight
 from skylight.models.prior import GaussianMixture
 from skylight.models.shipped import (
@@ -255,17 +256,21 @@ def light_problem(
 ) -> SkyProblem | HarmonicProblem:
     """The problem of finding light by the shipped model of that name; faces are added to it."""
     check_light_name(light)
-    skin = _skin_prior()
+    skin = skin_prior()
     modes = SkinPrior.load().means.float()
     if light == "autoencoder":
-        model = autoencoder_light(sun_spread_rad=SUN_SPREAD_RAD)
-        return SkyProblem(model, latent_prior(), skin, modes, options)
+        return SkyProblem(smooth_autoencoder(), latent_prior(), skin, modes, options)
     if light == "sunsky":
         return SkyProblem(sunsky_light(), sunsky_prior(), skin, modes, options)
     return HarmonicProblem(HarmonicLight(2 if light == "sh9" else 4), skin, modes)
 
 
+def smooth_autoencoder() -> AutoencoderLight:
+    """The shipped autoencoder as faces are fitted with it: its sun moves smoothly."""
+    return autoencoder_light(sun_spread_rad=SUN_SPREAD_RAD)
+
+
 @cache
-def _skin_prior() -> GaussianMixture:
+def skin_prior() -> GaussianMixture:
     """The mixture over log albedo in single precision."""
     return copy.deepcopy(SkinPrior.load().log_albedo).float()

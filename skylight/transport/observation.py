@@ -57,6 +57,9 @@ class Observation:
 
         A direction of the coarse grid sends the same radiance from all fine pixels in it.
         """
+        here = self.transport.grid.layout
+        if here is not None and here[0] == rows:
+            return self
 
         def summed(transport: TransportMatrix) -> TransportMatrix:
             layout = transport.grid.layout
