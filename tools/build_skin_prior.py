@@ -11,8 +11,10 @@
 
 The 100 are mostly light, and an inner forearm is paler than its owner's face. So every spectrum is
 also taken with graded amounts of melanin and blood added (:func:`with_pigment`), turned to linear
-Rec.709 under D65, and a Gaussian mixture is fitted to the logarithms. The result depends on the
-inputs and ``--seed`` only.
+Rec.709 under D65, and a Gaussian mixture is fitted to the logarithms. What skin reflects at its
+surface is light's colour, and the shading model has a term of its own for it, so most of it is
+taken off: left in, the darkest skins are grey, and pale skin under a dim sky looks like them. The
+result depends on the inputs and ``--seed`` only.
 """
 
 import argparse
@@ -48,10 +50,12 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec.709
 # most colourful.
 SURFACE = (0.4 / 2.4) ** 2
 
-# Luminance that the mean subject is darkened to, grade by grade, evenly in its logarithm, from its
-# own 0.36. The ninth tone of the Monk scale has 0.033, the tenth, 0.018, less than the surface
-# alone.
-DARKEST = 0.034
+# How much of it is left in the albedo, evenly: photographs are not that exact. A choice.
+SURFACE_LEFT = (0.0, 0.25, 0.5)
+
+# Luminance, surface included, that the mean subject is darkened to (L* 27), grade by grade, evenly
+# in its logarithm, from its own 0.36. A choice: about the darkest skin there is.
+DARKEST = 0.05
 TONES = 9
 # Added blood, as the mean number of vessels that light crosses: it raises a* of the mean subject by
 # 0 to 7. Inner arms are the least red of the body sites that Xiao et al. 2017 measured, foreheads
@@ -139,7 +143,7 @@ def skin_albedos(
     reflectance: Float[ndarray, "s n"],
     chromophores: dict[str, ndarray],
 ) -> Float[ndarray, "a 3"]:
-    """Linear Rec.709 albedos of all subjects in every tone and redness."""
+    """Linear Rec.709 albedos of all subjects in every tone, redness and share of the surface."""
     weights = sensitivities(nm)
     spectra = melanin(nm, chromophores), blood(nm, chromophores)
     mean = reflectance.mean(axis=0, keepdims=True)
@@ -153,13 +157,14 @@ def skin_albedos(
     )
     tones = np.geomspace(luminance[0], DARKEST, TONES)
     grades = np.interp(-tones, -luminance, amounts)
-    return np.concatenate(
+    whole = np.concatenate(
         [
             with_pigment(reflectance, m, spectra[0], b, spectra[1]) @ weights.T
             for m in grades
             for b in BLOOD
         ]
     )
+    return np.concatenate([whole - (1 - left) * SURFACE for left in SURFACE_LEFT])
 
 
 def fit(albedos: Float[ndarray, "a 3"], seed: int) -> GaussianMixture:

@@ -61,6 +61,7 @@ def observe_face(
     *,
     face_height_px: int = 72,
     grid_height: int = 64,
+    specular: Specular | None = SKIN_GLOSS,
     workers: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> FaceView:
@@ -101,7 +102,9 @@ def observe_face(
         workers=workers,
         progress=progress,
     )
-    gloss = glossy_transport(transport, surface.normals[used], view[used], SKIN_GLOSS)
+    gloss = None
+    if specular is not None:
+        gloss = glossy_transport(transport, surface.normals[used], view[used], specular)
     # pixels seen at a slant cover more skin each and lie less surely: weight by the cosine
     observation = Observation(
         pixels=seen[used],

@@ -24,7 +24,8 @@ class SkinPrior:
     """Density over skin albedo a, linear Rec.709: a Gaussian mixture over log a.
 
     After Weyrich et al. 2006, whose albedos are not public. An albedo here is what a spectral
-    reflectance, the surface's few per cent included, becomes under D65.
+    reflectance becomes under D65, less most of the 2.8 % that the surface reflects: shading has a
+    term of its own for that.
     """
 
     log_albedo: GaussianMixture

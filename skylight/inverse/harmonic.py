@@ -9,14 +9,25 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.inverse.estimate import UNEXPLAINED, Estimate, FaceLight, advice, residual
-from skylight.inverse.objective import ObjectiveWeights, charbonnier, data_term
+from skylight.inverse.objective import (
+    ObjectiveWeights,
+    charbonnier,
+    data_term,
+    least_wrong_scale,
+    scale_rarity,
+    tone_prior,
+)
 from skylight.inverse.posterior import sun_evidence, sun_posterior
 from skylight.inverse.scan import SCAN_HEIGHT, scan_sun
-from skylight.models.base import Prior
 from skylight.models.harmonic import HarmonicLight, solve_linear
+from skylight.models.prior import GaussianMixture
+from skylight.sphere import harmonics
 from skylight.sphere.envmap import EnvironmentMap, luminance
+from skylight.sphere.grid import DirectionGrid
 from skylight.transport.observation import Observation
 
+ROWS = 32  # of transport: harmonics of degree 4 are smooth
+RIDGES = (1e-6, 1e-3, 1e-2, 1e-1, 1.0)
 REWEIGHTINGS = 8
 MOST_REWEIGHTINGS = 30  # where several faces share a light
 SETTLED = 1e-3  # a smaller relative change of the faces' colours
@@ -27,7 +38,8 @@ DAYLIGHT_CHROMA = 0.15  # by which daylight varies in the log of its channels' r
 class _Fit:
     """``product`` the first albedo times the coefficients, ``mean`` what that shades on average.
 
-    ``colour`` (f,3) the faces' factors on it, ``data`` the data term in nats.
+    ``colour`` (f,3) the faces' factors on it, ``data`` the data term of the light cut off at zero,
+    in nats.
     """
 
     product: Float[Tensor, "k 3"]
@@ -42,13 +54,20 @@ class HarmonicProblem:
     """SH coefficients from all faces under one light: give it each face, then solve.
 
     Surface reflection is left out: highlights count as outliers. Keeps each observation's
-    transport, without its gloss.
+    transport on :data:`ROWS` rows, without its gloss.
     """
 
+    grid_height = ROWS  # of the observations that it needs, and whether they need gloss
+    uses_gloss = False
+
     def __init__(
-        self, model: HarmonicLight, albedo_prior: Prior, albedo_modes: Float[Tensor, "k 3"]
+        self,
+        model: HarmonicLight,
+        albedo_prior: GaussianMixture,
+        albedo_modes: Float[Tensor, "k 3"],
     ) -> None:
         self.model = model
+        self.basis = harmonics.evaluate(DirectionGrid.latlong(ROWS).directions, model.degree)
         self.albedo_prior = albedo_prior
         self.albedo_modes = albedo_modes
         self._faces: list[Observation] = []
@@ -68,7 +87,7 @@ class HarmonicProblem:
             weights = weights * ~observation.clipped
             if not bool((weights > 0).any()):
                 raise InputError("the whole face is over-exposed; use a darker picture")
-        self._faces.append(replace(observation, gloss=None, weights=weights))
+        self._faces.append(replace(observation, gloss=None, weights=weights).on_rows(ROWS))
         self._photos.append(photo)
         self._scanned.append(observation.coarser(1).on_rows(SCAN_HEIGHT))
 
@@ -76,7 +95,9 @@ class HarmonicProblem:
         """Robust fit of SH coefficients by reweighted linear least squares, cut off at zero.
 
         A pixel's weight is divided by its mean Charbonnier residual over the channels, which
-        share it. Shading is linear in the coefficients, so there is no start to choose. Several
+        share it. Shading is linear in the coefficients, so there is no start to choose. A face
+        says little of what it does not see, and there the best coefficients swing far below zero;
+        of :data:`RIDGES` the one is taken whose light, cut off, explains the faces best. Several
         faces have a colour factor each (albedo times exposure; the first one's is 1), and light
         and factors are fitted together, by Gauss-Newton steps that share the reweighting.
         ``status`` is "converged" unless they did not settle.
@@ -92,7 +113,8 @@ class HarmonicProblem:
         environment = EnvironmentMap(radiance=radiance.reshape(*layout, 3).float())
         lights = []
         for face, photo, albedo in zip(faces, self._photos, albedos.float(), strict=True):
-            rendered = exposures[photo] * albedo * (face.transport.matrix @ environment.flat)
+            shading = face.transport.matrix @ environment.resize(ROWS).flat
+            rendered = exposures[photo] * albedo * shading
             lights.append(
                 FaceLight(
                     photo=photo,
@@ -115,7 +137,7 @@ class HarmonicProblem:
             exposure=lights[0].exposure,
             albedo=lights[0].albedo,
             gloss=None,
-            albedo_prior=self.albedo_prior,
+            albedo_prior=tone_prior(self.albedo_prior),
         )
         return Estimate(
             light=model.name,
@@ -132,9 +154,12 @@ class HarmonicProblem:
         )
 
     def _fit(self) -> "_Fit":
-        faces = self._faces
         # float64: rounding in the reweighting does not reach the float32 of the result
-        shading = [face.transport.project(self.model.basis).double() for face in faces]
+        shading = [face.transport.project(self.basis).double() for face in self._faces]
+        return min((self._fit_with(ridge, shading) for ridge in RIDGES), key=lambda fit: fit.data)
+
+    def _fit_with(self, ridge: float, shading: list[Float[Tensor, "_ k"]]) -> "_Fit":
+        faces = self._faces
         pixels = [face.pixels.double() for face in faces]
         means = [float(luminance(p).mean()) for p in pixels]
         # each face counts alike, as in the objective
@@ -150,6 +175,7 @@ class HarmonicProblem:
                 [p / c for p, c in zip(pixels, colour, strict=True)],
                 torch.cat(weights),
                 lit,
+                ridge,
             )
             lit = [one @ product for one in shading]
             colour = colour * change
@@ -162,8 +188,20 @@ class HarmonicProblem:
             if settled and rounds >= REWEIGHTINGS:
                 break
         shares = [w[:, None] / w.sum() / 3 for w in given]
+        # cut off at zero the light is brighter, and is dimmed for it
+        light = (self.basis @ product).clamp(min=0).float()
+        lit = [(face.transport.matrix @ light).double() for face in faces]
+        seen, shaded = (
+            torch.stack([(w[:, None] * one).sum(0) for w, one in zip(weights, values, strict=True)])
+            for values in ([p / c for p, c in zip(pixels, colour, strict=True)], lit)
+        )
+        dimming = seen.sum(0) / shaded.sum(0).clamp(min=1e-12)
+        lit = [one * dimming for one in lit]
+        gaps = [
+            (one * c - p) / mean for one, c, p, mean in zip(lit, colour, pixels, means, strict=True)
+        ]
         return _Fit(
-            product=product,
+            product=product * dimming,
             colour=colour,
             mean=torch.cat(lit).mean(0).clamp(min=1e-6 * means[0]),
             data=sum(
@@ -179,10 +217,11 @@ class HarmonicProblem:
     ) -> tuple[Float[Tensor, "f 3"], list[float]]:
         """(albedos, exposure of each photograph) from the faces' colour factors.
 
-        The fit knows only albedo times light. Of the skin prior's modes, as albedos of the first
-        photograph's faces, the one is taken that leaves the light most neutral, plus its
-        negative log-likelihood (the ambiguity of Eq. 5.9), for all faces that follow from it. A
-        further photograph is exposed so that one of its faces is as bright as a mode.
+        The fit knows only albedo times light (the ambiguity of Eq. 5.9). Of the skin prior's
+        modes, as albedos of the first photograph's faces, the one is taken that leaves the light
+        most neutral, plus its negative log-likelihood, for all faces that follow from it. A
+        further photograph is exposed so that one of its faces is as bright as a mode. Then every
+        photograph is brought to the :func:`least_wrong_scale` of its albedos.
         """
         modes = self.albedo_modes.double()
         rows = [[k for k, p in enumerate(self._photos) if p == n] for n in sorted({*self._photos})]
@@ -203,7 +242,15 @@ class HarmonicProblem:
                 if best is None or cost < best[0]:
                     best = cost, albedos, exposures
         assert best is not None
-        return best[1], best[2]
+        _, albedos, exposures = best
+        prior = tone_prior(self.albedo_prior)
+        for photo, mine in enumerate(rows):
+            rarity = scale_rarity(albedos[mine][None].float(), prior)
+            scale = float(least_wrong_scale(rarity))
+            albedos[mine] *= scale
+            # the light is the one over the first albedo: it changes with the first photograph
+            exposures[photo] /= scale
+        return albedos, [exposure / exposures[0] for exposure in exposures]
 
     def _rarity(self, albedos: Float[Tensor, "f 3"]) -> float:
         """-ln p of all albedos together."""
@@ -215,6 +262,7 @@ def _gauss_newton(
     pixels: list[Float[Tensor, "_ 3"]],
     weights: Float[Tensor, " m"],
     lit: list[Float[Tensor, "_ 3"]],
+    ridge: float,
 ) -> tuple[Float[Tensor, "k 3"], Float[Tensor, "f 3"]]:
     """(coefficients, factors by which the faces' colours change), the first face's being 1.
 
@@ -229,7 +277,7 @@ def _gauss_newton(
         if lit:
             column = [one[:, channel : channel + 1] for one in lit]
             basis = torch.cat([basis, torch.block_diag(*column)[:, 1:]], 1)
-        solution = solve_linear(basis, torch.cat(pixels), weights)[:, channel]
+        solution = solve_linear(basis, torch.cat(pixels), weights, ridge=ridge)[:, channel]
         product[:, channel] = solution[:coefficients]
         if lit:
             change[1:, channel] += solution[coefficients:].clamp(-0.5, 1.0)

@@ -136,8 +136,7 @@ class SkyObjective:
         self.model = model
         self.light_prior = light_prior
         self.albedo_prior = albedo_prior
-        grey = torch.full((3, 3), 1 / 3)
-        self.tone_prior = albedo_prior.widened(DAYLIGHT_HUE**2 * (torch.eye(3) - grey))
+        self.tone_prior = tone_prior(albedo_prior)
         self.weights = weights
         self.ground = LambertianGround(model.grid.layout[0])  # type: ignore[index]
         self.ground_prior = ground_prior()
@@ -214,29 +213,17 @@ class SkyObjective:
 
         Albedo and gloss times c under 1/c of a photograph's exposure look the same: only the
         priors know c, and between skins of different tone they have valleys that a descent does
-        not cross. Every photograph's c is one of :data:`SCALES`. If c is the truth with
-        probability p(c) and s is answered, light is off by |c/s - 1| of itself, and
-        sum p(c) |c/s - 1| is least where s is the median of c under the weights p(c) c. Where
-        only one tone is likely that is its own; between a dark and a light skin it leans to the
-        light one, since light ten times too bright is a larger error than a tenth of it. The
-        albedo's hue is as uncertain as the light's, by :data:`DAYLIGHT_HUE`, and p(c) allows for
-        it: a skin that looks a little grey need not be the darkest.
+        not cross. Every photograph's c is that of :func:`least_wrong_scale`.
         """
         parts = self.unpack(free)
         exposure, gloss, albedo = parts.exposure.clone(), parts.gloss.clone(), parts.albedo.clone()
-        scales = SCALES.to(free)
         for photo in range(self.photo_count):
             mine = [k for k, face in enumerate(self.faces) if face.photo == photo]
-            tried = scales[:, None, None, None] * albedo[None, :, mine]
-            rarity = -self.weights.albedo_prior * self.tone_prior.log_prob(
-                tried.log().flatten(0, 2)
-            ).unflatten(0, tried.shape[:3])
             glossy = torch.tensor([self.faces[k].gloss is not None for k in mine]).to(free)
-            shine = (scales[:, None, None] * gloss[None, :, mine]).log() * glossy
-            cost = (rarity + 0.5 * (shine / GLOSS_SPREAD) ** 2).sum(2)
-            possible = (tried < MOST_ALBEDO).flatten(2).all(2) | (scales[:, None] == 1)
-            weight = (-torch.where(possible, cost, torch.inf)).softmax(0) * scales[:, None]
-            scale = scales[(weight.cumsum(0) < 0.5 * weight.sum(0)).sum(0)]
+            scale = least_wrong_scale(
+                scale_rarity(albedo[:, mine], self.tone_prior, self.weights.albedo_prior)
+                + gloss_rarity(gloss[:, mine], glossy)
+            )
             exposure[:, photo] /= scale
             gloss[:, mine] *= scale[:, None]
             albedo[:, mine] *= scale[:, None, None]
@@ -246,6 +233,46 @@ class SkyObjective:
         self, free: Float[Tensor, "b q"], index: Int[Tensor, " b"] | None = None
     ) -> Float[Tensor, " b"]:
         return torch.stack(list(self.terms(free).values())).sum(0)
+
+
+def tone_prior(albedo_prior: GaussianMixture) -> GaussianMixture:
+    """Over log albedo whose hue is as uncertain as the light's, by :data:`DAYLIGHT_HUE`.
+
+    A skin that looks a little grey need not be the darkest.
+    """
+    grey = torch.full((3, 3), 1 / 3)
+    return albedo_prior.widened(DAYLIGHT_HUE**2 * (torch.eye(3) - grey))
+
+
+def scale_rarity(
+    albedo: Float[Tensor, "b f 3"], prior: GaussianMixture, weight: float = 1.0
+) -> Float[Tensor, "s b"]:
+    """-ln p of the albedos of all faces at each of :data:`SCALES`; infinite beyond what is skin."""
+    scales = SCALES.to(albedo)
+    tried = scales[:, None, None, None] * albedo
+    rarity = -weight * prior.log_prob(tried.log().flatten(0, 2)).unflatten(0, tried.shape[:3])
+    possible = (tried < MOST_ALBEDO).flatten(2).all(2) | (scales[:, None] == 1)
+    return torch.where(possible, rarity.sum(2), torch.inf)
+
+
+def gloss_rarity(gloss: Float[Tensor, "b f"], glossy: Float[Tensor, " f"]) -> Float[Tensor, "s b"]:
+    """-ln p of the gloss of all faces at each of :data:`SCALES`, of those that are ``glossy``."""
+    shine = (SCALES.to(gloss)[:, None, None] * gloss).log() * glossy
+    return 0.5 * (shine / GLOSS_SPREAD).square().sum(2)
+
+
+def least_wrong_scale(rarity: Float[Tensor, "s b"]) -> Float[Tensor, " b"]:
+    """Of :data:`SCALES` on albedo the one whose light has the least expected relative error.
+
+    If c is the truth with probability p(c) = exp(-rarity) and s is answered, light is off by
+    |c/s - 1| of itself, and sum p(c) |c/s - 1| is least where s is the median of c under the
+    weights p(c) c. Where only one tone is likely that is its own; between a dark and a light skin
+    it leans to the light one, since light ten times too bright is a larger error than a tenth of
+    it.
+    """
+    scales = SCALES.to(rarity)
+    weight = (-rarity).softmax(0) * scales[:, None]
+    return scales[(weight.cumsum(0) < 0.5 * weight.sum(0)).sum(0)]
 
 
 def data_term(

@@ -13,7 +13,7 @@ from skylight.errors import InputError
 from skylight.faces.fit import FaceFit, fit_face
 from skylight.faces.landmarks import DetectedFace, FaceLandmarker, choose_face, default_landmarker
 from skylight.faces.model import HeadModel
-from skylight.faces.observe import FaceView, observe_face
+from skylight.faces.observe import SKIN_GLOSS, FaceView, observe_face
 from skylight.faces.skin import SkinPrior
 from skylight.imaging.photo import Photo
 from skylight.inverse.estimate import Estimate
@@ -191,6 +191,8 @@ def estimate_photos(
                     photos[one.photo].clipped,
                     model,
                     fit,
+                    grid_height=problem.grid_height,
+                    specular=SKIN_GLOSS if problem.uses_gloss else None,
                     workers=workers,
                     progress=told,
                 )

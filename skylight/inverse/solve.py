@@ -10,7 +10,7 @@ from torch import Tensor
 
 from skylight.inverse.estimate import UNEXPLAINED, Estimate, FaceLight, Status, advice, residual
 from skylight.inverse.lbfgs import minimise
-from skylight.inverse.objective import FaceTerm, ObjectiveWeights, SkyObjective
+from skylight.inverse.objective import FaceTerm, ObjectiveWeights, SkyObjective, tone_prior
 from skylight.inverse.posterior import sun_evidence, sun_posterior
 from skylight.inverse.scan import SCAN_HEIGHT, scan_sun
 from skylight.inverse.starts import choose_starts
@@ -71,6 +71,8 @@ class SkyProblem:
     of each observation once it is added, and eight such faces fit in 2.5 GB.
     """
 
+    uses_gloss = True
+
     def __init__(
         self,
         model: LightModel,
@@ -86,6 +88,13 @@ class SkyProblem:
         self.options = options or SolverOptions()
         self._levels = sorted({round.level for round in self.options.rounds})
         self._faces: list[_SkyFace] = []
+
+    @property
+    def grid_height(self) -> int:
+        """Of the observations that it needs: the sky's rows and the ground's."""
+        layout = self.model.grid.layout
+        assert layout is not None
+        return 2 * layout[0]
 
     def add(self, observation: Observation, photo: int = 0) -> None:
         """One more face; photographs come in order, counted from 0."""
@@ -181,7 +190,7 @@ class SkyProblem:
             exposure=faces[0].exposure,
             albedo=faces[0].albedo,
             gloss=None if self._faces[0].scanned.gloss is None else faces[0].gloss,
-            albedo_prior=self.albedo_prior,
+            albedo_prior=tone_prior(self.albedo_prior),
         )
         return Estimate(
             light=model.name,

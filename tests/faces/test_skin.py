@@ -20,6 +20,7 @@ from skylight.models.base import Prior
 # Monk Skin Tone scale, sRGB, lightest first (skintone.google)
 MONK = ("f6ede4", "f3e7db", "f7ead0", "eadaba", "d7bd96", "a07e56", "825c43", "604134", "3a312a",
         "292420")  # fmt: skip
+SURFACE = (0.4 / 2.4) ** 2  # what skin of index 1.4 reflects at its surface, head on
 # ColorChecker's two skin patches, sRGB under D65 (X-Rite)
 PATCHES = ("c29682", "735244")
 
@@ -57,8 +58,9 @@ def test_keeps_the_protocol(prior: SkinPrior) -> None:
 
 def test_density_integrates_to_one(prior: SkinPrior) -> None:
     # importance sampling from one broad log-normal, whose density torch writes
-    centre = torch.tensor([0.15, 0.08, 0.055], dtype=torch.float64).log()
-    spread = 0.12 * torch.eye(3, dtype=torch.float64) + 1.0
+    centre = torch.tensor([0.16, 0.065, 0.032], dtype=torch.float64).log()
+    slope = torch.tensor([1.0, 1.25, 1.55], dtype=torch.float64)  # blue falls first
+    spread = 0.15 * torch.eye(3, dtype=torch.float64) + 0.7 * slope[:, None] * slope
     proposal = torch.distributions.TransformedDistribution(
         torch.distributions.MultivariateNormal(centre, spread),
         [torch.distributions.ExpTransform()],
@@ -90,7 +92,7 @@ def test_means_are_albedos_and_likely(prior: SkinPrior, samples: Tensor) -> None
 
 
 def test_colorchecker_skin_is_likely(prior: SkinPrior, samples: Tensor) -> None:
-    patches = albedo_of(PATCHES)
+    patches = albedo_of(PATCHES) - SURFACE
     for density, at in (
         (prior.log_prob, lambda x: x),
         (prior.log_albedo.log_prob, torch.log),
@@ -100,16 +102,16 @@ def test_colorchecker_skin_is_likely(prior: SkinPrior, samples: Tensor) -> None:
 
 
 def test_monk_scale(prior: SkinPrior) -> None:
-    """Tones 6 to 9 are within 2.5 sigmas and tone 5 within 3.5.
+    """Tones 6 to 8 are within 2.5 sigmas, tones 5 and 9 within 3.5.
 
     Tones 1 to 4 reflect 71 to 86 % of light, where the lightest of the 100 measured people
     reflects 43 %, and tone 10 reflects less than skin's surface alone: they are colours for
-    screens, out of reach for pigment, and 4 to 6.5 sigmas away.
+    screens, out of reach for pigment, and 4 to 5.5 sigmas away.
     """
     away = sigmas(prior, albedo_of(MONK))
-    assert (away[5:9] < 2.5).all()
-    assert away[4] < 3.5
-    assert (away[[0, 1, 2, 3, 9]] < 6.5).all()
+    assert (away[5:8] < 2.5).all()
+    assert (away[[4, 8]] < 3.5).all()
+    assert (away[[0, 1, 2, 3, 9]] < 5.5).all()
 
 
 def test_level_over_tones(prior: SkinPrior) -> None:
@@ -118,7 +120,7 @@ def test_level_over_tones(prior: SkinPrior) -> None:
     steps = torch.linspace(0, 1, 9, dtype=means.dtype)[:, None]
     path = torch.cat([torch.lerp(a, b, steps) for a, b in pairwise(means)])
     height = prior.log_albedo.log_prob(path)
-    assert height.max() - height.min() < 2  # nats
+    assert height.max() - height.min() < 2.5  # nats
 
 
 @pytest.mark.parametrize(
