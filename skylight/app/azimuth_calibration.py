@@ -20,13 +20,13 @@ from skylight.faces.captures import (
     read_probe,
     write_azimuths,
 )
-from skylight.faces.fit import fit_face
 from skylight.faces.landmarks import choose_face, default_landmarker
 from skylight.faces.model import HeadModel
 from skylight.faces.observe import FaceView, observe_face
 from skylight.imaging.files import write_json
 from skylight.imaging.photo import Photo, read_photo
 from skylight.inverse.azimuth import azimuth_curve
+from skylight.inverse.photo import fit_visible
 
 FOLDER = "azimuth"  # within the folder of captures
 FACE_HEIGHT_PX = 64  # as many pixels as tell shading; half of an estimate's rays
@@ -161,7 +161,6 @@ def _proposal(data: Path, capture: FaceCapture) -> Proposal:
 def _view(photo: Photo, source: str) -> FaceView:
     """The largest face with its transport."""
     model = HeadModel.load()
-    height, width = photo.encoded.shape[:2]
     face = choose_face(default_landmarker().detect(photo.encoded), 1, source)
-    fit = fit_face(model, face, width, height, focal_px=photo.focal_px)
+    fit = fit_visible(model, photo, face, source)
     return observe_face(photo.pixels, photo.clipped, model, fit, face_height_px=FACE_HEIGHT_PX)

@@ -69,12 +69,13 @@ class CapturedFaces:
         capture = self._captures()[item]
         truth = true_light(self.data, capture)
         photo = read_photo(self.data / item)
-        first, *others = self.methods
+        # a sky needs finer transport than harmonics, which can do with a sky's
+        first, *others = sorted(self.methods, key=lambda method: method.startswith("sh"))
         whole = estimate_photo(photo, light=first, source=str(self.data / item))
         estimates: dict[str, Estimate] = {first: whole.estimate}
         for method in others:
             estimates[method] = estimate_light(whole.view.observation, method)
-        environments = {m: e.environment for m, e in estimates.items()}
+        environments = {m: estimates[m].environment for m in self.methods}
         picture.parent.mkdir(parents=True, exist_ok=True)  # photographs may lie in sub-folders
         seen = tone_map(whole.view.image)
         write_png(picture, beside(seen, figure_columns(truth, environments), item))

@@ -28,9 +28,8 @@ _SEEDS_APART = 1000  # so that each face finds a day of its own
 class KnownFace:
     """A picture and what made it; fields as in :class:`skylight.faces.synthetic.SyntheticFace`.
 
-    ``tone`` is the cluster of skin tones that the person was drawn from (0 the lightest); faces
-    with the same ``scene`` share light, camera and exposure. Both are None where nothing of the
-    kind was drawn.
+    ``tone`` is the cluster of skin tones that the person was drawn from (0 the lightest), or None
+    where none was drawn.
     """
 
     encoded: UInt8[np.ndarray, "h w 3"]
@@ -41,7 +40,6 @@ class KnownFace:
     truth: FaceFit
     sun_visible: bool
     tone: int | None = None
-    scene: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,12 +108,10 @@ def read_face(folder: Path) -> KnownFace:
     """A face that ``skylight faces render`` wrote."""
     face = read_rendered_face(folder)
     visible = face.sun_transmittance >= LOWEST_TRANSMITTANCE
-    return _known(face, sun_visible=visible, tone=face.cluster, scene=face.scene)
+    return _known(face, sun_visible=visible, tone=face.cluster)
 
 
-def _known(
-    face: SyntheticFace, *, sun_visible: bool, tone: int | None = None, scene: int | None = None
-) -> KnownFace:
+def _known(face: SyntheticFace, *, sun_visible: bool, tone: int | None = None) -> KnownFace:
     return KnownFace(
         encoded=face.encoded,
         picture=face.picture,
@@ -125,5 +121,4 @@ def _known(
         truth=face.truth,
         sun_visible=sun_visible,
         tone=tone,
-        scene=scene,
     )

@@ -2,15 +2,11 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Protocol, runtime_checkable
-
-import torch
 
 import skylight
 from skylight.errors import SkylightError
@@ -120,7 +116,8 @@ def measure_all(
     tell = progress or (lambda count, total: None)
     tell(len(names) - len(missing), len(names))
     with (out / CACHE).open("a") as stream:
-        for item in _measured(evaluation, missing, pictures, workers):
+        work = [(evaluation, name, pictures / f"{name}.png") for name in missing]
+        for item in in_processes(_measure, work, workers=workers):
             done[item.name] = item
             stream.write(json.dumps(asdict(item)) + "\n")
             stream.flush()
@@ -129,30 +126,7 @@ def measure_all(
     return [done[name] for name in names]
 
 
-def _measured(
-    evaluation: Evaluation, names: list[str], pictures: Path, workers: int
-) -> Iterable[Item]:
-    arguments = [(evaluation, name, pictures / f"{name}.png") for name in names]
-    if workers == 1 or len(names) < 2:
-        yield from map(_measure, arguments)
-        return
-    # spawned, not forked: a fork would inherit torch's thread pool without its threads
-    with ProcessPoolExecutor(
-        min(workers, len(names)),
-        mp_context=get_context("spawn"),
-        initializer=torch.set_num_threads,
-        initargs=(1,),
-    ) as pool:
-        jobs = [pool.submit(_measure, argument) for argument in arguments]
-        try:
-            for job in as_completed(jobs):
-                yield job.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
-def _measure(argument: tuple[Evaluation, str, Path]) -> Item:
-    evaluation, name, picture = argument
+def _measure(evaluation: Evaluation, name: str, picture: Path) -> Item:
     try:
         return evaluation.measure(name, picture)
     except SkylightError as error:

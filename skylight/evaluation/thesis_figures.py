@@ -15,7 +15,6 @@ class ThesisTable:
     """One printed table: ``means`` and ``deviations`` by method, in the order of METRICS."""
 
     title: str
-    count: int  # skies, faces or photographs averaged over
     means: dict[str, Figures]
     deviations: dict[str, Figures]
 
@@ -28,7 +27,6 @@ class ThesisTable:
 
 TABLE_5_1 = ThesisTable(
     title="The thesis, Table 5.1 (mean ± standard deviation over 135 captured skies)",
-    count=135,
     means={
         "sh9": (0.56, 0.64, 0.50, 0.47, 0.46, 0.43, 20.29),
         "sh25": (0.53, 0.62, 0.48, 0.41, 0.45, 0.42, 13.93),
@@ -46,7 +44,6 @@ TABLE_5_1 = ThesisTable(
 )
 TABLE_5_2 = ThesisTable(
     title="The thesis, Table 5.2 (mean ± standard deviation over 135 faces)",
-    count=135,
     means={
         "sh9": (0.68, 0.53, 0.41, 1.04, 0.43, 0.35, 18.31),
         "sh25": (0.71, 0.52, 0.43, 1.22, 0.46, 0.34, 22.38),
@@ -62,7 +59,6 @@ TABLE_5_2 = ThesisTable(
 )
 TABLE_5_3 = ThesisTable(
     title="The thesis, Table 5.3 (mean ± standard deviation over 131 photographs)",
-    count=131,
     means={
         "sh9": (1.39, 0.95, 0.58, 1.65, 0.49, 0.32, 45.88),
         "sh25": (0.99, 0.71, 0.57, 1.29, 0.46, 0.36, 28.67),

@@ -167,16 +167,11 @@ def estimate_photos(
     fitted: list[tuple[_Candidate, FaceFit]] = []
     with stage(STAGES[1]):
         for done, one in enumerate(found):
-            height, width = photos[one.photo].encoded.shape[:2]
-            fit = fit_face(model, one.face, width, height, focal_px=photos[one.photo].focal_px)
-            if fit.facing_angle_rad > MOST_TURNED_RAD:
-                left_out.append(
-                    f"{one.name}: the face is turned away by "
-                    f"{math.degrees(fit.facing_angle_rad):.0f} degrees; use a picture that shows "
-                    "it from the front or at most half from the side"
-                )
-            else:
+            try:
+                fit = fit_visible(model, photos[one.photo], one.face, one.name)
                 fitted.append((one, fit))
+            except InputError as error:
+                left_out.append(str(error))
             tell(STAGES[1], (done + 1) / len(found))
     seen: list[SeenFace] = []
     with stage(STAGES[2]):
@@ -231,6 +226,24 @@ def estimate_photos(
     return PhotoEstimate(
         estimate=replace(estimate, faces=lights, advice=advice), seen=tuple(seen), seconds=seconds
     )
+
+
+def fit_visible(model: HeadModel, photo: Photo, face: DetectedFace, name: str) -> FaceFit:
+    """The head of a face that is turned away by no more than 60 degrees.
+
+    Raises
+    ------
+    InputError
+        It is turned further: most of what the light does is out of sight.
+    """
+    height, width = photo.encoded.shape[:2]
+    fit = fit_face(model, face, width, height, focal_px=photo.focal_px)
+    if fit.facing_angle_rad > MOST_TURNED_RAD:
+        raise InputError(
+            f"{name}: the face is turned away by {math.degrees(fit.facing_angle_rad):.0f} "
+            "degrees; use a picture that shows it from the front or at most half from the side"
+        )
+    return fit
 
 
 @dataclass(frozen=True, kw_only=True)

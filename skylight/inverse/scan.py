@@ -168,8 +168,8 @@ def _explain(
     x = nnls(gram, right, tolerance=SETTLED)
     high, bound = suns[:, clipped], y[clipped]
     raised, level = right, energy
-    for round in range(RAISES + 1 if len(bound) else 0):
-        if round:
+    for raises in range(RAISES + 1 if len(bound) else 0):
+        if raises:
             x = nnls(gram, raised, start=x, tolerance=SETTLED)
         shaded = torch.einsum("gmn,ng->mn", high, x[:, :g]) + ambient[clipped] @ x[:, g:].T
         excess = (shaded - bound[:, None]).clamp(min=0)

@@ -86,7 +86,7 @@ class SkyProblem:
         self.albedo_prior = albedo_prior
         self.albedo_modes = albedo_modes
         self.options = options or SolverOptions()
-        self._levels = sorted({round.level for round in self.options.rounds})
+        self._levels = sorted({one.level for one in self.options.rounds})
         self._faces: list[_SkyFace] = []
 
     @property
@@ -138,12 +138,12 @@ class SkyProblem:
         free, scores = choose_starts(objective, scan.candidates, self.albedo_modes)
         evaluations = nonfinite = 0
         result = None
-        for number, round in enumerate(options.rounds, start=1):
-            objective = objectives[round.level]
+        for number, effort in enumerate(options.rounds, start=1):
+            objective = objectives[effort.level]
             result = minimise(
                 objective,
-                free[scores.argsort()[: round.starts]],
-                iterations=round.iterations,
+                free[scores.argsort()[: effort.starts]],
+                iterations=effort.iterations,
                 tolerance=options.tolerance,
             )
             evaluations += result.evaluations

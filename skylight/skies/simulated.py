@@ -1,19 +1,15 @@
 """Simulated skies: whole folders to train on, and single ones on the spot to evaluate with."""
 
-import json
 import math
-import multiprocessing
-import signal
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from skylight.errors import InputError
-from skylight.imaging.files import write_environment_map, write_json
+from skylight.imaging.files import write_environment_map
+from skylight.imaging.resumable import in_processes, settle
 from skylight.skies.atmosphere import ClearSky
 from skylight.skies.index import INDEX_NAME, SkyRecord, read_rows, write_rows
 from skylight.skies.loading import centre_column_azimuth
@@ -71,13 +67,14 @@ def simulate_folder(
     # in one order: it decides which regime a seed draws
     shares = {regime: shares.get(regime, 0.0) for regime in REGIME_SHARES}
     settings = SimulationSettings(interval_min=interval_min, height=height, shares=shares)
-    _settle(out / "settings.json", settings)
+    settle(out / "settings.json", asdict(settings))
     seeds = range(first_seed, first_seed + days)
     missing = [s for s in seeds if not (parts / f"{s}.csv").exists()]
     done = days - len(missing)
     if progress:
         progress(done, days)
-    for _ in _simulate_days(out, missing, settings, workers):
+    work = [(out, seed, settings) for seed in missing]
+    for _ in in_processes(_simulate_day_files, work, workers=workers):
         done += 1
         if progress:
             progress(done, days)
@@ -113,51 +110,7 @@ def simulated_skies(
     return found
 
 
-def _settle(note: Path, settings: SimulationSettings) -> None:
-    """Write the settings, or see that those of an earlier run were the same."""
-    wanted = json.loads(json.dumps(asdict(settings)))
-    if note.exists():
-        text = note.read_text()
-        try:
-            same = json.loads(text) == wanted
-        except ValueError as error:
-            raise InputError(f"{note}: damaged; give another folder ({error})") from error
-        if not same:
-            raise InputError(
-                f"{note.parent}: holds skies made with other settings ({' '.join(text.split())}); "
-                "give the same interval, height and shares, or another folder"
-            )
-    write_json(note, wanted)
-
-
-def _simulate_days(
-    out: Path, seeds: list[int], settings: SimulationSettings, workers: int
-) -> Iterator[int]:
-    """Simulate the days, yielding each one's seed when it is done."""
-    if workers == 1:
-        for seed in seeds:
-            _simulate_day_files(out, seed, settings)
-            yield seed
-        return
-    # spawned, because a process that has run torch's threads cannot be forked safely
-    pool = ProcessPoolExecutor(
-        workers, mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker
-    )
-    try:
-        futures = [pool.submit(_simulate_day_files, out, seed, settings) for seed in seeds]
-        for future in as_completed(futures):
-            yield future.result()
-    finally:
-        # on Ctrl-C the days at work are finished, which takes seconds, and no others begun
-        pool.shutdown(cancel_futures=True)
-
-
-def _start_worker() -> None:
-    torch.set_num_threads(1)  # the workers already share the cores
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches them too; the parent decides
-
-
-def _simulate_day_files(out: Path, seed: int, settings: SimulationSettings) -> int:
+def _simulate_day_files(out: Path, seed: int, settings: SimulationSettings) -> None:
     day = draw_day(seed, shares=settings.shares)
     records = []
     for sky in simulate_day(day, interval_min=settings.interval_min, height=settings.height):
@@ -165,7 +118,6 @@ def _simulate_day_files(out: Path, seed: int, settings: SimulationSettings) -> i
         write_environment_map(out / name, sky.sky)
         records.append(_record(day, sky, name, settings.height))
     write_rows(out / "days" / f"{seed}.csv", records)
-    return seed
 
 
 def _record(day: Day, sky: SimulatedSky, file: str, height: int) -> SkyRecord:
