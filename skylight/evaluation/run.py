@@ -10,6 +10,7 @@ from typing import Protocol, runtime_checkable
 
 import skylight
 from skylight.errors import SkylightError
+from skylight.imaging.resumable import share_work
 
 Metrics = dict[str, dict[str, float]]  # method -> metric -> value
 CACHE = "items.jsonl"
@@ -117,7 +118,7 @@ def measure_all(
     tell(len(names) - len(missing), len(names))
     with (out / CACHE).open("a") as stream:
         work = [(evaluation, name, pictures / f"{name}.png") for name in missing]
-        for item in in_processes(_measure, work, workers=workers):
+        for item in share_work(_measure, work, workers=workers):
             done[item.name] = item
             stream.write(json.dumps(asdict(item)) + "\n")
             stream.flush()

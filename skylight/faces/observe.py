@@ -70,9 +70,11 @@ def observe_face(
     Visibility comes from the whole head, so nose, brows and chin cast their shadows. Pixels are
     those of the face's skin and of what else of the head is bare (:class:`SkinLikeness`): of a sun
     behind the person, the face itself sees nothing. Over-exposed ones count as lower bounds.
+    ``specular`` is the surface's reflection, None where its transport is not wanted.
     ``face_height_px`` is the height of the skin region after down-sampling (never up): beyond
     90 px estimates hardly change (thesis, 5.5.5.1), while memory grows: the transport takes
-    4 * pixels * 2 * grid_height**2 bytes, 100 MB for 3,000 pixels and 64 rows.
+    4 * pixels * 2 * grid_height**2 bytes, 100 MB for 3,000 pixels and 64 rows, and that of the
+    gloss as much.
     """
     vertices, faces = torch.from_numpy(fit.vertices), torch.from_numpy(model.faces.copy())
     image, camera, clipped_share = _cut_out(picture, clipped, model, fit, face_height_px)

@@ -84,7 +84,7 @@ def render_face(
     camera = Camera(focal_px=focal, width=size, height=size, center_px=(size / 2, size / 2))
     raycaster = Raycaster(mesh, faces)
     surface = rasterize(camera, mesh, faces, raycaster)
-    skin = SkinPrior.load().sample(1, torch.Generator().manual_seed(seed))[0].clamp(0.02, 0.9)
+    skin = SkinPrior.load().sample(1, torch.Generator().manual_seed(seed))[0].clamp(0.001, 0.9)
     painted = torch.from_numpy(_paint(model, skin.numpy(), rng))
     albedo = (painted[faces[surface.faces]] * surface.barycentric[..., None]).sum(1)
     radiance = render_diffuse(
@@ -136,4 +136,4 @@ def _paint(
     eyes = np.flatnonzero(model.regions == Region.EYEBALL)
     front = model.mean[eyes, 2] > np.quantile(model.mean[eyes, 2], 0.8)
     painted[eyes] = np.where(front[:, None], np.array(_IRIS), np.array(_SCLERA))
-    return painted.clip(0.01, 0.95)
+    return painted.clip(0.001, 0.95)

@@ -38,18 +38,19 @@ def settle(note: Path, settings: dict[str, object]) -> None:
     write_json(note, wanted)
 
 
-def in_processes(
+def share_work(
     work: Callable[..., Result],
     arguments: Iterable[tuple],
     *,
     workers: int,
     prepare: Callable[[], None] | None = None,
+    finish: bool = False,
 ) -> Iterator[Result]:
     """Results of ``work(*one)`` for each of ``arguments``, as they come.
 
     With one worker or one piece of work in this process; otherwise each process runs ``prepare``
-    first and computes with one thread. On Ctrl-C the pieces at work are finished, and no others
-    begun.
+    first and computes with one thread. Ctrl-C ends the pieces at work; with ``finish``, for pieces
+    of seconds that leave files, they and those already handed out are finished.
     """
     pieces = list(arguments)
     if workers == 1 or len(pieces) < 2:
@@ -61,7 +62,7 @@ def in_processes(
         min(workers, len(pieces)),
         mp_context=multiprocessing.get_context("spawn"),
         initializer=_start_worker,
-        initargs=(prepare,),
+        initargs=(prepare, finish),
     )
     try:
         futures = [pool.submit(work, *one) for one in pieces]
@@ -71,8 +72,9 @@ def in_processes(
         pool.shutdown(cancel_futures=True)
 
 
-def _start_worker(prepare: Callable[[], None] | None) -> None:
+def _start_worker(prepare: Callable[[], None] | None, finish: bool) -> None:
     torch.set_num_threads(1)  # the workers already share the cores
     if prepare is not None:
         prepare()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches them too; the parent decides
+    if finish:  # Ctrl-C reaches workers too; here the parent decides
+        signal.signal(signal.SIGINT, signal.SIG_IGN)

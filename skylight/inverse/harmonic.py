@@ -26,8 +26,9 @@ from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.observation import Observation
 
-ROWS = 32  # of transport: harmonics of degree 4 are smooth
+ROWS = 32  # of transport: shadows' edges within 3 degrees do for light of degree 4
 RIDGES = (1e-6, 1e-3, 1e-2, 1e-1, 1.0)
+COLOUR_RIDGE = 1e-6  # of the changes of the faces' colours, which must not be slowed
 REWEIGHTINGS = 8
 MOST_REWEIGHTINGS = 30  # where several faces share a light
 SETTLED = 1e-3  # a smaller relative change of the faces' colours
@@ -53,11 +54,11 @@ class _Fit:
 class HarmonicProblem:
     """SH coefficients from all faces under one light: give it each face, then solve.
 
-    Surface reflection is left out: highlights count as outliers. Keeps each observation's
-    transport on :data:`ROWS` rows, without its gloss.
+    Surface reflection is left out, in the posterior too: highlights count as outliers. Keeps
+    each observation's transport on :data:`ROWS` rows, without its gloss.
     """
 
-    grid_height = ROWS  # of the observations that it needs, and whether they need gloss
+    grid_height = ROWS  # of the observations that it needs
     uses_gloss = False
 
     def __init__(
@@ -89,7 +90,8 @@ class HarmonicProblem:
                 raise InputError("the whole face is over-exposed; use a darker picture")
         self._faces.append(replace(observation, gloss=None, weights=weights).on_rows(ROWS))
         self._photos.append(photo)
-        self._scanned.append(observation.coarser(1).on_rows(SCAN_HEIGHT))
+        matt = replace(observation, gloss=None)
+        self._scanned.append(matt.coarser(1).on_rows(SCAN_HEIGHT))
 
     def solve(self, progress: Callable[[float], None] | None = None) -> Estimate:
         """Robust fit of SH coefficients by reweighted linear least squares, cut off at zero.
@@ -156,7 +158,9 @@ class HarmonicProblem:
     def _fit(self) -> "_Fit":
         # float64: rounding in the reweighting does not reach the float32 of the result
         shading = [face.transport.project(self.basis).double() for face in self._faces]
-        return min((self._fit_with(ridge, shading) for ridge in RIDGES), key=lambda fit: fit.data)
+        fits = [self._fit_with(ridge, shading) for ridge in RIDGES]
+        best = min(fits, key=lambda fit: fit.data)
+        return replace(best, rounds=sum(fit.rounds for fit in fits))
 
     def _fit_with(self, ridge: float, shading: list[Float[Tensor, "_ k"]]) -> "_Fit":
         faces = self._faces
@@ -188,20 +192,20 @@ class HarmonicProblem:
             if settled and rounds >= REWEIGHTINGS:
                 break
         shares = [w[:, None] / w.sum() / 3 for w in given]
-        # cut off at zero the light is brighter, and is dimmed for it
+        # cut off at zero the light is another: each channel is brought back to its weighted mean
         light = (self.basis @ product).clamp(min=0).float()
         lit = [(face.transport.matrix @ light).double() for face in faces]
         seen, shaded = (
             torch.stack([(w[:, None] * one).sum(0) for w, one in zip(weights, values, strict=True)])
             for values in ([p / c for p, c in zip(pixels, colour, strict=True)], lit)
         )
-        dimming = seen.sum(0) / shaded.sum(0).clamp(min=1e-12)
-        lit = [one * dimming for one in lit]
+        rescale = seen.sum(0) / shaded.sum(0).clamp(min=1e-12)
+        lit = [one * rescale for one in lit]
         gaps = [
             (one * c - p) / mean for one, c, p, mean in zip(lit, colour, pixels, means, strict=True)
         ]
         return _Fit(
-            product=product * dimming,
+            product=product * rescale,
             colour=colour,
             mean=torch.cat(lit).mean(0).clamp(min=1e-6 * means[0]),
             data=sum(
@@ -277,7 +281,10 @@ def _gauss_newton(
         if lit:
             column = [one[:, channel : channel + 1] for one in lit]
             basis = torch.cat([basis, torch.block_diag(*column)[:, 1:]], 1)
-        solution = solve_linear(basis, torch.cat(pixels), weights, ridge=ridge)[:, channel]
+        ridges = torch.tensor(
+            [ridge] * coefficients + [COLOUR_RIDGE] * (basis.shape[1] - coefficients)
+        )
+        solution = solve_linear(basis, torch.cat(pixels), weights, ridge=ridges)[:, channel]
         product[:, channel] = solution[:coefficients]
         if lit:
             change[1:, channel] += solution[coefficients:].clamp(-0.5, 1.0)

@@ -238,7 +238,7 @@ class SkyObjective:
 def tone_prior(albedo_prior: GaussianMixture) -> GaussianMixture:
     """Over log albedo whose hue is as uncertain as the light's, by :data:`DAYLIGHT_HUE`.
 
-    A skin that looks a little grey need not be the darkest.
+    A skin that looks a little too red need not be the darkest.
     """
     grey = torch.full((3, 3), 1 / 3)
     return albedo_prior.widened(DAYLIGHT_HUE**2 * (torch.eye(3) - grey))
@@ -247,7 +247,10 @@ def tone_prior(albedo_prior: GaussianMixture) -> GaussianMixture:
 def scale_rarity(
     albedo: Float[Tensor, "b f 3"], prior: GaussianMixture, weight: float = 1.0
 ) -> Float[Tensor, "s b"]:
-    """-ln p of the albedos of all faces at each of :data:`SCALES`; infinite beyond what is skin."""
+    """-ln p of the albedos of all faces at each of :data:`SCALES`; infinite beyond what is skin.
+
+    A scale of 1 is always possible, so that there is one.
+    """
     scales = SCALES.to(albedo)
     tried = scales[:, None, None, None] * albedo
     rarity = -weight * prior.log_prob(tried.log().flatten(0, 2)).unflatten(0, tried.shape[:3])

@@ -44,6 +44,7 @@ KEPT_ROWS = 16  # of the transport of several faces, once the solver has taken w
 class SeenFace:
     """Face ``number`` (1 is the largest) of photograph ``photo``, counted from 0, named ``name``.
 
+    Harmonics have coarser transport than skies, without gloss: a sky cannot be fitted to it.
     Where several heads were fitted, whether or not all could be used, ``view.observation`` keeps
     its transport for :data:`KEPT_ROWS` rows only.
     """
@@ -126,9 +127,9 @@ def estimate_photos(
     Faces turned away by more than 60 degrees, those too small to use, and photographs without
     the wanted face are left out where others remain; a line of ``estimate.advice`` names each.
 
-    Memory: a face on 72 rows of pixels takes about 160 MB while its light is traced (T and gloss
-    of about 2,500 pixels and 8,192 directions) and 130 MB from then on, so eight faces fit in
-    2.5 GB.
+    Memory: for a sky, a face on 72 rows of pixels takes about 160 MB while its light is traced
+    (T and gloss of about 2,500 pixels and 8,192 directions) and 130 MB from then on, so eight
+    faces fit in 2.5 GB.
 
     Raises
     ------

@@ -18,8 +18,8 @@ estimates are plain wrong. As a density over the hemisphere,
 
 **No sun.** Where the best sun lowers m by little against ambient light alone, no sun is seen.
 
-**Exposure and albedo.** A picture fixes their product, and the prior over skin says how it may be
-split: see :func:`split_density`.
+**Exposure and albedo.** A picture fixes their product, and the prior over skin, its hue as
+uncertain as the light's, says how it may be split: see :func:`split_density`.
 
 Of :class:`DoubtModel`, ``temperature``, ``estimate_rad``, ``estimate_height`` and
 ``estimate_weight`` were fitted to rendered faces: ``tools/calibrate_posterior.py``. The others were

@@ -191,11 +191,13 @@ def nnls(
 
     Franc, Hlavac & Navara (2005): each sweep sets every unknown to its own minimum in turn;
     the objective never rises, and stops falling at the solution (G positive semi-definite with
-    a positive diagonal). Ends early once a sweep moves nothing by more than ``tolerance``,
-    relative to the largest unknown.
+    a positive diagonal; unknowns whose row and right side are zero keep their start). Ends early
+    once a sweep moves nothing by more than ``tolerance``, relative to the largest unknown.
     """
     # one unknown of all problems at a time, together in memory
-    x = (torch.zeros_like(right) if start is None else start).T.contiguous()
+    x = (torch.zeros_like(right) if start is None else start).T.clone(
+        memory_format=torch.contiguous_format
+    )
     columns = gram.permute(2, 1, 0).contiguous()
     slope = torch.einsum("kjb,kb->jb", columns, x) - right.T
     inverse = 1 / gram.diagonal(dim1=1, dim2=2).clamp(min=1e-30).T.contiguous()

@@ -97,7 +97,16 @@ class SkyProblem:
         return 2 * layout[0]
 
     def add(self, observation: Observation, photo: int = 0) -> None:
-        """One more face; photographs come in order, counted from 0."""
+        """One more face; photographs come in order, counted from 0.
+
+        Raises
+        ------
+        ValueError
+            The observation's light is not on :attr:`grid_height` rows.
+        """
+        layout = observation.transport.grid.layout
+        if layout is None or layout[0] != self.grid_height:
+            raise ValueError(f"a sky needs transport of {self.grid_height} rows, got {layout}")
         mean = float(luminance(observation.pixels).mean())
         levels = [observation.scaled(1 / mean)]
         while len(levels) <= max(1, self._levels[-1]):

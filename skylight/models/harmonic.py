@@ -81,19 +81,21 @@ def solve_linear(
     pixels: Float[Tensor, "m 3"],
     weights: Float[Tensor, " m"],
     *,
-    ridge: float = 1e-6,
+    ridge: float | Float[Tensor, " k"] = 1e-6,
 ) -> Float[Tensor, "k 3"]:
     """Coefficients whose shading fits pixels best: weighted least squares with a small ridge.
 
     ``argmin_c sum_m w_m |B_m c - p_m|^2 + ridge s^2 |c|^2``, where s^2 is the mean squared norm
-    of the columns of sqrt(w) B. The ridge decides where the pixels do not (a face shows few
-    normals) and changes well-determined coefficients by about ``ridge`` of their value.
+    of the columns of sqrt(w) B; one ridge for all coefficients or one for each. It decides where
+    the pixels do not (a face shows few normals) and changes well-determined coefficients by about
+    ``ridge`` of their value.
     """
     root = weights.clamp(min=0).sqrt()[:, None]
     matrix = root * shading_basis
     count = matrix.shape[1]
     scale = matrix.norm() / math.sqrt(count)
-    damping = math.sqrt(ridge) * scale * torch.eye(count, dtype=matrix.dtype, device=matrix.device)
+    ridges = torch.as_tensor(ridge, dtype=matrix.dtype, device=matrix.device).expand(count)
+    damping = scale * torch.diag(ridges.sqrt())
     right = torch.cat([root * pixels, pixels.new_zeros(count, 3)])
     # by singular values: the default driver's last bits differ from call to call (CUDA has one)
     driver = "gels" if matrix.is_cuda else "gelsd"

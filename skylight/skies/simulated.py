@@ -9,7 +9,7 @@ import numpy as np
 
 from skylight.errors import InputError
 from skylight.imaging.files import write_environment_map
-from skylight.imaging.resumable import in_processes, settle
+from skylight.imaging.resumable import settle, share_work
 from skylight.skies.atmosphere import ClearSky
 from skylight.skies.index import INDEX_NAME, SkyRecord, read_rows, write_rows
 from skylight.skies.loading import centre_column_azimuth
@@ -74,7 +74,7 @@ def simulate_folder(
     if progress:
         progress(done, days)
     work = [(out, seed, settings) for seed in missing]
-    for _ in in_processes(_simulate_day_files, work, workers=workers):
+    for _ in share_work(_simulate_day_files, work, workers=workers, finish=True):
         done += 1
         if progress:
             progress(done, days)

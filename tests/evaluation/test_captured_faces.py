@@ -68,7 +68,7 @@ def test_a_new_azimuth_or_probe_makes_old_results_stale(calibrated):
 
 
 def test_the_table(calibrated, tmp_path):
-    evaluation = CapturedFaces(data=calibrated, methods=("sh9",), every=2)
+    evaluation = CapturedFaces(data=calibrated, methods=("sh9", "sunsky"), every=2)
     path = run_evaluation(evaluation, tmp_path / "out", command="c")
     results = json.loads(path.read_text())
     assert results["problems"] == {}

@@ -1,4 +1,4 @@
-"""Estimates that are told a part of the truth keep to it."""
+"""What an estimate is told of the truth: where the true sky lies in the model, and the albedo."""
 
 import math
 

@@ -67,6 +67,13 @@ def test_what_was_measured_is_not_measured_again(tmp_path, marks):
     assert more[:2] == first
 
 
+def test_two_processes_measure_the_same(tmp_path, marks):
+    here = measure_all(Counting(count=4, marks=marks), tmp_path / "here", workers=1)
+    there = measure_all(Counting(count=4, marks=marks), tmp_path / "there", workers=2)
+    assert here == there
+    assert sorted(measured(marks)) == sorted("01230123")
+
+
 def test_a_line_cut_off_by_a_kill_is_measured_again(tmp_path, marks):
     out = tmp_path / "out"
     whole = measure_all(Counting(count=3, marks=marks), out, workers=1)

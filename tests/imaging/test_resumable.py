@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.imaging.resumable import in_processes, settle
+from skylight.imaging.resumable import settle, share_work
 
 
 def test_a_folder_keeps_its_settings(tmp_path: Path) -> None:
@@ -35,9 +35,12 @@ def _prepare() -> None:
     os.environ["PREPARED"] = "yes"
 
 
-def test_work_is_shared_by_prepared_processes_of_one_thread() -> None:
+def test_work_is_shared_by_prepared_processes_of_one_thread(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
     work = [(number, 10) for number in range(4)]
-    results = list(in_processes(_where, work, workers=2, prepare=_prepare))
+    results = list(share_work(_where, work, workers=2, prepare=_prepare))
     assert sorted(r[0] for r in results) == [10, 11, 12, 13]
     assert all(pid != os.getpid() for _, pid, _, _ in results)
     assert all(threads == 1 and prepared for _, _, threads, prepared in results)
@@ -46,7 +49,7 @@ def test_work_is_shared_by_prepared_processes_of_one_thread() -> None:
 @pytest.mark.parametrize(("workers", "count"), [(1, 3), (4, 1)])
 def test_little_work_stays_here_in_order(workers: int, count: int) -> None:
     work = [(number, 0) for number in range(count)]
-    results = list(in_processes(_where, work, workers=workers))
+    results = list(share_work(_where, work, workers=workers))
     assert [r[0] for r in results] == list(range(count))
     assert {r[1] for r in results} == {os.getpid()}
 
@@ -57,4 +60,4 @@ def _fail(number: int) -> None:
 
 def test_a_failure_reaches_the_caller() -> None:
     with pytest.raises(InputError, match="piece"):
-        list(in_processes(_fail, [(1,), (2,), (3,)], workers=2))
+        list(share_work(_fail, [(1,), (2,), (3,)], workers=2))

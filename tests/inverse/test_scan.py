@@ -79,6 +79,11 @@ def test_non_negative_least_squares_as_solved_by_an_active_set_method(positive):
     truth = np.stack([scipy_nnls(a, y)[0] for a, y in zip(matrices, wanted, strict=True)])
     assert (found >= 0).all()
     assert (truth == 0).any()  # the constraint matters
+    kept = found.clone()
+    again = nnls(gram, right, start=found, sweeps=1)
+    np.testing.assert_allclose(again.numpy(), truth, atol=1e-6)
+    nnls(gram, 2 * right, start=found, sweeps=1)
+    assert torch.equal(found, kept)  # a start is only read
     np.testing.assert_allclose(found.numpy(), truth, atol=1e-6)
 
 

@@ -13,7 +13,7 @@ from skylight.evaluation.independent_render import mitsuba_variant
 from skylight.evaluation.rendered_faces.files import folder_name, write_rendered_face
 from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.evaluation.rendered_faces.render import render
-from skylight.imaging.resumable import in_processes, settle
+from skylight.imaging.resumable import settle, share_work
 
 
 def render_folder(
@@ -46,7 +46,7 @@ def render_folder(
     if progress:
         progress(done, count)
     work = [(out, number, options) for number in missing]
-    for _ in in_processes(render_to, work, workers=workers, prepare=_prepare):
+    for _ in share_work(render_to, work, workers=workers, prepare=_prepare, finish=True):
         done += 1
         if progress:
             progress(done, count)
@@ -71,4 +71,4 @@ def _prepare() -> None:
     mitsuba_variant()
     import drjit
 
-    drjit.set_thread_count(1)
+    drjit.set_thread_count(1)  # the processes already share the cores

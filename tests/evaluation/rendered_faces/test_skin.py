@@ -23,7 +23,7 @@ from skylight.evaluation.rendered_faces.smooth_head import SmoothHead
 from skylight.faces.model import HeadModel, Region
 from skylight.faces.skin import SkinPrior
 
-SURFACE = 0.028  # what the surface reflects; the prior's albedos include it
+SURFACE = 0.028  # what the surface reflects
 
 
 def mean_albedo(cluster: int, seed: int) -> np.ndarray:
@@ -76,8 +76,7 @@ def test_clusters_get_darker_and_the_prior_knows_their_skin() -> None:
     assert (luminance[:-1] > 1.1 * luminance[1:]).all()
     assert 0.3 < luminance[0] < 0.5
     assert 0.04 < luminance[-1] < 0.09
-    whole = torch.from_numpy(SURFACE + (1 - SURFACE) * means)
-    assert float(prior.log_albedo.log_prob(whole.log()).min()) > usual
+    assert float(prior.log_albedo.log_prob(torch.from_numpy(means).log()).min()) > usual
 
 
 def test_lips_are_redder_and_faces_are_not_even() -> None:
