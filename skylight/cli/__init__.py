@@ -14,6 +14,7 @@ from tyro.conf import Positional
 
 from skylight import __version__
 from skylight.cli.camera import camera
+from skylight.cli.convert import convert
 from skylight.cli.faces import faces
 from skylight.cli.probe import probe
 from skylight.errors import InputError, SkylightError
@@ -538,6 +539,7 @@ def evaluate(
     evaluate(name, quick=quick, data=data, out=out)
 
 
+app.command(convert)
 app.command(skies, name="skies", help="Simulate skies, or index a folder of captured ones.")
 app.command(export, name="export", help="Write what relighting without torch needs.")
 app.command(probe, name="probe", help="Make light probes, and use them.")

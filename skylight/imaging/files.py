@@ -49,11 +49,19 @@ def read_environment_map(
             f"{path}: {width}x{height} (width x height) is no lat-long map: expected a width of "
             "2 heights (whole sphere) or 4 heights (upper half); crop or resize it"
         )
-    fault = _fault(pixels)
-    if fault:
-        raise InputError(f"{path}: {fault}; repair or replace these pixels")
-    radiance = convert_latlong(torch.from_numpy(pixels), convention, "skylight")
+    radiance = convert_latlong(_checked(path, pixels), convention, "skylight")
     return EnvironmentMap(radiance=radiance)
+
+
+def read_light(path: Path) -> Float[Tensor, "h w 3"]:
+    """Linear radiance from an .exr or .hdr file of any shape.
+
+    Raises
+    ------
+    InputError
+        A missing or damaged file, or values that are NaN, negative or infinite.
+    """
+    return _checked(path, read_linear(path))
 
 
 def write_environment_map(
@@ -75,12 +83,33 @@ def write_environment_map(
         Values that no reader should meet (NaN, negative, infinite, too large for the format),
         or a disk that does not take the file. A file that was there before is left as it was.
     """
+    header: dict[str, object] = {"comments": f"lat-long, {convention} convention"}
+    if not environment.is_sky:
+        header["envmap"] = OpenEXR.ENVMAP_LATLONG
+    picture = convert_latlong(environment.radiance, "skylight", convention)
+    write_light(path, picture, header=header, half=half)
+
+
+def write_light(
+    path: str | Path,
+    picture: Float[Tensor, "h w 3"],
+    *,
+    header: dict[str, object],
+    half: bool = False,
+) -> None:
+    """Write linear Rec.709 radiance as .exr, with ``header`` (see OpenEXR), or as .hdr.
+
+    Raises
+    ------
+    InputError, OutputError
+        As :func:`write_environment_map`.
+    """
     path = Path(path)
     check_suffix(path)
     is_exr = path.suffix.lower() == ".exr"
     if half and not is_exr:
         raise InputError(f"{path}: half precision is a choice for .exr; RGBE has one precision")
-    pixels = _float_pixels(convert_latlong(environment.radiance, "skylight", convention))
+    pixels = _float_pixels(picture)
     fault = _fault(pixels)
     if fault:
         raise OutputError(f"{path} was not written: {fault}")
@@ -90,9 +119,6 @@ def write_environment_map(
             f"{path} was not written: the brightest value {pixels.max():.6g} exceeds the format's "
             f"largest, {limit:.6g}; write single-precision .exr (half=False) or scale the map down"
         )
-    header: dict[str, object] = {"comments": f"lat-long, {convention} convention"}
-    if not environment.is_sky:
-        header["envmap"] = OpenEXR.ENVMAP_LATLONG
     with atomic_path(path) as temporary:
         if is_exr:
             write_exr(temporary, pixels, half=half, header=header)
@@ -111,6 +137,13 @@ def write_json(path: str | Path, content: object) -> None:
     text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def _checked(path: Path, pixels: Float[np.ndarray, "h w 3"]) -> Float[Tensor, "h w 3"]:
+    fault = _fault(pixels)
+    if fault:
+        raise InputError(f"{path}: {fault}; repair or replace these pixels")
+    return torch.from_numpy(pixels)
 
 
 def _float_pixels(radiance: Float[Tensor, "h w 3"]) -> Float[np.ndarray, "h w 3"]:

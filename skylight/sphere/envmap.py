@@ -114,7 +114,7 @@ class EnvironmentMap:
         fine = DirectionGrid.latlong(height * samples, width * samples)
         source = fine.directions @ rotation.to(torch.float64)  # rows w^T R = (R^T w)^T
         row, column = pixel_from_direction(source, height, width)
-        value = _bilinear(self.radiance, row, column).reshape(height * samples, -1, 3)
+        value = bilinear(self.radiance, row, column).reshape(height * samples, -1, 3)
         weight = fine.solid_angles.reshape(height * samples, -1, 1).to(value)
         blocks = (value * weight).reshape(height, samples, width, samples, 3).sum((1, 3))
         total = weight.reshape(height, samples, width, samples, 1).sum((1, 3))
@@ -172,7 +172,7 @@ def _overlap(source: Float[Tensor, " m"], target: Float[Tensor, " n"]) -> Float[
     return (high - low).clamp(min=0) / torch.diff(target)[:, None]
 
 
-def _bilinear(
+def bilinear(
     image: Float[Tensor, "h w c"], row: Float[Tensor, " n"], column: Float[Tensor, " n"]
 ) -> Float[Tensor, "n c"]:
     """Bilinear look-up in a full lat-long image, continued across poles and sides."""

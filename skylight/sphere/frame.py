@@ -20,7 +20,7 @@ from torch import Tensor
 
 from skylight.errors import InputError
 
-Convention = Literal["skylight", "openexr", "mitsuba", "threejs", "blender"]
+Convention = Literal["skylight", "openexr", "mitsuba", "threejs", "blender", "unity"]
 
 # Azimuth (ours, in turns) seen by the *centre* of a lat-long image written in each convention.
 # openexr  ImfEnvmap.h: longitude 0 (centre) is +Z, longitude pi/2 (left of it) is +X.
@@ -28,12 +28,15 @@ Convention = Literal["skylight", "openexr", "mitsuba", "threejs", "blender"]
 # threejs  common.glsl equirectUv: u = atan(z, x) / 2 pi + 1/2: the centre is +X, +Z right of it.
 # blender  Cycles: u = 1/2 - atan2(y, x) / 2 pi with Z up; under the usual axis change
 #          (x, y, z) -> (x, -z, y) its centre is our +X and its right our +Z.
+# unity    Skybox/Panoramic: u = 1/2 - atan2(z, x) / 2 pi, left-handed; under the usual change of
+#          hands (x, y, z) -> (x, y, -z) its centre is our +X and its right our +Z.
 _CENTRE_AZIMUTH_TURNS: dict[str, float] = {
     "skylight": 0.0,
     "openexr": 0.5,
     "mitsuba": 0.5,
     "threejs": 0.25,
     "blender": 0.25,
+    "unity": 0.25,
 }
 
 
