@@ -38,9 +38,8 @@ SHEET_STRIPS = 12
 
 
 def _synthetic_faces(quick: bool, data: Path | None) -> Evaluation:
-    if quick:  # smaller pictures: rendering them takes a third of the time
-        return SyntheticFaces(count=24, data=data, size=192)
-    return SyntheticFaces(count=150 if data is None else None, data=data)
+    whole = 150 if data is None else None
+    return SyntheticFaces(count=24 if quick else whole, data=data)
 
 
 def _shared_light(quick: bool, data: Path | None) -> Evaluation:
