@@ -66,7 +66,7 @@ def convert_file(
     if light.is_sky:
         light = light.with_ground(torch.zeros(3))
     if height is None:
-        height = 6 * round(light.layout[0] * _ROWS[projection] / 6)
+        height = 6 * max(1, round(light.layout[0] * _ROWS[projection] / 6))
     pixels = from_latlong(light, projection, height)
     write_light(out, pixels, header={"comments": f"{projection}, skylight's frame"}, half=half)
     return pixels.shape[0], pixels.shape[1]

@@ -70,6 +70,7 @@ class HarmonicProblem:
         self.model = model
         self.basis = harmonics.evaluate(DirectionGrid.latlong(ROWS).directions, model.degree)
         self.albedo_prior = albedo_prior
+        self.tone_prior = tone_prior(albedo_prior)
         self.albedo_modes = albedo_modes
         self._faces: list[Observation] = []
         self._photos: list[int] = []
@@ -88,9 +89,9 @@ class HarmonicProblem:
             weights = weights * ~observation.clipped
             if not bool((weights > 0).any()):
                 raise InputError("the whole face is over-exposed; use a darker picture")
-        self._faces.append(replace(observation, gloss=None, weights=weights).on_rows(ROWS))
-        self._photos.append(photo)
         matt = replace(observation, gloss=None)
+        self._faces.append(replace(matt, weights=weights).on_rows(ROWS))
+        self._photos.append(photo)
         self._scanned.append(matt.coarser(1).on_rows(SCAN_HEIGHT))
 
     def solve(self, progress: Callable[[float], None] | None = None) -> Estimate:
@@ -113,10 +114,10 @@ class HarmonicProblem:
         layout = model.grid.layout
         assert layout is not None
         environment = EnvironmentMap(radiance=radiance.reshape(*layout, 3).float())
+        coarse = environment.resize(ROWS).flat
         lights = []
         for face, photo, albedo in zip(faces, self._photos, albedos.float(), strict=True):
-            shading = face.transport.matrix @ environment.resize(ROWS).flat
-            rendered = exposures[photo] * albedo * shading
+            rendered = exposures[photo] * albedo * (face.transport.matrix @ coarse)
             lights.append(
                 FaceLight(
                     photo=photo,
@@ -139,7 +140,7 @@ class HarmonicProblem:
             exposure=lights[0].exposure,
             albedo=lights[0].albedo,
             gloss=None,
-            albedo_prior=tone_prior(self.albedo_prior),
+            albedo_prior=self.tone_prior,
         )
         return Estimate(
             light=model.name,
@@ -247,9 +248,8 @@ class HarmonicProblem:
                     best = cost, albedos, exposures
         assert best is not None
         _, albedos, exposures = best
-        prior = tone_prior(self.albedo_prior)
         for photo, mine in enumerate(rows):
-            rarity = scale_rarity(albedos[mine][None].float(), prior)
+            rarity = scale_rarity(albedos[mine][None].float(), self.tone_prior)
             scale = float(least_wrong_scale(rarity))
             albedos[mine] *= scale
             # the light is the one over the first albedo: it changes with the first photograph

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from skylight.inverse.estimate import UNEXPLAINED, Estimate, FaceLight, Status, advice, residual
 from skylight.inverse.lbfgs import minimise
-from skylight.inverse.objective import FaceTerm, ObjectiveWeights, SkyObjective, tone_prior
+from skylight.inverse.objective import FaceTerm, ObjectiveWeights, SkyObjective
 from skylight.inverse.posterior import sun_evidence, sun_posterior
 from skylight.inverse.scan import SCAN_HEIGHT, scan_sun
 from skylight.inverse.starts import choose_starts
@@ -199,7 +199,7 @@ class SkyProblem:
             exposure=faces[0].exposure,
             albedo=faces[0].albedo,
             gloss=None if self._faces[0].scanned.gloss is None else faces[0].gloss,
-            albedo_prior=tone_prior(self.albedo_prior),
+            albedo_prior=objective.tone_prior,
         )
         return Estimate(
             light=model.name,

@@ -18,7 +18,7 @@ mirrorball 1 : 1   a mirror ball seen from far along -Z: +Z in the centre, -Z on
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float
@@ -26,7 +26,11 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.sphere.envmap import EnvironmentMap, bilinear
-from skylight.sphere.frame import angles_from_direction, pixel_from_direction
+from skylight.sphere.frame import (
+    angles_from_direction,
+    direction_from_angles,
+    pixel_from_direction,
+)
 
 Projection = Literal["latlong", "cube", "octahedral", "angular", "mirrorball"]
 _ASPECTS: dict[Projection, tuple[int, int]] = {
@@ -83,12 +87,12 @@ def looks(projection: Projection, u: Float[Tensor, " n"], v: Float[Tensor, " n"]
     if projection == "octahedral":
         return _looks_octahedral(2 * u - 1, 1 - 2 * v)
     if projection == "latlong":
-        azimuth, zenith = (u - 0.5) * 2 * math.pi, v * math.pi
-        sine = torch.sin(zenith)
-        directions = torch.stack(
-            [sine * torch.sin(azimuth), torch.cos(zenith), -sine * torch.cos(azimuth)], 1
+        zenith = v * math.pi
+        return Seen(
+            directions=direction_from_angles((u - 0.5) * 2 * math.pi, zenith),
+            density=math.pi**2 * torch.sin(zenith),
+            inside=torch.ones_like(u, dtype=torch.bool),
         )
-        return Seen(directions=directions, density=math.pi**2 * sine, inside=sine >= 0)
     x, y = 2 * u - 1, 1 - 2 * v
     radius = torch.hypot(x, y)
     inside = radius <= 1
@@ -262,6 +266,3 @@ def _places_cube(
         u[here] = (column + ((directions[here] @ right) / ahead[here] + 1) / 2) / 4
         v[here] = (row + ((directions[here] @ below) / ahead[here] + 1) / 2) / 3
     return u, v
-
-
-PROJECTIONS: tuple[Projection, ...] = get_args(Projection)
