@@ -1,0 +1,1 @@
+var e=e=>{let t=document.createElement(`h1`);return t.textContent=`Sky decoder`,e.append(t),()=>{}};export{e as page};

@@ -1,0 +1,1 @@
+var e=e=>{let t=document.createElement(`h1`);return t.textContent=`Voxel probe`,e.append(t),()=>{}};export{e as page};

@@ -1,0 +1,8 @@
+import type { Page } from "../page";
+
+export const page: Page = (root) => {
+  const heading = document.createElement("h1");
+  heading.textContent = "Partitions probe";
+  root.append(heading);
+  return () => {};
+};
