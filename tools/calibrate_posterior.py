@@ -22,6 +22,7 @@ from skylight.faces.fit import fit_face
 from skylight.faces.landmarks import default_landmarker
 from skylight.faces.model import HeadModel
 from skylight.faces.observe import observe_face
+from skylight.imaging.tensors import read_tensors, write_tensors
 from skylight.inverse.photo import estimate_light
 from skylight.inverse.posterior import (
     DOUBT,
@@ -42,7 +43,7 @@ LOBES_DEG, HEIGHTS, WEIGHTS = (4.0, 8.0, 12.0), (3.0, 10.0, 30.0), (0.25, 0.5, 0
 Case = tuple[SunEvidence, torch.Tensor, int]  # evidence, the estimate's sun, the true sun's cell
 
 
-def case(seed: int) -> dict[str, object]:
+def case(seed: int) -> dict[str, torch.Tensor]:
     """What one face says; empty where the landmark detector finds none."""
     face = synthetic_face(seed, SIZE)
     found = default_landmarker().detect(face.encoded)
@@ -55,7 +56,7 @@ def case(seed: int) -> dict[str, object]:
     evidence = sun_evidence([coarse], [scan_face(coarse)])
     return {
         "deviations": evidence.deviations,
-        "gain": evidence.gain,
+        "gain": torch.tensor(evidence.gain, dtype=torch.float64),
         "estimate": estimate_light(observation, "autoencoder").sun_direction.double(),
         "sun": face.environment.brightest_direction().double(),
     }
@@ -105,12 +106,12 @@ def main() -> None:
     options.cache.mkdir(parents=True, exist_ok=True)
     cases: list[Case] = []
     for number in range(options.faces):
-        path = options.cache / f"{number:04d}.pt"
+        path = options.cache / f"{number:04d}.safetensors"
         if not path.exists():
-            torch.save(case(FIRST_SEED + APART * number), path)
-        kept = torch.load(path)
+            write_tensors(path, case(FIRST_SEED + APART * number))
+        kept, _ = read_tensors(path)
         if kept:
-            evidence = SunEvidence(deviations=kept["deviations"], gain=kept["gain"])
+            evidence = SunEvidence(deviations=kept["deviations"], gain=float(kept["gain"]))
             cell = int((GRID.directions @ kept["sun"]).argmax())
             cases.append((evidence, kept["estimate"], cell))
         print(f"{number + 1} of {options.faces}", end="\r", flush=True)

@@ -5,7 +5,6 @@ their local minima chosen by eye, since a face lit from the left by a low sun ma
 one lit by bright clouds further back.
 """
 
-import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ from skylight.faces.captures import (
 from skylight.faces.landmarks import choose_face, default_landmarker
 from skylight.faces.model import HeadModel
 from skylight.faces.observe import FaceView, observe_face
+from skylight.imaging.bounded import json_content
 from skylight.imaging.files import write_json
 from skylight.imaging.photo import Photo, read_photo
 from skylight.inverse.azimuth import azimuth_curve
@@ -125,7 +125,7 @@ def _remembered(data: Path, capture: FaceCapture) -> Proposal | None:
     if not path.is_file() or not picture_path(data, capture.photo).is_file():
         return None
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json_content(path)
         proposal = Proposal(
             hash=content["hash"],
             azimuths_deg=tuple(content["azimuths_deg"]),

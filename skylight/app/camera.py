@@ -4,11 +4,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from PIL import ExifTags, Image
+from PIL import ExifTags
 
 from skylight import __version__
 from skylight.errors import InputError
 from skylight.imaging.files import write_json
+from skylight.imaging.opened_picture import opened_picture
 from skylight.probes.capture.board import Board, Page, load_board, save_board, write_board
 from skylight.probes.capture.calibrate import Calibration, calibrate
 from skylight.probes.capture.frames import FRAMES_MOST, read_frames, read_picture
@@ -166,14 +167,10 @@ def exif_exposures(paths: Sequence[Path]) -> list[float]:
     """
     seconds, settings = [], []
     for path in paths:
-        try:
-            with Image.open(path) as image:
-                tags = image.getexif().get_ifd(ExifTags.IFD.Exif)
+        with opened_picture(path) as image:
+            tags = image.getexif().get_ifd(ExifTags.IFD.Exif)
             seconds.append(float(tags.get(ExifTags.Base.ExposureTime, 0)))
             settings.append([tags.get(tag) for tag in _FIXED])
-        except (OSError, SyntaxError, ValueError, TypeError, ZeroDivisionError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise InputError(f"cannot read {path}: {reason}; give a JPEG, PNG or TIFF") from error
         if not seconds[-1] > 0:
             raise InputError(f"{path}: its EXIF data tell no exposure time; give --times")
         if settings[-1] != settings[0]:

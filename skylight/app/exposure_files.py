@@ -7,12 +7,12 @@ from typing import Literal, cast
 
 import numpy as np
 import torch
-from PIL import Image
 
 from skylight.app.camera import exif_exposures, exposure_times
 from skylight.errors import InputError
 from skylight.imaging.hdr import SUFFIXES as HDR_SUFFIXES
 from skylight.imaging.hdr import read_linear
+from skylight.imaging.opened_picture import opened_picture
 from skylight.imaging.photo import focal_length_px
 from skylight.probes.capture.frames import read_picture
 from skylight.probes.capture.response import Response, load_response
@@ -130,5 +130,5 @@ def _merged_already(pixels: np.ndarray) -> Merged:
 
 
 def _focal_px(path: Path) -> float | None:
-    with Image.open(path) as image:
+    with opened_picture(path) as image:
         return focal_length_px(image.getexif(), *image.size)

@@ -9,7 +9,6 @@ from typing import TypeVar
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 
 from skylight import __version__
@@ -17,6 +16,7 @@ from skylight.app.report import INK, MUTED, STYLE, save, show, show_probe, white
 from skylight.errors import InputError
 from skylight.imaging.colour import tone_map
 from skylight.imaging.files import write_environment_map, write_json
+from skylight.imaging.opened_picture import opened_picture
 from skylight.imaging.photo import Photo
 from skylight.inverse.known_object import ObjectLight, ObjectLightName, estimate_object_light
 from skylight.inverse.object_view import ObjectMaterial, ObjectView, observe_object
@@ -121,14 +121,8 @@ def material_of(
 
 def read_mask(path: Path) -> Bool[Tensor, "h w"]:
     """True where a picture is brighter than half."""
-    try:
-        with Image.open(path) as image:
-            return torch.from_numpy(np.array(image.convert("L")) >= 128)
-    except UnidentifiedImageError as error:
-        raise InputError(f"{path}: no picture; give the mask as a PNG") from error
-    except (OSError, SyntaxError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot read the mask {path}: {reason}; give a PNG") from error
+    with opened_picture(path) as image:
+        return torch.from_numpy(np.array(image.convert("L")) >= 128)
 
 
 def write_object_results(

@@ -1,6 +1,5 @@
 """The shading of a printed partition probe from photographs or a film, files to files."""
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from skylight.app.board_pictures import (
 )
 from skylight.app.results import results_folder
 from skylight.errors import InputError
+from skylight.imaging.bounded import json_content
 from skylight.imaging.files import write_json
 from skylight.probes.capture.frames import FRAMES_MOST, Frame, read_frames, read_picture
 from skylight.probes.capture.pose import Pose
@@ -260,7 +260,7 @@ def measure_albedo(
 def _earlier(path: Path) -> dict[str, object]:
     """The report that is gone on with; nothing where it was taken away."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+        content = json_content(path) if path.exists() else {}
     except (OSError, ValueError) as error:
         raise InputError(f"cannot read {path} ({error}): take it away or mend it") from error
     return content if isinstance(content, dict) else {}

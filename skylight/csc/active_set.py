@@ -12,7 +12,7 @@ class CholeskyFactor:
     """Lower factor L of ``G[P, P] = L L^T`` for a growing and shrinking list P of atoms.
 
     An atom is appended by one triangular solve and removed by a rank-one update of the rows after
-    it (Golub and Van Loan, 4th ed., 6.5.4), O(|P|^2) each.
+    it (Golub and Van Loan, 4th ed., 6.5.4), ``O(|P|^2)`` each.
     """
 
     def __init__(self) -> None:

@@ -1,6 +1,5 @@
 """A sparse code: a handful of filters, where they stand, how they are turned, which colour."""
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from skylight.errors import InputError
+from skylight.imaging.bounded import json_content
 from skylight.imaging.files import write_json
 
 FORMAT, VERSION = "skylight sparse code", 1
@@ -96,7 +96,7 @@ class SparseCode:
             The file is missing, damaged, or something else.
         """
         try:
-            content = json.loads(Path(path).read_text(encoding="utf-8"))
+            content = json_content(Path(path))
         except OSError as error:
             raise InputError(f"{path} cannot be read: {error.strerror}") from error
         except ValueError as error:

@@ -24,7 +24,7 @@ class CompressedTransport:
 
     ``filters`` (m,s), ``places`` (m,s,3) and ``weights`` (m,s) of ``layers``; rows with fewer
     activations are filled up with weights of 0. As ``dw`` is that of the grid's pixels, a row times
-    a light is
+    a light is ::
 
         sum_w T[p, w] l(w) = sum_j weights_pj <R_pj d_pj, W l>
 

@@ -2,7 +2,7 @@
 
 What every pursuit needs is ``<R d_i, r>`` for all filters d_i and all N T rotations of
 :class:`~skylight.csc.positions.Positions`: minus the gradient of the squared loss (thesis,
-Eq. 6.6). With complex coefficients r_lm, d_lm, and Wigner's functions,
+Eq. 6.6). With complex coefficients r_lm, d_lm, and Wigner's functions, ::
 
     <R(alpha, beta, gamma) d, r>
         = sum_mn e^(i m alpha) e^(i n gamma) [ sum_l d^l_mn(beta) r_lm conj(d_ln) ]

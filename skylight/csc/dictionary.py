@@ -16,12 +16,10 @@ from typing import Literal, get_args
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from skylight.errors import InputError
-from skylight.imaging.atomic import atomic_path
+from skylight.imaging.tensors import read_tensors, write_tensors
 from skylight.sphere import harmonics, lobes
 
 BuiltinName = Literal["iso", "ani", "vmf"]
@@ -154,8 +152,7 @@ class FilterBank(nn.Module):
         """Write a safetensors file, whole or not at all."""
         tensors = {"coefficients": self.coefficients.detach().cpu().double().contiguous()}
         metadata = {"format": FORMAT, "version": VERSION, "name": self.name}
-        with atomic_path(path) as temporary:
-            save_file(tensors, temporary, metadata=metadata)
+        write_tensors(path, tensors, metadata)
 
     @staticmethod
     def load(path: str | Path) -> "FilterBank":
@@ -167,19 +164,19 @@ class FilterBank(nn.Module):
             The file is missing, damaged, or something else.
         """
         try:
-            with safe_open(path, framework="pt") as file:
-                metadata = file.metadata() or {}
-                if metadata.get("format") != FORMAT:
-                    raise InputError(f"{path} is no dictionary of filters: choose another file")
-                if metadata.get("version") != VERSION:
-                    raise InputError(
-                        f"{path} has version {metadata.get('version')} of the format, this "
-                        f"skylight reads {VERSION}: build the dictionary again"
-                    )
-                coefficients = file.get_tensor("coefficients")
-        except (OSError, SafetensorError) as error:
-            reason = " ".join(str(error).split())
-            raise InputError(f"{path} cannot be read as a dictionary: {reason}") from error
+            tensors, metadata = read_tensors(Path(path))
+        except (OSError, ValueError) as error:
+            raise InputError(f"{path} cannot be read as a dictionary: {error}") from error
+        if metadata.get("format") != FORMAT:
+            raise InputError(f"{path} is no dictionary of filters: choose another file")
+        if metadata.get("version") != VERSION:
+            raise InputError(
+                f"{path} has version {metadata.get('version')} of the format, this "
+                f"skylight reads {VERSION}: build the dictionary again"
+            )
+        if "coefficients" not in tensors:
+            raise InputError(f"{path} is damaged: it has no coefficients")
+        coefficients = tensors["coefficients"]
         if coefficients.ndim != 2 or not coefficients.is_floating_point():
             raise InputError(f"{path} is damaged: its coefficients are no table of numbers")
         return FilterBank(coefficients, metadata.get("name", Path(path).stem))

@@ -1,6 +1,6 @@
 """Filters that are fitted to what they are used for: dictionary learning, beyond the thesis.
 
-With maps x_n, their codes and A the linear map from coefficients to pixels, the error is
+With maps x_n, their codes and A the linear map from coefficients to pixels, the error is ::
 
     F = mean_n |x_n - A sum_j R_nj d_(f_nj) w_nj^T|^2 / |x_n|^2
 

@@ -1,7 +1,7 @@
 """Squared errors as quadratic forms of spherical harmonic coefficients.
 
 Coding a map and recovering light from shading are one problem: with c the coordinates of the
-coded signal and A the linear map from c to what was observed,
+coded signal and A the linear map from c to what was observed, ::
 
     |x - A c|^2_W = x^T W x - 2 b^T c + c^T H c,    b = A^T W x,    H = A^T W A,
 

@@ -84,7 +84,7 @@ class RotatedZonalGradient(nn.Module):
     ``r_k = A_k r`` with ``A_k`` the inverse of the band's harmonics at the axes w_j, whose first
     2k + 1 serve band k. The look-ups ``d_ki = B (Pi e_k * d_i)`` are evaluated exactly, not
     interpolated: the harmonics at the turned axes times the filters' coefficients. Swapping the
-    sums, the filters come in once, by a matrix product:
+    sums, the filters come in once, by a matrix product::
 
         sum_km d_i,km q_km(R),    q_km(R) = sum_j r_kj Y_km(R^T w_j)
 

@@ -16,10 +16,12 @@ import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path, PurePosixPath
 
 from skylight.errors import InputError
 from skylight.imaging.atomic import atomic_path
+from skylight.imaging.bounded import file_text
 from skylight.imaging.files import read_environment_map
 from skylight.sphere.envmap import EnvironmentMap
 
@@ -158,15 +160,14 @@ def _read_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]
     """(header, [(line, row)]) of a table that has all columns and at least a row."""
     try:
         # spreadsheets put a byte order mark first
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            reader = csv.DictReader(stream)
-            header = list(reader.fieldnames or ())
-            rows = [(reader.line_num, row) for row in reader]
+        reader = csv.DictReader(StringIO(file_text(path, encoding="utf-8-sig"), newline=""))
+        header = list(reader.fieldnames or ())
+        rows = [(reader.line_num, row) for row in reader]
     except FileNotFoundError as error:
         raise InputError(
             f"{path}: no such file; write one with the columns {', '.join(COLUMNS)}"
         ) from error
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except (OSError, ValueError, csv.Error) as error:
         raise InputError(f"{path}: cannot be read as a table of captures ({error})") from error
     missing = [column for column in COLUMNS if column not in header]
     if missing or len(set(header)) != len(header):

@@ -1,6 +1,6 @@
 """Landmarks in a picture -> camera, pose, shape: Levenberg-Marquardt on the morphable head.
 
-Minimised over pose (R, t), focal length f, identity a and expression b:
+Minimised over pose (R, t), focal length f, identity a and expression b::
 
     e^T S^-1 e + |a|^2 + |b|^2 / s^2 + (log f - log f_0)^2 / sigma_f^2
 

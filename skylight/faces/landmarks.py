@@ -2,6 +2,7 @@
 
 import importlib
 import importlib.metadata
+import threading
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -61,6 +62,7 @@ class DlibLandmarker:
         self._dlib: Any = importlib.import_module("dlib")  # without type stubs
         self._detector = self._dlib.get_frontal_face_detector()
         self._predictor = self._dlib.shape_predictor(str(predictor_path()))
+        self._one_at_a_time = threading.Lock()  # the detector keeps its picture's features
 
     def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[DetectedFace]:
         height, width = image.shape[:2]
@@ -69,7 +71,8 @@ class DlibLandmarker:
         small = cv2.resize(image, size, interpolation=cv2.INTER_AREA) if scale < 1 else image
         # twice the size finds faces of 40 px and more; a lower threshold, bald and back-lit ones
         for doublings, threshold in ((0, 0.0), (1, 0.0), (1, WEAKEST_SCORE), (0, WEAKEST_SCORE)):
-            boxes, scores, _ = self._detector.run(small, doublings, threshold)
+            with self._one_at_a_time:
+                boxes, scores, _ = self._detector.run(small, doublings, threshold)
             if boxes:
                 break
         faces = []

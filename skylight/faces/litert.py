@@ -11,6 +11,8 @@ from numpy import ndarray
 
 from skylight.errors import DependencyError, InputError
 
+_BYTES_MAX = 2**28  # MediaPipe's are below 10 MB
+
 
 def read_task(task_file: Path, networks: tuple[str, ...]) -> dict[str, bytes]:
     """The named networks' files.
@@ -29,8 +31,14 @@ def read_task(task_file: Path, networks: tuple[str, ...]) -> dict[str, bytes]:
                 raise InputError(
                     f"{task_file} is another task's file: it holds no {' and no '.join(missing)}"
                 )
+            together = sum(archive.getinfo(name).file_size for name in networks)
+            if together > _BYTES_MAX:
+                raise ValueError(f"networks of {together} bytes")
             return {name: archive.read(name) for name in networks}
-    except (zipfile.BadZipFile, OSError, EOFError, zlib.error) as error:
+    # encrypted or packed in a way of its own: RuntimeError
+    except (
+        zipfile.BadZipFile, OSError, EOFError, zlib.error, ValueError, RuntimeError,
+    ) as error:  # fmt: skip
         raise InputError(
             f"{task_file} is no whole .task file ({error}); download it again"
         ) from error

@@ -1,7 +1,7 @@
 """A linear morphable head: shapes, the 68 iBUG landmarks on them, and smooth local deformation.
 
 Frame: metres, origin mid-head (between the eyes and the ears, at eye height), +Y up, the face looks
-along +Z, +X is the person's left, which is right in a picture of the face. Shapes are
+along +Z, +X is the person's left, which is right in a picture of the face. Shapes are ::
 
     vertices = mean + identity_basis a + expression_basis b
 

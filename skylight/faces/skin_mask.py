@@ -91,6 +91,6 @@ def colour_distance(
 
 
 def roughness(image: Float[ndarray, "h w 3"]) -> Float[ndarray, "h w"]:
-    """Detail: |ln of the green channel less its mean over 5 x 5 pixels|, averaged over 3 x 3."""
+    """Detail: ``|ln green - its mean over 5 x 5 pixels|``, averaged over 3 x 3."""
     log = np.log(image[..., 1].clip(_EPSILON)).astype(np.float32)
     return cv2.blur(np.abs(log - cv2.blur(log, (5, 5))), (3, 3))

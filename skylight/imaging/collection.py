@@ -1,9 +1,11 @@
 """Collections of maps: a folder with an ``index.csv`` that says what each map shows."""
 
 import csv
+from io import StringIO
 from pathlib import Path
 
 from skylight.errors import InputError
+from skylight.imaging.bounded import file_text
 
 INDEX_NAME = "index.csv"
 
@@ -18,9 +20,14 @@ def read_categories(folder: Path) -> dict[str, str]:
     """
     path = folder / INDEX_NAME
     try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            return {row["file"]: row["category"] for row in csv.DictReader(stream)}
-    except (OSError, KeyError, UnicodeDecodeError, csv.Error) as error:
+        reader = csv.DictReader(StringIO(file_text(path), newline=""))
+        if not {"file", "category"} <= set(reader.fieldnames or ()):
+            raise ValueError("its first line names others")
+        rows = list(reader)
+        if any(row["file"] is None or row["category"] is None for row in rows):
+            raise ValueError("a row is too short")
+        return {row["file"]: row["category"] for row in rows}
+    except (OSError, KeyError, ValueError, csv.Error) as error:
         raise InputError(
             f"{path}: cannot be read as an index of maps with columns file and category ({error})"
         ) from error

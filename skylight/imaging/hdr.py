@@ -4,7 +4,9 @@ What the pixels mean, and whether they make sense, is for :mod:`skylight.imaging
 and :mod:`skylight.imaging.photo` (photographs).
 """
 
+import math
 import os
+import re
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
@@ -16,6 +18,12 @@ import OpenEXR
 from jaxtyping import Float
 
 from skylight.errors import InputError
+from skylight.imaging.bounded import (
+    PICTURE_BYTES_MAX,
+    file_bytes,
+    require_bytes,
+    require_pixels,
+)
 
 # CIE xy of red, green, blue and white: ITU-R BT.709-6, table 1.3 and 1.4 (white is D65).
 REC709_CHROMATICITIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
@@ -23,6 +31,8 @@ HALF_MAX = 65504.0  # the largest finite IEEE 754 binary16
 RGBE_MAX = 2.0**127 * (255 / 256)  # the largest mantissa at the largest exponent byte
 
 SUFFIXES = (".exr", ".hdr")
+_FLAT_PARTS = (OpenEXR.scanlineimage, OpenEXR.tiledimage)  # not deep: as many samples as they like
+_RESOLUTION = re.compile(rb"-Y\s*([+-]?\d{1,12})\s*\+X\s*([+-]?\d{1,12})")
 
 _native_output = threading.Lock()
 
@@ -30,14 +40,18 @@ _native_output = threading.Lock()
 def read_linear(path: Path) -> Float[np.ndarray, "h w 3"]:
     """Linear RGB of an .exr or .hdr file; values are not checked.
 
-    Raises :class:`InputError` for a file that is missing, damaged, not in Rec.709, or whose
-    channels are neither R, G, B nor Y.
+    Raises :class:`InputError` for a file that is missing, damaged, too large, not in Rec.709, or
+    whose channels are neither R, G, B nor Y.
     """
     if not path.is_file():
         kind = "is a folder, not a file" if path.is_dir() else "there is no such file"
         raise InputError(f"{path}: {kind}; give the path of an .exr or .hdr file")
     check_suffix(path)
-    pixels = _read_exr(path) if path.suffix.lower() == ".exr" else _read_radiance(path)
+    try:
+        pixels = _read_exr(path) if path.suffix.lower() == ".exr" else _read_radiance(path)
+    # the attributes of an OpenEXR header may be of any type
+    except (OSError, ValueError, TypeError, KeyError, MemoryError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); give another file") from error
     return np.ascontiguousarray(pixels, dtype=np.float32)
 
 
@@ -65,7 +79,7 @@ def write_exr(
         **header,
     }
     try:
-        with _muted():
+        with muted():
             OpenEXR.File(complete, {"RGB": pixels}).write(str(path))
     except RuntimeError as error:  # its message names the file first, then the reason
         raise OSError(str(error).rpartition('". ')[2].rstrip(".")) from error
@@ -90,8 +104,10 @@ def write_radiance(path: Path, rgb: Float[np.ndarray, "h w 3"]) -> None:
 
 
 def _read_exr(path: Path) -> Float[np.ndarray, "h w 3"]:
+    require_bytes(path)
     try:
-        with _muted():
+        with muted():
+            _require_flat(OpenEXR.File(str(path), header_only=True))
             file = OpenEXR.File(str(path), separate_channels=True)
     except RuntimeError:
         file = None
@@ -119,17 +135,38 @@ def _read_exr(path: Path) -> Float[np.ndarray, "h w 3"]:
     return np.stack(pixels, axis=-1)
 
 
+def _require_flat(file: OpenEXR.File) -> None:
+    """ValueError for more pixels than are read; the library takes their memory first."""
+    together = 0
+    for part in file.parts:
+        if part.header.get("type", OpenEXR.scanlineimage) not in _FLAT_PARTS:
+            raise ValueError("deep pixels are not read, flatten them")
+        low, high = (np.array(corner, dtype=np.int64) for corner in part.header["dataWindow"])
+        width, height = (high - low + 1).tolist()
+        require_pixels(width, height)
+        together += 4 * width * height * len(part.header["channels"])
+    if together > PICTURE_BYTES_MAX:
+        raise ValueError(f"its channels of {together} bytes exceed the {PICTURE_BYTES_MAX} read")
+
+
 def _read_radiance(path: Path) -> Float[np.ndarray, "h w 3"]:
-    data = np.fromfile(path, dtype=np.uint8)
-    with _muted():
-        bgr = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    data = file_bytes(path)
+    sizes = [(int(height), int(width)) for height, width in _RESOLUTION.findall(data)]
+    for height, width in sizes:  # which of them OpenCV takes is its affair
+        require_pixels(width, height)
+    # a row takes 4 bytes a pixel, or a mark of 4 bytes and 2 for each run of 127 in each channel
+    least = min((h * min(4 * w, 4 + 8 * math.ceil(w / 127)) for h, w in sizes), default=0)
+    bgr = None
+    if data.startswith(b"#?") and sizes and len(data) >= least:
+        with muted():
+            bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if bgr is None or bgr.dtype != np.float32 or bgr.ndim != 3:
         raise InputError(f"{path}: damaged, cut short or no Radiance RGBE file: export it again")
     return bgr[..., ::-1]
 
 
 @contextmanager
-def _muted() -> Iterator[None]:
+def muted() -> Iterator[None]:
     """Drop what the libraries print: the exception says it in one line.
 
     OpenEXR reports a damaged file through Python's ``print``, where it would spoil a command's

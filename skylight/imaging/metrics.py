@@ -28,7 +28,7 @@ SSIM_WINDOW = 11  # taps of the Gaussian window, sigma 1.5 pixels: Wang et al. 2
 
 
 def mae(pred: Float[Tensor, "*s 3"], true: Float[Tensor, "*s 3"]) -> float:
-    """mean |p - t| / mean t, over pixels and channels."""
+    """``mean |p - t| / mean t``, over pixels and channels."""
     p, t = _over_true_mean(pred, true)
     return float((p - t).abs().mean())
 
@@ -93,7 +93,7 @@ def shading_metrics(
 
 
 def full_dw_mae(pred: EnvironmentMap, true: EnvironmentMap, *, align_scale: bool = True) -> float:
-    """Mean over channels of sum_w |p(w) - t(w)| dw over the whole map, after normalisation.
+    """Mean over channels of ``sum_w |p(w) - t(w)| dw`` over the whole map, after normalisation.
 
     Normalised so that the channel mean of sum_w t(w) dw is 1, and the same for p where
     ``align_scale``; otherwise p is divided by the truth's sum. A prediction without light has
@@ -112,7 +112,7 @@ def sun_dw_mae(pred: EnvironmentMap, true: EnvironmentMap, *, align_scale: bool 
 
     The 13 degrees round *each map's own* brightest direction are cut into cells, four rings (up
     to 4, 7, 10 and 13 degrees) by eight sectors, sector 0 towards the zenith; the energies
-    sum_w p(w) dw per cell are compared, sum |E_p - E_t|, normalised like :func:`full_dw_mae`.
+    sum_w p(w) dw per cell are compared, ``sum |E_p - E_t|``, normalised like :func:`full_dw_mae`.
 
     The thesis (5.5.1) crops "13 degrees around the brightest point in the sky probe"; that its
     autoencoder scores 0.15 with a mean sun angle of 24 degrees (table 5.2) shows that each probe

@@ -1,7 +1,6 @@
 """Photographs: strict reading, linear Rec.709 pixels, and what the file says about the camera."""
 
 import math
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
@@ -11,13 +10,15 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
-from PIL import ExifTags, Image, ImageCms, ImageOps, UnidentifiedImageError
+from PIL import ExifTags, Image, ImageCms, ImageOps
 from torch import Tensor
 
 from skylight.errors import InputError
+from skylight.imaging.bounded import file_bytes
 from skylight.imaging.colour import Decode, decode_values, linear_to_srgb, tone_map
 from skylight.imaging.hdr import SUFFIXES as HDR_SUFFIXES
 from skylight.imaging.hdr import read_linear
+from skylight.imaging.opened_picture import opened_picture
 
 SIDE_MIN = 32
 SIDE_MAX = 16_384
@@ -58,8 +59,8 @@ def read_photo(path: str | Path, *, decode: Decode | None = None) -> Photo:
     Raises
     ------
     InputError
-        No readable still colour picture from 32 to 16384 pixels a side: missing, damaged,
-        animated, CMYK, grey or black.
+        No readable still colour picture from 32 to 16384 pixels a side and up to 134 megapixels:
+        missing, damaged, animated, CMYK, grey or black.
     """
     path = Path(path)
     if path.suffix.lower() in HDR_SUFFIXES:
@@ -129,21 +130,10 @@ def _from_linear_file(path: Path, decode: Decode) -> Photo:
 
 
 def _from_picture(path: Path, decode: Decode) -> Photo:
-    data = _read_bytes(path)
-    try:
-        with warnings.catch_warnings():
-            # our own limit on the size is the one that counts, and has a clearer message
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            image = Image.open(BytesIO(data))
-            _check_size(path, *image.size)
-            _check_kind(path, image)
-            codes, clipped, focal_px = _decode_picture(path, data, image, decode)
-    except Image.DecompressionBombError as error:
-        raise InputError(f"{path}: the picture is too large; scale it down") from error
-    except UnidentifiedImageError as error:
-        raise InputError(f"{path}: no picture known here; give a JPEG, PNG or TIFF") from error
-    except (OSError, SyntaxError, ValueError, EOFError) as error:  # what Pillow's decoders raise
-        raise InputError(f"{path}: damaged or cut short ({error}); export it again") from error
+    with opened_picture(path) as image:
+        _check_size(path, *image.size)
+        _check_kind(path, image)
+        codes, clipped, focal_px = _decode_picture(path, image, decode)
     return _photo(codes, decode, clipped, focal_px)
 
 
@@ -157,13 +147,6 @@ def _photo(
     return Photo(
         pixels=pixels, encoded=encoded, clipped=torch.from_numpy(clipped), focal_px=focal_px
     )
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}; give a picture file") from error
 
 
 def _check_size(path: Path, width: int, height: int) -> None:
@@ -196,7 +179,7 @@ def _require_colour(path: Path, encoded: UInt8[np.ndarray, "h w 3"]) -> None:
 
 
 def _decode_picture(
-    path: Path, data: bytes, image: Image.Image, decode: Decode
+    path: Path, image: Image.Image, decode: Decode
 ) -> tuple[np.ndarray, Bool[np.ndarray, "h w"], float | None]:
     """(codes (h,w,3) uint8 or uint16, clipped, focal_px), upright and in sRGB's primaries."""
     # Pillow cuts 16-bit colour down to 8; its plan of decoding, empty once done, tells
@@ -210,7 +193,8 @@ def _decode_picture(
                 "another; convert it to sRGB, or say how it is encoded (linear, or a gamma)"
             )
         # these flags make OpenCV turn the picture upright; only from memory is it reliable
-        bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+        data = np.frombuffer(file_bytes(path), np.uint8)
+        bgr = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
         if bgr is None:
             raise InputError(f"{path}: damaged or cut short; export it again")
         codes = np.ascontiguousarray(bgr[..., ::-1])

@@ -2,18 +2,32 @@
 
 import json
 import multiprocessing
+import os
 import signal
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    Future,
+    ProcessPoolExecutor,
+    as_completed,
+    wait,
+)
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import wait as wait_for
 from pathlib import Path
 from typing import TypeVar
 
-import torch
-
-from skylight.errors import InputError
+from skylight.errors import InputError, SkylightError
+from skylight.imaging.cluster import Cluster, prepare_once, share_on_cluster
 from skylight.imaging.files import write_json
 
 Result = TypeVar("Result")
+Workers = int | Cluster  # so many processes here, or those of a cluster
+MOST_LOSSES = 3  # a piece that its process did not survive so often is given up
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
 def settle(note: Path, settings: dict[str, object]) -> None:
@@ -42,39 +56,134 @@ def share_work(
     work: Callable[..., Result],
     arguments: Iterable[tuple],
     *,
-    workers: int,
+    workers: Workers,
     prepare: Callable[[], None] | None = None,
     finish: bool = False,
+    lost: Callable[..., Result] | None = None,
 ) -> Iterator[Result]:
     """Results of ``work(*one)`` for each of ``arguments``, as they come.
 
     With one worker or one piece of work in this process; otherwise each process runs ``prepare``
     first and computes with one thread. Ctrl-C ends the pieces at work; with ``finish``, for pieces
-    of seconds that leave files, they and those already handed out are finished.
+    of seconds, those at work here are finished, and their results come before the interrupt.
+
+    A piece whose process dies (killed, or out of memory) is given to another process. One that
+    has lost three is answered by ``lost(*one)``; with ``lost``, even a single worker is another
+    process, which this one survives.
+
+    Raises
+    ------
+    SkylightError
+        A piece lost its process three times, and there is no ``lost``.
     """
     pieces = list(arguments)
-    if workers == 1 or len(pieces) < 2:
+    if isinstance(workers, Cluster):
+        yield from share_on_cluster(work, pieces, workers, prepare=prepare, lost=lost)
+    elif lost is None and (workers == 1 or len(pieces) < 2):
         for one in pieces:
             yield work(*one)
-        return
-    # spawned, because a process that has run torch's threads cannot be forked safely
-    pool = ProcessPoolExecutor(
-        min(workers, len(pieces)),
+    else:
+        yield from _share_here(work, pieces, workers, prepare, finish, lost)
+
+
+def _share_here(
+    work: Callable[..., Result],
+    pieces: Sequence[tuple],
+    workers: int,
+    prepare: Callable[[], None] | None,
+    finish: bool,
+    lost: Callable[..., Result] | None,
+) -> Iterator[Result]:
+    waiting = deque((one, 0) for one in pieces)
+    # a pool for each process: where one dies, it is known at which piece
+    idle: list[ProcessPoolExecutor] = []
+    busy: dict[Future[Result], tuple[ProcessPoolExecutor, tuple, int]] = {}
+    try:
+        while waiting or busy:
+            while waiting and len(busy) < workers:
+                pool = idle.pop() if idle else _process(finish)
+                one, losses = waiting[0]
+                with _for_new_processes(), suppress(BrokenProcessPool):  # killed while idle
+                    busy[pool.submit(_run, prepare, work, one)] = pool, one, losses
+                    waiting.popleft()
+            for future in wait(busy, return_when=FIRST_COMPLETED).done:
+                pool, one, losses = busy.pop(future)
+                try:
+                    result = future.result()
+                except BrokenProcessPool as error:
+                    pool.shutdown()
+                    if losses + 1 < MOST_LOSSES:
+                        waiting.appendleft((one, losses + 1))
+                        continue
+                    if lost is None:
+                        raise SkylightError(
+                            f"a process died {MOST_LOSSES} times at the same piece of work, so "
+                            "memory may be short; what is done is kept: use fewer workers, and "
+                            "run the same command again"
+                        ) from error
+                    result = lost(*one)
+                else:
+                    idle.append(pool)
+                yield result
+    except KeyboardInterrupt:
+        if finish:
+            for future in as_completed(busy):
+                yield future.result()
+        raise
+    finally:
+        for pool in (*idle, *(pool for pool, _, _ in busy.values())):
+            pool.shutdown(cancel_futures=True)
+
+
+def _run(prepare: Callable[[], None] | None, work: Callable[..., Result], one: tuple) -> Result:
+    if prepare is not None:
+        prepare_once(prepare)
+    return work(*one)
+
+
+def _process(finish: bool) -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(
+        1,
+        # spawned, because a process that has run torch's threads cannot be forked safely
         mp_context=multiprocessing.get_context("spawn"),
         initializer=_start_worker,
-        initargs=(prepare, finish),
+        initargs=(finish,),
     )
+
+
+@contextmanager
+def _for_new_processes() -> Iterator[None]:
+    """Processes that start within have one thread, and do not hear Ctrl-C while they start.
+
+    The environment is what all libraries read when they are loaded.
+    """
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
+    can_mask = hasattr(signal, "pthread_sigmask")  # not on Windows
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if can_mask else None
     try:
-        futures = [pool.submit(work, *one) for one in pieces]
-        for future in as_completed(futures):
-            yield future.result()
+        yield
     finally:
-        pool.shutdown(cancel_futures=True)
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+        if mask is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
-def _start_worker(prepare: Callable[[], None] | None, finish: bool) -> None:
-    torch.set_num_threads(1)  # the workers already share the cores
-    if prepare is not None:
-        prepare()
+def _start_worker(finish: bool) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     if finish:  # Ctrl-C reaches workers too; here the parent decides
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+    elif hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+
+def _end_with_parent() -> None:
+    """A parent that was killed cannot end its workers, and they would wait for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait_for([parent.sentinel])
+        os._exit(1)

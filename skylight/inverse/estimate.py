@@ -76,7 +76,7 @@ def residual(
     seen: Float[Tensor, "m 3"],
     clipped: Bool[Tensor, " m"] | None = None,
 ) -> float:
-    """Mean |rendered - seen| in luminance, relative to the mean luminance seen.
+    """Mean ``|rendered - seen|`` in luminance, relative to the mean luminance seen.
 
     Where ``clipped``, what was seen is a lower bound: both means leave out the bounds that are
     kept. The residual is 0 where these are all there is.

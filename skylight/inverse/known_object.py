@@ -40,7 +40,7 @@ class ObjectLight:
 
     ``environment``
         64 x 128, cut off at zero; ``clamped_share`` is what that took away:
-        int max(0, -L) / int |L|, over all colours.
+        ``int max(0, -L) / int |L|``, over all colours.
     ``coefficients``
         (k,3), before that cut: of :func:`skylight.sphere.harmonics.evaluate`, or, where ``code``
         is given, of :func:`skylight.sphere.harmonics.evaluate_about_zenith`.
@@ -252,7 +252,7 @@ def _cell_means(fine: Float[Tensor, "n k"]) -> Float[Tensor, "n2 k"]:
 
 
 def _relative_error(observation: Observation, rendered: Float[Tensor, "m 3"]) -> float:
-    """sqrt(sum w |rendered - seen|^2 / sum w |seen|^2)."""
+    """``sqrt(sum w |rendered - seen|^2 / sum w |seen|^2)``."""
     weights = observation.weights.double()[:, None]
     seen = observation.pixels.double()
     error = (weights * (rendered.double() - seen).square()).sum()

@@ -103,7 +103,7 @@ class Unpacked:
 
 
 def charbonnier(x: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
-    """sqrt(x^2 + 1e-6): smooth, convex, close to |x|."""
+    """``sqrt(x^2 + 1e-6)``: smooth, convex, close to ``|x|``."""
     return torch.sqrt(x * x + CHARBONNIER_EPSILON)
 
 
@@ -268,10 +268,10 @@ def least_wrong_scale(rarity: Float[Tensor, "s b"]) -> Float[Tensor, " b"]:
     """Of :data:`SCALES` on albedo the one whose light has the least expected relative error.
 
     If c is the truth with probability p(c) = exp(-rarity) and s is answered, light is off by
-    |c/s - 1| of itself, and sum p(c) |c/s - 1| is least where s is the median of c under the
-    weights p(c) c. Where only one tone is likely that is its own; between a dark and a light skin
-    it leans to the light one, since light ten times too bright is a larger error than a tenth of
-    it.
+    ``|c/s - 1|`` of itself, and ``sum p(c) |c/s - 1|`` is least where s is the median of c under
+    the weights p(c) c. Where only one tone is likely that is its own; between a dark and a light
+    skin it leans to the light one, since light ten times too bright is a larger error than a tenth
+    of it.
     """
     scales = SCALES.to(rarity)
     weight = (-rarity).softmax(0) * scales[:, None]

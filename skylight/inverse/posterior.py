@@ -4,7 +4,7 @@
 divided, for all d alike, by the deviations (to a floor) that the best d leaves, twice, so that
 brows, beards and highlights count for little; what is left is then about the mean absolute
 deviation m(d) over the face's mean.
-As in the objective, an explanation is unlikely by its deviation, in units of a temperature:
+As in the objective, an explanation is unlikely by its deviation, in units of a temperature::
 
     L(d) ~ exp(-m(d) / t),
 
@@ -12,7 +12,7 @@ for several faces under one light with the sum of their m(d). No direction of th
 is preferred beforehand. Fitted heads are turned wrongly by about three degrees, and their light
 with them, so L is spread by a von Mises-Fisher kernel V. The optimisation knows more than the scan,
 namely which skies there are; its sun s is trusted by a lobe about it over a constant, since some
-estimates are plain wrong. As a density over the hemisphere,
+estimates are plain wrong. As a density over the hemisphere, ::
 
     p(d) ~ (V * L)(d) (1 + h V_s(d) / V_s(s))^k.
 

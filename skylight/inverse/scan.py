@@ -2,7 +2,7 @@
 
 For every direction d above the horizon the face's luminance is explained by light from d alone,
 scattered (T) and mirrored by the surface (G), plus about twenty broad ambient lobes over the
-sphere, all non-negative:
+sphere, all non-negative::
 
     min_{a, g, b >= 0}  sum_p w_p (y_p - a T[p, d] - g G[p, d] - sum_j b_j (T A)[p, j])^2
 

@@ -17,12 +17,11 @@ from typing import Literal
 
 import torch
 from jaxtyping import Float
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.nn import functional
 
 from skylight.errors import AssetError
+from skylight.imaging.tensors import read_tensors
 from skylight.models.sun_head import COORDINATES, SunHead
 from skylight.sphere.envmap import shift_columns
 from skylight.sphere.frame import angles_from_direction
@@ -314,11 +313,11 @@ def load_network(path: Path) -> SkyAutoencoder:
     if not path.is_file():
         raise AssetError(f"{path}: no checkpoint there; reinstall skylight or train one (train.py)")
     try:
-        state = load_file(path)
+        state, _ = read_tensors(path)
         coding: Coding = "linear" if state.pop("coding_linear", None) is not None else "log"
         network = SkyAutoencoder(coding, sun=len(state["to_latent.bias"]) < LATENT)
         network.load_state_dict(state)
-    except (SafetensorError, RuntimeError, OSError, KeyError) as error:
+    except (ValueError, RuntimeError, OSError, KeyError) as error:
         first = str(error).splitlines()[0]
         raise AssetError(
             f"{path}: not a sky autoencoder's checkpoint, or damaged ({first}); "

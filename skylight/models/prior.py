@@ -1,16 +1,14 @@
 """Priors over parameters: Gaussian mixtures with full covariances."""
 
 import math
-import os
 from pathlib import Path
 
 import torch
 from jaxtyping import Float
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save
 from torch import Tensor, nn
 
-from skylight.errors import AssetError, InputError, OutputError
+from skylight.errors import AssetError, InputError
+from skylight.imaging.tensors import read_tensors, write_tensors
 
 
 class GaussianMixture(nn.Module):
@@ -113,19 +111,13 @@ class GaussianMixture(nn.Module):
 
     def save(self, path: Path) -> None:
         """Write a safetensors file, whole or not at all."""
-        partial = path.with_name(path.name + ".partial")
-        state = {name: t.contiguous() for name, t in self.state_dict().items()}
-        try:
-            partial.write_bytes(save(state, metadata={"kind": "GaussianMixture"}))
-            os.replace(partial, path)
-        except OSError as error:
-            raise OutputError(f"the prior could not be written to {path}: {error}") from error
+        write_tensors(path, self.state_dict(), {"kind": "GaussianMixture"})
 
     @staticmethod
     def load(path: Path) -> "GaussianMixture":
         """Read what :meth:`save` wrote; :class:`AssetError` where that is not in the file."""
         try:
-            state = load_file(path)
+            state, _ = read_tensors(path)
             weights, means, factors = (
                 state[name] for name in ("weights", "means", "precision_factors")
             )
@@ -133,7 +125,7 @@ class GaussianMixture(nn.Module):
             if weights.shape != (k,) or factors.shape != (k, p, p):
                 raise ValueError("the shapes of its tensors do not match")
             return GaussianMixture(weights, means, factors)
-        except (OSError, SafetensorError, KeyError, ValueError, RuntimeError, IndexError) as error:
+        except (OSError, KeyError, ValueError, RuntimeError, IndexError) as error:
             raise AssetError(
                 f"{path} holds no usable Gaussian mixture ({error}): fit or fetch it again"
             ) from error

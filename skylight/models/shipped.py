@@ -5,10 +5,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Literal, get_args
 
-from safetensors import SafetensorError
-from safetensors.torch import load_file
-
 from skylight.errors import AssetError, InputError
+from skylight.imaging.tensors import read_tensors
 from skylight.models.autoencoder import AutoencoderLight, load_network
 from skylight.models.prior import GaussianMixture
 from skylight.models.sunsky import SunSky
@@ -37,7 +35,7 @@ def autoencoder_light(
     network = load_network(folder / CHECKPOINT if checkpoint is None else checkpoint)
     bank_path = folder / BANK
     try:
-        bank = load_file(bank_path)
+        bank, _ = read_tensors(bank_path)
         prior = latent_prior(folder)
         return AutoencoderLight(
             network,
@@ -48,7 +46,7 @@ def autoencoder_light(
             white_centroids=prior.means.float(),
             sun_spread_rad=sun_spread_rad,
         )
-    except (OSError, SafetensorError, KeyError, RuntimeError) as error:
+    except (OSError, ValueError, KeyError, RuntimeError) as error:
         raise AssetError(
             f"{bank_path}: the latents' bank is missing or damaged ({error}); "
             "reinstall skylight, or fit one with train.py configs/sky_prior.yaml"

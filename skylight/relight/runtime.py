@@ -5,13 +5,13 @@ as its visibility. The few formulas that the package has in torch too (named at 
 again in numpy, and the tests hold the two together.
 """
 
-import json
 import math
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8, UInt16
@@ -19,12 +19,25 @@ from PIL import Image
 
 from skylight.errors import AssetError, InputError
 from skylight.imaging.atomic import atomic_path
+from skylight.imaging.bounded import file_bytes, json_content, load_arrays, require_pixels
 from skylight.imaging.hdr import read_linear, write_exr
+from skylight.relight.onnx_graph import require_plain
 
 LATENT = 64
 SCENE_FORMAT = "skylight scene 1"
+DECODER_BYTES_MAX = 2**29  # of all decoders together, four times what _BATCH takes
+_BATCH = 32
 GROUND_ALBEDO = 0.2  # thesis, B.1: where nothing tells the ground's
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # ITU-R BT.709-6, section 3.3
+_TYPES = {
+    "pixels": np.uint16,
+    "normals": np.float32,
+    "albedo": np.float32,
+    "on_ground": np.bool_,
+    "visible": np.uint8,
+    "directions": np.float32,
+    "solid_angles": np.float32,
+}
 _BLOCK_PIXELS = 1024  # shaded together: 34 MB of scratch memory for 8192 directions
 
 
@@ -46,20 +59,64 @@ class SkyDecoder:
             raise AssetError(f"{name}: no sky decoder there; {mend}")
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 4  # what fails is told by the exception
+        _bound_memory()
+        options.add_session_config_entry("session.use_env_allocators", "1")
         try:
-            source = model if isinstance(model, bytes) else Path(model).read_bytes()
+            source = model if isinstance(model, bytes) else file_bytes(Path(model))
+            require_plain(source)
             self._session = onnxruntime.InferenceSession(
                 source, options, providers=["CPUExecutionProvider"]
             )
             metadata = self._session.get_modelmeta().custom_metadata_map
             self.centre_azimuth_rad = float(metadata["centre_azimuth_rad"])
+            ends = [(end.name, end.type) for end in self._session.get_inputs()]
+            ends += [(end.name, end.type) for end in self._session.get_outputs()]
+            if ends != [(name, "tensor(float)") for name in ("latent", "radiance")]:
+                raise ValueError(f"it goes from and to {ends}")
+            if not math.isfinite(self.centre_azimuth_rad):
+                raise ValueError("the sun's column is no number")
         # onnxruntime's exceptions share no base class but Exception
         except Exception as error:
-            raise AssetError(f"{name}: damaged, or no sky decoder of skylight; {mend}") from error
+            reason = f" ({error})" if isinstance(error, ValueError) else ""
+            raise AssetError(
+                f"{name}: damaged, or no sky decoder of skylight{reason}; {mend}"
+            ) from error
+        self._name = name
 
     def decode(self, latents: Float32[np.ndarray, "b z"]) -> Float32[np.ndarray, "b 32 128 3"]:
         """Relative radiance (mean luminance about 1) of skies with the sun in the centre column."""
-        return np.asarray(self._session.run(["radiance"], {"latent": latents})[0])
+        parts = [latents[i : i + _BATCH] for i in range(0, max(1, len(latents)), _BATCH)]
+        try:
+            made = [self._session.run(["radiance"], {"latent": part})[0] for part in parts]
+            skies = np.concatenate([np.asarray(each) for each in made])
+        except Exception as error:  # as above
+            reason = str(error).splitlines()[0]
+            raise AssetError(f"{self._name}: it cannot be run ({reason})") from error
+        if skies.shape != (len(latents), 32, 128, 3):
+            raise AssetError(f"{self._name}: no sky decoder, it gives {skies.shape}")
+        return skies
+
+
+@cache
+def _bound_memory() -> None:
+    """Sessions that use the environment's memory get no more than :data:`DECODER_BYTES_MAX`."""
+    import onnxruntime
+
+    limits = {
+        "max_mem": DECODER_BYTES_MAX,
+        "arena_extend_strategy": 1,  # as much as is asked for
+        "initial_chunk_size_bytes": -1,
+        "max_dead_bytes_per_chunk": -1,
+    }
+    onnxruntime.create_and_register_allocator(
+        onnxruntime.OrtMemoryInfo(
+            "Cpu",
+            onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR,
+            0,
+            onnxruntime.OrtMemType.DEFAULT,
+        ),
+        onnxruntime.OrtArenaCfg(limits),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,24 +180,38 @@ def load_scene(path: str | Path) -> PrecomputedScene:
     if not path.is_file():
         raise InputError(f"{path}: no such scene; write one with: skylight export scene MESH")
     try:
-        with np.load(path) as stored:
-            if str(stored["format"]) != SCENE_FORMAT:
-                raise ValueError(f"format {stored['format']}")
-            arrays = {field.name: stored[field.name] for field in fields(PrecomputedScene)}
-        return PrecomputedScene(
-            **arrays
-            | {
-                "layout": tuple(arrays["layout"].tolist()),
-                "focal_px": float(arrays["focal_px"]),
-                "center_px": tuple(arrays["center_px"].tolist()),
-                "grid_layout": tuple(arrays["grid_layout"].tolist()),
-            }
-        )
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        names = [field.name for field in fields(PrecomputedScene)]
+        arrays: dict[str, Any] = dict(load_arrays(path, ["format", *names]))
+        if str(form := arrays.pop("format")) != SCENE_FORMAT:
+            raise ValueError(f"format {form}")
+        plain = {
+            "layout": tuple(arrays.pop("layout").tolist()),
+            "focal_px": float(arrays.pop("focal_px")),
+            "center_px": tuple(arrays.pop("center_px").tolist()),
+            "grid_layout": tuple(arrays.pop("grid_layout").tolist()),
+        }
+        _require_usable(plain, arrays)
+        return PrecomputedScene(**plain, **arrays)
+    except (OSError, ValueError, TypeError) as error:
         raise InputError(
             f"{path}: damaged, or no scene of this version of skylight ({error}); write it again "
             "with: skylight export scene MESH"
         ) from error
+
+
+def _require_usable(plain: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
+    """ValueError for numbers of the wrong type, that are not finite, or of a huge picture."""
+    for name, array in arrays.items():
+        if array.dtype != _TYPES[name]:
+            raise ValueError(f"{name} holds {array.dtype}")
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise ValueError(f"{name} is not finite")
+    (height, width), (rows, columns) = plain["layout"], plain["grid_layout"]
+    require_pixels(int(width), int(height))
+    if columns != 2 * rows:
+        raise ValueError(f"{columns} x {rows} directions are no lat-long map")
+    if not 0 < plain["focal_px"] < math.inf or not np.isfinite(plain["center_px"]).all():
+        raise ValueError("its camera is none")
 
 
 def relight(
@@ -249,10 +320,10 @@ def read_latent(path: str | Path) -> Latent:
     """A JSON file as :func:`relight_files` describes it."""
     path = Path(path)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json_content(path)
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}; give a JSON file") from error
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise InputError(f"{path}: no JSON ({error})") from error
     if isinstance(content, list):
         content = {"latent": content}

@@ -2,7 +2,6 @@
 
 import csv
 import re
-from contextlib import redirect_stdout
 from dataclasses import dataclass
 from datetime import datetime
 from io import StringIO
@@ -11,6 +10,8 @@ from pathlib import Path
 import OpenEXR
 
 from skylight.errors import InputError
+from skylight.imaging.bounded import file_text
+from skylight.imaging.hdr import muted
 
 _SEPARATOR = r"[-_.: ]?"
 _DATE = re.compile(
@@ -67,9 +68,9 @@ def header_date(path: Path) -> str:
     """
     if path.suffix.lower() == ".exr":
         try:
-            with redirect_stdout(StringIO()):  # the library prints about damaged files
+            with muted():
                 return str(OpenEXR.File(str(path), header_only=True).header().get("capDate", ""))
-        except (RuntimeError, IndexError):
+        except (RuntimeError, IndexError, ValueError):
             return ""  # a damaged file, which reading its pixels reports
     try:
         with path.open("rb") as stream:
@@ -87,10 +88,12 @@ def read_days(path: Path) -> dict[str, Capture]:
     without a file or day, and a file that is listed twice.
     """
     try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = list(csv.DictReader(stream))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reader = csv.DictReader(StringIO(file_text(path, encoding="utf-8-sig"), newline=""))
+        rows = list(reader)
+    except (OSError, ValueError, csv.Error) as error:
         raise InputError(f"{path}: cannot be read as a list of capture days ({error})") from error
+    if not rows and not {"file", "day"} <= set(reader.fieldnames or ()):
+        raise InputError(f"{path}: its first line has no columns file and day; name them there")
     listed: dict[str, Capture] = {}
     for number, row in enumerate(rows, start=2):
         file, day = ((row.get(name) or "").strip() for name in ("file", "day"))

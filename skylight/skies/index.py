@@ -4,11 +4,13 @@ import csv
 import hashlib
 import math
 from dataclasses import asdict, dataclass, fields
+from io import StringIO
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from skylight.errors import InputError
 from skylight.imaging.atomic import atomic_path
+from skylight.imaging.bounded import file_text
 from skylight.imaging.collection import INDEX_NAME
 from skylight.skies.layouts import Layout
 
@@ -111,13 +113,12 @@ def folder_hash(place: Path, records: list[SkyRecord]) -> str:
 def read_rows(path: Path) -> list[SkyRecord]:
     """The rows of an index, or of a part of one, whose days need no split yet."""
     try:
-        with path.open(newline="") as stream:
-            rows = list(csv.DictReader(stream))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        rows = list(csv.DictReader(StringIO(file_text(path), newline="")))
+    except (OSError, ValueError, csv.Error) as error:
         raise InputError(f"{path}: cannot be read as an index of skies ({error})") from error
     try:
         return [_parse(row) for row in rows]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(
             f"{path}: not an index of skies ({error}); its columns are {', '.join(COLUMNS)}"
         ) from error

@@ -109,8 +109,8 @@ def sky_of(
 def pixel_solid_angles(size: int, field_deg: float) -> Float[Tensor, "n n"]:
     """Solid angle of each pixel of a square map that is sky: sum 2 pi, 0 outside, float64.
 
-    A pixel is sky where its middle is; its solid angle is, with |x|, |y| <= 1 across the square,
-    d omega = (sin t / t) (field / 2)^2 dx dy, t = field / 2 sqrt(x^2 + y^2).
+    A pixel is sky where its middle is; its solid angle is, with ``|x|, |y| <= 1`` across the
+    square, d omega = (sin t / t) (field / 2)^2 dx dy, t = field / 2 sqrt(x^2 + y^2).
     """
     if not 180 <= field_deg <= 360:
         raise InputError(f"a field of {field_deg:g} degrees: a sky needs 180 to 360")

@@ -9,7 +9,7 @@ import numpy as np
 
 from skylight.errors import InputError
 from skylight.imaging.files import write_environment_map
-from skylight.imaging.resumable import settle, share_work
+from skylight.imaging.resumable import Workers, settle, share_work
 from skylight.skies.atmosphere import ClearSky
 from skylight.skies.index import INDEX_NAME, SkyRecord, read_rows, write_rows
 from skylight.skies.loading import centre_column_azimuth
@@ -48,7 +48,7 @@ def simulate_folder(
     interval_min: float = 80.0,
     height: int = 32,
     shares: dict[Regime, float] = REGIME_SHARES,
-    workers: int = 1,
+    workers: Workers = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Simulate ``days`` days into ``out`` (EXR + index); days already there are kept.

@@ -53,11 +53,11 @@ def train(config: AutoencoderConfig, report: Callable[[str], None] = print) -> P
     """Run to the end or to early stopping; returns the path of the best network.
 
     Writes ``model.safetensors`` (best on validation), ``config.yaml`` (resolved), what
-    :class:`Logs` says, and ``state.pt`` (everything needed to go on; the one before it in
-    ``state.previous.pt``). The order of the skies, the noise and the augmentation of step n
-    depend on the seed and n alone, so a resumed run computes what the uninterrupted one would
-    have, bit by bit on the same machine; started by ``torchrun`` with several processes, what
-    one process would have, but for rounding.
+    :class:`Logs` says, and ``state.safetensors`` (everything needed to go on; the one before it
+    in ``state.previous.safetensors``). The order of the skies, the noise and the augmentation of
+    step n depend on the seed and n alone, so a resumed run computes what the uninterrupted one
+    would have, bit by bit on the same machine; started by ``torchrun`` with several processes,
+    what one process would have, but for rounding.
 
     Raises
     ------
@@ -228,7 +228,7 @@ def run_identity(config: AutoencoderConfig, data_hash: str) -> str:
 def _load(config: AutoencoderConfig, here: Processes, report: Callable[[str], None]) -> SkyData:
     """The data, read and checked by the first process, then opened by the others."""
     if not here.first:
-        return open_cache(config.data, here.from_first(None))
+        return open_cache(config.data, here.from_first())
     data = load_data(config.data, report)
     here.from_first(data.hash)
     return data

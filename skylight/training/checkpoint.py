@@ -1,47 +1,41 @@
 """What a run leaves behind to go on from: its state, twice, and the best network."""
 
-import hashlib
-import io
+import json
 import os
-import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors.torch import save_file
+from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.imaging.atomic import atomic_path
+from skylight.imaging.tensors import read_tensors, write_tensors
 from skylight.models.autoencoder import SkyAutoencoder
 
-NEWEST, PREVIOUS = "state.pt", "state.previous.pt"
-_DIGEST = hashlib.sha256().digest_size
+NEWEST, PREVIOUS = "state.safetensors", "state.previous.safetensors"
 
 
 def save_network(network: SkyAutoencoder, path: Path) -> None:
     """Write the weights as ``skylight.models.autoencoder.load_network`` reads them."""
-    state = {k: v.detach().cpu().contiguous() for k, v in network.state_dict().items()}
+    state = dict(network.state_dict())
     if network.coding == "linear":
         state["coding_linear"] = torch.ones(1)
-    with atomic_path(path) as temporary:
-        save_file(state, temporary)
+    write_tensors(path, state)
 
 
 def write_state(folder: Path, state: dict[str, Any]) -> None:
-    """Write ``state.pt``, what it held before to ``state.previous.pt``.
+    """Write ``state.safetensors``, what it held before to ``state.previous.safetensors``.
 
-    Torch's own format with the SHA-256 of its bytes behind it. At every moment one of the two
-    files is whole.
+    ``state`` nests dictionaries, lists, tensors, numbers and texts; all but the tensors is JSON in
+    the file's header. At every moment one of the two files is whole.
     """
-    content = io.BytesIO()
-    torch.save(state, content)
-    payload = content.getvalue()
+    tensors: dict[str, Tensor] = {}
+    plain = json.dumps(_without_tensors(state, tensors))
     newest = folder / NEWEST
     if newest.exists():
         os.replace(newest, folder / PREVIOUS)
-    with atomic_path(newest) as path:
-        path.write_bytes(payload + hashlib.sha256(payload).digest())
+    write_tensors(newest, tensors, {"state": plain})
 
 
 def read_state(
@@ -73,22 +67,39 @@ def read_state(
 
 
 def drop_damaged(folder: Path) -> None:
-    """Remove a damaged ``state.pt``, before the next state pushes it over the whole one."""
+    """Remove a damaged newest state, before the next one pushes it over the whole one."""
     newest = folder / NEWEST
     if newest.exists() and _read(newest) is None:
         newest.unlink()
 
 
 def _read(path: Path) -> dict[str, Any] | None:
-    content = path.read_bytes()
-    payload, digest = content[:-_DIGEST], content[-_DIGEST:]
-    if hashlib.sha256(payload).digest() != digest:
-        return None
+    """None for a file that is damaged."""
     try:
-        # to the CPU first: a run may go on where the device that it began on is not there
-        return torch.load(io.BytesIO(payload), weights_only=True, map_location="cpu")
-    except (RuntimeError, EOFError, ValueError, KeyError, pickle.UnpicklingError) as error:
-        raise InputError(
-            f"{path}: whole, but this torch cannot read it ({type(error).__name__}: {error}); "
-            "use the version that wrote it, or choose another `out`".replace("\n", " ")
-        ) from error
+        tensors, metadata = read_tensors(path)
+        return _with_tensors(json.loads(metadata["state"]), tensors)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+def _without_tensors(value: Any, tensors: dict[str, Tensor]) -> Any:
+    """``value`` as JSON can hold it; its tensors go to ``tensors`` and leave their names."""
+    if isinstance(value, Tensor):
+        name = str(len(tensors))
+        tensors[name] = value.clone()  # tensors of a file share no memory
+        return {"tensor": name}
+    if isinstance(value, dict):  # pairs, since keys may be numbers
+        return {"pairs": [[key, _without_tensors(each, tensors)] for key, each in value.items()]}
+    if isinstance(value, list | tuple):
+        return [_without_tensors(each, tensors) for each in value]
+    return value
+
+
+def _with_tensors(value: Any, tensors: dict[str, Tensor]) -> Any:
+    if isinstance(value, list):
+        return [_with_tensors(each, tensors) for each in value]
+    if not isinstance(value, dict):
+        return value
+    if "tensor" in value:
+        return tensors[value["tensor"]]
+    return {key: _with_tensors(each, tensors) for key, each in value["pairs"]}

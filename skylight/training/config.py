@@ -1,5 +1,6 @@
 """What a training run is made of, read from YAML and overridden on the command line."""
 
+import reprlib  # which stays short: YAML makes much of little
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
@@ -7,6 +8,7 @@ from typing import Any, Literal, get_args, get_origin
 import yaml
 
 from skylight.errors import InputError
+from skylight.imaging.bounded import file_text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,8 +142,8 @@ _KINDS: dict[str, type[Config]] = {
 def read_config(path: Path) -> Config:
     """The configuration of a YAML file; unknown keys and kinds are refused by name."""
     try:
-        raw: Any = yaml.safe_load(path.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raw: Any = yaml.safe_load(file_text(path))
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise InputError(f"{path}: cannot be read as YAML ({error})".replace("\n", " ")) from error
     if not isinstance(raw, dict) or raw.get("kind") not in _KINDS:
         raise InputError(f"{path}: `kind` must be one of {', '.join(_KINDS)}")
@@ -175,7 +177,8 @@ def _typed(path: Path, key: str, kind: Any, value: Any) -> Any:
     elif type(value) is kind:
         return value
     raise InputError(
-        f"{path}: `{key}` must be of type {getattr(kind, '__name__', kind)}, got {value!r}"
+        f"{path}: `{key}` must be of type {getattr(kind, '__name__', kind)}, "
+        f"got {reprlib.repr(value)}"
     )
 
 

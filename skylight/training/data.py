@@ -5,6 +5,7 @@ import multiprocessing
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from skylight.errors import InputError
+from skylight.errors import InputError, SkylightError
 from skylight.imaging.atomic import atomic_path
 from skylight.models.autoencoder import HEIGHT, WIDTH
 from skylight.skies.index import SkyRecord, folder_hash, read_index
@@ -125,7 +126,13 @@ def _converted(place: Path, records: list[SkyRecord]) -> Iterator[Float[np.ndarr
         initializer=torch.set_num_threads,
         initargs=(1,),
     ) as pool:
-        yield from pool.map(_convert, chunks)
+        try:
+            yield from pool.map(_convert, chunks)
+        except BrokenProcessPool as error:
+            raise SkylightError(
+                "a process that read skies died; where memory is short, let the same command run "
+                "alone, and again"
+            ) from error
 
 
 def _convert(chunk: tuple[Path, list[SkyRecord]]) -> Float[np.ndarray, "_ h w 3"]:

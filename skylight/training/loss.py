@@ -17,7 +17,7 @@ def reconstruction_loss(
     noise: Float[Tensor, "b 3 h w"],
     config: AutoencoderConfig,
 ) -> Float[Tensor, " b"]:
-    """mean of (1 + g max(L, L')) |d| + s (mean of d^2 - (mean of d)^2) per sky, d = y' - y.
+    """``mean of (1 + g max(L, L')) |d| + s (mean of d^2 - (mean of d)^2)`` per sky, d = y' - y.
 
     Means are over solid angle and channels, of the sky without its sun where the network has a
     sun head. The first part is the thesis' solid-angle-weighted L1, on coded radiance y, plus

@@ -5,12 +5,11 @@ from pathlib import Path
 
 import torch
 from jaxtyping import Float
-from safetensors.torch import save_file
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.imaging.atomic import atomic_path
 from skylight.imaging.files import write_json
+from skylight.imaging.tensors import write_tensors
 from skylight.models.autoencoder import load_network
 from skylight.models.base import without_azimuth
 from skylight.models.prior import GaussianMixture
@@ -72,8 +71,7 @@ def fit_priors(config: PriorConfig) -> Path:
         "latent_scale": scale.float().contiguous(),
         **_bank(latents["train"], splits["train"], config),
     }
-    with atomic_path(config.out / "sky_bank.safetensors") as path:
-        save_file(state, path)
+    write_tensors(config.out / "sky_bank.safetensors", state)
     write_json(config.out / "report.json", report)
     return config.out
 

@@ -50,13 +50,18 @@ class Processes:
             dist.all_reduce(value)
         return value
 
-    def from_first(self, value: Any) -> Any:
-        """What the first process has as ``value``; the others give anything."""
+    def from_first(self, text: str = "") -> str:
+        """What the first process has as ``text``; the others give nothing."""
         if self.size == 1:
-            return value
-        box = [value]
-        dist.broadcast_object_list(box, src=0)
-        return box[0]
+            return text
+        # as plain bytes: torch's way to send objects is pickle
+        length = torch.tensor(len(text.encode()), device=self.device)
+        dist.broadcast(length, src=0)
+        content = torch.zeros(int(length), dtype=torch.uint8, device=self.device)
+        if self.first:
+            content += torch.tensor(list(text.encode()), dtype=torch.uint8, device=self.device)
+        dist.broadcast(content, src=0)
+        return bytes(content.tolist()).decode()
 
     def parallel(self, module: nn.Module) -> nn.Module:
         """A module whose gradients are the mean over all processes."""

@@ -11,6 +11,8 @@ import torch
 from jaxtyping import Shaped
 from numpy.typing import DTypeLike
 
+from skylight.errors import SkylightError
+
 Work = Callable[[int], None]
 Progress = Callable[[float], None]
 
@@ -46,8 +48,10 @@ def in_processes(
         torch.set_num_threads(1)  # a fork has lost torch's threads and would wait for them
         for i in share:
             if os.getppid() != parent:
-                return
+                break
             work(i)
+        # Python's own way out would wait for the threads of pools, which the fork has lost
+        os._exit(0)
 
     # Interleaved shares take about equally long, so this process's progress stands for all.
     shares = [range(k, count, workers) for k in range(workers)]
@@ -63,7 +67,10 @@ def in_processes(
         for helper in helpers:
             helper.join()
             if helper.exitcode != 0:
-                raise RuntimeError(f"a helping process died with exit code {helper.exitcode}")
+                raise SkylightError(
+                    f"a helping process died with exit code {helper.exitcode}; where memory is "
+                    "short, ask for fewer workers"
+                )
     finally:
         for helper in helpers:
             if helper.is_alive():

@@ -1,5 +1,6 @@
 """Meshes from files, ready to be shaded."""
 
+import logging
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -11,11 +12,16 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from skylight.errors import InputError
+from skylight.transport.mesh_bounds import require_bounded
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
+# its tracebacks of damaged files would go to standard error, and the exception says it
+logging.getLogger("trimesh").addHandler(logging.NullHandler())
+
 MESH_SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
+FARTHEST = 1e15  # rays are float32
 CREASE_RAD = math.radians(40.0)  # edges sharper than this stay edges in shading
 
 
@@ -27,14 +33,27 @@ def read_mesh(path: str | Path) -> tuple[Float[Tensor, "n 3"], Int[Tensor, "f 3"
     InputError
         A missing or damaged file, another format, no faces, or vertices that are not finite.
     """
-    import trimesh  # slow to import
-
     path = Path(path)
-    mesh = loaded_mesh(path, lambda file: trimesh.load_mesh(file, process=True))
+    mesh = loaded_mesh(path, _merged)
     try:
         return creased(mesh)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+
+
+def _merged(path: Path) -> "Trimesh":
+    """All meshes of a file as one, vertices at the same place made one within each."""
+    import trimesh  # slow to import
+
+    meshes: Any = trimesh.load_scene(path, process=False).dump()
+    parts = [mesh for mesh in meshes if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
+    for mesh in parts:
+        # the merging would take an index below 0 for one from the end
+        if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+            raise ValueError(f"its faces must index its {len(mesh.vertices)} vertices")
+        mesh.process()
+    whole: Any = trimesh.util.concatenate(parts) if parts else trimesh.Trimesh()
+    return whole
 
 
 def loaded_mesh(path: Path, load: Callable[[Path], Any]) -> Any:
@@ -43,7 +62,7 @@ def loaded_mesh(path: Path, load: Callable[[Path], Any]) -> Any:
     Raises
     ------
     InputError
-        A missing or damaged file, or another format.
+        A missing, damaged or too large file, or another format.
     """
     if not path.is_file():
         raise InputError(f"{path}: there is no such mesh")
@@ -52,10 +71,20 @@ def loaded_mesh(path: Path, load: Callable[[Path], Any]) -> Any:
             f"{path}: '{path.suffix}' is no mesh known here: use {', '.join(MESH_SUFFIXES)}"
         )
     try:
+        require_bounded(path)
         return load(path)
     # the readers raise whatever their parsing stumbles over
     except Exception as error:
-        raise InputError(f"{path}: damaged, or no {path.suffix} mesh ({error})") from error
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: damaged, or no {path.suffix} mesh ({reason})") from error
+
+
+def require_coordinates(vertices: Float[np.ndarray, "n 3"]) -> None:
+    """Raise :class:`InputError` for vertices that are not finite, or whose squares may not be."""
+    if not (np.abs(vertices) < FARTHEST).all():  # false for NaN too
+        raise InputError(
+            f"the mesh has vertices that are NaN, infinite or beyond {FARTHEST:g}; repair it"
+        )
 
 
 def creased(mesh: "Trimesh") -> tuple[Float[Tensor, "n 3"], Int[Tensor, "f 3"]]:
@@ -67,8 +96,7 @@ def creased(mesh: "Trimesh") -> tuple[Float[Tensor, "n 3"], Int[Tensor, "f 3"]]:
 
     if not len(mesh.faces):
         raise InputError("the mesh has no faces: points and curves show no shading")
-    if not np.isfinite(mesh.vertices).all():
-        raise InputError("the mesh has vertices that are NaN or infinite; repair it")
+    require_coordinates(mesh.vertices)
     smooth = smooth_shade(mesh, angle=CREASE_RAD)
     vertices = torch.from_numpy(np.array(smooth.vertices, np.float64))
     return vertices, torch.from_numpy(np.array(smooth.faces, np.int64))

@@ -1,6 +1,5 @@
 """The camera of a known object's photograph: a pinhole somewhere in the mesh's world."""
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
+from skylight.imaging.bounded import json_content
 from skylight.transport.camera import Camera
 
 _LENS, _POSE = ("fov_deg", "focal_px"), ("position", "look_at", "up")
@@ -71,12 +71,12 @@ def read_object_camera(path: str | Path, *, height: int, width: int) -> PlacedCa
     """
     path = Path(path)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json_content(path)
     except OSError as error:
         raise InputError(
             f"cannot read the camera {path}: {error.strerror}; give a JSON file such as {_EXAMPLE}"
         ) from error
-    except (UnicodeDecodeError, ValueError) as error:
+    except ValueError as error:
         reason = " ".join(str(error).split())
         raise InputError(
             f"{path}: no JSON ({reason}); write the camera such as {_EXAMPLE}"

@@ -18,6 +18,7 @@ from skylight.imaging.files import (
     write_json,
     write_png,
 )
+from skylight.skies.capture_dates import header_date
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import pixel_from_direction
 
@@ -367,3 +368,17 @@ def test_png_keeps_a_strided_picture(tmp_path: Path) -> None:
     picture = np.random.default_rng(0).integers(0, 256, (3, 20, 10), dtype=np.uint8).T
     write_png(tmp_path / "a.png", picture)
     np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "a.png")), picture)
+
+
+def test_attributes_of_another_type_and_texts_that_are_none(tmp_path: Path) -> None:
+    """As fuzzing found them."""
+    whole = tmp_path / "whole.exr"
+    write_environment_map(whole, some_map())
+    name = b"chromaticities\0"
+    for changed in (name + b"chromaticitiez\0", b"chromatic\xc3ties\0" + name):
+        path = tmp_path / "changed.exr"
+        path.write_bytes(whole.read_bytes().replace(name + name, changed))
+        with pytest.raises(InputError, match=r"changed\.exr") as caught:
+            read_environment_map(path)
+        assert "\n" not in str(caught.value)
+        assert header_date(path) == ""

@@ -2,13 +2,19 @@
 
 import json
 import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
 
-from skylight.errors import InputError
-from skylight.imaging.resumable import settle, share_work
+from skylight.errors import InputError, SkylightError
+from skylight.imaging import resumable
+from skylight.imaging.resumable import MOST_LOSSES, settle, share_work
 
 
 def test_a_folder_keeps_its_settings(tmp_path: Path) -> None:
@@ -61,3 +67,97 @@ def _fail(number: int) -> None:
 def test_a_failure_reaches_the_caller() -> None:
     with pytest.raises(InputError, match="piece"):
         list(share_work(_fail, [(1,), (2,), (3,)], workers=2))
+
+
+def _may_die(folder: Path, number: int) -> int:
+    with (folder / "tried.txt").open("a") as file:
+        file.write(f"{number}\n")
+    tries = (folder / "tried.txt").read_text().split().count(str(number))
+    if number == 1 or (number == 2 and tries == 1):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def test_killed_processes_lose_nothing_and_hopeless_pieces_are_answered_for(tmp_path: Path) -> None:
+    work = [(tmp_path, number) for number in range(4)]
+    results = list(share_work(_may_die, work, workers=2, lost=lambda _, number: -number))
+    assert sorted(results) == [-1, 0, 2, 3]
+    tried = (tmp_path / "tried.txt").read_text().split()
+    assert sorted(tried) == ["0", *["1"] * MOST_LOSSES, "2", "2", "3"]
+
+
+def test_a_hopeless_piece_without_an_answer_ends_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(resumable, "MOST_LOSSES", 1)
+    with pytest.raises(SkylightError, match="a process died 1 times at the same piece"):
+        list(share_work(_may_die, [(tmp_path, 1), (tmp_path, 1)], workers=2))
+
+
+def _begin_and_end(folder: Path, number: int, seconds: float) -> int:
+    (folder / f"begun{number}").write_text(str(os.getpid()))
+    time.sleep(seconds)
+    (folder / f"ended{number}").touch()
+    return number
+
+
+def share_and_tell(folder: str, seconds: str, finish: str) -> None:
+    """Eight pieces in two processes, in a process of its own; prints those that came."""
+    work = [(Path(folder), number, float(seconds)) for number in range(8)]
+    try:
+        for number in share_work(_begin_and_end, work, workers=2, finish=finish == "finish"):
+            print(number, flush=True)
+    except KeyboardInterrupt:
+        print("interrupted", flush=True)
+
+
+def _sharing(folder: Path, seconds: float, finish: str) -> subprocess.Popen[str]:
+    script = "import sys; from tests.imaging.test_resumable import share_and_tell as run; run("
+    return subprocess.Popen(
+        [sys.executable, "-c", script + "*sys.argv[1:])", str(folder), str(seconds), finish],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+    )
+
+
+def _wait(condition: Callable[[], bool]) -> None:
+    for _ in range(1200):
+        if condition():
+            return
+        time.sleep(0.05)
+    raise TimeoutError
+
+
+def test_work_ends_with_the_process_that_shares_it(tmp_path: Path) -> None:
+    parent = _sharing(tmp_path, 60, "")
+    _wait(lambda: len(list(tmp_path.glob("begun*"))) == 2)
+    workers = [int(file.read_text()) for file in tmp_path.glob("begun*")]
+    parent.kill()
+    parent.communicate()
+    _wait(lambda: not any(_is_alive(pid) for pid in workers))
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+@pytest.mark.parametrize("finish", ["finish", ""])
+def test_ctrl_c_finishes_the_pieces_at_work_where_asked(tmp_path: Path, finish: str) -> None:
+    parent = _sharing(tmp_path, 1.0 if finish else 60, finish)
+    _wait(lambda: len(list(tmp_path.glob("begun*"))) == 2)
+    os.killpg(parent.pid, signal.SIGINT)  # as a terminal does: to the workers as well
+    told, errors = parent.communicate(timeout=60)
+    *numbers, last = told.split()
+    assert last == "interrupted"
+    begun, ended = (
+        {file.name[5:] for file in tmp_path.glob(f"{what}*")} for what in ("begun", "ended")
+    )
+    assert set(numbers) == ended == (begun if finish else set())
+    assert len(begun) < 8
+    assert errors == ""

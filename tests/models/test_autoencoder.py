@@ -5,10 +5,11 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 from torch.nn import functional
 
 from skylight.errors import AssetError
+from skylight.imaging.tensors import read_tensors, write_tensors
 from skylight.models.autoencoder import (
     CENTRE_AZIMUTH_RAD,
     HEIGHT,
@@ -250,13 +251,19 @@ def _truncate(path: Path) -> None:
 
 
 def _drop_one(path: Path) -> None:
-    state = load_file(path)
+    state, _ = read_tensors(path)
     state.pop("output.weight")
-    save_file(state, path)
+    write_tensors(path, state)
 
 
 def _misshape(path: Path) -> None:
-    save_file(load_file(path) | {"output.weight": torch.zeros(2, 2)}, path)
+    write_tensors(path, read_tensors(path)[0] | {"output.weight": torch.zeros(2, 2)})
+
+
+def _flip(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[-100] ^= 1
+    path.write_bytes(content)
 
 
 @pytest.mark.parametrize(
@@ -268,6 +275,8 @@ def _misshape(path: Path) -> None:
         _misshape,
         lambda path: path.write_bytes(b""),
         lambda path: path.write_text("not a checkpoint"),
+        _flip,
+        lambda path: write_tensors(path, {"x": torch.zeros(1)}),
         lambda path: save_file({"x": torch.zeros(1)}, path),
     ],
 )

@@ -14,11 +14,12 @@ import pytest
 import torch
 
 from skylight.errors import InputError
+from skylight.imaging.tensors import read_tensors
 from skylight.models.autoencoder import SkyAutoencoder, load_network
 from skylight.skies.index import read_index
 from skylight.training import autoencoder as training
 from skylight.training.autoencoder import schedule, train
-from skylight.training.checkpoint import save_network
+from skylight.training.checkpoint import NEWEST, PREVIOUS, _with_tensors, save_network
 from skylight.training.config import AutoencoderConfig, config_yaml, read_config
 from skylight.training.data import load_data
 from skylight.training.processes import Processes
@@ -49,7 +50,8 @@ def uninterrupted(config: AutoencoderConfig, tmp_path_factory: pytest.TempPathFa
 
 
 def state(out: Path) -> dict:
-    return torch.load(out / "state.pt", weights_only=True)
+    tensors, metadata = read_tensors(out / NEWEST)
+    return _with_tensors(json.loads(metadata["state"]), tensors)
 
 
 def curves(out: Path) -> list[dict]:
@@ -122,7 +124,7 @@ def test_a_killed_run_goes_on_bit_by_bit(
             stderr=log,
         )
         deadline = time.monotonic() + 120
-        while not (tmp_path / "state.pt").exists() and run.poll() is None:
+        while not (tmp_path / NEWEST).exists() and run.poll() is None:
             assert time.monotonic() < deadline
             time.sleep(0.002)
         os.kill(run.pid, signal.SIGKILL)
@@ -140,7 +142,7 @@ def test_a_damaged_state_is_said_and_the_one_before_it_used(
 ) -> None:
     out = tmp_path / "run"
     shutil.copytree(uninterrupted, out)
-    newest = out / "state.pt"
+    newest = out / NEWEST
     content = bytearray(newest.read_bytes())
     if damage == "missing":  # killed between the two renamings
         newest.unlink()
@@ -154,9 +156,7 @@ def test_a_damaged_state_is_said_and_the_one_before_it_used(
     assert "resuming at step 4 of 6" in messages
     same_run(out, uninterrupted)
     assert state(out)["progress"]["step"] == 6
-    assert (out / "state.previous.pt").read_bytes() == (
-        uninterrupted / "state.previous.pt"
-    ).read_bytes()
+    assert (out / PREVIOUS).read_bytes() == (uninterrupted / PREVIOUS).read_bytes()
 
 
 def test_two_damaged_states_are_refused(
@@ -164,7 +164,7 @@ def test_two_damaged_states_are_refused(
 ) -> None:
     out = tmp_path / "run"
     shutil.copytree(uninterrupted, out)
-    for name in ("state.pt", "state.previous.pt"):
+    for name in (NEWEST, PREVIOUS):
         (out / name).write_bytes(b"")
     with pytest.raises(InputError, match="nothing to go on from") as caught:
         train(replace(config, out=out), report=lambda _: None)

@@ -4,10 +4,12 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
+from skylight.errors import SkylightError
 from skylight.transport.forked import in_processes, shared_array
 
 
@@ -36,7 +38,7 @@ def test_nothing_runs_on_after_an_error():
 
 
 def test_the_death_of_a_helper_is_told():
-    with pytest.raises(RuntimeError, match="exit code 3"):
+    with pytest.raises(SkylightError, match="exit code 3"):
         in_processes(lambda i: os._exit(3) if i else None, 2, workers=2)
 
 
@@ -44,6 +46,7 @@ def test_an_interrupt_ends_all_processes_and_says_so_once():
     # a job in a shell's background starts with interrupts ignored
     program = """
 import signal, time
+from skylight.errors import SkylightError
 from skylight.transport.forked import in_processes
 signal.signal(signal.SIGINT, signal.default_int_handler)
 print("on", flush=True)
@@ -63,3 +66,20 @@ in_processes(lambda i: time.sleep(0.2), 1000, workers=3)
     assert errors.count(b"KeyboardInterrupt") == 1
     with pytest.raises(ProcessLookupError):  # nobody is left of the group
         os.killpg(process.pid, 0)
+
+
+def test_threads_of_a_pool_may_fork():
+    """What Python does at a process's end would wait in a helper for threads that it has not."""
+
+    def count(start: int) -> list[int]:
+        made = shared_array((8,), np.int64)
+
+        def work(i: int) -> None:
+            made[i] = start + i
+
+        in_processes(work, 8, workers=2)
+        return made.tolist()
+
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(count, (0, 100, 200, 300)))
+    assert found == [list(range(start, start + 8)) for start in (0, 100, 200, 300)]

@@ -13,7 +13,7 @@ from skylight.evaluation.independent_render import mitsuba_variant
 from skylight.evaluation.rendered_faces.files import folder_name, write_rendered_face
 from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.evaluation.rendered_faces.render import render
-from skylight.imaging.resumable import settle, share_work
+from skylight.imaging.resumable import Workers, settle, share_work
 
 
 def render_folder(
@@ -21,7 +21,7 @@ def render_folder(
     count: int,
     options: RenderOptions,
     *,
-    workers: int = 1,
+    workers: Workers = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> int:
     """Render faces 0 to ``count`` - 1 into ``out`` and say how many were made now.

@@ -1,19 +1,17 @@
 """Rendered faces on disk: a folder each."""
 
-import json
 from dataclasses import asdict
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 import torch
-from PIL import Image
 
 from skylight.errors import InputError
 from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.evaluation.rendered_faces.render import RenderedFace
 from skylight.faces.fit import FaceFit
 from skylight.imaging.atomic import atomic_path
+from skylight.imaging.bounded import json_content, load_arrays
 from skylight.imaging.colour import srgb_to_linear
 from skylight.imaging.files import (
     read_environment_map,
@@ -22,6 +20,7 @@ from skylight.imaging.files import (
     write_png,
 )
 from skylight.imaging.hdr import read_linear, write_exr
+from skylight.imaging.opened_picture import opened_picture
 from skylight.transport.camera import Camera
 
 _FACTS = ("number", "scene", "cluster", "sky_seed", "sun_transmittance", "exposure")
@@ -80,11 +79,12 @@ def read_rendered_face(folder: Path) -> RenderedFace:
     Raises :class:`InputError` for a folder that is not complete.
     """
     try:
-        facts = json.loads((folder / "face.json").read_text(encoding="utf-8"))
-        encoded = np.array(Image.open(folder / "picture.png").convert("RGB"))
-        hair = np.array(Image.open(folder / "hair.png"))[..., 0] > 0
-        with np.load(folder / "mesh.npz") as stored:
-            arrays = {name: stored[name] for name in (*_ARRAYS, "landmarks")}
+        facts = json_content(folder / "face.json")
+        with opened_picture(folder / "picture.png") as image:
+            encoded = np.array(image.convert("RGB"))
+        with opened_picture(folder / "hair.png") as image:
+            hair = np.array(image.convert("RGB"))[..., 0] > 0
+        arrays = load_arrays(folder / "mesh.npz", (*_ARRAYS, "landmarks"))
         height, width = encoded.shape[:2]
         camera = Camera(
             focal_px=facts["camera"]["focal_px"],
@@ -95,7 +95,7 @@ def read_rendered_face(folder: Path) -> RenderedFace:
         plain = {name: facts[name] for name in _FACTS}
         albedo, ground = torch.tensor(facts["albedo"]), torch.tensor(facts["ground_albedo"])
         sun = torch.tensor(facts["sun_direction"], dtype=torch.float64)
-    except (OSError, KeyError, ValueError, TypeError, BadZipFile, EOFError) as error:
+    except (OSError, KeyError, ValueError, TypeError) as error:
         raise InputError(f"{folder}: no complete rendered face ({error})") from error
     codes = torch.from_numpy(encoded)
     landmarks = arrays.pop("landmarks")

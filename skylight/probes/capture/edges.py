@@ -77,7 +77,7 @@ def refine_on_edges(
     Each sample p on an edge with normal n in the picture gives one residual r: how far along n,
     within ``search_px``, the derivative of the blurred brightness is strongest. The motion m
     (rotation and translation in the camera's frame) minimises sum rho(n . dp/dm m - r) with
-    Tukey's rho, whose scale is 1.48 median |r|; repeated until the edges stand still, searching
+    Tukey's rho, whose scale is ``1.48 median |r|``; repeated until the edges stand still, searching
     ever nearer.
     """
     intrinsics.require_size(image.shape[1], image.shape[0])
@@ -221,7 +221,7 @@ def strongest_steps(
 def tukey_weights(miss: Float[np.ndarray, " s"]) -> tuple[Float[np.ndarray, " s"], float]:
     """(1 - (r / c)^2)^2 within c = 4.685 scale, about the median; and the scale.
 
-    About the median of |r|, not of r: normals of neighbouring edges point either way.
+    About the median of ``|r|``, not of r: normals of neighbouring edges point either way.
     """
     scale = max(1.4826 * float(np.median(np.abs(miss))), _SCALE_MIN_PX)
     share = np.clip(np.abs(miss) / (_TUKEY * scale), 0, 1)

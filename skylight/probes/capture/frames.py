@@ -9,9 +9,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
-from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
+from PIL import ExifTags, ImageOps
 
 from skylight.errors import InputError
+from skylight.imaging.bounded import PIXELS_MAX
+from skylight.imaging.opened_picture import opened_picture
 
 FRAMES_MOST = 40
 WEBCAM_SECONDS = 20.0
@@ -20,6 +22,7 @@ _WINDOW = 10  # frames of which the sharpest is taken: a third of a second of mo
 _DIFFERENT = 1.0
 _THUMBNAIL = (48, 32)
 _RATE = 30.0
+_WIDTH, _HEIGHT = cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,17 +80,11 @@ def read_picture(path: Path) -> Frame:
     InputError
         The file is missing, damaged or no 8-bit picture.
     """
-    try:
-        with Image.open(path) as image:
-            orientation = int(image.getexif().get(ExifTags.Base.Orientation, 1))
-            if image.mode in ("I", "F") or image.mode.startswith("I;"):
-                raise InputError(f"{path}: its values have more than 8 bits; export it with 8")
-            upright = np.array(ImageOps.exif_transpose(image).convert("RGB"))
-    except UnidentifiedImageError as error:
-        raise InputError(f"{path}: no picture known here; give a JPEG, PNG or TIFF") from error
-    except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot read {path}: {reason}; give a JPEG, PNG or TIFF") from error
+    with opened_picture(path) as image:
+        orientation = int(image.getexif().get(ExifTags.Base.Orientation, 1))
+        if image.mode in ("I", "F") or image.mode.startswith("I;"):
+            raise InputError(f"{path}: its values have more than 8 bits; export it with 8")
+        upright = np.array(ImageOps.exif_transpose(image).convert("RGB"))
     return Frame(name=str(path), image=upright, orientation=orientation)
 
 
@@ -174,6 +171,9 @@ def film(source: Path | int, *, seconds: float = math.inf) -> Iterator[Frame]:
         if not capture.isOpened():
             mend = "see that it is plugged in and free" if live else "give a video such as .mp4"
             raise InputError(f"cannot open {name}: {mend}, or photographs")
+        width, height = (int(capture.get(p)) for p in (_WIDTH, _HEIGHT))
+        if width * height > PIXELS_MAX:
+            raise InputError(f"{name}: {width}x{height} pixels are too many; scale it down")
         number, stop = 0, time.monotonic() + seconds
         while not live or time.monotonic() < stop:
             good, bgr = capture.read()

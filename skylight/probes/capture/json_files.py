@@ -1,20 +1,20 @@
 """Small JSON files that say in "kind" what they are."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 
 from skylight.errors import InputError
+from skylight.imaging.bounded import json_content
 
 
 def read_object(path: str | Path, kind: str) -> dict[str, object]:
     """The JSON object in a file whose "kind" says that it is the one wanted."""
     path = Path(path)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json_content(path)
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}; give a {kind} file") from error
-    except (UnicodeDecodeError, ValueError) as error:
+    except ValueError as error:
         reason = " ".join(str(error).split())
         raise InputError(f"{path}: no JSON ({reason}); give a {kind} file") from error
     if not isinstance(content, dict) or content.get("kind") != kind:

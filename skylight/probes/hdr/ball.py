@@ -102,8 +102,8 @@ def fit_ball(
 ) -> Ball:
     """The ball whose outline passes through ``points`` (px) in the sense of least squares.
 
-    A ray p = (x, y, -1) touches the ball where p.d = |p| cos(a). With v = d / cos(a) that is
-    linear, p.v = |p|; v = (v1, v2, -1 - e) keeps it exact for parallel rays::
+    A ray p = (x, y, -1) touches the ball where ``p.d = |p| cos(a)``. With v = d / cos(a) that is
+    linear, ``p.v = |p|``; v = (v1, v2, -1 - e) keeps it exact for parallel rays::
 
         v1 x + v2 y + e = |p| - 1,    tan^2(a) = v1^2 + v2^2 + 2 e + e^2
 
@@ -143,7 +143,7 @@ def distances_px(ball: Ball, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarr
 def _scaled(
     camera: Camera, points: Float[np.ndarray, "n 2"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """x, y (up) of rays (x, y, -1), |ray| - 1, and the largest of x and y."""
+    """x, y (up) of rays (x, y, -1), ``|ray| - 1``, and the largest of x and y."""
     x = (points[:, 0] - camera.center_px[0]) / camera.focal_px
     y = (camera.center_px[1] - points[:, 1]) / camera.focal_px
     squared = x**2 + y**2

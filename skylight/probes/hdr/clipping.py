@@ -20,12 +20,17 @@ _COUNTS = 0.02  # share of a pixel from which it counts as a part of a region
 class Clipping:
     """Light at which the shortest exposure is saturated.
 
-    ``solid_angle_sr``   of all of it.
-    ``regions``          how many there are.
-    ``azimuth_deg``, ``zenith_deg``  middle of the largest.
-    ``light_share``      of the light from all directions, the share that is counted there. It is
-                         counted at the level of saturation, so the true share is at least this.
-    ``radiance_sr``      sum of L dw over it, red, green and blue; the true one is at least this.
+    ``solid_angle_sr``
+        of all of it.
+    ``regions``
+        how many there are.
+    ``azimuth_deg``, ``zenith_deg``
+        middle of the largest.
+    ``light_share``
+        of the light from all directions, the share that is counted there. It is counted at the
+        level of saturation, so the true share is at least this.
+    ``radiance_sr``
+        sum of L dw over it, red, green and blue; the true one is at least this.
     """
 
     solid_angle_sr: float

@@ -43,11 +43,15 @@ class Exposure:
 class Merged:
     """``radiance``, of which 1 saturates the longest exposure (in sRGB, or linear), and how known.
 
-    ``clipped``       where even the shortest exposure is saturated: more light may have fallen.
-    ``response``      the curve used; None for light that was linear already.
-    ``disagreement``  median of |ln(L_i / L_j)| between neighbouring exposures where both are well
-                      exposed; None where none are.
-    ``notes``         why this response.
+    ``clipped``
+        where even the shortest exposure is saturated: more light may have fallen.
+    ``response``
+        the curve used; None for light that was linear already.
+    ``disagreement``
+        median of ``|ln(L_i / L_j)|`` between neighbouring exposures where both are well exposed;
+        None where none are.
+    ``notes``
+        why this response.
     """
 
     radiance: Float[Tensor, "h w 3"]

@@ -62,9 +62,9 @@ class Tessellation:
         return self._per_region((self.lengths[:, None] * self.poles).T).T / 2
 
     def solid_angles(self) -> Float[Tensor, " r"]:
-        """Of each region, sr: fans of triangles (Van Oosterom and Strackee 1983)::
+        """Of each region, sr: fans of triangles (Van Oosterom and Strackee 1983).
 
-        tan(area / 2) = det(a, b, c) / (1 + <a,b> + <b,c> + <c,a>)
+        ``tan(area / 2) = det(a, b, c) / (1 + <a,b> + <b,c> + <c,a>)``
         """
         areas = []
         for polygon in self.polygons:

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from jaxtyping import Float
+from PIL import Image
 from torch import Tensor
 
 from skylight.errors import InputError
+from skylight.imaging.bounded import require_pixels
 from skylight.imaging.colour import srgb_to_linear
 from skylight.probes.partitions.scene import Scene
-from skylight.transport.mesh import loaded_mesh
+from skylight.transport.mesh import loaded_mesh, require_coordinates
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -41,7 +43,7 @@ def read_scene(path: str | Path, albedo: tuple[float, float, float] = DEFAULT_AL
     meshes = loaded_mesh(path, lambda file: trimesh.load_scene(file, process=False).dump())
     try:
         return scene_of(meshes, albedo, linear=path.suffix.lower() in _LINEAR_SUFFIXES)
-    except InputError as error:
+    except (InputError, ValueError) as error:
         raise InputError(f"{path}: {error}") from error
 
 
@@ -58,8 +60,7 @@ def scene_of(
 def _one(mesh: "Trimesh", albedo: tuple[float, float, float], linear: bool) -> Scene:
     vertices = torch.from_numpy(np.array(mesh.vertices, np.float64))
     faces = torch.from_numpy(np.array(mesh.faces, np.int64))
-    if not bool(vertices.isfinite().all()):
-        raise InputError("the mesh has vertices that are NaN or infinite; repair it")
+    require_coordinates(vertices.numpy())
     visual: Any = mesh.visual
     plain = torch.tensor(albedo, dtype=torch.float64)
     if visual.kind == "vertex":
@@ -74,7 +75,7 @@ def _one(mesh: "Trimesh", albedo: tuple[float, float, float], linear: bool) -> S
     picture, colour = _material(visual.material, plain)
     if picture is None or visual.uv is None or len(visual.uv) != len(vertices):
         return Scene.of(vertices, faces, colour)
-    codes = np.array(picture.convert("RGB"), np.float32) / 255
+    codes = _codes(picture)
     return Scene.of(
         vertices,
         faces,
@@ -82,6 +83,15 @@ def _one(mesh: "Trimesh", albedo: tuple[float, float, float], linear: bool) -> S
         uv=torch.from_numpy(np.array(visual.uv, np.float64)),
         texture=(srgb_to_linear(torch.from_numpy(codes)) * colour.float()).clamp(0, 1),
     )
+
+
+def _codes(picture: Image.Image) -> Float[np.ndarray, "h w 3"]:
+    """From 0 to 1; ValueError for a texture that is too large or damaged."""
+    require_pixels(*picture.size)
+    try:
+        return np.array(picture.convert("RGB"), np.float32) / 255
+    except (OSError, SyntaxError, EOFError) as error:
+        raise ValueError(f"its texture is damaged ({error})") from error
 
 
 def _material(material: Any, plain: Float[Tensor, "3"]) -> tuple[Any, Float[Tensor, "3"]]:

@@ -76,9 +76,11 @@ def transfer_coefficients(
     fall want small triangles (:func:`skylight.probes.partitions.refine.refined`). Both sides of
     open parts shine.
 
-    workers : processes, this one included; more than one needs ``fork`` (not on Windows). The
-        result is the same to the byte.
-    progress : called with the share that is done, in [0, 1].
+    workers
+        processes, this one included; more than one needs ``fork`` (not on Windows). The result is
+        the same to the byte.
+    progress
+        called with the share that is done, in [0, 1].
 
     Memory: 24 bytes for each blocked ray of a vertex (0.5 GB for 100,000 vertices, 512 rays and
     40 % blocked), 64 n bytes for each vertex, and 24 n for each other receiver.

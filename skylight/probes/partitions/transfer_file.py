@@ -11,6 +11,7 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.imaging.atomic import atomic_path
+from skylight.imaging.bounded import load_arrays
 from skylight.probes.partitions.cells import Cells
 from skylight.probes.partitions.receivers import Receivers
 from skylight.probes.partitions.scene import Scene
@@ -22,8 +23,7 @@ from skylight.probes.partitions.transfer import (
 from skylight.transport.forked import Progress
 
 _VERSION = 1  # one more whenever the numbers change that the same scene gives
-_NAMES = {"version", "key", "values", "orders"}
-_DAMAGED = (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile)
+_NAMES = ("version", "key", "values", "orders")
 
 
 def transfer_key(
@@ -81,10 +81,10 @@ def load_transfer(path: str | Path, key: str | None = None) -> TransferCoefficie
         No such file, a damaged one, or one of another ``key``.
     """
     try:
-        with np.load(path, allow_pickle=False) as content:
-            version, found = int(content["version"]), str(content["key"])
-            values, orders = np.asarray(content["values"]), np.asarray(content["orders"])
-    except _DAMAGED as error:
+        content = load_arrays(Path(path), _NAMES)
+        version, found = int(content["version"]), str(content["key"])
+        values, orders = content["values"], content["orders"]
+    except (OSError, ValueError, TypeError) as error:
         raise InputError(f"{path}: cannot be read as transfer coefficients ({error})") from error
     if version != _VERSION:
         raise InputError(
@@ -139,9 +139,9 @@ def kept_transfer(
 
 def _require_ours(path: str | Path) -> None:
     try:
-        with np.load(path, allow_pickle=False) as content:
-            ours = set(content.files) == _NAMES
-    except _DAMAGED:
+        with zipfile.ZipFile(path) as archive:
+            ours = set(archive.namelist()) == {f"{name}.npy" for name in _NAMES}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
         ours = False
     if not ours:
         raise InputError(

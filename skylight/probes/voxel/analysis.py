@@ -48,7 +48,7 @@ class BestSet:
 
 @dataclass(frozen=True, kw_only=True)
 class TransferError:
-    """Mean and standard deviation of |t - reconstruction| over all coefficients of lit slots."""
+    """Mean and standard deviation of ``|t - reconstruction|``, all coefficients of lit slots."""
 
     mean: float
     std: float

@@ -17,9 +17,9 @@ class GlobalReconstruction(SlotReconstruction):
     """From transfer vectors: ``argmin |tau_u - T^T x|^2 + cost |x|_0``.
 
     tau stacks the 16 x 16 texels' 25 coefficients of outgoing radiance, divided by the albedo so
-    that a slot costs as much in dark material as in bright: |tau|^2 of a free face is 54. With an
-    albedo of 0.8, a cost of 1.6, which is the thesis' 1 for radiance, gives errors larger than the
-    thesis prints (5-probe: 0.0114 +- 0.0164); costs of 0.16 and less give those it prints.
+    that a slot costs as much in dark material as in bright: ``|tau|^2`` of a free face is 54. With
+    an albedo of 0.8, a cost of 1.6, which is the thesis' 1 for radiance, gives errors larger than
+    the thesis prints (5-probe: 0.0114 +- 0.0164); costs of 0.16 and less give those it prints.
     """
 
     def __init__(

@@ -5,10 +5,8 @@ As one image it is 12 rows of 16 slots: two rows for each orientation in the ord
 for those with a ceiling (after Fig. 3.3 of the thesis). A slot's row 0 lies forward, column 0 left.
 """
 
-import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 import torch
@@ -17,6 +15,7 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.imaging.atomic import atomic_path
+from skylight.imaging.bounded import load_arrays
 from skylight.imaging.colour import linear_to_srgb
 from skylight.probes.voxel.faces import CONFIGURATIONS, ORIENTATIONS
 
@@ -24,11 +23,7 @@ SLOTS_ACROSS = 16
 SLOTS_DOWN = len(ORIENTATIONS) * CONFIGURATIONS // SLOTS_ACROSS
 SIZE = 16
 _VERSION = 1
-# what numpy raises for files cut off, damaged, or of another kind
-_DAMAGED = (
-    OSError, ValueError, KeyError, EOFError, TypeError, AttributeError, SyntaxError, BadZipFile,
-    zlib.error,
-)  # fmt: skip
+_MOST_BYTES = 2**29  # slots of 256 x 256 take 151 MB
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,10 +104,9 @@ def load_lightmap(path: str | Path) -> Lightmap:
     """A lightmap as :meth:`Lightmap.save` wrote it."""
     names = ("radiance", "coverage", "confidence", "faces", "rotation")
     try:
-        with np.load(path, allow_pickle=False) as content:
-            version = int(content["version"])
-            arrays = {name: np.asarray(content[name]) for name in names}
-    except _DAMAGED as error:
+        arrays = load_arrays(Path(path), ["version", *names], most=_MOST_BYTES)
+        version = int(arrays.pop("version"))
+    except (OSError, ValueError, TypeError) as error:
         raise InputError(f"{path}: cannot be read as a lightmap ({error})") from error
     if version != _VERSION:
         raise InputError(f"{path}: a lightmap of version {version}, this program reads {_VERSION}")

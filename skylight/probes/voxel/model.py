@@ -10,6 +10,7 @@ from jaxtyping import Bool
 
 from skylight.errors import InputError
 from skylight.imaging.atomic import atomic_path
+from skylight.imaging.bounded import file_bytes, load_array
 from skylight.transport.mesh import read_mesh
 
 _MOST_CELLS = 512**3
@@ -122,10 +123,10 @@ def voxelise(path: Path, resolution: int) -> VoxelModel:
 
 def _read_npy(path: Path) -> VoxelModel:
     try:
-        grid = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+        grid = load_array(path)
+    except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as a .npy file ({error})") from error
-    if not isinstance(grid, np.ndarray) or grid.dtype.kind not in "biuf":
+    if grid.dtype.kind not in "biuf":
         raise InputError(f"{path}: holds no grid of booleans")
     if grid.ndim != 3 or not (grid.dtype == bool or np.isin(grid, [0, 1]).all()):
         raise InputError(
@@ -141,14 +142,17 @@ def _read_vox(path: Path) -> VoxelModel:
     https://github.com/ephtracy/voxel-model/blob/master/MagicaVoxel-file-format-vox.txt
     """
     try:
-        data = path.read_bytes()
-    except OSError as error:
+        data = file_bytes(path)
+    except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read ({error})") from error
     if data[:4] != b"VOX ":
         raise InputError(f"{path}: not a MagicaVoxel file, which begins with 'VOX '")
     size: tuple[int, ...] | None = None
     try:
-        place = 20 + struct.unpack_from("<i", data, 12)[0]  # past the header and MAIN's content
+        content = struct.unpack_from("<i", data, 12)[0]
+        if content < 0:
+            raise ValueError("a chunk of negative length")
+        place = 20 + content  # past the header and MAIN's content
         while place + 12 <= len(data):
             name = data[place : place + 4]
             length, children = struct.unpack_from("<ii", data, place + 4)
@@ -170,7 +174,7 @@ def _read_vox(path: Path) -> VoxelModel:
 def _from_xyzi(chunk: bytes, size: tuple[int, ...]) -> VoxelModel:
     if min(size) < 1 or np.prod(size, dtype=np.int64) > _MOST_CELLS:
         raise ValueError(f"size {size}")
-    (count,) = struct.unpack_from("<i", chunk)
+    (count,) = struct.unpack_from("<I", chunk)
     cells = np.frombuffer(chunk, np.uint8, 4 * count, 4).reshape(count, 4)[:, :3].astype(int)
     grid = np.zeros(size, bool)
     grid[tuple(cells.T)] = True

@@ -21,7 +21,7 @@ def sparse_combinations(
 
     Every subset of linearly independent rows is solved for all of ``wanted`` at once; of up to
     :data:`EXHAUSTIVE` rows all subsets, of more all those of at most 6. The least objective wins,
-    among equals (to 1e-9 of |w|^2) the fewest terms, among those the smallest ``|x|``, which
+    among equals (to 1e-9 of ``|w|^2``) the fewest terms, among those the smallest ``|x|``, which
     amplifies noise least. ``cost = 0`` is thus plain least squares with as few terms as reach it.
     """
     gram = (known @ known.T).double()

@@ -123,7 +123,7 @@ def test_grids_that_are_no_models_are_refused(tmp_path: Path) -> None:
             star_probe(size)
     np.savez(tmp_path / "archive.npz", grid=np.ones((2, 2, 2), bool))
     (tmp_path / "archive.npz").rename(tmp_path / "archive.npy")
-    with pytest.raises(InputError, match="no grid"):
+    with pytest.raises(InputError, match=r"no \.npy array"):
         read_voxels(tmp_path / "archive.npy")
     with pytest.raises(InputError, match="axis"):
         star_probe(3).turned("w", 1)

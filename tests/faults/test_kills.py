@@ -1,0 +1,45 @@
+"""A few kills; ``python tools/kill_runs.py`` is the long run."""
+
+import sys
+import time
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import pytest
+
+from tests.faults.kills import ended, kill_runs
+from tests.faults.scenarios import capture, training
+
+
+@pytest.mark.parametrize("scenario", [training, capture], ids=["training", "capture"])
+def test_killed_commands_end_as_undisturbed_ones(scenario: ModuleType, tmp_path: Path) -> None:
+    outcome = kill_runs(scenario, tmp_path, kills=2, seed=1)
+    assert outcome.kills == 2
+    assert outcome.differences == ()
+
+
+def test_what_a_kill_changes_is_told(tmp_path: Path) -> None:
+    """A command that forgets how often it was begun ends differently; that must be seen."""
+    program = (
+        "import sys, time, pathlib; p = pathlib.Path(sys.argv[1]); p.mkdir(exist_ok=True); "
+        "n = len(list(p.iterdir())); (p / str(n)).touch(); time.sleep(1)"
+    )
+    careless = SimpleNamespace(
+        __name__="careless",
+        command=lambda folder: [sys.executable, "-c", program, str(folder)],
+        result=lambda folder: {"begun": str(len(list(folder.iterdir())))},
+    )
+    outcome = kill_runs(careless, tmp_path, kills=3, seed=0)  # type: ignore[arg-type]
+    assert outcome.kills == 3
+    assert outcome.differences
+
+
+def test_the_whole_group_is_killed(tmp_path: Path) -> None:
+    """Children would go on writing."""
+    child = f"import time; time.sleep(2); open({str(tmp_path / 'late')!r}, 'w')"
+    program = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {child!r}])"
+    assert not ended([sys.executable, "-c", program], 0.5)
+    time.sleep(2.5)
+    assert not (tmp_path / "late").exists()
+    assert ended([sys.executable, "-c", program], 30)
+    assert (tmp_path / "late").exists()

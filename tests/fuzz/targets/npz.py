@@ -1,0 +1,82 @@
+""".npz: lightmaps, transfer coefficients, precomputed scenes; all readers on each content.
+
+What does not begin like a ZIP file is packed into one, member by member, or checksums would keep
+everything from numpy's reader.
+"""
+
+import io
+import zipfile
+
+import numpy as np
+import torch
+
+from skylight.errors import InputError
+from skylight.probes.partitions.transfer import TransferCoefficients
+from skylight.probes.partitions.transfer_file import load_transfer, save_transfer
+from skylight.probes.voxel.lightmap import Lightmap, load_lightmap
+from skylight.relight.runtime import PrecomputedScene, load_scene, relight
+from tests.fuzz.files import as_file, clear, written
+
+_MARK = b"--member--"
+
+
+def seeds() -> list[bytes]:
+    transfer = TransferCoefficients(values=torch.rand(4, 6, 3), orders=torch.rand(2).double())
+    rows, columns = 2, 4
+    scene = PrecomputedScene(
+        layout=(6, 8),
+        focal_px=8.0,
+        center_px=(4.0, 3.0),
+        pixels=np.array([[1, 1], [2, 5]], np.uint16),
+        normals=np.array([[0, 1, 0], [0, 0, 1]], np.float32),
+        albedo=np.full((2, 3), 0.5, np.float32),
+        on_ground=np.array([True, False]),
+        visible=np.full((2, 1), 255, np.uint8),
+        grid_layout=(rows, columns),
+        directions=np.eye(8, 3, dtype=np.float32),
+        solid_angles=np.full(8, 1.5, np.float32),
+    )
+    whole = [
+        written("a.npz", Lightmap.blank(2).save),
+        written("b.npz", lambda path: save_transfer(path, transfer, "key")),
+        written("c.npz", scene.save),
+    ]
+    return [*whole, *(_unpacked(each) for each in whole)]
+
+
+def read(content: bytes) -> None:
+    path = as_file(content if content[:2] == b"PK" else _packed(content), "a.npz")
+    refused: InputError | None = None
+    done = 0
+    for reader in (load_lightmap, load_transfer, load_scene):
+        try:
+            found = reader(path)
+        except InputError as error:
+            clear(error)
+            refused = error
+            continue
+        done += 1
+        if isinstance(found, PrecomputedScene):
+            relight(found, np.ones((4, 8, 3), np.float32))
+    if not done and refused is not None:
+        raise refused
+
+
+def _unpacked(content: bytes) -> bytes:
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        return b"".join(
+            _MARK + name.encode() + b"\0" + archive.read(name) for name in archive.namelist()
+        )
+
+
+def _packed(content: bytes) -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        taken: set[str] = set()
+        for member in content.split(_MARK)[1:]:
+            name, _, data = member.partition(b"\0")
+            text = name.decode("latin-1")
+            if text and text not in taken:
+                archive.writestr(text, data)
+                taken.add(text)
+    return out.getvalue()

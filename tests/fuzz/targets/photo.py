@@ -1,0 +1,60 @@
+"""Photographs: JPEG, PNG, TIFF of 8 and 16 bit, with EXIF data."""
+
+import struct
+import zlib
+
+import cv2
+import numpy as np
+from PIL import ExifTags, Image
+
+from skylight.errors import SkylightError
+from skylight.imaging.photo import read_photo
+from skylight.probes.capture.frames import read_picture
+from tests.fuzz.files import as_file, clear, written
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def seeds() -> list[bytes]:
+    codes = np.random.default_rng(0).integers(0, 256, (33, 40, 3), dtype=np.uint8)
+    picture = Image.fromarray(codes)
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    tags = exif.get_ifd(ExifTags.IFD.Exif)
+    tags[ExifTags.Base.FocalLengthIn35mmFilm] = 50
+    tags[ExifTags.Base.ExposureTime] = 0.01
+    deep = codes.astype(np.uint16) * 257
+    return [
+        written("a.jpg", lambda path: picture.save(path, quality=60, exif=exif)),
+        written("b.jpg", lambda path: picture.save(path, progressive=True)),
+        written("c.png", lambda path: picture.save(path, exif=exif)),
+        written("d.png", lambda path: picture.convert("P").save(path)),
+        written("e.png", lambda path: cv2.imwrite(str(path), deep)),
+        written("f.tif", lambda path: picture.save(path)),
+        written("g.tif", lambda path: picture.save(path, compression="tiff_lzw")),
+        written("h.tif", lambda path: cv2.imwrite(str(path), deep)),
+        written("i.webp", lambda path: picture.save(path)),
+    ]
+
+
+def read(content: bytes) -> None:
+    """A PNG's checksums are put right, or nothing behind them would ever be read."""
+    path = as_file(_checked(content) if content.startswith(_PNG) else content, "photo.jpg")
+    try:
+        read_picture(path)
+    except SkylightError as error:
+        clear(error)
+    photo = read_photo(path)
+    assert bool(photo.pixels.isfinite().all())
+
+
+def _checked(content: bytes) -> bytes:
+    out, place = bytearray(content), len(_PNG)
+    while place + 12 <= len(out):
+        (length,) = struct.unpack_from(">I", out, place)
+        end = place + 8 + length
+        if end + 4 > len(out):
+            break
+        struct.pack_into(">I", out, end, zlib.crc32(out[place + 4 : end]))
+        place = end + 4
+    return bytes(out)

@@ -1,0 +1,66 @@
+"""The six faces of a cube map: where each pixel looks, and how much of the sphere it is."""
+
+import math
+
+import pytest
+import torch
+
+from skylight.errors import InputError
+from skylight.sphere.cube_faces import FACES, cube_faces, face_directions, face_solid_angles
+from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.grid import DirectionGrid
+
+
+def opengl_lookup(direction: tuple[float, float, float]) -> tuple[str, float, float]:
+    """Face, s and t from 0 to 1, as OpenGL 4.6 core, 8.13, table 8.19 has it."""
+    x, y, z = direction
+    size = max(abs(x), abs(y), abs(z))
+    face, sc, tc = {
+        x: ("px", -z, -y), -x: ("nx", z, -y), y: ("py", x, z),
+        -y: ("ny", x, -z), z: ("pz", x, -y), -z: ("nz", -x, -y),
+    }[size]  # fmt: skip
+    return face, (sc / size + 1) / 2, (tc / size + 1) / 2
+
+
+def test_pixels_look_where_opengl_looks_them_up() -> None:
+    size = 5
+    directions = face_directions(size)
+    for number, name in enumerate(FACES):
+        for row in range(size):
+            for column in range(size):
+                x, y, z = directions[number, row, column].tolist()
+                face, s, t = opengl_lookup((x, y, z))
+                assert face == name
+                assert s * size == pytest.approx(column + 0.5)
+                assert t * size == pytest.approx(row + 0.5)
+
+
+@pytest.mark.parametrize("size", [1, 2, 32])
+def test_solid_angles_are_exact(size: int) -> None:
+    solid = face_solid_angles(size)
+    assert float(6 * solid.sum()) == pytest.approx(4 * math.pi, rel=1e-12)
+    if size > 2:
+        towards = face_directions(size)[4]
+        # dw = dA cos / r^2 on the face's plane: (2 / size)^2 z^3
+        flat = (2 / size) ** 2 * towards[..., 2] ** 3
+        torch.testing.assert_close(solid, flat, rtol=2e-3, atol=0)
+
+
+def test_a_map_that_codes_its_directions_shows_them_on_the_faces() -> None:
+    directions = DirectionGrid.latlong(128).directions
+    coded = EnvironmentMap(radiance=(directions + 2).reshape(128, 256, 3).float())
+    faces = cube_faces(coded, 16)
+    torch.testing.assert_close(faces.double(), face_directions(16) + 2, atol=3e-3, rtol=0)
+
+
+def test_light_is_kept() -> None:
+    light = EnvironmentMap(
+        radiance=torch.rand(32, 64, 3, generator=torch.Generator().manual_seed(0))
+    )
+    total = (cube_faces(light, 32) * face_solid_angles(32)[..., None].float()).sum((0, 1, 2))
+    torch.testing.assert_close(total, light.integrate(), rtol=0.01, atol=0)
+
+
+def test_a_sky_alone_is_refused() -> None:
+    with pytest.raises(InputError, match="lower half"):
+        cube_faces(EnvironmentMap(radiance=torch.ones(8, 32, 3)), 8)
