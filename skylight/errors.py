@@ -27,3 +27,25 @@ class OutputError(SkylightError):
 
 class DependencyError(SkylightError):
     """An optional package is needed for this command and is not installed."""
+
+
+def explain(error: BaseException, *, more: str = "rerun with --debug") -> tuple[str, int]:
+    """(what to tell the user, exit code) of whatever ended a command; ``more``: how to learn more.
+
+    ``more`` is said of bugs alone.
+    """
+    if isinstance(error, SkylightError):
+        return str(error), error.exit_code
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted; the results of earlier runs are untouched", 1
+    # torch's allocators raise plain RuntimeErrors
+    no_room = isinstance(error, RuntimeError) and (
+        "allocate memory" in str(error) or "out of memory" in str(error)
+    )
+    if isinstance(error, MemoryError) or no_room:
+        return "out of memory; close other programs, or use a smaller picture", 1
+    if isinstance(error, OSError) and error.strerror:
+        file = f"{error.filename}: " if error.filename else ""
+        return f"{file}{error.strerror}; check the disk's free space and your access to it", 1
+    first = str(error).partition("\n")[0]
+    return f"internal error ({type(error).__name__}: {first}); {more}", 1

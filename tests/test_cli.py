@@ -21,8 +21,10 @@ import skylight
 from skylight.app.estimate import estimate
 from skylight.app.results import MESHES, results_folder
 from skylight.app.sky_folders import with_time_left
-from skylight.cli import Landmarks, Light, MapLayout, explain, main
-from skylight.errors import AssetError, InputError, OutputError
+from skylight.cli import main
+from skylight.cli.estimate import Landmarks, Light
+from skylight.cli.skies import MapLayout
+from skylight.errors import AssetError, InputError, OutputError, explain
 from skylight.faces.landmarks import DetectedFace, LandmarkerName, default_landmarker
 from skylight.faces.model import HeadModel
 from skylight.imaging.files import read_environment_map
@@ -167,7 +169,7 @@ def _plain(mode: str, size: tuple[int, int], color: object, kind: str) -> Callab
 
 BAD_PICTURES: dict[str, tuple[str, Callable[[Path], object], str]] = {
     "missing": ("a.jpg", lambda path: None, "No such file"),
-    "a folder": ("a.jpg", lambda path: path.mkdir(), "directory"),
+    "an empty folder": ("a.jpg", lambda path: path.mkdir(), "no pictures"),
     "empty": ("a.jpg", lambda path: path.touch(), "no picture"),
     "text": ("a.png", lambda path: path.write_text("hello"), "no picture"),
     "truncated": ("a.jpg", _truncated, "cut short"),

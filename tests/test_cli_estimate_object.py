@@ -11,7 +11,8 @@ import torch
 import trimesh
 from PIL import Image
 
-from skylight.cli import ObjectLight, main
+from skylight.cli import main
+from skylight.cli.estimate import ObjectLight
 from skylight.imaging.colour import linear_to_srgb
 from skylight.imaging.files import read_environment_map
 from skylight.imaging.hdr import write_exr

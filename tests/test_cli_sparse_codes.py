@@ -11,7 +11,8 @@ import torch
 from PIL import Image
 
 from skylight.app.sparse_codes import _unrolled, outlines
-from skylight.cli import CodeWeights, main
+from skylight.cli import main
+from skylight.cli.sparse_codes import CodeWeights
 from skylight.csc.code import SparseCode
 from skylight.csc.coder import SphericalSparseCoder
 from skylight.csc.dictionary import builtin, isotropic

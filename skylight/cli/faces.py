@@ -5,6 +5,7 @@ from pathlib import Path
 import tyro
 from tyro.conf import Positional
 
+from skylight.cli.workers import who_works
 from skylight.errors import InputError
 
 faces = tyro.extras.SubcommandApp()
@@ -21,6 +22,7 @@ def render_faces(
     hair: bool = False,
     sunny: bool = False,
     workers: int = 0,
+    cluster: str | None = None,
 ) -> None:
     """Render people by path tracing, each with the light that was there; a stopped run goes on.
 
@@ -38,6 +40,7 @@ def render_faces(
         hair: Give heads a cap of hair that casts shadow and hides the scalp.
         sunny: Only skies whose sun is visible.
         workers: Processes that work at the same time; 0 for one per core.
+        cluster: A dask scheduler's address, whose workers do it instead.
     """
     for name, value, least in (
         ("count", count, 1),
@@ -45,12 +48,10 @@ def render_faces(
         ("samples", samples, 1),
         ("seed", seed, 0),
         ("per-scene", per_scene, 1),
-        ("workers", workers, 0),
     ):
         if value < least:
             raise InputError(f"--{name} must be {least} or more, got {value}")
-    import os
-
+    who = who_works(workers, cluster, out)
     from skylight.app.progress import stage_bar
     from skylight.app.sky_folders import with_time_left
     from skylight.evaluation.rendered_faces.batch import render_folder
@@ -69,7 +70,7 @@ def render_faces(
             out,
             count,
             options,
-            workers=workers or os.cpu_count() or 1,
+            workers=who,
             progress=with_time_left("face", progress),
         )
     print(f"{out}: {count} faces, {made} of them rendered now")

@@ -32,6 +32,7 @@ from skylight.evaluation.voxel_probe import VoxelProbe
 from skylight.faces.captures import CAPTURES_NAME
 from skylight.imaging.atomic import atomic_path
 from skylight.imaging.files import write_json
+from skylight.imaging.resumable import Workers
 from skylight.models.shipped import LightName
 
 SHEET_STRIPS = 12
@@ -139,7 +140,7 @@ EVALUATIONS: dict[str, Callable[[bool, Path | None], Evaluation]] = {
 }
 
 
-def evaluate(name: str, *, quick: bool, data: Path | None, out: Path, workers: int = 2) -> Path:
+def evaluate(name: str, *, quick: bool, data: Path | None, out: Path, workers: Workers = 2) -> Path:
     """Run an evaluation by name and write its results into ``out``; returns ``results.json``.
 
     Beside it lie ``results.md``, curves where something was measured at several counts, a
@@ -154,7 +155,7 @@ def evaluate(name: str, *, quick: bool, data: Path | None, out: Path, workers: i
     """
     if name not in EVALUATIONS:
         raise InputError(f"unknown evaluation {name!r}: choose one of {', '.join(EVALUATIONS)}")
-    if workers < 1:
+    if isinstance(workers, int) and workers < 1:
         raise InputError(f"{workers} workers cannot work: use 1 or more")
     command = f"skylight evaluate {name}" + (" --quick" if quick else "")
     command += f" --data {data.name}" if data is not None else ""
@@ -163,7 +164,7 @@ def evaluate(name: str, *, quick: bool, data: Path | None, out: Path, workers: i
 
 
 def run_evaluation(
-    evaluation: Evaluation, out: Path, *, command: str, quick: bool = False, workers: int = 1
+    evaluation: Evaluation, out: Path, *, command: str, quick: bool = False, workers: Workers = 1
 ) -> Path:
     """Measure, summarise, write."""
     try:
@@ -191,7 +192,8 @@ def run_evaluation(
         "command": command,
         "commit": commit(),
         "date": f"{datetime.now(UTC):%Y-%m-%d}",
-        "machine": f"{platform.machine()}, torch {torch.__version__}, {workers} processes",
+        "machine": f"{platform.machine()}, torch {torch.__version__}, "
+        + (f"{workers} processes" if isinstance(workers, int) else "workers of a cluster"),
         "seed": evaluation.seed,
         "quick": quick,
         "n": len(items),

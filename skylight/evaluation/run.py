@@ -10,7 +10,7 @@ from typing import Protocol, runtime_checkable
 
 import skylight
 from skylight.errors import SkylightError
-from skylight.imaging.resumable import share_work
+from skylight.imaging.resumable import Workers, share_work
 
 Metrics = dict[str, dict[str, float]]  # method -> metric -> value
 CACHE = "items.jsonl"
@@ -100,7 +100,7 @@ def measure_all(
     evaluation: Evaluation,
     out: Path,
     *,
-    workers: int,
+    workers: Workers,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Item]:
     """All items in order, those measured before with the same settings and code from the cache.

@@ -50,7 +50,7 @@ def export_decoder(
     """Write latent (b, 64) -> radiance (b, 32, 128, 3), float32, as an ONNX graph; b is dynamic.
 
     Before anything is written, onnxruntime decodes batches of 1, 5 and 10 random latents (a light
-    model's own Gaussian, otherwise standard normal ones). Returned is the largest difference
+    model's own Gaussian, otherwise standard normal ones). Returned is the largest difference ::
 
         |onnx - torch| / max(torch, 0.1)
 
@@ -76,7 +76,7 @@ def export_decoder(
 def decoder_difference(
     graph: bytes, network: SkyAutoencoder, latents: Float[Tensor, "b 64"]
 ) -> float:
-    """max |onnx - torch| / max(torch, 0.1), the latents split into batches of several sizes."""
+    """``max |onnx - torch| / max(torch, 0.1)``, the latents split into batches of several sizes."""
     session, worst = SkyDecoder(graph), 0.0
     for batch in latents.split(BATCHES):
         with torch.no_grad():

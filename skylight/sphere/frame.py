@@ -64,7 +64,7 @@ def angles_from_direction(
 
 
 def angle_between(a: Float[Tensor, "*s 3"], b: Float[Tensor, "*#s 3"]) -> Float[Tensor, "*s"]:
-    """Angle in radians between vectors, accurate at 0 and pi: 2 atan2(|a-b|, |a+b|)."""
+    """Angle in radians between vectors, accurate at 0 and pi: ``2 atan2(|a-b|, |a+b|)``."""
     a = a / a.norm(dim=-1, keepdim=True)
     b = b / b.norm(dim=-1, keepdim=True)
     return 2 * torch.atan2((a - b).norm(dim=-1), (a + b).norm(dim=-1))

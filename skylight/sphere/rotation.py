@@ -63,9 +63,10 @@ def wigner_small(beta: Float[Tensor, " b"], degree: int) -> list[Float[Tensor, "
     ``f_m = (c_m - i s_m) / sqrt 2`` for m > 0, of the real coefficients c of cos(m phi) and s of
     sin(m phi), and ``f_-m`` its conjugate, a turn by beta about y is ``f'_m = sum_n d_mn f_n``.
 
-    The rim |m| = l or |n| = l has closed forms in cos and sin of beta / 2; inside, the three-term
-    recursion in l (Varshalovich, Moskalev, Khersonskii 1988, 4.8.2; Kostelec and Rockmore 2008) is
-    stable upwards: unitary to 1e-13 at degree 100 in float64. Differentiable in beta.
+    The rim ``|m| = l`` or ``|n| = l`` has closed forms in cos and sin of beta / 2; inside, the
+    three-term recursion in l (Varshalovich, Moskalev, Khersonskii 1988, 4.8.2; Kostelec and
+    Rockmore 2008) is stable upwards: unitary to 1e-13 at degree 100 in float64. Differentiable in
+    beta.
     """
     cosine = torch.cos(beta)[:, None, None]
     half_cos, half_sin = torch.cos(beta / 2), torch.sin(beta / 2)
@@ -96,7 +97,7 @@ def _with_rim(
     half_sin: Float[Tensor, " b"],
     l: int,  # noqa: E741
 ) -> Float[Tensor, "b j j"]:
-    """``core`` (|m|, |n| < l) with the rows and columns |m| = l, |n| = l round it.
+    """``core`` (``|m|, |n| < l``) with the rows and columns ``|m| = l``, ``|n| = l`` round it.
 
     ``d_lm = sqrt(binomial(2l, l + m)) cos^(l+m) (-sin)^(l-m)``; the other three sides follow from
     ``d_mn = (-1)^(m-n) d_nm = d_-n,-m``.

@@ -1,0 +1,290 @@
+"""The light of many photographs: a folder in, a folder of results for each photo out."""
+
+import hashlib
+import json
+import math
+import shutil
+import statistics
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from skylight.app.estimate import Faces, choose_landmarker
+from skylight.app.manifest import (
+    MANIFEST,
+    Entry,
+    append_entry,
+    only_run,
+    read_manifest,
+    write_manifest,
+)
+from skylight.app.results import MESHES, results_folder, write_results
+from skylight.errors import InputError, OutputError, SkylightError
+from skylight.faces.landmarks import FaceLandmarker, LandmarkerName
+from skylight.imaging.colour import Decode
+from skylight.imaging.hdr import SUFFIXES as HDR_SUFFIXES
+from skylight.imaging.photo import read_photo
+from skylight.imaging.resumable import MOST_LOSSES, Workers, settle, share_work
+from skylight.inverse.photo import estimate_photos
+from skylight.models.shipped import LightName
+
+SETTINGS = "settings.json"
+SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", *HDR_SUFFIXES})
+
+Told = Callable[[str, float], None]  # what is going on, and the share that is done
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchSettings:
+    """What every estimate of a batch depends on besides its photo; as in ``skylight.estimate``."""
+
+    light: LightName = "autoencoder"
+    face: Faces = 1
+    decode: Decode | None = None
+    landmarks: LandmarkerName = "dlib"
+    landmark_model: Path | None = None
+
+    def facts(self) -> dict[str, object]:
+        """For notes: the same for the same model file, wherever it lies."""
+        model = self.landmark_model
+        return {**asdict(self), "landmark_model": None if model is None else file_hash(model)}
+
+
+def estimate_folder(
+    photos: Path,
+    out: Path,
+    settings: BatchSettings,
+    *,
+    workers: Workers = 1,
+    retry_failed: bool = False,
+    progress: Told | None = None,
+) -> list[Entry]:
+    """Estimate the light of every picture below ``photos``; entries in the pictures' order.
+
+    A photo's results go to :func:`folder_name` in ``out``, and then its line to the manifest.
+    A run that was stopped goes on: photos with a line are passed over, those that failed too
+    unless ``retry_failed``, and those whose bytes have changed are done again. Whatever is wrong
+    with a photo is its entry; only what is wrong with the rest (a full disk, other settings, a
+    missing model) ends the run.
+
+    Memory: each worker takes up to 1.4 GB for a sky model, 1.1 GB for harmonics.
+
+    Raises
+    ------
+    InputError
+        No picture, settings other than those of ``out``, or another run at work in ``out``.
+    OutputError
+        ``out`` cannot be written to.
+    """
+    sources = list_photos(photos, out)
+    choose_landmarker(settings.landmarks, settings.landmark_model)  # refuses what cannot be used
+    facts = settings.facts()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"cannot write into {out}: {error.strerror}; choose another folder with --out"
+        ) from error
+    with only_run(out):
+        settle(out / SETTINGS, facts)
+        _sweep(out, sources)
+        entries = read_manifest(out / MANIFEST)
+        missing = [
+            source
+            for source in sources
+            if not _is_finished(photos, source, entries.get(source), retry_failed)
+        ]
+        for source in missing:
+            entries.pop(source, None)
+        write_manifest(out / MANIFEST, entries.values())
+        tell = _teller(progress, sources, entries)
+        tell()
+        work = [(photos, source, out, settings, _hash(facts)) for source in missing]
+        for entry in share_work(estimate_one, work, workers=workers, finish=True, lost=_lost):
+            append_entry(out / MANIFEST, entry)
+            entries[entry.source] = entry
+            tell()
+        _sweep(out, sources)
+    return [entries[source] for source in sources]
+
+
+def list_photos(photos: Path, out: Path) -> list[str]:
+    """Paths of the pictures below ``photos``, from there on, sorted; hidden ones and ``out`` not.
+
+    Raises
+    ------
+    InputError
+        There is no such folder, or no picture in it.
+    """
+    if not photos.is_dir():
+        raise InputError(f"{photos}: there is no such folder; give one with pictures")
+    root, results = photos.resolve(), out.resolve()
+    if root == results:
+        raise InputError(f"{out}: results go to another folder than the pictures; choose one")
+    found = []
+    for path in root.rglob("*"):
+        inner = path.relative_to(root)
+        hidden = any(part.startswith(".") for part in inner.parts)
+        is_result = root in results.parents and results in path.parents
+        if path.suffix.lower() in SUFFIXES and path.is_file() and not hidden and not is_result:
+            found.append(inner.as_posix())
+    if not found:
+        raise InputError(f"{photos}: no pictures ({', '.join(sorted(SUFFIXES))}) in this folder")
+    return sorted(found)
+
+
+def folder_name(source: str) -> str:
+    """``a/me.jpg`` gets ``a/me_jpg``: no two photos share a folder, whatever is added later."""
+    stem, _, suffix = source.rpartition(".")
+    return f"{stem}_{suffix}"
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file.
+
+    Raises
+    ------
+    InputError
+        It cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}; give a file") from error
+
+
+def estimate_one(
+    photos: Path, source: str, out: Path, settings: BatchSettings, settings_hash: str
+) -> Entry:
+    """One photo, in a worker: its results, and what the manifest says of it.
+
+    Raises
+    ------
+    OutputError, AssetError
+        What would be wrong with every photo: a full disk, a damaged installation.
+    """
+    begun = time.perf_counter()
+    path = photos / source
+    sha256, told, error = _photo_hash(path), None, ""
+    try:
+        told = _estimate_into(out / folder_name(source), path, source, settings)
+    except InputError as fault:
+        error = str(fault).replace(str(path), source)
+    except SkylightError:
+        raise
+    except Exception as fault:
+        first = str(fault).partition("\n")[0]
+        error = f"{source}: internal error ({type(fault).__name__}: {first})"
+    common = {
+        "source": source,
+        "sha256": sha256,
+        "settings": settings_hash,
+        "seconds": round(time.perf_counter() - begun, 3),
+    }
+    if told is None:
+        return Entry(**common, status="failed", error=" ".join(error.split()))
+    return Entry(
+        **common,
+        status="done",
+        results=folder_name(source),
+        sun=told["sun"],
+        verdict=told["posterior"]["verdict"],
+        advice=told["advice"],
+        versions=told["versions"],
+    )
+
+
+def _estimate_into(out: Path, path: Path, source: str, settings: BatchSettings) -> dict[str, Any]:
+    """Estimate a photo and write its results; what estimate.json says."""
+    photo = read_photo(path, decode=settings.decode)
+    with results_folder(out, MESHES) as folder:
+        result = estimate_photos(
+            [photo],
+            light=settings.light,
+            faces=settings.face,
+            sources=[source],
+            landmarker=_landmarker(settings.landmarks, settings.landmark_model),
+        )
+        write_results(folder, [photo], [source], result)
+        return json.loads((folder / "estimate.json").read_text(encoding="utf-8"))
+
+
+@cache
+def _landmarker(name: LandmarkerName, model: Path | None) -> FaceLandmarker:
+    """One a process: loading its models takes as long as a face."""
+    return choose_landmarker(name, model)
+
+
+def _lost(
+    photos: Path, source: str, out: Path, settings: BatchSettings, settings_hash: str
+) -> Entry:
+    return Entry(
+        source=source,
+        sha256=_photo_hash(photos / source),
+        settings=settings_hash,
+        status="failed",
+        error=f"{source}: its worker was killed {MOST_LOSSES} times, so memory may be short: try "
+        "again with --retry-failed and fewer workers",
+    )
+
+
+def _is_finished(photos: Path, source: str, entry: Entry | None, retry_failed: bool) -> bool:
+    if entry is None or (entry.status == "failed" and retry_failed):
+        return False
+    return entry.sha256 == _photo_hash(photos / source)
+
+
+def _photo_hash(path: Path) -> str | None:
+    """None where it cannot be read: reading it as a photo tells why."""
+    try:
+        return file_hash(path)
+    except InputError:
+        return None
+
+
+def _hash(facts: dict[str, object]) -> str:
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _sweep(out: Path, sources: Sequence[str]) -> None:
+    """Remove what workers that were killed left behind."""
+    for folder in (out, *(out / folder_name(source) for source in sources)):
+        for partial in folder.glob(".partial-*"):
+            if partial.is_dir():
+                shutil.rmtree(partial, ignore_errors=True)
+            else:
+                partial.unlink(missing_ok=True)
+
+
+def time_left_s(seconds: Sequence[float], elapsed_s: float, left: int) -> float:
+    """Seconds that ``left`` more photos take, from those that took ``seconds`` in ``elapsed_s``.
+
+    The median photo stands for one to come, sum(seconds) / elapsed for the workers at work: a
+    photo that is quickly refused hardly counts, and workers may come and go.
+    """
+    return left * statistics.median(seconds) * elapsed_s / math.fsum(seconds)
+
+
+def _teller(
+    progress: Told | None, sources: Sequence[str], entries: Mapping[str, Entry]
+) -> Callable[[], None]:
+    """Tells of the entries that are there; time counts from now."""
+    begun, before = time.monotonic(), set(entries)
+
+    def tell() -> None:
+        if progress is None:
+            return
+        there = [entries[source] for source in sources if source in entries]
+        failed = sum(entry.status == "failed" for entry in there)
+        text = f"photo {len(there)} of {len(sources)}" + (f", {failed} failed" if failed else "")
+        seconds = [e.seconds for e in there if e.source not in before and e.seconds]
+        if seconds and len(there) < len(sources):
+            left = time_left_s(seconds, time.monotonic() - begun, len(sources) - len(there))
+            text += f", {left / 60:.0f} min left" if left > 90 else f", {left:.0f} s left"
+        progress(text, len(there) / len(sources))
+
+    return tell

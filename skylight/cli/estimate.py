@@ -1,0 +1,244 @@
+"""``skylight estimate`` and ``estimate-object``: the light of photographs."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from tyro.conf import Positional
+
+from skylight.cli.workers import who_works
+from skylight.errors import InputError, SkylightError
+
+# Parsing must not import torch, so the choices stand here again; a test compares the two.
+Light = Literal["autoencoder", "sunsky", "sh9", "sh25"]
+ObjectLight = Literal["ani", "iso", "vmf", "sh9", "sh25", "sh49"]
+Landmarks = Literal["dlib", "mediapipe"]
+Decoding = tyro.conf.create_mutex_group(required=False)
+
+
+def estimate(
+    photo: Positional[Path],
+    more: Positional[tuple[Path, ...]] = (),
+    shared_light: bool = False,
+    light: Light = "autoencoder",
+    face: int | None = None,
+    faces: Literal["one", "all"] = "one",
+    device: Literal["cpu", "cuda"] = "cpu",
+    out: Path | None = None,
+    gamma: Annotated[float | None, Decoding] = None,
+    linear: Annotated[bool, Decoding] = False,
+    landmarks: Landmarks = "dlib",
+    landmark_model: Path | None = None,
+    workers: int = 0,
+    cluster: str | None = None,
+    retry_failed: bool = False,
+) -> None:
+    """Recover the light in which a face was photographed, or several.
+
+    Faces under one light tell more of it together: all of a picture with --faces all, those of
+    several pictures with --shared-light. Every face has its own albedo, every picture its own
+    exposure. Cameras are taken to be level and, of several pictures, to look the same way: a
+    burst, a person who turns, a group that is photographed again.
+
+    Writes probe.exr and probe.hdr (linear lat-long maps of 64 x 128 pixels in the camera's frame:
+    the centre is where the camera looks, its right is the picture's right), posterior.exr (how
+    likely the sun stands where, per sr), mesh.obj (the fitted head; mesh_1.obj and so on where
+    there are several), estimate.json (all numbers) and report.png (a picture of it all).
+
+    Of a folder, each picture in it and in folders within is estimated by itself: a/me.jpg into
+    OUT/a/me_jpg. OUT/manifest.jsonl has a line for each picture that is finished; the same
+    command again goes on. A picture that fails is passed over and listed at the end, and the exit
+    code is 0 unless all failed.
+
+    Args:
+        photo: Colour picture of a face: JPEG, PNG, TIFF, EXR or Radiance HDR; or a folder of such.
+        more: Further pictures in the same light; only with --shared-light.
+        shared_light: All pictures were taken in one light by cameras that looked the same way.
+        light: Light model: learnt skies, Preetham's sky with a sun, or spherical harmonics with
+            9 or 25 coefficients.
+        face: Which face of each picture, counted from 1, the largest; 1 unless said otherwise.
+        faces: One face of each picture, or all.
+        device: Where the optimisation runs.
+        out: Folder for the results; by default PHOTO's name with _light, in the current folder.
+        gamma: The picture's values are light to the power of 1/GAMMA, instead of sRGB.
+        linear: The picture's values are proportional to light, instead of sRGB.
+        landmarks: What finds the face: dlib, or MediaPipe's landmarker, free for commercial use.
+        landmark_model: MediaPipe's face_landmarker.task, which you download yourself.
+        workers: Of a folder: processes that work at the same time; 0 for one per core. Each takes
+            up to 1.4 GB.
+        cluster: Of a folder: a dask scheduler's address, whose workers do it instead.
+        retry_failed: Of a folder: try again the pictures that failed before.
+    """
+    if face is not None and faces == "all":
+        raise InputError(f"--face {face} and --faces all contradict each other: leave one out")
+    which = "all" if faces == "all" else 1 if face is None else face
+    decode = "linear" if linear else gamma
+    if photo.is_dir():
+        if more or shared_light:
+            raise InputError(
+                f"{photo} is a folder, whose pictures are estimated one by one: name the pictures "
+                "themselves to give them a shared light"
+            )
+        _estimate_folder(
+            photo,
+            out or Path(f"{photo.resolve().name}_light"),
+            workers=workers,
+            cluster=cluster,
+            retry_failed=retry_failed,
+            device=device,
+            light=light,
+            face=which,
+            decode=decode,
+            landmarks=landmarks,
+            landmark_model=landmark_model,
+        )
+        return
+    for option, given in (
+        ("workers", workers != 0),
+        ("cluster", cluster is not None),
+        ("retry-failed", retry_failed),
+    ):
+        if given:
+            raise InputError(f"--{option} is for a folder of pictures, and {photo} is none")
+    from skylight.app.estimate import check_device, choose_landmarker, estimate_with_steps
+    from skylight.app.progress import stage_bar
+    from skylight.app.results import MESHES, mesh_names, results_folder, write_results
+    from skylight.app.summary import summary
+    from skylight.imaging.photo import read_photo
+
+    if more and not shared_light:
+        raise InputError(
+            f"{1 + len(more)} pictures: add --shared-light if they were taken in the same light by "
+            "cameras that looked the same way, else estimate them one by one, or put them into a "
+            "folder and name that"
+        )
+    out = out or Path(f"{photo.stem}_light")
+    paths = (photo, *more)
+    pictures = [read_photo(path, decode=decode) for path in paths]
+    check_device(device)
+    landmarker = choose_landmarker(landmarks, landmark_model)
+    with stage_bar() as progress, results_folder(out, MESHES) as folder:
+        result = estimate_with_steps(
+            pictures,
+            [str(path) for path in paths],
+            light=light,
+            face=which,
+            device=device,
+            landmarker=landmarker,
+            progress=progress,
+        )
+        progress("writing the results", 0.0)
+        write_results(folder, pictures, [str(path) for path in paths], result)
+    for advice in result.estimate.advice:
+        print(f"skylight: take care: {advice}", file=sys.stderr)
+    print(summary(result))
+    meshes = ", ".join(mesh_names(result))
+    files = f"probe.exr, probe.hdr, posterior.exr, {meshes}, estimate.json, report.png"
+    print(f"written into {out}: {files}")
+
+
+def _estimate_folder(
+    photos: Path,
+    out: Path,
+    *,
+    workers: int,
+    cluster: str | None,
+    retry_failed: bool,
+    device: Literal["cpu", "cuda"],
+    **settings: Any,
+) -> None:
+    """``settings`` are those of :class:`skylight.app.batch.BatchSettings`."""
+    from skylight.app.batch import BatchSettings, estimate_folder
+    from skylight.app.estimate import check_device
+    from skylight.app.manifest import MANIFEST
+    from skylight.app.progress import stage_bar
+
+    check_device(device)
+    who = who_works(workers, cluster, out)
+    chosen = BatchSettings(**settings)
+    try:
+        with stage_bar() as progress:
+            entries = estimate_folder(
+                photos, out, chosen, workers=who, retry_failed=retry_failed, progress=progress
+            )
+    except KeyboardInterrupt:
+        raise SkylightError(
+            f"interrupted; what {out / MANIFEST} lists is done, and the same command goes on"
+        ) from None
+    failed = [entry for entry in entries if entry.status == "failed"]
+    for entry in failed:
+        print(f"skylight: failed: {entry.error}", file=sys.stderr)
+    if len(failed) == len(entries):
+        raise InputError(f"no light from any of {len(entries)} pictures: see {out / MANIFEST}")
+    print(f"{out}: {len(entries) - len(failed)} of {len(entries)} pictures done, see {MANIFEST}")
+
+
+def estimate_object(
+    mesh: Positional[Path],
+    photo: Positional[Path],
+    camera: Path,
+    light: ObjectLight = "ani",
+    activations: int = 50,
+    mask: Path | None = None,
+    albedo: str | None = None,
+    roughness: float | None = None,
+    reflectance: float | None = None,
+    out: Path | None = None,
+    gamma: Annotated[float | None, Decoding] = None,
+    linear: Annotated[bool, Decoding] = False,
+) -> None:
+    """Recover the light in which an object of known shape was photographed.
+
+    Writes probe.exr and probe.hdr (linear lat-long maps of 64 x 128 pixels in the mesh's world:
+    the centre looks along -Z, +X is to its right, +Y up), estimate.json (all numbers) and
+    comparison.png (the object as seen and as re-rendered, and the light).
+
+    Args:
+        mesh: .obj, .ply, .glb, .gltf, .stl or .off; its materials are not used.
+        photo: Colour picture of the object: JPEG, PNG, TIFF, EXR or Radiance HDR.
+        camera: JSON with fov_deg (vertical) or focal_px, and either position, look_at and up (in
+            the mesh's world) or world_from_camera (4 x 4; the camera looks along -Z, +Y is up).
+        light: Sparse code of anisotropic Gaussians (ani), isotropic ones (iso) or equal lobes
+            (vmf), or 9, 25 or 49 spherical harmonics.
+        activations: Most activations of a sparse code.
+        mask: Picture of the photo's size, white where the object shows and black elsewhere.
+        albedo: Reflectance of the object as R,G,B; by default it is taken to be grey and counts
+            as brightness of the light.
+        roughness: Roughness of a glossy object, 0.25 to 1; without it, the object is matt. How
+            strong the gloss is against the matt part depends on --albedo.
+        reflectance: Of a glossy object, seen head-on; by default 0.04.
+        out: Folder for the results; by default PHOTO's name with _light, in the current folder.
+        gamma: The picture's values are light to the power of 1/GAMMA, instead of sRGB.
+        linear: The picture's values are proportional to light, instead of sRGB.
+    """
+    from skylight.app.known_object import (
+        estimate_known_object,
+        material_of,
+        summarise_object,
+        write_object_results,
+    )
+    from skylight.app.progress import stage_bar
+    from skylight.app.results import results_folder
+    from skylight.imaging.photo import read_photo
+
+    out = out or Path(f"{photo.stem}_light")
+    material = material_of(albedo, roughness, reflectance)
+    picture = read_photo(photo, decode="linear" if linear else gamma)
+    with stage_bar() as progress, results_folder(out) as folder:
+        result = estimate_known_object(
+            mesh,
+            picture,
+            camera,
+            light=light,
+            activations=activations,
+            mask=mask,
+            material=material,
+            progress=progress,
+        )
+        progress("writing the results", 0.0)
+        write_object_results(folder, result, mesh=mesh, photo=photo)
+    for advice in result.light.advice:
+        print(f"skylight: take care: {advice}", file=sys.stderr)
+    print(summarise_object(result))
+    print(f"written into {out}: probe.exr, probe.hdr, estimate.json, comparison.png")

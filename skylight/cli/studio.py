@@ -1,0 +1,29 @@
+"""``skylight studio``: the page on this machine."""
+
+
+def studio(
+    host: str = "127.0.0.1",
+    port: int = 8600,
+    no_browser: bool = False,
+    upload_mb: float = 50.0,
+    megapixels: float = 100.0,
+    jobs: int = 4,
+) -> None:
+    """Open a page in the browser that finds light in photos and shows it; Ctrl-C ends it.
+
+    Everything stays on this machine. Uploads and results are forgotten when it ends: download
+    what you want to keep.
+
+    Args:
+        host: Address to listen at; 0.0.0.0 lets other machines in, which nothing else protects.
+        port: Port to listen at; 0 takes one that is free.
+        no_browser: Only say where the page is.
+        upload_mb: Largest file that it takes.
+        megapixels: Largest picture that it takes.
+        jobs: Most jobs that may wait or run.
+    """
+    from skylight.studio.limits import Limits
+    from skylight.studio.server import serve
+
+    limits = Limits(upload_mb=upload_mb, megapixels=megapixels, jobs=jobs)
+    serve(host=host, port=port, browser=not no_browser, limits=limits)

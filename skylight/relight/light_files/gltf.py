@@ -1,0 +1,91 @@
+"""glTF 2.0 with EXT_lights_image_based: prefiltered cube faces and harmonics of irradiance."""
+
+import json
+import struct
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+
+from skylight.imaging.atomic import atomic_path
+from skylight.imaging.rgbd import LARGEST, encode_rgbd
+from skylight.relight.light_files.harmonics import rounded, second_degree
+from skylight.relight.prefilter import prefiltered_levels
+from skylight.sphere.cube_faces import FACES, face_solid_angles
+from skylight.sphere.envmap import EnvironmentMap
+
+LIGHT = "light.glb"
+_JSON, _BINARY = 0x4E4F534A, 0x004E4942  # names of a .glb file's chunks
+
+
+def write_gltf(folder: Path, environment: EnvironmentMap, size: int) -> tuple[list[str], float]:
+    """light.glb: a scene without objects whose light this is; ``size`` is a power of two.
+
+    And the share of the light that the cube map lacks, cut off at 255 where RGBD ends: reflections
+    of the sun are that much too dark, diffuse light is whole. The extension's ``intensity`` could
+    scale it in, but Babylon.js multiplies diffuse light by that twice, so it stays 1.
+
+    Levels are those of :func:`skylight.relight.prefilter.prefiltered_levels`, as RGBD PNGs.
+
+    The extension's text asks for OpenGL's faces, "each flipped about its vertical axis". It was
+    written for Babylon.js, where glTF's (x, y, z) is (-x, y, z): the faces here are OpenGL's of
+    the light mirrored in x, each flipped so, with +X and -X exchanged.
+    """
+    mirrored = EnvironmentMap(radiance=environment.radiance.flip(1))
+    levels = [level.cpu().numpy() for level in prefiltered_levels(mirrored, size)]
+    solid = face_solid_angles(size).numpy()[..., None]
+    whole, held = ((solid * faces).sum() for faces in (levels[0], levels[0].clip(max=LARGEST)))
+    pictures: list[bytes] = []
+    names, numbers = [], []
+    for depth, level in enumerate(levels):
+        numbers.append(list(range(len(pictures), len(pictures) + 6)))
+        for name, face in zip(FACES, level, strict=True):
+            pictures.append(_png(encode_rgbd(face.clip(max=LARGEST))))
+            names.append(f"{name}_{depth}")
+    harmonics = rounded(second_degree(environment), "gltf")
+    light = {
+        "name": "skylight",
+        "intensity": 1.0,
+        "irradianceCoefficients": [harmonics[3 * k : 3 * k + 3] for k in range(9)],
+        "specularImageSize": size,
+        "specularImages": numbers,
+    }
+    _write_glb(folder / LIGHT, light, pictures, names)
+    return [LIGHT], float(1 - held / max(whole, 1e-30))
+
+
+def _png(codes: UInt8[np.ndarray, "h w 4"]) -> bytes:
+    buffer = BytesIO()
+    Image.fromarray(codes, "RGBA").save(buffer, format="PNG")
+    return buffer.getvalue()
+
+
+def _write_glb(path: Path, light: dict, pictures: list[bytes], names: list[str]) -> None:
+    """GLB container, glTF 2.0 specification, 4.4: every chunk fills up to four bytes."""
+    views, binary = [], b""
+    for picture in pictures:
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(picture)})
+        binary += picture + b"\0" * (-len(picture) % 4)
+    extension = "EXT_lights_image_based"
+    tree = {
+        "asset": {"version": "2.0", "generator": "skylight"},
+        "extensionsUsed": [extension],
+        "extensions": {extension: {"lights": [light]}},
+        "scene": 0,
+        "scenes": [{"extensions": {extension: {"light": 0}}}],
+        "images": [
+            {"name": name, "mimeType": "image/png", "bufferView": number}
+            for number, name in enumerate(names)
+        ],
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(binary)}],
+    }
+    text = json.dumps(tree, separators=(",", ":"), allow_nan=False).encode("utf-8")
+    text += b" " * (-len(text) % 4)
+    chunks = [struct.pack("<II", len(text), _JSON), text]
+    chunks += [struct.pack("<II", len(binary), _BINARY), binary]
+    length = 12 + sum(len(chunk) for chunk in chunks)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(b"".join([b"glTF", struct.pack("<II", 2, length), *chunks]))

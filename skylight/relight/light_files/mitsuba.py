@@ -1,0 +1,69 @@
+"""Mitsuba 3: a scene with the map as its light and three balls that show it."""
+
+from pathlib import Path
+
+from skylight.imaging.atomic import atomic_path
+from skylight.imaging.files import write_environment_map
+from skylight.sphere.envmap import EnvironmentMap
+
+SCENE, TEXTURE = "scene.xml", "mitsuba_light.exr"
+# The map is turned to Mitsuba's own convention, so that the emitter needs no to_world.
+_SCENE = f"""<?xml version="1.0" encoding="utf-8"?>
+<!-- Light by skylight: right-handed, +Y up, the camera of the picture looked along -Z.
+     mitsuba scene.xml renders a mirror, a rough metal and a matt ball in it. -->
+<scene version="3.0.0">
+    <default name="spp" value="64"/>
+    <default name="width" value="384"/>
+    <default name="height" value="128"/>
+
+    <emitter type="envmap" id="light">
+        <string name="filename" value="{TEXTURE}"/>
+    </emitter>
+
+    <integrator type="path">
+        <integer name="max_depth" value="6"/>
+    </integrator>
+    <sensor type="perspective">
+        <float name="fov" value="36"/>
+        <transform name="to_world">
+            <lookat origin="0, 0, 11" target="0, 0, 0" up="0, 1, 0"/>
+        </transform>
+        <sampler type="independent">
+            <integer name="sample_count" value="$spp"/>
+        </sampler>
+        <film type="hdrfilm">
+            <integer name="width" value="$width"/>
+            <integer name="height" value="$height"/>
+            <string name="pixel_format" value="rgb"/>
+        </film>
+    </sensor>
+
+    <shape type="sphere">
+        <point name="center" x="-2.4" y="0" z="0"/>
+        <bsdf type="conductor">
+            <string name="material" value="none"/>
+        </bsdf>
+    </shape>
+    <shape type="sphere">
+        <bsdf type="roughconductor">
+            <string name="material" value="none"/>
+            <string name="distribution" value="ggx"/>
+            <float name="alpha" value="0.25"/>
+        </bsdf>
+    </shape>
+    <shape type="sphere">
+        <point name="center" x="2.4" y="0" z="0"/>
+        <bsdf type="diffuse">
+            <rgb name="reflectance" value="0.5"/>
+        </bsdf>
+    </shape>
+</scene>
+"""
+
+
+def write_mitsuba(folder: Path, environment: EnvironmentMap) -> list[str]:
+    """scene.xml and mitsuba_light.exr, which lies beside it."""
+    write_environment_map(folder / TEXTURE, environment, convention="mitsuba")
+    with atomic_path(folder / SCENE) as temporary:
+        temporary.write_text(_SCENE, encoding="utf-8")
+    return [SCENE, TEXTURE]

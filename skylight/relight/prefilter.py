@@ -1,0 +1,52 @@
+"""Cube maps blurred as rough metal sees them: one level for each roughness."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skylight.sphere.cube_faces import cube_faces, face_directions
+from skylight.sphere.envmap import EnvironmentMap
+from skylight.transport.render import ggx_density
+
+LAST_SIZE = 16  # pixels of the roughest level
+BLURRED_ROWS = 64  # of the map that rough levels are made from: cells of 2.8 degrees
+_BLOCK = 1024  # directions at a time: 64 MB of scratch
+
+
+def prefiltered_levels(environment: EnvironmentMap, size: int) -> list[Float[Tensor, "6 s s 3"]]:
+    """Faces of ``size``, half of it, and so on down to 16 pixels a side.
+
+    Level m of n stands for the perceptual roughness m / (n - 1) and alpha, its square. Level 0 is
+    the map itself; the others are
+
+        L'(r) = sum_w L(w) D(h) <r,w>+ dw / sum_w D(h) <r,w>+ dw,
+
+    with D the GGX density and <n,h>^2 = (1 + <r,w>) / 2: normal and view along the reflection r,
+    as engines take it (Karis 2013, "Real shading in Unreal Engine 4").
+    """
+    levels = [cube_faces(environment, size)]
+    coarse = environment
+    if environment.layout[0] > BLURRED_ROWS:
+        coarse = environment.resize(BLURRED_ROWS)
+    sizes = []
+    while size // 2 >= LAST_SIZE:
+        size //= 2
+        sizes.append(size)
+    for number, smaller in enumerate(sizes, start=1):
+        alpha = (number / len(sizes)) ** 2
+        towards = face_directions(smaller).reshape(-1, 3)
+        blurred = [_blur(coarse, block, alpha) for block in towards.split(_BLOCK)]
+        levels.append(torch.cat(blurred).reshape(6, smaller, smaller, 3).to(levels[0]))
+    return levels
+
+
+def _blur(
+    environment: EnvironmentMap, directions: Float[Tensor, "k 3"], alpha: float
+) -> Float[Tensor, "k 3"]:
+    grid = environment.grid
+    cosine = (directions @ grid.directions.T).float()
+    weight = ggx_density((1 + cosine) / 2, alpha) * cosine.clamp(min=0)
+    weight = weight * grid.solid_angles.float()
+    # a lobe narrower than the map's cells sees the nearest one
+    light = weight @ environment.flat.float()
+    return light / weight.sum(1, keepdim=True).clamp(min=1e-30)
