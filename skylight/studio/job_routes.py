@@ -1,0 +1,125 @@
+"""Jobs are begun, watched, cancelled, and their files fetched."""
+
+import json
+import zipfile
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+from fastapi import APIRouter, Request
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
+
+from skylight.imaging.atomic import atomic_path
+from skylight.studio.jobs import Job
+from skylight.studio.refusals import Refused
+from skylight.studio.requests import CodeRequest, EstimateRequest, JobRequest
+from skylight.studio.state import Studio
+
+jobs = APIRouter(prefix="/api/jobs")
+_PACKED = "files.zip"
+_LIGHT = "probe.exr"  # of an estimate
+
+
+@jobs.post("")
+async def begin(request: Request, wanted: JobRequest) -> JSONResponse:
+    """Put a job into the queue."""
+    studio = _studio(request)
+    arguments = wanted.model_dump(exclude={"kind", "photo", "map", "job"})
+    if isinstance(wanted, EstimateRequest):
+        photo = studio.photos.get(wanted.photo)
+        arguments |= {"path": str(photo.path), "name": photo.name, "pixels": studio.limits.pixels}
+        uses = (photo.id,)
+    else:
+        light, uses = _light(studio, wanted.map, wanted.job)
+        if light is None and isinstance(wanted, CodeRequest):
+            raise Refused(422, "a code is of a map of light: name a map, or the job that found one")
+        arguments |= {"light": light}
+    job = studio.jobs.add(wanted.kind, arguments, uses)
+    return JSONResponse({"job": job.id}, 202)
+
+
+def _light(
+    studio: Studio, map_: str | None, job: str | None
+) -> tuple[dict[str, str] | None, tuple[str, ...]]:
+    """(path and name of a map of light, what it belongs to)."""
+    if map_ is not None and job is not None:
+        raise Refused(422, "name a map or a job, not both")
+    if map_ is not None:
+        upload = studio.maps.get(map_)
+        return {"path": str(upload.path), "name": upload.name}, (upload.id,)
+    if job is not None:
+        found = studio.jobs.kept.get(job)
+        if _LIGHT not in found.files:
+            raise Refused(409, "that job has no light to use; name an estimate that is done")
+        return {"path": str(found.files[_LIGHT]), "name": _LIGHT}, (found.id,)
+    return None, ()
+
+
+@jobs.get("/{token}")
+async def describe(request: Request, token: str) -> dict[str, Any]:
+    """How far it is; with its result once it is done."""
+    return _job(request, token).describe()
+
+
+@jobs.get("/{token}/events")
+async def events(request: Request, token: str) -> StreamingResponse:
+    """The same whenever it changes, as server-sent events."""
+    studio, job = _studio(request), _job(request, token)
+
+    async def stream() -> AsyncIterator[str]:
+        async for told in studio.jobs.events(job):
+            yield f"data: {json.dumps(told)}\n\n"
+
+    return StreamingResponse(stream(), media_type="text/event-stream")
+
+
+@jobs.delete("/{token}")
+async def cancel_or_forget(request: Request, token: str) -> Response:
+    """Stop it; or, where it is over, forget it with its files."""
+    studio, job = _studio(request), _job(request, token)
+    if job.is_over:
+        studio.jobs.forget(job)
+    else:
+        studio.jobs.cancel(job)
+    return Response(status_code=204)
+
+
+@jobs.get("/{token}/files.zip")
+async def packed_files(request: Request, token: str, download: bool = False) -> FileResponse:
+    """All its files."""
+    job = _job(request, token)
+    if not job.files:
+        raise Refused(409, "this job has no files (yet)")
+    path = job.folder / _PACKED
+    if not path.exists():
+        await run_in_threadpool(_pack, job, path)
+    return _file(path, _PACKED, download)
+
+
+@jobs.get("/{token}/files/{name}")
+async def one_file(request: Request, token: str, name: str, download: bool = False) -> FileResponse:
+    """One of its files, by the name in its own list."""
+    files = _job(request, token).files
+    if name not in files:
+        raise Refused(404, "this job has no file of that name (yet)")
+    return _file(files[name], name, download)
+
+
+def _file(path: Path, name: str, download: bool) -> FileResponse:
+    kind = "attachment" if download else "inline"
+    return FileResponse(path, filename=name, content_disposition_type=kind)
+
+
+def _pack(job: Job, path: Path) -> None:
+    with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+        for name, file in job.files.items():
+            archive.write(file, name, zipfile.ZIP_DEFLATED)
+
+
+def _job(request: Request, token: str) -> Job:
+    return _studio(request).jobs.kept.get(token)
+
+
+def _studio(request: Request) -> Studio:
+    return request.app.state.studio

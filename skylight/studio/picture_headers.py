@@ -1,0 +1,51 @@
+"""How many pixels a file claims to have, told by its header before anything is decoded."""
+
+import re
+from pathlib import Path
+
+import OpenEXR
+
+from skylight.errors import InputError
+from skylight.imaging.hdr import muted
+from skylight.imaging.opened_picture import opened_picture
+
+_HEAD_BYTES = 65_536
+_RADIANCE_SIZE = re.compile(rb"\n[-+][XY] +(\d+) +[-+][XY] +(\d+)\s*\n")
+
+
+def check_pixels(path: Path, most: int) -> None:
+    """:class:`InputError` where a picture's header tells of more than ``most`` pixels.
+
+    A file without a readable header passes: the reader will say what is wrong with it.
+    """
+    count = pixel_count(path)
+    if count is not None and count > most:
+        raise InputError(
+            f"{path}: {count / 1e6:.3g} million pixels, {most / 1e6:.3g} at most; scale it down"
+        )
+
+
+def pixel_count(path: Path) -> int | None:
+    """Width times height of an .exr (all its parts), .hdr or other picture; None if unknown."""
+    suffix = path.suffix.lower()
+    if suffix == ".exr":
+        return _of_exr(path)
+    if suffix == ".hdr":
+        with path.open("rb") as file:
+            sizes = _RADIANCE_SIZE.findall(file.read(_HEAD_BYTES))
+        return max((int(height) * int(width) for height, width in sizes), default=None)
+    try:
+        with opened_picture(path) as image:
+            return image.width * image.height
+    except InputError:
+        return None
+
+
+def _of_exr(path: Path) -> int | None:
+    try:
+        with muted():
+            parts = OpenEXR.File(str(path), header_only=True).parts
+        windows = [part.header["dataWindow"] for part in parts]
+    except (RuntimeError, KeyError, ValueError, TypeError):
+        return None
+    return sum((int(x1) - int(x0) + 1) * (int(y1) - int(y0) + 1) for (x0, y0), (x1, y1) in windows)

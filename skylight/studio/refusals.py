@@ -1,0 +1,32 @@
+"""Answers that say no: a status, and one line that tells the user why."""
+
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import JSONResponse
+
+
+class Refused(HTTPException):
+    """An answer of this status with ``{"error": line}``."""
+
+    def __init__(self, status: int, line: str) -> None:
+        super().__init__(status, " ".join(line.split()))
+
+
+def refusal(status: int, line: str) -> JSONResponse:
+    """The answer that a :class:`Refused` becomes."""
+    return JSONResponse({"error": " ".join(line.split())}, status)
+
+
+async def answer_refusal(_request: Request, error: Exception) -> JSONResponse:
+    """For :class:`Refused` and for what the framework itself refuses."""
+    assert isinstance(error, HTTPException)
+    return refusal(error.status_code, str(error.detail))
+
+
+async def answer_failure(_request: Request, error: Exception) -> JSONResponse:
+    """For what should not happen; the traceback goes to the server's terminal."""
+    if isinstance(error, OSError) and error.strerror:
+        return refusal(507, f"{error.strerror}; check the server's disk for free space")
+    first = str(error).partition("\n")[0]
+    line = f"internal error ({type(error).__name__}: {first}); the server's terminal tells more"
+    return refusal(500, line)

@@ -1,0 +1,81 @@
+"""What a client may ask for, checked strictly: the JSON bodies of POST /api/jobs."""
+
+from typing import Annotated, Literal
+
+from fastapi.exceptions import RequestValidationError
+from pydantic import BaseModel, ConfigDict, Field
+
+# The server does not import torch, so these choices stand here again; a test compares.
+LIGHTS = {
+    "autoencoder": "Learnt skies",
+    "sunsky": "Preetham's sky and a sun",
+    "sh9": "Spherical harmonics, 9 coefficients",
+    "sh25": "Spherical harmonics, 25 coefficients",
+}
+DICTIONARIES = {
+    "ani": "Anisotropic Gaussians",
+    "iso": "Isotropic Gaussians",
+    "vmf": "Lobes of one width",
+}
+
+Token = Annotated[str, Field(max_length=64)]
+
+
+class _Request(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class EstimateRequest(_Request):
+    """The light of an uploaded photograph."""
+
+    kind: Literal["estimate"]
+    photo: Token
+    face: Annotated[int, Field(ge=1, le=1000)] | Literal["all"] = 1
+    light: Literal["autoencoder", "sunsky", "sh9", "sh25"] = "autoencoder"
+
+
+class _LitRequest(_Request):
+    """With a light: an uploaded map, or the result of an estimate."""
+
+    map: Token | None = None
+    job: Token | None = None
+
+
+class CodeRequest(_LitRequest):
+    """A map of light as a sparse code."""
+
+    kind: Literal["code"]
+    dictionary: Literal["ani", "iso", "vmf"] = "ani"
+    activations: Annotated[int, Field(ge=1, le=256)] = 64
+
+
+class VoxelRequest(_LitRequest):
+    """A star-shaped voxel probe for the printer, and how it would look in a light."""
+
+    kind: Literal["voxel"]
+    probe: Literal[1, 3, 5, 7] = 3
+    face_mm: Annotated[float, Field(gt=0, le=200)] = 20.0
+    wall_mm: Annotated[float, Field(gt=0, le=50)] = 1.6
+
+
+class PartitionsRequest(_LitRequest):
+    """A partition probe for the printer, and how it would look in a light."""
+
+    kind: Literal["partitions"]
+    design: Annotated[str, Field(max_length=64)]
+    size_mm: Annotated[float, Field(gt=0, le=1000)] | None = None
+
+
+JobRequest = Annotated[
+    EstimateRequest | CodeRequest | VoxelRequest | PartitionsRequest, Field(discriminator="kind")
+]
+
+
+def what_is_wrong(error: RequestValidationError) -> str:
+    """The first fault of a request, in one line."""
+    first = error.errors()[0]
+    if first["type"] == "json_invalid":
+        return "the request is no JSON"
+    kinds = {"estimate", "code", "voxel", "partitions"}  # pydantic names the branch that it took
+    place = ".".join(str(part) for part in first["loc"] if part not in {"body", *kinds})
+    return f"{place or 'the request'}: {first['msg']}"

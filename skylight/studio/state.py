@@ -1,0 +1,157 @@
+"""What one running server has: uploads, jobs, and the processes that work for it."""
+
+import asyncio
+import re
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from starlette.requests import ClientDisconnect, Request
+
+from skylight.studio.jobs import Job, Jobs
+from skylight.studio.kept import Item, Kept
+from skylight.studio.limits import Limits
+from skylight.studio.refusals import Refused
+from skylight.studio.worker_process import TaskFailed, TaskStopped, WorkerProcess
+
+HDR = (".exr", ".hdr")
+UPLOADS_AT_ONCE = 4
+_READING_S = 300.0  # 100 megapixels take some tens of seconds, and wait for their turn
+_NAME_MOST = 80
+_JOB_MODULES = ["skylight.studio.estimate_task"]
+_READER_MODULES = ["skylight.studio.uploads"]
+
+
+@dataclass(kw_only=True)
+class Upload(Item):
+    """A photograph or a map that a page sent; ``name`` is for people, and never a path."""
+
+    name: str
+    path: Path
+    seen: dict[str, Any]
+
+    @property
+    def preview(self) -> Path:
+        return preview_of(self.folder)
+
+
+class Studio:
+    """Everything is in ``folder``, which is its own."""
+
+    def __init__(self, folder: Path, limits: Limits) -> None:
+        self.limits = limits
+
+        def kept(name: str, most: int) -> Kept:
+            most_bytes = limits.kept_bytes
+            return Kept(folder / f"{name}s", name, most=most, most_bytes=most_bytes)
+
+        self.photos: Kept[Upload] = kept("photo", limits.uploads)
+        self.maps: Kept[Upload] = kept("map", limits.uploads)
+        results: Kept[Job] = kept("job", limits.results)
+        self._worker = WorkerProcess(_JOB_MODULES)
+        # of its own, so that uploads are answered while a job runs
+        self._reader = WorkerProcess(_READER_MODULES)
+        self.jobs = Jobs(results, self._worker, most=limits.jobs)
+        self._uploading = 0
+        self._asked: dict[str, dict[str, Any]] = {}
+        self._tasks: list[asyncio.Task[None]] = []
+
+    def start(self) -> None:
+        """Begin to work, in the running event loop."""
+        self._tasks = [
+            asyncio.create_task(self.jobs.work()),
+            asyncio.create_task(self._reader.warm()),
+        ]
+
+    async def stop(self) -> None:
+        """End all work, and with it the streams of events."""
+        for job in self.jobs.kept:
+            self.jobs.cancel(job)
+        await self._worker.close()
+        await self._reader.close()
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    def end_processes(self) -> None:
+        """Now, whatever they do."""
+        self._worker.stop()
+        self._reader.stop()
+
+    async def ask(self, question: str) -> dict[str, Any]:
+        """The answer of a task without arguments, which is always the same."""
+        if question not in self._asked:
+            self._asked[question] = await self._read(question, {})
+        return self._asked[question]
+
+    async def take_photo(self, request: Request, name: str) -> Upload:
+        """A photograph from a request's body, with its preview and faces."""
+        return await self._take(request, clean_name(name, "photo"), self.photos, "photo")
+
+    async def take_map(self, request: Request, name: str) -> Upload:
+        """A map of light from a request's body."""
+        name = clean_name(name, "map")
+        if Path(name).suffix.lower() not in HDR:
+            raise Refused(415, f"{name}: maps of light are .exr or .hdr files; choose one of them")
+        return await self._take(request, name, self.maps, "map")
+
+    async def _take(self, request: Request, name: str, kept: Kept[Upload], task: str) -> Upload:
+        if self._uploading >= UPLOADS_AT_ONCE:
+            raise Refused(429, f"{self._uploading} files are coming in already; try again soon")
+        self._uploading += 1
+        folder = kept.new_folder()
+        try:
+            suffix = Path(name).suffix.lower()
+            path = folder / f"upload{suffix if suffix in HDR else ''}"
+            await _receive(request, path)
+            arguments = {"path": str(path), "name": name, "pixels": self.limits.pixels}
+            if task == "photo":
+                arguments["preview"] = str(preview_of(folder))
+            seen = await self._read(task, arguments)
+        except BaseException:
+            kept.remove(folder)
+            raise
+        finally:
+            self._uploading -= 1
+        upload = Upload(folder=folder, name=name, path=path, seen=seen)
+        kept.add(upload)
+        kept.make_room(lambda other: other is upload or self.jobs.is_used(other))
+        return upload
+
+    async def _read(self, task: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        try:
+            async with asyncio.timeout(_READING_S):
+                return await self._reader.run(task, arguments)
+        except TaskFailed as error:
+            raise Refused(422 if error.is_input else 500, str(error)) from error
+        except TaskStopped as error:
+            line = f"{arguments.get('name', task)}: the process that read it died; try another file"
+            raise Refused(422 if arguments else 500, line) from error
+        except TimeoutError as error:
+            line = f"{arguments.get('name', task)}: reading it took too long; try a smaller file"
+            raise Refused(422 if arguments else 500, line) from error
+
+
+async def _receive(request: Request, path: Path) -> None:
+    total = 0
+    with path.open("wb") as file, suppress(ClientDisconnect):
+        async for chunk in request.stream():
+            file.write(chunk)
+            total += len(chunk)
+        if total:
+            return
+    raise Refused(400, "nothing came in; send the file as the request's body")
+
+
+def preview_of(folder: Path) -> Path:
+    """Where the preview of the photograph in that folder is."""
+    return folder / "preview.jpg"
+
+
+def clean_name(name: str, otherwise: str) -> str:
+    """A file's name as a browser tells it, without folders, controls or great length."""
+    last = re.split(r"[/\\]", name)[-1]
+    printable = "".join(letter for letter in last if letter.isprintable()).strip()
+    stem, suffix = Path(printable).stem, Path(printable).suffix
+    return (stem[: _NAME_MOST - len(suffix[:8])] + suffix[:8]) or otherwise

@@ -1,0 +1,122 @@
+"""The server's end of a worker process: tasks one after another, and a way to stop one at once."""
+
+import asyncio
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+Progress = Callable[[str, float], None]
+_LINE_BYTES = 64_000_000  # the longest answer
+_WARM = "warm"
+
+
+class TaskFailed(Exception):
+    """``str(error)`` is one line for the user; ``is_input`` where what they gave is at fault."""
+
+    def __init__(self, message: str, *, is_input: bool) -> None:
+        super().__init__(" ".join(message.split()))
+        self.is_input = is_input
+
+
+class TaskStopped(Exception):
+    """The process ended within the task: it was stopped, or it crashed."""
+
+
+class WorkerProcess:
+    """Runs tasks of :mod:`skylight.studio.worker`, in a process that is started when needed.
+
+    ``modules`` are imported as soon as it starts, so that the first task need not wait for them.
+    """
+
+    def __init__(self, modules: list[str]) -> None:
+        self._modules = modules
+        self._process: asyncio.subprocess.Process | None = None
+        self._is_stopped = self._is_closed = False
+        self._turn = asyncio.Lock()
+
+    async def warm(self) -> None:
+        """Start the process where there is none, and import its modules."""
+        with suppress(TaskFailed, TaskStopped):
+            await self.run(_WARM, {"modules": self._modules})
+
+    async def run(
+        self, task: str, arguments: dict[str, Any], tell: Progress | None = None
+    ) -> dict[str, Any]:
+        """The task's result, once it is its turn.
+
+        Raises
+        ------
+        TaskFailed
+            It could not be done, and why.
+        TaskStopped
+            :meth:`stop` or :meth:`close` was called, or the process died.
+        """
+        async with self._turn:
+            process = await self._started()
+            if self._is_stopped:  # while it started
+                await self._ended()
+                raise TaskStopped
+            assert process.stdin is not None
+            assert process.stdout is not None
+            line = json.dumps({"task": task, "arguments": arguments}) + "\n"
+            try:
+                process.stdin.write(line.encode())
+                await process.stdin.drain()
+                while line := await process.stdout.readline():
+                    message = json.loads(line)
+                    if "result" in message:
+                        return message["result"]
+                    if "error" in message:
+                        raise TaskFailed(message["error"], is_input=message["fault"] == "input")
+                    if tell is not None:
+                        tell(message["stage"], message["share"])
+            except ConnectionError:
+                pass
+            except asyncio.CancelledError:
+                self.stop()  # else its answer would be taken for that of the next task
+                raise
+            await process.wait()
+            raise TaskStopped
+
+    def stop(self) -> None:
+        """End the process and all that it started, now; the next task starts another."""
+        process, self._is_stopped = self._process, True
+        if process is not None and process.returncode is None:
+            with suppress(ProcessLookupError):
+                if hasattr(os, "killpg"):
+                    os.killpg(process.pid, signal.SIGKILL)
+                else:
+                    process.kill()
+
+    async def close(self) -> None:
+        """:meth:`stop`, wait until it is gone, and start no other."""
+        self._is_closed = True
+        await self._ended()
+
+    async def _ended(self) -> None:
+        self.stop()
+        if self._process is not None:
+            await self._process.wait()
+
+    async def _started(self) -> asyncio.subprocess.Process:
+        if self._is_closed:
+            raise TaskStopped
+        if self._is_stopped:
+            await self._ended()
+        if self._process is None or self._process.returncode is not None:
+            self._is_stopped = False
+            self._process = await asyncio.create_subprocess_exec(
+                sys.executable,
+                "-P",  # modules in the folder where the user happens to be are not ours
+                "-m",
+                "skylight.studio.worker",
+                stdin=asyncio.subprocess.PIPE,
+                stdout=asyncio.subprocess.PIPE,
+                limit=_LINE_BYTES,
+                start_new_session=True,  # Ctrl-C is for the server, and stop() ends helpers too
+            )
+        return self._process
