@@ -4,18 +4,23 @@
 #   make lint     style, types, and which module may import which
 #   make format   rewrite the code in the project's style
 #   make bench    timings
+#   make docs     the documentation as a site, its walk-throughs run: see out/site/index.html
+#   make wheel    the package for pip in dist/, tried in an empty environment
+#   make studio   the studio's page built anew from studio/; needs Node.js 20 or newer
+#   make fuzz     every reader and the studio, 5 minutes each; SECONDS_EACH=3600 for longer
 #   make clean    forget the environment and everything made; runs/ (training) stays
 # Another Python:  make PYTHON=python3.12 test
 
 PYTHON ?= python3
 OUT ?= out/demo
 JOBS ?= 2
+SECONDS_EACH ?= 300
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint format bench clean
+.PHONY: help demo test lint format bench docs wheel studio fuzz clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -41,8 +46,21 @@ format: $(VENV)/.dev
 bench: $(VENV)/.dev
 	$(BIN)/python -m pytest -o addopts=--import-mode=importlib -s benchmarks $(ARGS)
 
+docs: $(VENV)/.dev
+	OMP_NUM_THREADS=$(JOBS) $(BIN)/sphinx-build -W --keep-going -q docs out/site
+
+wheel: $(VENV)/.dev
+	$(BIN)/python tools/try_wheel.py
+
+fuzz: $(VENV)/.dev
+	$(BIN)/python tools/fuzz.py --seconds $(SECONDS_EACH) $(ARGS)
+
+studio:
+	cd studio && npm ci && npm run build
+
 clean:
-	rm -rf $(VENV) build out *.egg-info .benchmarks .hypothesis .import_linter_cache .pytest_cache .ruff_cache
+	rm -rf docs/_walkthroughs docs/_drawings docs/api/_modules studio/node_modules
+	rm -rf $(VENV) build dist out *.egg-info .benchmarks .hypothesis .import_linter_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV)/.created:
