@@ -1,4 +1,5 @@
 import type { Page } from "./page";
+import { el } from "./shared/dom";
 
 // Each page is a module of its own, loaded when it is first shown.
 const PAGES: { name: string; title: string; load: () => Promise<{ page: Page }> }[] = [
@@ -11,19 +12,17 @@ const PAGES: { name: string; title: string; load: () => Promise<{ page: Page }> 
 
 const main = document.querySelector<HTMLElement>("#main")!;
 const links = document.querySelector<HTMLElement>("#pages")!;
-for (const { name, title } of PAGES) {
-  const link = document.createElement("a");
-  link.href = `#/${name}`;
-  link.textContent = title;
-  links.append(link);
-}
+for (const { name, title } of PAGES) links.append(el("a", { href: `#/${name}` }, title));
 
 let leave: () => void = () => {};
+let asked = 0;
 
 async function show(): Promise<void> {
   const name = location.hash.replace(/^#\//, "");
   const chosen = PAGES.find((one) => one.name === name) ?? PAGES[0]!;
-  const { page } = await chosen.load();
+  const mine = ++asked;
+  const { page } = await chosen.load().catch(() => ({ page: unreachable }));
+  if (mine !== asked) return; // the user went on while it loaded
   leave();
   document.title = `${chosen.title} – skylight studio`;
   for (const link of links.querySelectorAll("a")) {
@@ -34,7 +33,16 @@ async function show(): Promise<void> {
   leave = page(main);
 }
 
+const unreachable: Page = (root) => {
+  const line = "This page could not be loaded: see whether skylight studio still runs, then reload.";
+  root.append(el("p", { class: "alert", role: "alert" }, line));
+  return () => {};
+};
+
 addEventListener("hashchange", () => {
   if (location.hash.startsWith("#/")) void show().then(() => main.focus());
 });
+// A file dropped beside its place would make the browser leave for it.
+for (const kind of ["dragover", "drop"] as const)
+  addEventListener(kind, (event) => event.preventDefault());
 void show();

@@ -1,0 +1,193 @@
+/** The studio's HTTP interface. Everything that fails throws an ApiError with one clear line. */
+
+export interface Face {
+  number: number;
+  box: [x: number, y: number, width: number, height: number];
+}
+export interface Photo {
+  photo: string;
+  name: string;
+  width: number;
+  height: number;
+  faces: Face[];
+}
+export interface LightMap {
+  map: string;
+  name: string;
+  width: number;
+  height: number;
+}
+export interface About {
+  version: string;
+  limits: { upload_mb: number; megapixels: number; jobs: number };
+  lights: { name: string; title: string }[];
+  dictionaries: { name: string; title: string }[];
+}
+export interface JobFile {
+  name: string;
+  size: number;
+}
+export interface Job<Result = unknown> {
+  job: string;
+  kind: string;
+  state: "waiting" | "running" | "done" | "failed" | "cancelled";
+  stage: string;
+  share: number;
+  error?: string;
+  result?: Result;
+  files?: JobFile[];
+}
+export interface Angles {
+  azimuth_deg: number;
+  zenith_deg: number;
+}
+/** estimate.json, as far as the page reads it, and where the camera and the faces are. */
+export interface EstimateResult {
+  light: string;
+  sun: Angles;
+  posterior: {
+    verdict: string;
+    share: number;
+    region_radius_deg: number;
+    region_parts: ({ share: number } & Angles)[];
+  };
+  advice: string[];
+  faces: { number: number; residual: number; albedo: [number, number, number] }[];
+  seconds: Record<string, number>;
+  camera: { focal_px: number; width: number; height: number; principal: [number, number] };
+  faces_at: { position: [number, number, number] }[];
+}
+
+export class ApiError extends Error {
+  constructor(
+    message: string,
+    readonly status: number,
+  ) {
+    super(message);
+  }
+}
+
+const GONE = "the studio does not answer: see whether `skylight studio` still runs, then try again";
+
+/** How long a broken stream may take to come back: longer and the server has cancelled the job. */
+const PATIENCE_MS = 5000;
+
+/** fetch, with the server's own line as the error, or one that says that it is gone. */
+async function ask(path: string, init?: RequestInit): Promise<Response> {
+  let answer: Response;
+  try {
+    answer = await fetch(path, init);
+  } catch (error) {
+    if (error instanceof DOMException && error.name === "AbortError") throw error;
+    throw new ApiError(GONE, 0);
+  }
+  if (answer.ok) return answer;
+  const body = (await answer.json().catch(() => ({}))) as { error?: string };
+  throw new ApiError(body.error ?? `the studio answered ${answer.status}`, answer.status);
+}
+
+export async function getJson<T>(path: string): Promise<T> {
+  return (await (await ask(path)).json()) as T;
+}
+
+export async function getBytes(path: string): Promise<ArrayBuffer> {
+  return (await ask(path)).arrayBuffer();
+}
+
+let asked: Promise<About> | undefined;
+/** GET /api/about, once; asked again after a failure. */
+export function about(): Promise<About> {
+  asked ??= getJson<About>("/api/about").catch((error: unknown) => {
+    asked = undefined;
+    throw error;
+  });
+  return asked;
+}
+
+async function upload<T>(where: string, file: File, signal?: AbortSignal): Promise<T> {
+  const { limits } = await about();
+  if (file.size > limits.upload_mb * 1e6)
+    throw new ApiError(`${file.name} is larger than ${limits.upload_mb} MB: save a smaller one`, 413);
+  const answer = await ask(`${where}?name=${encodeURIComponent(file.name)}`, {
+    method: "POST",
+    body: file,
+    headers: { "Content-Type": "application/octet-stream" },
+    ...(signal && { signal }),
+  });
+  return (await answer.json()) as T;
+}
+
+export const uploadPhoto = (file: File, signal?: AbortSignal): Promise<Photo> =>
+  upload("/api/photos", file, signal);
+export const uploadMap = (file: File, signal?: AbortSignal): Promise<LightMap> =>
+  upload("/api/maps", file, signal);
+export const previewUrl = (photo: string): string => `/api/photos/${photo}/preview.jpg`;
+
+/** Starts a job and returns its id. */
+export async function startJob(request: { kind: string; [key: string]: unknown }): Promise<string> {
+  const answer = await ask("/api/jobs", {
+    method: "POST",
+    body: JSON.stringify(request),
+    headers: { "Content-Type": "application/json" },
+  });
+  return ((await answer.json()) as { job: string }).job;
+}
+
+/**
+ * Follows a job to its end: `changed` sees every state, the promise its last one, with the result.
+ * Aborting closes the stream, which cancels the job on the server. Rejects where the job failed or
+ * the server is gone.
+ */
+export function followJob<Result>(
+  id: string,
+  changed: (job: Job<Result>) => void,
+  signal: AbortSignal,
+): Promise<Job<Result>> {
+  return new Promise((resolve, reject) => {
+    const stream = new EventSource(`/api/jobs/${id}/events`);
+    let patience = 0;
+    const end = (): void => {
+      stream.close();
+      clearTimeout(patience);
+      signal.removeEventListener("abort", aborted);
+    };
+    const aborted = (): void => {
+      end();
+      reject(new DOMException("cancelled", "AbortError"));
+    };
+    signal.addEventListener("abort", aborted);
+    if (signal.aborted) return aborted();
+    stream.onmessage = (event: MessageEvent<string>) => {
+      clearTimeout(patience);
+      patience = 0;
+      const job = JSON.parse(event.data) as Job<Result>;
+      changed(job);
+      if (job.state === "waiting" || job.state === "running") return;
+      end();
+      if (job.state === "done") {
+        // the stream's last state may leave a large result out
+        if (job.result !== undefined) resolve(job);
+        else getJson<Job<Result>>(`/api/jobs/${id}`).then(resolve, reject);
+      } else if (job.state === "cancelled") reject(new DOMException("cancelled", "AbortError"));
+      else reject(new ApiError(job.error ?? "the job failed", 500));
+    };
+    const gone = (): void => {
+      end();
+      reject(new ApiError(GONE, 0));
+    };
+    // a stream that broke is opened again by the browser; it is gone where that does not help
+    stream.onerror = () => {
+      if (stream.readyState === EventSource.CLOSED) gone();
+      else patience ||= window.setTimeout(gone, PATIENCE_MS);
+    };
+  });
+}
+
+/** Cancels a job, or has the server forget it. Silent: whoever leaves needs no answer. */
+export function forgetJob(id: string): void {
+  void fetch(`/api/jobs/${id}`, { method: "DELETE", keepalive: true }).catch(() => {});
+}
+
+export const fileUrl = (job: string, name: string): string =>
+  `/api/jobs/${job}/files/${encodeURIComponent(name)}`;
+export const zipUrl = (job: string): string => `/api/jobs/${job}/files.zip`;

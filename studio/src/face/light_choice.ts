@@ -1,0 +1,41 @@
+import { about } from "../api";
+import { alertBox } from "../shared/alert";
+import { el, freshId } from "../shared/dom";
+
+/** What each light model assumes, for people who choose one. */
+const HINTS: Record<string, string> = {
+  autoencoder: "Best for daylight outdoors.",
+  sunsky: "A clear sky and a sun, few parameters.",
+  sh9: "Quick and soft; assumes nothing, indoors too.",
+  sh25: "Soft, with more detail; assumes nothing.",
+};
+
+export interface LightChoice {
+  element: HTMLElement;
+  get chosen(): { name: string; title: string };
+}
+
+/** One of the server's light models; its first at the start. */
+export function lightChoice(): LightChoice {
+  const group = el("fieldset", {}, el("legend", {}, "What the light may look like"));
+  const alert = alertBox();
+  const name = freshId("light");
+  let chosen = { name: "autoencoder", title: "Learnt skies" };
+  about().then(({ lights }) => {
+    for (const light of lights) {
+      const id = freshId("light");
+      const input = el("input", { type: "radio", name, id, value: light.name, checked: light.name === chosen.name });
+      input.addEventListener("change", () => {
+        chosen = light;
+      });
+      const hint = el("span", { class: "muted small" }, HINTS[light.name] ?? "");
+      group.append(el("div", { class: "choice" }, input, el("label", { for: id }, light.title, el("br"), hint)));
+    }
+  }, alert.show);
+  return {
+    element: el("div", {}, group, alert.element),
+    get chosen() {
+      return chosen;
+    },
+  };
+}

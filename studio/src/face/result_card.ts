@@ -1,0 +1,102 @@
+import { fileUrl, type EstimateResult, type Job } from "../api";
+import { balls } from "../shared/ball";
+import { el } from "../shared/dom";
+import { downloads } from "../shared/downloads";
+import { fromAngles, inWords } from "../shared/frame";
+import { markDirection, panorama } from "../shared/panorama";
+import { loadRadianceMap, type RadianceMap } from "../shared/radiance_map";
+import { drawOutline, outline, posteriorOf } from "./posterior";
+import { posteriorBall } from "./posterior_ball";
+
+export interface ResultCard {
+  element: HTMLElement;
+  map: RadianceMap;
+  setExposure: (factor: number) => void;
+}
+
+const NO_SUN = "overcast: no sun";
+
+/** One estimate: its light as panorama and balls, where the sun may stand, numbers, files. */
+export async function resultCard(title: string, job: Job<EstimateResult>): Promise<ResultCard> {
+  const result = job.result!;
+  const [map, density] = await Promise.all([
+    loadRadianceMap(fileUrl(job.job, "probe.exr")),
+    loadRadianceMap(fileUrl(job.job, "posterior.exr")),
+  ]);
+  const { sun } = result;
+  const sees = result.posterior.verdict !== NO_SUN;
+  const posterior = sees ? posteriorOf(density, result.posterior.share) : null;
+
+  const words = inWords(sun.azimuth_deg, sun.zenith_deg);
+  const view = panorama(
+    `${title}: the light around the camera as a panorama; ${sees ? "sun" : "brightest"} ${words}`,
+  );
+  const towardsSun = fromAngles(sun.azimuth_deg, sun.zenith_deg);
+  const pieces = posterior ? outline(posterior) : [];
+  view.setOverlay((context, width, height) => {
+    if (posterior) drawOutline(context, posterior, pieces, width, height);
+    markDirection(context, towardsSun, width, height, sees ? "#ffd23f" : "#ffffff");
+  });
+  view.setMap(map);
+  const shown = balls(title);
+  shown.setMap(map);
+  const ball = posteriorBall(map, posterior, sun);
+  shown.element.append(ball.element);
+
+  const legend = sees
+    ? `Middle: where the camera looks. Ring: the sun as found. Line: where it stands with ${Math.round(100 * result.posterior.share)} % certainty.`
+    : "Middle: where the camera looks. Ring: the brightest place; no sun was seen.";
+  const element = el(
+    "article",
+    { class: "card stack result", "aria-label": title },
+    el("h3", { tabindex: -1 }, title),
+    el(
+      "div",
+      { class: "result-grid" },
+      el("figure", { class: "result-map" }, view.element, el("figcaption", {}, legend)),
+      shown.element,
+      numbers(result, words, sees),
+      el(
+        "div",
+        { class: "stack" },
+        ...result.advice.map((line) => el("p", { class: "care" }, sentence(line))),
+        downloads(job.job, job.files ?? []),
+      ),
+    ),
+  );
+  return {
+    element,
+    map,
+    setExposure: (factor) => {
+      view.setExposure(factor);
+      shown.setExposure(factor);
+      ball.setExposure(factor);
+    },
+  };
+}
+
+function numbers(result: EstimateResult, words: string, sees: boolean): HTMLElement {
+  const { sun, posterior, faces, seconds } = result;
+  const degrees = (value: number): string => `${Math.round(value)}°`;
+  const elevation = 90 - sun.zenith_deg;
+  const sure = `${Math.round(100 * posterior.share)} % within a circle of ${degrees(posterior.region_radius_deg)} radius`;
+  const all = Object.values(seconds).reduce((sum, one) => sum + one, 0);
+  const lines: [string, string][] = [
+    ["Verdict", sentence(posterior.verdict)],
+    [sees ? "Sun" : "Brightest", sentence(words)],
+    ["Azimuth", `${degrees(Math.abs(sun.azimuth_deg))} to the ${sun.azimuth_deg < 0 ? "left" : "right"} of the camera's view`],
+    ["Zenith angle", `${degrees(sun.zenith_deg)}, that is ${degrees(Math.abs(elevation))} ${elevation < 0 ? "below" : "above"} the horizon`],
+    ...(sees ? ([["How sure", sure]] as [string, string][]) : []),
+    ...faces.map(
+      (face, i) =>
+        [
+          faces.length > 1 ? `Face ${i + 1}` : "Face",
+          `re-rendered to within ${Math.round(100 * face.residual)} % on average`,
+        ] as [string, string],
+    ),
+    ["Time", `${Math.round(all)} s`],
+  ];
+  return el("dl", { class: "numbers" }, ...lines.flatMap(([term, value]) => [el("dt", {}, term), el("dd", {}, value)]));
+}
+
+const sentence = (line: string): string => line.charAt(0).toUpperCase() + line.slice(1);

@@ -1,0 +1,65 @@
+import { followJob, forgetJob, startJob, type Job } from "../api";
+import { alertBox } from "./alert";
+import { el, freshId } from "./dom";
+
+export interface JobPanel {
+  element: HTMLElement;
+  /**
+   * Runs a job to its end, showing its stages; null where it failed (the panel says why) or was
+   * cancelled. One at a time: a second call cancels the first.
+   */
+  run: <Result>(request: { kind: string; [key: string]: unknown }) => Promise<Job<Result> | null>;
+  get running(): boolean;
+  cancel: () => void;
+}
+
+/** A job's progress bar, stage, and cancel button, and the line that says why it failed. */
+export function jobPanel(): JobPanel {
+  const id = freshId("stage");
+  const stage = el("p", { id, role: "status", "aria-live": "polite" });
+  const bar = el("progress", { max: 1, value: 0, "aria-labelledby": id });
+  const button = el("button", { type: "button", onclick: () => cancel() }, "Cancel");
+  const working = el("div", { class: "job" }, el("div", { class: "row split" }, stage, button), bar);
+  const alert = alertBox();
+  working.hidden = true;
+  let stop: AbortController | null = null;
+
+  const show = (job: Job): void => {
+    const words = job.state === "waiting" ? "Waiting for another job" : job.stage || "Starting";
+    const line = `${words.charAt(0).toUpperCase()}${words.slice(1)} …`;
+    if (stage.textContent !== line) stage.textContent = line; // said once, not at every step
+    bar.value = job.share;
+  };
+  const cancel = (): void => {
+    stop?.abort();
+    stop = null;
+    working.hidden = true;
+  };
+  return {
+    element: el("div", { class: "stack tight" }, working, alert.element),
+    get running() {
+      return stop !== null;
+    },
+    cancel,
+    run: async <Result>(request: { kind: string; [key: string]: unknown }) => {
+      cancel();
+      alert.clear();
+      const mine = new AbortController();
+      stop = mine;
+      stage.textContent = "Starting …";
+      bar.removeAttribute("value");
+      working.hidden = false;
+      let job = "";
+      try {
+        job = await startJob(request);
+        return await followJob<Result>(job, show, mine.signal);
+      } catch (error) {
+        if (job) forgetJob(job);
+        if (!mine.signal.aborted) alert.show(error);
+        return null;
+      } finally {
+        if (stop === mine) cancel();
+      }
+    },
+  };
+}

@@ -1,0 +1,28 @@
+"""Choices that stand twice, because the server does not import torch."""
+
+import subprocess
+import sys
+from typing import get_args
+
+from skylight.csc.dictionary import BuiltinName
+from skylight.models.shipped import LIGHT_NAMES
+from skylight.studio.requests import (
+    DICTIONARIES,
+    LIGHTS,
+    CodeRequest,
+    EstimateRequest,
+    VoxelRequest,
+)
+from skylight.studio.voxel_task import STARS
+
+
+def test_choices_are_those_of_the_package() -> None:
+    assert tuple(LIGHTS) == LIGHT_NAMES == get_args(EstimateRequest.__annotations__["light"])
+    assert set(DICTIONARIES) == set(get_args(BuiltinName))
+    assert get_args(CodeRequest.__annotations__["dictionary"]) == tuple(DICTIONARIES)
+    assert get_args(VoxelRequest.__annotations__["probe"]) == tuple(STARS)
+
+
+def test_the_server_itself_needs_no_torch() -> None:
+    code = "import sys, skylight.studio.server; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0

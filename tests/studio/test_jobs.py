@@ -1,0 +1,279 @@
+"""Jobs from their request to their files: progress, limits, cancelling, and what they leave."""
+
+import json
+import os
+import signal
+import time
+import zipfile
+from collections.abc import Iterator
+from contextlib import suppress
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+from skylight.imaging.files import read_environment_map
+from tests.studio.conftest import JOBS, Served, begin, events, finished
+
+FILES = ["estimate.json", "mesh.obj", "posterior.exr", "probe.exr", "probe.hdr", "report.png"]
+
+
+@pytest.fixture(scope="module")
+def done(served: Served, photo: str) -> Iterator[list[dict[str, Any]]]:
+    """All that was told of an estimate."""
+    with served.client() as client:
+        yield list(events(client, begin(client, kind="estimate", photo=photo, light="sh9")))
+
+
+def test_an_estimate_tells_how_far_it_is(done: list[dict[str, Any]]) -> None:
+    stages = list(dict.fromkeys(each["stage"] for each in done if each["stage"]))
+    expected = ["finding the face", "fitting the head", "tracing light", "estimating the light"]
+    assert [stage for stage in stages if stage in expected] == expected
+    assert all("result" not in each for each in done[:-1])
+    assert (done[-1]["state"], done[-1]["share"]) == ("done", 1.0)
+    assert len({each["job"] for each in done}) == 1
+
+
+def test_an_estimate_s_result(client: httpx.Client, done: list[dict[str, Any]]) -> None:
+    last = done[-1]
+    assert last == client.get(f"/api/jobs/{last['job']}").json()
+    result = last["result"]
+    assert result["sources"] == ["me.jpg"]
+    assert result["light"] == "sh9"
+    camera = result["camera"]
+    assert (camera["width"], camera["height"], camera["principal"]) == (512, 512, [256, 256])
+    # the head's middle is seen where the face is
+    x, y, z = result["faces_at"][0]["position"]
+    column = camera["principal"][0] - camera["focal_px"] * x / z
+    row = camera["principal"][1] + camera["focal_px"] * y / z
+    assert (180, 60) < (column, row) < (280, 220)
+
+
+def test_an_estimate_s_files(client: httpx.Client, done: list[dict[str, Any]]) -> None:
+    last, job = done[-1], done[-1]["job"]
+    assert [file["name"] for file in last["files"]] == FILES
+    files = {name: client.get(f"/api/jobs/{job}/files/{name}") for name in FILES}
+    assert [len(files[file["name"]].content) for file in last["files"]] == [
+        file["size"] for file in last["files"]
+    ]
+    assert json.loads(files["estimate.json"].content).items() <= last["result"].items()
+    saved = client.get(f"/api/jobs/{job}/files/probe.exr?download=1")
+    assert saved.headers["content-disposition"] == 'attachment; filename="probe.exr"'
+    assert files["probe.exr"].headers["content-disposition"].startswith("inline")
+    packed = client.get(f"/api/jobs/{job}/files.zip?download=1")
+    with zipfile.ZipFile(BytesIO(packed.content)) as archive:
+        assert {name: archive.read(name) for name in archive.namelist()} == {
+            name: answer.content for name, answer in files.items()
+        }
+
+
+def test_an_estimate_made_again_is_equal(
+    client: httpx.Client, photo: str, done: list[dict[str, Any]]
+) -> None:
+    again = finished(client, kind="estimate", photo=photo, light="sh9")
+    assert _without_times(again["result"]) == _without_times(done[-1]["result"])
+
+
+def test_the_light_of_an_estimate_is_coded(
+    client: httpx.Client, done: list[dict[str, Any]]
+) -> None:
+    code = finished(client, kind="code", job=done[-1]["job"], dictionary="iso", activations=4)
+    assert code["state"] == "done", code.get("error")
+    assert code["result"]["counts"] == [1, 2, 3, 4]
+
+
+def _without_times(result: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in result.items() if name not in ("seconds", "stats")}
+
+
+@pytest.mark.parametrize("name", ["nothing.exr", "..%2f..%2fpreview.jpg", "%2e%2e", ""])
+def test_files_are_those_of_the_list(
+    client: httpx.Client, done: list[dict[str, Any]], name: str
+) -> None:
+    path = f"/api/jobs/{done[-1]['job']}/files/{name}"
+    answer = client.get(httpx.URL(client.base_url, raw_path=path.encode()))
+    assert answer.status_code == 404
+    assert "error" in answer.json()
+
+
+@pytest.mark.parametrize(
+    ("wanted", "words"),
+    [
+        ({"kind": "paint"}, "paint"),
+        ({}, "kind"),
+        ([], "valid dictionary"),
+        ({"kind": "estimate"}, "photo: Field required"),
+        ({"kind": "estimate", "photo": 7}, "photo: Input should be a valid string"),
+        ({"kind": "estimate", "photo": "x", "face": "1"}, "face"),
+        ({"kind": "estimate", "photo": "x", "face": 0}, "face"),
+        ({"kind": "estimate", "photo": "x", "light": "candle"}, "light"),
+        ({"kind": "estimate", "photo": "x", "path": "/etc"}, "path: Extra inputs"),
+        ({"kind": "code", "activations": 257}, "activations"),
+        ({"kind": "code", "activations": True}, "activations"),
+        ({"kind": "code"}, "name a map"),
+        ({"kind": "code", "map": "x", "job": "y"}, "not both"),
+        ({"kind": "voxel", "probe": 2.5}, "probe"),
+        ({"kind": "voxel", "probe": 4}, "probe"),
+        ({"kind": "partitions", "design": ["14d"]}, "design"),
+    ],
+)
+def test_wrong_requests_are_one_line(client: httpx.Client, wanted: object, words: str) -> None:
+    answer = client.post("/api/jobs", json=wanted)
+    assert answer.status_code == 422
+    error = answer.json()["error"]
+    assert words in error
+    assert "\n" not in error
+
+
+@pytest.mark.parametrize(
+    "body", ["{", '{"kind": NaN}', "[" * 60_000, '{"kind":"voxel","face_mm":NaN}']
+)
+def test_wrong_json_is_one_line(client: httpx.Client, body: str) -> None:
+    headers = {"Content-Type": "application/json"}
+    answer = client.post("/api/jobs", content=body, headers=headers)
+    assert answer.status_code in (400, 422)
+    assert list(answer.json()) == ["error"]
+
+
+def test_what_is_no_json_or_too_much_of_it(client: httpx.Client) -> None:
+    plain = client.post("/api/jobs", content=b"{}", headers={"Content-Type": "text/plain"})
+    assert plain.status_code == 415
+    long = client.post("/api/jobs", json={"kind": "x" * 70_000})
+    assert long.status_code == 413
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["jobs/x", "jobs/x/events", "jobs/x/files/a", "jobs/x/files.zip", "photos/x/preview.jpg"],
+)
+def test_unknown_ids(client: httpx.Client, path: str) -> None:
+    assert client.get(f"/api/{path}").status_code == 404
+
+
+def test_requests_of_unknown_things(client: httpx.Client) -> None:
+    for wanted in (
+        {"kind": "estimate", "photo": "x"},
+        {"kind": "code", "map": "x"},
+        {"kind": "voxel", "job": "x"},
+    ):
+        assert client.post("/api/jobs", json=wanted).status_code == 404
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="looks for processes in /proc")
+def test_too_many_jobs_are_refused_and_cancelling_is_quick(
+    client: httpx.Client, photo: str, served: Served
+) -> None:
+    first = begin(client, kind="estimate", photo=photo)
+    stream = events(client, first)
+    while (told := next(stream))["stage"] != "tracing light":  # by helping processes too
+        pass
+    waiting = [begin(client, kind="estimate", photo=photo) for _ in range(JOBS - 1)]
+    answer = client.post("/api/jobs", json={"kind": "estimate", "photo": photo})
+    assert answer.status_code == 429
+    assert client.get(f"/api/jobs/{waiting[0]}").json()["state"] == "waiting"
+    assert client.get(f"/api/jobs/{first}/files.zip").status_code == 409
+
+    workers = set(served.workers())
+    assert len(workers) == 2
+    for job in waiting:
+        assert client.delete(f"/api/jobs/{job}").status_code == 204
+    start = time.monotonic()
+    assert client.delete(f"/api/jobs/{first}").status_code == 204
+    *_, told = stream
+    assert told["state"] == "cancelled"
+    while workers <= set(served.workers()):  # until the one that worked is gone
+        assert time.monotonic() - start < 1
+    (gone,) = workers - set(served.workers())
+    while _group(gone):
+        assert time.monotonic() - start < 1
+    for job in (first, *waiting):
+        assert client.get(f"/api/jobs/{job}").json()["state"] == "cancelled"
+        assert client.delete(f"/api/jobs/{job}").status_code == 204  # now forgotten
+        assert client.get(f"/api/jobs/{job}").status_code == 404
+    # and the next one is worked on
+    last = finished(client, kind="estimate", photo=photo, face=3)
+    assert last["state"] == "failed"
+    assert last["error"].startswith("me.jpg: there is no face 3")
+    assert "result" not in last
+
+
+def _group(leader: int) -> list[int]:
+    """Processes that this one started, and they; those that only wait to be reaped left out."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            state, _, group = path.read_text().rpartition(")")[2].split()[:3]
+            if int(group) == leader and state != "Z":
+                found.append(int(path.parent.name))
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="looks for processes in /proc")
+def test_a_worker_that_dies_takes_one_job_with_it(
+    client: httpx.Client, photo: str, served: Served
+) -> None:
+    before = set(served.workers())
+    job = begin(client, kind="estimate", photo=photo)
+    stream = events(client, job)
+    while next(stream)["stage"] != "tracing light":
+        pass
+    (worker,) = [pid for pid in before if len(_group(pid)) > 1] or [max(before)]
+    os.kill(worker, signal.SIGKILL)
+    *_, told = stream
+    assert told["state"] == "failed"
+    assert told["error"].startswith("the process that worked on it died")
+    assert "no face 3" in finished(client, kind="estimate", photo=photo, face=3)["error"]
+
+
+def test_a_job_whose_page_went_is_cancelled(client: httpx.Client, photo: str) -> None:
+    job = begin(client, kind="estimate", photo=photo)
+    stream = events(client, job)
+    while next(stream)["stage"] != "fitting the head":  # most of the work is still to come
+        pass
+    stream.close()
+    time.sleep(2)
+    back = events(client, job)
+    assert next(back)["state"] == "running"  # a page that was loaded anew in between
+    back.close()
+    left = time.monotonic()
+    while client.get(f"/api/jobs/{job}").json()["state"] == "running":
+        assert time.monotonic() - left < 8
+        time.sleep(0.1)
+    assert time.monotonic() - left > 4
+    assert client.get(f"/api/jobs/{job}").json()["state"] == "cancelled"
+
+
+def test_a_code_tells_of_each_activation(client: httpx.Client, tmp_path: Path) -> None:
+    """Of a map that is one lobe of the dictionary."""
+    import torch
+
+    from skylight.imaging.files import write_environment_map
+    from skylight.sphere.envmap import EnvironmentMap
+    from skylight.sphere.frame import direction_from_angles
+    from skylight.sphere.grid import DirectionGrid
+
+    looks = direction_from_angles(torch.tensor(0.6), torch.tensor(1.1))
+    cosine = DirectionGrid.latlong(32).directions.float() @ looks
+    lobe = torch.exp(12 * (cosine - 1)).reshape(32, 64, 1) * torch.tensor([3.0, 2.0, 1.0])
+    write_environment_map(tmp_path / "lobe.exr", EnvironmentMap(radiance=lobe))
+    content = (tmp_path / "lobe.exr").read_bytes()
+    light = client.post("/api/maps?name=lobe.exr", content=content).json()["map"]
+    last = finished(client, kind="code", map=light, dictionary="vmf", activations=6)
+    assert last["state"] == "done", last.get("error")
+    result = last["result"]
+    assert result["errors"] == sorted(result["errors"], reverse=True)
+    assert len(result["activations"]) == result["counts"][-1] <= 6
+    first = result["activations"][0]
+    assert first["azimuth_deg"] == pytest.approx(np.degrees(0.6), abs=6)
+    assert first["zenith_deg"] == pytest.approx(np.degrees(1.1), abs=6)
+    red, green, blue = first["weight"]
+    assert (green / red, blue / red) == pytest.approx((2 / 3, 1 / 3), rel=1e-3)
+    outline = np.array(first["outline"])
+    assert np.abs(outline.mean(0) - [first["azimuth_deg"], first["zenith_deg"]]).max() < 4
+    decoded = client.get(f"/api/jobs/{last['job']}/files/decoded.exr").content
+    (tmp_path / "decoded.exr").write_bytes(decoded)
+    away = read_environment_map(tmp_path / "decoded.exr").radiance - lobe
+    assert float(away.norm() / lobe.norm()) == pytest.approx(result["errors"][-1], abs=0.03)

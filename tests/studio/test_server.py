@@ -1,0 +1,189 @@
+"""The server from its start to its end: address, page, headers, foreign pages, limits."""
+
+import gzip
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import httpx
+import pytest
+
+from skylight import __version__
+from skylight.studio import static_files
+from skylight.studio.guard import is_own
+from tests.studio.conftest import JOBS, MEGAPIXELS, UPLOAD_MB, Served, start
+
+
+def test_it_says_what_it_takes(client: httpx.Client) -> None:
+    about = client.get("/api/about").json()
+    assert about["version"] == __version__
+    assert about["limits"] == {"upload_mb": UPLOAD_MB, "megapixels": MEGAPIXELS, "jobs": JOBS}
+    assert [light["name"] for light in about["lights"]] == ["autoencoder", "sunsky", "sh9", "sh25"]
+
+
+def test_the_page_is_sent_again_only_where_it_changed(client: httpx.Client) -> None:
+    first = client.get("/")
+    assert first.status_code == 200
+    assert first.headers["content-type"] == "text/html; charset=utf-8"
+    assert first.headers["cache-control"] == "no-cache"
+    again = client.get("/", headers={"If-None-Match": first.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    assert client.head("/").status_code == 200
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/nothing.js", "/../application.py", "/%2e%2e/application.py", "/..%2fapplication.py",
+     "/assets/../../server.py", "//etc/passwd", "/api/nothing", "/assets"],
+)  # fmt: skip
+def test_what_is_no_file_of_the_page_is_not_found(client: httpx.Client, path: str) -> None:
+    answer = client.get(httpx.URL(client.base_url, raw_path=path.encode()))
+    assert answer.status_code == 404
+    assert answer.json() == {"error": "there is no such page"}
+
+
+def test_packed_files_are_sent_as_what_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from starlette.requests import Request
+
+    (tmp_path / "ort.wasm.gz").write_bytes(gzip.compress(b"\0asm"))
+    monkeypatch.setattr(static_files, "STATIC", tmp_path)
+
+    def ask(accepts: bytes) -> tuple[bytes, dict[str, str]]:
+        scope = {"type": "http", "headers": [(b"accept-encoding", accepts)]}
+        answer = static_files.static_file(Request(scope), "ort.wasm")
+        return bytes(answer.body), dict(answer.headers)
+
+    packed, headers = ask(b"gzip, br")
+    assert gzip.decompress(packed) == b"\0asm"
+    assert headers["content-type"] == "application/wasm"
+    assert headers["content-encoding"] == "gzip"
+    plain, headers = ask(b"identity")
+    assert plain == b"\0asm"
+    assert "content-encoding" not in headers
+
+
+@pytest.mark.parametrize("path", ["/", "/api/about", "/api/nothing"])
+def test_every_answer_tells_browsers_to_be_careful(client: httpx.Client, path: str) -> None:
+    headers = client.get(path).headers
+    assert "default-src 'self'" in headers["content-security-policy"]
+    assert "'unsafe-inline'" not in headers["content-security-policy"]
+    assert headers["x-content-type-options"] == "nosniff"
+    assert headers["referrer-policy"] == "no-referrer"
+    assert headers["cross-origin-resource-policy"] == "same-origin"
+    assert "server" not in headers
+
+
+@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example:8600", "", "[::1"])
+def test_foreign_hosts_are_refused(client: httpx.Client, host: str) -> None:
+    answer = client.get("/api/about", headers={"Host": host})
+    assert answer.status_code == 403
+    assert "not this server's name" in answer.json()["error"]
+    assert "default-src 'self'" in answer.headers["content-security-policy"]
+
+
+@pytest.mark.parametrize(
+    ("host", "bound", "own"),
+    [
+        ("127.0.0.1:8600", "127.0.0.1", True),
+        ("LOCALHOST", "127.0.0.1", True),
+        ("[::1]:8600", "127.0.0.1", True),
+        ("192.168.0.7:8600", "127.0.0.1", False),
+        ("192.168.0.7:8600", "192.168.0.7", True),
+        ("192.168.0.7:8600", "0.0.0.0", True),
+        ("studio.lan:80", "Studio.lan", True),
+        ("studio.lan:80", "0.0.0.0", False),
+        ("127.0.0.1@evil.example", "127.0.0.1", False),
+    ],
+)
+def test_own_names(host: str, bound: str, own: bool) -> None:
+    assert is_own(host, bound) is own
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Origin": "http://evil.example"},
+        {"Origin": "null"},
+        {"Origin": "http://127.0.0.1:1"},
+        {"Origin": "http://[::1"},
+        {"Sec-Fetch-Site": "cross-site"},
+        {"Sec-Fetch-Site": "same-site"},
+    ],
+)
+@pytest.mark.parametrize(
+    ("method", "path"), [("POST", "/api/photos"), ("POST", "/api/jobs"), ("DELETE", "/api/jobs/x")]
+)
+def test_foreign_pages_change_nothing(
+    client: httpx.Client, headers: dict[str, str], method: str, path: str
+) -> None:
+    answer = client.request(method, path, headers=headers, content=b"{}")
+    assert answer.status_code == 403
+    assert "may not drive" in answer.json()["error"]
+
+
+@pytest.mark.parametrize("wanted", ["bytes=0-5", "bytes={}-5", "bytes=9999999999-", "lines=1"])
+def test_files_go_out_whole(client: httpx.Client, wanted: str) -> None:
+    answer = client.get("/api/sky.onnx", headers={"Range": wanted})
+    assert answer.status_code == 200
+    assert len(answer.content) == int(answer.headers["content-length"]) > 1_000_000
+
+
+def test_the_own_page_may_ask(client: httpx.Client) -> None:
+    own = str(client.base_url).rstrip("/")
+    headers = {"Origin": own, "Sec-Fetch-Site": "same-origin"}
+    assert client.delete("/api/jobs/x", headers=headers).status_code == 404
+
+
+def test_a_taken_port_is_one_line(served: Served) -> None:
+    port = served.address.rpartition(":")[2]
+    command = [sys.executable, "-m", "skylight", "studio", "--no-browser", "--port", port]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 2
+    assert ended.stdout == ""
+    assert ended.stderr.startswith(f"skylight: cannot listen at 127.0.0.1, port {port}: ")
+    assert ended.stderr.count("\n") == 1
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="looks for processes in /proc")
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_it_leaves_nothing(tmp_path: Path, portrait: bytes, how: signal.Signals) -> None:
+    """Ended while it reads a photograph and has an open connection."""
+    studio = start(tmp_path / "tmp")
+    host, _, port = studio.address.removeprefix("http://").rpartition(":")
+    with studio.client() as client:
+        assert client.get("/api/about").status_code == 200
+        assert [path.name[:16] for path in studio.temporary.iterdir()] == ["skylight-studio-"]
+        with socket.create_connection((host, int(port))) as connection:
+            head = f"POST /api/photos HTTP/1.1\r\nHost: {host}\r\nContent-Length: {len(portrait)}"
+            connection.sendall(head.encode() + b"\r\n\r\n" + portrait)
+            while len(workers := studio.workers()) < 2:
+                pass
+            assert studio.end(how) == 0
+    assert list(studio.temporary.iterdir()) == []
+    assert (tmp_path / "stderr").read_text() == ""
+    assert not any(Path(f"/proc/{worker}/cmdline").exists() for worker in workers)
+
+
+def test_hostile_modules_in_the_current_folder_are_not_run(
+    tmp_path: Path, portrait: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    skylight = shutil.which("skylight", path=os.path.dirname(sys.executable))
+    if skylight is None:
+        pytest.skip("the skylight command is not installed beside this Python")
+    for name in ("json", "numpy", "cv2"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('run')")
+    monkeypatch.chdir(tmp_path)
+    process = subprocess.Popen(
+        [skylight, "studio", "--no-browser", "--port", "0"], stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    with httpx.Client(base_url=process.stdout.readline().strip(), timeout=300) as client:
+        answer = client.post("/api/photos?name=me.jpg", content=portrait)
+    process.send_signal(signal.SIGINT)
+    assert (answer.status_code, process.wait(timeout=30)) == (201, 0)
