@@ -24,6 +24,7 @@ from skylight.app.sky_folders import with_time_left
 from skylight.cli import main
 from skylight.cli.estimate import Landmarks, Light
 from skylight.cli.skies import MapLayout
+from skylight.cli.workers import who_works
 from skylight.errors import AssetError, InputError, OutputError, explain
 from skylight.faces.landmarks import DetectedFace, LandmarkerName, default_landmarker
 from skylight.faces.model import HeadModel
@@ -545,6 +546,14 @@ class TestRelight:
 
 def test_light_choices_are_the_models() -> None:
     assert Light == LightName
+
+
+def test_without_a_number_each_core_that_this_process_may_use_gets_a_worker(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 3, 5}, raising=False)
+    assert who_works(0, None, tmp_path) == 3
+    assert who_works(2, None, tmp_path) == 2
 
 
 def test_landmark_choices_are_the_landmarkers() -> None:

@@ -31,12 +31,14 @@ def main() -> None:
     parser.add_argument("--light", default="autoencoder")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results/batch.json"))
     arguments = parser.parse_args()
+    if len(arguments.workers) < 2 or len(set(arguments.workers)) < len(arguments.workers):
+        parser.error("--workers takes two different numbers or more")
     begun = time.time()
     facts: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as temporary:
-        photos, count = Path(temporary) / "photos", arguments.count
+        photos = Path(temporary) / "photos"
         photos.mkdir()
-        for source in list_photos(arguments.photos, Path(temporary))[:count]:
+        for source in list_photos(arguments.photos, Path(temporary))[: arguments.count]:
             shutil.copy(arguments.photos / source, photos / source.replace("/", "_"))
         for workers in arguments.workers:
             out = Path(temporary) / f"out{workers}"

@@ -114,7 +114,7 @@ figure.tight_layout()
 # On the way to estimates
 # -----------------------
 # ``python train.py configs/sky_prior.yaml`` then fits the Gaussian mixtures that say which latents
-# are likely; ``skylight export decoder --checkpoint`` writes the decoder as ONNX. A latent space
+# are likely; ``skylight.relight.export.export_decoder`` writes the decoder as ONNX. A latent space
 # can also be walked: half way between two skies is a sky.
 
 shipped = autoencoder_light().network

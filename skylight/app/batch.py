@@ -27,7 +27,7 @@ from skylight.faces.landmarks import FaceLandmarker, LandmarkerName
 from skylight.imaging.colour import Decode
 from skylight.imaging.hdr import SUFFIXES as HDR_SUFFIXES
 from skylight.imaging.photo import read_photo
-from skylight.imaging.resumable import MOST_LOSSES, Workers, settle, share_work
+from skylight.imaging.resumable import Workers, settle, share_work
 from skylight.inverse.photo import estimate_photos
 from skylight.models.shipped import LightName
 
@@ -227,8 +227,8 @@ def _lost(
         sha256=_photo_hash(photos / source),
         settings=settings_hash,
         status="failed",
-        error=f"{source}: its worker was killed {MOST_LOSSES} times, so memory may be short: try "
-        "again with --retry-failed and fewer workers",
+        error=f"{source}: its workers were killed again and again, so memory may be short: try "
+        "again with --retry-failed and fewer workers, or more memory for each",
     )
 
 

@@ -147,26 +147,12 @@ def table(scores: Scores) -> str:
 
 
 def write_scores(out: Path, result: ScoredMap) -> None:
-    """The scores of one map as .json.
-
-    Raises
-    ------
-    InputError
-        Another ending.
-    """
-    _check_ending(out, ".json", "the scores of one map")
+    """The scores of one map as .json."""
     write_json(out, {"format": "skylight scores 1", **_described(result)})
 
 
 def write_table(out: Path, results: list[ScoredMap]) -> None:
-    """A .csv with a row for each map, and their mean, median and number at the end.
-
-    Raises
-    ------
-    InputError
-        Another ending.
-    """
-    _check_ending(out, ".csv", "the scores of a folder")
+    """A .csv with a row for each map, and their mean, median and number at the end."""
     last = [("mean", average(results)), ("median", average(results, statistics.median)),
             ("count", average(results, lambda values: float(len(values))))]  # fmt: skip
     # "(mean)": no map within a folder has such a name
@@ -222,8 +208,3 @@ def _maps(folder: Path) -> dict[str, Path]:
 
 def _at(light: EnvironmentMap, rows: int) -> EnvironmentMap:
     return light if light.layout[0] == rows else light.resize(rows)
-
-
-def _check_ending(out: Path, ending: str, what: str) -> None:
-    if out.suffix.lower() != ending:
-        raise InputError(f"{out}: {what} are written as {ending}; choose such a name")

@@ -6,7 +6,7 @@ def studio(
     port: int = 8600,
     no_browser: bool = False,
     upload_mb: float = 50.0,
-    megapixels: float = 100.0,
+    megapixels: float = 50.0,
     jobs: int = 4,
 ) -> None:
     """Open a page in the browser that finds light in photos and shows it; Ctrl-C ends it.
@@ -19,7 +19,7 @@ def studio(
         port: Port to listen at; 0 takes one that is free.
         no_browser: Only say where the page is.
         upload_mb: Largest file that it takes.
-        megapixels: Largest picture that it takes.
+        megapixels: Largest picture that it takes; reading it takes 60 MB of memory a megapixel.
         jobs: Most jobs that may wait or run.
     """
     from skylight.studio.limits import Limits

@@ -30,4 +30,11 @@ def who_works(workers: int, cluster: str | None, out: Path) -> Workers:
         return Cluster(address=cluster, folder=out)
     if workers < 0:
         raise InputError(f"--workers must be 0 or more, got {workers}")
-    return workers or os.cpu_count() or 1
+    return workers or _cores()
+
+
+def _cores() -> int:
+    """Those that this process may use: a batch system or a container gives it some of them."""
+    if hasattr(os, "sched_getaffinity"):  # Linux
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

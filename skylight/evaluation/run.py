@@ -10,6 +10,7 @@ from typing import Protocol, runtime_checkable
 
 import skylight
 from skylight.errors import SkylightError
+from skylight.imaging.atomic import atomic_path
 from skylight.imaging.resumable import Workers, share_work
 
 Metrics = dict[str, dict[str, float]]  # method -> metric -> value
@@ -147,7 +148,8 @@ def _read_cache(path: Path, config: dict[str, object]) -> dict[str, Item]:
                 continue
             items[item.name] = item
             kept.append(line)
-    path.write_text("\n".join(kept) + "\n")
+    with atomic_path(path) as temporary:
+        temporary.write_text("\n".join(kept) + "\n")
     return items
 
 

@@ -1,5 +1,6 @@
 """Networks from MediaPipe's ``.task`` files, run by LiteRT (extra ``mediapipe``)."""
 
+import threading
 import zipfile
 import zlib
 from pathlib import Path
@@ -10,6 +11,7 @@ from jaxtyping import Float32
 from numpy import ndarray
 
 from skylight.errors import DependencyError, InputError
+from skylight.imaging.bounded import require_plain_packing
 
 _BYTES_MAX = 2**28  # MediaPipe's are below 10 MB
 
@@ -31,11 +33,13 @@ def read_task(task_file: Path, networks: tuple[str, ...]) -> dict[str, bytes]:
                 raise InputError(
                     f"{task_file} is another task's file: it holds no {' and no '.join(missing)}"
                 )
-            together = sum(archive.getinfo(name).file_size for name in networks)
+            members = [archive.getinfo(name) for name in networks]
+            require_plain_packing(members)
+            together = sum(member.file_size for member in members)
             if together > _BYTES_MAX:
                 raise ValueError(f"networks of {together} bytes")
             return {name: archive.read(name) for name in networks}
-    # encrypted or packed in a way of its own: RuntimeError
+    # encrypted: RuntimeError
     except (
         zipfile.BadZipFile, OSError, EOFError, zlib.error, ValueError, RuntimeError,
     ) as error:  # fmt: skip
@@ -63,6 +67,7 @@ class Network:
                 "MediaPipe's landmarks need LiteRT: pip install 'skylight[mediapipe]'"
             ) from error
         self._source = source
+        self._one_at_a_time = threading.Lock()  # the interpreter keeps its picture
         try:
             self._interpreter: Any = litert.Interpreter(
                 model_content=content,
@@ -90,6 +95,7 @@ class Network:
 
     def run(self, picture: Float32[ndarray, "s s 3"]) -> list[ndarray]:
         """All outputs for one picture, in the model's order."""
-        self._interpreter.set_tensor(self._input["index"], picture[None])
-        self._interpreter.invoke()
-        return [self._interpreter.get_tensor(output["index"]) for output in self._outputs]
+        with self._one_at_a_time:
+            self._interpreter.set_tensor(self._input["index"], picture[None])
+            self._interpreter.invoke()
+            return [self._interpreter.get_tensor(output["index"]) for output in self._outputs]

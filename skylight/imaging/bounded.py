@@ -110,6 +110,7 @@ def load_arrays(
     try:
         with zipfile.ZipFile(path) as archive:
             members = {name: archive.getinfo(f"{name}.npy") for name in names}
+            require_plain_packing(members.values())
             together = sum(member.file_size for member in members.values())
             if together > max(most, size):
                 raise ValueError(f"its arrays of {together} bytes exceed the {most} that are read")
@@ -123,6 +124,16 @@ def load_arrays(
     except _BAD_ZIP as error:
         raise ValueError(str(error) or type(error).__name__) from error
     return arrays
+
+
+def require_plain_packing(members: Iterable[zipfile.ZipInfo]) -> None:
+    """ValueError for files in an archive that are neither stored nor deflated.
+
+    LZMA takes a dictionary of the size that it claims, and fails in a way of its own.
+    """
+    for member in members:
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ValueError(f"{member.filename} is packed in a way that is not read; deflate it")
 
 
 def require_pixels(width: int, height: int) -> None:

@@ -2,7 +2,7 @@
 
 import logging
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from functools import cache
@@ -77,7 +77,7 @@ def share_on_cluster(
             )
             for n, one in enumerate(pieces)
         }
-        stack.callback(_forget, client, list(futures))
+        stack.callback(_forget, client, futures)  # those that are left then
         for future in as_completed(futures, loop=client.loop):
             one = futures.pop(future)
             try:
@@ -96,6 +96,8 @@ def share_on_cluster(
                         "start it again, and run the same command again"
                     ) from error
                 raise
+            # a result that somebody still holds is computed again when its worker goes
+            future.release()
             yield result
 
 
@@ -169,9 +171,9 @@ def _connect(address: str) -> Any:
         ) from error
 
 
-def _forget(client: Any, futures: list[Any]) -> None:
+def _forget(client: Any, futures: Collection[Any]) -> None:
     with suppress(Exception):  # the scheduler may be gone, and that is told already
-        client.cancel(futures, force=True)
+        client.cancel(list(futures), force=True)
 
 
 def _is_cancelled(error: BaseException) -> bool:

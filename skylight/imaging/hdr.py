@@ -149,10 +149,15 @@ def _require_flat(file: OpenEXR.File) -> None:
         raise ValueError(f"its channels of {together} bytes exceed the {PICTURE_BYTES_MAX} read")
 
 
+def radiance_sizes(data: bytes) -> list[tuple[int, int]]:
+    """(height, width) wherever a Radiance file tells one; OpenCV takes one of them."""
+    return [(int(height), int(width)) for height, width in _RESOLUTION.findall(data)]
+
+
 def _read_radiance(path: Path) -> Float[np.ndarray, "h w 3"]:
     data = file_bytes(path)
-    sizes = [(int(height), int(width)) for height, width in _RESOLUTION.findall(data)]
-    for height, width in sizes:  # which of them OpenCV takes is its affair
+    sizes = radiance_sizes(data)
+    for height, width in sizes:
         require_pixels(width, height)
     # a row takes 4 bytes a pixel, or a mark of 4 bytes and 2 for each run of 127 in each channel
     least = min((h * min(4 * w, 4 + 8 * math.ceil(w / 127)) for h, w in sizes), default=0)

@@ -128,7 +128,8 @@ def _share_here(
     except KeyboardInterrupt:
         if finish:
             for future in as_completed(busy):
-                yield future.result()
+                with suppress(BrokenProcessPool):  # the next run's piece
+                    yield future.result()
         raise
     finally:
         for pool in (*idle, *(pool for pool, _, _ in busy.values())):

@@ -52,9 +52,11 @@ def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     except SafetensorError as error:
         raise ValueError(" ".join(str(error).split())) from error
     try:
-        metadata = dict(json.loads(header))
-    except (RecursionError, TypeError) as error:
+        metadata = json.loads(header)
+    except RecursionError as error:
         raise ValueError("its header is damaged") from error
+    if not isinstance(metadata, dict):
+        raise ValueError("its header is damaged")
     digest = metadata.pop(_DIGEST, None)
     if digest is None:
         raise ValueError("it carries no SHA-256 of its content")

@@ -21,7 +21,8 @@ from skylight.models.autoencoder import (
     AutoencoderLight,
     SkyAutoencoder,
 )
-from skylight.relight.runtime import PrecomputedScene, SkyDecoder
+from skylight.relight.scene_file import PrecomputedScene
+from skylight.relight.sky_decoder import SkyDecoder
 from skylight.sphere.frame import rotation_about
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.camera import Camera

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from skylight.sphere.cube_faces import cube_faces, face_directions
 from skylight.sphere.envmap import EnvironmentMap
-from skylight.transport.render import ggx_density
+from skylight.transport.render import reflection_weights
 
 LAST_SIZE = 16  # pixels of the roughest level
 BLURRED_ROWS = 64  # of the map that rough levels are made from: cells of 2.8 degrees
@@ -21,13 +21,13 @@ def prefiltered_levels(environment: EnvironmentMap, size: int) -> list[Float[Ten
 
         L'(r) = sum_w L(w) D(h) <r,w>+ dw / sum_w D(h) <r,w>+ dw,
 
-    with D the GGX density and <n,h>^2 = (1 + <r,w>) / 2: normal and view along the reflection r,
-    as engines take it (Karis 2013, "Real shading in Unreal Engine 4").
+    with D the GGX density (:func:`skylight.transport.render.reflection_weights`).
     """
     levels = [cube_faces(environment, size)]
     coarse = environment
     if environment.layout[0] > BLURRED_ROWS:
         coarse = environment.resize(BLURRED_ROWS)
+    grid, light = coarse.grid, coarse.flat.float()
     sizes = []
     while size // 2 >= LAST_SIZE:
         size //= 2
@@ -35,18 +35,6 @@ def prefiltered_levels(environment: EnvironmentMap, size: int) -> list[Float[Ten
     for number, smaller in enumerate(sizes, start=1):
         alpha = (number / len(sizes)) ** 2
         towards = face_directions(smaller).reshape(-1, 3)
-        blurred = [_blur(coarse, block, alpha) for block in towards.split(_BLOCK)]
+        blurred = [reflection_weights(r, grid, alpha) @ light for r in towards.split(_BLOCK)]
         levels.append(torch.cat(blurred).reshape(6, smaller, smaller, 3).to(levels[0]))
     return levels
-
-
-def _blur(
-    environment: EnvironmentMap, directions: Float[Tensor, "k 3"], alpha: float
-) -> Float[Tensor, "k 3"]:
-    grid = environment.grid
-    cosine = (directions @ grid.directions.T).float()
-    weight = ggx_density((1 + cosine) / 2, alpha) * cosine.clamp(min=0)
-    weight = weight * grid.solid_angles.float()
-    # a lobe narrower than the map's cells sees the nearest one
-    light = weight @ environment.flat.float()
-    return light / weight.sum(1, keepdim=True).clamp(min=1e-30)

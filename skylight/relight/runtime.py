@@ -1,217 +1,29 @@
 """Relighting with numpy and onnxruntime alone: torch is never imported here.
 
-What :mod:`skylight.relight.export` wrote is read back: the sky decoder as an ONNX graph and a scene
-as its visibility. The few formulas that the package has in torch too (named at each) are written
-again in numpy, and the tests hold the two together.
+What :mod:`skylight.relight.export` wrote is read back by :mod:`skylight.relight.sky_decoder` (the
+sky decoder as an ONNX graph) and :mod:`skylight.relight.scene_file` (a scene as its visibility).
+The few formulas that the package has in torch too (named at each) are written again in numpy, and
+the tests hold the two together.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from functools import cache
-from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8, UInt16
+from jaxtyping import Float, Float32, UInt8
 from PIL import Image
 
-from skylight.errors import AssetError, InputError
+from skylight.errors import InputError
 from skylight.imaging.atomic import atomic_path
-from skylight.imaging.bounded import file_bytes, json_content, load_arrays, require_pixels
 from skylight.imaging.hdr import read_linear, write_exr
-from skylight.relight.onnx_graph import require_plain
+from skylight.relight.latent_file import read_latent
+from skylight.relight.scene_file import PrecomputedScene, load_scene
+from skylight.relight.sky_decoder import SkyDecoder
 
-LATENT = 64
-SCENE_FORMAT = "skylight scene 1"
-DECODER_BYTES_MAX = 2**29  # of all decoders together, four times what _BATCH takes
-_BATCH = 32
 GROUND_ALBEDO = 0.2  # thesis, B.1: where nothing tells the ground's
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # ITU-R BT.709-6, section 3.3
-_TYPES = {
-    "pixels": np.uint16,
-    "normals": np.float32,
-    "albedo": np.float32,
-    "on_ground": np.bool_,
-    "visible": np.uint8,
-    "directions": np.float32,
-    "solid_angles": np.float32,
-}
 _BLOCK_PIXELS = 1024  # shaded together: 34 MB of scratch memory for 8192 directions
-
-
-class SkyDecoder:
-    """Latents to skies, by a graph that :func:`skylight.relight.export.export_decoder` wrote.
-
-    ``model`` is the file's path, or its bytes; by default the decoder that comes with skylight.
-    ``centre_azimuth_rad`` is where decoded skies have their sun.
-    """
-
-    def __init__(self, model: str | Path | bytes | None = None) -> None:
-        import onnxruntime  # slow to import
-
-        if model is None:
-            model = Path(str(files("skylight.models") / "data" / "sky_decoder.onnx"))
-        name = "decoder" if isinstance(model, bytes) else str(model)
-        mend = "write one with: skylight export decoder --out sky_decoder.onnx"
-        if not isinstance(model, bytes) and not Path(model).is_file():
-            raise AssetError(f"{name}: no sky decoder there; {mend}")
-        options = onnxruntime.SessionOptions()
-        options.log_severity_level = 4  # what fails is told by the exception
-        _bound_memory()
-        options.add_session_config_entry("session.use_env_allocators", "1")
-        try:
-            source = model if isinstance(model, bytes) else file_bytes(Path(model))
-            require_plain(source)
-            self._session = onnxruntime.InferenceSession(
-                source, options, providers=["CPUExecutionProvider"]
-            )
-            metadata = self._session.get_modelmeta().custom_metadata_map
-            self.centre_azimuth_rad = float(metadata["centre_azimuth_rad"])
-            ends = [(end.name, end.type) for end in self._session.get_inputs()]
-            ends += [(end.name, end.type) for end in self._session.get_outputs()]
-            if ends != [(name, "tensor(float)") for name in ("latent", "radiance")]:
-                raise ValueError(f"it goes from and to {ends}")
-            if not math.isfinite(self.centre_azimuth_rad):
-                raise ValueError("the sun's column is no number")
-        # onnxruntime's exceptions share no base class but Exception
-        except Exception as error:
-            reason = f" ({error})" if isinstance(error, ValueError) else ""
-            raise AssetError(
-                f"{name}: damaged, or no sky decoder of skylight{reason}; {mend}"
-            ) from error
-        self._name = name
-
-    def decode(self, latents: Float32[np.ndarray, "b z"]) -> Float32[np.ndarray, "b 32 128 3"]:
-        """Relative radiance (mean luminance about 1) of skies with the sun in the centre column."""
-        parts = [latents[i : i + _BATCH] for i in range(0, max(1, len(latents)), _BATCH)]
-        try:
-            made = [self._session.run(["radiance"], {"latent": part})[0] for part in parts]
-            skies = np.concatenate([np.asarray(each) for each in made])
-        except Exception as error:  # as above
-            reason = str(error).splitlines()[0]
-            raise AssetError(f"{self._name}: it cannot be run ({reason})") from error
-        if skies.shape != (len(latents), 32, 128, 3):
-            raise AssetError(f"{self._name}: no sky decoder, it gives {skies.shape}")
-        return skies
-
-
-@cache
-def _bound_memory() -> None:
-    """Sessions that use the environment's memory get no more than :data:`DECODER_BYTES_MAX`."""
-    import onnxruntime
-
-    limits = {
-        "max_mem": DECODER_BYTES_MAX,
-        "arena_extend_strategy": 1,  # as much as is asked for
-        "initial_chunk_size_bytes": -1,
-        "max_dead_bytes_per_chunk": -1,
-    }
-    onnxruntime.create_and_register_allocator(
-        onnxruntime.OrtMemoryInfo(
-            "Cpu",
-            onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR,
-            0,
-            onnxruntime.OrtMemType.DEFAULT,
-        ),
-        onnxruntime.OrtArenaCfg(limits),
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class PrecomputedScene:
-    """What one camera sees of a scene, and which directions light each of its m pixels.
-
-    The transport matrix T[p, w] = V(p, w) <n_p, w>+ dw / pi (thesis, Eq. 5.3) in factors:
-    one bit for V instead of a float for T is 32 times smaller, and exact. :func:`relight` puts T
-    together again, a block of pixels at a time.
-
-    ``visible`` holds V as bits, the n directions of a row packed as :func:`numpy.packbits` does.
-    ``directions`` are unit vectors of ``grid_layout``, a full lat-long map, ``solid_angles`` in sr.
-    ``pixels`` are (row, column) in a picture of ``layout`` (height, width); ``focal_px`` and
-    ``center_px`` (x, y) belong to a camera that looks along -Z. ``on_ground`` marks the pixels
-    that take the ground's albedo instead of their own.
-    """
-
-    layout: tuple[int, int]
-    focal_px: float
-    center_px: tuple[float, float]
-    pixels: UInt16[np.ndarray, "m 2"]
-    normals: Float32[np.ndarray, "m 3"]
-    albedo: Float32[np.ndarray, "m 3"]
-    on_ground: Bool[np.ndarray, " m"]
-    visible: UInt8[np.ndarray, "m bytes"]
-    grid_layout: tuple[int, int]
-    directions: Float32[np.ndarray, "n 3"]
-    solid_angles: Float32[np.ndarray, " n"]
-
-    def __post_init__(self) -> None:
-        m, n = len(self.pixels), math.prod(self.grid_layout)
-        shapes = {
-            "pixels": (m, 2),
-            "normals": (m, 3),
-            "albedo": (m, 3),
-            "on_ground": (m,),
-            "visible": (m, math.ceil(n / 8)),
-            "directions": (n, 3),
-            "solid_angles": (n,),
-        }
-        for name, shape in shapes.items():
-            got = getattr(self, name).shape
-            if got != shape:
-                raise ValueError(f"{name} must have the shape {shape}, got {got}")
-        if m and (self.pixels.min() < 0 or (self.pixels.max(0) >= self.layout).any()):
-            raise ValueError(f"pixels must lie in a picture of {self.layout}")
-
-    def save(self, path: str | Path) -> None:
-        """Write the scene as a compressed .npz."""
-        path = Path(path)
-        if path.suffix != ".npz":
-            raise InputError(f"{path}: scenes are .npz files; choose a name that ends in .npz")
-        arrays = {field.name: getattr(self, field.name) for field in fields(self)}
-        with atomic_path(path) as temporary:
-            np.savez_compressed(temporary, format=SCENE_FORMAT, **arrays)
-
-
-def load_scene(path: str | Path) -> PrecomputedScene:
-    """A scene that :meth:`PrecomputedScene.save` wrote; :class:`InputError` for anything else."""
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such scene; write one with: skylight export scene MESH")
-    try:
-        names = [field.name for field in fields(PrecomputedScene)]
-        arrays: dict[str, Any] = dict(load_arrays(path, ["format", *names]))
-        if str(form := arrays.pop("format")) != SCENE_FORMAT:
-            raise ValueError(f"format {form}")
-        plain = {
-            "layout": tuple(arrays.pop("layout").tolist()),
-            "focal_px": float(arrays.pop("focal_px")),
-            "center_px": tuple(arrays.pop("center_px").tolist()),
-            "grid_layout": tuple(arrays.pop("grid_layout").tolist()),
-        }
-        _require_usable(plain, arrays)
-        return PrecomputedScene(**plain, **arrays)
-    except (OSError, ValueError, TypeError) as error:
-        raise InputError(
-            f"{path}: damaged, or no scene of this version of skylight ({error}); write it again "
-            "with: skylight export scene MESH"
-        ) from error
-
-
-def _require_usable(plain: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
-    """ValueError for numbers of the wrong type, that are not finite, or of a huge picture."""
-    for name, array in arrays.items():
-        if array.dtype != _TYPES[name]:
-            raise ValueError(f"{name} holds {array.dtype}")
-        if array.dtype.kind == "f" and not np.isfinite(array).all():
-            raise ValueError(f"{name} is not finite")
-    (height, width), (rows, columns) = plain["layout"], plain["grid_layout"]
-    require_pixels(int(width), int(height))
-    if columns != 2 * rows:
-        raise ValueError(f"{columns} x {rows} directions are no lat-long map")
-    if not 0 < plain["focal_px"] < math.inf or not np.isfinite(plain["center_px"]).all():
-        raise ValueError("its camera is none")
 
 
 def relight(
@@ -306,56 +118,6 @@ def relight_files(
             Image.fromarray(tone_map(picture, white=white)).save(temporary, format="PNG")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Latent:
-    """64 latents of a sky, and what the file says about the rest of the light."""
-
-    z: Float32[np.ndarray, " z"]
-    azimuth_rad: float = 0.0
-    exposure: float | None = None
-    ground_albedo: tuple[float, float, float] | None = None
-
-
-def read_latent(path: str | Path) -> Latent:
-    """A JSON file as :func:`relight_files` describes it."""
-    path = Path(path)
-    try:
-        content = json_content(path)
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror}; give a JSON file") from error
-    except ValueError as error:
-        raise InputError(f"{path}: no JSON ({error})") from error
-    if isinstance(content, list):
-        content = {"latent": content}
-    if not isinstance(content, dict) or not {"latent", "params"} & content.keys():
-        raise InputError(f'{path}: expected {LATENT} numbers, or an object with "latent"')
-    if content.get("light", "autoencoder") != "autoencoder":
-        raise InputError(
-            f"{path}: the estimate of another light model ({content['light']}); estimate with the "
-            "autoencoder, or relight with the estimate's light probe"
-        )
-    if "latent" in content:
-        values = _numbers(path, "latent", content["latent"], LATENT)
-    else:
-        values = _numbers(path, "params", content["params"], LATENT + 1)
-    exposure, ground = None, None
-    if content.get("exposure") is not None:
-        (exposure,) = _numbers(path, "exposure", [content["exposure"]], 1)
-        if exposure <= 0:
-            raise InputError(f'{path}: "exposure" must be above 0, got {exposure}')
-    if content.get("ground_albedo") is not None:
-        red, green, blue = ground = _numbers(path, "ground_albedo", content["ground_albedo"], 3)
-        if not all(0 <= value <= 1 for value in ground):
-            raise InputError(f'{path}: "ground_albedo" must be from 0 to 1, got {ground}')
-        ground = red, green, blue
-    return Latent(
-        z=np.array(values[:LATENT], np.float32),
-        azimuth_rad=values[LATENT] if len(values) > LATENT else 0.0,
-        exposure=exposure,
-        ground_albedo=ground,
-    )
-
-
 def read_probe(path: str | Path) -> Float32[np.ndarray, "h w 3"]:
     """Light from an .exr or .hdr lat-long map of the sphere (w = 2 h) or the sky (w = 4 h)."""
     pixels = read_linear(Path(path))
@@ -446,20 +208,3 @@ def _overlap(source: np.ndarray, target: np.ndarray) -> Float[np.ndarray, "k l"]
     low = np.maximum(source[None, :-1], target[:-1, None])
     high = np.minimum(source[None, 1:], target[1:, None])
     return np.maximum(high - low, 0) / np.diff(target)[:, None]
-
-
-def _is_number(value: object) -> bool:
-    """A number that float32 can hold; NaN fails the comparison."""
-    limit = 3.4e38
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < limit
-
-
-def _numbers(path: Path, name: str, values: object, count: int) -> list[float]:
-    """``count`` finite numbers, or an :class:`InputError` that says what is there instead."""
-    if not isinstance(values, list) or len(values) != count:
-        got = len(values) if isinstance(values, list) else f"a {type(values).__name__}"
-        raise InputError(f'{path}: "{name}" must have {count} numbers, got {got}')
-    for place, value in enumerate(values):
-        if not _is_number(value):
-            raise InputError(f'{path}: "{name}" has no finite number at place {place}: {value!r}')
-    return [float(value) for value in values]

@@ -15,7 +15,8 @@ face c       r       d
 -Z   -Z      -X      -Y
 ==== ======= ======= =======
 
-Each is the mirror image of what an eye inside the cube sees.
+Each is the mirror image of what an eye inside the cube sees. Its pixels' solid angles are those of
+:func:`skylight.sphere.wavelets.texel_solid_angles`, whose cube map is seen from inside.
 """
 
 import torch
@@ -64,15 +65,3 @@ def face_directions(size: int) -> Float[Tensor, "6 s s 3"]:
         c, r, d = (torch.tensor(axis, dtype=torch.float64) for axis in axes)
         faces.append(c + s[..., None] * r + t[..., None] * d)
     return torch.nn.functional.normalize(torch.stack(faces), dim=-1)
-
-
-def face_solid_angles(size: int) -> Float[Tensor, "s s"]:
-    """Solid angle of each pixel of a face, float64, exact; six of them sum to 4 pi.
-
-    Between corners (s, t) of A(s, t) = atan2(s t, sqrt(1 + s^2 + t^2)), the solid angle from the
-    centre to the corner.
-    """
-    edge = torch.linspace(-1, 1, size + 1, dtype=torch.float64)
-    t, s = torch.meshgrid(edge, edge, indexing="ij")
-    corner = torch.atan2(s * t, (1 + s**2 + t**2).sqrt())
-    return corner.diff(dim=0).diff(dim=1)

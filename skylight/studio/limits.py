@@ -13,12 +13,15 @@ MEGAPIXEL = 1_000_000
 class Limits:
     """``upload_mb`` (10^6 bytes) and ``megapixels`` of one file; ``jobs`` waiting or running.
 
-    Uploads and results are kept until there are more than ``uploads`` or ``results``, or more than
-    ``kept_mb`` of either; then the oldest are forgotten.
+    Reading a picture takes about 60 bytes a pixel: 3 GB for 50 megapixels.
+
+    Photographs and maps are each kept until there are more than ``uploads`` of them or more than
+    ``kept_mb``, jobs until there are more than ``results`` or ``kept_mb``; then the oldest that no
+    job is using are forgotten.
     """
 
     upload_mb: float = 50.0
-    megapixels: float = 100.0
+    megapixels: float = 50.0
     jobs: int = 4
     uploads: int = 32
     results: int = 32

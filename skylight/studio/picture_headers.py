@@ -1,16 +1,12 @@
 """How many pixels a file claims to have, told by its header before anything is decoded."""
 
-import re
 from pathlib import Path
 
 import OpenEXR
 
 from skylight.errors import InputError
-from skylight.imaging.hdr import muted
+from skylight.imaging.hdr import muted, radiance_sizes
 from skylight.imaging.opened_picture import opened_picture
-
-_HEAD_BYTES = 65_536
-_RADIANCE_SIZE = re.compile(rb"\n[-+][XY] +(\d+) +[-+][XY] +(\d+)\s*\n")
 
 
 def check_pixels(path: Path, most: int) -> None:
@@ -31,9 +27,8 @@ def pixel_count(path: Path) -> int | None:
     if suffix == ".exr":
         return _of_exr(path)
     if suffix == ".hdr":
-        with path.open("rb") as file:
-            sizes = _RADIANCE_SIZE.findall(file.read(_HEAD_BYTES))
-        return max((int(height) * int(width) for height, width in sizes), default=None)
+        sizes = radiance_sizes(path.read_bytes())
+        return max((abs(height * width) for height, width in sizes), default=None)
     try:
         with opened_picture(path) as image:
             return image.width * image.height

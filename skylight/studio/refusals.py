@@ -1,8 +1,12 @@
 """Answers that say no: a status, and one line that tells the user why."""
 
+import errno
+
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse
+
+_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class Refused(HTTPException):
@@ -25,7 +29,7 @@ async def answer_refusal(_request: Request, error: Exception) -> JSONResponse:
 
 async def answer_failure(_request: Request, error: Exception) -> JSONResponse:
     """For what should not happen; the traceback goes to the server's terminal."""
-    if isinstance(error, OSError) and error.strerror:
+    if isinstance(error, OSError) and error.errno in _FULL:
         return refusal(507, f"{error.strerror}; check the server's disk for free space")
     first = str(error).partition("\n")[0]
     line = f"internal error ({type(error).__name__}: {first}); the server's terminal tells more"

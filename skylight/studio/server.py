@@ -4,22 +4,20 @@ import os
 import signal
 import socket
 import sys
-import tempfile
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
-from pathlib import Path
 
 import uvicorn
 
 from skylight.errors import InputError
 from skylight.studio.application import make_application
 from skylight.studio.limits import Limits
+from skylight.studio.own_folder import own_folder
 from skylight.studio.state import Studio
 
-PREFIX = "skylight-studio-"  # of the folder of uploads and results
 _FAREWELL_S = 1  # that open connections have when the server ends
 
 _say = partial(print, flush=True)  # at once, also to a pipe
@@ -43,8 +41,8 @@ def serve(
         The port is taken, or the host is none of this machine's.
     """
     listener = _listening(host, port)
-    with listener, tempfile.TemporaryDirectory(prefix=PREFIX) as folder, _ended_by_signals():
-        studio = Studio(Path(folder), limits or Limits())
+    with listener, own_folder() as folder, _ended_by_signals():
+        studio = Studio(folder, limits or Limits())
         config = uvicorn.Config(
             make_application(studio, host=host),
             log_config=None,

@@ -17,7 +17,7 @@ from skylight.studio.worker_process import TaskFailed, TaskStopped, WorkerProces
 
 HDR = (".exr", ".hdr")
 UPLOADS_AT_ONCE = 4
-_READING_S = 300.0  # 100 megapixels take some tens of seconds, and wait for their turn
+_READING_S = 300.0  # 50 megapixels take some tens of seconds, and wait for their turn
 _NAME_MOST = 80
 _JOB_MODULES = ["skylight.studio.estimate_task"]
 _READER_MODULES = ["skylight.studio.uploads"]

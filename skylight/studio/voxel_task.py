@@ -55,11 +55,9 @@ def make_voxel_probe(
     if light is not None:
         write_png(out / "lightmap.png", completed.png(exposure))
         completed.save(out / "lightmap.npz")
-        difference = (completed.radiance - true.radiance)[~captured.known]
-        scale = true.radiance[~captured.known].norm()
         result["lightmap"] = _listed(completed, captured)
         result["exposure"] = exposure
-        result["reconstruction_error"] = float(difference.norm() / scale)
+        result["reconstruction_error"] = reconstruction_error(completed, true, captured)
     return result
 
 
@@ -79,6 +77,13 @@ def captured_by(model: VoxelModel, true: Lightmap) -> Lightmap:
     known = (exposed_faces(model).counts() > 0).float()
     radiance = true.radiance * known[:, :, None, None, None]
     return Lightmap(radiance=radiance, coverage=known, confidence=known)
+
+
+def reconstruction_error(completed: Lightmap, true: Lightmap, captured: Lightmap) -> float:
+    """``|completed - true| / |true|`` over what was not captured; 0 where all of it is black."""
+    away = (completed.radiance - true.radiance)[~captured.known].double()
+    scale = true.radiance[~captured.known].double().norm()
+    return float(away.norm() / scale.clamp(min=torch.finfo(torch.float64).tiny))
 
 
 def _listed(completed: Lightmap, captured: Lightmap) -> list[dict[str, Any]]:

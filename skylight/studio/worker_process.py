@@ -40,7 +40,8 @@ class WorkerProcess:
 
     async def warm(self) -> None:
         """Start the process where there is none, and import its modules."""
-        with suppress(TaskFailed, TaskStopped):
+        # a process that cannot be started now is what the next task will tell of
+        with suppress(TaskFailed, TaskStopped, OSError):
             await self.run(_WARM, {"modules": self._modules})
 
     async def run(
@@ -76,8 +77,8 @@ class WorkerProcess:
                         tell(message["stage"], message["share"])
             except ConnectionError:
                 pass
-            except asyncio.CancelledError:
-                self.stop()  # else its answer would be taken for that of the next task
+            except (asyncio.CancelledError, ValueError):  # the latter: an answer beyond the limit
+                self.stop()  # else what is left of it would be taken for that of the next task
                 raise
             await process.wait()
             raise TaskStopped
@@ -99,6 +100,9 @@ class WorkerProcess:
 
     async def _ended(self) -> None:
         self.stop()
+        await self._gone()
+
+    async def _gone(self) -> None:
         if self._process is not None:
             await self._process.wait()
 
@@ -106,9 +110,9 @@ class WorkerProcess:
         if self._is_closed:
             raise TaskStopped
         if self._is_stopped:
-            await self._ended()
+            self._is_stopped = False  # first: it may be stopped again while the old one ends
+            await self._gone()
         if self._process is None or self._process.returncode is not None:
-            self._is_stopped = False
             self._process = await asyncio.create_subprocess_exec(
                 sys.executable,
                 "-P",  # modules in the folder where the user happens to be are not ours

@@ -74,11 +74,15 @@ def drop_damaged(folder: Path) -> None:
 
 
 def _read(path: Path) -> dict[str, Any] | None:
-    """None for a file that is damaged."""
+    """None for a file that is damaged; :class:`InputError` where it cannot be read at all."""
     try:
         tensors, metadata = read_tensors(path)
         return _with_tensors(json.loads(metadata["state"]), tensors)
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror or error}); mend that, or choose another out"
+        ) from error
+    except (ValueError, KeyError, TypeError, RecursionError):
         return None
 
 

@@ -4,6 +4,7 @@ import mmap
 import multiprocessing
 import os
 import signal
+import traceback
 from collections.abc import Callable
 
 import numpy as np
@@ -46,11 +47,15 @@ def in_processes(
     def help_out(share: range) -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; the parent decides
         torch.set_num_threads(1)  # a fork has lost torch's threads and would wait for them
-        for i in share:
-            if os.getppid() != parent:
-                break
-            work(i)
         # Python's own way out would wait for the threads of pools, which the fork has lost
+        try:
+            for i in share:
+                if os.getppid() != parent:
+                    break
+                work(i)
+        except BaseException:
+            traceback.print_exc()
+            os._exit(1)
         os._exit(0)
 
     # Interleaved shares take about equally long, so this process's progress stands for all.

@@ -79,8 +79,13 @@ def loaded_mesh(path: Path, load: Callable[[Path], Any]) -> Any:
         raise InputError(f"{path}: damaged, or no {path.suffix} mesh ({reason})") from error
 
 
-def require_coordinates(vertices: Float[np.ndarray, "n 3"]) -> None:
-    """Raise :class:`InputError` for vertices that are not finite, or whose squares may not be."""
+def require_coordinates(vertices: Float[np.ndarray, "n k"]) -> None:
+    """Raise :class:`InputError` for vertices that are not finite, or whose squares may not be.
+
+    Also where there are not three to each, which the readers let pass.
+    """
+    if vertices.shape[1] != 3:
+        raise InputError(f"the mesh has vertices of {vertices.shape[1]} coordinates; repair it")
     if not (np.abs(vertices) < FARTHEST).all():  # false for NaN too
         raise InputError(
             f"the mesh has vertices that are NaN, infinite or beyond {FARTHEST:g}; repair it"

@@ -3,10 +3,18 @@
 import json
 import re
 import struct
+from io import BytesIO
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-from skylight.imaging.bounded import ARRAY_BYTES_MAX, file_bytes, json_content, require_bytes
+from skylight.imaging.bounded import (
+    ARRAY_BYTES_MAX,
+    TEXT_BYTES_MAX,
+    file_bytes,
+    json_content,
+    require_bytes,
+)
 
 FACES_MAX = 50_000_000
 _GLB_SHARED = 16  # so often may accessors share a file's bytes
@@ -14,7 +22,7 @@ _JSON_CHUNK = 0x4E4F534A
 _BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}  # glTF 2.0, 3.6.2.2
 _NUMBERS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 # vertices count from 1, from -1 backwards; readers take 0 for the last
-_NO_VERTEX = re.compile(rb"^[ \t]*f(?=[ \t])[^\n]*[ \t]0+(?:[/\s]|\Z)", re.M)
+_NO_VERTEX = re.compile(rb"^[ \t]*f(?=[ \t])[^\n#]*[ \t]0+(?:[/\s]|\Z)", re.M)
 
 
 def require_bounded(path: Path) -> None:
@@ -44,15 +52,15 @@ def _require_rows(content: bytes) -> None:
     is_off, is_ply = content.startswith(b"OFF"), content.startswith(b"ply")
     if not is_off and not (is_ply and b"\nformat ascii" in content[:99]):
         return
-    rows = [row for line in content.split(b"\n") if (row := line.partition(b"#")[0].split())]
+    rows = (row for line in BytesIO(content) if (row := line.partition(b"#")[0].split()))
     if is_off:
-        first = 1 if len(rows[0]) > 1 else 2  # the counts may stand beside the name
-        wanted = sum(int(word) for word in rows[first - 1][first % 2 :][:2])
+        counts = next(rows)[1:] or next(rows, [])  # they may stand beside the name
+        wanted = sum(int(word) for word in counts[:2])
     else:
-        first = rows.index([b"end_header"]) + 1
-        wanted = sum(int(row[2]) for row in rows[:first] if row[0] == b"element")
-    if len(rows) - first < wanted:
-        raise ValueError(f"cut short: {len(rows) - first} rows of {wanted}")
+        head = takewhile(lambda row: row != [b"end_header"], rows)
+        wanted = sum(int(row[2]) for row in head if row[0] == b"element")
+    if (found := sum(1 for _ in rows)) < wanted:
+        raise ValueError(f"cut short: {found} rows of {wanted}")
 
 
 def _glb_header(path: Path, size: int) -> Any:
@@ -60,6 +68,8 @@ def _glb_header(path: Path, size: int) -> Any:
         magic, _, _, length, kind = struct.unpack("<4sIIII", stream.read(20))
         if magic != b"glTF" or kind != _JSON_CHUNK or length > size:
             raise ValueError("it does not begin like one, or is cut short")
+        if length > TEXT_BYTES_MAX:
+            raise ValueError(f"a scene of {length} bytes, more than the {TEXT_BYTES_MAX} read")
         try:
             return json.loads(stream.read(length).decode("utf-8"))
         except RecursionError as error:

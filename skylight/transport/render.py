@@ -131,3 +131,17 @@ def ggx(
 def ggx_density(n_h_squared: Float[Tensor, "*s"], alpha: float) -> Float[Tensor, "*s"]:
     """D(h) = alpha^2 / (pi (<n,h>^2 (alpha^2 - 1) + 1)^2), in 1/sr."""
     return alpha**2 / (math.pi * (n_h_squared * (alpha**2 - 1) + 1) ** 2)
+
+
+def reflection_weights(
+    reflected: Float[Tensor, "k 3"], grid: DirectionGrid, alpha: float
+) -> Float[Tensor, "k n"]:
+    """Weights D(h) <r,w>+ dw, each row's sum 1: a map blurred about the mirror direction r.
+
+    The usual prefilter, which takes normal and view along r (Karis 2013, "Real shading in
+    Unreal Engine 4"), so <n,h>^2 = (1 + <r,w>) / 2.
+    """
+    cosine = (reflected @ grid.directions.T).float()
+    weight = ggx_density((1 + cosine) / 2, alpha) * cosine.clamp(min=0)
+    weight = weight * grid.solid_angles.float()
+    return weight / weight.sum(1, keepdim=True)

@@ -16,7 +16,7 @@ from skylight.transport.camera import Camera
 from skylight.transport.gbuffer import GBuffer, rasterize
 from skylight.transport.matrix import TransportMatrix, diffuse_transport
 from skylight.transport.raycast import Raycaster
-from skylight.transport.render import ggx_density
+from skylight.transport.render import reflection_weights
 
 GROUND_ALBEDO = 0.5
 OBJECT_ALBEDO = 0.7
@@ -111,18 +111,10 @@ def evaluation_scene(height: int = 72, grid_height: int = 64) -> EvaluationScene
 
 
 def _mirror(metal: GBuffer, grid: DirectionGrid) -> Float[Tensor, "k n"]:
-    """Weights D(h) <r, w>+ dw, each row's sum 1: a map blurred about the mirror direction r.
-
-    The usual prefilter, which takes normal and view along r (Karis 2013, "Real shading in
-    Unreal Engine 4"), so <n,h>^2 = (1 + <r,w>) / 2.
-    """
+    """A map blurred about the direction that each point of the metal mirrors."""
     view = normalize(metal.positions, dim=1)
     cosine = (view * metal.normals).sum(1, keepdim=True)
-    mirrored = view - 2 * cosine * metal.normals
-    r_w = (mirrored @ grid.directions.T).float()
-    weight = ggx_density((1 + r_w) / 2, METAL_ROUGHNESS**2) * r_w.clamp(min=0)
-    weight = weight * grid.solid_angles.float()
-    return weight / weight.sum(1, keepdim=True)
+    return reflection_weights(view - 2 * cosine * metal.normals, grid, METAL_ROUGHNESS**2)
 
 
 def _matt_parts() -> list:

@@ -14,14 +14,6 @@ from skylight.sphere.frame import Convention
 from skylight.sphere.projections import Projection
 
 
-@pytest.fixture
-def probe(tmp_path: Path) -> Path:
-    radiance = torch.rand(16, 32, 3, generator=torch.Generator().manual_seed(0)) + 0.1
-    radiance[4, 20] = 500.0
-    write_environment_map(tmp_path / "probe.exr", EnvironmentMap(radiance=radiance))
-    return tmp_path / "probe.exr"
-
-
 def test_the_command_offers_what_there_is() -> None:
     module = __import__("skylight.cli.convert", fromlist=["Projection"])
     assert get_args(module.Projection) == get_args(Projection)

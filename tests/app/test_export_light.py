@@ -17,14 +17,6 @@ from skylight.sphere.harmonic_conventions import HarmonicConvention, to_conventi
 from skylight.sphere.harmonics import project
 
 
-@pytest.fixture
-def probe(tmp_path: Path) -> Path:
-    radiance = torch.rand(16, 32, 3, generator=torch.Generator().manual_seed(0)) + 0.1
-    radiance[4, 20] = 500.0
-    write_environment_map(tmp_path / "probe.exr", EnvironmentMap(radiance=radiance))
-    return tmp_path / "probe.exr"
-
-
 def test_the_command_offers_what_there_is() -> None:
     command = __import__("skylight.cli.export_light", fromlist=["LightTarget"])
     assert get_args(command.LightTarget) == get_args(LightTarget)

@@ -28,7 +28,8 @@ from skylight.probes.partitions.scene_files import read_scene
 from skylight.probes.partitions.transfer_file import load_transfer
 from skylight.probes.voxel.lightmap import load_lightmap
 from skylight.probes.voxel.model import read_voxels
-from skylight.relight.runtime import PrecomputedScene, SkyDecoder, load_scene
+from skylight.relight.scene_file import PrecomputedScene, load_scene
+from skylight.relight.sky_decoder import SkyDecoder
 from skylight.skies.index import read_index
 from skylight.training.config import read_config
 from skylight.transport.mesh import read_mesh

@@ -78,6 +78,15 @@ def test_an_archive_that_grows_is_refused(tmp_path: Path) -> None:
     assert load_arrays(plain, ("x",), most=2**24)["x"].shape == (4, 2**20)
 
 
+@pytest.mark.parametrize("packing", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
+def test_other_ways_of_packing_are_refused(tmp_path: Path, packing: int) -> None:
+    """Damaged LZMA raises an error of its own, and its header may ask for 4 GB."""
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", packing) as archive:
+        archive.writestr("x.npy", npy((1,), b"\0" * 8))
+    with pytest.raises(ValueError, match="deflate it"):
+        load_arrays(tmp_path / "a.npz", ("x",))
+
+
 def test_damaged_archives(tmp_path: Path) -> None:
     content = BytesIO()
     np.savez(content, x=np.arange(100.0))

@@ -41,6 +41,12 @@ def _piece(folder: Path, number: int, seconds: float) -> tuple[int, int, int, st
     return number, os.getpid(), torch.get_num_threads(), os.environ["PREPARED"], os.getcwd()
 
 
+def _begun_piece(folder: Path, number: int, seconds: float) -> tuple[int, int, int, str, str]:
+    with (folder / "begun.txt").open("a") as file:
+        file.write(f"{number}\n")
+    return _piece(folder, number, seconds)
+
+
 def _fail(number: int) -> None:
     raise InputError(f"piece {number}")
 
@@ -65,6 +71,30 @@ def test_pieces_come_once_from_prepared_workers_of_one_thread(
     assert {file.name for file in tmp_path.iterdir()} == {f"{n}.txt" for n in range(8)}
 
 
+def test_a_killed_worker_loses_nothing_and_doubles_nothing(
+    dask: DaskCluster, tmp_path: Path
+) -> None:
+    dask.keep(2)
+    work = [(tmp_path, number, 0.1) for number in range(16)]
+    numbers, pids, came_before = [], [], []
+    for number, pid, *_ in share_work(
+        _begun_piece, work, workers=Cluster(address=dask.address, folder=tmp_path), prepare=_prepare
+    ):
+        numbers.append(number)
+        pids.append(pid)
+        if not came_before and len(numbers) >= 8 and len(set(pids)) == 2:
+            came_before = list(numbers)
+            time.sleep(0.3)  # the scheduler hears that they came
+            dask.workers[0].kill()
+    assert Counter(numbers) == Counter(range(16))
+    assert set(pids) == {worker.pid for worker in dask.workers}
+    begun = Counter(map(int, (tmp_path / "begun.txt").read_text().split()))
+    assert {begun[number] for number in came_before} == {1}
+    assert {f.name: f.read_text() for f in tmp_path.glob("[0-9]*.txt")} == {
+        f"{n}.txt": str(n**2) for n in range(16)
+    }
+
+
 def test_a_failure_reaches_the_caller(dask: DaskCluster, tmp_path: Path) -> None:
     dask.keep(1)
     where = Cluster(address=dask.address, folder=tmp_path)
@@ -83,26 +113,6 @@ def test_files_must_be_visible(dask: DaskCluster, tmp_path: Path) -> None:
         mark.unlink()  # as on a machine with another file system
     with pytest.raises(InputError, match=r"does not see .* a file system that all machines share"):
         list(results)
-
-
-def test_a_killed_worker_loses_nothing_and_doubles_nothing(
-    dask: DaskCluster, tmp_path: Path
-) -> None:
-    dask.keep(2)
-    work = [(tmp_path, number, 0.2) for number in range(16)]
-    numbers, pids = [], []
-    for number, pid, *_ in share_work(
-        _piece, work, workers=Cluster(address=dask.address, folder=tmp_path), prepare=_prepare
-    ):
-        numbers.append(number)
-        pids.append(pid)
-        if len(set(pids)) == 2 and all(worker.poll() is None for worker in dask.workers):
-            dask.workers[0].kill()
-    assert Counter(numbers) == Counter(range(16))
-    assert set(pids) == {worker.pid for worker in dask.workers}
-    assert {f.name: f.read_text() for f in tmp_path.iterdir()} == {
-        f"{n}.txt": str(n**2) for n in range(16)
-    }
 
 
 def test_a_piece_that_kills_its_workers_is_answered_for(dask: DaskCluster, tmp_path: Path) -> None:

@@ -147,17 +147,21 @@ def _is_alive(pid: int) -> bool:
         return False
 
 
-@pytest.mark.parametrize("finish", ["finish", ""])
-def test_ctrl_c_finishes_the_pieces_at_work_where_asked(tmp_path: Path, finish: str) -> None:
+@pytest.mark.parametrize(("finish", "killed"), [("finish", ""), ("finish", "0"), ("", "")])
+def test_ctrl_c_finishes_the_pieces_at_work_where_asked(
+    tmp_path: Path, finish: str, killed: str
+) -> None:
     parent = _sharing(tmp_path, 1.0 if finish else 60, finish)
     _wait(lambda: len(list(tmp_path.glob("begun*"))) == 2)
     os.killpg(parent.pid, signal.SIGINT)  # as a terminal does: to the workers as well
+    if killed:
+        os.kill(int((tmp_path / f"begun{killed}").read_text()), signal.SIGKILL)
     told, errors = parent.communicate(timeout=60)
     *numbers, last = told.split()
     assert last == "interrupted"
     begun, ended = (
         {file.name[5:] for file in tmp_path.glob(f"{what}*")} for what in ("begun", "ended")
     )
-    assert set(numbers) == ended == (begun if finish else set())
+    assert set(numbers) == ended == (begun - {killed} if finish else set())
     assert len(begun) < 8
     assert errors == ""

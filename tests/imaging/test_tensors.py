@@ -64,3 +64,11 @@ def test_a_file_without_a_hash_is_refused(tmp_path: Path) -> None:
     save_file({"a": torch.ones(2)}, path)
     with pytest.raises(ValueError, match="no SHA-256"):
         read_tensors(path)
+
+
+@pytest.mark.parametrize("header", ['[["sha256", "x"], [1, 2], ["a", 3]]', "5", "[" * 10_000])
+def test_a_header_that_is_no_object_is_refused(tmp_path: Path, header: str) -> None:
+    path = tmp_path / "a.safetensors"
+    save_file({"a": torch.ones(2)}, path, metadata={"skylight": header})
+    with pytest.raises(ValueError, match="header is damaged"):
+        read_tensors(path)

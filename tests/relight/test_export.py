@@ -11,7 +11,9 @@ from skylight.errors import DependencyError, InputError, SkylightError
 from skylight.models.autoencoder import CENTRE_AZIMUTH_RAD
 from skylight.relight import export
 from skylight.relight.export import Placement, decoder_difference, export_decoder, precompute_scene
-from skylight.relight.runtime import SkyDecoder, load_scene, relight
+from skylight.relight.runtime import relight
+from skylight.relight.scene_file import load_scene
+from skylight.relight.sky_decoder import SkyDecoder
 
 
 @pytest.mark.parametrize("batch", [1, 2, 7])

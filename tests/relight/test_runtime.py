@@ -15,17 +15,17 @@ from skylight.imaging.hdr import read_linear
 from skylight.models.ground import LambertianGround
 from skylight.relight import runtime
 from skylight.relight.export import make_scene, pack_visibility
+from skylight.relight.latent_file import read_latent
 from skylight.relight.runtime import (
-    SkyDecoder,
     add_ground,
-    load_scene,
-    read_latent,
     read_probe,
     relight,
     relight_files,
     rotate_columns,
     tone_map,
 )
+from skylight.relight.scene_file import load_scene
+from skylight.relight.sky_decoder import SkyDecoder
 from skylight.sphere.envmap import EnvironmentMap, shift_columns
 from skylight.transport.scene import evaluation_scene
 
@@ -217,6 +217,8 @@ def test_latent_files_that_are_missing_or_no_json(tmp_path):
         ({"probe": "x.exr", "scene": "bad.npz"}, "damaged, or no scene"),
         ({"probe": "x.exr", "scene": "other.npz"}, "damaged, or no scene"),
         ({"probe": "x.exr", "scene": "cut.npz"}, "damaged, or no scene"),
+        ({"probe": "x.exr", "scene": "halves.npz"}, "a layout of float64"),
+        ({"probe": "x.exr", "scene": "backwards.npz"}, "no lat-long map"),
         ({"probe": "x.exr", "exposure": 1e38}, "too bright"),
     ],
 )
@@ -226,6 +228,9 @@ def test_bad_options(scene_path, tmp_path, monkeypatch, options, message):
     (tmp_path / "bad.npz").write_bytes(b"nothing")
     np.savez("other.npz", a=np.zeros(3))
     (tmp_path / "cut.npz").write_bytes(scene_path.read_bytes()[:-2000])
+    whole = dict(np.load(scene_path))
+    np.savez("halves.npz", **(whole | {"grid_layout": whole["grid_layout"].astype(float)}))
+    np.savez("backwards.npz", **(whole | {"grid_layout": -whole["grid_layout"]}))
     there = set(tmp_path.iterdir())
     options = {"scene": scene_path, "out": "a.png"} | options
     with pytest.raises(InputError, match=message) as raised:
@@ -247,12 +252,16 @@ def test_probes_are_checked(tmp_path):
         read_probe(tmp_path / "square.exr")
 
 
-def test_decoders_are_checked(tmp_path):
+def test_decoders_are_checked(tmp_path, decoder_path, capfd):
     with pytest.raises(AssetError, match="skylight export decoder"):
         SkyDecoder(tmp_path / "none.onnx")
     (tmp_path / "bad.onnx").write_bytes(b"nothing")
     with pytest.raises(AssetError, match="damaged"):
         SkyDecoder(tmp_path / "bad.onnx")
+    no_text = decoder_path.read_bytes().replace(b"latent", b"\xfeatent", 1)
+    with pytest.raises(AssetError, match="damaged"):
+        SkyDecoder(no_text)
+    assert capfd.readouterr() == ("", "")  # onnxruntime would print
 
 
 def test_a_folder_that_is_not_there(scene_path, tmp_path):

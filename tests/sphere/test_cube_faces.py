@@ -1,14 +1,13 @@
-"""The six faces of a cube map: where each pixel looks, and how much of the sphere it is."""
-
-import math
+"""The six faces of a cube map: where each pixel looks, and what it shows."""
 
 import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.sphere.cube_faces import FACES, cube_faces, face_directions, face_solid_angles
+from skylight.sphere.cube_faces import FACES, cube_faces, face_directions
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.grid import DirectionGrid
+from skylight.sphere.wavelets import texel_solid_angles
 
 
 def opengl_lookup(direction: tuple[float, float, float]) -> tuple[str, float, float]:
@@ -35,17 +34,6 @@ def test_pixels_look_where_opengl_looks_them_up() -> None:
                 assert t * size == pytest.approx(row + 0.5)
 
 
-@pytest.mark.parametrize("size", [1, 2, 32])
-def test_solid_angles_are_exact(size: int) -> None:
-    solid = face_solid_angles(size)
-    assert float(6 * solid.sum()) == pytest.approx(4 * math.pi, rel=1e-12)
-    if size > 2:
-        towards = face_directions(size)[4]
-        # dw = dA cos / r^2 on the face's plane: (2 / size)^2 z^3
-        flat = (2 / size) ** 2 * towards[..., 2] ** 3
-        torch.testing.assert_close(solid, flat, rtol=2e-3, atol=0)
-
-
 def test_a_map_that_codes_its_directions_shows_them_on_the_faces() -> None:
     directions = DirectionGrid.latlong(128).directions
     coded = EnvironmentMap(radiance=(directions + 2).reshape(128, 256, 3).float())
@@ -57,7 +45,7 @@ def test_light_is_kept() -> None:
     light = EnvironmentMap(
         radiance=torch.rand(32, 64, 3, generator=torch.Generator().manual_seed(0))
     )
-    total = (cube_faces(light, 32) * face_solid_angles(32)[..., None].float()).sum((0, 1, 2))
+    total = (cube_faces(light, 32) * texel_solid_angles(32)[..., None].float()).sum((0, 1, 2))
     torch.testing.assert_close(total, light.integrate(), rtol=0.01, atol=0)
 
 

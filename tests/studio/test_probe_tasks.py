@@ -3,6 +3,7 @@
 With small pictures in the print files; a browser's test asks the server for whole ones.
 """
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import torch
 import trimesh
 
 from skylight.imaging.files import write_environment_map
+from skylight.probes.voxel.model import star_probe
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.studio import partition_task, voxel_task
 from skylight.studio.lights import Light
@@ -50,6 +52,15 @@ def test_a_voxel_probe(out: Path, from_above: Light, monkeypatch: pytest.MonkeyP
     assert free["+y"] == pytest.approx(0.8, abs=0.02)
     assert free["+x"] == pytest.approx(0.4, abs=0.02)
     assert free["-y"] == pytest.approx(0.0, abs=0.02)
+
+
+@pytest.mark.parametrize(("level", "error"), [(0.0, 0.0), (1.0, 0.5), (1e30, 0.5)])
+def test_an_error_is_relative_to_what_was_not_captured(level: float, error: float) -> None:
+    environment = EnvironmentMap(radiance=torch.full((16, 32, 3), level))
+    true = voxel_task.lit_slots(environment)
+    captured = voxel_task.captured_by(star_probe(1), true)
+    half = replace(true, radiance=true.radiance / 2)
+    assert voxel_task.reconstruction_error(half, true, captured) == pytest.approx(error)
 
 
 def test_a_partitions_probe(out: Path, from_above: Light, monkeypatch: pytest.MonkeyPatch) -> None:

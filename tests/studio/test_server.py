@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import httpx
@@ -162,8 +163,10 @@ def test_it_leaves_nothing(tmp_path: Path, portrait: bytes, how: signal.Signals)
         with socket.create_connection((host, int(port))) as connection:
             head = f"POST /api/photos HTTP/1.1\r\nHost: {host}\r\nContent-Length: {len(portrait)}"
             connection.sendall(head.encode() + b"\r\n\r\n" + portrait)
+            begun = time.monotonic()
             while len(workers := studio.workers()) < 2:
-                pass
+                assert time.monotonic() - begun < 60
+                time.sleep(0.01)
             assert studio.end(how) == 0
     assert list(studio.temporary.iterdir()) == []
     assert (tmp_path / "stderr").read_text() == ""

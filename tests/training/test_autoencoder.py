@@ -19,7 +19,14 @@ from skylight.models.autoencoder import SkyAutoencoder, load_network
 from skylight.skies.index import read_index
 from skylight.training import autoencoder as training
 from skylight.training.autoencoder import schedule, train
-from skylight.training.checkpoint import NEWEST, PREVIOUS, _with_tensors, save_network
+from skylight.training.checkpoint import (
+    NEWEST,
+    PREVIOUS,
+    _with_tensors,
+    drop_damaged,
+    read_state,
+    save_network,
+)
 from skylight.training.config import AutoencoderConfig, config_yaml, read_config
 from skylight.training.data import load_data
 from skylight.training.processes import Processes
@@ -169,6 +176,15 @@ def test_two_damaged_states_are_refused(
     with pytest.raises(InputError, match="nothing to go on from") as caught:
         train(replace(config, out=out), report=lambda _: None)
     assert "\n" not in str(caught.value)
+
+
+def test_a_state_that_cannot_be_read_is_not_taken_for_damaged(tmp_path: Path) -> None:
+    """Damaged ones are removed; this one may be whole behind a disk that fails."""
+    (tmp_path / NEWEST).mkdir()
+    for ask in (lambda: read_state(tmp_path, "a run"), lambda: drop_damaged(tmp_path)):
+        with pytest.raises(InputError, match="cannot be read"):
+            ask()
+    assert (tmp_path / NEWEST).exists()
 
 
 def test_a_finished_run_stays_finished(

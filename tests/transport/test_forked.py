@@ -83,3 +83,16 @@ def test_threads_of_a_pool_may_fork():
     with ThreadPoolExecutor(2) as pool:
         found = list(pool.map(count, (0, 100, 200, 300)))
     assert found == [list(range(start, start + 8)) for start in (0, 100, 200, 300)]
+
+
+def test_threads_of_a_pool_may_have_helpers_that_fail():
+    def work(i: int) -> None:
+        if i == 1:
+            raise ValueError("in the helper")
+
+    def fail(_: int) -> None:
+        in_processes(work, 2, workers=2)
+
+    with ThreadPoolExecutor(2) as pool:
+        for made in [pool.submit(fail, n) for n in range(4)]:
+            assert isinstance(made.exception(timeout=30), SkylightError)

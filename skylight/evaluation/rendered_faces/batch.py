@@ -54,14 +54,21 @@ def render_folder(
 
 
 def render_to(out: Path, number: int, options: RenderOptions) -> None:
-    """Render one face into its folder, which appears whole or not at all."""
-    partial = out / f".partial-{uuid4().hex[:12]}"
+    """Render one face into its folder, which appears whole or not at all.
+
+    A folder that another process has made meanwhile, which was taken for lost, is left as it is.
+    """
+    place, partial = out / folder_name(number), out / f".partial-{uuid4().hex[:12]}"
     try:
         partial.mkdir()
         write_rendered_face(partial, render(number, options), options)
-        os.replace(partial, out / folder_name(number))
+        try:
+            os.replace(partial, place)
+        except OSError:
+            if not place.is_dir():
+                raise
     except OSError as error:
-        raise OutputError(f"cannot write {out / folder_name(number)}: {error.strerror}") from error
+        raise OutputError(f"cannot write {place}: {error.strerror}") from error
     finally:
         with suppress(OSError):
             shutil.rmtree(partial)

@@ -13,8 +13,9 @@ from skylight.imaging.atomic import atomic_path
 from skylight.imaging.rgbd import LARGEST, encode_rgbd
 from skylight.relight.light_files.harmonics import rounded, second_degree
 from skylight.relight.prefilter import prefiltered_levels
-from skylight.sphere.cube_faces import FACES, face_solid_angles
+from skylight.sphere.cube_faces import FACES
 from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.wavelets import texel_solid_angles
 
 LIGHT = "light.glb"
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942  # names of a .glb file's chunks
@@ -35,7 +36,7 @@ def write_gltf(folder: Path, environment: EnvironmentMap, size: int) -> tuple[li
     """
     mirrored = EnvironmentMap(radiance=environment.radiance.flip(1))
     levels = [level.cpu().numpy() for level in prefiltered_levels(mirrored, size)]
-    solid = face_solid_angles(size).numpy()[..., None]
+    solid = texel_solid_angles(size)[..., None].numpy()
     whole, held = ((solid * faces).sum() for faces in (levels[0], levels[0].clip(max=LARGEST)))
     pictures: list[bytes] = []
     names, numbers = [], []
@@ -53,7 +54,7 @@ def write_gltf(folder: Path, environment: EnvironmentMap, size: int) -> tuple[li
         "specularImages": numbers,
     }
     _write_glb(folder / LIGHT, light, pictures, names)
-    return [LIGHT], float(1 - held / max(whole, 1e-30))
+    return [LIGHT], float((whole - held) / max(whole, 1e-30))
 
 
 def _png(codes: UInt8[np.ndarray, "h w 4"]) -> bytes:

@@ -10,7 +10,7 @@ export interface FaceChooser {
 }
 
 /** The photo with a box about each face; the boxes are toggle buttons, one of them is pressed. */
-export function faceChooser(photo: Photo, changed: (chosen: Chosen) => void): FaceChooser {
+export function faceChooser(photo: Photo): FaceChooser {
   const image = el("img", {
     src: previewUrl(photo.photo),
     width: photo.width,
@@ -43,7 +43,6 @@ export function faceChooser(photo: Photo, changed: (chosen: Chosen) => void): Fa
   const choose = (to: Chosen): void => {
     chosen = to;
     show();
-    changed(to);
   };
   show();
   const frame = el(

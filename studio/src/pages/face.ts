@@ -96,7 +96,7 @@ function build(): HTMLElement {
 
 /** Everything about one photo: its faces, the choice of light, the job, the results. */
 function photoWork(photo: Photo): { element: HTMLElement; leave: () => void } {
-  const chooser: FaceChooser = faceChooser(photo, () => {});
+  const chooser: FaceChooser = faceChooser(photo);
   const job = jobPanel();
   const light = lightChoice();
   const start = el("button", { type: "button", class: "primary" }, "Find the light");

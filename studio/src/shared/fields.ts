@@ -2,7 +2,6 @@ import { el, freshId } from "./dom";
 
 export interface Slider {
   element: HTMLElement;
-  input: HTMLInputElement;
   get value(): number;
   set: (value: number) => void;
 }
@@ -38,7 +37,6 @@ export function slider(options: {
       el("div", { class: "row split" }, el("label", { for: id }, label), output),
       input,
     ),
-    input,
     get value() {
       return input.valueAsNumber;
     },

@@ -9,7 +9,6 @@ export interface JobPanel {
    * cancelled. One at a time: a second call cancels the first.
    */
   run: <Result>(request: { kind: string; [key: string]: unknown }) => Promise<Job<Result> | null>;
-  get running(): boolean;
   cancel: () => void;
 }
 
@@ -37,9 +36,6 @@ export function jobPanel(): JobPanel {
   };
   return {
     element: el("div", { class: "stack tight" }, working, alert.element),
-    get running() {
-      return stop !== null;
-    },
     cancel,
     run: async <Result>(request: { kind: string; [key: string]: unknown }) => {
       cancel();

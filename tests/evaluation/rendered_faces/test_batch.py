@@ -11,7 +11,7 @@ import torch
 pytest.importorskip("mitsuba", reason="mitsuba is not installed")
 
 from skylight.cli import main
-from skylight.errors import InputError
+from skylight.errors import InputError, OutputError
 from skylight.evaluation.rendered_faces import batch
 from skylight.evaluation.rendered_faces.batch import render_folder
 from skylight.evaluation.rendered_faces.files import read_rendered_face, rendered_faces
@@ -79,6 +79,24 @@ def test_a_second_run_makes_only_what_is_missing_and_the_same(folder: Path, tmp_
     assert differ.max() <= 1  # the order of float sums may differ
     assert (differ > 0).mean() < 0.001
     assert not list(other.glob(".partial-*"))
+
+
+def test_a_face_that_is_there_meanwhile_stays(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker that is taken for lost may have put it there."""
+    there = shutil.copytree(folder / "face0001", tmp_path / "face0001")
+    monkeypatch.setattr(batch, "write_rendered_face", lambda place, *_: (place / "x").touch())
+    monkeypatch.setattr(batch, "render", lambda *_: None)
+    batch.render_to(tmp_path, 1, TINY)
+    assert list(tmp_path.iterdir()) == [there]
+    assert {file.name for file in there.iterdir()} == {
+        file.name for file in (folder / "face0001").iterdir()
+    }
+    shutil.rmtree(there)
+    there.touch()  # no folder: not what a worker leaves
+    with pytest.raises(OutputError, match="cannot write"):
+        batch.render_to(tmp_path, 1, TINY)
 
 
 def test_other_options_want_another_folder(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Estimates of a folder of photos by two workers: five that go well, and two that do not."""
+"""Estimates of a folder of photos: some that go well (five), and two that do not."""
 
 import hashlib
 import json
@@ -8,21 +8,19 @@ from pathlib import Path
 from PIL import Image
 from skimage.data import astronaut
 
-SHIFTS = range(100, 150, 10)
 
-
-def command(folder: Path) -> list[str]:
+def command(folder: Path, faces: int = 5, workers: int = 2) -> list[str]:
     """What to run in ``folder``, and again after a kill; makes the photos where there are none."""
     photos = folder / "photos"
     if not photos.exists():
         photos.mkdir(parents=True)
-        for shift in SHIFTS:
+        for shift in range(100, 100 + 10 * faces, 10):
             face = Image.fromarray(astronaut()[:256, shift : shift + 256])
             face.save(photos / f"face{shift}.png")
         Image.new("RGB", (64, 64), (200, 120, 40)).save(photos / "no_face.png")
         (photos / "damaged.jpg").write_bytes(b"nothing")
     arguments = ["estimate", str(photos), "--out", str(folder / "out"), "--light", "sh9"]
-    return [sys.executable, "-m", "skylight", *arguments, "--workers", "2"]
+    return [sys.executable, "-m", "skylight", *arguments, "--workers", str(workers)]
 
 
 def result(folder: Path) -> dict[str, str]:

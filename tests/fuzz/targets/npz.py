@@ -14,7 +14,8 @@ from skylight.errors import InputError
 from skylight.probes.partitions.transfer import TransferCoefficients
 from skylight.probes.partitions.transfer_file import load_transfer, save_transfer
 from skylight.probes.voxel.lightmap import Lightmap, load_lightmap
-from skylight.relight.runtime import PrecomputedScene, load_scene, relight
+from skylight.relight.runtime import relight
+from skylight.relight.scene_file import PrecomputedScene, load_scene
 from tests.fuzz.files import as_file, clear, written
 
 _MARK = b"--member--"

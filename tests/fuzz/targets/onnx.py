@@ -6,7 +6,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from skylight.errors import InputError
 from skylight.relight.onnx_graph import require_plain
-from skylight.relight.runtime import SkyDecoder
+from skylight.relight.sky_decoder import SkyDecoder
 
 
 def seeds() -> list[bytes]:

@@ -27,7 +27,7 @@ from skylight.probes.partitions.placement import (
 from skylight.probes.partitions.samples import load_capture
 from skylight.probes.partitions.sizes import ProbeSizes
 from skylight.probes.voxel.placement import load_standing_probe
-from skylight.relight.runtime import read_latent
+from skylight.relight.latent_file import read_latent
 from skylight.skies.capture_dates import read_days
 from skylight.skies.index import read_index
 from skylight.training.config import read_config

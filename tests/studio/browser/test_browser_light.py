@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from skimage.data import astronaut
 
-from skylight.imaging.colour import linear_to_srgb
+from skylight.imaging.colour import linear_to_srgb, srgb_to_linear
 from skylight.sphere.frame import pixel_from_direction
 from skylight.sphere.grid import DirectionGrid
 from tests.studio.browser.known_light import SIZE
@@ -102,6 +103,28 @@ def test_each_axis_is_on_its_side(show: Callable[..., "Page"]) -> None:
     assert right[0] > left[0] + 60
     assert above[1] > below[1] + 60
     assert in_photo[row, column, 2] > 200
+
+
+def test_the_matte_ball_shows_the_irradiance_over_pi(show: Callable[..., "Page"]) -> None:
+    """Under a cap about the zenith and a patch to the right, which are no even number of rows."""
+    radiance = torch.zeros(64, 128, 3)
+    radiance[0] = torch.tensor([60.0, 30.0, 0.0])
+    radiance[35:38, 95:98] = torch.tensor([0.0, 8.0, 16.0])
+    page = show(radiance)
+    page.wait_for_timeout(100)  # the exposure's repainting
+    ball = pixels(page, ".balls figure:nth-child(3) canvas")
+    middle, radius = len(ball) / 2, len(ball) / 2 - 1
+    grid = DirectionGrid.latlong(64)
+    for x, y in [(0.0, 0.0), (0.0, 0.7), (0.6, 0.3), (-0.5, 0.5), (0.8, -0.2), (0.3, 0.8)]:
+        column, row = int(middle + x * radius), int(middle - y * radius)
+        right, up = (column + 0.5 - middle) / radius, (middle - row - 0.5) / radius
+        towards = torch.tensor([right, up, math.sqrt(1 - right**2 - up**2)], dtype=torch.float64)
+        cosines = (grid.directions.double() @ towards).clamp(min=0) * grid.solid_angles.double()
+        irradiance = cosines @ radiance.reshape(-1, 3).double()
+        want = exposure(page) * irradiance / math.pi
+        assert want.max() < 1
+        seen = srgb_to_linear(torch.as_tensor(ball[row, column, :3] / 255))
+        assert (seen - want).abs().max() < 0.015, (x, y)
 
 
 def finished(page: "Page", share: float) -> np.ndarray:
@@ -200,3 +223,34 @@ def test_a_model_of_ones_own_stays_in_the_page(show: Callable[..., "Page"], tmp_
         choose.set_input_files(tmp_path / name)
         page.get_by_role("alert").get_by_text(name).wait_for()
     assert not [url for url in asked if not url.startswith("blob:")]
+
+
+def test_other_pages_offer_a_found_light_until_its_photo_goes(
+    show: Callable[..., "Page"], tmp_path: Path
+) -> None:
+    page = show(torch.full((64, 128, 3), 0.6))
+    found = page.get_by_label("Light", exact=True).locator("option", has_text="Found: photo.png")
+
+    def offered() -> int:
+        page.evaluate("location.hash = '#/codes'")
+        page.get_by_role("heading", level=1, name="Sparse codes").wait_for()
+        count = found.count()
+        page.evaluate("location.hash = '#/face'")
+        page.get_by_role("heading", level=1, name="Light from a face").wait_for()
+        return count
+
+    assert offered() == 1
+    Image.fromarray(astronaut()[:, ::-1]).save(tmp_path / "other.png")
+    page.set_input_files("input[type=file][accept^='image']", tmp_path / "other.png")
+    page.get_by_alt_text("other.png").wait_for()
+    assert offered() == 0
+
+
+def test_a_light_that_cannot_be_fetched_says_so(show: Callable[..., "Page"]) -> None:
+    page = show(torch.full((64, 128, 3), 0.6))
+    page.route("**/probe.exr", lambda route: route.abort())
+    again = page.get_by_role("button", name="Find this light too")
+    again.click()
+    page.get_by_role("alert").get_by_text("The studio does not answer").wait_for()
+    assert again.is_enabled()
+    assert page.locator(".result").count() == 1

@@ -1,0 +1,47 @@
+"""A worker process that cannot be started, or is stopped while it starts."""
+
+import asyncio
+import errno
+from typing import Any
+
+import pytest
+
+from skylight.studio.worker_process import TaskStopped, WorkerProcess
+
+
+def test_a_process_that_cannot_be_started_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    start = asyncio.create_subprocess_exec
+
+    async def no_memory(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOMEM, "out of memory")
+
+    async def all_of_it() -> dict[str, Any]:
+        worker = WorkerProcess(["json"])
+        monkeypatch.setattr(asyncio, "create_subprocess_exec", no_memory)
+        await worker.warm()  # or else the loop over jobs would end here
+        with pytest.raises(OSError, match="out of memory"):
+            await worker.run("warm", {"modules": []})
+        monkeypatch.setattr(asyncio, "create_subprocess_exec", start)
+        try:
+            return await worker.run("warm", {"modules": []})
+        finally:
+            await worker.close()
+
+    assert asyncio.run(all_of_it()) == {}
+
+
+def test_a_stop_while_the_last_process_ends_counts() -> None:
+    async def all_of_it() -> None:
+        worker = WorkerProcess(["json"])
+        await worker.warm()
+        worker.stop()
+        task = asyncio.create_task(worker.run("warm", {"modules": []}))
+        await asyncio.sleep(0)  # it waits for the end of the stopped one
+        worker.stop()
+        try:
+            with pytest.raises(TaskStopped):
+                await task
+        finally:
+            await worker.close()
+
+    asyncio.run(all_of_it())
