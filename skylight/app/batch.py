@@ -112,7 +112,10 @@ def estimate_folder(
 
 
 def list_photos(photos: Path, out: Path) -> list[str]:
-    """Paths of the pictures below ``photos``, from there on, sorted; hidden ones and ``out`` not.
+    """Paths of the pictures below ``photos``, from there on, sorted.
+
+    Left out are hidden ones, and the results of estimates: all in ``out`` where that is inside, and
+    whatever lies beside an ``estimate.json``.
 
     Raises
     ------
@@ -129,6 +132,8 @@ def list_photos(photos: Path, out: Path) -> list[str]:
         inner = path.relative_to(root)
         hidden = any(part.startswith(".") for part in inner.parts)
         is_result = root in results.parents and results in path.parents
+        # reports of earlier estimates show the faces too
+        is_result = is_result or (path.parent / "estimate.json").exists()
         if path.suffix.lower() in SUFFIXES and path.is_file() and not hidden and not is_result:
             found.append(inner.as_posix())
     if not found:

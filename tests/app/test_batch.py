@@ -295,7 +295,8 @@ class TestFailures:
 class TestPhotos:
     def test_pictures_are_listed_without_results_and_hidden_ones(self, tmp_path: Path) -> None:
         names = ["b.JPG", "a/c.exr", "a/notes.txt", ".hidden.png", ".trash/d.png", "B.tiff"]
-        for name in (*names, "light/b_JPG/report.png"):
+        earlier = ["me_light/report.png", "me_light/estimate.json"]
+        for name in (*names, *earlier, "light/b_JPG/report.png"):
             (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
             (tmp_path / name).touch()
         (tmp_path / "folder.png").mkdir()
