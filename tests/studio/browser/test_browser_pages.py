@@ -188,7 +188,7 @@ def test_a_dragged_slider_repaints_sky_and_object_without_the_server(
         sky.evaluate(DRAG, [label, 20])  # until the picture has found its pace
         times = sky.evaluate(DRAG, [label, 120])
         rate = 1000 / statistics.median(np.diff(times))
-        record_property(f"updates_per_second ({label})", rate)
+        record_property(f"updates_per_second ({label})", float(rate))
         print(f"{label}: {rate:.1f} updates a second, {len(times)} updates of 120 steps")
         assert len(times) >= 30
         assert rate >= 6  # on a machine that is busy with other things; see the printed figure
