@@ -161,7 +161,7 @@ class TestFailures:
             ),
             (picture("m.png", SATURATED[:9]), {"--mask": "m.png"}, "mask has 56x9 pixels"),
             (text("m.png", "none"), {"--mask": "m.png"}, "no picture"),
-            (None, {"--mask": "none.png"}, "cannot read the mask"),
+            (None, {"--mask": "none.png"}, "none.png: No such file"),
             (picture("p.png", SATURATED), {"photo": "p.png"}, "over-exposed"),
             (exr_with_nan, {"photo": "nan.exr"}, "NaN"),
             (None, {"mesh": "none.ply"}, "no such mesh"),
