@@ -70,7 +70,7 @@ def estimate_folder(
     with a photo is its entry; only what is wrong with the rest (a full disk, other settings, a
     missing model) ends the run.
 
-    Memory: each worker takes up to 1.4 GB for a sky model, 1.1 GB for harmonics.
+    Memory: each worker takes up to 1.6 GB for a sky model, 1.1 GB for harmonics.
 
     Raises
     ------

@@ -66,7 +66,7 @@ def estimate(
         landmarks: What finds the face: dlib, or MediaPipe's landmarker, free for commercial use.
         landmark_model: MediaPipe's face_landmarker.task, which you download yourself.
         workers: Of a folder: processes that work at the same time; 0 for one per core. Each takes
-            up to 1.4 GB.
+            up to 1.6 GB.
         cluster: Of a folder: a dask scheduler's address, whose workers do it instead.
         retry_failed: Of a folder: try again the pictures that failed before.
     """
