@@ -121,6 +121,9 @@ def _decoder_graph(network: SkyAutoencoder, opset: int) -> bytes:
     model = onnxscript.optimizer.optimize(
         program.model_proto, input_size_limit=10**7, output_size_limit=10**7
     )
+    for part in (*model.graph.node, *model.graph.value_info, model.graph):
+        part.ClearField("metadata_props")  # where in this machine's folders each step was traced
+        part.ClearField("doc_string")
     onnx.helper.set_model_props(
         model,
         {

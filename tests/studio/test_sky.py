@@ -41,6 +41,9 @@ def test_the_shipped_decoder_is_that_of_the_shipped_network() -> None:
     graph = (data_folder() / "sky_decoder.onnx").read_bytes()
     latents = light.from_free(free)[:, :LATENT]
     assert decoder_difference(graph, light.network, latents) <= TOLERANCE
+    # no word of the folders in which it was exported
+    assert b"export.py" not in graph
+    assert b"site-packages" not in graph
 
 
 def test_the_page_gets_both(client: httpx.Client) -> None:
