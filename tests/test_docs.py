@@ -151,10 +151,10 @@ def test_supply_chain_says_the_licence_that_the_package_declares(name):
     except PackageNotFoundError:
         pytest.skip(f"{name} is not installed")
     said = supply_chain()[name][1]
-    if expression := found["License-Expression"]:
+    if expression := found.get("License-Expression"):
         assert said in expression
         return
-    texts = [(found["License"] or "").partition("\n")[0].partition("(")[0].strip()]
+    texts = [(found.get("License") or "").partition("\n")[0].partition("(")[0].strip()]
     texts += [c.rpartition(":: ")[2] for c in found.get_all("Classifier") or [] if "License" in c]
     declared = {SPDX.get(text.lower(), text) for text in texts if len(text) < 60}
     if known := declared & set(SPDX.values()):

@@ -2,11 +2,19 @@
 
 import asyncio
 import errno
+from collections.abc import Coroutine
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
 
 from skylight.studio.worker_process import TaskStopped, WorkerProcess
+
+
+def run(work: Coroutine[Any, Any, Any]) -> Any:
+    """In a thread of its own: the main one may hold the loop of the browser's driver."""
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(asyncio.run, work).result()
 
 
 def test_a_process_that_cannot_be_started_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -27,7 +35,7 @@ def test_a_process_that_cannot_be_started_is_tried_again(monkeypatch: pytest.Mon
         finally:
             await worker.close()
 
-    assert asyncio.run(all_of_it()) == {}
+    assert run(all_of_it()) == {}
 
 
 def test_a_stop_while_the_last_process_ends_counts() -> None:
@@ -44,4 +52,4 @@ def test_a_stop_while_the_last_process_ends_counts() -> None:
         finally:
             await worker.close()
 
-    asyncio.run(all_of_it())
+    run(all_of_it())
