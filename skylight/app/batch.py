@@ -26,6 +26,7 @@ from skylight.errors import InputError, OutputError, SkylightError
 from skylight.faces.landmarks import FaceLandmarker, LandmarkerName
 from skylight.imaging.colour import Decode
 from skylight.imaging.hdr import SUFFIXES as HDR_SUFFIXES
+from skylight.imaging.listing import visible_files
 from skylight.imaging.photo import read_photo
 from skylight.imaging.resumable import Workers, settle, share_work
 from skylight.inverse.photo import estimate_photos
@@ -128,14 +129,12 @@ def list_photos(photos: Path, out: Path) -> list[str]:
     if root == results:
         raise InputError(f"{out}: results go to another folder than the pictures; choose one")
     found = []
-    for path in root.rglob("*"):
-        inner = path.relative_to(root)
-        hidden = any(part.startswith(".") for part in inner.parts)
+    for path in visible_files(root, SUFFIXES, recursive=True):
         is_result = root in results.parents and results in path.parents
         # reports of earlier estimates show the faces too
         is_result = is_result or (path.parent / "estimate.json").exists()
-        if path.suffix.lower() in SUFFIXES and path.is_file() and not hidden and not is_result:
-            found.append(inner.as_posix())
+        if not is_result:
+            found.append(path.relative_to(root).as_posix())
     if not found:
         raise InputError(f"{photos}: no pictures ({', '.join(sorted(SUFFIXES))}) in this folder")
     return sorted(found)

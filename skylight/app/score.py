@@ -14,6 +14,7 @@ from skylight.evaluation.aligned_scores import SCALE_FREE, Scores, score_maps
 from skylight.imaging.atomic import atomic_path
 from skylight.imaging.files import read_environment_map, write_json
 from skylight.imaging.hdr import SUFFIXES
+from skylight.imaging.listing import visible_files
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import Convention
 
@@ -186,9 +187,7 @@ def _flat(scores: Scores) -> dict[str, float]:
 
 def _maps(folder: Path) -> dict[str, Path]:
     found: dict[str, Path] = {}
-    for path in sorted(folder.rglob("*")):
-        if path.suffix.lower() not in SUFFIXES or not path.is_file():
-            continue
+    for path in visible_files(folder, SUFFIXES, recursive=True):
         inner = path.relative_to(folder)
         if len(inner.parts) > 1 and (path.parent / "estimate.json").is_file():
             if path.name != "probe.exr":

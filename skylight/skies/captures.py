@@ -7,6 +7,7 @@ from pathlib import Path
 
 from skylight.errors import InputError
 from skylight.imaging.hdr import SUFFIXES
+from skylight.imaging.listing import visible_files
 from skylight.skies.capture_dates import capture_of, read_days
 from skylight.skies.index import INDEX_NAME, SkyRecord, is_index, read_rows, write_rows
 from skylight.skies.layouts import FIELD_DEG, SQUARE, Layout, read_pixels, sky_of
@@ -40,11 +41,8 @@ def index_captures(
 
     Raises :class:`InputError` where there are no maps, or the list names one that is not there.
     """
-    files = sorted(
-        path.relative_to(folder).as_posix()
-        for path in folder.rglob("*")
-        if path.suffix.lower() in SUFFIXES and path.is_file() and not _hidden(path, folder)
-    )
+    maps = visible_files(folder, SUFFIXES, recursive=True)
+    files = sorted(path.relative_to(folder).as_posix() for path in maps)
     if not files:
         raise InputError(f"{folder}: no .exr or .hdr maps there to index")
     listed = read_days(days) if days else {}
@@ -140,7 +138,3 @@ def _look(folder: Path, file: str, layout: Layout | None, field_deg: float) -> S
         layout=layout,
         field_deg=field_deg if square else math.nan,
     )
-
-
-def _hidden(path: Path, folder: Path) -> bool:
-    return any(part.startswith(".") for part in path.relative_to(folder).parts)

@@ -9,6 +9,7 @@ import numpy as np
 
 from skylight.errors import InputError
 from skylight.imaging.files import write_environment_map
+from skylight.imaging.listing import visible_files
 from skylight.imaging.resumable import Workers, settle, share_work
 from skylight.skies.atmosphere import ClearSky
 from skylight.skies.index import INDEX_NAME, SkyRecord, read_rows, write_rows
@@ -78,7 +79,7 @@ def simulate_folder(
         done += 1
         if progress:
             progress(done, days)
-    days_there = sorted(parts.glob("*.csv"), key=lambda part: int(part.stem))
+    days_there = sorted(visible_files(parts, {".csv"}), key=lambda part: int(part.stem))
     records = [r for part in days_there for r in read_rows(part)]
     write_rows(out / INDEX_NAME, divide(records))
     return out / INDEX_NAME

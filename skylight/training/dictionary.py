@@ -19,13 +19,14 @@ from skylight.csc.patches import ROWS, learn_patches
 from skylight.errors import InputError, SkylightError
 from skylight.imaging.collection import read_categories
 from skylight.imaging.files import read_environment_map, write_json, write_png
+from skylight.imaging.hdr import SUFFIXES
+from skylight.imaging.listing import visible_files
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.training.checkpoint import drop_damaged, read_state, write_state
 from skylight.training.config import DictionaryConfig
 
 FILE = "dictionary.safetensors"
 LEAST_ROWS = 64
-_SUFFIXES = (".exr", ".hdr")
 _TILE, _COLUMNS = 96, 10  # pixels of a filter's picture, filters in a row
 _SHOWN_RAD = math.radians(45.0)  # from a filter's middle to its picture's rim
 
@@ -112,7 +113,7 @@ def _probes(config: DictionaryConfig, report: Callable[[str], None]) -> _Probes:
 def _wanted(config: DictionaryConfig) -> list[str]:
     if not config.data.is_dir():
         raise InputError(f"{config.data}: no such folder; give one of .exr or .hdr light probes")
-    names = sorted(p.name for p in config.data.iterdir() if p.suffix.lower() in _SUFFIXES)
+    names = [path.name for path in visible_files(config.data, SUFFIXES)]
     if config.maps:
         if absent := sorted(set(config.maps) - set(names)):
             raise InputError(f"{config.data}: no {', '.join(absent)} there, named under `maps`")

@@ -31,6 +31,21 @@ def test_what_a_kill_changes_is_told(tmp_path: Path) -> None:
     assert outcome.differences
 
 
+def test_a_command_that_cannot_go_on_is_told(tmp_path: Path) -> None:
+    program = (
+        "import sys, time, pathlib; p = pathlib.Path(sys.argv[1]); p.mkdir(); time.sleep(1); "
+        "(p / 'done').touch()"
+    )
+    fragile = SimpleNamespace(
+        __name__="fragile",
+        command=lambda folder: [sys.executable, "-c", program, str(folder)],
+        result=lambda folder: {"done": str((folder / "done").exists())},
+    )
+    outcome = kill_runs(fragile, tmp_path, kills=2, seed=0)  # type: ignore[arg-type]
+    assert outcome.kills == 2
+    assert any("FileExistsError" in line for line in outcome.differences)
+
+
 def test_the_whole_group_is_killed(tmp_path: Path) -> None:
     """Children would go on writing."""
     child = f"import time; time.sleep(2); open({str(tmp_path / 'late')!r}, 'w')"

@@ -61,6 +61,8 @@ def test_days_already_there_are_kept(folder: Path, tmp_path: Path) -> None:
     """A run that stopped after the first day ends like one that did not."""
     simulate(tmp_path, days=1)
     before = (tmp_path / "days" / "0.csv").stat().st_mtime_ns
+    left = tmp_path / "days" / ".partial-35cdcfb194cd.csv"  # of a run that was killed
+    left.write_text("file,day\nhalf")
     seen: list[tuple[int, int]] = []
     simulate_folder(
         tmp_path,
@@ -71,6 +73,7 @@ def test_days_already_there_are_kept(folder: Path, tmp_path: Path) -> None:
     )
     assert (tmp_path / "days" / "0.csv").stat().st_mtime_ns == before
     assert seen == [(1, 2), (2, 2)]
+    left.unlink()
     assert contents(tmp_path) == contents(folder)
 
 

@@ -13,6 +13,8 @@ from torch import Tensor
 from skylight.errors import InputError
 from skylight.imaging.collection import INDEX_NAME, read_categories
 from skylight.imaging.files import read_environment_map
+from skylight.imaging.hdr import SUFFIXES
+from skylight.imaging.listing import visible_files
 from skylight.skies.atmosphere import ClearSky
 from skylight.skies.simulator import draw_day, simulate_sky, sunlit_moments
 from skylight.skies.sun import Place, sun_midnight
@@ -21,7 +23,6 @@ from skylight.sphere.envmap import EnvironmentMap, shift_columns
 MAP_HEIGHT = 32
 _GROUND_ALBEDO = 0.2
 _SKY_MINUTES = 60.0
-_SUFFIXES = (".exr", ".hdr")
 
 Tell = Callable[[str, float], None]
 
@@ -47,7 +48,7 @@ def read_maps(folder: Path, category: str | None = None) -> Lights:
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder; give one with .exr or .hdr maps")
     if category is None:
-        files = sorted(p for p in folder.iterdir() if p.suffix.lower() in _SUFFIXES)
+        files = visible_files(folder, SUFFIXES)
         if not files:
             raise InputError(f"{folder}: there are no .exr or .hdr maps in this folder")
     else:
