@@ -25,6 +25,7 @@ def describe_posterior(posterior: SunPosterior) -> dict[str, object]:
         "share": SHARE,
         "region_sr": posterior.region_sr,
         "region_radius_deg": math.degrees(posterior.region_radius_rad),
+        "region_edge_per_sr": edge_density(posterior),
         "region_parts": [
             {"share": part.share, **named_angles(part.peak)}
             for part in posterior.parts
@@ -34,6 +35,22 @@ def describe_posterior(posterior: SunPosterior) -> dict[str, object]:
         "exposure_interval": list(posterior.exposure_interval),
         "albedo_scale_interval": list(posterior.albedo_scale_interval),
     }
+
+
+def edge_density(posterior: SunPosterior) -> float:
+    """Density per sr along the edge of the region, as pictures draw it.
+
+    That is the region's least density moved by 2 %, since where much of the sky is that dense, its
+    ripples of a thousandth would make edges all over; up or down, whichever encloses a share
+    nearer to the region's.
+    """
+    least = posterior.density[posterior.region].min()
+    mass = posterior.density * posterior.grid.solid_angles
+
+    def away(level: Float[Tensor, ""]) -> float:
+        return abs(float(mass[posterior.density >= level].sum()) - SHARE)
+
+    return float(min(0.98 * least, 1.02 * least, key=away))
 
 
 def angles_deg(direction: Float[Tensor, "3"]) -> tuple[float, float]:
@@ -79,7 +96,7 @@ def draw_region(axes: "Axes", posterior: SunPosterior) -> None:
     if posterior.verdict == "overcast: no sun":
         return
     density = posterior_map(posterior).radiance[..., 0].numpy()
-    level = float(posterior.density[posterior.region].min())
+    level = edge_density(posterior)
     # one column round the seam on either side, one row of nothing above the zenith's
     wrapped = np.pad(np.pad(density, ((0, 0), (1, 1)), mode="wrap"), ((1, 0), (0, 0)))
     rows, columns = np.arange(-1, len(density)), np.arange(-1, density.shape[1] + 1)

@@ -49,6 +49,8 @@ export interface EstimateResult {
     verdict: string;
     share: number;
     region_radius_deg: number;
+    /** Density of posterior.exr along the region's edge. */
+    region_edge_per_sr: number;
     region_parts: ({ share: number } & Angles)[];
   };
   advice: string[];

@@ -8,7 +8,13 @@ import pytest
 import torch
 from matplotlib.figure import Figure
 
-from skylight.app.doubt import describe_posterior, draw_region, posterior_map, sure_of_the_sun
+from skylight.app.doubt import (
+    describe_posterior,
+    draw_region,
+    edge_density,
+    posterior_map,
+    sure_of_the_sun,
+)
 from skylight.inverse.posterior import SunPosterior, Verdict, region_parts, smallest_region
 from skylight.sphere.frame import direction_from_angles, pixel_from_direction
 from skylight.sphere.grid import DirectionGrid
@@ -16,8 +22,8 @@ from skylight.sphere.grid import DirectionGrid
 GRID = DirectionGrid.sky(32)
 
 
-def posterior_about(*angles_deg, kappa=100.0, verdict: Verdict = "reliable"):
-    density = torch.zeros(len(GRID), dtype=torch.float64)
+def posterior_about(*angles_deg, kappa=100.0, floor=0.0, verdict: Verdict = "reliable"):
+    density = floor * (1 + 1e-3 * torch.sin(torch.arange(len(GRID)).double()))
     for azimuth, zenith in angles_deg:
         sun = direction_from_angles(*torch.tensor([azimuth, zenith]).double().deg2rad())
         density += torch.exp(kappa * (GRID.directions @ sun - 1))
@@ -63,6 +69,28 @@ def test_numbers_are_plain_and_name_each_part():
 def test_the_line_for_people(verdict, words):
     # 90 % of this lobe lie within acos(1 - ln 10 / 100)
     assert words in sure_of_the_sun(posterior_about((40.0, 50.0), verdict=verdict))
+
+
+@pytest.mark.parametrize("floor", [0.0, 3e-4, 1.0])
+def test_the_edge_keeps_clear_of_a_flat_sky(floor):
+    """A lobe holds 1/16 at a height of 1: with a floor of 3e-4 it is 97 % of all; of 1, 1 %."""
+    posterior = posterior_about((40.0, 50.0), floor=floor)
+    level = edge_density(posterior)
+    mass = posterior.density * posterior.grid.solid_angles
+    enclosed = float(mass[posterior.density >= level].sum())
+    assert enclosed == pytest.approx(1.0 if floor == 1.0 else 0.9, abs=0.02)
+
+
+def test_a_lobe_that_holds_a_little_less_than_the_region_is_drawn_alone():
+    """The rest of the region is somewhere in a flat sky, where no edge means anything."""
+    posterior = posterior_about((40.0, 50.0), floor=1.5e-3)
+    inside = posterior.density >= edge_density(posterior)
+    sun = direction_from_angles(*torch.tensor([40.0, 50.0]).double().deg2rad())
+    away = torch.acos((GRID.directions @ sun).clamp(-1, 1)).rad2deg()
+    assert float(away[posterior.region].max()) > 60  # it goes all over
+    assert float(away[inside].max()) < 40
+    mass = float((posterior.density * GRID.solid_angles)[inside].sum())
+    assert 0.8 < mass < 0.9
 
 
 def test_the_contour_runs_round_the_sun_at_the_regions_border():

@@ -1,7 +1,6 @@
-import { solidAngles } from "../shared/frame";
 import { sampler, type RadianceMap } from "../shared/radiance_map";
 
-/** Where the sun may stand: its density per sr, and the smallest region that holds a share of it. */
+/** Where the sun may stand: its density per sr, and the region that holds most of it. */
 export interface Posterior {
   density: RadianceMap;
   /** The density on the region's edge. */
@@ -10,23 +9,13 @@ export interface Posterior {
   at: (column: number, row: number) => number;
 }
 
-export function posteriorOf(density: RadianceMap, share: number): Posterior {
-  const { width, height, data } = density;
-  const omega = solidAngles(width, height);
-  const cells = Array.from({ length: width * height }, (_, i) => ({
-    value: data[3 * i]!,
-    mass: data[3 * i]! * omega[Math.floor(i / width)]!,
-  })).sort((a, b) => b.value - a.value);
-  const total = cells.reduce((sum, { mass }) => sum + mass, 0);
-  let gathered = 0;
-  const edge = cells.find(({ mass }) => (gathered += mass) >= share * total);
+export function posteriorOf(density: RadianceMap, level: number): Posterior {
   const look = sampler(density);
   const out = new Float32Array(3);
   return {
     density,
-    // a little lower: where the density is flat, its ripples of a thousandth make no edges
-    level: edge ? 0.98 * edge.value : Infinity,
-    most: cells[0]?.value ?? 0,
+    level,
+    most: density.data.reduce((most, value) => Math.max(most, value), 0),
     at: (column, row) => {
       look(column, row, out, 0);
       return out[0]!;

@@ -25,7 +25,7 @@ export async function resultCard(title: string, job: Job<EstimateResult>): Promi
   ]);
   const { sun } = result;
   const sees = result.posterior.verdict !== NO_SUN;
-  const posterior = sees ? posteriorOf(density, result.posterior.share) : null;
+  const posterior = sees ? posteriorOf(density, result.posterior.region_edge_per_sr) : null;
 
   const words = inWords(sun.azimuth_deg, sun.zenith_deg);
   const view = panorama(

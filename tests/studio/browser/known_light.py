@@ -27,7 +27,13 @@ def answers(radiance: torch.Tensor, folder: Path) -> "Callable[[Route], None]":
     result = {
         "light": "autoencoder",
         "sun": {"azimuth_deg": 90.0, "zenith_deg": 50.0},
-        "posterior": {"verdict": "sun", "share": 0.9, "region_radius_deg": 8, "region_parts": []},
+        "posterior": {
+            "verdict": "sun",
+            "share": 0.9,
+            "region_radius_deg": 8,
+            "region_edge_per_sr": 0.9,
+            "region_parts": [],
+        },
         "advice": [],
         "faces": [{"number": 1, "residual": 0.1, "albedo": [0.5, 0.4, 0.3]}],
         "seconds": {"all": 1.0},
