@@ -136,14 +136,12 @@ def require_plain_packing(members: Iterable[zipfile.ZipInfo]) -> None:
             raise ValueError(f"{member.filename} is packed in a way that is not read; deflate it")
 
 
-def require_pixels(width: int, height: int) -> None:
-    """ValueError for more pixels than :data:`PIXELS_MAX`, or none."""
+def require_pixels(width: int, height: int, most: int = PIXELS_MAX) -> None:
+    """ValueError for more pixels than ``most``, or none."""
     if min(width, height) < 1:
         raise ValueError(f"{width}x{height} is no size of a picture")
-    if width * height > PIXELS_MAX:
-        raise ValueError(
-            f"{width}x{height} are more than {PIXELS_MAX} pixels, the picture is too large"
-        )
+    if width * height > most:
+        raise ValueError(f"{width}x{height} are more than {most} pixels, the picture is too large")
 
 
 def _whole(text: str) -> int | float:

@@ -23,7 +23,8 @@ from skylight.relight.sky_decoder import SkyDecoder
 
 GROUND_ALBEDO = 0.2  # thesis, B.1: where nothing tells the ground's
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # ITU-R BT.709-6, section 3.3
-_BLOCK_PIXELS = 1024  # shaded together: 34 MB of scratch memory for 8192 directions
+_BLOCK_PIXELS = 1024  # shaded together: 2 x 34 MB of scratch memory for 8192 directions
+_BACKGROUND_PIXELS = 1 << 14  # looked up together: 4 MB
 
 
 def relight(
@@ -41,7 +42,8 @@ def relight(
     shading = np.empty((len(scene.pixels), 3), np.float32)
     for start in range(0, len(shading), _BLOCK_PIXELS):
         block = slice(start, start + _BLOCK_PIXELS)
-        transport = np.maximum(scene.normals[block] @ scene.directions.T, 0)
+        transport = scene.normals[block] @ scene.directions.T
+        np.maximum(transport, 0, out=transport)
         transport *= np.unpackbits(scene.visible[block], axis=1, count=len(light))
         shading[block] = transport @ light
     albedo = np.where(scene.on_ground[:, None], np.asarray(ground_albedo, np.float32), scene.albedo)
@@ -189,18 +191,22 @@ def _background(
 ) -> Float32[np.ndarray, "h w 3"]:
     """The probe through each pixel's centre, bilinear."""
     (height, width), (x0, y0) = scene.layout, scene.center_px
-    y, x = np.mgrid[:height, :width] + 0.5
-    right, up, ahead = x - x0, y0 - y, scene.focal_px
+    ahead = scene.focal_px
     rows, columns = probe.shape[:2]
-    azimuth, zenith = np.arctan2(right, ahead), np.arctan2(np.hypot(right, ahead), up)
-    row = np.clip(zenith / np.pi * rows - 0.5, 0, rows - 1)
-    column = (azimuth / (2 * np.pi) + 0.5) * columns - 0.5
-    r, c = np.floor(row).astype(int), np.floor(column).astype(int)
-    fr, fc = (row - r)[..., None], (column - c)[..., None]
-    r1, c, c1 = np.minimum(r + 1, rows - 1), c % columns, (c + 1) % columns
-    top = (1 - fc) * probe[r, c] + fc * probe[r, c1]
-    bottom = (1 - fc) * probe[r1, c] + fc * probe[r1, c1]
-    return ((1 - fr) * top + fr * bottom).astype(np.float32)
+    seen = np.empty((height * width, 3), np.float32)
+    for start in range(0, len(seen), _BACKGROUND_PIXELS):
+        block = np.arange(start, min(start + _BACKGROUND_PIXELS, len(seen)))
+        right, up = block % width + 0.5 - x0, y0 - (block // width + 0.5)
+        azimuth, zenith = np.arctan2(right, ahead), np.arctan2(np.hypot(right, ahead), up)
+        row = np.clip(zenith / np.pi * rows - 0.5, 0, rows - 1)
+        column = (azimuth / (2 * np.pi) + 0.5) * columns - 0.5
+        r, c = np.floor(row).astype(int), np.floor(column).astype(int)
+        fr, fc = (row - r)[:, None], (column - c)[:, None]
+        r1, c, c1 = np.minimum(r + 1, rows - 1), c % columns, (c + 1) % columns
+        top = (1 - fc) * probe[r, c] + fc * probe[r, c1]
+        bottom = (1 - fc) * probe[r1, c] + fc * probe[r1, c1]
+        seen[block] = (1 - fr) * top + fr * bottom
+    return seen.reshape(height, width, 3)
 
 
 def _overlap(source: np.ndarray, target: np.ndarray) -> Float[np.ndarray, "k l"]:

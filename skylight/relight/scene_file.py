@@ -13,6 +13,7 @@ from skylight.imaging.atomic import atomic_path
 from skylight.imaging.bounded import load_arrays, require_pixels
 
 SCENE_FORMAT = "skylight scene 1"
+PICTURE_PIXELS_MAX = 2**23  # the largest that is exported has 2880 x 2160
 _TYPES = {
     "pixels": np.uint16,
     "normals": np.float32,
@@ -118,7 +119,7 @@ def _require_usable(plain: dict[str, Any], arrays: dict[str, np.ndarray]) -> Non
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise ValueError(f"{name} is not finite")
     (height, width), (rows, columns) = plain["layout"], plain["grid_layout"]
-    require_pixels(width, height)
+    require_pixels(width, height, PICTURE_PIXELS_MAX)
     if columns != 2 * rows or rows < 1:
         raise ValueError(f"{columns} x {rows} directions are no lat-long map")
     if not 0 < plain["focal_px"] < math.inf or not np.isfinite(plain["center_px"]).all():

@@ -2,6 +2,8 @@ import json
 import math
 import subprocess
 import sys
+import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -202,6 +204,15 @@ def test_latent_files_that_are_missing_or_no_json(tmp_path):
         read_latent(tmp_path / "z.json")
 
 
+def test_a_picture_takes_little_more_memory_than_its_pixels(scene_path):
+    scene = replace(load_scene(scene_path), layout=(1000, 2000))
+    tracemalloc.start()
+    picture = relight(scene, random_map(16, 32).numpy())
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < picture.nbytes + 80e6  # two blocks of 1024 pixels x 8192 directions
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -219,6 +230,7 @@ def test_latent_files_that_are_missing_or_no_json(tmp_path):
         ({"probe": "x.exr", "scene": "cut.npz"}, "damaged, or no scene"),
         ({"probe": "x.exr", "scene": "halves.npz"}, "a layout of float64"),
         ({"probe": "x.exr", "scene": "backwards.npz"}, "no lat-long map"),
+        ({"probe": "x.exr", "scene": "huge.npz"}, "13434886 are more than 8388608 pixels"),
         ({"probe": "x.exr", "exposure": 1e38}, "too bright"),
     ],
 )
@@ -231,6 +243,7 @@ def test_bad_options(scene_path, tmp_path, monkeypatch, options, message):
     whole = dict(np.load(scene_path))
     np.savez("halves.npz", **(whole | {"grid_layout": whole["grid_layout"].astype(float)}))
     np.savez("backwards.npz", **(whole | {"grid_layout": -whole["grid_layout"]}))
+    np.savez("huge.npz", **(whole | {"layout": np.array([13434886, 8])}))
     there = set(tmp_path.iterdir())
     options = {"scene": scene_path, "out": "a.png"} | options
     with pytest.raises(InputError, match=message) as raised:

@@ -14,7 +14,7 @@ from skylight.errors import InputError
 from skylight.imaging.bounded import require_pixels
 from skylight.imaging.colour import srgb_to_linear
 from skylight.probes.partitions.scene import Scene
-from skylight.transport.mesh import loaded_mesh, require_coordinates
+from skylight.transport.mesh import FARTHEST, loaded_mesh, require_coordinates
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -80,9 +80,19 @@ def _one(mesh: "Trimesh", albedo: tuple[float, float, float], linear: bool) -> S
         vertices,
         faces,
         colour,
-        uv=torch.from_numpy(np.array(visual.uv, np.float64)),
+        uv=_places_in_texture(visual.uv),
         texture=(srgb_to_linear(torch.from_numpy(codes)) * colour.float()).clamp(0, 1),
     )
+
+
+def _places_in_texture(uv: Any) -> Float[Tensor, "v 2"]:
+    """Readers keep however many numbers a file gives; a third one is for solid textures."""
+    places = np.array(uv, np.float64).reshape(len(uv), -1)[:, :2]
+    if places.shape[1] != 2 or not (np.abs(places) < FARTHEST).all():  # false for NaN too
+        raise InputError(
+            "the mesh has texture coordinates that are no pairs of finite numbers; repair it"
+        )
+    return torch.from_numpy(places)
 
 
 def _codes(picture: Image.Image) -> Float[np.ndarray, "h w 3"]:

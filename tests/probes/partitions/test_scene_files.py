@@ -82,6 +82,31 @@ def test_a_cube_without_colours_has_the_albedo_that_is_given(tmp_path):
     torch.testing.assert_close(scene.albedo[5], torch.tensor([0.2, 0.3, 0.4]).double())
 
 
+@pytest.mark.parametrize(
+    ("corners", "uv"),
+    [
+        ("vt 0 0 0\nvt 1 0 0\nvt 0 1 0", [[0, 0], [1, 0], [0, 1]]),
+        ("vt 0\nvt 1\nvt 0", None),
+        ("vt 0 0\nvt 1e300 0\nvt 0 1", None),
+        ("vt 0 0\nvt nan 0\nvt 0 1", None),
+    ],
+)
+def test_places_in_a_texture_are_pairs_of_numbers(tmp_path, corners, uv):
+    """Three to a vertex are for solid textures; one crashed, and NaN went into the albedo."""
+    Image.new("RGB", (4, 4), (200, 100, 50)).save(tmp_path / "a.png")
+    (tmp_path / "a.mtl").write_text("newmtl a\nmap_Kd a.png\n")
+    mesh = tmp_path / "a.obj"
+    mesh.write_text(
+        f"mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\n{corners}\nusemtl a\nf 1/1 2/2 3/3\n"
+    )
+    if uv is None:
+        with pytest.raises(InputError, match="texture coordinates that are no pairs"):
+            read_scene(mesh)
+    else:
+        found = read_scene(mesh)
+        torch.testing.assert_close(found.uv, torch.tensor(uv, dtype=torch.float64))
+
+
 def test_files_that_cannot_be_used(tmp_path):
     with pytest.raises(InputError, match="no such mesh"):
         read_scene(tmp_path / "none.ply")
