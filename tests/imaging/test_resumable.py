@@ -112,7 +112,11 @@ def share_and_tell(folder: str, seconds: str, finish: str) -> None:
 
 
 def _sharing(folder: Path, seconds: float, finish: str) -> subprocess.Popen[str]:
-    script = "import sys; from tests.imaging.test_resumable import share_and_tell as run; run("
+    script = (
+        # shells that start something in the background let it ignore Ctrl-C, and so its children
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "import sys; from tests.imaging.test_resumable import share_and_tell as run; run("
+    )
     return subprocess.Popen(
         [sys.executable, "-c", script + "*sys.argv[1:])", str(folder), str(seconds), finish],
         stdout=subprocess.PIPE,
