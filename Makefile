@@ -47,7 +47,7 @@ bench: $(VENV)/.dev
 	$(BIN)/python -m pytest -o addopts=--import-mode=importlib -s benchmarks $(ARGS)
 
 docs: $(VENV)/.dev
-	OMP_NUM_THREADS=$(JOBS) $(BIN)/sphinx-build -W --keep-going -q docs out/site
+	OMP_NUM_THREADS=$(JOBS) $(BIN)/sphinx-build -j $(JOBS) -W --keep-going -q docs out/site
 
 wheel: $(VENV)/.dev
 	$(BIN)/python tools/try_wheel.py

@@ -8,6 +8,7 @@ HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]  # mathml, drawings; the package itself
 
 import drawings  # noqa: E402
+from sphinx.application import Sphinx  # noqa: E402
 
 project = "skylight"
 author = "the skylight authors"
@@ -41,6 +42,7 @@ autosummary_generate = True
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 autodoc_preserve_defaults = True
+autodoc_use_type_comments = False  # there are none
 napoleon_google_docstring = False
 napoleon_use_rtype = False
 
@@ -61,3 +63,13 @@ sphinx_gallery_conf = {
 }
 
 drawings.write(HERE / "_drawings")
+
+
+def open_one_branch(app: Sphinx, page: str, template: str, context: dict, _: object) -> None:
+    """The sidebar opens only where the page is: all modules on every page are half of the work."""
+    whole = context["toctree"]
+    context["toctree"] = lambda **options: whole(**options | {"collapse": True})
+
+
+def setup(app: Sphinx) -> None:
+    app.connect("html-page-context", open_one_branch, priority=400)  # before the theme, at 500
