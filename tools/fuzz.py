@@ -70,7 +70,7 @@ def fuzz(name: str, seconds: int, findings: Path) -> dict[str, int]:
         return int(numbers[-1]) if numbers else 0
 
     report = {
-        "inputs": stat(r"stat::number_of_executed_units:\s*(\d+)") or stat(r"^#(\d+)"),
+        "inputs": stat(r"stat::number_of_executed_units:\s*(\d+)") or stat(r"(?m)^#(\d+)"),
         "findings": int(done.returncode != 0),
         "peak_mb": stat(r"stat::peak_rss_mb:\s*(\d+)"),
         "seconds": round(time.monotonic() - started),

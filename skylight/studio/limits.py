@@ -13,7 +13,7 @@ MEGAPIXEL = 1_000_000
 class Limits:
     """``upload_mb`` (10^6 bytes) and ``megapixels`` of one file; ``jobs`` waiting or running.
 
-    Reading a picture takes about 60 bytes a pixel: 3 GB for 50 megapixels.
+    A picture takes up to about 32 bytes a pixel until its light is known: 1.6 GB for 50 megapixels.
 
     Photographs and maps are each kept until there are more than ``uploads`` of them or more than
     ``kept_mb``, jobs until there are more than ``results`` or ``kept_mb``; then the oldest that no

@@ -145,9 +145,10 @@ def read_config(path: Path) -> Config:
         raw: Any = yaml.safe_load(file_text(path))
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise InputError(f"{path}: cannot be read as YAML ({error})".replace("\n", " ")) from error
-    if not isinstance(raw, dict) or raw.get("kind") not in _KINDS:
+    name = raw.get("kind") if isinstance(raw, dict) else None
+    if not isinstance(name, str) or name not in _KINDS:
         raise InputError(f"{path}: `kind` must be one of {', '.join(_KINDS)}")
-    kind = _KINDS[raw["kind"]]
+    kind = _KINDS[name]
     known = {f.name: f.type for f in fields(kind)}
     if unknown := sorted(str(key) for key in set(raw) - set(known)):
         raise InputError(

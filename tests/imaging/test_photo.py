@@ -1,5 +1,6 @@
 import math
 import struct
+import tracemalloc
 import zlib
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import torch
 from PIL import ExifTags, Image, ImageCms, ImageOps
 
 from skylight.errors import InputError
+from skylight.imaging.colour import Decode
 from skylight.imaging.photo import photo_from_codes, read_photo
 
 ORIENTATION = ExifTags.Base.Orientation
@@ -52,6 +54,33 @@ def test_png_codes_become_linear_light(tmp_path: Path) -> None:
     )
     assert photo.pixels.dtype == torch.float32
     assert photo.focal_px is None
+
+
+@pytest.mark.parametrize("decode", [None, "linear", 2.2])
+def test_every_code_is_decoded(decode: Decode | None) -> None:
+    """Pictures go through a table; the curves are written again here, in float64."""
+    codes = np.stack([np.roll(np.arange(256), k).reshape(32, 8) for k in (0, 1, 2)], -1)
+    codes = np.tile(codes.astype(np.uint8), (3, 4, 1))  # more rows than are decoded together
+    value = codes / 255.0
+    expected = {
+        None: np.where(value > 0.04045, ((value + 0.055) / 1.055) ** 2.4, value / 12.92),
+        "linear": value,
+        2.2: value**2.2,
+    }[decode]
+    photo = photo_from_codes(codes, decode=decode)
+    np.testing.assert_allclose(photo.pixels, expected, rtol=2e-6)
+    curve = np.where(expected > 0.0031308, 1.055 * expected ** (1 / 2.4) - 0.055, 12.92 * expected)
+    np.testing.assert_array_equal(photo.encoded, np.rint(255 * curve))
+
+
+def test_decoding_takes_little_more_memory_than_the_photo() -> None:
+    codes = np.tile(colours(), (20, 20, 1))
+    tracemalloc.start()
+    photo_from_codes(codes)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # 12 bytes of light, 3 of codes, 1 of mask, and what the mask is made from
+    assert peak < 21 * codes.shape[0] * codes.shape[1]
 
 
 def test_codes_give_the_photo_of_their_file(tmp_path: Path) -> None:

@@ -46,6 +46,7 @@ def test_numbers_as_people_write_them(tmp_path: Path) -> None:
         ("kind: autoencoder\nepoch: 3\n1: 2\n", "unknown keys 1, epoch; known are batch"),
         ("kind: diffusion\n", "`kind` must be one of autoencoder, prior"),
         ("epochs: 3\n", "`kind` must be one of"),
+        ("kind: {autoencoder: 1}\n", "`kind` must be one of"),
         ("- 1\n", "`kind` must be one of"),
         ("", "`kind` must be one of"),
         ("kind: [autoencoder\n", "cannot be read as YAML"),
