@@ -2,8 +2,9 @@
 
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType
 
 from tests.faults.kills import ended, kill_runs
 from tests.faults.scenarios import capture
@@ -15,33 +16,32 @@ def test_killed_captures_end_as_undisturbed_ones(tmp_path: Path) -> None:
     assert outcome.differences == ()
 
 
+def scenario(program: str, result: Callable[[Path], str]) -> ModuleType:
+    """A Python program that gets the folder, and what is looked at there."""
+    found = ModuleType("program")
+    found.command = lambda folder: [sys.executable, "-c", program, str(folder)]  # type: ignore[attr-defined]
+    found.result = lambda folder: {"result": result(folder)}  # type: ignore[attr-defined]
+    return found
+
+
 def test_what_a_kill_changes_is_told(tmp_path: Path) -> None:
     """A command that forgets how often it was begun ends differently; that must be seen."""
-    program = (
+    careless = scenario(
         "import sys, time, pathlib; p = pathlib.Path(sys.argv[1]); p.mkdir(exist_ok=True); "
-        "n = len(list(p.iterdir())); (p / str(n)).touch(); time.sleep(1)"
+        "n = len(list(p.iterdir())); (p / str(n)).touch(); time.sleep(1)",
+        lambda folder: str(len(list(folder.iterdir()))),
     )
-    careless = SimpleNamespace(
-        __name__="careless",
-        command=lambda folder: [sys.executable, "-c", program, str(folder)],
-        result=lambda folder: {"begun": str(len(list(folder.iterdir())))},
-    )
-    outcome = kill_runs(careless, tmp_path, kills=3, seed=0)  # type: ignore[arg-type]
+    outcome = kill_runs(careless, tmp_path, kills=3, seed=0)
     assert outcome.kills == 3
     assert outcome.differences
 
 
 def test_a_command_that_cannot_go_on_is_told(tmp_path: Path) -> None:
-    program = (
-        "import sys, time, pathlib; p = pathlib.Path(sys.argv[1]); p.mkdir(); time.sleep(1); "
-        "(p / 'done').touch()"
+    fragile = scenario(
+        "import sys, time, pathlib; p = pathlib.Path(sys.argv[1]); p.mkdir(); time.sleep(1)",
+        lambda folder: str(folder.exists()),
     )
-    fragile = SimpleNamespace(
-        __name__="fragile",
-        command=lambda folder: [sys.executable, "-c", program, str(folder)],
-        result=lambda folder: {"done": str((folder / "done").exists())},
-    )
-    outcome = kill_runs(fragile, tmp_path, kills=2, seed=0)  # type: ignore[arg-type]
+    outcome = kill_runs(fragile, tmp_path, kills=2, seed=0)
     assert outcome.kills == 2
     assert any("FileExistsError" in line for line in outcome.differences)
 
