@@ -3,7 +3,6 @@
 import hashlib
 import json
 import math
-import shutil
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -17,18 +16,17 @@ from skylight.app.manifest import (
     MANIFEST,
     Entry,
     append_entry,
-    only_run,
     read_manifest,
     write_manifest,
 )
 from skylight.app.results import MESHES, results_folder, write_results
-from skylight.errors import InputError, OutputError, SkylightError
+from skylight.errors import InputError, SkylightError
 from skylight.faces.landmarks import FaceLandmarker, LandmarkerName
 from skylight.imaging.colour import Decode
 from skylight.imaging.hdr import SUFFIXES as HDR_SUFFIXES
 from skylight.imaging.listing import visible_files
 from skylight.imaging.photo import read_photo
-from skylight.imaging.resumable import Workers, settle, share_work
+from skylight.imaging.resumable import Workers, claimed, settle, share_work, sweep
 from skylight.inverse.photo import estimate_photos
 from skylight.models.shipped import LightName
 
@@ -83,13 +81,7 @@ def estimate_folder(
     sources = list_photos(photos, out)
     choose_landmarker(settings.landmarks, settings.landmark_model)  # refuses what cannot be used
     facts = settings.facts()
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(
-            f"cannot write into {out}: {error.strerror}; choose another folder with --out"
-        ) from error
-    with only_run(out):
+    with claimed(out):
         settle(out / SETTINGS, facts)
         _sweep(out, sources)
         entries = read_manifest(out / MANIFEST)
@@ -257,11 +249,7 @@ def _hash(facts: dict[str, object]) -> str:
 def _sweep(out: Path, sources: Sequence[str]) -> None:
     """Remove what workers that were killed left behind."""
     for folder in (out, *(out / folder_name(source) for source in sources)):
-        for partial in folder.glob(".partial-*"):
-            if partial.is_dir():
-                shutil.rmtree(partial, ignore_errors=True)
-            else:
-                partial.unlink(missing_ok=True)
+        sweep(folder)
 
 
 def time_left_s(seconds: Sequence[float], elapsed_s: float, left: int) -> float:

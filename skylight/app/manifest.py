@@ -2,8 +2,7 @@
 
 import json
 import os
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -93,32 +92,6 @@ def append_entry(path: Path, entry: Entry) -> None:
             f"cannot write {path}: {error.strerror}; the photos in it are done: mend this, and "
             "run the same command again"
         ) from error
-
-
-@contextmanager
-def only_run(folder: Path) -> Iterator[None]:
-    """Refuse a second run in one folder at a time; the lock goes with the process that has it.
-
-    Raises
-    ------
-    InputError
-        Another run is at work there.
-    """
-    try:
-        import fcntl
-    except ImportError:  # Windows
-        yield
-        return
-    with (folder / ".lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise InputError(
-                f"{folder}: another run is at work there; wait for it, or give another folder"
-            ) from error
-        except OSError:  # a file system without locks, as some clusters have
-            pass
-        yield
 
 
 def _line(entry: Entry) -> str:

@@ -11,7 +11,7 @@ from typing import Protocol, runtime_checkable
 import skylight
 from skylight.errors import SkylightError
 from skylight.imaging.atomic import atomic_path
-from skylight.imaging.resumable import Workers, share_work
+from skylight.imaging.resumable import Workers, claimed, share_work
 
 Metrics = dict[str, dict[str, float]]  # method -> metric -> value
 CACHE = "items.jsonl"
@@ -110,21 +110,22 @@ def measure_all(
     where it was. Processes use one thread each; ``workers=1`` stays in this process.
     """
     names = evaluation.items()
-    pictures = out / "pictures"
-    pictures.mkdir(parents=True, exist_ok=True)
-    config = {"name": evaluation.name, "code": code_hash(), **evaluation.config()}
-    done = _read_cache(out / CACHE, config)
-    missing = [name for name in names if name not in done]
     tell = progress or (lambda count, total: None)
-    tell(len(names) - len(missing), len(names))
-    with (out / CACHE).open("a") as stream:
-        work = [(evaluation, name, pictures / f"{name}.png") for name in missing]
-        for item in share_work(_measure, work, workers=workers):
-            done[item.name] = item
-            stream.write(json.dumps(asdict(item)) + "\n")
-            stream.flush()
-            missing.remove(item.name)
-            tell(len(names) - len(missing), len(names))
+    with claimed(out):
+        pictures = out / "pictures"
+        pictures.mkdir(exist_ok=True)
+        config = {"name": evaluation.name, "code": code_hash(), **evaluation.config()}
+        done = _read_cache(out / CACHE, config)
+        missing = [name for name in names if name not in done]
+        tell(len(names) - len(missing), len(names))
+        with (out / CACHE).open("a") as stream:
+            work = [(evaluation, name, pictures / f"{name}.png") for name in missing]
+            for item in share_work(_measure, work, workers=workers):
+                done[item.name] = item
+                stream.write(json.dumps(asdict(item)) + "\n")
+                stream.flush()
+                missing.remove(item.name)
+                tell(len(names) - len(missing), len(names))
     return [done[name] for name in names]
 
 

@@ -3,6 +3,7 @@
 import json
 import multiprocessing
 import os
+import shutil
 import signal
 import threading
 from collections import deque
@@ -18,9 +19,9 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import wait as wait_for
 from pathlib import Path
-from typing import TypeVar
+from typing import IO, TypeVar
 
-from skylight.errors import InputError, SkylightError
+from skylight.errors import InputError, OutputError, SkylightError
 from skylight.imaging.cluster import Cluster, prepare_once, share_on_cluster
 from skylight.imaging.files import write_json
 
@@ -28,6 +29,56 @@ Result = TypeVar("Result")
 Workers = int | Cluster  # so many processes here, or those of a cluster
 MOST_LOSSES = 3  # a piece that its process did not survive so often is given up
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
+@contextmanager
+def claimed(folder: Path) -> Iterator[None]:
+    """A folder for one run at a time, made where there is none, and swept.
+
+    The lock ends with its process.
+
+    Raises
+    ------
+    InputError
+        Another run is at work there.
+    OutputError
+        It cannot be written to.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / ".lock").open("w")
+    except OSError as error:
+        raise OutputError(
+            f"cannot write into {folder}: {error.strerror}; choose another folder with --out"
+        ) from error
+    with lock:
+        _lock(lock, folder)
+        sweep(folder)
+        yield
+
+
+def sweep(folder: Path) -> None:
+    """Remove what runs that were killed have left half written in a folder that is claimed."""
+    for partial in folder.glob(".partial-*"):
+        if partial.is_dir():
+            shutil.rmtree(partial, ignore_errors=True)
+        else:
+            partial.unlink(missing_ok=True)
+
+
+def _lock(file: IO[str], folder: Path) -> None:
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise InputError(
+            f"{folder}: another run is at work there; wait for it, or give another folder"
+        ) from error
+    except OSError:  # a file system without locks, as some clusters have
+        return
 
 
 def settle(note: Path, settings: dict[str, object]) -> None:

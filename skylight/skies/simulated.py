@@ -10,7 +10,7 @@ import numpy as np
 from skylight.errors import InputError
 from skylight.imaging.files import write_environment_map
 from skylight.imaging.listing import visible_files
-from skylight.imaging.resumable import Workers, settle, share_work
+from skylight.imaging.resumable import Workers, claimed, settle, share_work, sweep
 from skylight.skies.atmosphere import ClearSky
 from skylight.skies.index import INDEX_NAME, SkyRecord, read_rows, write_rows
 from skylight.skies.loading import centre_column_azimuth
@@ -63,25 +63,27 @@ def simulate_folder(
             f"seeds {first_seed} to {first_seed + days - 1}: skies to train on have seeds from 0 "
             f"to {EVALUATION_SEEDS - 1}; those above are for evaluation"
         )
-    parts = out / "days"
-    parts.mkdir(parents=True, exist_ok=True)
     # in one order: it decides which regime a seed draws
     shares = {regime: shares.get(regime, 0.0) for regime in REGIME_SHARES}
     settings = SimulationSettings(interval_min=interval_min, height=height, shares=shares)
-    settle(out / "settings.json", asdict(settings))
-    seeds = range(first_seed, first_seed + days)
-    missing = [s for s in seeds if not (parts / f"{s}.csv").exists()]
-    done = days - len(missing)
-    if progress:
-        progress(done, days)
-    work = [(out, seed, settings) for seed in missing]
-    for _ in share_work(_simulate_day_files, work, workers=workers, finish=True):
-        done += 1
+    with claimed(out):
+        settle(out / "settings.json", asdict(settings))
+        parts = out / "days"
+        parts.mkdir(exist_ok=True)
+        sweep(parts)
+        seeds = range(first_seed, first_seed + days)
+        missing = [s for s in seeds if not (parts / f"{s}.csv").exists()]
+        done = days - len(missing)
         if progress:
             progress(done, days)
-    days_there = sorted(visible_files(parts, {".csv"}), key=lambda part: int(part.stem))
-    records = [r for part in days_there for r in read_rows(part)]
-    write_rows(out / INDEX_NAME, divide(records))
+        work = [(out, seed, settings) for seed in missing]
+        for _ in share_work(_simulate_day_files, work, workers=workers, finish=True):
+            done += 1
+            if progress:
+                progress(done, days)
+        days_there = sorted(visible_files(parts, {".csv"}), key=lambda part: int(part.stem))
+        records = [r for part in days_there for r in read_rows(part)]
+        write_rows(out / INDEX_NAME, divide(records))
     return out / INDEX_NAME
 
 

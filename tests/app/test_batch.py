@@ -21,11 +21,12 @@ from skylight.app.batch import (
     list_photos,
     time_left_s,
 )
-from skylight.app.manifest import MANIFEST, Entry, only_run, read_manifest
+from skylight.app.manifest import MANIFEST, Entry, read_manifest
 from skylight.cli import main
 from skylight.errors import InputError, OutputError
 from skylight.imaging.files import read_environment_map
 from skylight.imaging.photo import read_photo
+from skylight.imaging.resumable import claimed
 from skylight.inverse.photo import estimate_photo
 
 SH9 = BatchSettings(light="sh9")
@@ -192,7 +193,7 @@ class TestGoingOn:
 
     def test_two_runs_do_not_share_a_folder(self, copied: tuple[Path, Path]) -> None:
         photos, out = copied
-        with only_run(out), pytest.raises(InputError, match="another run is at work there"):
+        with claimed(out), pytest.raises(InputError, match="another run is at work there"):
             estimate_folder(photos, out, SH9)
         assert len(estimate_folder(photos, out, SH9)) == 4
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from skylight.errors import InputError, SkylightError
+from skylight.errors import InputError, OutputError, SkylightError
 from skylight.imaging import resumable
-from skylight.imaging.resumable import MOST_LOSSES, settle, share_work
+from skylight.imaging.resumable import MOST_LOSSES, claimed, settle, share_work
 
 
 def test_a_folder_keeps_its_settings(tmp_path: Path) -> None:
@@ -31,6 +31,25 @@ def test_a_damaged_note_is_named(tmp_path: Path) -> None:
     note.write_text("{")
     with pytest.raises(InputError, match="damaged"):
         settle(note, {"height": 4})
+
+
+def test_a_folder_has_one_run_at_a_time(tmp_path: Path) -> None:
+    folder = tmp_path / "deep" / "out"
+    with claimed(folder):
+        with pytest.raises(InputError, match="another run is at work there"), claimed(folder):
+            pass
+        (folder / ".partial-1").mkdir()
+        (folder / ".partial-1" / "a.exr").touch()
+        (folder / ".partial-2.csv").touch()
+        (folder / "a.csv").touch()
+    with claimed(folder):
+        assert {file.name for file in folder.iterdir()} == {".lock", "a.csv"}
+
+
+def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="cannot write into"), claimed(tmp_path / "file" / "out"):
+        pass
 
 
 def _where(number: int, offset: int) -> tuple[int, int, int, bool]:

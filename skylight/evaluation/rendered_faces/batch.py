@@ -13,7 +13,7 @@ from skylight.evaluation.independent_render import mitsuba_variant
 from skylight.evaluation.rendered_faces.files import folder_name, write_rendered_face
 from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.evaluation.rendered_faces.render import render
-from skylight.imaging.resumable import Workers, settle, share_work
+from skylight.imaging.resumable import Workers, claimed, settle, share_work
 
 
 def render_folder(
@@ -31,25 +31,23 @@ def render_folder(
     Raises
     ------
     InputError
-        ``out`` holds faces made with other options, or Mitsuba is not installed.
+        ``out`` holds faces made with other options, another run is at work there, or Mitsuba is
+        not installed.
     OutputError
         A folder that cannot be written to.
     """
     mitsuba_variant()  # refuses at once where it is not installed
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot write into {out}: {error.strerror}") from error
-    settle(out / "options.json", asdict(options))
-    missing = [n for n in range(count) if not (out / folder_name(n)).exists()]
-    done = count - len(missing)
-    if progress:
-        progress(done, count)
-    work = [(out, number, options) for number in missing]
-    for _ in share_work(render_to, work, workers=workers, prepare=_prepare, finish=True):
-        done += 1
+    with claimed(out):
+        settle(out / "options.json", asdict(options))
+        missing = [n for n in range(count) if not (out / folder_name(n)).exists()]
+        done = count - len(missing)
         if progress:
             progress(done, count)
+        work = [(out, number, options) for number in missing]
+        for _ in share_work(render_to, work, workers=workers, prepare=_prepare, finish=True):
+            done += 1
+            if progress:
+                progress(done, count)
     return len(missing)
 
 

@@ -112,7 +112,7 @@ def test_a_face_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(batch, "render", lambda *_: None)
     with pytest.raises(KeyboardInterrupt):
         render_folder(tmp_path, 1, TINY)
-    assert [file.name for file in tmp_path.iterdir()] == ["options.json"]
+    assert {file.name for file in tmp_path.iterdir()} == {".lock", "options.json"}
 
 
 def test_folders_without_faces_or_with_damaged_ones_are_named(folder: Path, tmp_path: Path) -> None:
