@@ -20,7 +20,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PHOTO = "from skimage import data; from PIL import Image; Image.fromarray(data.astronaut())"
-START_S = 60.0  # torch is read from the disk for the first time
+PATIENCE_S = 180.0  # torch is read from the disk for the first time, perhaps with others at work
 # both run the same code on one machine: only the order of sums by threads may differ
 TOLERANCE = 1e-4
 
@@ -89,7 +89,7 @@ def studio(skylight: Path, home: Path) -> None:
     address = f"http://127.0.0.1:{port}"
     server = subprocess.Popen([skylight, "studio", "--no-browser", "--port", str(port)], cwd=home)
     try:
-        deadline = time.monotonic() + START_S
+        deadline = time.monotonic() + PATIENCE_S
         while True:
             try:
                 page = urllib.request.urlopen(f"{address}/", timeout=5).read().decode()
@@ -100,8 +100,8 @@ def studio(skylight: Path, home: Path) -> None:
                 time.sleep(0.2)
         if "skylight studio" not in page:
             raise SystemExit("the wheel's studio has no page")
-        urllib.request.urlopen(f"{address}/assets/index.js", timeout=5).read()
-        about = json.load(urllib.request.urlopen(f"{address}/api/about", timeout=30))
+        urllib.request.urlopen(f"{address}/assets/index.js", timeout=PATIENCE_S).read()
+        about = json.load(urllib.request.urlopen(f"{address}/api/about", timeout=PATIENCE_S))
         print(f"studio {about['version']}")
     finally:
         server.terminate()

@@ -45,7 +45,7 @@ def run(*command):
     subprocess.run([sys.executable, *map(str, command)], cwd=clone, check=True, capture_output=True)
 
 
-run("-m", "skylight", "skies", "simulate", "--days", 16, "--workers", 2, "--out", runs / "skies")
+run("-m", "skylight", "skies", "simulate", "--days", 16, "--out", runs / "skies")
 records = read_index(runs / "skies")
 splits = {
     split: [r for r in records if r.split == split] for split in ("train", "validation", "test")

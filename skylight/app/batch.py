@@ -26,7 +26,7 @@ from skylight.imaging.colour import Decode
 from skylight.imaging.hdr import SUFFIXES as HDR_SUFFIXES
 from skylight.imaging.listing import visible_files
 from skylight.imaging.photo import read_photo
-from skylight.imaging.resumable import Workers, claimed, settle, share_work, sweep
+from skylight.imaging.resumable import Workers, claimed, settle, share_work
 from skylight.inverse.photo import estimate_photos
 from skylight.models.shipped import LightName
 
@@ -81,9 +81,8 @@ def estimate_folder(
     sources = list_photos(photos, out)
     choose_landmarker(settings.landmarks, settings.landmark_model)  # refuses what cannot be used
     facts = settings.facts()
-    with claimed(out):
+    with claimed(out, *(out / folder_name(source) for source in sources)):
         settle(out / SETTINGS, facts)
-        _sweep(out, sources)
         entries = read_manifest(out / MANIFEST)
         missing = [
             source
@@ -100,7 +99,6 @@ def estimate_folder(
             append_entry(out / MANIFEST, entry)
             entries[entry.source] = entry
             tell()
-        _sweep(out, sources)
     return [entries[source] for source in sources]
 
 
@@ -244,12 +242,6 @@ def _photo_hash(path: Path) -> str | None:
 
 def _hash(facts: dict[str, object]) -> str:
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
-
-
-def _sweep(out: Path, sources: Sequence[str]) -> None:
-    """Remove what workers that were killed left behind."""
-    for folder in (out, *(out / folder_name(source) for source in sources)):
-        sweep(folder)
 
 
 def time_left_s(seconds: Sequence[float], elapsed_s: float, left: int) -> float:

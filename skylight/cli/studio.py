@@ -19,7 +19,7 @@ def studio(
         port: Port to listen at; 0 takes one that is free.
         no_browser: Only say where the page is.
         upload_mb: Largest file that it takes.
-        megapixels: Largest picture that it takes; reading it takes 60 MB of memory a megapixel.
+        megapixels: Largest picture that it takes; reading it takes 32 MB of memory a megapixel.
         jobs: Most jobs that may wait or run.
     """
     from skylight.studio.limits import Limits

@@ -11,7 +11,7 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-from skylight.errors import InputError, OutputError
+from skylight.errors import InputError
 from skylight.evaluation.captured_faces import CapturedFaces
 from skylight.evaluation.curves import write_curves
 from skylight.evaluation.face_sensitivity import SIZES, FaceSensitivity
@@ -167,10 +167,6 @@ def run_evaluation(
     evaluation: Evaluation, out: Path, *, command: str, quick: bool = False, workers: Workers = 1
 ) -> Path:
     """Measure, summarise, write."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot write into {out}: {error.strerror}") from error
     bar = Progress(
         "{task.description}",
         BarColumn(),

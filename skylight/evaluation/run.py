@@ -111,8 +111,8 @@ def measure_all(
     """
     names = evaluation.items()
     tell = progress or (lambda count, total: None)
-    with claimed(out):
-        pictures = out / "pictures"
+    pictures = out / "pictures"
+    with claimed(out, pictures):
         pictures.mkdir(exist_ok=True)
         config = {"name": evaluation.name, "code": code_hash(), **evaluation.config()}
         done = _read_cache(out / CACHE, config)

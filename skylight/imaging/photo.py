@@ -85,7 +85,7 @@ def photo_from_codes(codes: UInt8[np.ndarray, "h w 3"], *, decode: Decode | None
             f"a picture must be uint8 of shape (height, width, 3), got {codes.dtype} of "
             f"{codes.shape}; convert it, or make a Photo"
         )
-    if codes.size and np.ptp(codes, axis=-1).max() <= GREY_CODES:
+    if codes.size and _is_grey(codes):
         raise InputError("the picture is grey or black: it tells nothing about light's colour")
     return _photo(codes, "srgb" if decode is None else decode, _at_maximum(codes), None)
 
@@ -181,10 +181,7 @@ def _check_kind(path: Path, image: Image.Image) -> None:
 def _require_colour(path: Path, encoded: UInt8[np.ndarray, "h w 3"]) -> None:
     if encoded.max() <= GREY_CODES:
         raise InputError(f"{path}: the picture is black; give a photo that shows a lit face")
-    # channel by channel: numpy reduces an axis of 3 ten times slower
-    red, green, blue = np.moveaxis(encoded, -1, 0)
-    highest = np.maximum(np.maximum(red, green), blue)
-    if (highest - np.minimum(np.minimum(red, green), blue)).max() <= GREY_CODES:
+    if _is_grey(encoded):
         raise InputError(
             f"{path}: red, green and blue are equal everywhere, so the picture is grey and tells "
             f"nothing about light's colour; give a colour photo"
@@ -219,6 +216,13 @@ def _decode_picture(
         codes = np.array(ImageCms.applyTransform(upright, to_srgb))
         clipped |= _at_maximum(codes)  # colours too saturated for sRGB are cut there
     return codes, clipped, focal_px
+
+
+def _is_grey(codes: UInt8[np.ndarray, "h w 3"]) -> bool:
+    # channel by channel: numpy reduces an axis of 3 ten times slower
+    red, green, blue = np.moveaxis(codes, -1, 0)
+    highest = np.maximum(np.maximum(red, green), blue)
+    return int((highest - np.minimum(np.minimum(red, green), blue)).max()) <= GREY_CODES
 
 
 def _at_maximum(codes: np.ndarray) -> Bool[np.ndarray, "h w"]:

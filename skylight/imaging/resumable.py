@@ -32,10 +32,11 @@ ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THRE
 
 
 @contextmanager
-def claimed(folder: Path) -> Iterator[None]:
-    """A folder for one run at a time, made where there is none, and swept.
+def claimed(folder: Path, *inner: Path) -> Iterator[None]:
+    """A folder for one run at a time, made where there is none; it and ``inner`` are swept.
 
-    The lock ends with its process.
+    The lock ends with its process. Windows, and some clusters' file systems, have no such locks:
+    there runs are not kept apart, and nothing is swept.
 
     Raises
     ------
@@ -52,25 +53,30 @@ def claimed(folder: Path) -> Iterator[None]:
             f"cannot write into {folder}: {error.strerror}; choose another folder with --out"
         ) from error
     with lock:
-        _lock(lock, folder)
-        sweep(folder)
+        is_locked = _is_locked(lock, folder)
+        if is_locked:
+            _sweep(folder, *inner)
         yield
+        if is_locked:  # workers may have been killed meanwhile
+            _sweep(folder, *inner)
 
 
-def sweep(folder: Path) -> None:
-    """Remove what runs that were killed have left half written in a folder that is claimed."""
-    for partial in folder.glob(".partial-*"):
-        if partial.is_dir():
-            shutil.rmtree(partial, ignore_errors=True)
-        else:
-            partial.unlink(missing_ok=True)
+def _sweep(*folders: Path) -> None:
+    """Remove what processes that were killed have left half written."""
+    for folder in folders:
+        for partial in folder.glob(".partial-*"):
+            if partial.is_dir():
+                shutil.rmtree(partial, ignore_errors=True)
+            else:
+                partial.unlink(missing_ok=True)
 
 
-def _lock(file: IO[str], folder: Path) -> None:
+def _is_locked(file: IO[str], folder: Path) -> bool:
+    """Whether this run has the lock now; False where there are no locks."""
     try:
         import fcntl
     except ImportError:  # Windows
-        return
+        return False
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
@@ -78,7 +84,8 @@ def _lock(file: IO[str], folder: Path) -> None:
             f"{folder}: another run is at work there; wait for it, or give another folder"
         ) from error
     except OSError:  # a file system without locks, as some clusters have
-        return
+        return False
+    return True
 
 
 def settle(note: Path, settings: dict[str, object]) -> None:

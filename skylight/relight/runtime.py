@@ -23,7 +23,7 @@ from skylight.relight.sky_decoder import SkyDecoder
 
 GROUND_ALBEDO = 0.2  # thesis, B.1: where nothing tells the ground's
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # ITU-R BT.709-6, section 3.3
-_BLOCK_PIXELS = 1024  # shaded together: 2 x 34 MB of scratch memory for 8192 directions
+_BLOCK_ENTRIES = 1 << 23  # of the transport, shaded together: 2 x 34 MB of scratch memory
 _BACKGROUND_PIXELS = 1 << 14  # looked up together: 4 MB
 
 
@@ -40,8 +40,9 @@ def relight(
     light = resize(probe, scene.grid_layout[0]).reshape(-1, 3)
     light = (light * (scene.solid_angles[:, None] / np.pi)).astype(np.float32)
     shading = np.empty((len(scene.pixels), 3), np.float32)
-    for start in range(0, len(shading), _BLOCK_PIXELS):
-        block = slice(start, start + _BLOCK_PIXELS)
+    pixels = max(1, _BLOCK_ENTRIES // len(light))
+    for start in range(0, len(shading), pixels):
+        block = slice(start, start + pixels)
         transport = scene.normals[block] @ scene.directions.T
         np.maximum(transport, 0, out=transport)
         transport *= np.unpackbits(scene.visible[block], axis=1, count=len(light))
@@ -195,8 +196,9 @@ def _background(
     rows, columns = probe.shape[:2]
     seen = np.empty((height * width, 3), np.float32)
     for start in range(0, len(seen), _BACKGROUND_PIXELS):
-        block = np.arange(start, min(start + _BACKGROUND_PIXELS, len(seen)))
-        right, up = block % width + 0.5 - x0, y0 - (block // width + 0.5)
+        block = slice(start, start + _BACKGROUND_PIXELS)
+        pixel = np.arange(start, min(start + _BACKGROUND_PIXELS, len(seen)))
+        right, up = pixel % width + 0.5 - x0, y0 - (pixel // width + 0.5)
         azimuth, zenith = np.arctan2(right, ahead), np.arctan2(np.hypot(right, ahead), up)
         row = np.clip(zenith / np.pi * rows - 0.5, 0, rows - 1)
         column = (azimuth / (2 * np.pi) + 0.5) * columns - 0.5

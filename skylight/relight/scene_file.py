@@ -14,6 +14,7 @@ from skylight.imaging.bounded import load_arrays, require_pixels
 
 SCENE_FORMAT = "skylight scene 1"
 PICTURE_PIXELS_MAX = 2**23  # the largest that is exported has 2880 x 2160
+DIRECTIONS_MAX = 2**17  # 256 x 512; 64 x 128 are exported
 _TYPES = {
     "pixels": np.uint16,
     "normals": np.float32,
@@ -120,7 +121,8 @@ def _require_usable(plain: dict[str, Any], arrays: dict[str, np.ndarray]) -> Non
             raise ValueError(f"{name} is not finite")
     (height, width), (rows, columns) = plain["layout"], plain["grid_layout"]
     require_pixels(width, height, PICTURE_PIXELS_MAX)
-    if columns != 2 * rows or rows < 1:
+    require_pixels(columns, rows, DIRECTIONS_MAX)
+    if columns != 2 * rows:
         raise ValueError(f"{columns} x {rows} directions are no lat-long map")
     if not 0 < plain["focal_px"] < math.inf or not np.isfinite(plain["center_px"]).all():
         raise ValueError("its camera is none")

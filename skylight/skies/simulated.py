@@ -10,7 +10,7 @@ import numpy as np
 from skylight.errors import InputError
 from skylight.imaging.files import write_environment_map
 from skylight.imaging.listing import visible_files
-from skylight.imaging.resumable import Workers, claimed, settle, share_work, sweep
+from skylight.imaging.resumable import Workers, claimed, settle, share_work
 from skylight.skies.atmosphere import ClearSky
 from skylight.skies.index import INDEX_NAME, SkyRecord, read_rows, write_rows
 from skylight.skies.loading import centre_column_azimuth
@@ -66,11 +66,10 @@ def simulate_folder(
     # in one order: it decides which regime a seed draws
     shares = {regime: shares.get(regime, 0.0) for regime in REGIME_SHARES}
     settings = SimulationSettings(interval_min=interval_min, height=height, shares=shares)
-    with claimed(out):
+    parts = out / "days"
+    with claimed(out, parts):
         settle(out / "settings.json", asdict(settings))
-        parts = out / "days"
         parts.mkdir(exist_ok=True)
-        sweep(parts)
         seeds = range(first_seed, first_seed + days)
         missing = [s for s in seeds if not (parts / f"{s}.csv").exists()]
         done = days - len(missing)
@@ -81,8 +80,9 @@ def simulate_folder(
             done += 1
             if progress:
                 progress(done, days)
-        days_there = sorted(visible_files(parts, {".csv"}), key=lambda part: int(part.stem))
-        records = [r for part in days_there for r in read_rows(part)]
+        days_there = [part for part in visible_files(parts, {".csv"}) if part.stem.isdecimal()]
+        in_order = sorted(days_there, key=lambda part: int(part.stem))
+        records = [r for part in in_order for r in read_rows(part)]
         write_rows(out / INDEX_NAME, divide(records))
     return out / INDEX_NAME
 

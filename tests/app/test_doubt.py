@@ -49,13 +49,16 @@ def test_the_map_holds_the_density_above_and_nothing_below():
 
 
 def test_numbers_are_plain_and_name_each_part():
-    found = describe_posterior(posterior_about((40.0, 50.0), (-100.0, 30.0)))
+    posterior = posterior_about((40.0, 50.0), (-100.0, 30.0))
+    found = describe_posterior(posterior)
     again = json.loads(json.dumps(found))
     zeniths = sorted(part["zenith_deg"] for part in again["region_parts"])
     assert zeniths == pytest.approx([30, 50], abs=1.5)
     assert sum(part["share"] for part in again["region_parts"]) == pytest.approx(0.9, abs=0.02)
     cap = 2 * math.pi * (1 - math.cos(math.radians(again["region_radius_deg"])))
     assert cap == pytest.approx(again["region_sr"])
+    inside = GRID.solid_angles[posterior.density >= again["region_edge_per_sr"]].sum()
+    assert float(inside) == pytest.approx(again["region_sr"], rel=0.03)
 
 
 @pytest.mark.parametrize(

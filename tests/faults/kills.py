@@ -15,6 +15,7 @@ from pathlib import Path
 from types import ModuleType
 
 PATIENCE_S = 900
+KILLED = "killed"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +36,8 @@ def kill_runs(scenario: ModuleType, folder: Path, *, kills: int, seed: int) -> O
     """
     draw = random.Random(seed)
     started = time.monotonic()
-    _finish(scenario.command(folder / "undisturbed"))
+    if failure := attempt(scenario.command(folder / "undisturbed"), PATIENCE_S):
+        raise RuntimeError(failure)
     duration = time.monotonic() - started
     expected = scenario.result(folder / "undisturbed")
     if not expected:
@@ -43,53 +45,48 @@ def kill_runs(scenario: ModuleType, folder: Path, *, kills: int, seed: int) -> O
     done = runs = 0
     differences: list[str] = []
     while done < kills:
-        place = folder / f"run{runs}"
+        place, run = folder / f"run{runs}", f"run {runs}"
         runs += 1
         command = scenario.command(place)
         begun, before = time.monotonic(), done
-        while done < kills and not ended(command, draw.uniform(0, duration)):
-            done += 1
-            if hasattr(scenario, "whole") and not scenario.whole(scenario.result(place), expected):
-                differences.append(f"run {runs}, after kill {done}: not whole")
+        failure = KILLED
+        while done < kills and failure == KILLED:
+            failure = attempt(command, draw.uniform(0, duration))
+            if failure == KILLED:
+                done += 1
+                found = scenario.result(place)
+                if hasattr(scenario, "whole") and not scenario.whole(found, expected):
+                    differences.append(f"{run}, after kill {done}: not whole")
+        if failure == KILLED:  # that was the last one
+            failure = attempt(command, PATIENCE_S)
+        if failure:
+            differences.append(f"{run}: {failure}")
+            continue
         if done == before:  # the machine has become quicker, or its load less
             duration = min(duration, time.monotonic() - begun)
-        try:
-            _finish(scenario.command(place))
-        except RuntimeError as error:
-            differences.append(f"run {runs}: {error}")
-            continue
         found = scenario.result(place)
         differences += [
-            f"run {runs}: {name}"
+            f"{run}: {name}"
             for name in sorted(expected.keys() | found.keys())
             if expected.get(name) != found.get(name)
         ]
     return Outcome(kills=done, runs=runs, undisturbed_s=duration, differences=tuple(differences))
 
 
-def ended(command: list[str], seconds: float) -> bool:
-    """Whether the command ended within that time, well or not; it is killed otherwise."""
-    process = _start(command)
-    try:
-        process.wait(seconds)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        return process.wait() != -signal.SIGKILL
-    return True
-
-
-def _finish(command: list[str]) -> None:
-    process = _start(command, subprocess.PIPE)
-    try:
-        _, told = process.communicate(timeout=PATIENCE_S)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        raise
-    if process.returncode:
-        raise RuntimeError(f"{' '.join(command)}: ended with {process.returncode}: {told}")
-
-
-def _start(command: list[str], errors: int = subprocess.DEVNULL) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=errors, text=True
+def attempt(command: list[str], seconds: float) -> str:
+    """Empty where the command ended well; ``KILLED`` after that time; else how it failed."""
+    process = subprocess.Popen(
+        command,
+        start_new_session=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
     )
+    try:
+        _, told = process.communicate(timeout=seconds)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        _, told = process.communicate()
+        if process.returncode == -signal.SIGKILL:
+            return KILLED
+    return f"ended with {process.returncode}: {told.strip()}" if process.returncode else ""

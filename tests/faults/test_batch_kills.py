@@ -1,5 +1,6 @@
 """A batch that is killed, or loses workers, ends where an undisturbed one does."""
 
+import json
 import os
 import random
 import signal
@@ -13,7 +14,7 @@ from tests.dask_cluster import dask_cluster
 from tests.faults.scenarios import batch
 
 WAIT_S = 300
-FACES, PHOTOS = 2, 4
+FACES, PHOTOS = 3, 5
 
 
 @pytest.fixture(scope="module")
@@ -31,33 +32,41 @@ def run(command: list[str]) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def lines(folder: Path) -> int:
+def done(folder: Path) -> dict[str, int]:
+    """Photos whose estimate is finished, and when its results were written, ns."""
     manifest = folder / "out" / "manifest.jsonl"
-    return manifest.read_bytes().count(b"\n") if manifest.exists() else 0
+    told = manifest.read_text(encoding="utf-8") if manifest.exists() else ""
+    entries = [json.loads(line) for line in told.splitlines(keepends=True) if line.endswith("\n")]
+    return {
+        entry["source"]: (folder / "out" / entry["results"] / "probe.exr").stat().st_mtime_ns
+        for entry in entries
+        if entry["status"] == "done"
+    }
 
 
-def wait_for_lines(folder: Path, count: int) -> None:
+def wait_for_one(folder: Path) -> dict[str, int]:
     for _ in range(20 * WAIT_S):
-        if lines(folder) >= count:
-            return
+        if found := done(folder):
+            return found
         time.sleep(0.05)
     raise TimeoutError
 
 
 def test_a_killed_batch_goes_on(tmp_path: Path, undisturbed: dict[str, str]) -> None:
     process = subprocess.Popen(
-        batch.command(tmp_path, FACES),
+        batch.command(tmp_path, FACES, workers=1),
         start_new_session=True,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-    wait_for_lines(tmp_path, 1)
+    before = wait_for_one(tmp_path)
     time.sleep(random.Random(0).uniform(0, 0.5))  # into the next photo
     os.killpg(process.pid, signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
-    assert 1 <= lines(tmp_path) < PHOTOS
+    assert len(before) < FACES
     run(batch.command(tmp_path, workers=1))
     assert batch.result(tmp_path) == undisturbed
+    assert before.items() <= done(tmp_path).items()  # not done again
 
 
 def test_a_cluster_that_loses_a_worker_goes_on(tmp_path: Path, undisturbed: dict[str, str]) -> None:
@@ -67,8 +76,9 @@ def test_a_cluster_that_loses_a_worker_goes_on(tmp_path: Path, undisturbed: dict
         command = batch.command(tmp_path, FACES)
         command[command.index("--workers") :] = ["--cluster", cluster.address]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-        wait_for_lines(tmp_path, 1)
+        before = wait_for_one(tmp_path)
         cluster.workers[0].kill()
         _, errors = process.communicate(timeout=WAIT_S)
         assert process.returncode == 0, errors
     assert batch.result(tmp_path) == undisturbed
+    assert before.items() <= done(tmp_path).items()

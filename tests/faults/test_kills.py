@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
-from tests.faults.kills import ended, kill_runs
+from tests.faults.kills import KILLED, attempt, kill_runs
 from tests.faults.scenarios import capture
 
 
@@ -36,22 +36,26 @@ def test_what_a_kill_changes_is_told(tmp_path: Path) -> None:
     assert outcome.differences
 
 
-def test_a_command_that_cannot_go_on_is_told(tmp_path: Path) -> None:
+def test_a_command_that_fails_once_after_a_kill_is_told(tmp_path: Path) -> None:
     fragile = scenario(
-        "import sys, time, pathlib; p = pathlib.Path(sys.argv[1]); p.mkdir(); time.sleep(1)",
+        "import sys, time, pathlib; p = pathlib.Path(sys.argv[1]); p.mkdir(exist_ok=True); "
+        "left = p / 'half'; known = left.exists(); left.unlink(missing_ok=True); "
+        "known and sys.exit('something is left'); left.touch(); time.sleep(1); left.unlink()",
         lambda folder: str(folder.exists()),
     )
-    outcome = kill_runs(fragile, tmp_path, kills=2, seed=0)
-    assert outcome.kills == 2
-    assert any("FileExistsError" in line for line in outcome.differences)
+    outcome = kill_runs(fragile, tmp_path, kills=3, seed=0)
+    assert outcome.kills == 3
+    assert outcome.differences == tuple(
+        f"run {run}: ended with 1: something is left" for run in range(3)
+    )
 
 
 def test_the_whole_group_is_killed(tmp_path: Path) -> None:
     """Children would go on writing."""
     child = f"import time; time.sleep(2); open({str(tmp_path / 'late')!r}, 'w')"
     program = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {child!r}])"
-    assert not ended([sys.executable, "-c", program], 0.5)
+    assert attempt([sys.executable, "-c", program], 0.5) == KILLED
     time.sleep(2.5)
     assert not (tmp_path / "late").exists()
-    assert ended([sys.executable, "-c", program], 30)
+    assert attempt([sys.executable, "-c", program], 30) == ""
     assert (tmp_path / "late").exists()

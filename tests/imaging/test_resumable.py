@@ -1,5 +1,6 @@
 """Settings of a folder, and work in several processes."""
 
+import errno
 import json
 import os
 import signal
@@ -35,15 +36,35 @@ def test_a_damaged_note_is_named(tmp_path: Path) -> None:
 
 def test_a_folder_has_one_run_at_a_time(tmp_path: Path) -> None:
     folder = tmp_path / "deep" / "out"
+    with (
+        claimed(folder),
+        pytest.raises(InputError, match="another run is at work there"),
+        claimed(folder),
+    ):
+        pass
     with claimed(folder):
-        with pytest.raises(InputError, match="another run is at work there"), claimed(folder):
-            pass
-        (folder / ".partial-1").mkdir()
-        (folder / ".partial-1" / "a.exr").touch()
-        (folder / ".partial-2.csv").touch()
-        (folder / "a.csv").touch()
-    with claimed(folder):
-        assert {file.name for file in folder.iterdir()} == {".lock", "a.csv"}
+        pass
+
+
+@pytest.mark.parametrize("has_locks", [True, False])
+def test_what_is_half_written_goes_where_no_other_run_can_be_writing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_locks: bool
+) -> None:
+    inner = tmp_path / "inner"
+    (inner / ".partial-1").mkdir(parents=True)
+    half = {inner / ".partial-1" / "a.exr", tmp_path / ".partial-2.csv", inner / ".partial-3.csv"}
+    whole = {tmp_path / "a.csv", inner / "b.csv"}
+    for file in half | whole:
+        file.touch()
+    if not has_locks:
+        monkeypatch.setattr("fcntl.flock", _no_locks)
+    with claimed(tmp_path, inner, tmp_path / "none"):
+        there = {file for file in tmp_path.rglob("*") if file.is_file()}
+    assert there - {tmp_path / ".lock"} == (whole if has_locks else half | whole)
+
+
+def _no_locks(*_: object) -> None:
+    raise OSError(errno.ENOLCK, "no locks available")
 
 
 def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:

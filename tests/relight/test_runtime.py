@@ -210,7 +210,7 @@ def test_a_picture_takes_little_more_memory_than_its_pixels(scene_path):
     picture = relight(scene, random_map(16, 32).numpy())
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < picture.nbytes + 80e6  # two blocks of 1024 pixels x 8192 directions
+    assert peak < picture.nbytes + 80e6  # two blocks of 2^23 entries
 
 
 @pytest.mark.parametrize(
@@ -229,8 +229,9 @@ def test_a_picture_takes_little_more_memory_than_its_pixels(scene_path):
         ({"probe": "x.exr", "scene": "other.npz"}, "damaged, or no scene"),
         ({"probe": "x.exr", "scene": "cut.npz"}, "damaged, or no scene"),
         ({"probe": "x.exr", "scene": "halves.npz"}, "a layout of float64"),
-        ({"probe": "x.exr", "scene": "backwards.npz"}, "no lat-long map"),
+        ({"probe": "x.exr", "scene": "backwards.npz"}, "is no size of a picture"),
         ({"probe": "x.exr", "scene": "huge.npz"}, "13434886 are more than 8388608 pixels"),
+        ({"probe": "x.exr", "scene": "fine.npz"}, "1448x724 are more than 131072 pixels"),
         ({"probe": "x.exr", "exposure": 1e38}, "too bright"),
     ],
 )
@@ -244,6 +245,7 @@ def test_bad_options(scene_path, tmp_path, monkeypatch, options, message):
     np.savez("halves.npz", **(whole | {"grid_layout": whole["grid_layout"].astype(float)}))
     np.savez("backwards.npz", **(whole | {"grid_layout": -whole["grid_layout"]}))
     np.savez("huge.npz", **(whole | {"layout": np.array([13434886, 8])}))
+    np.savez("fine.npz", **(whole | {"grid_layout": np.array([724, 1448])}))
     there = set(tmp_path.iterdir())
     options = {"scene": scene_path, "out": "a.png"} | options
     with pytest.raises(InputError, match=message) as raised:

@@ -35,7 +35,8 @@ def read_scene(path: str | Path, albedo: tuple[float, float, float] = DEFAULT_AL
     Raises
     ------
     InputError
-        A missing or damaged file, another format, no faces, or vertices that are not finite.
+        A missing or damaged file, another format, no faces, or vertices or
+        texture coordinates that are not finite.
     """
     import trimesh  # slow to import
 
@@ -90,7 +91,8 @@ def _places_in_texture(uv: Any) -> Float[Tensor, "v 2"]:
     places = np.array(uv, np.float64).reshape(len(uv), -1)[:, :2]
     if places.shape[1] != 2 or not (np.abs(places) < FARTHEST).all():  # false for NaN too
         raise InputError(
-            "the mesh has texture coordinates that are no pairs of finite numbers; repair it"
+            "the mesh has texture coordinates that are no pairs of numbers, or NaN, infinite or "
+            f"beyond {FARTHEST:g}; repair it"
         )
     return torch.from_numpy(places)
 

@@ -44,7 +44,7 @@ export async function resultCard(title: string, job: Job<EstimateResult>): Promi
   shown.element.append(ball.element);
 
   const legend = sees
-    ? `Middle: where the camera looks. Ring: the sun as found. Line: where it stands with ${Math.round(100 * result.posterior.share)} % certainty.`
+    ? `Middle: where the camera looks. Ring: the sun as found. Line: where it stands with about ${Math.round(100 * result.posterior.share)} % certainty.`
     : "Middle: where the camera looks. Ring: the brightest place; no sun was seen.";
   const element = el(
     "article",

@@ -14,6 +14,7 @@ from skylight.sphere.envmap import EnvironmentMap
 if TYPE_CHECKING:
     from playwright.sync_api import Route
 
+REGION = slice(12, 24), slice(86, 106)  # where the sun may stand, of 64 x 128
 SIZE, FOCAL, AWAY = 512, 900.0, 1.2  # of the photo, and how far away the face is said to be
 
 
@@ -22,7 +23,7 @@ def answers(radiance: torch.Tensor, folder: Path) -> "Callable[[Route], None]":
     names = ("probe.exr", "posterior.exr")
     write_environment_map(folder / "probe.exr", EnvironmentMap(radiance=radiance))
     peak = torch.full((64, 128, 3), 1e-4)
-    peak[16:20, 94:98] = 1.0
+    peak[REGION] = 1.0
     write_environment_map(folder / "posterior.exr", EnvironmentMap(radiance=peak))
     result = {
         "light": "autoencoder",

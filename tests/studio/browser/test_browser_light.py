@@ -20,7 +20,7 @@ from skimage.data import astronaut
 from skylight.imaging.colour import linear_to_srgb, srgb_to_linear
 from skylight.sphere.frame import pixel_from_direction
 from skylight.sphere.grid import DirectionGrid
-from tests.studio.browser.known_light import SIZE
+from tests.studio.browser.known_light import REGION, SIZE
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -103,6 +103,16 @@ def test_each_axis_is_on_its_side(show: Callable[..., "Page"]) -> None:
     assert right[0] > left[0] + 60
     assert above[1] > below[1] + 60
     assert in_photo[row, column, 2] > 200
+
+
+def test_a_line_runs_about_where_the_sun_may_stand(show: Callable[..., "Page"]) -> None:
+    panorama = pixels(show(torch.full((64, 128, 3), 0.01)), ".panorama canvas")[..., :3]
+    cell = len(panorama) / 64
+    yellow = (np.abs(panorama - (255, 210, 63)).max(-1) < 30).nonzero()
+    for places, region in zip(yellow, REGION, strict=True):
+        # from centre to centre of the outermost cells, and half the line's width
+        assert places.min() == pytest.approx(cell * (region.start + 0.5), abs=cell)
+        assert places.max() == pytest.approx(cell * (region.stop - 0.5), abs=cell)
 
 
 def test_the_matte_ball_shows_the_irradiance_over_pi(show: Callable[..., "Page"]) -> None:
