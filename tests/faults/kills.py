@@ -54,8 +54,9 @@ def kill_runs(scenario: ModuleType, folder: Path, *, kills: int, seed: int) -> O
             failure = attempt(command, draw.uniform(0, duration))
             if failure == KILLED:
                 done += 1
-                found = scenario.result(place)
-                if hasattr(scenario, "whole") and not scenario.whole(found, expected):
+                if hasattr(scenario, "whole") and not scenario.whole(
+                    scenario.result(place), expected
+                ):
                     differences.append(f"{run}, after kill {done}: not whole")
         if failure == KILLED:  # that was the last one
             failure = attempt(command, PATIENCE_S)

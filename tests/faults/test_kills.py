@@ -40,8 +40,9 @@ def test_a_command_that_fails_once_after_a_kill_is_told(tmp_path: Path) -> None:
     fragile = scenario(
         "import sys, time, pathlib; p = pathlib.Path(sys.argv[1]); p.mkdir(exist_ok=True); "
         "left = p / 'half'; known = left.exists(); left.unlink(missing_ok=True); "
-        "known and sys.exit('something is left'); left.touch(); time.sleep(1); left.unlink()",
-        lambda folder: str(folder.exists()),
+        "known and sys.exit('something is left'); left.touch(); time.sleep(1); left.unlink(); "
+        "(p / 'whole').write_text('all of it')",
+        lambda folder: (folder / "whole").read_text(),  # not there after a kill
     )
     outcome = kill_runs(fragile, tmp_path, kills=3, seed=0)
     assert outcome.kills == 3
