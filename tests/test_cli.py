@@ -3,12 +3,9 @@
 import errno
 import json
 import os
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import OpenEXR
@@ -19,19 +16,15 @@ from skimage.data import astronaut
 
 import skylight
 from skylight.app.estimate import estimate
-from skylight.app.results import MESHES, results_folder
-from skylight.app.sky_folders import with_time_left
 from skylight.cli import main
 from skylight.cli.estimate import Landmarks, Light
-from skylight.cli.skies import MapLayout
 from skylight.cli.workers import who_works
-from skylight.errors import AssetError, InputError, OutputError, explain
+from skylight.errors import AssetError, InputError, explain
 from skylight.faces.landmarks import DetectedFace, LandmarkerName, default_landmarker
 from skylight.faces.model import HeadModel
 from skylight.imaging.files import read_environment_map
 from skylight.inverse.photo import Progress, estimate_photo, estimate_photos
 from skylight.models.shipped import LightName, autoencoder_light
-from skylight.skies.layouts import Layout
 from skylight.sphere.frame import angles_from_direction
 
 RESULTS = {"probe.exr", "probe.hdr", "posterior.exr", "mesh.obj", "estimate.json", "report.png"}
@@ -154,7 +147,7 @@ def _landscape(path: Path) -> None:
     coarse.resize((400, 240), Image.Resampling.BICUBIC).save(path, format="PNG")
 
 
-def _exr(value: float) -> Callable[[Path], None]:
+def written_exr(value: float) -> Callable[[Path], None]:
     def write(path: Path) -> None:
         pixels = np.full((64, 128, 3), 0.5, np.float32)
         pixels[3, 5, 1] = value
@@ -182,8 +175,8 @@ BAD_PICTURES: dict[str, tuple[str, Callable[[Path], object], str]] = {
     "grey in RGB": ("a.png", _plain("RGB", (64, 64), (80, 80, 80), "PNG"), "grey"),
     "black": ("a.png", _plain("RGB", (64, 64), (0, 0, 0), "PNG"), "black"),
     "no face": ("a.png", _landscape, "no face found"),
-    "EXR with NaN": ("a.exr", _exr(np.nan), "NaN"),
-    "EXR with infinity": ("a.exr", _exr(np.inf), "infinite"),
+    "EXR with NaN": ("a.exr", written_exr(np.nan), "NaN"),
+    "EXR with infinity": ("a.exr", written_exr(np.inf), "infinite"),
 }
 
 
@@ -397,151 +390,6 @@ class TestFailures:
         message, code = explain(error)
         assert code == 1
         assert expected in message
-
-
-class TestResultsFolder:
-    def fill(self, folder: Path, *names: str, stop: BaseException | None = None) -> None:
-        with results_folder(folder, MESHES) as partial:
-            for name in names:
-                (partial / name).write_text("new")
-            if stop:
-                raise stop
-
-    @pytest.mark.parametrize("stop", [OSError(errno.ENOSPC, "full"), KeyboardInterrupt()])
-    def test_what_stops_a_run_leaves_no_trace(self, stop: BaseException, tmp_path: Path) -> None:
-        old, new = tmp_path / "old", tmp_path / "new"
-        old.mkdir()
-        (old / "a.txt").write_text("good")
-        for folder in (old, new):
-            with pytest.raises(type(stop)):
-                self.fill(folder, "a.txt", stop=stop)
-        assert contents(old) == {"a.txt": b"good"}
-        assert not new.exists()
-
-    def test_meshes_of_an_earlier_run_go_and_nothing_else(self, tmp_path: Path) -> None:
-        mine = ("mesh_of_me.obj", "mesh_1.ply")
-        for name in mine:
-            (tmp_path / name).write_text("mine")
-        self.fill(tmp_path, "mesh_1.obj", "mesh_2.obj", "mesh_10.obj")
-        with pytest.raises(KeyboardInterrupt):
-            self.fill(tmp_path, "mesh.obj", stop=KeyboardInterrupt())
-        assert {*contents(tmp_path)} == {*mine, "mesh_1.obj", "mesh_2.obj", "mesh_10.obj"}
-        self.fill(tmp_path, "mesh.obj")
-        assert {*contents(tmp_path)} == {*mine, "mesh.obj"}
-        self.fill(tmp_path, "mesh_1.obj", "mesh_2.obj")
-        assert {*contents(tmp_path)} == {*mine, "mesh_1.obj", "mesh_2.obj"}
-
-    def test_a_folder_in_a_files_place_is_kept(self, tmp_path: Path) -> None:
-        (tmp_path / "b.txt").mkdir()
-        with pytest.raises(OutputError, match="folder"):
-            self.fill(tmp_path, "a.txt", "b.txt")
-        assert [path.name for path in tmp_path.iterdir()] == ["b.txt"]
-
-
-class TestSkies:
-    def test_simulate_then_index(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        folder, other = tmp_path / "skies", tmp_path / "other.csv"
-        arguments = ["--days", "1", "--out", str(folder), "--interval", "400", "--overcast", "2"]
-        assert main(["skies", "simulate", *arguments]) == 0
-        count = len(list(folder.glob("*.exr")))
-        assert f"index.csv: {count} skies of 1 day(s) ({count} train" in capsys.readouterr().out
-        assert main(["skies", "index", str(folder)]) == 2
-        assert "indexes simulated skies" in one_line(capsys)
-        assert main(["skies", "index", str(folder), "--out", str(other)]) == 0
-        lines = capsys.readouterr().out.splitlines()
-        assert len(lines) == count + 1
-        assert all("skylatlong, day 2" in line and "no sun" in line for line in lines[:-1])
-        assert lines[-1].startswith(f"{other}: {count} skies of 1 day(s) ({count} train, ")
-        assert lines[-1].endswith(", 0 refused")
-
-    def test_time_left(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        """By the pace of what was done since the start: 2 of 10 in 8 s leave 5 for 20 s."""
-        clock = iter([100.0, 108.0, 508.0])
-        monkeypatch.setattr("skylight.app.sky_folders.time.monotonic", lambda: next(clock))
-        told: list[tuple[str, float]] = []
-        progress = with_time_left("day", lambda stage, share: told.append((stage, share)))
-        for done in (3, 5, 7):
-            progress(done, 10)
-        assert told == [
-            ("day 3 of 10", 0.3),
-            ("day 5 of 10, 20 s left", 0.5),
-            ("day 7 of 10, 5 min left", 0.7),
-        ]
-
-    def test_layouts_are_those_of_the_library(self) -> None:
-        assert get_args(MapLayout) == ("auto", *get_args(Layout))
-
-    @pytest.mark.parametrize(
-        "wrong",
-        [
-            ["--size", "32x64"],
-            ["--size", "big"],
-            ["--days", "0"],
-            ["--interval", "-5"],
-            ["--clear", "-1"],
-            ["--broken", "nan"],
-            ["--overcast", "0"],
-        ],
-    )
-    def test_wrong_numbers(
-        self, wrong: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        days = [] if "--days" in wrong else ["--days", "1"]
-        out = ["--out", str(tmp_path / "skies")]
-        assert main(["skies", "simulate", *days, *out, *wrong]) == 2
-        assert wrong[0] in one_line(capsys)
-
-    def test_no_folder(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        assert main(["skies", "index", str(tmp_path / "nowhere")]) == 2
-        assert "no such folder" in one_line(capsys)
-
-
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    import trimesh
-
-    folder = tmp_path_factory.mktemp("scene")
-    trimesh.creation.icosphere(subdivisions=2).export(folder / "ball.obj")
-    out = folder / "ball.npz"
-    arguments = [str(folder / "ball.obj"), "--out", str(out), "--height", "24"]
-    assert main(["export", "scene", *arguments]) == 0
-    return out
-
-
-class TestRelight:
-    @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
-    def test_probe_with_impossible_radiance(
-        self, value: float, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        probe, out = tmp_path / "probe.exr", tmp_path / "lit.png"
-        _exr(value)(probe)
-        out.write_bytes(b"earlier picture")
-        assert main(["relight", str(scene), "--out", str(out), "--probe", str(probe)]) == 2
-        assert "probe.exr" in one_line(capsys)
-        assert out.read_bytes() == b"earlier picture"
-
-    def test_damaged_decoder(
-        self, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        (tmp_path / "z.json").write_text(json.dumps([0.0] * 64))
-        (tmp_path / "decoder.onnx").write_bytes(b"no graph")
-        light = ["--latent", str(tmp_path / "z.json"), "--decoder", str(tmp_path / "decoder.onnx")]
-        assert main(["relight", str(scene), "--out", str(tmp_path / "lit.png"), *light]) == 1
-        assert "decoder.onnx" in one_line(capsys)
-        assert not (tmp_path / "lit.png").exists()
-
-    def test_needs_no_torch(self, scene: Path, tmp_path: Path) -> None:
-        probe, out = tmp_path / "probe.exr", tmp_path / "lit.png"
-        _exr(5.0)(probe)
-        program = (
-            "import sys, skylight; from skylight.cli import main\n"
-            f"code = main(['relight', {str(scene)!r}, '--out', {str(out)!r}, "
-            f"'--probe', {str(probe)!r}])\n"
-            "sys.exit(code or int('torch' in sys.modules))"
-        )
-        subprocess.run([sys.executable, "-c", program], check=True, stdout=subprocess.DEVNULL)
-        with Image.open(out) as picture:
-            assert picture.size == (32, 24)
 
 
 def test_light_choices_are_the_models() -> None:
