@@ -22,6 +22,7 @@ from skylight.sphere import harmonics
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.object_camera import object_camera
+from tests.test_cli import one_line
 
 CAMERA = {"fov_deg": 36, "position": [3, 1.2, -2.6], "look_at": [0, 0, 0]}
 RESULTS = {"probe.exr", "probe.hdr", "estimate.json", "comparison.png"}
@@ -66,14 +67,6 @@ def arguments(folder: Path, out: Path, *more: str, photo: str = "photo.exr") -> 
     return [
         "estimate-object", *files, "--camera", str(folder / "camera.json"), "--out", str(out), *more
     ]  # fmt: skip
-
-
-def one_line(capsys: pytest.CaptureFixture[str]) -> str:
-    captured = capsys.readouterr()
-    lines = captured.err.splitlines()
-    assert len(lines) == 1, captured.err
-    assert captured.out == ""
-    return lines[0]
 
 
 class TestResults:

@@ -23,6 +23,7 @@ from skylight.sphere import harmonics
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import angle_between, direction_from_angles
 from skylight.sphere.grid import DirectionGrid
+from tests.test_cli import one_line
 
 
 def make_map(height: int) -> EnvironmentMap:
@@ -47,14 +48,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     arguments = ["--dictionary", "iso", "--height", "32", "--activations", "12"]
     assert main(["code", str(folder / "map.exr"), *arguments, "--out", str(folder / "a.json")]) == 0
     return folder
-
-
-def one_line(capsys: pytest.CaptureFixture[str]) -> str:
-    captured = capsys.readouterr()
-    lines = captured.err.splitlines()
-    assert len(lines) == 1, captured.err
-    assert captured.out == ""
-    return lines[0]
 
 
 class TestCode:

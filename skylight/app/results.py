@@ -15,7 +15,7 @@ from skylight.app.summary import describe
 from skylight.errors import OutputError
 from skylight.faces.fit import FaceFit
 from skylight.faces.model import HeadModel
-from skylight.imaging.atomic import atomic_path
+from skylight.imaging.atomic import PARTIAL, atomic_path
 from skylight.imaging.files import write_environment_map, write_json
 from skylight.imaging.photo import Photo
 from skylight.inverse.photo import PhotoEstimate
@@ -35,7 +35,7 @@ def results_folder(out: Path, replaced: re.Pattern[str] | None = None) -> Iterat
     try:
         out.mkdir(parents=True, exist_ok=True)
         # within, not beside: ``out`` may be writable, or another disk, where its parent is not
-        partial = Path(tempfile.mkdtemp(prefix=".partial-", dir=out))
+        partial = Path(tempfile.mkdtemp(prefix=PARTIAL, dir=out))
     except OSError as error:
         raise OutputError(
             f"cannot write into {out}: {error.strerror}; choose another folder with --out"

@@ -23,6 +23,7 @@ from skylight.cli.sparse_codes import code_probe, decode_code
 from skylight.cli.studio import studio
 from skylight.cli.workers import who_works
 from skylight.errors import explain
+from skylight.imaging.atomic import PARTIAL
 
 DESCRIPTION = """Recovers the light of a scene from a photo of a face, and lights things with it.
 
@@ -63,7 +64,8 @@ def main(arguments: list[str] | None = None) -> int:
         if debug:
             traceback.print_exc()
         message, code = explain(error)
-        message = re.sub(r"\.partial-\w+/", "", message)  # the folder that becomes the results
+        # not the folder that becomes the results
+        message = re.sub(rf"{re.escape(PARTIAL)}\w+/", "", message)
         print(f"skylight: {' '.join(message.split())}", file=sys.stderr)
         return code
     return 0

@@ -9,6 +9,7 @@ from uuid import uuid4
 
 from skylight.errors import OutputError
 
+PARTIAL = ".partial-"  # begins the names of files and folders that are not whole yet
 _MEND = {
     errno.ENOENT: "make the folder first",
     errno.ENOSPC: "free some space or choose another disk",
@@ -44,7 +45,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     _require_file(path)
     target = path.resolve()  # replace the file that a link points to, not the link
-    temporary = target.with_name(f".partial-{uuid4().hex[:12]}{path.suffix}")
+    temporary = target.with_name(f"{PARTIAL}{uuid4().hex[:12]}{path.suffix}")
     try:
         temporary.touch(exist_ok=False)
         yield temporary

@@ -14,6 +14,7 @@ import torch
 
 from skylight import __version__
 from skylight.errors import DependencyError, InputError, OutputError, SkylightError
+from skylight.imaging.atomic import PARTIAL
 
 Result = TypeVar("Result")
 CONNECT_S = 30
@@ -63,7 +64,7 @@ def share_on_cluster(
             logging.getLogger(__name__).warning(
                 "skylight: no worker has joined %s yet; waiting for one", cluster.address
             )
-        mark = cluster.folder.absolute() / f".partial-{uuid4().hex[:12]}"
+        mark = cluster.folder.absolute() / f"{PARTIAL}{uuid4().hex[:12]}"
         stack.callback(mark.unlink, missing_ok=True)
         try:
             mark.touch(exist_ok=False)

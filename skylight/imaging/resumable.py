@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import IO, TypeVar
 
 from skylight.errors import InputError, OutputError, SkylightError
+from skylight.imaging.atomic import PARTIAL
 from skylight.imaging.cluster import Cluster, prepare_once, share_on_cluster
 from skylight.imaging.files import write_json
 
@@ -64,7 +65,7 @@ def claimed(folder: Path, *inner: Path) -> Iterator[None]:
 def _sweep(*folders: Path) -> None:
     """Remove what processes that were killed have left half written."""
     for folder in folders:
-        for partial in folder.glob(".partial-*"):
+        for partial in folder.glob(f"{PARTIAL}*"):
             if partial.is_dir():
                 shutil.rmtree(partial, ignore_errors=True)
             else:

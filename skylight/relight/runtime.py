@@ -196,8 +196,8 @@ def _background(
     rows, columns = probe.shape[:2]
     seen = np.empty((height * width, 3), np.float32)
     for start in range(0, len(seen), _BACKGROUND_PIXELS):
-        block = slice(start, start + _BACKGROUND_PIXELS)
-        pixel = np.arange(start, min(start + _BACKGROUND_PIXELS, len(seen)))
+        stop = min(start + _BACKGROUND_PIXELS, len(seen))
+        pixel = np.arange(start, stop)
         right, up = pixel % width + 0.5 - x0, y0 - (pixel // width + 0.5)
         azimuth, zenith = np.arctan2(right, ahead), np.arctan2(np.hypot(right, ahead), up)
         row = np.clip(zenith / np.pi * rows - 0.5, 0, rows - 1)
@@ -207,7 +207,7 @@ def _background(
         r1, c, c1 = np.minimum(r + 1, rows - 1), c % columns, (c + 1) % columns
         top = (1 - fc) * probe[r, c] + fc * probe[r, c1]
         bottom = (1 - fc) * probe[r1, c] + fc * probe[r1, c1]
-        seen[block] = (1 - fr) * top + fr * bottom
+        seen[start:stop] = (1 - fr) * top + fr * bottom
     return seen.reshape(height, width, 3)
 
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from skylight.errors import InputError
 from skylight.imaging.files import write_environment_map
-from skylight.imaging.listing import visible_files
 from skylight.imaging.resumable import Workers, claimed, settle, share_work
 from skylight.skies.atmosphere import ClearSky
 from skylight.skies.index import INDEX_NAME, SkyRecord, read_rows, write_rows
@@ -80,7 +79,7 @@ def simulate_folder(
             done += 1
             if progress:
                 progress(done, days)
-        days_there = [part for part in visible_files(parts, {".csv"}) if part.stem.isdecimal()]
+        days_there = (part for part in parts.glob("*.csv") if part.stem.isdecimal())
         in_order = sorted(days_there, key=lambda part: int(part.stem))
         records = [r for part in in_order for r in read_rows(part)]
         write_rows(out / INDEX_NAME, divide(records))

@@ -7,10 +7,7 @@ import pytest
 
 from skylight.app.results import MESHES, results_folder
 from skylight.errors import OutputError
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
+from tests.test_cli import contents
 
 
 def fill(folder: Path, *names: str, stop: BaseException | None = None) -> None:

@@ -13,6 +13,7 @@ from skylight.evaluation.independent_render import mitsuba_variant
 from skylight.evaluation.rendered_faces.files import folder_name, write_rendered_face
 from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.evaluation.rendered_faces.render import render
+from skylight.imaging.atomic import PARTIAL
 from skylight.imaging.resumable import Workers, claimed, settle, share_work
 
 
@@ -56,7 +57,7 @@ def render_to(out: Path, number: int, options: RenderOptions) -> None:
 
     A folder that another process has made meanwhile, which was taken for lost, is left as it is.
     """
-    place, partial = out / folder_name(number), out / f".partial-{uuid4().hex[:12]}"
+    place, partial = out / folder_name(number), out / f"{PARTIAL}{uuid4().hex[:12]}"
     try:
         partial.mkdir()
         write_rendered_face(partial, render(number, options), options)
