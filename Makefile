@@ -1,6 +1,7 @@
 # Every target sets itself up: a fresh clone needs only make and Python 3.11 or newer (with venv).
 #   make demo     a rendered face with its true light, and a photograph; results in out/demo
-#   make test     the test suite
+#   make test     the tests that take no longer than minutes together; tells how many it leaves out
+#   make test-all all tests: also fuzzing by the thousand, kills, clusters and slow pages
 #   make lint     style, types, and which module may import which
 #   make format   rewrite the code in the project's style
 #   make bench    timings
@@ -20,7 +21,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint format bench docs wheel studio fuzz clean
+.PHONY: help demo test test-all lint format bench docs wheel studio fuzz clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -29,8 +30,10 @@ demo: $(VENV)/.runtime
 	$(BIN)/skylight demo --out $(OUT)
 
 # One thread for each worker: torch's own threads would fight over the same cores.
-test: $(VENV)/.dev
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) $(ARGS)
+# worksteal: a worker has neighbouring tests, so their fixtures are made once.
+test: LEFT_OUT := -m "not slow"
+test test-all: $(VENV)/.dev
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(LEFT_OUT) $(ARGS)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -6,10 +6,10 @@ import time
 import pytest
 import torch
 
-from skylight.csc.correlation import RotationCorrelation
+from skylight.csc.correlation.positions import Positions
+from skylight.csc.correlation.wigner import RotationCorrelation
 from skylight.csc.dictionary import builtin
-from skylight.csc.positions import Positions
-from skylight.csc.thesis_gradients import RotatedResiduals
+from tools.thesis_gradients import RotatedResiduals
 
 POSITIONS = Positions(rows=32, twists=32)
 THREADS = 2
@@ -29,7 +29,7 @@ def without_symmetry() -> torch.Tensor:
 
 
 DICTIONARIES = {
-    "ani": lambda: builtin("ani").coefficients,
+    "ani": lambda: builtin("ani").coefficients.detach(),
     "no symmetry": without_symmetry,
 }
 METHODS = {"default": RotationCorrelation, "rotated residuals": RotatedResiduals}

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 import torch
 
+from skylight.app.estimate.photos import STAGES, estimate_photo
 from skylight.imaging.colour import srgb_to_linear
 from skylight.imaging.photo import Photo
-from skylight.inverse.photo import STAGES, estimate_light, estimate_photo
-from skylight.models.shipped import LIGHT_NAMES, autoencoder_light
+from skylight.inverse.estimate import estimate_light
+from skylight.models.bundle import load_bundle
+from skylight.models.names import LIGHT_NAMES
 from skylight.skies.atmosphere import ClearSky
 from skylight.skies.simulator import draw_day, simulate_sky, sunlit_moments
 
@@ -46,11 +48,11 @@ def test_light_model(benchmark, estimated, light):
 
 @pytest.mark.parametrize("batch", [1, 8])
 def test_decoder_forward_and_backward(benchmark, batch):
-    model = autoencoder_light()
+    model = load_bundle().light()
     params = model.starts()[torch.arange(batch) % len(model.starts())].clone().requires_grad_()
 
     def step():
-        (slope,) = torch.autograd.grad(model.radiance(params).sum(), params)
+        (slope,) = torch.autograd.grad(model(params).sum(), params)
         return slope
 
     benchmark(step)

@@ -5,11 +5,11 @@ import torch
 import trimesh
 
 from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.designs import named_design
-from skylight.probes.partitions.refine import refined
-from skylight.probes.partitions.relit import Relighting
-from skylight.probes.partitions.scene import Scene
-from skylight.probes.partitions.transfer import TransferCoefficients, transfer_coefficients
+from skylight.probes.partitions.design.designs import named_design
+from skylight.probes.partitions.relight.refine import refined
+from skylight.probes.partitions.relight.relit import Relighting
+from skylight.probes.partitions.relight.scene import Scene
+from skylight.probes.partitions.relight.transfer import TransferCoefficients, transfer_coefficients
 
 VERTICES = 100_000
 

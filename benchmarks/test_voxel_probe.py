@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.app.voxel_render import Stand
-from skylight.probes.capture.response import Response
-from skylight.probes.voxel.global_illumination import GlobalReconstruction
-from skylight.probes.voxel.live import STAGES, LiveView
+from skylight.app.probes.voxel.render import Stand
+from skylight.cameras.response import Response
+from skylight.probes.voxel.interreflection.global_illumination import GlobalReconstruction
 from skylight.probes.voxel.model import VoxelModel
+from skylight.probes.voxel.printed.assembly import PlacedProbe
 from skylight.probes.voxel.reconstruct import DirectReconstruction
-from tests.app.test_voxel_probe_use import BOARD, LENS, VIEWS, light, photograph, standing
+from skylight.probes.voxel.relight.live import STAGES, LiveView
+from tests.app.probes.voxel.test_use import BOARD, LENS, VIEWS, light, photograph, standing
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +38,7 @@ def test_live_frame(benchmark) -> None:
         intrinsics=LENS,
         board=BOARD,
         response=Response(),
-        probe=standing().placed(),
+        probe=PlacedProbe(standing()),
         model=model,
         to_board=Stand(x_mm=60.0, z_mm=75.0, voxel_mm=5.0).matrix(model),
         reconstruction=lambda lightmap: DirectReconstruction(lightmap.known),

@@ -4,8 +4,7 @@
     skylight export scene bunny.obj --out bunny.npz
     python examples/relight_without_torch.py bunny.npz sky_decoder.onnx latent.json
 
-The last line runs on a machine without torch too: besides numpy and onnxruntime it needs only the
-readers and writers of pictures (OpenEXR, OpenCV, Pillow).
+The last line runs on a machine without torch too, after `pip install ./relight`.
 """
 
 import math

@@ -1,45 +1,75 @@
-"""Light from pictures of faces: the public names, each imported when it is first used."""
+"""Inverse lighting and relighting: the public names, each imported when it is first used."""
 
 from importlib import import_module
 from importlib.metadata import version as _version
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from skylight.app.estimate import estimate
+    from skylight.app.estimate.photos import estimate, estimate_photo
+    from skylight.app.estimate.types import PhotoEstimate
+    from skylight.csc.coder import SphericalSparseCoder
+    from skylight.csc.dictionary import FilterBank
     from skylight.errors import SkylightError
-    from skylight.imaging.files import read_environment_map, write_environment_map
     from skylight.imaging.photo import Photo, read_photo
-    from skylight.inverse.photo import PhotoEstimate, estimate_photo
-    from skylight.inverse.solve import Estimate
+    from skylight.inverse.estimate import estimate_light
+    from skylight.inverse.result import Estimate
+    from skylight.io.files import read_environment_map, write_environment_map
+    from skylight.models.autoencoder import AutoencoderLight
+    from skylight.models.harmonic import HarmonicLight
+    from skylight.models.sunsky import SunSky
+    from skylight.probes.partitions.probe import PartitionProbe
+    from skylight.probes.voxel.probe import VoxelProbe
     from skylight.sphere.envmap import EnvironmentMap
     from skylight.sphere.grid import DirectionGrid
+    from skylight.transport.diffuse import DiffuseTransport
+    from skylight.transport.matrix import TransportMatrix
 
 __version__ = _version("skylight")
 
 # Lazy, because torch takes seconds to import and relighting does without it.
 _HOME = {
+    "AutoencoderLight": "skylight.models.autoencoder",
+    "DiffuseTransport": "skylight.transport.diffuse",
     "DirectionGrid": "skylight.sphere.grid",
     "EnvironmentMap": "skylight.sphere.envmap",
-    "Estimate": "skylight.inverse.solve",
+    "Estimate": "skylight.inverse.result",
+    "FilterBank": "skylight.csc.dictionary",
+    "HarmonicLight": "skylight.models.harmonic",
+    "PartitionProbe": "skylight.probes.partitions.probe",
     "Photo": "skylight.imaging.photo",
-    "PhotoEstimate": "skylight.inverse.photo",
+    "PhotoEstimate": "skylight.app.estimate.types",
     "SkylightError": "skylight.errors",
-    "estimate": "skylight.app.estimate",
-    "estimate_photo": "skylight.inverse.photo",
-    "read_environment_map": "skylight.imaging.files",
+    "SphericalSparseCoder": "skylight.csc.coder",
+    "SunSky": "skylight.models.sunsky",
+    "TransportMatrix": "skylight.transport.matrix",
+    "VoxelProbe": "skylight.probes.voxel.probe",
+    "estimate": "skylight.app.estimate.photos",
+    "estimate_light": "skylight.inverse.estimate",
+    "estimate_photo": "skylight.app.estimate.photos",
+    "read_environment_map": "skylight.io.files",
     "read_photo": "skylight.imaging.photo",
-    "write_environment_map": "skylight.imaging.files",
+    "write_environment_map": "skylight.io.files",
 }
 
 __all__ = [
+    "AutoencoderLight",
+    "DiffuseTransport",
     "DirectionGrid",
     "EnvironmentMap",
     "Estimate",
+    "FilterBank",
+    "HarmonicLight",
+    "PartitionProbe",
     "Photo",
     "PhotoEstimate",
     "SkylightError",
+    "SphericalSparseCoder",
+    "SunSky",
+    "TransportMatrix",
+    "VoxelProbe",
     "__version__",
     "estimate",
+    "estimate_light",
     "estimate_photo",
     "read_environment_map",
     "read_photo",

@@ -1,6 +1,16 @@
-"""``python -m skylight``: the command line."""
+"""The ``skylight`` command: all of it, or ``relight`` alone where only that is installed."""
 
-from skylight.cli import main
+
+def main() -> int:
+    """Run one command and return its exit code."""
+    try:
+        from skylight.cli import main
+    except ModuleNotFoundError as error:
+        if error.name not in ("skylight.cli", "tyro"):
+            raise
+        from skylight.relight.command import main
+    return main()
+
 
 if __name__ == "__main__":
     raise SystemExit(main())

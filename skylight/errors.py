@@ -1,4 +1,4 @@
-"""Every failure a user can cause or meet, as one small family.
+"""Exceptions for failures that a user can cause or meet, with their exit codes.
 
 The command line prints the message of a :class:`SkylightError` as one line and exits with its
 ``exit_code``; anything else is a bug and shows a traceback.

@@ -9,7 +9,7 @@ import torch
 
 from skylight.faces.captures import CAPTURES_NAME
 from skylight.faces.synthetic import SyntheticFace, render_face
-from skylight.imaging.files import write_environment_map, write_png
+from skylight.io.files import write_environment_map, write_png
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import direction_from_angles
 from skylight.sphere.grid import DirectionGrid

@@ -1,5 +1,6 @@
 """The documentation says what is there: links, names, versions, licences, examples."""
 
+import ast
 import json
 import re
 import tomllib
@@ -13,7 +14,7 @@ import yaml
 from skimage.data import astronaut
 
 from skylight.faces.landmarks import default_landmarker
-from skylight.imaging.files import write_png
+from skylight.io.files import write_png
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -82,6 +83,25 @@ def test_the_reference_has_every_package():
     assert listed == here - {"__init__", "__main__", "cli"}
 
 
+def test_the_architecture_has_every_package_in_the_words_of_its_docstring():
+    package = ROOT / "skylight"
+    files = [package / "errors.py", *package.rglob("*/__init__.py")]
+    said = {}
+    for path in set(files) - {package / "__init__.py"}:
+        place = path.parent if path.name == "__init__.py" else path.with_suffix("")
+        first = (ast.get_docstring(ast.parse(path.read_text())) or "").split("\n")[0]
+        said[".".join(place.relative_to(package).parts)] = first.replace("``", "`")
+    text = (DOCS / "architecture.md").read_text()
+    table = text[text.index("| package |") : text.index("## Sparse codes")]
+    assert dict(re.findall(r"^\| `([\w.]+)` \| (.+) \|$", table, re.M)) == said
+
+
+def test_the_layers_are_those_of_the_linter():
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    text = (DOCS / "architecture.md").read_text()
+    assert "\n".join(contracts["contracts"][0]["layers"]) in text
+
+
 def test_the_reference_has_every_public_name():
     import skylight
 
@@ -109,6 +129,14 @@ def test_versions_agree():
     assert str(citation["version"]) == PROJECT["version"]
     assert citation["license"] == PROJECT["license"]
     assert f"## {PROJECT['version']} - " in (ROOT / "CHANGELOG.md").read_text()
+
+
+def test_relighting_alone_is_the_same_version_with_fewer_needs():
+    variant = tomllib.loads((ROOT / "relight/pyproject.toml").read_text())["project"]
+    assert variant["version"] == f"{PROJECT['version']}+relight"
+    for name in ("name", "requires-python", "license", "scripts"):
+        assert variant[name] == PROJECT[name]
+    assert set(variant["dependencies"]) < set(PROJECT["dependencies"])
 
 
 def test_changelog_keeps_its_form():

@@ -15,9 +15,9 @@ import json
 from pathlib import Path
 
 from skylight.errors import InputError
-from skylight.evaluation.pictures import write_sheet
-from skylight.evaluation.tables import markdown
-from skylight.imaging.atomic import atomic_path
+from skylight.evaluation.harness.pictures import write_sheet
+from skylight.evaluation.harness.tables import markdown
+from skylight.io.atomic import atomic_path
 
 ROOT = Path(__file__).parents[1]
 # sunny to overcast: categories of real maps, regimes of simulated ones

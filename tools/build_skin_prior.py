@@ -1,4 +1,4 @@
-"""Build ``skylight/faces/data/skin_prior.safetensors``: what albedo a face's skin has.
+"""Build ``skylight/faces/data/skin_prior.safetensors``: a prior of skin albedo.
 
     python tools/build_skin_prior.py --reference DIR
 

@@ -1,4 +1,4 @@
-"""Build ``skylight/evaluation/rendered_faces/data/skin_colours.npz``: the colour of made-up skin.
+"""Build ``skylight/evaluation/rendered_faces/data/skin_colours.npz``: colours of synthetic skin.
 
     python tools/build_skin_spectra.py --reference DIR
 

@@ -1,4 +1,4 @@
-"""Refit the constants of skylight.inverse.posterior.DoubtModel, and check them on other faces.
+"""Refit skylight.inverse.posterior.PosteriorConstants, and check them on other faces.
 
     python tools/calibrate_posterior.py --faces 60 --cache posterior
 
@@ -17,23 +17,23 @@ from pathlib import Path
 
 import torch
 
-from skylight.evaluation.known_faces import synthetic_face
+from skylight.evaluation.faces.known_faces import synthetic_face
 from skylight.faces.fit import fit_face
 from skylight.faces.landmarks import default_landmarker
 from skylight.faces.model import HeadModel
 from skylight.faces.observe import observe_face
-from skylight.imaging.tensors import read_tensors, write_tensors
-from skylight.inverse.photo import estimate_light
+from skylight.inverse.estimate import estimate_light
 from skylight.inverse.posterior import (
-    DOUBT,
+    FITTED,
     ROWS,
-    DoubtModel,
+    PosteriorConstants,
     SunEvidence,
     smallest_region,
     sun_density,
     sun_evidence,
 )
 from skylight.inverse.scan import SCAN_HEIGHT, scan_face
+from skylight.io.tensors import read_tensors, write_tensors
 from skylight.sphere.grid import DirectionGrid
 
 FIRST_SEED, APART, SIZE = 45_000_000, 1000, 256
@@ -62,17 +62,17 @@ def case(seed: int) -> dict[str, torch.Tensor]:
     }
 
 
-def log_score(cases: list[Case], model: DoubtModel) -> float:
+def log_score(cases: list[Case], model: PosteriorConstants) -> float:
     """Mean log density of the true suns."""
     each = [sun_density(e, s, model)[cell].log() for e, s, cell in cases]
     return float(torch.stack(each).clamp(min=-14).mean())
 
 
-def fitted(cases: list[Case]) -> DoubtModel:
+def fitted(cases: list[Case]) -> PosteriorConstants:
     """The likeliest of the constants tried."""
     models = [
         replace(
-            DOUBT,
+            FITTED,
             temperature=t,
             estimate_rad=math.radians(lobe),
             estimate_height=h,
@@ -83,7 +83,7 @@ def fitted(cases: list[Case]) -> DoubtModel:
     return max(models, key=lambda model: log_score(cases, model))
 
 
-def report(name: str, model: DoubtModel, cases: list[Case]) -> None:
+def report(name: str, model: PosteriorConstants, cases: list[Case]) -> None:
     inside, radii = [], []
     for evidence, estimate, cell in cases:
         region = smallest_region(sun_density(evidence, estimate, model), GRID.solid_angles)
@@ -120,7 +120,7 @@ def main() -> None:
     report("odd faces, fitted to the even", fitted(even), odd)
     report("even faces, fitted to the odd", fitted(odd), even)
     report("all, fitted to all", fitted(cases), cases)
-    report("all, as shipped", DOUBT, cases)
+    report("all, as shipped", FITTED, cases)
 
 
 if __name__ == "__main__":

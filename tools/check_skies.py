@@ -1,4 +1,4 @@
-"""Compare simulated clear skies with measurements and with models of other people.
+"""Compare simulated clear skies with measurements and with other models.
 
     python -m tools.check_skies --data FOLDER   # writes benchmarks/results/skies.json
 
@@ -20,7 +20,7 @@ import pvlib
 import torch
 
 from skylight.evaluation.main import commit
-from skylight.imaging.files import write_json
+from skylight.io.files import write_json
 from skylight.models.sunsky import perez
 from skylight.skies.atmosphere import WAVELENGTHS_NM, Atmosphere, ClearSky
 from skylight.skies.sun import Place, sun_angles

@@ -1,4 +1,4 @@
-"""How many photos a minute a batch estimates with one worker and with more, and in what memory.
+"""Throughput and memory of batch estimates over the number of workers.
 
     python -m tools.measure_batch PHOTOS --workers 1 2
 
@@ -18,8 +18,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from skylight.app.batch import list_photos
-from skylight.app.manifest import MANIFEST, read_manifest
+from skylight.app.estimate.batch import list_photos
+from skylight.app.estimate.manifest import MANIFEST, read_manifest
 from tools.measured import write_measured
 
 

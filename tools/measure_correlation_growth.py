@@ -1,4 +1,4 @@
-"""How the four ways to a gradient grow with degree, rows, twists and filters.
+"""Cost of four algorithms for the gradient over degree, rows, twists and filters.
 
     python -m tools.measure_correlation_growth
 
@@ -25,16 +25,12 @@ import torch
 from matplotlib import pyplot as plt
 from torch import Tensor
 
-from skylight.csc.correlation import RotationCorrelation
-from skylight.csc.positions import Positions
-from skylight.csc.thesis_gradients import (
-    IsotropicGradient,
-    RotatedResiduals,
-    RotatedZonalGradient,
-)
+from skylight.csc.correlation.positions import Positions
+from skylight.csc.correlation.wigner import RotationCorrelation
 from skylight.evaluation.main import commit
-from skylight.imaging.atomic import atomic_path
-from skylight.imaging.files import write_json
+from skylight.io.atomic import atomic_path
+from skylight.io.files import write_json
+from tools.thesis_gradients import IsotropicGradient, RotatedResiduals, RotatedZonalGradient
 
 BASE = {"degree": 40, "rows": 16, "twists": 16, "filters": 50}
 VARIED = {

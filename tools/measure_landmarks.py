@@ -1,4 +1,4 @@
-"""How far off a landmarker's points are, and how their errors go together.
+"""Mean and covariance of the errors of a landmark detector.
 
     python tools/measure_landmarks.py --out skylight/faces/data/landmark_errors.npz
     python tools/measure_landmarks.py --landmarker mediapipe --model face_landmarker.task \\
@@ -23,8 +23,8 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
-from skylight.evaluation.face_light import pose_error_deg
-from skylight.evaluation.known_faces import synthetic_face
+from skylight.evaluation.faces.face_light import pose_error_deg
+from skylight.evaluation.faces.known_faces import synthetic_face
 from skylight.evaluation.rendered_faces.files import read_rendered_face, rendered_faces
 from skylight.faces.fit import FaceFit, FitProblem, fit_face
 from skylight.faces.landmarks import (
@@ -36,7 +36,7 @@ from skylight.faces.landmarks import (
 from skylight.faces.mediapipe_face import IBUG, MediaPipeLandmarker, eye_axes
 from skylight.faces.model import HeadModel
 from skylight.faces.synthetic import render_face
-from skylight.imaging.atomic import atomic_path
+from skylight.io.atomic import atomic_path
 from skylight.skies.simulated import simulated_skies
 
 SKIES = 40

@@ -1,4 +1,4 @@
-"""Do filters learned by gradient code unseen rooms better? Makes csc-learned-dictionary.json.
+"""Learned against hand-made dictionaries on unseen indoor maps. Makes csc-learned-dictionary.json.
 
     OMP_NUM_THREADS=1 python tools/measure_learned_dictionary.py --data hdr \\
         --out benchmarks/results/csc-learned-dictionary.json
@@ -26,10 +26,11 @@ from torch import Tensor
 
 from skylight.csc.coder import SphericalSparseCoder
 from skylight.csc.dictionary import FilterBank, builtin
-from skylight.csc.learning import DictionaryLearner, LearningOptions
-from skylight.csc.patches import ROWS, learn_patches
-from skylight.imaging.collection import read_categories
-from skylight.imaging.files import read_environment_map, write_json
+from skylight.csc.learning.caps import CapFilterBank
+from skylight.csc.learning.patches import ROWS, learn_patches
+from skylight.io.collection import read_categories
+from skylight.io.files import read_environment_map, write_json
+from skylight.training.dictionary import RATE, learning_epoch, mean_squared_error
 
 HEIGHT = 32
 COUNTS = [16, 36, 64]
@@ -62,18 +63,23 @@ def main() -> None:
     )
     print(f"k-means of {len(halves[0])} maps: {time.process_time() - begun:.0f} s", flush=True)
     maps = torch.stack([read(arguments.data / n) for n in fitted])
-    learner = DictionaryLearner(
-        maps,
-        FilterBank(kmeans.coefficients, "learned"),
-        range(1, arguments.filters + 1),
-        LearningOptions(activations=arguments.activations, signed=arguments.signed),
-    )
-    epochs = []
+    learned = CapFilterBank(kmeans, range(1, arguments.filters + 1), signed=arguments.signed)
+    coder = SphericalSparseCoder(learned, height=HEIGHT, activations=arguments.activations)
+    optimiser = torch.optim.Adam(learned.parameters(), lr=RATE)
+    codes, epochs = None, []
     for _ in range(arguments.epochs):
-        error = learner.epoch()
-        epochs.append({"mean_squared": error, "filters_used": learner.used, "share": learner.share})
+        codes = learning_epoch(coder, optimiser, maps, codes)
+        active = codes.filters[codes.used]
+        mine = active[(active >= 1) & (active <= arguments.filters)]
+        error = mean_squared_error(coder, maps, codes)
+        use = {"filters_used": len(mine.unique()), "share": len(mine) / len(active)}
+        epochs.append({"mean_squared": error, **use})
         print(f"{json.dumps(epochs[-1])} {time.process_time() - begun:.0f} s", flush=True)
-    banks = {"ani": builtin("ani"), "kmeans": kmeans, "gradient": learner.bank}
+    banks = {
+        "ani": builtin("ani"),
+        "kmeans": kmeans,
+        "gradient": FilterBank(learned.coefficients, "learned"),
+    }
     facts = {
         "name": "csc-learned-dictionary",
         "what": "relative error |x - y| / |x| of held-out rooms at 32 x 64, degree 40",
@@ -86,7 +92,7 @@ def main() -> None:
         "patches_from": halves[0],
         "fitted_to": fitted,
         "epochs": epochs,
-        "undershoot": float(learner.bank.undershoot()[1 : arguments.filters + 1].max()),
+        "undershoot": float(learned.undershoot()[1 : arguments.filters + 1].max()),
         "learning_cpu_s": time.process_time() - begun,
     }
     coders = {n: SphericalSparseCoder(bank, height=HEIGHT) for n, bank in banks.items()}

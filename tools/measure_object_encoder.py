@@ -1,4 +1,4 @@
-"""Light read off one known object lights another: by which points, and how well.
+"""Relighting one object with the illumination measured on another, by sets of points.
 
     python -m tools.measure_object_encoder --data DIR
 
@@ -19,16 +19,16 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from skylight.imaging.collection import read_categories
-from skylight.imaging.files import read_environment_map
+from skylight.inverse.harmonic.nonnegative import nonnegative_harmonics
+from skylight.io.collection import read_categories
+from skylight.io.files import read_environment_map
 from skylight.probes.encoder.basis import SurfaceTransfer, surface_transfer
 from skylight.probes.encoder.encoder import ObjectEncoder
-from skylight.probes.encoder.harmonic_light import nonnegative_harmonics
 from skylight.probes.encoder.points import choose_points, surface_points
 from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.designs import named_design
+from skylight.probes.partitions.design.designs import named_design
 from skylight.probes.partitions.probe import PartitionProbe
-from skylight.probes.partitions.scene_files import read_scene
+from skylight.probes.partitions.relight.scene_files import read_scene
 from skylight.sphere import harmonics
 from skylight.sphere.grid import DirectionGrid
 from tools.measured import write_measured
@@ -77,7 +77,7 @@ def measure(
     target = target.at(torch.arange(LIT))
     truth = target.shading(maps)
     probe = PartitionProbe(Cells.of(named_design("14d")), ALBEDO)
-    seen = _noisy(probe.encode(maps, target.grid), generator)
+    seen = _noisy(probe(maps, target.grid), generator)
     facts = {"partitions_14d": _error(target.shading(probe.decode(seen, target.grid)), truth)}
     for count in COUNTS:
         ways: dict[str, Sequence[Int[Tensor, " k"]]] = {
@@ -102,7 +102,7 @@ def _decoded(
     generator: torch.Generator,
 ) -> dict[str, Float[Tensor, "b m 3"]]:
     encoder = ObjectEncoder(points, noise=NOISE)
-    shading = _noisy(encoder.encode(maps), generator)
+    shading = _noisy(encoder(maps), generator)
     basis = harmonics.evaluate(points.grid.directions, DEGREE)
     power = points.functions[..., 0].double() * points.grid.solid_angles
     operator = power @ basis

@@ -22,30 +22,30 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
-from skylight.app.board_pictures import read_setup
-from skylight.app.partition_live import live_scene
-from skylight.app.partition_printing import describe_partition_assembly, print_partition_probe
-from skylight.app.partition_relight import SceneStand, VirtualScene
-from skylight.evaluation.independent_render import IndependentScene, Solid
-from skylight.imaging.files import read_environment_map, write_json, write_png
+from skylight.app.cameras.board_pictures import read_setup
+from skylight.app.probes.partitions.live import live_scene
+from skylight.app.probes.partitions.printing import describe_partition_assembly
+from skylight.app.probes.partitions.relight import SceneStand, VirtualScene
+from skylight.cameras.assembly import cylinder_mesh
+from skylight.cameras.drawing import lens_rays
+from skylight.cameras.frames import read_picture
+from skylight.cameras.intrinsics import load_intrinsics, save_intrinsics
+from skylight.cameras.response import Response
+from skylight.evaluation.rendered_faces.independent_render import IndependentScene, Solid
+from skylight.fabrication.mount import MarkerBoard, Pole
 from skylight.imaging.metrics import mae
-from skylight.probes.capture.drawing import lens_rays
-from skylight.probes.capture.frames import read_picture
-from skylight.probes.capture.intrinsics import load_intrinsics, save_intrinsics
-from skylight.probes.capture.response import Response
-from skylight.probes.capture.standing import cylinder_mesh
-from skylight.probes.partitions.capture import FaceDiscs
-from skylight.probes.partitions.designs import named_design
-from skylight.probes.partitions.placement import (
-    StandingPartitions,
-    describe_standing_partitions,
+from skylight.io.files import read_environment_map, write_json, write_png
+from skylight.probes.partitions.captured.capture import ProbeCapture, load_capture, save_capture
+from skylight.probes.partitions.captured.samples import FaceDiscs
+from skylight.probes.partitions.design.designs import named_design
+from skylight.probes.partitions.printed.assembly import (
+    PartitionAssembly,
 )
-from skylight.probes.partitions.samples import ProbeCapture, load_capture, save_capture
-from skylight.probes.partitions.scene_files import read_scene
-from skylight.probes.partitions.sizes import ProbeSizes
-from skylight.probes.printing.mount import MarkerBoard, Pole
+from skylight.probes.partitions.printed.printing import print_partition_probe
+from skylight.probes.partitions.printed.sizes import ProbeSizes
+from skylight.probes.partitions.relight.scene_files import read_scene
 from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.frame import rotation_about
+from skylight.sphere.rigid_transform import RigidTransform
 from skylight.transport.path_tracer import Sampling, shade
 from skylight.transport.raycast import Raycaster
 from tools.measured import write_measured
@@ -117,9 +117,9 @@ class Standing:
             pole=Pole(diameter_mm=6.0, length_mm=190.0),
             board=MarkerBoard(width_mm=width, height_mm=height, margin_mm=MARGIN_MM),
         )
-        self.probe = printed.standing
+        self.probe = printed.assembly
         parts = printed.printed
-        moved = self.probe.translation_mm
+        moved = self.probe.board_from_probe.translation.numpy()
         self.solids = [
             *(
                 Solid(vertices=part.vertices + moved, triangles=part.faces, albedo=albedo)
@@ -146,7 +146,7 @@ class Standing:
         facts = self.photographer.pose_errors(load_intrinsics(self.work / "camera.json"))
         self._capture("capture", "assembly.json", ALBEDO)
         for name, axis in _off_axes().items():
-            told = describe_standing_partitions(standing_off(self.probe, axis))
+            told = standing_off(self.probe, axis).to_json()
             write_json(self.work / f"{name}.json", told)
             self._capture(name, f"{name}.json", ALBEDO * ALBEDO_ERROR)
         true = self._true_shading()
@@ -180,7 +180,7 @@ class Standing:
             setup=read_setup(work / "small.json", work / "board.json", None),
             assembly=work / "assembly.json",
             capture=None,
-            albedo=np.full(3, ALBEDO),
+            albedo=torch.full((3,), ALBEDO, dtype=torch.float64),
         )
         return {
             "vertices": len(self._mesh_on_board().vertices),
@@ -267,8 +267,8 @@ class Standing:
         mesh, pose = self._mesh_on_board(), self.photographer.pose(0)
         scene = IndependentScene([*self.solids, mesh], self.environment)
         truth = bent_picture(scene, pose, 256, 7, LENS) * self.photographer.exposure
-        rays = lens_rays(LENS).reshape(-1, 3) @ torch.from_numpy(pose.rotation)
-        eye = torch.from_numpy(pose.position).expand(len(rays), 3)
+        rays = lens_rays(LENS).reshape(-1, 3) @ pose.rotation
+        eye = pose.inverse().translation.expand(len(rays), 3)
 
         def seen(solids: list[Solid]) -> Bool[np.ndarray, "h w"]:
             joined = as_diffuse_scene(solids)
@@ -292,29 +292,25 @@ def _off_axes() -> dict[str, Float[np.ndarray, "3"]]:
     return {f"off_{i}": axis / np.linalg.norm(axis) for i, axis in enumerate(axes)}
 
 
-def standing_off(probe: StandingPartitions, axis: Float[np.ndarray, "3"]) -> StandingPartitions:
+def standing_off(probe: PartitionAssembly, axis: Float[np.ndarray, "3"]) -> PartitionAssembly:
     """Thought to stand upright, but half a degree off about an axis through its foot."""
-    turn = rotation_about(torch.from_numpy(axis), np.radians(OFF_DEG)).numpy()
     x, z = probe.pole_mm[:2]
-    foot = np.array([x, 0.0, z])
-    return replace(
-        probe,
-        rotation=turn @ probe.rotation,
-        translation_mm=turn @ (probe.translation_mm - foot) + foot,
-    )
+    vector = torch.from_numpy(np.concatenate([np.radians(OFF_DEG) * axis, np.zeros(3)]))
+    motion = RigidTransform.from_vector(vector).about(torch.tensor([x, 0.0, z]).double())
+    return replace(probe, board_from_probe=motion @ probe.board_from_probe)
 
 
-def _pole(probe: StandingPartitions) -> Solid:
+def _pole(probe: PartitionAssembly) -> Solid:
     vertices, triangles = cylinder_mesh(probe.pole_mm)
     return Solid(vertices=vertices, triangles=triangles, albedo=ALBEDO)
 
 
 def _errors(name: str, found: ProbeCapture, true: Float[np.ndarray, "n 3"]) -> dict[str, object]:
     """Of the cells that were captured, relative to each one's mean."""
-    off = np.abs(found.shading - true).mean(1) / true.mean(1)
+    off = np.abs(found.shading.numpy() - true).mean(1) / true.mean(1)
     return {
-        f"{name}_error_median": float(np.median(off[found.known])),
-        f"{name}_error_max": float(off[found.known].max()),
+        f"{name}_error_median": float(np.median(off[found.known.numpy()])),
+        f"{name}_error_max": float(off[found.known.numpy()].max()),
     }
 
 

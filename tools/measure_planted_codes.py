@@ -1,4 +1,4 @@
-"""Are codes that were planted found again? Makes csc-planted.json.
+"""Recovery of synthetic codes. Makes csc-planted.json.
 
     OMP_NUM_THREADS=1 python -m tools.measure_planted_codes --trials 200 --workers 2
 
@@ -30,14 +30,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.csc.coder import SphericalSparseCoder
-from skylight.csc.correlation import RotationCorrelation
+from skylight.csc.correlation.positions import centres_of
 from skylight.csc.dictionary import FilterBank
-from skylight.csc.layers import Layer
-from skylight.csc.objective import SampledSignal
-from skylight.csc.pursuit import Atom, Pursuit, PursuitOptions, Support
-from skylight.csc.search import pursue
+from skylight.csc.pursuit.exchange import pursue
+from skylight.csc.pursuit.greedy import Atom, Pursuit, PursuitOptions, Support
+from skylight.csc.pursuit.quadratic import SampledSignal
 from skylight.evaluation.main import commit
-from skylight.imaging.files import write_json
+from skylight.io.files import write_json
 from skylight.sphere.frame import angle_between
 
 Code = dict[Atom, Float[Tensor, " c"]]
@@ -135,7 +134,7 @@ def run_trial(number: int, seed: int) -> dict:
 @cache
 def _coder() -> tuple[SphericalSparseCoder, list[int]]:
     coder = SphericalSparseCoder(DICTIONARY, height=HEIGHT)
-    assert coder.norms is not None  # made once, out of the trials' time
+    coder.norms()  # made once, out of the trials' time
     wide = filter_widths(coder.bank)
     return coder, [i for i, w in enumerate(wide.tolist()) if math.degrees(w) <= WIDEST_DEG]
 
@@ -152,14 +151,13 @@ def filter_widths(bank: FilterBank) -> Float[Tensor, " m"]:
 
 def plant(coder: SphericalSparseCoder, usable: list[int], generator: torch.Generator) -> Code:
     """Random activations, no two within the width of the wider filter."""
-    layer = _layer(coder)
-    positions, width = layer.correlation.positions, filter_widths(coder.bank)
+    positions, width = coder.parts[0].positions, filter_widths(coder.bank)
     sizes = (positions.rows, positions.columns, positions.twists)
     chosen: list[tuple[Atom, Tensor]] = []
     while len(chosen) < ACTIVATIONS:
         filter_ = usable[_draw(len(usable), generator)]
         place = (*(_draw(n, generator) for n in sizes),)
-        direction = positions.directions(torch.tensor([place]))[0]
+        direction = centres_of(positions.rotations(torch.tensor([place])))[0]
         if all(
             angle_between(direction, other) > max(width[filter_], width[atom[0]])
             for atom, other in chosen
@@ -171,17 +169,16 @@ def plant(coder: SphericalSparseCoder, usable: list[int], generator: torch.Gener
 
 def find(coder: SphericalSparseCoder, planted: Code) -> Support:
     """The code of the planted one's map."""
-    layer = _layer(coder)
-    places = torch.tensor([place for _, place in planted])
-    coefficients = coder.coefficients(
-        torch.tensor([filter_ for filter_, _ in planted]),
-        layer.correlation.positions.euler(places),
-        torch.stack(list(planted.values())),
+    code = Support(
+        filters=torch.tensor([filter_ for filter_, _ in planted]),
+        places=torch.tensor([place for _, place in planted]),
+        weights=torch.stack(list(planted.values())),
+        error=0.0,
     )
-    maps = coder.transform.synthesise(coefficients.T).movedim(0, -1)
+    maps = coder.decode(code.tensors(coder.parts)).detach()
     options = PursuitOptions(weights="free", sweeps=SWEEPS)
     signal = SampledSignal.of(maps, coder.transform)
-    return next(pursue(Pursuit([layer], signal, options, coder.norms), [len(planted)]))
+    return next(pursue(Pursuit(coder.parts, signal, options, coder.norms()), [len(planted)]))
 
 
 def compared(coder: SphericalSparseCoder, planted: Code, support: Support) -> dict:
@@ -200,17 +197,10 @@ def compared(coder: SphericalSparseCoder, planted: Code, support: Support) -> di
 def named(coder: SphericalSparseCoder, atom: Atom) -> Atom:
     """The same atom by its first twist: a filter with an s-fold axis repeats after T / s."""
     filter_, (row, column, twist) = atom
-    layer = _layer(coder)
-    assert coder.norms is not None
-    group, _ = layer.correlation.index[filter_]
-    return filter_, (row, column, twist % coder.norms[group].shape[0])
-
-
-def _layer(coder: SphericalSparseCoder) -> Layer:
-    layer = coder.layers[0]
-    assert isinstance(layer, Layer)
-    assert isinstance(layer.correlation, RotationCorrelation)
-    return layer
+    norms = coder.norms()
+    assert norms is not None
+    group, _ = coder.parts[0].plan().correlation.index[filter_]
+    return filter_, (row, column, twist % norms[group].shape[0])
 
 
 def _draw(below: int, generator: torch.Generator) -> int:

@@ -19,21 +19,23 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from skylight.app.board_pictures import read_setup
-from skylight.app.probe_printing import describe_assembly, print_voxel_probe, standing_probe
-from skylight.app.voxel_live import live_film
-from skylight.app.voxel_render import Stand, reconstruction_for
-from skylight.evaluation.independent_render import IndependentScene, Solid, as_photo
-from skylight.imaging.files import read_environment_map, write_json, write_png
+from skylight.app.cameras.board_pictures import read_setup
+from skylight.app.probes.voxel.live import live_film
+from skylight.app.probes.voxel.printing import describe_assembly
+from skylight.app.probes.voxel.render import Stand, reconstruction_for
+from skylight.cameras.assembly import cylinder_mesh
+from skylight.cameras.drawing import camera_rays, looking_at
+from skylight.cameras.intrinsics import load_intrinsics, save_intrinsics
+from skylight.evaluation.rendered_faces.independent_render import IndependentScene, Solid, as_photo
+from skylight.fabrication.mount import MarkerBoard, Pole
+from skylight.fabrication.sizes import PrintSizes
 from skylight.imaging.metrics import shading_metrics
-from skylight.probes.capture.drawing import camera_rays, looking_at
-from skylight.probes.capture.intrinsics import load_intrinsics, save_intrinsics
-from skylight.probes.printing.mount import MarkerBoard, Pole
-from skylight.probes.printing.sizes import PrintSizes
+from skylight.io.files import read_environment_map, write_json, write_png
 from skylight.probes.voxel.faces import NORMALS, exposed_faces
 from skylight.probes.voxel.lightmap import Lightmap, load_lightmap
 from skylight.probes.voxel.model import VoxelModel, star_probe, voxelise, write_voxels
-from skylight.probes.voxel.render import VoxelRenderer
+from skylight.probes.voxel.printed.printing import print_voxel_probe, voxel_assembly
+from skylight.probes.voxel.relight.render import VoxelRenderer
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.transport.camera import Camera
 from skylight.transport.path_tracer import Sampling, shade
@@ -102,18 +104,17 @@ class Standing:
             pole=Pole(diameter_mm=6.0, length_mm=230.0),
             board=MarkerBoard(width_mm=width, height_mm=height, margin_mm=MARGIN_MM),
         )
-        self.probe = standing_probe(printed)
-        place = self.probe.placement
+        self.probe = voxel_assembly(printed)
         parts = [
             Solid(
-                vertices=part.vertices @ place.rotation.T + place.translation_mm,
+                vertices=self.probe.board_from_probe.points(part.vertices),
                 triangles=part.faces,
                 albedo=ALBEDO,
             )
             for part in (*printed.printed.parts, printed.mount.foot)
         ]
-        pole = self.probe.placed().obstacle
-        assert pole is not None
+        assert self.probe.pole_mm is not None
+        pole = cylinder_mesh(self.probe.pole_mm)
         self.around = [
             Solid(vertices=pole[0], triangles=pole[1], albedo=ALBEDO),
             board_solid(),
@@ -123,7 +124,7 @@ class Standing:
             name=name,
             environment=environment,
             solids=[*parts, *self.around],
-            middle=place.to_board(np.full(3, 1.5)),
+            middle=self.probe.to_board(np.full(3, 1.5)),
             samples=samples,
         )
         write_json(work / "assembly.json", describe_assembly(printed))
@@ -164,13 +165,15 @@ class Standing:
     def _true_lightmap(self) -> Lightmap:
         """Path-traced shading of the ideal probe as it stands, board and pole included."""
         faces = exposed_faces(star_probe(3))
-        place = self.probe.placement
+        place = self.probe
         vertices, triangles = faces.triangles()
         ideal = Solid(
             vertices=place.to_board(vertices.numpy()), triangles=triangles.numpy(), albedo=ALBEDO
         )
         points = place.to_board(faces.points(16).numpy()).reshape(-1, 3)
-        normals = NORMALS[faces.orientation.numpy()] @ place.rotation.T
+        normals = place.board_from_probe.directions(
+            NORMALS[faces.orientation.numpy()].astype(float)
+        )
         traced = shade(
             torch.from_numpy(points),
             torch.from_numpy(normals.repeat(256, 0)),
@@ -201,15 +204,17 @@ class Standing:
         view = Camera(focal_px=600.0, width=320, height=320, center_px=(160.0, 160.0))
         matrix = STAND.matrix(model)
         middle = matrix[:3, :3] @ (torch.tensor(model.occupied.shape).double() / 2) + matrix[:3, 3]
-        eye = torch.from_numpy(pose.position) - middle
-        rotation, translation = looking_at(middle + eye * (170 / eye.norm()), middle)
+        eye = pose.inverse().translation - middle
+        pose = looking_at(middle + eye * (170 / eye.norm()), middle)
         renderer = VoxelRenderer(model, matrix)
         vertices, triangles = exposed_faces(model).triangles()
         world = vertices @ matrix[:3, :3].T + matrix[:3, 3]
         solid = Solid(vertices=world.numpy(), triangles=triangles.numpy(), albedo=ALBEDO)
         alone = IndependentScene([solid], self.environment)
         reference = torch.from_numpy(
-            alone.radiance(view, rotation.numpy(), translation.numpy(), samples=512, seed=7)
+            alone.radiance(
+                view, pose.rotation.numpy(), pose.translation.numpy(), samples=512, seed=7
+            )
         )
         reference = reference * self.photographer.exposure
         rays = camera_rays(view)
@@ -219,7 +224,7 @@ class Standing:
             error = {}
             for name, lightmap in (("capture", found), ("perfect", true)):
                 completed = reconstruction_for(lightmap, kind, ALBEDO).complete(lightmap)
-                drawing = renderer.draw(completed, rays, rotation, translation)
+                drawing = renderer.draw(completed, rays, pose)
                 scores = shading_metrics(drawing.radiance, reference, drawing.alpha == 1)
                 error[name] = facts[f"{name}_{kind}_mae"] = scores["mae"]
                 facts[f"{name}_{kind}_ssim"] = scores["ssim"]

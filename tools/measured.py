@@ -1,4 +1,4 @@
-"""What a measuring tool leaves behind: a file that says what was measured, how and where."""
+"""The files of results that measuring tools write."""
 
 import json
 import platform
@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 
 from skylight.evaluation.main import commit
-from skylight.imaging.files import write_json
+from skylight.io.files import write_json
 
 
 def write_measured(

@@ -16,15 +16,16 @@ import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 
+from skylight.cameras.board import Board, save_board
+from skylight.cameras.drawing import lens_rays, looking_at
+from skylight.cameras.frames import read_picture
+from skylight.cameras.intrinsics import FLIP, Intrinsics
+from skylight.cameras.pose import board_pose
 from skylight.cli import main as skylight
-from skylight.evaluation.independent_render import IndependentScene, Solid, as_photo
-from skylight.imaging.files import write_png
-from skylight.probes.capture.board import Board, save_board
-from skylight.probes.capture.drawing import lens_rays, looking_at
-from skylight.probes.capture.frames import read_picture
-from skylight.probes.capture.intrinsics import FLIP, Intrinsics
-from skylight.probes.capture.pose import Pose, board_pose
+from skylight.evaluation.rendered_faces.independent_render import IndependentScene, Solid, as_photo
+from skylight.io.files import write_png
 from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.rigid_transform import RigidTransform
 from skylight.transport.camera import Camera
 from skylight.transport.path_tracer import DiffuseScene
 
@@ -76,7 +77,7 @@ class Photographer:
             for values in (solid.vertices, solid.triangles, solid.albedo, solid.paint):
                 digest.update(b"" if values is None else np.asarray(values).tobytes())
         poses = [self.pose(i) for i in range(len(VIEWS))]
-        digest.update(np.stack([p.translation for p in poses]).round(6).tobytes())
+        digest.update(np.stack([p.translation.numpy() for p in poses]).round(6).tobytes())
         return json.dumps(
             {
                 "name": self.name,
@@ -129,11 +130,11 @@ class Photographer:
         board = ["--board", str(self.work / "board.json")]
         run(["camera", "calibrate", *pictures, *board, "--out", str(self.work / "camera.json")])
 
-    def pose(self, number: int) -> Pose:
+    def pose(self, number: int) -> RigidTransform:
         """The true pose of a picture."""
         return self.pose_from(*VIEWS[number])
 
-    def pose_from(self, azimuth_deg: float, elevation_deg: float) -> Pose:
+    def pose_from(self, azimuth_deg: float, elevation_deg: float) -> RigidTransform:
         """From above towards board and probe, or from below the probe."""
         azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
         flat = np.array([np.sin(azimuth), 0, np.cos(azimuth)]) * np.cos(elevation)
@@ -142,8 +143,7 @@ class Photographer:
         # the probe and the board fill the picture's height
         target = self.middle - np.array([0, 80.0 if above else 95.0, 0])
         eye = self.middle + (420.0 if above else 370.0) * towards
-        rotation, translation = looking_at(torch.from_numpy(eye), torch.from_numpy(target))
-        return Pose(rotation=rotation.numpy(), translation=translation.numpy())
+        return looking_at(torch.from_numpy(eye), torch.from_numpy(target))
 
     def film(self, count: int) -> Path:
         """film_COUNT.avi, 640 x 480: once round below the probe, once round above it."""
@@ -166,7 +166,7 @@ class Photographer:
     def photo(
         self,
         scene: IndependentScene,
-        pose: Pose,
+        pose: RigidTransform,
         samples: int,
         seed: int,
         lens: Intrinsics = LENS,
@@ -184,10 +184,9 @@ class Photographer:
                 missing += 1
                 continue
             true = self.pose(i)
-            both = [p.to_camera(self.middle[None])[0] for p in (found.pose, true)]
-            shifts.append(float(np.linalg.norm(both[0] - both[1])))
-            cosine = (np.trace(found.pose.rotation @ true.rotation.T) - 1) / 2
-            turns.append(float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))))
+            apart = found.pose.points(self.middle) - true.points(self.middle)
+            shifts.append(float(np.linalg.norm(apart)))
+            turns.append(float((found.pose @ true.inverse()).angle_deg))
         return {
             "focal_px": [lens.fx, lens.fy],
             "true_focal_px": [LENS.fx, LENS.fy],
@@ -201,12 +200,14 @@ class Photographer:
 
 
 def bent_picture(
-    scene: IndependentScene, pose: Pose, samples: int, seed: int, lens: Intrinsics
+    scene: IndependentScene, pose: RigidTransform, samples: int, seed: int, lens: Intrinsics
 ) -> Float[np.ndarray, "h w 3"]:
     """Linear light, rendered by a pinhole with room around it, then bent as the lens does."""
     width, height = round(1.17 * lens.width), round(1.19 * lens.height)
     wide = Camera(focal_px=lens.fx, width=width, height=height, center_px=(width / 2, height / 2))
-    linear = scene.radiance(wide, pose.rotation, pose.translation, samples=samples, seed=seed)
+    linear = scene.radiance(
+        wide, pose.rotation.numpy(), pose.translation.numpy(), samples=samples, seed=seed
+    )
     rays = lens_rays(lens)[:, :, 0].numpy() @ FLIP
     x, y = (
         (rays[..., axis] / rays[..., 2] * wide.focal_px + wide.center_px[axis] - 0.5).astype(
@@ -271,15 +272,11 @@ def as_diffuse_scene(solids: Sequence[Solid]) -> DiffuseScene:
 
 def _calibration_pose(
     tilt_x: float, tilt_z: float, distance: float, right: float, up: float
-) -> Pose:
+) -> RigidTransform:
     """A camera above the board's middle, looking down, tilted and shifted."""
     width, height = BOARD.size_mm
     middle = np.array([width / 2, 0, height / 2])
     a, b = np.radians(90 - tilt_x), np.radians(tilt_z)
     offset = np.array([np.sin(b) * np.sin(a), np.sin(a) * np.cos(b), np.cos(a) + 1e-3])
-    rotation, translation = looking_at(
-        torch.from_numpy(middle + distance * offset), torch.from_numpy(middle)
-    )
-    return Pose(
-        rotation=rotation.numpy(), translation=translation.numpy() + np.array([right, up, 0.0])
-    )
+    pose = looking_at(torch.from_numpy(middle + distance * offset), torch.from_numpy(middle))
+    return RigidTransform.translating(torch.tensor([right, up, 0.0]).double()) @ pose

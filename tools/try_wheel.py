@@ -1,4 +1,4 @@
-"""Build the wheel, install it into an empty virtual environment, and use it there as a user would.
+"""Install relighting alone into an empty environment, then the wheel, and use both as users would.
 
     python tools/try_wheel.py
 
@@ -32,9 +32,14 @@ def main() -> int:
         wheel = build(home)
         run(sys.executable, "-m", "venv", "empty", cwd=home)
         bin_ = home / "empty" / "bin"
-        run(bin_ / "python", "-m", "pip", "--disable-pip-version-check", "install", "-q", wheel,
-            cwd=home)  # fmt: skip
-        say(started, "installed")
+        pip = bin_ / "python", "-m", "pip", "--disable-pip-version-check"
+        run(*pip, "uninstall", "-q", "-y", "setuptools", cwd=home)  # some venvs have it, some not
+        run(*pip, "install", "-q", home / "sources" / "relight", cwd=home)
+        say(started, f"relighting alone installed: {megabytes(home / 'empty')} MB")
+        relight(bin_ / "skylight", home)
+        say(started, "it relights as the tree does")
+        run(*pip, "install", "-q", wheel, cwd=home)
+        say(started, f"the full package installed over it: {megabytes(home / 'empty')} MB")
         run(bin_ / "python", "-c", f"{PHOTO}.save('photo.png')", cwd=home)
         run(bin_ / "skylight", "--version", cwd=home)
         estimate(bin_ / "skylight", home, "from_wheel")
@@ -64,6 +69,31 @@ def build(home: Path) -> Path:
     run(sys.executable, "-m", "build", "--wheel", "--outdir", home, sources, cwd=home, quiet=True)
     (wheel,) = home.glob("*.whl")
     return wheel
+
+
+def relight(alone: Path, home: Path) -> None:
+    """Light a ball by a latent sky, here without torch and by the tree: the same picture."""
+    full = Path(sys.executable).with_name("skylight")
+    ball = "import trimesh; trimesh.creation.icosphere(subdivisions=3).export('ball.obj')"
+    run(sys.executable, "-c", ball, cwd=home)
+    run(full, "export", "scene", "ball.obj", "--out", "ball.npz", "--height", "96", cwd=home)
+    (home / "latent.json").write_text(json.dumps([0.1] * 64))
+    for skylight, out in ((alone, "alone.png"), (full, "full.png")):
+        run(skylight, "relight", "ball.npz", "--latent", "latent.json", "--out", out, cwd=home)
+    program = "import numpy, PIL.Image as i; a, b = (numpy.int16(i.open(f'{n}.png')) for n in " \
+        "('alone', 'full')); assert a.std() > 10 and abs(a - b).max() <= 1"  # fmt: skip
+    run(alone.with_name("python"), "-c", program, cwd=home)
+    other = subprocess.run(
+        [alone, "estimate", "photo.png"], cwd=home, capture_output=True, text=True
+    )
+    if other.returncode != 2 or "the full package" not in other.stderr:
+        raise SystemExit(f"relighting alone answers `estimate` by\n{other.stdout}{other.stderr}")
+
+
+def megabytes(environment: Path) -> int:
+    """Size of its packages on disk."""
+    (packages,) = environment.glob("lib/*/site-packages")
+    return round(sum(f.stat().st_size for f in packages.rglob("*") if f.is_file()) / 1e6)
 
 
 def estimate(skylight: Path, home: Path, out: str) -> None:

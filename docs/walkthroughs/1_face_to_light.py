@@ -23,26 +23,26 @@ from matplotlib import pyplot as plt
 from skimage.data import astronaut
 
 import skylight
-from skylight.app.demo import score
-from skylight.app.doubt import draw_region, sure_of_the_sun
-from skylight.app.report import relit, show, show_probe
+from skylight.app.estimate.demo import score
+from skylight.app.estimate.uncertainty import draw_region, sure_of_the_sun
+from skylight.app.figures.panels import show, show_probe
+from skylight.app.figures.relit import relit
 from skylight.faces.synthetic import render_face
 from skylight.imaging.photo import photo_from_codes
-from skylight.inverse.photo import estimate_photo
 from skylight.skies.simulated import simulated_skies
 from skylight.sphere.frame import angles_from_direction
 from skylight.transport.scene import evaluation_scene
 
 photo = photo_from_codes(astronaut())
-result = estimate_photo(photo)
+result = skylight.estimate_photo(photo)
 estimate = result.estimate
 
 # %%
-# What came out
-# -------------
-# ``environment`` is a map of radiance on the whole sphere in the camera's frame: its centre is
-# where the camera looks. The picture says where the brightest light is; ``posterior`` says how
-# sure that is. The line in the map bounds the smallest region that holds the sun with 90 %.
+# The estimate
+# ------------
+# ``environment`` is an environment map in the camera's frame: its centre is the viewing direction.
+# ``sun_direction`` is its brightest direction, and ``posterior`` the uncertainty of that. The
+# contour in the map bounds the smallest region with 90 % of the posterior.
 
 azimuth, zenith = (math.degrees(angle) for angle in angles_from_direction(estimate.sun_direction))
 print(f"brightest at azimuth {azimuth:+.0f} degrees, {zenith:.0f} from the zenith")
@@ -50,33 +50,31 @@ print(sure_of_the_sun(estimate.posterior))
 print(estimate.posterior.verdict, *estimate.advice, sep="\n")
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 3.6), width_ratios=(1, 2.4))
-show(left, photo.encoded, "Seen")
-show_probe(right, estimate.environment, "The light found")
+show(left, photo.encoded, "Photograph")
+show_probe(right, estimate.environment, "Estimated light")
 draw_region(right, estimate.posterior)
 figure.tight_layout()
 
 # %%
-# This one was taken in a studio, by lamps, in front of a backdrop. A model of skies is not made
-# for that, and the posterior and ``advice`` are where to look before using a light.
+# This portrait was taken in a studio, under lamps. A sky model does not represent such light:
+# check the posterior and ``advice`` before using an estimate.
 #
-# Things in that light
-# --------------------
-# What a light is good for shows on things that are not faces: a matt surface blurs it, polished
-# metal shows all of it.
+# Relit objects
+# -------------
+# Diffuse objects show low frequencies of the light, polished metal all of them.
 
 scene = evaluation_scene(144, 32)
 figure, axes = plt.subplots(1, 2, figsize=(9, 3.6))
 for axis, picture, name in zip(
-    axes, relit(scene, estimate.environment), ("Matt", "Metal"), strict=True
+    axes, relit(scene, estimate.environment), ("Diffuse", "Metal"), strict=True
 ):
     show(axis, picture, name)
 figure.tight_layout()
 
 # %%
-# For another program
-# -------------------
-# Files are written in that program's own orientation: turning a map by hand is where sunlight ends
-# up on the wrong side. :doc:`../conventions` has drawings.
+# Other programs
+# --------------
+# Files are written in the orientation of the other program. :doc:`../conventions` has drawings.
 
 with tempfile.TemporaryDirectory() as folder:
     skylight.write_environment_map(
@@ -86,23 +84,23 @@ with tempfile.TemporaryDirectory() as folder:
     print(sorted(path.name for path in Path(folder).iterdir()))
 
 # %%
-# Known light
-# -----------
-# A simulated sky that no model was trained on lights a random head; the picture gets noise and
-# 8-bit codes like any other. Now the estimate can be compared with the truth.
+# Known illumination
+# ------------------
+# A random head under a simulated sky that no model was trained on, with noise and 8-bit
+# quantisation. Here the estimate can be compared with the truth.
 
 (_, sky), *_ = simulated_skies(1, first_seed=5000, lowest_transmittance=0.8)
 truth = render_face(sky, torch.tensor([0.22, 0.21, 0.18]), seed=2, size=320, azimuth_rad=-2.2)
-found = estimate_photo(photo_from_codes(truth.encoded)).estimate
+found = skylight.estimate(truth.encoded)
 
 strength = float(scene.shade(found.environment).mean() / scene.shade(truth.environment).mean())
 shown = skylight.EnvironmentMap(radiance=found.environment.radiance / strength)
 white = float(truth.environment.upper().radiance.quantile(0.98))
 figure, axes = plt.subplots(2, 2, figsize=(11, 5.6), width_ratios=(1, 2.4))
 show(axes[0, 0], truth.encoded, "The rendered photograph")
-show_probe(axes[0, 1], truth.environment, "The light that it was rendered in", white=white)
-show(axes[1, 0], relit(scene, shown, like=truth.environment)[0], "Things in the light found")
-show_probe(axes[1, 1], shown, "The light found, as bright as the true one", white=white)
+show_probe(axes[0, 1], truth.environment, "True light", white=white)
+show(axes[1, 0], relit(scene, shown, like=truth.environment)[0], "Objects in the estimated light")
+show_probe(axes[1, 1], shown, "Estimated light, scaled to the truth", white=white)
 figure.tight_layout()
 
 # %%

@@ -28,10 +28,10 @@ import torch
 from matplotlib import pyplot as plt
 
 import skylight
-from skylight.app.report import show
+from skylight.app.figures.panels import show
 from skylight.imaging.colour import tone_map
 from skylight.models.autoencoder import load_network
-from skylight.models.shipped import autoencoder_light
+from skylight.models.bundle import load_bundle
 from skylight.skies.index import read_index
 from skylight.skies.loading import load_skies
 
@@ -97,7 +97,7 @@ figure.tight_layout()
 test = load_skies(runs / "skies", splits["test"])[:4]
 networks = {
     "toy": load_network(runs / "toy" / "model.safetensors").eval(),
-    "shipped": autoencoder_light().network,
+    "shipped": load_bundle().network,
 }
 with torch.no_grad():
     rows = {"test skies": test} | {
@@ -113,11 +113,18 @@ figure.tight_layout()
 # %%
 # On the way to estimates
 # -----------------------
-# ``python train.py configs/sky_prior.yaml`` then fits the Gaussian mixtures that say which latents
-# are likely; ``skylight.relight.export.export_decoder`` writes the decoder as ONNX. A latent space
-# can also be walked: half way between two skies is a sky.
+# The Gaussian mixtures say which latents are likely; with them the network becomes a folder that
+# ``skylight estimate --model`` and ``skylight export decoder --model`` take. ``skylight train
+# FOLDER --out DIR`` does all of this page at once.
 
-shipped = autoencoder_light().network
+run("train.py", "configs/sky_prior.yaml", "--data", runs / "skies",
+    "--checkpoint", runs / "toy" / "model.safetensors", "--out", runs / "model")  # fmt: skip
+print((runs / "model" / "card.md").read_text())
+
+# %%
+# A latent space can also be walked: half way between two skies is a sky.
+
+shipped = load_bundle().network
 with torch.no_grad():
     first, last = shipped.encode(test[[0, -1]])
     between = torch.stack([torch.lerp(first, last, t) for t in (0.0, 0.25, 0.5, 0.75, 1.0)])

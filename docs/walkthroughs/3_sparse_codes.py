@@ -2,23 +2,23 @@
 Light as a sparse code
 ======================
 
-A map of light holds 25,000 numbers, and most of them say "about the same as next door". Spherical
-harmonics say that in few numbers, but blur every sun. A sparse code is a short list instead: a
-lobe of this shape, there, so strong, in that colour.
+An environment map holds 25,000 numbers, most of them redundant. Spherical harmonics represent it
+with few coefficients, but blur the sun. A sparse code is a sum of few lobes, each with a shape,
+a rotation, a weight and a colour.
 """
 
 # %%
 # A map
 # -----
-# A made-up room: a camera in the middle of a box with painted walls, a window and a lamp. Indoor
-# light is what these codes are best at. ``skylight code MAP`` does what follows on a file.
+# A synthetic room: a camera in the centre of a box with painted walls, a window and a lamp. These
+# codes are best for indoor light. ``skylight code MAP`` does the following with a file.
 
 import torch
 from matplotlib import pyplot as plt
 
-from skylight.app.report import show
-from skylight.app.sparse_codes import outlines
-from skylight.csc.coder import SphericalSparseCoder
+from skylight import SphericalSparseCoder
+from skylight.app.codes.sparse_codes import outlines
+from skylight.app.figures.panels import show
 from skylight.imaging.colour import tone_map
 from skylight.sphere import harmonics
 from skylight.sphere.envmap import EnvironmentMap
@@ -45,8 +45,9 @@ print(light.layout, f"{light.radiance.numel()} numbers")
 # The code
 # --------
 # ``ani`` holds Gaussians of several widths, round and drawn out. Every filter is compared with
-# what is left of the map at every place and in every turn; the best is added, all weights are
-# fitted again, and so on. ``path`` notes the code at several lengths on the way.
+# what is left of the map at every place and at every rotation; the best is added, all weights are
+# fitted again, and so on. ``path`` gives the code at several lengths on the way. (For batches of
+# maps as tensors, to train with, call the coder itself.)
 
 counts = [1, 2, 4, 8, 16, 32, 64]
 coder = SphericalSparseCoder("ani", height=32, activations=max(counts))
@@ -55,11 +56,11 @@ for code in codes:
     print(f"{len(code):3} activations, {code.floats:4} numbers: error {code.relative_error:.3f}")
 
 # %%
-# Against harmonics
-# -----------------
+# Comparison with spherical harmonics
+# -----------------------------------
 # The error is relative and weighted by solid angle. Harmonics of degree n take ``3 (n + 1)^2``
-# numbers; an activation takes four (three colours, and one word for place, turn and filter). Other
-# dictionaries: ``iso`` has round Gaussians only, ``vmf`` lobes of one width.
+# numbers; an activation takes four (three colours, and one word for position, twist and filter).
+# Other dictionaries: ``iso`` has isotropic Gaussians only, ``vmf`` lobes of one width.
 
 target = light.flat.double()
 weight = light.grid.solid_angles[:, None]
@@ -98,18 +99,26 @@ axis.legend()
 figure.tight_layout()
 
 # %%
-# Where the lobes are
-# -------------------
+# The activations
+# ---------------
 # Each outline is an activation at half its height. The first ones make up the window and the lamp,
-# the wide ones the walls. What is below zero where a sharp lobe rings is shown as black: lights
-# that are far brighter than their surroundings, suns above all, leave such ripples.
+# the wide ones the walls. Negative values, from the ringing of sharp lobes about lights
+# that are far brighter than their surroundings, are shown as black.
 
 chosen = codes[counts.index(16)]
 figure, axes = plt.subplots(3, 1, figsize=(8, 11))
 white = 2.0
 show(axes[0], tone_map(light.radiance, white=white), "The map")
-show(axes[1], tone_map(coder.decode(chosen).float().clamp(min=0), white=white), "16 activations")
-show(axes[2], tone_map(coder.decode(codes[-1]).float().clamp(min=0), white=white), "64 activations")
+show(
+    axes[1],
+    tone_map(coder.decode(chosen).detach().float().clamp(min=0), white=white),
+    "16 activations",
+)
+show(
+    axes[2],
+    tone_map(coder.decode(codes[-1]).detach().float().clamp(min=0), white=white),
+    "64 activations",
+)
 for outline in outlines(coder, chosen):
     if outline is None:
         continue
@@ -125,9 +134,10 @@ axes[1].set(xlim=(-0.5, light.layout[1] - 0.5), ylim=(light.layout[0] - 0.5, -0.
 figure.tight_layout()
 
 # %%
-# A code has no resolution of its own
-# -----------------------------------
-# It is a function on the sphere, so it can be decoded at any size, and turned without resampling.
-# What a band limit costs, and how finer maps get sharper filters, is in :doc:`../sparse_coding`.
+# Decoding at any resolution
+# --------------------------
+# A code is a function on the sphere, so it can be decoded at any size and rotated without
+# resampling. Band limits, and sharper filters for finer maps, are described in
+# :doc:`../sparse_coding`.
 
 print(tuple(coder.decode(codes[-1], height=128).shape))

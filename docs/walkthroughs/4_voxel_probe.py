@@ -9,8 +9,8 @@ by looking up textures.
 """
 
 # %%
-# The probe and what it shows
-# ---------------------------
+# The probe and its slots
+# -----------------------
 # ``star_probe(3)`` is the cross: three cubes along each axis. Of its faces' 192 slots it has
 # these. The picture of a slot is called a lightmap; all of them fit into one small image.
 
@@ -18,12 +18,12 @@ import numpy as np
 import torch
 from matplotlib import pyplot as plt
 
-from skylight.app.report import show
-from skylight.evaluation.voxel_scene import ALBEDO, VoxelScene, baked
+from skylight.app.figures.panels import show
+from skylight.evaluation.probes.voxel_scene import ALBEDO, VoxelScene, baked
 from skylight.imaging.colour import tone_map
 from skylight.imaging.metrics import shading_metrics
 from skylight.probes.voxel.faces import exposed_faces
-from skylight.probes.voxel.global_illumination import GlobalReconstruction
+from skylight.probes.voxel.interreflection.global_illumination import GlobalReconstruction
 from skylight.probes.voxel.model import VoxelModel, star_probe
 from skylight.probes.voxel.reconstruct import DirectReconstruction
 from skylight.skies.simulated import simulated_skies
@@ -34,11 +34,11 @@ known = probe.counts() > 0
 print(f"{len(probe)} faces, {int(known.sum())} of {known.numel()} slots")
 
 # %%
-# Capturing it
-# ------------
+# Capture
+# -------
 # Photographs of a printed probe give those slots (``skylight probe voxel capture``;
 # :doc:`../voxel_probe` goes from the printer on). Here the photographs are left out: ``baked``
-# path traces what a perfect capture would read off the faces, under a simulated sky whose sun is
+# path traces the shading of the faces, as a perfect capture, under a simulated sky whose sun is
 # behind clouds.
 
 ((_, sky),) = simulated_skies(1, first_seed=7006)
@@ -46,13 +46,13 @@ light = sky.with_ground(torch.tensor([0.15, 0.14, 0.12])).resize(64)
 captured = baked(3, light, Sampling(samples=128), seed=0)
 
 # %%
-# Completing it
-# -------------
+# Completion
+# ----------
 # A face's direct light is a sum over five parts of its hemisphere, each of which a neighbour can
-# take away. Five independent faces therefore tell all: a face under a ceiling, which the probe
+# take away. Five independent faces therefore determine all: a face under a ceiling, which the probe
 # does not have, is ``4 none - left - right - forward - backward``. ``DirectReconstruction`` finds
-# such sums; ``GlobalReconstruction`` knows that light bounces as well, and matches transfer
-# vectors in spherical harmonics instead (:doc:`../concepts/voxel_probe`).
+# such sums; ``GlobalReconstruction`` includes interreflection, and matches transfer
+# vectors in spherical harmonics (:doc:`../concepts/voxel_probe`).
 
 direct = DirectReconstruction(known)
 bounces = GlobalReconstruction(known, albedo=ALBEDO)
@@ -72,11 +72,11 @@ show(axes[1], tone_map(sheet(completed["global"]), white=white), "Completed")
 figure.tight_layout()
 
 # %%
-# A model in that light
-# ---------------------
+# A relit model
+# -------------
 # A castle, made of 1,000 voxels or so (``skylight probe voxel render`` reads .vox files and
-# meshes). Drawing it needs a look-up for each pixel, no light and no rays of light: that is what
-# makes it fast enough for film frames.
+# meshes). Drawing it needs a look-up for each pixel, and no shadow rays, which makes it
+# fast enough for video.
 
 solid = np.zeros((17, 14, 17), dtype=bool)
 solid[1:16, 0:6, 1:16] = True
@@ -91,7 +91,7 @@ castle = VoxelScene.of(VoxelModel(occupied=solid))
 
 # %%
 # The same model path traced in the true light is the reference. Faces are looked up by their
-# closest neighbours alone, so shadows that fall from afar are missing: look at the yard.
+# closest neighbours alone, so shadows of distant voxels are missing, as in the yard.
 
 truth, masks, noise = castle.traced(light, Sampling(samples=64), seed=1)
 drawn = {name: castle.drawn(lightmap) for name, lightmap in completed.items()}

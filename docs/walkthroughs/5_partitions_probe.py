@@ -2,7 +2,7 @@
 The partitions probe
 ====================
 
-Walls divide the sphere into cells, and in each cell stands one white face that sees nothing else.
+Walls divide the sphere into cells, and in each cell is one white face that is lit by it alone.
 The brightness of that face is the light of that cell. With a handful of such numbers any mesh can
 be lit, shadows and bounces included, by one product for each vertex.
 """
@@ -17,19 +17,19 @@ import torch
 import trimesh
 from matplotlib import pyplot as plt
 
-from skylight.app.report import show
+from skylight.app.figures.panels import show
+from skylight.cameras.drawing import looking_at
 from skylight.imaging.colour import tone_map
 from skylight.imaging.metrics import shading_metrics
-from skylight.probes.capture.drawing import looking_at
 from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.designs import named_design
+from skylight.probes.partitions.design.designs import named_design
 from skylight.probes.partitions.picture import draw_cells
 from skylight.probes.partitions.probe import PartitionProbe
-from skylight.probes.partitions.receivers import Receivers
-from skylight.probes.partitions.refine import refined
-from skylight.probes.partitions.relit import Relighting
-from skylight.probes.partitions.scene import Scene
-from skylight.probes.partitions.transfer import TransferSampling, transfer_coefficients
+from skylight.probes.partitions.relight.receivers import Receivers
+from skylight.probes.partitions.relight.refine import refined
+from skylight.probes.partitions.relight.relit import Relighting
+from skylight.probes.partitions.relight.scene import Scene
+from skylight.probes.partitions.relight.transfer import TransferSampling, transfer_coefficients
 from skylight.skies.simulated import simulated_skies
 from skylight.transport.camera import Camera
 from skylight.transport.gbuffer import rasterize
@@ -47,18 +47,18 @@ for axis, name in zip(axes.flat, names, strict=True):
 figure.tight_layout()
 
 # %%
-# Reading light off it
-# --------------------
+# From shading to light
+# ---------------------
 # ``encode_map`` gives the shading that the faces of an ideal probe show under a map, and ``light``
-# turns shading back into one radiance for each cell. For a printed probe, whose walls are not
+# inverts shading to one radiance for each cell. For a printed probe, whose walls are not
 # infinitely thin, the same module takes a matrix that was ray cast on the print
-# (:doc:`../partition_probe`).
+# (:doc:`../partition_probe`). Its albedo is a parameter that could be learned; here it is known.
 
 ((_, sky),) = simulated_skies(1, first_seed=7006)
 light = sky.with_ground(torch.tensor([0.15, 0.14, 0.12])).rotate_azimuth(0.8).resize(64)
-probes = {name: PartitionProbe(each, 0.8) for name, each in cells.items()}
+probes = {name: PartitionProbe(each, 0.8).requires_grad_(False) for name, each in cells.items()}
 shading = {name: probe.encode_map(light) for name, probe in probes.items()}
-seen = {name: probe.light(shading[name][None])[0] for name, probe in probes.items()}
+seen = {name: probe.light(shading[name]) for name, probe in probes.items()}
 white = float(light.radiance.quantile(0.98))
 figure, axes = plt.subplots(2, 2, figsize=(10, 5.2))
 for axis, name in zip(axes.flat, ("map", "6d", "14d", "38d"), strict=True):
@@ -73,8 +73,8 @@ figure.tight_layout()
 # %%
 # A mesh and its transfer coefficients
 # ------------------------------------
-# ``t_i(x)`` says how much of cell i's light a point x sends out. It depends on the mesh and the
-# cells, not on the light, so it is worked out once. Here: a knot on a ground.
+# ``t_i(x)`` is the radiance of a point x under unit light from cell i. It depends on the mesh and
+# the cells, not on the light, so it is precomputed. Here: a knot on a ground.
 
 knot = trimesh.creation.torus(0.5, 0.2, major_sections=48, minor_sections=24)
 knot.apply_transform(trimesh.transformations.rotation_matrix(-0.3, [1, 0.6, 0]))
@@ -98,19 +98,15 @@ print(f"{len(scene.vertices)} vertices, {len(scene.faces)} triangles")
 # %%
 # A camera looks at it; what it sees are the points to be lit.
 
-rotation, translation = looking_at(
-    torch.tensor([0.0, 2.2, 3.6]).double(), torch.tensor([0.1, 0.3, 0.0]).double()
-)
-matrix = torch.eye(4).double()
-matrix[:3, :3], matrix[:3, 3] = rotation, translation
-placed = scene.placed(matrix)
+pose = looking_at(torch.tensor([0.0, 2.2, 3.6]).double(), torch.tensor([0.1, 0.3, 0.0]).double())
+placed = scene.placed(pose.matrix())
 camera = Camera(focal_px=300, width=220, height=160, center_px=(110, 80))
 picture = rasterize(camera, placed.vertices, placed.faces, placed.raycaster)
 visible = Receivers.seen(picture, placed)
 points = Receivers(
-    positions=(visible.positions - translation) @ rotation,
-    normals=visible.normals @ rotation,
-    geometric_normals=visible.geometric_normals @ rotation,
+    positions=pose.inverse().points(visible.positions),
+    normals=pose.inverse().directions(visible.normals),
+    geometric_normals=pose.inverse().directions(visible.geometric_normals),
     albedo=visible.albedo,
 )
 sampling = TransferSampling(rays=256, bounces=3)
@@ -122,7 +118,7 @@ relightings = {
 # %%
 # Relighting
 # ----------
-# Now light is one product away, whatever light it is. The reference is path traced in the true
+# Relighting is one matrix product. The reference is path traced in the true
 # map.
 
 traced = shade(
@@ -150,7 +146,7 @@ for name in names:
     print(name, {metric: round(value, 3) for metric, value in scores.items()})
 
 # %%
-# Under clouds a few cells go a long way. A sun would be harder: cells cannot say where in them it
-# stands, so its shadow is soft and lies beside the true one, and ``14d-outdoor`` and the ``sun``
+# Under clouds a few cells suffice. A sun is harder: its position within a cell is not measured, so
+# its shadow is soft and displaced, and ``14d-outdoor`` and the ``sun``
 # designs lay their cells along its path for that. :doc:`../measurements` has the table over 22
 # rooms and 18 sunny skies.

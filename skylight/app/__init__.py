@@ -1,1 +1,1 @@
-"""What the command line does, as typed functions: estimate, write results, show, demonstrate."""
+"""Each feature of the command line and the studio as typed functions over files."""

@@ -1,13 +1,14 @@
-"""Progress on standard error for people who watch, and silence for pipes and files."""
+"""Progress bars on standard error where it is a terminal."""
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from skylight.inverse.photo import Progress
+from skylight.work.progress import CountProgress, StageProgress
 
 
 @contextmanager
-def stage_bar() -> Iterator[Progress]:
+def stage_bar() -> Iterator[StageProgress]:
     """A bar that shows a stage's name and its share done; nothing where nobody watches."""
     from rich.console import Console
     from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -27,3 +28,20 @@ def stage_bar() -> Iterator[Progress]:
             bar.update(task, description=stage, completed=share)
 
         yield tell
+
+
+def with_time_left(thing: str, tell: StageProgress) -> CountProgress:
+    """StageProgress by counts; the time left goes by those done since the first report."""
+    start: tuple[float, int] | None = None
+
+    def progress(done: int, total: int) -> None:
+        nonlocal start
+        now = time.monotonic()
+        start = start or (now, done)
+        text = f"{thing} {done} of {total}"
+        if done > start[1]:
+            left = (now - start[0]) / (done - start[1]) * (total - done)
+            text += f", {left / 60:.0f} min left" if left > 90 else f", {left:.0f} s left"
+        tell(text, done / total)
+
+    return progress

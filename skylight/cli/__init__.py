@@ -1,4 +1,4 @@
-"""The ``skylight`` command: every verb is a typed function elsewhere, imported when it is run."""
+"""The ``skylight`` command: typed functions, imported when they are run."""
 
 import re
 import sys
@@ -13,17 +13,20 @@ from skylight import __version__
 from skylight.cli.camera import camera
 from skylight.cli.convert import convert
 from skylight.cli.estimate import estimate, estimate_object
-from skylight.cli.export import export, relight
+from skylight.cli.export import export
 from skylight.cli.export_light import export_light
 from skylight.cli.faces import faces
-from skylight.cli.probe import probe
+from skylight.cli.probes.voxel import probe
 from skylight.cli.score import score
 from skylight.cli.skies import skies
 from skylight.cli.sparse_codes import code_probe, decode_code
 from skylight.cli.studio import studio
+from skylight.cli.train import train
 from skylight.cli.workers import who_works
 from skylight.errors import explain
-from skylight.imaging.atomic import PARTIAL
+from skylight.io.atomic import PARTIAL
+from skylight.relight.command import relight
+from skylight.work.device import Device
 
 DESCRIPTION = """Recovers the light of a scene from a photo of a face, and lights things with it.
 
@@ -83,7 +86,7 @@ def demo(out: Path = Path("skylight_demo")) -> None:
     Args:
         out: Folder for the results.
     """
-    from skylight.app.demo import demonstrate
+    from skylight.app.estimate.demo import demonstrate
     from skylight.app.progress import stage_bar
 
     with stage_bar() as progress:
@@ -101,6 +104,8 @@ def evaluate(
     out: Path,
     quick: bool = False,
     data: Path | None = None,
+    model: Path | None = None,
+    device: Device = "auto",
     workers: int = 2,
     cluster: str | None = None,
 ) -> None:
@@ -111,13 +116,18 @@ def evaluate(
         out: Folder for the results.
         quick: A small run that shows the form of the result in minutes.
         data: Folder of collected data, where the evaluation needs any.
+        model: Of faces: folder of a trained model of your own to estimate their light with.
+        device: Of faces: where their light is optimised.
         workers: Processes that work at the same time; 0 for one per core.
         cluster: A dask scheduler's address, whose workers do it instead.
     """
     who = who_works(workers, cluster, out)
+    from skylight.evaluation.faces.options import EstimateOptions
     from skylight.evaluation.main import evaluate
 
-    evaluate(name, quick=quick, data=data, out=out, workers=who)
+    is_default = model is None and device == "auto"
+    options = None if is_default else EstimateOptions(model=model, device=device)
+    evaluate(name, quick=quick, data=data, out=out, workers=who, options=options)
 
 
 app.command(estimate)
@@ -127,6 +137,7 @@ app.command(name="decode")(decode_code)
 app.command(relight)
 app.command(convert)
 app.command(score)
+app.command(train)
 app.command(studio)
 app.command(skies, name="skies", help="Simulate skies, or index a folder of captured ones.")
 export.command(name="light")(export_light)

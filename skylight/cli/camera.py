@@ -38,8 +38,8 @@ def camera_board(
         dictionary: OpenCV's name of the set of markers.
         first_marker: Number of the first marker; boards with other numbers can be told apart.
     """
-    from skylight.app.camera import make_board
-    from skylight.probes.capture.board import Board
+    from skylight.app.cameras.calibration import make_board
+    from skylight.cameras.board import Board
 
     board = Board(
         columns=columns,
@@ -76,7 +76,7 @@ def camera_calibrate(
         frames: Most frames to use of a video or webcam.
     """
     source = one_source(photos, video, webcam)
-    from skylight.app.camera import calibrate_camera
+    from skylight.app.cameras.calibration import calibrate_camera
 
     calibrate_camera(source, board, out, most=frames, warn=take_care)
 
@@ -98,6 +98,6 @@ def camera_response(
             files' EXIF data.
         out: The .json file.
     """
-    from skylight.app.camera import recover_camera_response
+    from skylight.app.cameras.calibration import recover_camera_response
 
     recover_camera_response(photos, out, times=times)

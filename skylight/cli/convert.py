@@ -1,4 +1,4 @@
-"""``skylight convert``: maps of light as other programs want them."""
+"""``skylight convert``: environment maps in the conventions of other programs."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -37,7 +37,7 @@ def convert(
         height: Rows to write; by default about as many as keep the detail.
         half: Write an .exr in half precision.
     """
-    from skylight.app.convert import convert_file
+    from skylight.app.maps.convert import convert_file
 
     rows, columns = convert_file(
         source,

@@ -1,4 +1,4 @@
-"""``skylight estimate`` and ``estimate-object``: the light of photographs."""
+"""``skylight estimate`` and ``estimate-object``: illumination from photographs."""
 
 import sys
 from pathlib import Path
@@ -9,11 +9,13 @@ from tyro.conf import Positional
 
 from skylight.cli.workers import who_works
 from skylight.errors import InputError, SkylightError
+from skylight.work.device import Device
 
 # Parsing must not import torch, so the choices stand here again; a test compares the two.
 Light = Literal["autoencoder", "sunsky", "sh9", "sh25"]
 ObjectLight = Literal["ani", "iso", "vmf", "sh9", "sh25", "sh49"]
 Landmarks = Literal["dlib", "mediapipe"]
+Head = Literal["fitted", "deformed"]
 Decoding = tyro.conf.create_mutex_group(required=False)
 
 
@@ -22,9 +24,11 @@ def estimate(
     more: Positional[tuple[Path, ...]] = (),
     shared_light: bool = False,
     light: Light = "autoencoder",
+    model: Path | None = None,
     face: int | None = None,
     faces: Literal["one", "all"] = "one",
-    device: Literal["cpu", "cuda"] = "cpu",
+    head: Head = "fitted",
+    device: Device = "auto",
     out: Path | None = None,
     gamma: Annotated[float | None, Decoding] = None,
     linear: Annotated[bool, Decoding] = False,
@@ -57,9 +61,13 @@ def estimate(
         shared_light: All pictures were taken in one light by cameras that looked the same way.
         light: Light model: learnt skies, Preetham's sky with a sun, or spherical harmonics with
             9 or 25 coefficients.
+        model: Folder of a trained model of your own instead of the one that comes with skylight,
+            for --light autoencoder or sunsky.
         face: Which face of each picture, counted from 1, the largest; 1 unless said otherwise.
         faces: One face of each picture, or all.
-        device: Where the optimisation runs.
+        head: The morphable model's head as fitted to the landmarks, or deformed to meet them (only
+            for landmarks that are exact to a millimetre).
+        device: Where the light is optimised: on the CPU, by CUDA, or by CUDA where it is.
         out: Folder for the results; by default PHOTO's name with _light, in the current folder.
         gamma: The picture's values are light to the power of 1/GAMMA, instead of sRGB.
         linear: The picture's values are proportional to light, instead of sRGB.
@@ -88,7 +96,9 @@ def estimate(
             retry_failed=retry_failed,
             device=device,
             light=light,
+            model=model,
             face=which,
+            head=head,
             decode=decode,
             landmarks=landmarks,
             landmark_model=landmark_model,
@@ -101,11 +111,14 @@ def estimate(
     ):
         if given:
             raise InputError(f"--{option} is for a folder of pictures, and {photo} is none")
-    from skylight.app.estimate import check_device, choose_landmarker, estimate_with_steps
+    from skylight.app.estimate.photos import estimate_photo
+    from skylight.app.estimate.results import MESHES, mesh_names, write_results
+    from skylight.app.estimate.summary import summary
     from skylight.app.progress import stage_bar
-    from skylight.app.results import MESHES, mesh_names, results_folder, write_results
-    from skylight.app.summary import summary
+    from skylight.faces.photographs import choose_landmarker
     from skylight.imaging.photo import read_photo
+    from skylight.work.device import choose_device
+    from skylight.work.results_folder import results_folder
 
     if more and not shared_light:
         raise InputError(
@@ -116,20 +129,22 @@ def estimate(
     out = out or Path(f"{photo.stem}_light")
     paths = (photo, *more)
     pictures = [read_photo(path, decode=decode) for path in paths]
-    check_device(device)
+    choose_device(device)
     landmarker = choose_landmarker(landmarks, landmark_model)
     with stage_bar() as progress, results_folder(out, MESHES) as folder:
-        result = estimate_with_steps(
-            pictures,
-            [str(path) for path in paths],
+        result = estimate_photo(
+            *pictures,
             light=light,
+            model=model,
             face=which,
+            head=head,
             device=device,
-            landmarker=landmarker,
+            landmarks=landmarker,
+            names=[str(path) for path in paths],
             progress=progress,
         )
         progress("writing the results", 0.0)
-        write_results(folder, pictures, [str(path) for path in paths], result)
+        write_results(folder, result)
     for advice in result.estimate.advice:
         print(f"skylight: take care: {advice}", file=sys.stderr)
     print(summary(result))
@@ -145,16 +160,15 @@ def _estimate_folder(
     workers: int,
     cluster: str | None,
     retry_failed: bool,
-    device: Literal["cpu", "cuda"],
     **settings: Any,
 ) -> None:
-    """``settings`` are those of :class:`skylight.app.batch.BatchSettings`."""
-    from skylight.app.batch import BatchSettings, estimate_folder
-    from skylight.app.estimate import check_device
-    from skylight.app.manifest import MANIFEST
+    """``settings`` are those of :class:`skylight.app.estimate.batch.BatchSettings`."""
+    from skylight.app.estimate.batch import BatchSettings, estimate_folder
+    from skylight.app.estimate.manifest import MANIFEST
     from skylight.app.progress import stage_bar
+    from skylight.work.device import choose_device
 
-    check_device(device)
+    choose_device(settings["device"])
     who = who_works(workers, cluster, out)
     chosen = BatchSettings(**settings)
     try:
@@ -184,6 +198,7 @@ def estimate_object(
     albedo: str | None = None,
     roughness: float | None = None,
     reflectance: float | None = None,
+    device: Device = "auto",
     out: Path | None = None,
     gamma: Annotated[float | None, Decoding] = None,
     linear: Annotated[bool, Decoding] = False,
@@ -208,23 +223,26 @@ def estimate_object(
         roughness: Roughness of a glossy object, 0.25 to 1; without it, the object is matt. How
             strong the gloss is against the matt part depends on --albedo.
         reflectance: Of a glossy object, seen head-on; by default 0.04.
+        device: Where the light is fitted: on the CPU, by CUDA, or by CUDA where it is.
         out: Folder for the results; by default PHOTO's name with _light, in the current folder.
         gamma: The picture's values are light to the power of 1/GAMMA, instead of sRGB.
         linear: The picture's values are proportional to light, instead of sRGB.
     """
-    from skylight.app.known_object import (
+    from skylight.app.object.known_object import (
         estimate_known_object,
         material_of,
         summarise_object,
         write_object_results,
     )
     from skylight.app.progress import stage_bar
-    from skylight.app.results import results_folder
     from skylight.imaging.photo import read_photo
+    from skylight.work.device import choose_device
+    from skylight.work.results_folder import results_folder
 
     out = out or Path(f"{photo.stem}_light")
     material = material_of(albedo, roughness, reflectance)
     picture = read_photo(photo, decode="linear" if linear else gamma)
+    choose_device(device)
     with stage_bar() as progress, results_folder(out) as folder:
         result = estimate_known_object(
             mesh,
@@ -232,6 +250,7 @@ def estimate_object(
             camera,
             light=light,
             activations=activations,
+            device=device,
             mask=mask,
             material=material,
             progress=progress,

@@ -1,4 +1,4 @@
-"""``skylight export`` and ``relight``: light things without torch."""
+"""``skylight export``: the files of ``skylight relight``."""
 
 import math
 from pathlib import Path
@@ -11,16 +11,17 @@ export = tyro.extras.SubcommandApp()
 
 
 @export.command(name="decoder")
-def export_decoder(out: Path = Path("sky_decoder.onnx")) -> None:
+def export_decoder(out: Path = Path("sky_decoder.onnx"), model: Path | None = None) -> None:
     """Write the sky decoder as an ONNX graph, checked against torch.
 
     Args:
         out: The .onnx file.
+        model: Folder that `skylight train` wrote; by default the model that comes with skylight.
     """
-    from skylight.models.shipped import autoencoder_light
+    from skylight.models.bundle import load_bundle
     from skylight.relight.export import export_decoder
 
-    difference = export_decoder(autoencoder_light(), out)
+    difference = export_decoder(load_bundle(model).light(), out)
     print(f"{out}: onnxruntime and torch differ by {difference:.1g} at most")
 
 
@@ -56,40 +57,3 @@ def export_scene(
             progress=lambda share: progress("tracing light", share),
         )
     print(f"{out}: {len(scene.pixels)} pixels lit from {len(scene.directions)} directions")
-
-
-def relight(
-    scene: Positional[Path],
-    out: Path,
-    probe: Path | None = None,
-    latent: Path | None = None,
-    azimuth: float | None = None,
-    decoder: Path | None = None,
-    exposure: float | None = None,
-    ground_albedo: float | None = None,
-) -> None:
-    """Light a precomputed scene, by a probe or by the sky of a latent; needs no torch.
-
-    Args:
-        scene: .npz file that `skylight export scene` wrote.
-        out: Picture to write: .png (8-bit sRGB) or .exr (linear).
-        probe: Light as an .exr or .hdr lat-long map, such as an estimate's probe.exr.
-        latent: Light as JSON: 64 latents, or an estimate's estimate.json.
-        azimuth: Where the latent's sun goes, or how far a probe is turned: degrees to the right.
-        decoder: .onnx file that `skylight export decoder` wrote; by default the one shipped.
-        exposure: Factor on radiance, with 1 as white.
-        ground_albedo: Reflectance of the ground, from 0 to 1.
-    """
-    from skylight.relight.runtime import relight_files
-
-    relight_files(
-        scene,
-        out,
-        probe=probe,
-        latent=latent,
-        azimuth_deg=azimuth,
-        decoder=decoder,
-        exposure=exposure,
-        ground_albedo=ground_albedo,
-    )
-    print(out)

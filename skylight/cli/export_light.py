@@ -1,4 +1,4 @@
-"""``skylight export light``: a light probe for other programs."""
+"""``skylight export light``: environment maps for other programs."""
 
 import sys
 from pathlib import Path
@@ -37,7 +37,7 @@ def export_light(
         sh_convention: Of sh27.json: signs, order and what the numbers stand for.
         face: Pixels of a cube map's side, a power of two; by default as the map's detail asks.
     """
-    from skylight.app.export_light import export_light
+    from skylight.app.maps.export_light import export_light
 
     exported = export_light(
         probe, out, as_, convention=from_convention, harmonics=sh_convention, face=face

@@ -1,4 +1,4 @@
-"""``skylight faces``: faces whose light is known, rendered or captured."""
+"""``skylight faces``: faces under known illumination, rendered or captured."""
 
 from pathlib import Path
 
@@ -52,8 +52,7 @@ def render_faces(
         if value < least:
             raise InputError(f"--{name} must be {least} or more, got {value}")
     who = who_works(workers, cluster, out)
-    from skylight.app.progress import stage_bar
-    from skylight.app.sky_folders import with_time_left
+    from skylight.app.progress import stage_bar, with_time_left
     from skylight.evaluation.rendered_faces.batch import render_folder
     from skylight.evaluation.rendered_faces.options import RenderOptions
 
@@ -94,10 +93,9 @@ def calibrate_azimuth(
         choose: PHOTO=N, several of them if you like: minimum N is right for PHOTO.
         auto: Take the best minimum of each photograph that has no azimuth.
     """
-    from skylight.app.azimuth_calibration import choose as write_choice
-    from skylight.app.azimuth_calibration import parse_choices, picture_path, propose
-    from skylight.app.progress import stage_bar
-    from skylight.app.sky_folders import with_time_left
+    from skylight.app.azimuth.calibration import choose as write_choice
+    from skylight.app.azimuth.calibration import parse_choices, picture_path, propose
+    from skylight.app.progress import stage_bar, with_time_left
 
     for photo, azimuth_deg in write_choice(data, parse_choices(choose)).items() if choose else ():
         print(f"{photo}: {azimuth_deg:+g} degrees")

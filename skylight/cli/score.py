@@ -1,4 +1,4 @@
-"""``skylight score``: predicted maps of light against true ones."""
+"""``skylight score``: predicted against true environment maps."""
 
 import sys
 from pathlib import Path
@@ -32,8 +32,7 @@ def score(
         true_convention: The same for the truth.
         height: Rows at which maps are compared; by default the truth's, 64 at most.
     """
-    from skylight.app.progress import stage_bar
-    from skylight.app.score import (
+    from skylight.app.maps.score import (
         average,
         pair_folders,
         score_files,
@@ -42,7 +41,8 @@ def score(
         write_scores,
         write_table,
     )
-    from skylight.imaging.atomic import require_place
+    from skylight.app.progress import stage_bar
+    from skylight.io.atomic import require_place
 
     if predicted.is_dir() != true.is_dir():
         raise InputError("give two maps or two folders, not one of each")

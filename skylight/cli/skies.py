@@ -49,8 +49,8 @@ def simulate_skies(
         if not value > 0 or not math.isfinite(value):
             raise InputError(f"--{name} must be above 0, got {value}")
     who = who_works(workers, cluster, out)
-    from skylight.app.progress import stage_bar
-    from skylight.app.sky_folders import counts, regime_shares, with_time_left
+    from skylight.app.progress import stage_bar, with_time_left
+    from skylight.app.skies.folders import counts, regime_shares
     from skylight.skies.index import read_index
     from skylight.skies.simulated import simulate_folder
 
@@ -77,12 +77,14 @@ def index_skies(
     layout: MapLayout = "auto",
     field_deg: float = 180.0,
     tolerance: float | None = None,
+    all_maps: bool = False,
 ) -> None:
     """Write an index for a folder of captured skies, and say what was found and refused.
 
     Maps are .exr or .hdr, in FOLDER or folders within it. Refused are those with a clipped sun,
-    with values that are not finite or negative, all black, or too small. Days are kept apart in
-    training, validation and test.
+    with values that are not finite or negative, all black, or too small. Left out are rooms,
+    studios and nights, by the column category of an index.csv in FOLDER or by the map itself.
+    Days are kept apart in training, validation and test.
 
     Args:
         folder: Folder of maps.
@@ -98,9 +100,10 @@ def index_skies(
         field_deg: Degrees that a square map shows across its inscribed circle.
         tolerance: How far the sets' shares of skies, and of sunny ones, may be from those
             wanted; by default 0.05, or 10 / days where that is more.
+        all_maps: Index maps that show no sky above, too.
     """
-    from skylight.app.progress import stage_bar
-    from skylight.app.sky_folders import counts, describe, with_time_left
+    from skylight.app.progress import stage_bar, with_time_left
+    from skylight.app.skies.folders import counts, describe
     from skylight.skies.captures import index_folder
 
     if not folder.is_dir():
@@ -113,11 +116,14 @@ def index_skies(
             field_deg=field_deg,
             days=days,
             tolerance=tolerance,
+            all_maps=all_maps,
             progress=with_time_left("map", progress),
         )
     for line in describe(records, refusals):
         print(line)
-    print(f"{index}: {counts(records)}, {len(refusals)} refused")
+    refused = sum(refusal.is_sky for refusal in refusals)
+    left_out = len(refusals) - refused
+    print(f"{index}: {counts(records)}, {refused} refused, {left_out} left out")
 
 
 def _sky_height(size: str) -> int:

@@ -1,4 +1,4 @@
-"""Where pictures come from, and what users are told about them."""
+"""Sources of pictures, and messages about them."""
 
 import sys
 from pathlib import Path

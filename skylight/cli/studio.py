@@ -1,4 +1,6 @@
-"""``skylight studio``: the page on this machine."""
+"""``skylight studio``: the local web application."""
+
+from pathlib import Path
 
 
 def studio(
@@ -8,6 +10,7 @@ def studio(
     upload_mb: float = 50.0,
     megapixels: float = 50.0,
     jobs: int = 4,
+    model: Path | None = None,
 ) -> None:
     """Open a page in the browser that finds light in photos and shows it; Ctrl-C ends it.
 
@@ -21,9 +24,10 @@ def studio(
         upload_mb: Largest file that it takes.
         megapixels: Largest picture that it takes; reading it takes 32 MB of memory a megapixel.
         jobs: Most jobs that may wait or run.
+        model: Folder of a trained model of your own to estimate with.
     """
     from skylight.studio.limits import Limits
     from skylight.studio.server import serve
 
     limits = Limits(upload_mb=upload_mb, megapixels=megapixels, jobs=jobs)
-    serve(host=host, port=port, browser=not no_browser, limits=limits)
+    serve(host=host, port=port, browser=not no_browser, limits=limits, model=model)

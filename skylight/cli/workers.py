@@ -1,4 +1,4 @@
-"""Who does the work of a command that can share it."""
+"""Processes or cluster workers of a command."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from skylight.errors import InputError
 
 if TYPE_CHECKING:
-    from skylight.imaging.resumable import Workers
+    from skylight.work.resumable import Workers
 
 
 def who_works(workers: int, cluster: str | None, out: Path) -> Workers:
@@ -25,7 +25,7 @@ def who_works(workers: int, cluster: str | None, out: Path) -> Workers:
             raise InputError(
                 "--workers and --cluster contradict each other: a cluster has its own workers"
             )
-        from skylight.imaging.cluster import Cluster
+        from skylight.work.cluster import Cluster
 
         return Cluster(address=cluster, folder=out)
     if workers < 0:

@@ -1,1 +1,1 @@
-"""Convolutional sparse coding on the sphere: light as few turned copies of few filters."""
+"""Convolutional sparse coding on the sphere: maps as sums of few rotated filters."""

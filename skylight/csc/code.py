@@ -1,30 +1,54 @@
-"""A sparse code: a handful of filters, where they stand, how they are turned, which colour."""
+"""Sparse codes: filters, their rotations and colours; as tensors, and as files."""
 
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.imaging.bounded import json_content
-from skylight.imaging.files import write_json
+from skylight.io.bounded import json_content
+from skylight.io.files import write_json
 
 FORMAT, VERSION = "skylight sparse code", 1
 
 
+class CodeTensors(NamedTuple):
+    """Codes ``sum_j weights_j R_j d_(filters_j)`` of any batch, padded to one length k.
+
+    ``rotations`` are the Euler angles (alpha, beta, gamma) of R = Rz(alpha) Ry(beta) Rz(gamma)
+    about the zenith: longitude and zenith angle of the filter's centre, and its twist, in radians.
+    The first ``count`` activations of each code are in use; the rest are zeros.
+    """
+
+    filters: Int[Tensor, "*batch k"]
+    rotations: Float[Tensor, "*batch k 3"]
+    weights: Float[Tensor, "*batch k c"]
+    count: Int[Tensor, "*batch"]
+
+    @property
+    def used(self) -> Bool[Tensor, "*batch k"]:
+        """Which activations are no padding."""
+        place = torch.arange(self.filters.shape[-1], device=self.count.device)
+        return place < self.count[..., None]
+
+    def to(self, device: torch.device) -> "CodeTensors":
+        return CodeTensors(*(each.to(device) for each in self))
+
+
 @dataclass(frozen=True, kw_only=True)
 class SparseCode:
-    """``sum_j weights_j R_j d_(filters_j)``: s activations of a dictionary's filters.
+    """``sum_j weights_j R_j d_(filters_j)``: s activations of a dictionary's filters, as a file.
 
-    ``directions`` (s,3) are where the filters' middles look, in the world; ``twists_rad`` (s,) how
-    far each is turned about that direction first; ``weights`` (s,3) the colours, in radiance times
+    ``directions`` (s,3) are the world directions of the filters' centres; ``twists_rad`` (s,) how
+    far each is rotated about that direction first; ``weights`` (s,3) the colours, in radiance times
     the root of a steradian, as filters have unit norm over the sphere. ``height`` is the rows of
-    the map that was coded, which with ``banded`` decides the dictionary's layers; ``fingerprint``
-    names the dictionary itself.
-    ``relative_error`` is ``|x - decoded| / |x|``, weighted by solid angle.
+    the map that was coded, which with ``banded`` decides the sub-dictionaries; ``fingerprint``
+    names the dictionary itself. ``relative_error`` is ``|x - decoded| / |x|`` of the coded map,
+    weighted by solid angle, or of the shading from which the code was estimated.
     """
 
     dictionary: str
@@ -55,10 +79,16 @@ class SparseCode:
         """
         return 4 * len(self)
 
-    def angles(self) -> tuple[Float[Tensor, " s"], Float[Tensor, " s"], Float[Tensor, " s"]]:
-        """(alpha, beta, gamma) about the zenith: longitude, polar angle, twist."""
+    @property
+    def rotations(self) -> Float[Tensor, "s 3"]:
+        """Euler angles (alpha, beta, gamma) about the zenith: longitude, zenith angle, twist."""
         x, y, z = self.directions.unbind(1)
-        return torch.atan2(x, z), torch.atan2(torch.hypot(x, z), y), self.twists_rad
+        beta = torch.atan2(torch.hypot(x, z), y)
+        return torch.stack([torch.atan2(x, z), beta, self.twists_rad], 1)
+
+    def tensors(self) -> CodeTensors:
+        """The code as tensors, unbatched and not padded."""
+        return CodeTensors(self.filters, self.rotations, self.weights, torch.tensor(len(self)))
 
     def save(self, path: str | Path) -> None:
         """Write a JSON file, whole or not at all."""

@@ -1,42 +1,50 @@
 """Maps to sparse codes and back."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import cached_property
 from pathlib import Path
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from skylight.csc.code import SparseCode
-from skylight.csc.correlation import RotationCorrelation
+from skylight.csc.code import CodeTensors, SparseCode
+from skylight.csc.correlation.norms import atom_norms
+from skylight.csc.correlation.positions import Positions, centres_of
+from skylight.csc.correlation.wigner import RotationCorrelation
 from skylight.csc.dictionary import FilterBank, load_dictionary
-from skylight.csc.layers import (
-    AnyLayer,
-    Layer,
-    PixelLayer,
+from skylight.csc.pursuit.exchange import pursue
+from skylight.csc.pursuit.greedy import Pursuit, PursuitOptions, Support
+from skylight.csc.pursuit.quadratic import SampledSignal
+from skylight.csc.sub_dictionaries import (
+    Part,
+    PixelDictionary,
+    SearchPlan,
+    SubDictionary,
     degree_of,
     has_pixels,
-    layer_of,
-    layers_for,
+    multiresolution,
+    rotated_atoms,
 )
-from skylight.csc.norms import atom_norms
-from skylight.csc.objective import SampledSignal
-from skylight.csc.positions import Positions
-from skylight.csc.pursuit import Pursuit, PursuitOptions, Support
-from skylight.csc.search import pursue
 from skylight.errors import InputError
 from skylight.sphere.frame import pixel_from_direction
 from skylight.sphere.latlong_transform import LatLongTransform
+from skylight.work.progress import Progress
 
-_AT_ONCE = 32  # filters turned together, whose Wigner matrices take 0.7 MB each at degree 40
-Progress = Callable[[float], None]
+_RIDGE = 1e-12  # of a Gram matrix: atoms that have become dependent leave it solvable
 
 
 class SphericalSparseCoder(nn.Module):
-    """``code = coder(maps)``, ``coder.decode(code)``: convolutional sparse coding on the sphere.
+    """Convolutional sparse coding on the sphere: ``codes = coder(maps)``, ``coder.decode(codes)``.
+
+    The filters of ``dictionary`` are the only parameters. Which filters are active, and at which
+    rotations, is found by a greedy search without gradient; :meth:`refit` gives the weights on such
+    a support as a differentiable function of maps and filters, :meth:`decode` the maps of a code.
+    So a dictionary is learned by an ordinary optimiser::
+
+        codes = coder(maps)
+        loss = coder.relative_error(maps, coder.refit(maps, codes)).square().mean()
 
     Parameters
     ----------
@@ -48,12 +56,14 @@ class SphericalSparseCoder(nn.Module):
         How many filters a code may use at most; a map that needs fewer gets fewer.
     options
         Which weights are allowed, and the pursuit; see
-        :class:`~skylight.csc.pursuit.PursuitOptions`.
+        :class:`~skylight.csc.pursuit.greedy.PursuitOptions`.
     banded
         Only the dictionary itself, at 32 x 64 positions: the thesis' coder. Otherwise maps of 64
-        rows and more get sharper filters too (:func:`~skylight.csc.layers.layers_for`).
+        rows and more get sharper filters too
+        (:func:`~skylight.csc.sub_dictionaries.multiresolution`).
     dtype
-        Of the search. Weights are fitted in double precision in any case.
+        Of the search; ``.double()`` and ``.float()`` change it too. Weights are fitted in double
+        precision in any case.
 
     Memory, mostly of the search: 90 MB for ``ani`` at 32 rows, 300 MB at 128.
     """
@@ -70,10 +80,10 @@ class SphericalSparseCoder(nn.Module):
     ) -> None:
         super().__init__()
         bank = load_dictionary(dictionary) if isinstance(dictionary, str) else dictionary
-        directions = 2 * height * height
-        if bank.coefficients.shape[1] > directions:
+        directions, coefficients = 2 * height * height, (bank.degree + 1) ** 2
+        if coefficients > directions:
             raise InputError(
-                f"filters of degree {bank.degree} have {bank.coefficients.shape[1]} coefficients, "
+                f"filters of degree {bank.degree} have {coefficients} coefficients, "
                 f"a map of {height}x{2 * height} only {directions} directions: use a finer map or "
                 "a dictionary of lower degree"
             )
@@ -82,54 +92,104 @@ class SphericalSparseCoder(nn.Module):
                 f"{activations} activations of a map with {directions} directions: ask for 1 to "
                 f"{directions}"
             )
-        self.bank, self.height, self.activations = bank, height, activations
-        self.banded = banded
+        self.height, self.activations, self.banded = height, activations, banded
         self.options = options or PursuitOptions()
-        self.layers = nn.ModuleList(
-            [Layer(bank, Positions(), dtype=dtype)]
+        self.sub_dictionaries = nn.ModuleList(
+            [SubDictionary(bank, Positions(), dtype=dtype)]
             if banded
-            else layers_for(bank, height, dtype=dtype)
+            else multiresolution(bank, height, dtype=dtype)
         )
-        self.degree = degree_of(self._layers)
+        self.degree = degree_of(self.parts)
         self.transform = LatLongTransform(self.degree, height)
+        self._norms: tuple[SearchPlan, list[Tensor]] | None = None
 
-    @cached_property
+    @property
+    def parts(self) -> list[Part]:
+        """The sub-dictionaries: the dictionary itself, then sharper ones of finer maps."""
+        return [p for p in self.sub_dictionaries if isinstance(p, SubDictionary | PixelDictionary)]
+
+    @property
+    def bank(self) -> FilterBank:
+        """The dictionary."""
+        first = self.parts[0]
+        assert isinstance(first, SubDictionary)
+        return first.bank
+
+    @property
+    def count(self) -> int:
+        """Filters in all sub-dictionaries."""
+        return sum(part.count for part in self.parts)
+
+    @torch.no_grad()
     def norms(self) -> list[Float[Tensor, "_ _ rows 1"]] | None:
-        """What the dictionary's atoms weigh on the pixels of a map as coarse as its positions.
+        """The L2 norms of the dictionary's atoms as sampled by a map as coarse as their positions.
 
         The best atom has the largest correlation for its norm. Norms differ by up to 9 % on 32
         rows, which only an exact search needs to know; so only exchanges use them, as they take
-        some seconds to make.
+        some seconds to make. None where positions are not the map's pixels.
         """
-        first = self._layers[0].correlation
-        if isinstance(first, RotationCorrelation) and self.height == first.positions.rows:
-            return atom_norms(first, self.transform)
-        return None
+        plan = self.parts[0].plan()
+        if not isinstance(plan.correlation, RotationCorrelation) or (
+            self.height != plan.positions.rows
+        ):
+            return None
+        assert isinstance(plan, SearchPlan)
+        if self._norms is None or self._norms[0] is not plan:
+            self._norms = plan, atom_norms(plan.correlation, self.transform)
+        return self._norms[1]
 
-    @property
-    def _layers(self) -> list[AnyLayer]:
-        return [each for each in self.layers if isinstance(each, Layer | PixelLayer)]
+    def forward(self, maps: Float[Tensor, "*batch h w 3"]) -> CodeTensors:
+        """The codes of maps, padded to ``activations``; no gradient flows through the search.
 
-    @property
-    def _pixels(self) -> PixelLayer | None:
-        last = self._layers[-1]
-        return last if isinstance(last, PixelLayer) else None
-
-    def forward(
-        self, maps: Float[Tensor, "*b h w 3"], progress: Progress | None = None
-    ) -> SparseCode | list[SparseCode]:
-        """The code of one map, or those of a batch, which share the processor's cores."""
-        if maps.ndim == 3:
-            return self.path(maps, [self.activations], progress)[0]
+        Weights have the maps' dtype. The maps of a batch share the processor's cores.
+        """
+        flat = maps.reshape(-1, *maps.shape[-3:])
+        for one in flat:
+            self._check_map(one)
+        for part in self.parts:
+            _ = part.plan().correlation  # made once, by one thread
         if self.options.sweeps:
-            _ = self.norms  # made once, by one thread
-        with _one_thread_each(torch.get_num_threads()) as pool:
-            return list(pool.map(lambda one: self.path(one, [self.activations])[0], maps))
+            self.norms()
+
+        def code(one: Float[Tensor, "h w 3"]) -> CodeTensors:
+            (support,) = self._search(self._signal(one), [self.activations])
+            return support.tensors(self.parts, self.activations)
+
+        if len(flat) > 1 and maps.device.type == "cpu":
+            with _one_thread_each(torch.get_num_threads()) as pool:
+                codes = list(pool.map(code, flat))
+        else:
+            codes = [code(one) for one in flat]
+        columns = (torch.stack(column) for column in zip(*codes, strict=True))
+        filters, rotations, weights, count = (
+            c.reshape((*maps.shape[:-3], *c.shape[1:])).to(maps.device) for c in columns
+        )
+        return CodeTensors(filters, rotations, weights.to(maps.dtype), count)
 
     def path(
         self, radiance: Float[Tensor, "h w 3"], counts: list[int], progress: Progress | None = None
     ) -> list[SparseCode]:
-        """Codes of several sizes, ascending, from one pursuit, which goes on from each."""
+        """Codes of several sizes, ascending, from one pursuit, which continues from each."""
+        self._check_map(radiance)
+        signal = self._signal(radiance)
+        energy = float(signal.energy.sum())
+        return [
+            self.sparse_code(s.tensors(self.parts), max(0.0, s.error / energy) ** 0.5)
+            for s in self._search(signal, counts, progress)
+        ]
+
+    def _signal(self, radiance: Float[Tensor, "h w 3"]) -> SampledSignal:
+        radiance = radiance.detach().to(self.bank.unnormalised.device, torch.float64)
+        return SampledSignal.of(radiance, self.transform, pixels=has_pixels(self.parts))
+
+    @torch.no_grad()
+    def _search(
+        self, signal: SampledSignal, counts: list[int], progress: Progress | None = None
+    ) -> list[Support]:
+        norms = self.norms() if self.options.sweeps else None
+        return list(pursue(Pursuit(self.parts, signal, self.options, norms), counts, progress))
+
+    def _check_map(self, radiance: Float[Tensor, "h w 3"]) -> None:
         if radiance.shape != (self.height, 2 * self.height, 3):
             raise InputError(
                 f"this coder takes maps of {self.height}x{2 * self.height} with 3 colours, got "
@@ -137,34 +197,101 @@ class SphericalSparseCoder(nn.Module):
             )
         if not bool(radiance.isfinite().all()):
             raise InputError("the map has values that are NaN or infinite: repair them first")
-        signal = SampledSignal.of(
-            radiance.to(self.bank.coefficients.device, torch.float64),
-            self.transform,
-            pixels=has_pixels(self._layers),
-        )
-        total = float(signal.energy.sum())
-        if total == 0:
+        if not bool(radiance.any()):
             raise InputError("the map is black: there is nothing to code")
-        norms = self.norms if self.options.sweeps else None
-        pursuit = Pursuit(self._layers, signal, self.options, norms)
-        return [self._code(s, total) for s in pursue(pursuit, counts, progress)]
 
-    def _code(self, support: Support, total: float) -> SparseCode:
-        directions, twists = [], []
-        for filter_, place in zip(support.filters.tolist(), support.places, strict=True):
-            positions = self._layers[layer_of(self._layers, filter_)].correlation.positions
-            directions.append(positions.directions(place[None])[0])
-            twists.append(positions.gamma[place[2]])
+    def refit(self, maps: Float[Tensor, "*batch h w 3"], codes: CodeTensors) -> CodeTensors:
+        """The least-squares weights of fixed filters and rotations, differentiable in both.
+
+        That is in the maps and in the dictionary's filters. Weights that are 0 stay 0, so on the
+        support of a non-negative code the derivative is that of its non-negative least squares.
+        """
+        atoms = self._sampled_atoms(codes).flatten(-2)
+        weighted = atoms * self.transform.grid.solid_angles.to(atoms)
+        target = maps.to(atoms).flatten(-3, -2)
+        right = (weighted @ target).mT[..., None]  # (*batch, 3, k, 1)
+        used = (codes.weights != 0).mT
+        gram = (weighted @ atoms.mT)[..., None, :, :] * (used[..., None] & used[..., None, :])
+        diagonal = gram.diagonal(dim1=-2, dim2=-1)
+        extra = torch.where(used, _RIDGE * diagonal, torch.ones_like(diagonal))
+        solved = torch.linalg.solve(gram + torch.diag_embed(extra), right * used[..., None])
+        return codes._replace(weights=solved[..., 0].mT.to(maps.dtype))
+
+    def relative_error(
+        self, maps: Float[Tensor, "*batch h w 3"], codes: CodeTensors
+    ) -> Float[Tensor, "*batch"]:
+        """``|x - decode(codes)| / |x|``, weighted by solid angle, over all colours."""
+        weight = self.transform.solid_angles[..., None].to(maps)
+        missed = (maps - self.decode(codes)).square() * weight
+        return (missed.sum((-3, -2, -1)) / (maps.square() * weight).sum((-3, -2, -1))).sqrt()
+
+    def decode(
+        self, codes: CodeTensors | SparseCode, height: int | None = None
+    ) -> Float[Tensor, "*batch h w c"]:
+        """The coded maps at any number of rows; negative where weights of either sign make it so.
+
+        Differentiable in weights, rotations and filters.
+        """
+        if isinstance(codes, SparseCode):
+            self.check(codes)
+            codes = codes.tensors().to(self.bank.unnormalised.device)
+        transform = self.transform
+        if height is not None and height != self.height:
+            transform = LatLongTransform(self.degree, height).to(codes.weights.device)
+        coefficients = self.coefficients(codes)
+        maps = transform.synthesise(coefficients.mT).movedim(-3, -1)
+        if has_pixels(self.parts):
+            pixel, radiance = self._pixels(codes, transform)
+            dots = torch.zeros_like(maps.flatten(-3, -2))
+            values = radiance[..., None] * codes.weights.to(radiance)
+            index = pixel[..., None].expand_as(values)
+            maps = maps + dots.scatter_add(-2, index, values.to(dots)).view_as(maps)
+        return maps.to(codes.weights.dtype)
+
+    def coefficients(self, codes: CodeTensors) -> Float[Tensor, "*batch k c"]:
+        """``sum_j R_j d_j w_j`` about the zenith, pixels left out; differentiable."""
+        atoms = rotated_atoms(self.parts, codes)
+        return atoms.mT @ codes.weights.to(atoms)
+
+    def _sampled_atoms(self, codes: CodeTensors) -> Float[Tensor, "*batch s h w"]:
+        """The atoms on the pixels of the coder's maps."""
+        atoms = self.transform.synthesise(rotated_atoms(self.parts, codes))
+        if not has_pixels(self.parts):
+            return atoms
+        pixel, radiance = self._pixels(codes, self.transform)
+        flat = atoms.flatten(-2)
+        return flat.scatter_add(-1, pixel[..., None], radiance[..., None].to(flat)).view_as(atoms)
+
+    def _pixels(
+        self, codes: CodeTensors, transform: LatLongTransform
+    ) -> tuple[Int[Tensor, "*batch s"], Float[Tensor, "*batch s"]]:
+        """The pixel in which each activation of a pixel shows, and its radiance for a weight of 1.
+
+        The energy of the coder's pixel goes to the nearest one of ``transform``'s grid; all other
+        activations have radiance 0.
+        """
+        coarse, fine = self.transform.grid, transform.grid
+        directions = centres_of(codes.rotations)
+        pixel, source = _pixel_of(directions, fine.layout), _pixel_of(directions, coarse.layout)
+        device = codes.rotations.device
+        energy = coarse.solid_angles.to(device)[source].sqrt()
+        last = codes.filters == self.count - 1
+        return pixel, last * codes.used * energy / fine.solid_angles.to(device)[pixel]
+
+    def sparse_code(self, code: CodeTensors, relative_error: float) -> SparseCode:
+        """One unbatched code with all that a file of it says."""
+        n = int(code.count)
+        rotations = code.rotations[:n].detach().cpu().double()
         return SparseCode(
             dictionary=self.bank.name,
             fingerprint=self.bank.fingerprint,
             height=self.height,
             banded=self.banded,
-            filters=support.filters,
-            directions=torch.stack(directions) if directions else torch.zeros(0, 3).double(),
-            twists_rad=torch.stack(twists) if twists else torch.zeros(0).double(),
-            weights=support.weights,
-            relative_error=max(0.0, support.error / total) ** 0.5,
+            filters=code.filters[:n].cpu(),
+            directions=centres_of(rotations),
+            twists_rad=rotations[:, 2],
+            weights=code.weights[:n].detach().cpu().double(),
+            relative_error=relative_error,
         )
 
     def check(self, code: SparseCode) -> None:
@@ -179,59 +306,14 @@ class SphericalSparseCoder(nn.Module):
         if len(code) and not 0 <= int(code.filters.min()) <= int(code.filters.max()) < self.count:
             raise InputError(f"the code names filters that {self.bank.name!r} does not have")
 
-    def decode(self, code: SparseCode, height: int | None = None) -> Float[Tensor, "h w 3"]:
-        """The coded map at any number of rows; negative where weights of either sign make it so."""
-        self.check(code)
-        coefficients = self.coefficients(code.filters, code.angles(), code.weights)
-        transform = self.transform
-        if height is not None and height != self.height:
-            transform = LatLongTransform(self.degree, height)
-        smooth = transform.synthesise(coefficients.T).movedim(0, -1)
-        return smooth if self._pixels is None else smooth + self.dots(code, transform).to(smooth)
 
-    def dots(self, code: SparseCode, transform: LatLongTransform) -> Float[Tensor, "h w 3"]:
-        """The code's pixels, their energy put where they are in a map of any height."""
-        height, width = transform.grid.layout or (0, 0)
-        out = torch.zeros(height * width, 3, dtype=torch.float64)
-        assert self._pixels is not None
-        chosen = torch.nonzero(code.filters == self._pixels.first)[:, 0]
-        row, column = pixel_from_direction(code.directions[chosen], height, width)
-        pixel = row.round().long().clamp(0, height - 1) * width + column.round().long() % width
-        row, column = pixel_from_direction(code.directions[chosen], self.height, 2 * self.height)
-        source = row.round().long().clamp(0, self.height - 1) * 2 * self.height
-        source = source + column.round().long() % (2 * self.height)
-        energy = self.transform.grid.solid_angles[source].sqrt()
-        radiance = energy / transform.grid.solid_angles[pixel]
-        out = out.index_add(0, pixel, code.weights[chosen] * radiance[:, None])
-        return out.reshape(height, width, 3)
-
-    @property
-    def count(self) -> int:
-        """Filters in all layers."""
-        return sum(layer.count for layer in self._layers)
-
-    def coefficients(
-        self,
-        filters: Int[Tensor, " s"],
-        angles: tuple[Float[Tensor, " s"], Float[Tensor, " s"], Float[Tensor, " s"]],
-        weights: Float[Tensor, "s c"],
-    ) -> Float[Tensor, "k c"]:
-        """``sum_j R_j d_j w_j`` about the zenith, pixels left out; differentiable."""
-        device = self.bank.coefficients.device
-        filters, weights = filters.to(device), weights.to(device)
-        alpha, beta, gamma = (angle.to(device) for angle in angles)
-        total = weights.new_zeros((self.degree + 1) ** 2, weights.shape[1])
-        last = self.count
-        for layer in reversed(self._layers):
-            chosen = torch.nonzero((filters >= layer.first) & (filters < last))[:, 0]
-            last = layer.first
-            if isinstance(layer, PixelLayer):
-                continue
-            for some in chosen.split(_AT_ONCE):
-                atoms = layer.turned(filters[some], alpha[some], beta[some], gamma[some])
-                part = atoms.T @ weights[some]
-                total = total + torch.nn.functional.pad(part, (0, 0, 0, len(total) - len(part)))
-        return total
+def _pixel_of(
+    directions: Float[Tensor, "*s 3"], layout: tuple[int, int] | None
+) -> Int[Tensor, "*s"]:
+    assert layout is not None
+    height, width = layout
+    row, column = pixel_from_direction(directions, height, width)
+    return row.round().long().clamp(0, height - 1) * width + column.round().long() % width
 
 
 @contextmanager

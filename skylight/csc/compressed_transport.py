@@ -1,19 +1,28 @@
 """A transport matrix as sparse codes of its rows, and relighting without expanding them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from skylight.csc.layers import AnyLayer, degree_of, has_pixels, layer_of
-from skylight.csc.objective import SampledSignal
-from skylight.csc.pursuit import Pursuit, PursuitOptions, Support
-from skylight.csc.search import pursue
+from skylight.csc.code import CodeTensors
+from skylight.csc.pursuit.exchange import pursue
+from skylight.csc.pursuit.greedy import Pursuit, PursuitOptions, Support
+from skylight.csc.pursuit.quadratic import SampledSignal
+from skylight.csc.sub_dictionaries import (
+    Part,
+    PixelDictionary,
+    degree_of,
+    has_pixels,
+    part_of,
+    rotated_atoms,
+)
 from skylight.errors import InputError
 from skylight.sphere.latlong_transform import LatLongTransform
 from skylight.transport.matrix import TransportMatrix
+from skylight.work.progress import Progress
 
 FLOATS_PER_ACTIVATION = 2  # a weight, and one word for filter and place
 
@@ -22,9 +31,8 @@ FLOATS_PER_ACTIVATION = 2  # a weight, and one word for filter and place
 class CompressedTransport:
     """``T[p, w] ~ dw sum_j weights_pj (R_pj d_pj)(w)``: up to s activations for each of m rows.
 
-    ``filters`` (m,s), ``places`` (m,s,3) and ``weights`` (m,s) of ``layers``; rows with fewer
-    activations are filled up with weights of 0. As ``dw`` is that of the grid's pixels, a row times
-    a light is ::
+    ``codes`` of all rows, of one colour, in the filters of ``parts``. As ``dw`` is that of the
+    grid's pixels, a row times a light is ::
 
         sum_w T[p, w] l(w) = sum_j weights_pj <R_pj d_pj, W l>
 
@@ -32,43 +40,31 @@ class CompressedTransport:
     every row takes its atoms from the same filters and rotations.
     """
 
-    layers: Sequence[AnyLayer]
+    parts: Sequence[Part]
     transform: LatLongTransform
-    filters: Int[Tensor, "m s"]
-    places: Int[Tensor, "m s 3"]
-    weights: Float[Tensor, "m s"]
+    codes: CodeTensors
     address: Int[Tensor, "m s"]
-    """Where the product of each activation lies among all that a correlation answers."""
+    """The index of each activation's product among all those of a correlation."""
 
     @staticmethod
     def of(
-        codes: Sequence[Support], layers: Sequence[AnyLayer], transform: LatLongTransform
+        supports: Sequence[Support], parts: Sequence[Part], transform: LatLongTransform
     ) -> "CompressedTransport":
         """The codes of all rows, each of one colour."""
-        width = max(len(code) for code in codes)
-        filters = torch.full((len(codes), width), layers[0].first)
-        places = torch.zeros(len(codes), width, 3, dtype=torch.long)
-        weights = torch.zeros(len(codes), width, dtype=torch.float64)
-        for row, code in enumerate(codes):
-            filters[row, : len(code)] = code.filters
-            places[row, : len(code)] = code.places
-            weights[row, : len(code)] = code.weights[:, 0]
+        width = max(len(support) for support in supports)
+        rows = [support.tensors(parts, width) for support in supports]
+        codes = CodeTensors(*(torch.stack(column) for column in zip(*rows, strict=True)))
         return CompressedTransport(
-            layers=layers,
-            transform=transform,
-            filters=filters,
-            places=places,
-            weights=weights,
-            address=_addresses(layers, filters.flatten(), places.flatten(0, 1)).view_as(filters),
+            parts=parts, transform=transform, codes=codes, address=_addresses(parts, codes)
         )
 
     def __len__(self) -> int:
-        return len(self.filters)
+        return len(self.codes.filters)
 
     @property
     def floats(self) -> int:
         """Numbers kept: a weight and a word for each activation."""
-        return FLOATS_PER_ACTIVATION * int(torch.count_nonzero(self.weights))
+        return FLOATS_PER_ACTIVATION * int(torch.count_nonzero(self.codes.weights))
 
     def relight(self, radiance: Float[Tensor, "n c"]) -> Float[Tensor, "m c"]:
         """Shading ``T l``: one correlation for each colour, then s products a row."""
@@ -76,46 +72,50 @@ class CompressedTransport:
         if len(radiance) != len(grid):
             raise ValueError(f"light has {len(radiance)} directions, the transport {len(grid)}")
         assert grid.layout is not None
-        light = _signal(radiance.double().reshape(*grid.layout, -1), self.layers, self.transform)
+        light = _signal(radiance.double().reshape(*grid.layout, -1), self.parts, self.transform)
         return torch.stack([self._shading(c) for c in light.target.unbind(1)], 1)
 
     def _shading(self, light: Float[Tensor, " k"]) -> Float[Tensor, " m"]:
         products = torch.cat(
             [
                 values.flatten()
-                for layer in self.layers
-                for values in layer.correlation.by_group(light[layer.coordinates])
+                for part in (part.plan() for part in self.parts)
+                for values in part.correlation.by_group(light[part.coordinates])
             ]
         )
-        return (self.weights * products[self.address]).sum(1)
+        return (self.codes.weights[..., 0] * products[self.address]).sum(1)
 
     def expand(self) -> TransportMatrix:
         """The dense matrix, to compare with."""
-        rows = torch.zeros(len(self), _end(self.layers), dtype=torch.float64)
-        numbers = torch.tensor([layer_of(self.layers, f) for f in self.filters.flatten().tolist()])
-        numbers = numbers.view_as(self.filters)
-        for number, layer in enumerate(self.layers):
-            for p in torch.nonzero((numbers == number).any(1))[:, 0].tolist():
-                mine = numbers[p] == number
-                atoms = layer.correlation.rotated(
-                    self.filters[p][mine] - layer.first, self.places[p][mine]
-                )
-                rows[p, layer.coordinates] += self.weights[p][mine] @ atoms.double()
+        rows = torch.stack([self._row(CodeTensors(*one)) for one in zip(*self.codes, strict=True)])
         size = (self.transform.degree + 1) ** 2
         values = self.transform.synthesise(rows[:, :size]).flatten(1)
-        if has_pixels(self.layers):
+        if has_pixels(self.parts):
             values = values + rows[:, size:]
         matrix = values * self.transform.grid.solid_angles
         return TransportMatrix(matrix=matrix.float(), grid=self.transform.grid)
 
+    @torch.no_grad()
+    def _row(self, code: CodeTensors) -> Float[Tensor, " k"]:
+        """Coordinates of one row: harmonics and, where there are any, pixels."""
+        weights = code.weights[:, 0]
+        coordinates = [weights @ rotated_atoms(self.parts, code)]
+        for part in self.parts:
+            if isinstance(part, PixelDictionary):
+                mine = code.used & (code.filters == part.first)
+                places = part.positions.places(code.rotations[mine])
+                pixels = part.correlation.rotated(code.filters[mine] - part.first, places)
+                coordinates.append(weights[mine] @ pixels)
+        return torch.cat(coordinates)
+
 
 def compress(
     transport: TransportMatrix,
-    layers: Sequence[AnyLayer],
+    parts: Sequence[Part],
     activations: int,
     *,
     options: PursuitOptions | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> CompressedTransport:
     """The rows of T, as functions on the sphere, in at most ``activations`` atoms each.
 
@@ -124,7 +124,7 @@ def compress(
     Parameters
     ----------
     transport : over a full lat-long grid.
-    layers : as a coder's for as many rows as the grid has; fewer positions are faster.
+    parts : as a coder's for as many rows as the grid has; fewer positions are faster.
 
     Raises
     ------
@@ -134,13 +134,13 @@ def compress(
     signals = row_signals(transport)
     if activations < 1:
         raise InputError(f"{activations} activations hold nothing: ask for 1 or more")
-    transform = transform_for(layers, signals.shape[1])
+    transform = transform_for(parts, signals.shape[1])
     codes = []
     for p, signal in enumerate(signals, 1):
-        codes += row_codes(signal, layers, transform, [activations], options)
+        codes += row_codes(signal, parts, transform, [activations], options)
         if progress is not None:
             progress(p / len(signals))
-    return CompressedTransport.of(codes, layers, transform)
+    return CompressedTransport.of(codes, parts, transform)
 
 
 def row_signals(transport: TransportMatrix) -> Float[Tensor, "m h w"]:
@@ -153,20 +153,20 @@ def row_signals(transport: TransportMatrix) -> Float[Tensor, "m h w"]:
     return (transport.matrix.double() / transport.grid.solid_angles).reshape(-1, *layout)
 
 
-def transform_for(layers: Sequence[AnyLayer], height: int) -> LatLongTransform:
-    """The transform of maps of ``height`` rows up to the layers' highest degree."""
-    return LatLongTransform(degree_of(layers), height)
+def transform_for(parts: Sequence[Part], height: int) -> LatLongTransform:
+    """The transform of maps of ``height`` rows up to the parts' highest degree."""
+    return LatLongTransform(degree_of(parts), height)
 
 
 def row_codes(
     signal: Float[Tensor, "h w"],
-    layers: Sequence[AnyLayer],
+    parts: Sequence[Part],
     transform: LatLongTransform,
     counts: list[int],
     options: PursuitOptions | None = None,
 ) -> list[Support]:
     """One row's codes of several sizes, ascending, from one pursuit; one colour."""
-    target = _signal(signal[..., None], layers, transform)
+    target = _signal(signal[..., None], parts, transform)
     if float(target.energy.sum()) == 0:  # a point that no light reaches
         none = torch.zeros(0, dtype=torch.long)
         empty = Support(
@@ -176,41 +176,31 @@ def row_codes(
             error=0.0,
         )
         return [empty] * len(counts)
-    return list(pursue(Pursuit(layers, target, options or PursuitOptions()), counts))
+    return list(pursue(Pursuit(parts, target, options or PursuitOptions()), counts))
 
 
 def _signal(
-    maps: Float[Tensor, "h w c"], layers: Sequence[AnyLayer], transform: LatLongTransform
+    maps: Float[Tensor, "h w c"], parts: Sequence[Part], transform: LatLongTransform
 ) -> SampledSignal:
-    return SampledSignal.of(maps, transform, pixels=has_pixels(layers))
+    return SampledSignal.of(maps, transform, pixels=has_pixels(parts))
 
 
-def _length(layer: AnyLayer) -> int:
-    return layer.coordinates.stop - layer.coordinates.start
-
-
-def _end(layers: Sequence[AnyLayer]) -> int:
-    """The number of coordinates of all layers."""
-    return max(layer.coordinates.stop for layer in layers)
-
-
-def _addresses(
-    layers: Sequence[AnyLayer], filters: Int[Tensor, " a"], places: Int[Tensor, "a 3"]
-) -> Int[Tensor, " a"]:
-    """Index of (filter, place) among the concatenated answers of ``by_group``."""
-    starts: list[list[tuple[int, torch.Size]]] = []
-    total = 0
-    for layer in layers:
-        answers = layer.correlation.by_group(torch.zeros(_length(layer), dtype=torch.float64))
-        starts.append([])
-        for values in answers:
-            starts[-1].append((total, values.shape))
+def _addresses(parts: Sequence[Part], codes: CodeTensors) -> Int[Tensor, "m s"]:
+    """Index of each filter and rotation among the concatenated results of ``by_group``."""
+    filters, rotations = codes.filters.flatten(), codes.rotations.flatten(0, 1)
+    number = torch.tensor([part_of(parts, f) for f in filters.tolist()])
+    out, total = torch.zeros_like(filters), 0
+    for n, plan in enumerate(part.plan() for part in parts):
+        starts = []
+        length = plan.coordinates.stop - plan.coordinates.start
+        for values in plan.correlation.by_group(torch.zeros(length, dtype=torch.float64)):
+            starts.append((total, values.shape))
             total += values.numel()
-    out = []
-    for filter_, (row, column, twist) in zip(filters.tolist(), places.tolist(), strict=True):
-        number = layer_of(layers, filter_)
-        group, place = layers[number].correlation.index[filter_ - layers[number].first]
-        start, (twists, members, rows, columns) = starts[number][group]
-        at = ((twist % twists * members + place) * rows + row) * columns + column
-        out.append(start + at)
-    return torch.tensor(out, dtype=torch.long)
+        mine = torch.nonzero(number == n)[:, 0]
+        places = plan.positions.places(rotations[mine])
+        for i, (row, column, twist) in zip(mine.tolist(), places.tolist(), strict=True):
+            group, place = plan.correlation.index[int(filters[i]) - plan.first]
+            start, (twists, members, rows, columns) = starts[group]
+            at = ((twist % twists * members + place) * rows + row) * columns + column
+            out[i] = start + at
+    return out.view_as(codes.filters)

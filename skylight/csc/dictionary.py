@@ -1,9 +1,8 @@
 """Dictionaries of spherical filters (thesis, 6.6.1), as real SH coefficients about the zenith.
 
-A filter's canonical place is the zenith, where its centre looks along +Y; its long axis, if it has
-one, lies along phi = 0. Coefficients belong to
-:func:`skylight.sphere.harmonics.evaluate_about_zenith`, an orthonormal basis, so a filter of unit
-L2 norm is a unit vector.
+An unrotated filter is centred at the zenith, +Y; its long axis, if it has one, lies along phi = 0.
+Coefficients belong to :func:`skylight.sphere.harmonics.evaluate_about_zenith`, an orthonormal
+basis, so a filter of unit L2 norm is a unit vector.
 """
 
 import hashlib
@@ -19,7 +18,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from skylight.errors import InputError
-from skylight.imaging.tensors import read_tensors, write_tensors
+from skylight.io.tensors import read_tensors, write_tensors
 from skylight.sphere import harmonics, lobes
 
 BuiltinName = Literal["iso", "ani", "vmf"]
@@ -35,7 +34,17 @@ LONGEST_A = 0.5
 
 
 class FilterBank(nn.Module):
-    """Filters of unit norm: ``coefficients`` (m, (K+1)^2), float64, and the bank's ``name``.
+    """A dictionary: filters of unit norm, ``coefficients`` (m, (K+1)^2), and its ``name``.
+
+    The one parameter, ``unnormalised``, is free; ``coefficients`` are its rows divided by their
+    norms, so that they stay a dictionary after every step of an optimiser.
+
+    Parameters
+    ----------
+    coefficients
+        Of the filters, of any norm; they are kept in float64.
+    learnable
+        False makes a bank of constants: a buffer that is no part of a ``state_dict``.
 
     Raises
     ------
@@ -43,9 +52,11 @@ class FilterBank(nn.Module):
         No filter, a number of columns that is no (K+1)^2, or a filter that is not finite or zero.
     """
 
-    coefficients: Tensor
+    unnormalised: Tensor
 
-    def __init__(self, coefficients: Float[Tensor, "m k"], name: str) -> None:
+    def __init__(
+        self, coefficients: Float[Tensor, "m k"], name: str, *, learnable: bool = True
+    ) -> None:
         super().__init__()
         count, columns = coefficients.shape
         if count == 0 or columns == 0:
@@ -64,23 +75,31 @@ class FilterBank(nn.Module):
                 f"dictionary {name!r}: {int(bad.sum())} of {count} filters are zero or not finite "
                 f"(number {listed}): leave them out"
             )
-        # what is normalised already stays as it is, to the last bit
-        norms = torch.where((norms - 1).abs() < 1e-12, torch.ones_like(norms), norms)
-        self.register_buffer("coefficients", values / norms)
+        values = unit_rows(values)
+        if learnable:
+            self.unnormalised = nn.Parameter(values)
+        else:
+            self.register_buffer("unnormalised", values, persistent=False)
         self.name = name
 
+    @property
+    def coefficients(self) -> Float[Tensor, "m k"]:
+        """Real SH coefficients of the filters, of unit norm."""
+        return unit_rows(self.unnormalised)
+
     def __len__(self) -> int:
-        return self.coefficients.shape[0]
+        return self.unnormalised.shape[0]
 
     @property
     def degree(self) -> int:
         """K, the last band."""
-        return harmonics.degree_of(self.coefficients.shape[1])
+        return harmonics.degree_of(self.unnormalised.shape[1])
 
     @property
     def constant(self) -> Bool[Tensor, " m"]:
-        """Which filters are the constant: the same wherever they stand."""
-        return self.coefficients[:, 0].square() > 1 - 1e-12
+        """Which filters are the constant function, which no rotation changes."""
+        rows = self.coefficients.detach()
+        return rows[:, 0].square() > 1 - max(1e-12, 4 * torch.finfo(rows.dtype).eps)
 
     @property
     def fingerprint(self) -> str:
@@ -103,7 +122,7 @@ class FilterBank(nn.Module):
         return FilterBank(project_about_pole(function, degree), name)
 
     def evaluate(self, directions: Float[Tensor, "n 3"]) -> Float[Tensor, "m n"]:
-        """The filters' values in these directions, at their canonical place."""
+        """The filters' values in these directions, unrotated."""
         basis = harmonics.evaluate_about_zenith(directions, self.degree)
         return self.coefficients.to(basis) @ basis.T
 
@@ -182,6 +201,14 @@ class FilterBank(nn.Module):
         return FilterBank(coefficients, metadata.get("name", Path(path).stem))
 
 
+def unit_rows(rows: Float[Tensor, "m k"]) -> Float[Tensor, "m k"]:
+    """Rows divided by their norms; what is normalised already stays as it is, to the last bit."""
+    scale = 1 / rows.norm(dim=1, keepdim=True)
+    close = (scale - 1).abs() < 1e-12
+    # exactly 1 there, with the derivative of 1 / norm
+    return rows * (scale - (scale - 1).detach() * close)
+
+
 def project_about_pole(
     function: PolarFunction,
     degree: int,
@@ -258,7 +285,7 @@ def anisotropic(degree: int = DEGREE, count: int = 100) -> FilterBank:
     A square of logarithmic steps: a1 over [0.5, a_max / 2], and for each a1, a2 over
     (a1, b(a1)]. The lobe's half-width at a distance of 4 a1 from the antipode, where it still
     has 1 / e of its height, is about 4 a1^2 / a2; ``b = a_max / sqrt(1 + 1 / (9 a1^4))`` keeps it,
-    and the lobe's middle, wide enough not to ring.
+    and the lobe's centre, wide enough not to ring.
 
     Raises
     ------
@@ -298,7 +325,7 @@ def finer_isotropic(rows: int, count: int = 24) -> FilterBank:
     projected = project_about_pole(
         lambda theta, phi: lobes.gaussian(theta, a[:, None, None]), 3 * rows // 4, columns=1
     )
-    return FilterBank(_zonal(projected), "finer iso")
+    return FilterBank(_zonal(projected), "finer iso", learnable=False)
 
 
 def finer_anisotropic(degree: int = 60) -> FilterBank:
@@ -309,7 +336,7 @@ def finer_anisotropic(degree: int = 60) -> FilterBank:
     rows = project_about_pole(
         lambda theta, phi: lobes.anisotropic_gaussian(theta, phi, a1, a2), degree
     )
-    return FilterBank(_mirrored(rows), "finer ani")
+    return FilterBank(_mirrored(rows), "finer ani", learnable=False)
 
 
 def von_mises_fisher(degree: int = DEGREE, kappa: float = 80.0) -> FilterBank:
@@ -347,7 +374,7 @@ def load_dictionary(name_or_path: str, degree: int = DEGREE) -> FilterBank:
 @cache
 def _builtin_coefficients(name: BuiltinName, degree: int) -> Float[Tensor, "m k"]:
     builders = {"iso": isotropic, "ani": anisotropic, "vmf": von_mises_fisher}
-    return builders[name](degree).coefficients
+    return builders[name](degree).coefficients.detach()
 
 
 def _polar_basis(

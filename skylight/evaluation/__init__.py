@@ -1,1 +1,1 @@
-"""The tables of this project: what is measured, how it is run, how it is written down."""
+"""Evaluations: the thesis' tables and others, how they are run and written."""

@@ -1,9 +1,9 @@
-"""``skylight evaluate``: the one way to every table of this project."""
+"""``skylight evaluate``: runs an evaluation and writes its results."""
 
 import platform
 import subprocess
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -12,30 +12,36 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
 from skylight.errors import InputError
-from skylight.evaluation.captured_faces import CapturedFaces
-from skylight.evaluation.curves import write_curves
-from skylight.evaluation.face_sensitivity import SIZES, FaceSensitivity
-from skylight.evaluation.known_faces import FaceSource
-from skylight.evaluation.partition_probe import PartitionProbeTable
-from skylight.evaluation.pictures import write_sheet
-from skylight.evaluation.real_faces import RealFaces
-from skylight.evaluation.run import Evaluation, Illustrated, measure_all
-from skylight.evaluation.shared_light import SharedLight
-from skylight.evaluation.sky_models import SkyModels
-from skylight.evaluation.sky_representations import SkyRepresentations
-from skylight.evaluation.sparse_coding import SparseCoding
-from skylight.evaluation.sparse_inverse import SparseInverse
-from skylight.evaluation.synthetic_faces import SyntheticFaces
-from skylight.evaluation.tables import markdown, summarise, summarise_groups
-from skylight.evaluation.transport_compression import TransportCompression
-from skylight.evaluation.voxel_probe import VoxelProbe
+from skylight.evaluation.codes.lit_object import MESH
+from skylight.evaluation.codes.sparse_coding import SparseCoding
+from skylight.evaluation.codes.sparse_inverse import SparseInverse
+from skylight.evaluation.codes.transport_compression import TransportCompression
+from skylight.evaluation.faces.captured_faces import CapturedFaces
+from skylight.evaluation.faces.face_sensitivity import SIZES, FaceSensitivity
+from skylight.evaluation.faces.known_faces import FaceSource
+from skylight.evaluation.faces.options import EstimateOptions
+from skylight.evaluation.faces.real_faces import RealFaces
+from skylight.evaluation.faces.shared_light import SharedLight
+from skylight.evaluation.faces.synthetic_faces import SyntheticFaces
+from skylight.evaluation.harness.curves import write_curves
+from skylight.evaluation.harness.data_folder import mesh_files, probes_folder
+from skylight.evaluation.harness.pictures import write_sheet
+from skylight.evaluation.harness.run import Evaluation, Illustrated, measure_all, picture_of
+from skylight.evaluation.harness.tables import markdown, summarise, summarise_groups
+from skylight.evaluation.probes.partition_probe import PartitionProbeTable
+from skylight.evaluation.probes.voxel_probe import VoxelProbe
+from skylight.evaluation.skies.sky_models import SkyModels
+from skylight.evaluation.skies.sky_representations import SkyRepresentations
 from skylight.faces.captures import CAPTURES_NAME
-from skylight.imaging.atomic import atomic_path
-from skylight.imaging.files import write_json
-from skylight.imaging.resumable import Workers
-from skylight.models.shipped import LightName
+from skylight.io.atomic import atomic_path
+from skylight.io.files import write_json
+from skylight.models.names import LightName
+from skylight.work.device import choose_device
+from skylight.work.resumable import Workers
 
 SHEET_STRIPS = 12
+PROBES = "light probes with an index.csv"
+PROBES_AND_MESHES = "a folder hdr of light probes with an index.csv, and a folder meshes"
 
 
 def _synthetic_faces(quick: bool, data: Path | None) -> Evaluation:
@@ -44,12 +50,8 @@ def _synthetic_faces(quick: bool, data: Path | None) -> Evaluation:
 
 
 def _shared_light(quick: bool, data: Path | None) -> Evaluation:
-    if data is None:
-        raise InputError(
-            "shared-light needs --data DIR: faces in scenes of four, made by "
-            "'skylight faces render --per-scene 4'"
-        )
-    return SharedLight(data=data, scenes=8 if quick else None)
+    needed = "faces in scenes of four, made by 'skylight faces render --per-scene 4'"
+    return SharedLight(data=_data("shared-light", data, needed), scenes=8 if quick else None)
 
 
 def _face_sensitivity(quick: bool, data: Path | None) -> Evaluation:
@@ -70,54 +72,53 @@ def _sky_representations(quick: bool, data: Path | None) -> Evaluation:
 
 
 def _real_faces(quick: bool, data: Path | None) -> Evaluation:
-    if data is None:
-        raise InputError(
-            "real-faces needs --data DIR: photographs with a captures.csv (the true light is "
-            "known) or an index.json (notes alone)"
-        )
+    needed = "photographs with a captures.csv (the true light is known) or an index.json (notes)"
+    data = _data("real-faces", data, needed)
     if (data / CAPTURES_NAME).is_file():
         return CapturedFaces(data=data, every=3 if quick else 1)
     return RealFaces(data=data, every=3 if quick else 1)
 
 
-def _probes(name: str, data: Path | None) -> Path:
+def _data(name: str, data: Path | None, needed: str) -> Path:
     if data is None:
-        raise InputError(f"{name} needs --data DIR: light probes with an index.csv")
+        raise InputError(f"{name} needs --data DIR: {needed}")
+    if not data.is_dir():
+        raise InputError(f"{data}: there is no such folder; {name} needs {needed}")
     return data
 
 
 def _sparse_coding(quick: bool, data: Path | None) -> Evaluation:
-    data = _probes("sparse-coding", data)
+    data = probes_folder(_data("sparse-coding", data, PROBES))
     if quick:  # two maps of 64 rows and short codes
         return SparseCoding(data=data, height=64, counts=(4, 16), indoor=2, outdoor=0, learned=6)
     return SparseCoding(data=data)
 
 
 def _sparse_inverse(quick: bool, data: Path | None) -> Evaluation:
-    data = _probes("sparse-inverse", data)
+    data = probes_folder(_data("sparse-inverse", data, PROBES_AND_MESHES))
+    mesh_files(data, [MESH])
     if quick:
         return SparseInverse(data=data, every=11, counts=(4, 16))
     return SparseInverse(data=data, every=3)
 
 
 def _transport_compression(quick: bool, data: Path | None) -> Evaluation:
-    data = _probes("transport-compression", data)
+    data = probes_folder(_data("transport-compression", data, PROBES_AND_MESHES))
+    mesh_files(data, [MESH])
     if quick:
         return TransportCompression(data=data, rows=24, chunk=4, nonnegative_every=4, timed_rows=4)
     return TransportCompression(data=data)
 
 
 def _voxel_probe(quick: bool, data: Path | None) -> Evaluation:
-    if data is None:
-        raise InputError("voxel-probe needs --data DIR: a folder with hdr and meshes")
+    data = _data("voxel-probe", data, PROBES_AND_MESHES)
     if quick:  # one map, one mesh, noisy references, and some of the sets
-        return VoxelProbe(data=data, maps=1, models=("bunny",), samples=32, best=6, every_set=20)
+        return VoxelProbe(data=data, maps=1, models=1, samples=32, best=6, every_set=20)
     return VoxelProbe(data=data)
 
 
 def _partition_probe(quick: bool, data: Path | None) -> Evaluation:
-    if data is None:
-        raise InputError("partition-probe needs --data DIR: a folder with hdr and meshes")
+    data = _data("partition-probe", data, PROBES_AND_MESHES)
     if quick:  # one map each, noisy references, and probes of few cells
         return PartitionProbeTable(
             data=data, indoor=1, sunny=1, samples=64, rays=64, even=(6, 14), width=96, searches=0
@@ -140,7 +141,15 @@ EVALUATIONS: dict[str, Callable[[bool, Path | None], Evaluation]] = {
 }
 
 
-def evaluate(name: str, *, quick: bool, data: Path | None, out: Path, workers: Workers = 2) -> Path:
+def evaluate(
+    name: str,
+    *,
+    quick: bool,
+    data: Path | None,
+    out: Path,
+    workers: Workers = 2,
+    options: EstimateOptions | None = None,
+) -> Path:
     """Run an evaluation by name and write its results into ``out``; returns ``results.json``.
 
     Beside it lie ``results.md``, curves where something was measured at several counts, a
@@ -151,7 +160,8 @@ def evaluate(name: str, *, quick: bool, data: Path | None, out: Path, workers: W
     Raises
     ------
     InputError
-        An unknown name, or data that the evaluation cannot use.
+        An unknown name, data that the evaluation cannot use, or ``options`` (which are given where
+        they are not the defaults) for one that estimates no light of faces.
     """
     if name not in EVALUATIONS:
         raise InputError(f"unknown evaluation {name!r}: choose one of {', '.join(EVALUATIONS)}")
@@ -159,7 +169,15 @@ def evaluate(name: str, *, quick: bool, data: Path | None, out: Path, workers: W
         raise InputError(f"{workers} workers cannot work: use 1 or more")
     command = f"skylight evaluate {name}" + (" --quick" if quick else "")
     command += f" --data {data.name}" if data is not None else ""
+    command += f" --model {options.model.name}" if options and options.model else ""
     evaluation = EVALUATIONS[name](quick, data)
+    if options is not None:
+        if not isinstance(
+            evaluation, SyntheticFaces | SharedLight | CapturedFaces | RealFaces | FaceSensitivity
+        ):
+            raise InputError(f"{name} estimates no light of faces: leave --model and --device out")
+        choose_device(options.device)
+        evaluation = replace(evaluation, options=options)
     return run_evaluation(evaluation, out, command=command, quick=quick, workers=workers)
 
 
@@ -182,6 +200,9 @@ def run_evaluation(
             workers=workers,
             progress=lambda done, total: bar.update(task, completed=done, total=total),
         )
+    if not any(item.metrics for item in items):
+        problem = next((item.problem for item in items), "there is nothing to measure")
+        raise InputError(f"{evaluation.name} has no result: {problem}")
     rows = summarise(items)
     results = {
         "name": evaluation.name,
@@ -204,7 +225,7 @@ def run_evaluation(
     with atomic_path(out / "results.md") as temporary:
         temporary.write_text(markdown(results))
     write_curves(out, rows)
-    strips = [out / "pictures" / f"{i.name}.png" for i in items[:SHEET_STRIPS]]
+    strips = [picture_of(out, item.name) for item in items[:SHEET_STRIPS]]
     write_sheet(out / "sheet.png", strips)
     if isinstance(evaluation, Illustrated):
         evaluation.illustrate(out, rows, items)

@@ -1,1 +1,1 @@
-"""Faces: the head model, finding it in a picture, and the skin it wears."""
+"""Faces: head model, landmarks, fitting, skin."""

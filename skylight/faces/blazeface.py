@@ -1,4 +1,4 @@
-"""What stands around BlazeFace (Bazarevsky et al. 2019): where it looks, and what it says.
+"""Pre- and post-processing of BlazeFace (Bazarevsky et al. 2019): anchors and decoding.
 
 The numbers are those of ``mediapipe/tasks/cc/vision/face_detector/face_detector_graph.cc``.
 """

@@ -1,4 +1,4 @@
-"""Photographs of people with the light that was there: a folder with a ``captures.csv``.
+"""Photographs of people with captured light probes: a folder with a ``captures.csv``.
 
 A row a photograph (thesis, 5.4.2: 9 people under 25 lights)::
 
@@ -20,9 +20,9 @@ from io import StringIO
 from pathlib import Path, PurePosixPath
 
 from skylight.errors import InputError
-from skylight.imaging.atomic import atomic_path
-from skylight.imaging.bounded import file_text
-from skylight.imaging.files import read_environment_map
+from skylight.io.atomic import atomic_path
+from skylight.io.bounded import file_text
+from skylight.io.files import read_environment_map
 from skylight.sphere.envmap import EnvironmentMap
 
 CAPTURES_NAME = "captures.csv"

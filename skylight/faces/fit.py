@@ -1,4 +1,4 @@
-"""Landmarks in a picture -> camera, pose, shape: Levenberg-Marquardt on the morphable head.
+"""Camera, pose and shape from landmarks: Levenberg-Marquardt on the morphable head.
 
 Minimised over pose (R, t), focal length f, identity a and expression b::
 

@@ -1,4 +1,4 @@
-"""Faces and their landmarks in a picture, behind an interface that other detectors can fill."""
+"""Detection of faces and their 68 landmarks, with an interface for other detectors."""
 
 import importlib
 import importlib.metadata

@@ -11,7 +11,7 @@ from jaxtyping import Float32
 from numpy import ndarray
 
 from skylight.errors import DependencyError, InputError
-from skylight.imaging.bounded import require_plain_packing
+from skylight.io.bounded import require_plain_packing
 
 _BYTES_MAX = 2**28  # MediaPipe's are below 10 MB
 

@@ -1,6 +1,5 @@
-"""Pixels of a fitted face: which ones to trust, where they lie, how light reaches them."""
+"""The observation of a fitted face: pixels, weights and transport."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -22,6 +21,7 @@ from skylight.transport.matrix import diffuse_transport
 from skylight.transport.observation import Observation
 from skylight.transport.raycast import Raycaster
 from skylight.transport.render import Specular
+from skylight.work.progress import Progress
 
 # Left out: pixels that the camera sees at more than 75 degrees,
 GRAZING_COSINE = 0.25
@@ -63,7 +63,7 @@ def observe_face(
     grid_height: int = 64,
     specular: Specular | None = SKIN_GLOSS,
     workers: int = 1,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> FaceView:
     """Cut out the face, pick its pixels and trace their transport.
 

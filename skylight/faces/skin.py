@@ -1,4 +1,4 @@
-"""How likely an albedo is to be that of a face's skin.
+"""A prior of skin albedo.
 
 A picture fixes only the product of albedo and light. This prior says which albedos skin has, from
 measured reflectance spectra (``tools/build_skin_prior.py`` tells how), and so which share of that

@@ -1,4 +1,4 @@
-"""Which pixels of a head show bare skin: no hair, beard, glasses, hats or clothes.
+"""Segmentation of bare skin: no hair, beard, glasses, hats or clothes.
 
 Skin's colour differs between places by how much of sun and sky each gets, so a pixel is compared
 with the face's own skin in the logarithms of its ratios red : green and blue : green, and in how

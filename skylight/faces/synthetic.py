@@ -1,4 +1,4 @@
-"""Random people under a known light, for demonstrations and measurements."""
+"""Random people under known illumination, for demonstrations and evaluations."""
 
 import math
 from dataclasses import dataclass
@@ -76,7 +76,7 @@ def render_face(
     turn = rng.uniform(-math.pi, math.pi)
     turned = sky.rotate_azimuth(turn if azimuth_rad is None else azimuth_rad).upper()
     ground = LambertianGround(turned.layout[0])
-    bounce = ground.radiance(turned.flat[None], ground_albedo[None].to(turned.flat))[0]
+    bounce = ground(turned.flat[None], ground_albedo[None].to(turned.flat))[0]
     environment = turned.with_ground(bounce)
 
     vertices = model.vertices(identity, expression) @ rotation.T + translation

@@ -1,1 +1,1 @@
-"""Files in and out, colour, and scores."""
+"""Photographs, colour and image metrics."""

@@ -1,4 +1,4 @@
-"""Transfer curves between linear light and display codes, and a plain tone map.
+"""Transfer curves between linear and display values, and a simple tone map.
 
 The sRGB curves are written out, although kornia has them, because pixels and radiances here have
 the channel last or are bare lists of values; kornia's serve as the tests' oracle.

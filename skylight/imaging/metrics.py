@@ -1,4 +1,4 @@
-"""Scores of recovered light: section 5.5.1 of the thesis, each with its normalisation.
+"""Metrics of estimated illumination (thesis, 5.5.1), with their normalisation.
 
 The thesis fixes the scale "by mapping the average image intensity to 1 and the sum over the
 light probe to 1", and does not say whether a prediction is scaled by its own sum or by the

@@ -1,4 +1,4 @@
-"""Photographs: strict reading, linear Rec.709 pixels, and what the file says about the camera."""
+"""Photographs: strict reading, linear Rec.709 pixels, and camera metadata."""
 
 import math
 from collections.abc import Mapping
@@ -14,11 +14,11 @@ from PIL import ExifTags, Image, ImageCms, ImageOps
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.imaging.bounded import file_bytes
 from skylight.imaging.colour import Decode, decode_values, linear_to_srgb, tone_map
-from skylight.imaging.hdr import SUFFIXES as HDR_SUFFIXES
-from skylight.imaging.hdr import read_linear
-from skylight.imaging.opened_picture import opened_picture
+from skylight.io.bounded import file_bytes
+from skylight.io.hdr import SUFFIXES as HDR_SUFFIXES
+from skylight.io.hdr import read_linear
+from skylight.io.opened_picture import opened_picture
 
 SIDE_MIN = 32
 SIDE_MAX = 16_384

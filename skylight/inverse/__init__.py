@@ -1,1 +1,1 @@
-"""Observation + light model + prior -> estimate."""
+"""Inverse lighting: observations, a light model and a prior to an estimate."""

@@ -1,105 +1,137 @@
-"""What inverse lighting answers: a light, and what it does to each face."""
+"""The one entry of inverse lighting: observations under one light -> that light."""
 
-from dataclasses import dataclass
-from typing import Literal
+import copy
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol, TypeVar, runtime_checkable
 
-from jaxtyping import Bool, Float
-from torch import Tensor
+from skylight.errors import InputError
+from skylight.faces.skin import SkinPrior
+from skylight.inverse.harmonic.problem import HarmonicProblem
+from skylight.inverse.result import Estimate
+from skylight.inverse.sky.problem import SkyProblem, SolverOptions
+from skylight.models.autoencoder import AutoencoderLight
+from skylight.models.bundle import LightBundle, load_bundle
+from skylight.models.harmonic import HarmonicLight
+from skylight.models.names import LightName, check_light_name
+from skylight.models.prior import GaussianMixture
+from skylight.models.sunsky import SunSky
+from skylight.transport.observation import Observation
+from skylight.work.device import choose_device
+from skylight.work.progress import Progress
 
-from skylight.inverse.posterior import SunPosterior
-from skylight.sphere.envmap import EnvironmentMap, luminance
-
-Status = Literal["converged", "iteration limit", "recovered from a non-finite step"]
-UNEXPLAINED = 0.25  # a face whose residual is larger cannot be trusted
+SUN_SPREAD_RAD = math.radians(1.4)  # half a pixel of the sky
+Model = str | Path | LightBundle
+Result_co = TypeVar("Result_co", covariant=True)
 
 
-@dataclass(frozen=True, kw_only=True)
-class FaceLight:
-    """What a face does with the light: it sees ``albedo * T l + gloss * G l`` with l exposed.
+@runtime_checkable
+class LightProblem(Protocol[Result_co]):
+    """Find the light of some observations: give it each of them, then solve.
 
-    ``photo`` is the number of its photograph among all that were given, from 0, and ``exposure``
-    that photograph's; ``rendered`` (m,3) its observation's pixels, in the photograph's radiance
-    units; ``residual`` their mean deviation in luminance, relative to the face's mean. ``gloss``
-    is 0 where a model leaves surface reflection out.
+    ``grid_height`` rows of lat-long directions are what their transport must have at least, and
+    ``uses_gloss`` tells whether it is of use for surfaces that reflect.
     """
 
-    photo: int
-    exposure: float
-    albedo: Float[Tensor, "3"]
-    gloss: float
-    rendered: Float[Tensor, "m 3"]
-    residual: float
+    @property
+    def grid_height(self) -> int: ...
+
+    @property
+    def uses_gloss(self) -> bool: ...
+
+    def add(self, observation: Observation, photo: int = 0) -> None:
+        """One more observation, of photograph number ``photo``; photographs come in order."""
+        ...
+
+    def solve(self, progress: Progress | None = None) -> Result_co:
+        """The light under which the observations are likeliest."""
+        ...
 
 
-@dataclass(frozen=True, kw_only=True)
-class Estimate:
-    """The light of a picture, in its camera's frame and its own radiance units.
+def estimate_light(
+    observations: Observation | Sequence[Observation],
+    light: LightName = "autoencoder",
+    *,
+    model: Model | None = None,
+    photos: Sequence[int] | None = None,
+    options: SolverOptions | None = None,
+    device: str = "auto",
+    progress: Progress | None = None,
+) -> Estimate:
+    """The light of one observed face, or the one light of several: thesis, Eq. 5.8.
 
-    ``environment`` is a full 64 x 128 map; ``faces`` what was lit by it, one or more, in the
-    order in which they were given; ``terms`` the parts of the objective (nats) at the end;
-    ``params`` those of the light model. ``status`` is "converged" where the optimisation ended
-    at a minimum, else how it ended (``stats["nonfinite"]`` counts steps taken back in either
-    case), and ``advice`` says what to do where the result should not be trusted (empty where
-    nothing is known against it). ``posterior`` says how sure the sun, exposure and albedo are.
+    Parameters
+    ----------
+    observations
+        Pixels, weights and transport of each face; :func:`skylight.faces.observe.observe_face`
+        makes them.
+    light
+        "autoencoder" (learnt skies), "sunsky" (Preetham's sky and a sun), "sh9" or "sh25"
+        (spherical harmonics up to degree 2 or 4).
+    model
+        A trained model of your own, or its folder, in place of the one that comes with skylight:
+        the network of "autoencoder", or the prior of "sunsky".
+    photos
+        The photograph of each observation, counted from 0; by default all are of one. Faces of
+        one photograph share its exposure.
+    options
+        Effort of the optimisation; harmonics have none.
+    device
+        "cpu", "cuda", or "auto" for CUDA where it is. Transport is moved there once. The estimate
+        is on the CPU.
 
-    Of several photographs the map has the first used one's units: a face of another sees it times
-    the ratio of the two exposures. ``exposure``, ``albedo`` and ``rendered`` are the first face's.
+    Raises
+    ------
+    InputError
+        No observation, or one without a usable pixel; an unknown light model; no such device.
     """
-
-    light: str
-    environment: EnvironmentMap
-    params: Float[Tensor, " p"]
-    ground_albedo: Float[Tensor, "3"]
-    sun_direction: Float[Tensor, "3"]
-    posterior: SunPosterior
-    faces: tuple[FaceLight, ...]
-    terms: dict[str, float]
-    status: Status
-    advice: tuple[str, ...]
-    stats: dict[str, float | int]
-
-    @property
-    def exposure(self) -> float:
-        return self.faces[0].exposure
-
-    @property
-    def albedo(self) -> Float[Tensor, "3"]:
-        return self.faces[0].albedo
-
-    @property
-    def rendered(self) -> Float[Tensor, "m 3"]:
-        return self.faces[0].rendered
+    if isinstance(observations, Observation):
+        observations = (observations,)
+    if not observations:
+        raise InputError("there is no observation to estimate light from; give at least one")
+    problem = light_problem(light, model=model, options=options, device=device)
+    for observation, photo in zip(observations, photos or [0] * len(observations), strict=True):
+        problem.add(observation, photo)
+    return problem.solve(progress)
 
 
-def residual(
-    rendered: Float[Tensor, "m 3"],
-    seen: Float[Tensor, "m 3"],
-    clipped: Bool[Tensor, " m"] | None = None,
-) -> float:
-    """Mean ``|rendered - seen|`` in luminance, relative to the mean luminance seen.
+def light_problem(
+    light: LightName,
+    *,
+    model: Model | None = None,
+    options: SolverOptions | None = None,
+    device: str = "auto",
+) -> LightProblem[Estimate]:
+    """The problem that :func:`estimate_light` solves, to be given one observation at a time.
 
-    Where ``clipped``, what was seen is a lower bound: both means leave out the bounds that are
-    kept. The residual is 0 where these are all there is.
+    An observation can be let go once it is added: of several faces, only one at a time need be
+    held with its full transport.
     """
-    true = luminance(seen)
-    deviation = luminance(rendered) - true
-    if clipped is not None:
-        counted = ~clipped | (deviation < 0)
-        if not bool(counted.any()):
-            return 0.0
-        deviation, true = deviation[counted], true[counted]
-    return float(deviation.abs().mean() / true.mean())
+    check_light_name(light)
+    where = choose_device(device)
+    modes, prior = SkinPrior.load().means.float().to(where), albedo_prior().to(where)
+    if light == "sh9" or light == "sh25":
+        if model is not None:
+            raise InputError(f"{light} has no trained model: leave --model out")
+        return HarmonicProblem(HarmonicLight(2 if light == "sh9" else 4).to(where), prior, modes)
+    bundle = (
+        model
+        if isinstance(model, LightBundle)
+        else load_bundle(None if model is None else Path(model))
+    )
+    if light == "autoencoder":
+        sky, over = smooth_autoencoder(bundle), bundle.prior()
+    else:
+        sky, over = SunSky(), copy.deepcopy(bundle.sunsky_prior)
+    return SkyProblem(sky.to(where), over.to(where), prior, modes, options)
 
 
-def advice(faces: tuple[FaceLight, ...]) -> tuple[str, ...]:
-    """What the residuals tell about trust."""
-    given = []
-    for number, face in enumerate(faces, start=1):
-        name = "face" if len(faces) == 1 else f"face {number} of {len(faces)}"
-        if face.residual > UNEXPLAINED:
-            given.append(
-                f"the re-rendered {name} is off by {100 * face.residual:.0f} % on average: the "
-                "light is unreliable; check the mesh overlay, or use a picture with less hair, "
-                "glasses or gloss"
-            )
-    return tuple(given)
+def smooth_autoencoder(bundle: LightBundle) -> AutoencoderLight:
+    """A trained sky with its sun as wide as faces are fitted with, so that it turns smoothly."""
+    return bundle.light(sun_spread_rad=SUN_SPREAD_RAD)
+
+
+def albedo_prior() -> GaussianMixture:
+    """The mixture over log albedo of skin, in single precision."""
+    return copy.deepcopy(SkinPrior.load().log_albedo).float()

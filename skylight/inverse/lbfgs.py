@@ -63,14 +63,14 @@ def minimise(
             torch.where(bad[:, None], 0.0, slope),
         )
 
-    everyone = torch.arange(count)
+    everyone = torch.arange(count, device=x.device)
     loss, slope = evaluate(x, everyone)
     evaluations = count
     steps: list[Tensor] = []
     turns: list[Tensor] = []
     active = loss.isfinite()
-    converged = torch.zeros(count, dtype=torch.bool)
-    used = torch.zeros(count, dtype=torch.long)
+    converged = torch.zeros_like(active)
+    used = torch.zeros_like(everyone)
     for _ in range(iterations):
         index = torch.nonzero(active)[:, 0]
         if len(index) == 0:
@@ -81,10 +81,11 @@ def minimise(
         uphill = descent >= 0
         direction = torch.where(uphill[:, None], -slope[index], direction)
         descent = torch.where(uphill, -(slope[index] ** 2).sum(1), descent)
-        scale = torch.ones(len(index)) if steps else first_step / direction.norm(dim=1)
-        scale = torch.where(uphill, first_step / direction.norm(dim=1).clamp(min=1e-30), scale)
+        length = direction.norm(dim=1)
+        scale = torch.ones_like(length) if steps else first_step / length
+        scale = torch.where(uphill, first_step / length.clamp(min=1e-30), scale)
         new_x, new_loss, new_slope = x[index].clone(), loss[index].clone(), slope[index].clone()
-        accepted = torch.zeros(len(index), dtype=torch.bool)
+        accepted = torch.zeros_like(uphill)
         for _ in range(20):
             todo = torch.nonzero(~accepted)[:, 0]
             if len(todo) == 0:
@@ -131,7 +132,7 @@ def _two_loop(
     """H g with H the L-BFGS inverse Hessian; all-zero pairs change nothing."""
     q = slope.clone()
     kept = []
-    gamma = torch.ones(len(slope))
+    gamma = slope.new_ones(len(slope))
     for s, y in zip(reversed(steps), reversed(turns), strict=True):
         curvature = (s * y).sum(1)
         rho = torch.where(curvature > 0, 1 / curvature.clamp(min=1e-30), 0.0)

@@ -21,7 +21,7 @@ estimates are plain wrong. As a density over the hemisphere, ::
 **Exposure and albedo.** A picture fixes their product, and the prior over skin, its hue as
 uncertain as the light's, says how it may be split: see :func:`split_density`.
 
-Of :class:`DoubtModel`, ``temperature``, ``estimate_rad``, ``estimate_height`` and
+Of :class:`PosteriorConstants`, ``temperature``, ``estimate_rad``, ``estimate_height`` and
 ``estimate_weight`` were fitted to rendered faces: ``tools/calibrate_posterior.py``. The others were
 set by looking at the faces of development: ``kernel_rad``, the error of fitted heads' poses,
 ``sun_gain``, ``wide_rad`` and the ``..._spread``.
@@ -38,7 +38,7 @@ from jaxtyping import Bool, Float
 from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
-from skylight.inverse.objective import GLOSS_SPREAD
+from skylight.inverse.scale import GLOSS_SPREAD
 from skylight.inverse.scan import FaceScan, scan_face
 from skylight.models.base import Prior
 from skylight.sphere.envmap import luminance
@@ -62,7 +62,7 @@ _NEIGHBOURS_RAD = math.radians(4.5)  # a cell's diagonal is 4 degrees
 
 
 @dataclass(frozen=True, kw_only=True)
-class DoubtModel:
+class PosteriorConstants:
     """Constants of the posterior, and of the verdicts; ``_rad`` are spreads per axis.
 
     ``temperature`` t, ``kernel_rad`` of V, and ``estimate_rad``, ``estimate_height`` h and
@@ -85,7 +85,7 @@ class DoubtModel:
     albedo_spread: float = 0.3
 
 
-DOUBT = DoubtModel()
+FITTED = PosteriorConstants()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,13 +153,15 @@ def sun_evidence(observations: Sequence[Observation], scans: Sequence[FaceScan])
         energy = robust @ (seen / mean).square()
         deviations.append(scan.unexplained * energy)
         unlit.append(scan.unlit * float(energy))
-    total = torch.stack(deviations).sum(0)
+    total = torch.stack(deviations).sum(0).cpu()
     gain = (math.fsum(unlit) - float(total.min())) / len(observations)
     return SunEvidence(deviations=total, gain=gain)
 
 
 def sun_density(
-    evidence: SunEvidence, estimate: Float[Tensor, "3"] | None, model: DoubtModel = DOUBT
+    evidence: SunEvidence,
+    estimate: Float[Tensor, "3"] | None,
+    model: PosteriorConstants = FITTED,
 ) -> Float[Tensor, " n"]:
     """p of the module's text at the directions of ``DirectionGrid.sky(32)``, per sr.
 
@@ -226,7 +228,7 @@ def sun_posterior(
     albedo: Float[Tensor, "3"],
     gloss: float | None,
     albedo_prior: Prior,
-    model: DoubtModel = DOUBT,
+    model: PosteriorConstants = FITTED,
 ) -> SunPosterior:
     """The posterior with its verdict; ``explained``: the faces look alike in the light found.
 
@@ -251,7 +253,7 @@ def sun_posterior(
     return replace(posterior, verdict=_verdict(posterior, explained, model))
 
 
-def _verdict(posterior: SunPosterior, explained: bool, model: DoubtModel) -> Verdict:
+def _verdict(posterior: SunPosterior, explained: bool, model: PosteriorConstants) -> Verdict:
     """The first reason for doubt, if there is one."""
     if not explained:
         return "unreliable: the face is not explained"

@@ -58,13 +58,14 @@ def scan_sun(
     """Solve the problem above for all 1,024 directions of the upper half of a 32 x 64 grid.
 
     Several observations are faces under the same light, whatever their albedos and exposures.
+    Each face is solved on the device of its observation; the rest of the answer is on the CPU.
     """
     if isinstance(observations, Observation):
         observations = (observations,)
     faces = [scan_face(observation) for observation in observations]
     energy = torch.stack([face.unexplained for face in faces]).mean(0)
     strength = torch.stack([face.strengths for face in faces]).mean(0)
-    residuals = energy.sqrt()
+    residuals = energy.sqrt().cpu()
     grid = DirectionGrid.latlong(SCAN_HEIGHT)
     directions = grid.directions[: len(grid) // 2]
     chosen = _best_apart(directions, residuals, candidates, math.radians(separation_deg))
@@ -72,7 +73,7 @@ def scan_sun(
         directions=directions,
         residuals=residuals,
         candidates=directions[chosen],
-        strengths=strength[chosen],
+        strengths=strength.cpu()[chosen],
         faces=tuple(faces),
     )
 
@@ -111,8 +112,8 @@ def scan_face(observation: Observation) -> FaceScan:
     groups = [suns(coarse.transport)]
     if coarse.gloss is not None:
         groups.append(suns(coarse.gloss))
-    ambient = _unit(diffuse @ _ambient_lobes(grid))
-    clipped = torch.zeros(len(y), dtype=torch.bool)
+    ambient = _unit(diffuse @ _ambient_lobes(grid).to(diffuse))
+    clipped = torch.zeros_like(y, dtype=torch.bool)
     if observation.clipped is not None:
         clipped = observation.clipped
     explained = _explain(torch.stack(groups), ambient, y, clipped)

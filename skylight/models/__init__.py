@@ -1,1 +1,1 @@
-"""Light models: few parameters in, radiance out; batched and differentiable."""
+"""Light models: differentiable maps from few parameters to radiance, with priors."""

@@ -12,6 +12,7 @@ height that a sun may have.
 """
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -21,11 +22,12 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from skylight.errors import AssetError
-from skylight.imaging.tensors import read_tensors
+from skylight.io.tensors import read_tensors, write_tensors
 from skylight.models.sun_head import COORDINATES, SunHead
 from skylight.sphere.envmap import shift_columns
 from skylight.sphere.frame import angles_from_direction
 from skylight.sphere.grid import DirectionGrid
+from skylight.work.derived import Derived
 
 LATENT = 64
 HEIGHT, WIDTH = 32, 128
@@ -174,69 +176,92 @@ class SkyAutoencoder(nn.Module):
         return sky + self.sun_head.lobe(z[:, -COORDINATES:])
 
 
-class FrozenDecoder(nn.Module):
-    """What ``decode_coded`` of a trained network computes, with less to compute.
+@dataclass(frozen=True)
+class FoldedDecoder:
+    """``decode_coded`` of a network in evaluation mode, with less to compute.
 
-    In evaluation batch normalisation is an affine map per channel; here it is part of the weights
-    before it, and so is the folding of :class:`UpConv`'s kernel. Equal to rounding.
+    There batch normalisation is an affine map per channel; here it is part of the weights
+    before it, and so is the folding of :class:`UpConv`'s kernel. Equal to rounding, and
+    differentiable in the network's parameters.
+
+    ``layers`` are (weight, bias) of the fully connected layer, of the four upsampling
+    convolutions and of the output.
     """
 
-    def __init__(self, network: SkyAutoencoder) -> None:
-        super().__init__()
+    layers: tuple[tuple[Tensor, Tensor], ...]
+
+    @staticmethod
+    def of(network: SkyAutoencoder) -> "FoldedDecoder":
         linear, norm, _ = network.from_latent
         assert isinstance(linear, nn.Linear)
-        assert isinstance(norm, nn.BatchNorm1d)
         scale, shift = _affine(norm)
-        self.first = nn.Linear(linear.in_features, linear.out_features)
-        self.first.weight.data = linear.weight.detach() * scale[:, None]
-        self.first.bias.data = linear.bias.detach() * scale + shift
-        self.phases = nn.ModuleList()
+        layers = [(linear.weight * scale[:, None], linear.bias * scale + shift)]
         for up, norm, _ in network.decoder:  # pyright: ignore[reportGeneralTypeIssues]
             scale, shift = (x.repeat_interleave(4) for x in _affine(norm))
-            kernel = up.phases().detach() * scale[:, None, None, None]
-            out, channels, size, _ = kernel.shape
-            layer = nn.Conv2d(channels, out, size, padding=(up.reach, 0))
-            layer.weight.data = kernel.contiguous(memory_format=torch.channels_last)
-            layer.bias.data = shift  # pyright: ignore[reportOptionalMemberAccess]
-            self.phases.append(layer)
-        self.output = network.output
-        self.requires_grad_(False)
+            kernel = up.phases() * scale[:, None, None, None]
+            layers.append((kernel.contiguous(memory_format=torch.channels_last), shift))
+        assert network.output.bias is not None
+        return FoldedDecoder((*layers, (network.output.weight, network.output.bias)))
 
-    def forward(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
-        x = functional.relu(self.first(z)).reshape(-1, 64, 2, 8)
+    def __call__(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
+        first, *phases, output = self.layers
+        x = functional.relu(functional.linear(z, *first)).reshape(-1, 64, 2, 8)
         x = x.contiguous(memory_format=torch.channels_last)
-        for layer in self.phases:
-            reach = layer.padding[0]  # pyright: ignore
-            x = functional.pad(x, (reach, reach, 0, 0), mode="circular")  # pyright: ignore
-            x = functional.pixel_shuffle(functional.relu(layer(x)), 2)
-        return self.output(x)
+        for kernel, bias in phases:
+            reach = kernel.shape[2] // 2
+            x = functional.pad(x, (reach, reach, 0, 0), mode="circular")
+            x = functional.relu(functional.conv2d(x, kernel, bias, padding=(reach, 0)))
+            x = functional.pixel_shuffle(x, 2)
+        return functional.conv2d(x, *output)
 
 
-def _affine(norm: nn.BatchNorm1d | nn.BatchNorm2d) -> tuple[Tensor, Tensor]:
-    """(scale, shift) of a batch normalisation in evaluation."""
+def _affine(norm: nn.Module) -> tuple[Tensor, Tensor]:
+    """(scale, shift) of a batch normalisation in evaluation mode."""
+    assert isinstance(norm, nn.BatchNorm1d | nn.BatchNorm2d)
     assert norm.running_mean is not None
     assert norm.running_var is not None
-    scale = norm.weight.detach() / torch.sqrt(norm.running_var + norm.eps)
-    return scale, norm.bias.detach() - scale * norm.running_mean
+    scale = norm.weight / torch.sqrt(norm.running_var + norm.eps)
+    return scale, norm.bias - scale * norm.running_mean
 
 
 class AutoencoderLight(nn.Module):
-    """The light model R(azimuth) f(z): 64 latents and the azimuth of the sun, 65 parameters.
+    """The light model ``L(w) = R(azimuth) f(z)``: 64 latents and the sun's azimuth, 65 parameters.
 
-    ``latent_mean`` and ``latent_scale`` (lower triangular) whiten the latents for optimisers;
-    ``bank`` holds latents of training skies with the zenith angle of their sun, from which
-    :meth:`starts_towards` takes those whose sun is at the right height.
+    ``forward`` maps parameters ``(..., 65)`` to radiance ``(..., 4096, 3)`` on the 32 x 128 pixels
+    of ``grid``, as the network decodes in evaluation mode. The network's weights are frozen;
+    ``requires_grad_(True)`` makes them trainable through the light.
 
-    ``sun_spread_rad`` widens the sun's lobe and turns it apart from the sky. A sun much sharper
-    than a pixel jumps from one to the next, and a turn by part of a pixel blurs it: between, the
-    objective is flat or has a kink, and an optimiser stops there, up to 10 degrees from the sun.
-    Half a pixel, 1.4 degrees, is smooth, and no face can tell it from a point.
+    Parameters
+    ----------
+    network
+        A trained autoencoder; it is put into evaluation mode.
+    latent_mean, latent_scale
+        Mean and lower-triangular Cholesky factor of the latents' covariance, which whiten the
+        latents for optimisers.
+    bank, bank_zenith_rad
+        Latents of training skies and the zenith angles of their suns, from which
+        :meth:`starts_towards` takes those whose sun is at the right height.
+    white_centroids
+        Whitened latents to start an optimisation from.
+    sun_spread_rad
+        Standard deviation of a Gaussian by which the sun's lobe is blurred. Above 0 the lobe is
+        evaluated at the sun's azimuth and only the rest of the sky is resampled. A sun much
+        sharper than a pixel jumps from one to the next, and a rotation by part of a pixel blurs
+        it: in between, the objective is flat or has a kink, and an optimiser stops there, up to
+        10 degrees from the sun. Half a pixel, 1.4 degrees, is smooth, and no face can tell it
+        from a point.
     """
 
     name = "autoencoder"
     parameter_count = LATENT + 1
     azimuth_index: int | None = LATENT
     candidates = 6  # starts per direction
+
+    latent_mean: Tensor
+    latent_scale: Tensor
+    bank: Tensor
+    bank_zenith_rad: Tensor
+    white_centroids: Tensor
 
     def __init__(
         self,
@@ -252,12 +277,7 @@ class AutoencoderLight(nn.Module):
         super().__init__()
         self.sun_spread_rad = sun_spread_rad
         self.network = network.eval().requires_grad_(False)
-        self.decoder = FrozenDecoder(self.network)
-        self.latent_mean: Tensor
-        self.latent_scale: Tensor
-        self.bank: Tensor
-        self.bank_zenith_rad: Tensor
-        self.white_centroids: Tensor
+        self._decoder: Derived[FoldedDecoder] = Derived()
         self.register_buffer("latent_mean", latent_mean)
         self.register_buffer("latent_scale", latent_scale)
         self.register_buffer("bank", bank)
@@ -273,29 +293,33 @@ class AutoencoderLight(nn.Module):
         limit = torch.full((self.parameter_count,), math.inf)
         return -limit, limit
 
-    def radiance(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b n 3"]:
-        z, azimuth = params[:, :LATENT], params[:, LATENT]
+    def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
+        z, azimuth = params[..., :LATENT].reshape(-1, LATENT), params[..., LATENT].reshape(-1)
+        sources = [*self.network.parameters(), *self.network.buffers()]
+        decoder = self._decoder.of(sources, lambda: FoldedDecoder.of(self.network))
         head = self.network.sun_head
         if head is None or self.sun_spread_rad == 0:
-            sky = self.network.finish(self.decoder(z), z)
-            return shift_columns(sky, azimuth - CENTRE_AZIMUTH_RAD).flatten(1, 2)
-        sky = self.network.uncode(self.decoder(z))
-        turned = shift_columns(sky, azimuth - CENTRE_AZIMUTH_RAD)
-        lobe = head.lobe(z[:, -COORDINATES:], azimuth, self.sun_spread_rad)
-        return (turned + lobe).flatten(1, 2)
+            sky = self.network.finish(decoder(z), z)
+            turned = shift_columns(sky, azimuth - CENTRE_AZIMUTH_RAD)
+        else:
+            sky = self.network.uncode(decoder(z))
+            turned = shift_columns(sky, azimuth - CENTRE_AZIMUTH_RAD)
+            turned = turned + head.lobe(z[:, -COORDINATES:], azimuth, self.sun_spread_rad)
+        return turned.reshape(*params.shape[:-1], len(self.grid), 3)
 
-    def to_free(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b p"]:
+    def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """Whitened latents; the azimuth as it is."""
-        centred = (params[:, :LATENT] - self.latent_mean).T
-        white = torch.linalg.solve_triangular(self.latent_scale, centred, upper=False).T
-        return torch.cat([white, params[:, LATENT:]], 1)
+        centred = (params[..., :LATENT] - self.latent_mean).reshape(-1, LATENT)
+        white = torch.linalg.solve_triangular(self.latent_scale, centred.T, upper=False).T
+        return torch.cat([white.reshape(params[..., :LATENT].shape), params[..., LATENT:]], -1)
 
-    def from_free(self, free: Float[Tensor, "b p"]) -> Float[Tensor, "b p"]:
-        latents = free[:, :LATENT] @ self.latent_scale.T + self.latent_mean
-        return torch.cat([latents, free[:, LATENT:]], 1)
+    def from_free(self, free: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
+        """Inverse of :meth:`to_free`."""
+        latents = free[..., :LATENT] @ self.latent_scale.T + self.latent_mean
+        return torch.cat([latents, free[..., LATENT:]], -1)
 
     def starts(self) -> Float[Tensor, "s p"]:
-        """The centroids of the mixture, the sun straight ahead."""
+        """The centroids, with the sun straight ahead."""
         ahead = self.white_centroids.new_zeros(len(self.white_centroids), 1)
         return self.from_free(torch.cat([self.white_centroids, ahead], 1))
 
@@ -308,19 +332,38 @@ class AutoencoderLight(nn.Module):
         return torch.cat([self.bank[nearest], turn], -1)
 
 
+def network_of(state: dict[str, Tensor]) -> SkyAutoencoder:
+    """The network of the tensors that :func:`save_network` wrote.
+
+    Raises
+    ------
+    KeyError, RuntimeError
+        They are of another network.
+    """
+    weights = dict(state)
+    coding: Coding = "linear" if weights.pop("coding_linear", None) is not None else "log"
+    network = SkyAutoencoder(coding, sun=len(weights["to_latent.bias"]) < LATENT)
+    network.load_state_dict(weights)
+    return network.eval()
+
+
 def load_network(path: Path) -> SkyAutoencoder:
     """The autoencoder of a checkpoint that training wrote (safetensors)."""
     if not path.is_file():
-        raise AssetError(f"{path}: no checkpoint there; reinstall skylight or train one (train.py)")
+        raise AssetError(f"{path}: no checkpoint there; train one with train.py CONFIG")
     try:
-        state, _ = read_tensors(path)
-        coding: Coding = "linear" if state.pop("coding_linear", None) is not None else "log"
-        network = SkyAutoencoder(coding, sun=len(state["to_latent.bias"]) < LATENT)
-        network.load_state_dict(state)
+        return network_of(read_tensors(path)[0])
     except (ValueError, RuntimeError, OSError, KeyError) as error:
         first = str(error).splitlines()[0]
         raise AssetError(
             f"{path}: not a sky autoencoder's checkpoint, or damaged ({first}); "
-            "reinstall skylight or train one (train.py)"
+            "train one with train.py CONFIG"
         ) from error
-    return network.eval()
+
+
+def save_network(network: SkyAutoencoder, path: Path) -> None:
+    """Write the weights as :func:`load_network` reads them."""
+    state = dict(network.state_dict())
+    if network.coding == "linear":
+        state["coding_linear"] = torch.ones(1)
+    write_tensors(path, state)

@@ -1,4 +1,4 @@
-"""What every light model and every prior promises.
+"""Protocols of light models and priors.
 
 All radiance here is *relative*: models are trained and fitted on skies scaled to a mean
 luminance of 1 over the upper hemisphere (sun included). What a camera adds is one exposure
@@ -16,9 +16,10 @@ from skylight.sphere.grid import DirectionGrid
 
 @runtime_checkable
 class LightModel(Protocol):
-    """Parameters ``(b, p)`` to non-negative radiance ``(b, n, 3)`` on ``grid``.
+    """A module whose ``forward`` maps parameters ``(..., p)`` to radiance ``(..., n, 3)`` >= 0.
 
-    ``grid`` is the upper hemisphere for models of the sky (the ground is added by
+    Radiance is on the n directions of ``grid`` and differentiable in the parameters. ``grid`` is
+    the upper hemisphere for models of the sky (the ground is added by
     :class:`skylight.models.ground.LambertianGround`), the whole sphere for others.
     ``bounds`` are two ``(p,)`` tensors (infinite where there is none). ``to_free`` maps
     parameters within the bounds to all of R^p, ``from_free`` back; both are smooth, so that an
@@ -40,11 +41,11 @@ class LightModel(Protocol):
     @property
     def bounds(self) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]: ...
 
-    def radiance(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b n 3"]: ...
+    def __call__(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]: ...
 
-    def to_free(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b p"]: ...
+    def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]: ...
 
-    def from_free(self, free: Float[Tensor, "b p"]) -> Float[Tensor, "b p"]: ...
+    def from_free(self, free: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]: ...
 
     def starts(self) -> Float[Tensor, "s p"]: ...
 

@@ -1,4 +1,4 @@
-"""Light as a sum of round Gaussian lobes on the sphere: a baseline that knows no sky either.
+"""Sums of spherical Gaussians: a baseline without a prior of skies.
 
 ``l(w) = c + sum_k a_k exp(kappa_k (<d_k, w> - 1))`` (spherical Gaussians, e.g. Wang et al. 2009,
 "All-Frequency Rendering of Dynamic, Spatially-Varying Reflectance").
@@ -26,13 +26,15 @@ _TABLE_SHARPNESS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0)
 
 
 class GaussianLobes(nn.Module):
-    """Parameters ``(b, 6 k + 3)`` to the radiance of (h, 4h) pixels of the upper hemisphere.
+    """Parameters ``(..., 6 k + 3)`` to the radiance of (h, 4h) pixels of the upper hemisphere.
 
     Each of the ``lobes`` has six: amplitude (3), azimuth and zenith angle of its direction in
     rad (any real numbers), sharpness. The constant's colour comes last.
     """
 
     azimuth_index: int | None = None  # each lobe has its own
+
+    directions: Tensor
 
     def __init__(self, lobes: int, height: int = 32) -> None:
         super().__init__()
@@ -42,13 +44,14 @@ class GaussianLobes(nn.Module):
         self.name = f"gaussians{lobes}"
         self.parameter_count = LOBE_PARAMETERS * lobes + CONSTANT_PARAMETERS
         self.grid = DirectionGrid.sky(height)
+        self.register_buffer("directions", self.grid.directions, persistent=False)
 
-    def radiance(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b n 3"]:
+    def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
         amplitude, azimuth, zenith, sharpness, constant = self._split(params)
-        lobe = _lobe(direction_from_angles(azimuth, zenith), sharpness, self.grid)
-        return torch.einsum("bkn,bkc->bnc", lobe, amplitude) + constant[:, None]
+        lobe = _lobe(direction_from_angles(azimuth, zenith), sharpness, self.directions)
+        return torch.einsum("...kn,...kc->...nc", lobe, amplitude) + constant[..., None, :]
 
-    def to_free(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b p"]:
+    def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """log of the colours, angles as they are, logit of log sharpness within its bounds.
 
         Colours below 1e-6, and sharpness within 1e-6 of the range from a bound, move to there.
@@ -64,7 +67,7 @@ class GaussianLobes(nn.Module):
             constant.clamp(min=_MIN_AMPLITUDE).log(),
         )
 
-    def from_free(self, free: Float[Tensor, "b p"]) -> Float[Tensor, "b p"]:
+    def from_free(self, free: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """Inverse of :meth:`to_free`."""
         amplitude, azimuth, zenith, sharpness, constant = self._split(free)
         low, high = _log_bounds()
@@ -109,35 +112,35 @@ class GaussianLobes(nn.Module):
         return self._join(parts[0], parts[1], parts[2], parts[3], constant)
 
     def _split(
-        self, params: Float[Tensor, "b p"]
+        self, params: Float[Tensor, "*batch p"]
     ) -> tuple[
-        Float[Tensor, "b k 3"],
-        Float[Tensor, "b k"],
-        Float[Tensor, "b k"],
-        Float[Tensor, "b k"],
-        Float[Tensor, "b 3"],
+        Float[Tensor, "*batch k 3"],
+        Float[Tensor, "*batch k"],
+        Float[Tensor, "*batch k"],
+        Float[Tensor, "*batch k"],
+        Float[Tensor, "*batch 3"],
     ]:
-        lobes = params[:, :-CONSTANT_PARAMETERS].unflatten(1, (self.lobes, LOBE_PARAMETERS))
+        lobes = params[..., :-CONSTANT_PARAMETERS].unflatten(-1, (self.lobes, LOBE_PARAMETERS))
         azimuth, zenith, sharpness = lobes[..., 3:].unbind(-1)
-        return lobes[..., :3], azimuth, zenith, sharpness, params[:, -CONSTANT_PARAMETERS:]
+        return lobes[..., :3], azimuth, zenith, sharpness, params[..., -CONSTANT_PARAMETERS:]
 
     def _join(
         self,
-        amplitude: Float[Tensor, "b k 3"],
-        azimuth: Float[Tensor, "b k"],
-        zenith: Float[Tensor, "b k"],
-        sharpness: Float[Tensor, "b k"],
-        constant: Float[Tensor, "b 3"],
-    ) -> Float[Tensor, "b p"]:
+        amplitude: Float[Tensor, "*batch k 3"],
+        azimuth: Float[Tensor, "*batch k"],
+        zenith: Float[Tensor, "*batch k"],
+        sharpness: Float[Tensor, "*batch k"],
+        constant: Float[Tensor, "*batch 3"],
+    ) -> Float[Tensor, "*batch p"]:
         rest = torch.stack([azimuth, zenith, sharpness], -1)
-        return torch.cat([torch.cat([amplitude, rest], -1).flatten(1), constant], 1)
+        return torch.cat([torch.cat([amplitude, rest], -1).flatten(-2), constant], -1)
 
 
 def _lobe(
-    direction: Float[Tensor, "*k 3"], sharpness: Float[Tensor, "*k"], grid: DirectionGrid
+    direction: Float[Tensor, "*k 3"], sharpness: Float[Tensor, "*k"], at: Float[Tensor, "n 3"]
 ) -> Float[Tensor, "*k n"]:
-    """``exp(kappa (<d, w> - 1))``: 1 at its direction."""
-    cosine = direction @ grid.directions.T.to(direction)
+    """``exp(kappa (<d, w> - 1))`` of unit vectors w: 1 at d."""
+    cosine = direction @ at.T.to(direction)
     return torch.exp(sharpness[..., None] * (cosine - 1))
 
 
@@ -150,7 +153,8 @@ def _table(
     places = DirectionGrid.sky(_TABLE_ROWS).directions.float()
     directions = places.repeat_interleave(len(_TABLE_SHARPNESS), 0)
     sharpness = torch.tensor(_TABLE_SHARPNESS).repeat(len(places))
-    return directions, sharpness, _lobe(directions, sharpness, DirectionGrid.latlong(*layout))
+    at = DirectionGrid.latlong(*layout).directions
+    return directions, sharpness, _lobe(directions, sharpness, at)
 
 
 def _log_bounds() -> tuple[float, float]:

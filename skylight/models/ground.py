@@ -1,4 +1,4 @@
-"""Light that the ground throws back up: one Lambertian bounce of the sky, and likely albedos."""
+"""Light reflected by the ground: one Lambertian bounce of the sky, and a prior of its albedo."""
 
 import math
 
@@ -42,19 +42,19 @@ class LambertianGround(nn.Module):
         row = -torch.diff(row_edges_cos(height, width) ** 2) * math.pi / width
         self.register_buffer("transfer", row.repeat_interleave(width), persistent=False)
 
-    def radiance(
-        self, sky: Float[Tensor, "b n 3"], albedo: Float[Tensor, "b 3"]
-    ) -> Float[Tensor, "b 3"]:
+    def forward(
+        self, sky: Float[Tensor, "*batch n 3"], albedo: Float[Tensor, "*#batch 3"]
+    ) -> Float[Tensor, "*batch 3"]:
         """Radiance of the ground, the same in all directions."""
-        irradiance = torch.einsum("n,bnc->bc", self.transfer.to(sky), sky)
+        irradiance = torch.einsum("n,...nc->...c", self.transfer.to(sky), sky)
         return albedo / math.pi * irradiance
 
     def append(
-        self, sky: Float[Tensor, "b n 3"], albedo: Float[Tensor, "b 3"]
-    ) -> Float[Tensor, "b m 3"]:
+        self, sky: Float[Tensor, "*batch n 3"], albedo: Float[Tensor, "*#batch 3"]
+    ) -> Float[Tensor, "*batch m 3"]:
         """The full sphere, (h,4h) sky rows above (h,4h) ground rows: m = 2 n."""
-        ground = self.radiance(sky, albedo)[:, None].expand_as(sky)
-        return torch.cat([sky, ground], dim=1)
+        ground = self(sky, albedo)[..., None, :].expand_as(sky)
+        return torch.cat([sky, ground], dim=-2)
 
 
 def ground_prior() -> GaussianMixture:

@@ -1,4 +1,4 @@
-"""Light as spherical harmonics of low degree: the baseline that knows no sky."""
+"""Spherical harmonics of low degree: a baseline without a prior of skies."""
 
 import math
 
@@ -13,8 +13,8 @@ from skylight.sphere.grid import DirectionGrid
 class HarmonicLight(nn.Module):
     """Radiance over the whole sphere as (degree + 1)^2 coefficients per colour.
 
-    Parameters ``(b, 3 k)`` are coefficients ``(b, k, 3)`` flattened, in the order of
-    :mod:`skylight.sphere.harmonics`. ``radiance`` is cut off at zero, as light must be;
+    Parameters ``(..., 3 k)`` are coefficients ``(..., k, 3)`` flattened, in the order of
+    :mod:`skylight.sphere.harmonics`. ``forward`` is clamped at zero, as light must be;
     ``linear_radiance`` is not, and is what a linear least-squares fit works with.
     """
 
@@ -36,18 +36,18 @@ class HarmonicLight(nn.Module):
         high = torch.full((self.parameter_count,), math.inf, dtype=torch.float64)
         return -high, high
 
-    def linear_radiance(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b n 3"]:
+    def linear_radiance(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
         """``sum_k Y_k(w) c_k``, negative where it rings."""
-        return self.basis.to(params) @ params.unflatten(1, (-1, 3))
+        return self.basis.to(params) @ params.unflatten(-1, (-1, 3))
 
-    def radiance(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b n 3"]:
+    def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
         """``max(0, sum_k Y_k(w) c_k)``."""
         return self.linear_radiance(params).clamp(min=0)
 
-    def to_free(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b p"]:
+    def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         return params
 
-    def from_free(self, free: Float[Tensor, "b p"]) -> Float[Tensor, "b p"]:
+    def from_free(self, free: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         return free
 
     def starts(self) -> Float[Tensor, "s p"]:

@@ -1,4 +1,4 @@
-"""The sun of a sky map as five coordinates: what a network need not learn.
+"""The sun of a sky map as five explicit parameters.
 
 A sun is a lobe ``E exp(kappa (<s, w> - 1))`` with an energy of exactly E over the map's pixels, at
 the azimuth of the centre column. Its coordinates u are unbounded and of about unit spread over

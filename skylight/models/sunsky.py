@@ -52,36 +52,8 @@ def perez(
     return gradation * (1 + c * torch.exp(d * gamma) + e * torch.cos(gamma) ** 2)
 
 
-def zenith_luminance(
-    turbidity: Float[Tensor, "..."], sun_zenith: Float[Tensor, "..."]
-) -> Float[Tensor, "..."]:
-    """Luminance straight up in kcd/m^2 (Preetham et al. 1999, appendix A.2).
-
-    The fitted polynomial goes below zero for a low sun in very hazy air (t > 11.2 at the
-    horizon); it is cut off there.
-    """
-    chi = (4 / 9 - turbidity / 120) * (math.pi - 2 * sun_zenith)
-    value = (4.0453 * turbidity - 4.9710) * torch.tan(chi) - 0.2155 * turbidity + 2.4192
-    return value.clamp(min=0)
-
-
-def preetham_luminance(
-    cos_theta: Float[Tensor, "..."],
-    gamma: Float[Tensor, "..."],
-    turbidity: Float[Tensor, "..."],
-    sun_zenith: Float[Tensor, "..."],
-) -> Float[Tensor, "..."]:
-    """Absolute luminance of the clear sky in kcd/m^2: ``Y_z F(theta, gamma) / F(0, theta_sun)``.
-
-    Angles in radians; arguments broadcast. The sun's disc is not in it.
-    """
-    up = torch.ones_like(sun_zenith)
-    relative = perez(cos_theta, gamma, turbidity) / perez(up, sun_zenith, turbidity)
-    return zenith_luminance(turbidity, sun_zenith) * relative
-
-
 class SunSky(nn.Module):
-    """Parameters ``(b, 10)`` to the radiance of the sky, (h, 4h) pixels of the upper hemisphere.
+    """Parameters ``(..., 10)`` to the radiance of (h, 4h) pixels of the upper hemisphere.
 
     ===== =========================================================================
     0:3   sky colour: mean radiance of the sky without the sun
@@ -114,15 +86,16 @@ class SunSky(nn.Module):
         high = [math.inf] * 7 + [ZENITH_BOUNDS[1], TURBIDITY_BOUNDS[1], KAPPA_BOUNDS[1]]
         return torch.tensor(low, dtype=torch.float64), torch.tensor(high, dtype=torch.float64)
 
-    def radiance(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b n 3"]:
-        sun = direction_from_angles(params[:, 6], params[:, 7])
-        sky = self.sky_distribution(sun, params[:, 8])
-        lobe = self.sun_lobe(sun, params[:, 9])
-        return sky[..., None] * params[:, None, 0:3] + lobe[..., None] * params[:, None, 3:6]
+    def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
+        w_sky, w_sun = params[..., None, 0:3], params[..., None, 3:6]
+        azimuth, zenith, turbidity, kappa = params[..., 6:].unbind(-1)
+        sun = direction_from_angles(azimuth, zenith)
+        sky, lobe = self.sky_distribution(sun, turbidity), self.sun_lobe(sun, kappa)
+        return sky[..., None] * w_sky + lobe[..., None] * w_sun
 
     def sky_distribution(
-        self, sun: Float[Tensor, "b 3"], turbidity: Float[Tensor, " b"]
-    ) -> Float[Tensor, "b n"]:
+        self, sun: Float[Tensor, "*batch 3"], turbidity: Float[Tensor, "*batch"]
+    ) -> Float[Tensor, "*batch n"]:
         """Perez' distribution divided by its mean over the upper hemisphere.
 
         The thesis' f is the luminance itself; it nearly vanishes with the zenith luminance near
@@ -136,54 +109,54 @@ class SunSky(nn.Module):
             ((2 - 2 * cosine).clamp(min=0) + 1e-8).sqrt(),
             ((2 + 2 * cosine).clamp(min=0) + 1e-8).sqrt(),
         )
-        value = perez(upper[:, 1], gamma, turbidity[:, None])
+        value = perez(upper[:, 1], gamma, turbidity[..., None])
         solid_angle = self.log_solid_angle[: len(self.grid)].exp().to(sun)
-        return value / ((value @ solid_angle) / (2 * math.pi))[:, None]
+        return value / ((value @ solid_angle) / (2 * math.pi))[..., None]
 
     def sun_lobe(
-        self, sun: Float[Tensor, "b 3"], kappa: Float[Tensor, " b"]
-    ) -> Float[Tensor, "b n"]:
+        self, sun: Float[Tensor, "*batch 3"], kappa: Float[Tensor, "*batch"]
+    ) -> Float[Tensor, "*batch n"]:
         """``exp(kappa (<s, w> - 1))`` with an energy of exactly 1 over the pixels of the sphere.
 
         The thesis' ``C = kappa / (2 pi - 2 pi e^(-2 kappa))`` normalises the continuous lobe:
         the same where pixels resolve it, but above kappa of about 1000 a lobe falls between the
         centres of pixels and its energy would depend on where the sun stands.
         """
-        exponent = kappa[:, None] * (sun @ self.sphere.to(sun).T - 1)
-        total = torch.logsumexp(exponent + self.log_solid_angle.to(sun), dim=1, keepdim=True)
-        return torch.exp(exponent[:, : len(self.grid)] - total)
+        exponent = kappa[..., None] * (sun @ self.sphere.to(sun).T - 1)
+        total = torch.logsumexp(exponent + self.log_solid_angle.to(sun), dim=-1, keepdim=True)
+        return torch.exp(exponent[..., : len(self.grid)] - total)
 
-    def to_free(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b p"]:
+    def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """log of the colours, azimuth as it is, logit of the zenith, log-logit of t and kappa.
 
         Colours below 1e-6, and the rest within 1e-6 of the range from a bound, move to there.
         """
         return torch.cat(
             [
-                params[:, :6].clamp(min=_MIN_WEIGHT).log(),
-                params[:, 6:7],
-                _logit(params[:, 7:8], *ZENITH_BOUNDS),
-                _logit(params[:, 8:9].log(), *_log(TURBIDITY_BOUNDS)),
-                _logit(params[:, 9:10].log(), *_log(KAPPA_BOUNDS)),
+                params[..., :6].clamp(min=_MIN_WEIGHT).log(),
+                params[..., 6:7],
+                _logit(params[..., 7:8], *ZENITH_BOUNDS),
+                _logit(params[..., 8:9].log(), *_log(TURBIDITY_BOUNDS)),
+                _logit(params[..., 9:10].log(), *_log(KAPPA_BOUNDS)),
             ],
-            dim=1,
+            dim=-1,
         )
 
-    def from_free(self, free: Float[Tensor, "b p"]) -> Float[Tensor, "b p"]:
+    def from_free(self, free: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """Inverse of :meth:`to_free`."""
-        turbidity = _sigmoid(free[:, 8:9], *_log(TURBIDITY_BOUNDS)).exp()
-        kappa = _sigmoid(free[:, 9:10], *_log(KAPPA_BOUNDS)).exp()
+        turbidity = _sigmoid(free[..., 8:9], *_log(TURBIDITY_BOUNDS)).exp()
+        kappa = _sigmoid(free[..., 9:10], *_log(KAPPA_BOUNDS)).exp()
         return torch.cat(
             [
                 # a line search may try anything; e^40 is as wrong as infinity but finite
-                free[:, :6].clamp(max=_MAX_LOG_WEIGHT).exp(),
-                free[:, 6:7],
-                _sigmoid(free[:, 7:8], *ZENITH_BOUNDS),
+                free[..., :6].clamp(max=_MAX_LOG_WEIGHT).exp(),
+                free[..., 6:7],
+                _sigmoid(free[..., 7:8], *ZENITH_BOUNDS),
                 # exp(log) can miss a bound by a rounding
                 turbidity.clamp(*TURBIDITY_BOUNDS),
                 kappa.clamp(*KAPPA_BOUNDS),
             ],
-            dim=1,
+            dim=-1,
         )
 
     def starts(self) -> Float[Tensor, "s p"]:
@@ -333,9 +306,9 @@ def _log(bounds: tuple[float, float]) -> tuple[float, float]:
     return math.log(bounds[0]), math.log(bounds[1])
 
 
-def _logit(x: Float[Tensor, "b k"], low: float, high: float) -> Float[Tensor, "b k"]:
+def _logit(x: Float[Tensor, "*s"], low: float, high: float) -> Float[Tensor, "*s"]:
     return torch.logit((x - low) / (high - low), eps=_MIN_FRACTION)
 
 
-def _sigmoid(x: Float[Tensor, "b k"], low: float, high: float) -> Float[Tensor, "b k"]:
+def _sigmoid(x: Float[Tensor, "*s"], low: float, high: float) -> Float[Tensor, "*s"]:
     return low + (high - low) * torch.sigmoid(x)

@@ -1,4 +1,4 @@
-"""Meshes whose light is baked in, as .glb files that any viewer shows as they are."""
+"""Meshes with baked light as .glb files of unlit materials."""
 
 from collections.abc import Callable
 from io import BytesIO
@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from skylight.imaging.atomic import atomic_path
+from skylight.io.atomic import atomic_path
 
 if TYPE_CHECKING:
     from trimesh import Trimesh

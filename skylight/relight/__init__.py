@@ -1,1 +1,1 @@
-"""Skies and precomputed scenes for programs without torch: export here, relight anywhere."""
+"""Relighting with numpy and onnxruntime: precomputed scenes and the sky decoder."""

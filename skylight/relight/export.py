@@ -2,7 +2,6 @@
 
 import logging
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -14,7 +13,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor, nn
 
 from skylight.errors import DependencyError, InputError, SkylightError
-from skylight.imaging.atomic import atomic_path
+from skylight.io.atomic import atomic_path
 from skylight.models.autoencoder import (
     CENTRE_AZIMUTH_RAD,
     LATENT,
@@ -30,6 +29,7 @@ from skylight.transport.gbuffer import rasterize
 from skylight.transport.matrix import TransportMatrix, diffuse_transport
 from skylight.transport.mesh import creased, read_mesh
 from skylight.transport.raycast import Raycaster
+from skylight.work.progress import Progress
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -165,7 +165,7 @@ def precompute_scene(
     placement: Placement | None = None,
     albedo: tuple[float, float, float] = (0.7, 0.7, 0.7),
     workers: int = 1,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> PrecomputedScene:
     """Write the transport of a mesh that stands on a ground as a scene file, and return it.
 

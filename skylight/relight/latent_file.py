@@ -1,4 +1,4 @@
-"""Latents of a sky in a JSON file: without torch."""
+"""JSON files of sky latents; without torch."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from skylight.errors import InputError
-from skylight.imaging.bounded import json_content
+from skylight.io.bounded import json_content
 
 LATENT = 64
 

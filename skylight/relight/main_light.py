@@ -1,4 +1,4 @@
-"""A map of light as one directional light and the rest, as augmented reality has it."""
+"""An environment map split into one directional light and the rest, as in augmented reality."""
 
 import math
 from dataclasses import dataclass

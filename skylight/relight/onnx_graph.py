@@ -1,4 +1,4 @@
-"""What an ONNX file may ask of the runtime, checked before the runtime sees it.
+"""Checks of ONNX graphs before the runtime loads them.
 
 Reads protocol buffers' wire format itself, as relighting needs no ``onnx`` package. Numbers of
 fields: onnx.proto, https://github.com/onnx/onnx/blob/main/onnx/onnx.proto

@@ -1,4 +1,4 @@
-"""Cube maps blurred as rough metal sees them: one level for each roughness."""
+"""Cube maps prefiltered for rough metals, one level per roughness."""
 
 import torch
 from jaxtyping import Float

@@ -15,8 +15,8 @@ from jaxtyping import Float, Float32, UInt8
 from PIL import Image
 
 from skylight.errors import InputError
-from skylight.imaging.atomic import atomic_path
-from skylight.imaging.hdr import read_linear, write_exr
+from skylight.io.atomic import atomic_path
+from skylight.io.hdr import read_linear, write_exr
 from skylight.relight.latent_file import read_latent
 from skylight.relight.scene_file import PrecomputedScene, load_scene
 from skylight.relight.sky_decoder import SkyDecoder

@@ -1,4 +1,4 @@
-"""A scene as one camera's pixels and the directions that light each: without torch."""
+"""Precomputed scenes: pixels of one camera and their transport; without torch."""
 
 import math
 from dataclasses import dataclass, fields
@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8, UInt16
 
 from skylight.errors import InputError
-from skylight.imaging.atomic import atomic_path
-from skylight.imaging.bounded import load_arrays, require_pixels
+from skylight.io.atomic import atomic_path
+from skylight.io.bounded import load_arrays, require_pixels
 
 SCENE_FORMAT = "skylight scene 1"
 PICTURE_PIXELS_MAX = 2**23  # the largest that is exported has 2880 x 2160

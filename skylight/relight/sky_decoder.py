@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from skylight.errors import AssetError
-from skylight.imaging.bounded import file_bytes
+from skylight.io.bounded import file_bytes
 from skylight.relight.onnx_graph import require_plain
 
 DECODER_BYTES_MAX = 2**29  # of all decoders together, four times what _BATCH takes

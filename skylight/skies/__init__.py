@@ -1,1 +1,1 @@
-"""Where skies come from: simulated days, and folders of captured ones."""
+"""Skies: simulated days, and folders of captured ones."""

@@ -1,4 +1,4 @@
-"""When a sky was captured: from a list, its name, or what its file's header says."""
+"""Capture dates of skies, from a list, file names or headers."""
 
 import csv
 import re
@@ -10,8 +10,8 @@ from pathlib import Path
 import OpenEXR
 
 from skylight.errors import InputError
-from skylight.imaging.bounded import file_text
-from skylight.imaging.hdr import muted
+from skylight.io.bounded import file_text
+from skylight.io.hdr import muted
 
 _SEPARATOR = r"[-_.: ]?"
 _DATE = re.compile(

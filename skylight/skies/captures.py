@@ -1,28 +1,33 @@
-"""Folders of captured skies: which maps can be used, and an index of them."""
+"""Folders of captured skies: checks, and an index."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import torch
+
 from skylight.errors import InputError
-from skylight.imaging.hdr import SUFFIXES
-from skylight.imaging.listing import visible_files
+from skylight.io.collection import read_categories
+from skylight.io.hdr import SUFFIXES, read_linear
+from skylight.io.listing import visible_files
 from skylight.skies.capture_dates import capture_of, read_days
 from skylight.skies.index import INDEX_NAME, SkyRecord, is_index, read_rows, write_rows
 from skylight.skies.layouts import FIELD_DEG, SQUARE, Layout, read_pixels, sky_of
+from skylight.skies.sky_above import NO_SKY, why_no_sky
 from skylight.skies.splits import divide
 from skylight.skies.sun_in_map import PLATEAU_PIXELS, find_sun, plateau_size
+from skylight.work.progress import CountProgress
 
 LEAST_ROWS = 32  # of a sky, as many as the models' skies have
 
 
 @dataclass(frozen=True, kw_only=True)
 class Refusal:
-    """A map that cannot be used, and why, in words."""
+    """A map that is not used, and why, in words; ``is_sky``: because of a fault of its file."""
 
     file: str
     reason: str
+    is_sky: bool = True
 
 
 def index_captures(
@@ -31,13 +36,17 @@ def index_captures(
     layout: Layout | None = None,
     field_deg: float = FIELD_DEG,
     days: Path | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    all_maps: bool = False,
+    progress: CountProgress | None = None,
 ) -> tuple[list[SkyRecord], list[Refusal]]:
     """Look at every .exr and .hdr map in ``folder`` and the folders in it; writes nothing.
 
     The records' files are relative to ``folder``, and their days not yet divided into splits.
     ``layout`` None tells it from each map's shape. ``days`` is a list for
     :func:`read_days`. ``sun_transmittance`` is 1 for a visible sun, else 0.
+
+    Unless ``all_maps``, maps that show no sky are left out: those that an ``index.csv`` with the
+    columns file and category calls indoor, studio or night, and those of :func:`why_no_sky`.
 
     Raises :class:`InputError` where there are no maps, or the list names one that is not there.
     """
@@ -48,16 +57,26 @@ def index_captures(
     listed = read_days(days) if days else {}
     if absent := sorted(set(listed) - set(files)):
         raise InputError(f"{days}: lists {absent[0]}, which is not in {folder}; correct the list")
+    categories = {} if all_maps else _categories(folder)
     records: list[SkyRecord] = []
     refusals: list[Refusal] = []
     for number, file in enumerate(files):
         if progress:
             progress(number, len(files))
+        category = categories.get(file, "")
+        if category.startswith(NO_SKY):
+            reason = f"no sky above: {INDEX_NAME} calls it {category}"
+            refusals.append(Refusal(file=file, reason=reason, is_sky=False))
+            continue
         try:
             found = _look(folder, file, layout, field_deg)
+            reason = None if all_maps else _no_sky(folder, found)
         except InputError as error:
             reason = str(error).removeprefix(f"{folder / file}: ")
             refusals.append(Refusal(file=file, reason=reason))
+            continue
+        if reason is not None:
+            refusals.append(Refusal(file=file, reason=reason, is_sky=False))
             continue
         capture = capture_of(folder, file, listed)
         records.append(replace(found, day=capture.day, time=capture.time))
@@ -72,7 +91,8 @@ def index_folder(
     field_deg: float = FIELD_DEG,
     days: Path | None = None,
     tolerance: float | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    all_maps: bool = False,
+    progress: CountProgress | None = None,
 ) -> tuple[Path, list[SkyRecord], list[Refusal]]:
     """Write an index of the usable maps of ``folder``; (the index, its records, what is refused).
 
@@ -86,8 +106,8 @@ def index_folder(
     out = out or folder / INDEX_NAME
     if out.exists() and not is_index(out):
         raise InputError(
-            f"{out}: is no index of skies of this version, and is not overwritten; name another "
-            "file with --out, or take it away"
+            f"{out}: is no index of skies of this version, and is not overwritten; write one "
+            f"beside it with: skylight skies index {folder} --out {folder / 'skies.csv'}"
         )
     if out.exists() and any(record.seed is not None for record in read_rows(out)):
         raise InputError(
@@ -95,7 +115,12 @@ def index_folder(
             "use it as it is, or name another file with --out"
         )
     records, refusals = index_captures(
-        folder, layout=layout, field_deg=field_deg, days=days, progress=progress
+        folder,
+        layout=layout,
+        field_deg=field_deg,
+        days=days,
+        all_maps=all_maps,
+        progress=progress,
     )
     if not records:
         first = refusals[0]
@@ -109,6 +134,24 @@ def index_folder(
     records = divide(records, tolerance=tolerance)
     write_rows(out, records)
     return out, records, refusals
+
+
+def _categories(folder: Path) -> dict[str, str]:
+    """File -> category of a folder whose index names them; nothing where there is no such index."""
+    path = folder / INDEX_NAME
+    if not path.is_file() or is_index(path):
+        return {}
+    try:
+        return read_categories(folder)
+    except InputError:  # an index of another kind says nothing of categories
+        return {}
+
+
+def _no_sky(folder: Path, record: SkyRecord) -> str | None:
+    if record.layout != "latlong":  # maps of a sky alone show nothing to compare it with
+        return None
+    radiance = torch.from_numpy(read_linear(folder / record.file))
+    return why_no_sky(radiance, sun_is_visible=record.sun_transmittance > 0)
 
 
 def _look(folder: Path, file: str, layout: Layout | None, field_deg: float) -> SkyRecord:

@@ -1,4 +1,4 @@
-"""Layers of cloud: density in three dimensions, marched along the rays of view.
+"""Cloud layers: procedural density, ray marched.
 
 A layer lies between two spherical shells. Its density is periodic noise (:mod:`noise`) cut at a
 threshold, so that a stated share of it is cloud, and it drifts and changes with time. Along each

@@ -1,4 +1,4 @@
-"""The index of a folder of skies: ``index.csv`` with one row a map, and the hash of it all."""
+"""The index of a folder of skies: ``index.csv``, and its hash."""
 
 import csv
 import hashlib
@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from skylight.errors import InputError
-from skylight.imaging.atomic import atomic_path
-from skylight.imaging.bounded import file_text
-from skylight.imaging.collection import INDEX_NAME
+from skylight.io.atomic import atomic_path
+from skylight.io.bounded import file_text
+from skylight.io.collection import INDEX_NAME
 from skylight.skies.layouts import Layout
 
 Split = Literal["train", "validation", "test"]
@@ -119,6 +119,12 @@ def read_rows(path: Path) -> list[SkyRecord]:
     try:
         return [_parse(row) for row in rows]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
+        if rows and "day" not in rows[0]:
+            raise InputError(
+                f"{path}: an index of another kind (columns {', '.join(map(str, rows[0]))}); index "
+                f"its maps with: skylight skies index {path.parent} --out "
+                f"{path.with_name('skies.csv')}"
+            ) from error
         raise InputError(
             f"{path}: not an index of skies ({error}); its columns are {', '.join(COLUMNS)}"
         ) from error

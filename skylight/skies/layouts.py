@@ -1,4 +1,4 @@
-"""The layouts that captured skies come in, and how each becomes an upper-hemisphere map.
+"""Layouts of captured skies, resampled to upper-hemisphere maps.
 
 ==========  ==================================================================================
 skylatlong  upper half of a lat-long map, width = 4 heights (the Laval HDR Sky Database)
@@ -25,7 +25,7 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.imaging.hdr import read_linear
+from skylight.io.hdr import read_linear
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.grid import DirectionGrid
 

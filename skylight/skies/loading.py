@@ -1,4 +1,4 @@
-"""Skies as tensors: sun ahead, mean luminance 1."""
+"""Skies as tensors: sun in the centre column, mean luminance 1."""
 
 import math
 from pathlib import Path

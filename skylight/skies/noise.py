@@ -1,4 +1,4 @@
-"""Periodic noise in three dimensions, tabulated once and looked up by interpolation."""
+"""Periodic noise in three dimensions, tabulated and interpolated."""
 
 import math
 from functools import cache

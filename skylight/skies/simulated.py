@@ -1,15 +1,13 @@
-"""Simulated skies: whole folders to train on, and single ones on the spot to evaluate with."""
+"""Simulated skies: folders for training, and single ones for evaluation."""
 
 import math
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from skylight.errors import InputError
-from skylight.imaging.files import write_environment_map
-from skylight.imaging.resumable import Workers, claimed, settle, share_work
+from skylight.io.files import write_environment_map
 from skylight.skies.atmosphere import ClearSky
 from skylight.skies.index import INDEX_NAME, SkyRecord, read_rows, write_rows
 from skylight.skies.loading import centre_column_azimuth
@@ -25,6 +23,8 @@ from skylight.skies.simulator import (
 )
 from skylight.skies.splits import divide
 from skylight.sphere.envmap import EnvironmentMap
+from skylight.work.progress import CountProgress
+from skylight.work.resumable import Workers, claimed, settle, share_work
 
 # Skies simulated on the spot come from seeds from here on, which no folder may use: so nothing
 # is ever evaluated on a day that something was trained on.
@@ -49,7 +49,7 @@ def simulate_folder(
     height: int = 32,
     shares: dict[Regime, float] = REGIME_SHARES,
     workers: Workers = 1,
-    progress: Callable[[int, int], None] | None = None,
+    progress: CountProgress | None = None,
 ) -> Path:
     """Simulate ``days`` days into ``out`` (EXR + index); days already there are kept.
 

@@ -1,4 +1,4 @@
-"""Simulated days: a place, a date, an atmosphere, a cloud regime, and a sky every few minutes.
+"""Simulated days: place, date, atmosphere and cloud regime, a sky every few minutes.
 
 Everything follows from the day's seed: the same seed gives the same bytes on one device.
 """

@@ -1,4 +1,4 @@
-"""Light inside a plane-parallel cloud of droplets that absorb nothing: the Eddington solution.
+"""Multiple scattering in a plane-parallel, non-absorbing cloud: the Eddington approximation.
 
 Droplets scatter sharply forward. By delta scaling (Joseph, Wiscombe & Weinman 1976) a part
 f = g^2 of what they scatter counts as not scattered at all, the rest as scattered with the

@@ -1,4 +1,4 @@
-"""Where the sun stands for a place and a time."""
+"""The position of the sun for a place and a time."""
 
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta

@@ -1,4 +1,4 @@
-"""What a captured sky says of its sun: where it is, whether it is visible, whether it is clipped.
+"""The sun in a captured sky: position, visibility, clipping.
 
 The thresholds stand where published outdoor maps of known content leave a gap: with a visible
 sun, 35 % and more of the light that a plane facing the brightest place receives comes from

@@ -1,1 +1,1 @@
-"""Everything on the unit sphere that knows neither images nor networks."""
+"""The unit sphere: frames, grids, maps, harmonics, rotations, wavelets."""

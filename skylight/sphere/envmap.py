@@ -1,4 +1,4 @@
-"""Radiance on the sphere: rotate, resize, cut and integrate environment maps."""
+"""``EnvironmentMap``: radiance on the sphere; rotate, resize, crop and integrate."""
 
 import math
 from dataclasses import dataclass
@@ -148,21 +148,21 @@ class EnvironmentMap:
 
 
 def shift_columns(
-    images: Float[Tensor, "b h w c"], azimuth_rad: Float[Tensor, " b"]
-) -> Float[Tensor, "b h w c"]:
+    images: Float[Tensor, "*batch h w c"], azimuth_rad: Float[Tensor, "*batch"]
+) -> Float[Tensor, "*batch h w c"]:
     """Turn lat-long images about the vertical by a continuous angle, circularly.
 
     Linear interpolation between neighbouring columns: non-negative, exact in energy row by
     row, and differentiable in images and angle (the derivative jumps at whole columns).
     """
-    width = images.shape[2]
+    width = images.shape[-2]
     shift = azimuth_rad * (width / (2 * math.pi))
     whole = torch.floor(shift.detach())
-    part = (shift - whole)[:, None, None, None]
-    index = (torch.arange(width, device=images.device)[None] - whole[:, None].long()) % width
-    index = index[:, None, :, None].expand_as(images)
-    moved = torch.gather(images, 2, index)
-    return (1 - part) * moved + part * torch.roll(moved, 1, dims=2)
+    part = (shift - whole)[..., None, None, None]
+    index = (torch.arange(width, device=images.device) - whole[..., None].long()) % width
+    index = index[..., None, :, None].expand_as(images)
+    moved = torch.gather(images, -2, index)
+    return (1 - part) * moved + part * torch.roll(moved, 1, dims=-2)
 
 
 def _overlap(source: Float[Tensor, " m"], target: Float[Tensor, " n"]) -> Float[Tensor, "k l"]:

@@ -1,4 +1,4 @@
-"""The one place that knows axes, azimuth, and which pixel of a lat-long image looks where.
+"""The coordinate frame: axes, azimuth, pixels and directions of lat-long maps.
 
 World frame: right-handed, +Y up. A photograph's camera looks along -Z with +X to the picture's
 right, so the camera's frame is the world frame. ``azimuth`` is measured from -Z towards +X,

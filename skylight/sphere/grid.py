@@ -1,4 +1,4 @@
-"""Quadrature on the sphere: directions with the solid angles they stand for."""
+"""Quadrature on the sphere: directions and their solid angles."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Nine spherical harmonics of light as other programs want their 27 numbers.
+"""Nine spherical harmonic coefficients in the conventions of other programs.
 
 Ours are :mod:`skylight.sphere.harmonics`: radiance, orthonormal, no sign, +Y up. The others differ
 in sign, in what the numbers stand for, and in their order:
@@ -50,14 +50,6 @@ def to_convention(
         raise InputError(f"unknown convention of harmonics {convention!r}: choose one of {known}")
     values = coefficients * _factors(convention).to(coefficients)
     return (values.T if convention == "arkit" else values).reshape(-1)
-
-
-def from_convention(
-    numbers: Float[Tensor, " 27"], convention: HarmonicConvention
-) -> Float[Tensor, "9 3"]:
-    """The inverse of :func:`to_convention`."""
-    values = numbers.reshape(3, 9).T if convention == "arkit" else numbers.reshape(9, 3)
-    return values / _factors(convention).to(values)
 
 
 def _factors(convention: HarmonicConvention) -> Float[Tensor, "9 1"]:

@@ -1,4 +1,4 @@
-"""Real spherical harmonics: basis, projection, windows, zonal convolution, irradiance.
+"""Real spherical harmonics: basis, projection, windows, zonal convolution.
 
 Convention (the only place it is written): orthonormal over the sphere, real, index
 ``l (l + 1) + m``, no Condon-Shortley sign, and the polar axis is *our +Z*, with no permutation of
@@ -179,15 +179,6 @@ def window(degree: int, kind: WindowKind) -> Float[Tensor, " bands"]:
     if kind == "lanczos":
         return torch.sinc(t)
     raise ValueError(f"window {kind!r}: choose one of {', '.join(get_args(WindowKind))}")
-
-
-def irradiance(
-    coefficients: Float[Tensor, "k c"], normals: Float[Tensor, "n 3"]
-) -> Float[Tensor, "n c"]:
-    """Unoccluded irradiance ``sum_lm A_l L_lm Y_lm(n)``; negative where a cut expansion rings."""
-    degree = degree_of(coefficients.shape[0])
-    convolved = convolve_zonal(coefficients, cosine_coefficients(degree))
-    return evaluate(normals, degree) @ convolved
 
 
 def _fejer_weights(grid: DirectionGrid, degree: int) -> Float[Tensor, " n"]:

@@ -1,4 +1,4 @@
-"""Spherical harmonic transforms of whole lat-long maps, row by row and column by column."""
+"""Spherical harmonic transforms of lat-long maps, separable in rows and columns."""
 
 import math
 
@@ -11,12 +11,14 @@ from skylight.sphere.grid import DirectionGrid
 
 
 class LatLongTransform(nn.Module):
-    """Maps of (h, 2h) pixels <-> coefficients of ``harmonics.evaluate_about_zenith``.
+    """Real spherical harmonic transform of maps of (h, 2h) pixels, and its adjoint.
 
-    With B (n, k) that basis at the pixels' centres and W their solid angles, ``synthesise`` is B c
-    and ``analyse`` is B^T W x, so they are each other's adjoints and ``analyse(synthesise(c))`` is
-    the Gram matrix of the sampled basis, which tends to 1 with many rows. Neither forms B: as
-    ``Y_lm = Q_lm(row) cos(m phi)`` or ``sin(m phi)``, a map costs h K (K + w) products.
+    Coefficients are those of ``harmonics.evaluate_about_zenith``. With B (n, k) that basis at the
+    pixels' centres and W their solid angles, ``synthesise`` is B c and ``analyse``, which a call of
+    the module is, B^T W x: each other's adjoints, and ``analyse(synthesise(c))`` is the Gram matrix
+    of the sampled basis, which tends to 1 with many rows. Neither forms B: as
+    ``Y_lm = Q_lm(row) cos(m phi)`` or ``sin(m phi)``, a map costs h K (K + w) products. Both keep
+    leading dimensions, dtype and device.
     """
 
     legendre: Tensor
@@ -46,6 +48,10 @@ class LatLongTransform(nn.Module):
         # place of c_lm and s_lm; where l < m the factor is 0, any place does
         order = torch.stack([index, (l * (l + 1) - m).clamp(min=0)])
         self.register_buffer("order", order, persistent=False)
+
+    def forward(self, maps: Float[Tensor, "*c h w"]) -> Float[Tensor, "*c k"]:
+        """:meth:`analyse`."""
+        return self.analyse(maps)
 
     def synthesise(self, coefficients: Float[Tensor, "*c k"]) -> Float[Tensor, "*c h w"]:
         """``sum_lm c_lm Y_lm`` at the pixels' centres."""

@@ -1,4 +1,4 @@
-"""Pictures of the whole sphere that other programs use, to and from lat-long maps.
+"""Projections of the sphere, to and from lat-long maps.
 
 Every projection is a picture of unit squares, u to the right and v down, in the world frame of
 :mod:`skylight.sphere.frame`:

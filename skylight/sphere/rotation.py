@@ -1,9 +1,8 @@
-"""Rotations of spherical harmonic expansions: Wigner matrices, by recursion and by sampling.
+"""Rotations of spherical harmonic expansions: Wigner matrices by recursion.
 
 ``(R f)(w) = f(R^T w)`` turns coefficients by one orthogonal block per band,
 ``(R f)_l = D^l(R) f_l``. Blocks act on the basis of :func:`skylight.sphere.harmonics.evaluate`,
-whose polar axis is +Z; for expansions about the zenith, where lat-long maps are products of rows
-and columns, give the rotation as :func:`about_zenith` sees it.
+whose polar axis is +Z.
 
 Euler angles are z-y-z, ``R = Rz(alpha) Ry(beta) Rz(gamma)``, each right-handed: the polar axis goes
 to longitude alpha and polar angle beta, after a turn (*twist*) by gamma about itself.
@@ -18,13 +17,6 @@ from torch import Tensor
 from skylight.sphere import harmonics
 
 _POLE = 1e-9  # sin(beta) below which alpha and gamma turn about the same axis
-_DRAWS = 16
-
-
-def about_zenith(rotation: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 3 3"]:
-    """The rotation in axes whose third is +Y, as ``harmonics.evaluate_about_zenith`` has them."""
-    axes = [2, 0, 1]
-    return rotation[..., axes, :][..., axes]
 
 
 def euler_angles(
@@ -180,40 +172,3 @@ def rotate(
     return torch.cat(
         [part @ block.to(part).mT for part, block in zip(parts, blocks, strict=True)], -1
     )
-
-
-def sampling_directions(degree: int, generator: torch.Generator) -> Float[Tensor, "n 3"]:
-    """2 degree + 1 random directions whose first 2l + 1 determine band l, for every l.
-
-    The best of 16 draws by the largest condition number of a band's ``Y_l(w_j)``; about 1e3 to
-    1e4 at degree 40, so that inverting the samples costs as many digits.
-    """
-    best, lowest = torch.empty(0), math.inf
-    for _ in range(_DRAWS):
-        draw = torch.randn(2 * degree + 1, 3, dtype=torch.float64, generator=generator)
-        draw = draw / draw.norm(dim=1, keepdim=True)
-        worst = max(float(torch.linalg.cond(s)) for s in sampled_bands(draw, degree))
-        if worst < lowest:
-            best, lowest = draw, worst
-    return best
-
-
-def sampled_bands(directions: Float[Tensor, "n 3"], degree: int) -> list[Float[Tensor, "i j"]]:
-    """``Y_lm(w_j)``, rows m, columns the first 2l + 1 directions: Eq. C.5 without its factor.
-
-    The thesis' factor sqrt(4 pi / (2l + 1)) cancels in Eq. C.3.
-    """
-    basis = harmonics.evaluate(directions, degree)
-    return [basis[: 2 * l + 1, l * l : (l + 1) ** 2].T for l in range(degree + 1)]  # noqa: E741
-
-
-def sampled_rotation_blocks(
-    rotation: Float[Tensor, "3 3"], directions: Float[Tensor, "n 3"], degree: int
-) -> list[Float[Tensor, "i j"]]:
-    """D^l(R) = M_l(R) M_l(I)^-1 from samples in any directions (thesis, Eq. C.3 to C.5).
-
-    An independent way to :func:`rotation_blocks`, good to the samples' condition number.
-    """
-    turned = sampled_bands(directions @ rotation.T, degree)
-    still = sampled_bands(directions, degree)
-    return [torch.linalg.solve(s, t, left=False) for s, t in zip(still, turned, strict=True)]

@@ -1,4 +1,4 @@
-"""Haar wavelets on the cube map: the non-linear approximation of light, a baseline.
+"""Haar wavelets on the cube map: non-linear approximation, a baseline.
 
 Ng, Ramamoorthi & Hanrahan 2003, "All-frequency shadows using non-linear wavelet lighting
 approximation": light on a cube map, a 2D Haar transform of each face, and only the largest
@@ -34,15 +34,6 @@ _DOWN = ((0, -1, 0), (0, -1, 0), (0, 0, -1), (0, 0, 1), (0, -1, 0), (0, -1, 0))
 _SAMPLES = 12  # along the edge of a texel in the middle of a face
 _BALANCE_PASSES = 20
 _GOLDEN_RATIO = (1 + math.sqrt(5)) / 2
-
-
-def texel_directions(size: int) -> Float[Tensor, "6 n n 3"]:
-    """Unit vectors through the centres of the texels, on the plane of their face, float64."""
-    _check_size(size)
-    centre = (torch.arange(size, dtype=torch.float64) + 0.5) * (2 / size) - 1
-    forward, right, down = (axes[:, None, None] for axes in _face_axes())
-    direction = forward + centre[:, None] * right + centre[:, None, None] * down
-    return direction / direction.norm(dim=-1, keepdim=True)
 
 
 def texel_solid_angles(size: int) -> Float[Tensor, "6 n n"]:
@@ -98,23 +89,6 @@ def latlong_from_cube(cube: Float[Tensor, "f n m c"], height: int) -> Float[Tens
     return mean.reshape(height, 2 * height, -1)
 
 
-def haar(cube: Float[Tensor, "f n m c"]) -> Float[Tensor, "f n m c"]:
-    """Orthonormal 2D Haar transform of each face, non-standard decomposition.
-
-    Rows and columns are halved in turn (Stollnitz, DeRose & Salesin 1995, part 1), coarse to
-    fine from the corner: coefficient (0, 0) is ``n`` times the mean of the face, and the sum
-    of squares is that of the texels.
-    """
-    _check_cube(cube)
-    return _haar(cube)
-
-
-def inverse_haar(coefficients: Float[Tensor, "f n m c"]) -> Float[Tensor, "f n m c"]:
-    """The cube map that :func:`haar` turns into ``coefficients``: its transpose."""
-    _check_cube(coefficients)
-    return _inverse_haar(coefficients)
-
-
 def approximate(
     cube: Float[Tensor, "f n m c"], counts: Sequence[int], selection: Selection = "magnitude"
 ) -> list[Float[Tensor, "f n m c"]]:
@@ -144,7 +118,7 @@ def approximate(
             raise ValueError(f"counts must lie between 0 and 6 n^2 = {6 * size**2}, got {count}")
     solid_angles = texel_solid_angles(size)[..., None].to(cube)
     scale = solid_angles.sqrt() if selection == "weighted" else torch.ones_like(solid_angles)
-    coefficients = _haar(cube * scale)
+    coefficients = haar(cube * scale)
     importance = coefficients.norm(dim=-1, keepdim=True)
     if selection == "area":
         importance = importance * _support(solid_angles).sqrt()
@@ -153,24 +127,31 @@ def approximate(
     rank = torch.empty_like(order)
     rank[order] = torch.arange(len(order), device=order.device)
     rank = rank.reshape(importance.shape)
-    return [_inverse_haar(coefficients * (rank < count)) / scale for count in counts]
+    return [inverse_haar(coefficients * (rank < count)) / scale for count in counts]
 
 
-def _haar(cube: Float[Tensor, "f n n c"]) -> Float[Tensor, "f n n c"]:
+def haar(cube: Float[Tensor, "f n n c"]) -> Float[Tensor, "f n n c"]:
+    """Orthonormal 2D Haar transform of each face, non-standard decomposition.
+
+    Rows and columns are halved in turn (Stollnitz, DeRose & Salesin 1995, part 1), coarse to
+    fine from the corner: coefficient (0, 0) is ``n`` times the mean of the face, and the sum
+    of squares is that of the texels.
+    """
     if cube.shape[1] == 1:
         return cube
     a, b = cube[:, 0::2, 0::2], cube[:, 0::2, 1::2]
     c, d = cube[:, 1::2, 0::2], cube[:, 1::2, 1::2]
     return _quarters(
-        _haar((a + b + c + d) / 2), (a - b + c - d) / 2, (a + b - c - d) / 2, (a - b - c + d) / 2
+        haar((a + b + c + d) / 2), (a - b + c - d) / 2, (a + b - c - d) / 2, (a - b - c + d) / 2
     )
 
 
-def _inverse_haar(coefficients: Float[Tensor, "f n n c"]) -> Float[Tensor, "f n n c"]:
+def inverse_haar(coefficients: Float[Tensor, "f n n c"]) -> Float[Tensor, "f n n c"]:
+    """The cube map that :func:`haar` transforms into ``coefficients``: its transpose."""
     half = coefficients.shape[1] // 2
     if half == 0:
         return coefficients
-    mean = _inverse_haar(coefficients[:, :half, :half])
+    mean = inverse_haar(coefficients[:, :half, :half])
     x, y = coefficients[:, :half, half:], coefficients[:, half:, :half]
     xy = coefficients[:, half:, half:]
     upper = torch.stack([mean + x + y + xy, mean - x + y - xy], dim=3)

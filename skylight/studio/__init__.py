@@ -1,1 +1,1 @@
-"""``skylight studio``: a page on this machine that shows light instead of telling it."""
+"""``skylight studio``: a local web application."""

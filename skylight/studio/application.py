@@ -1,4 +1,4 @@
-"""The studio's HTTP interface, put together; errors are JSON, ``{"error": "one line"}``."""
+"""The HTTP application; errors are JSON, ``{"error": "one line"}``."""
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager

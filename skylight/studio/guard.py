@@ -1,4 +1,4 @@
-"""Who may talk to the server, how much they may send, and what browsers are told of its answers.
+"""Access control: origins, request sizes, security headers.
 
 A page of another site can send requests to 127.0.0.1, and by DNS rebinding even from a name that it
 chose for that address. So the Host must be a name that the server goes by, and whatever changes

@@ -1,4 +1,4 @@
-"""Jobs are begun, watched, cancelled, and their files fetched."""
+"""Routes of jobs: start, events, cancel, files."""
 
 import json
 import zipfile
@@ -10,7 +10,7 @@ from fastapi import APIRouter, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 
-from skylight.imaging.atomic import atomic_path
+from skylight.io.atomic import atomic_path
 from skylight.studio.jobs import Job
 from skylight.studio.refusals import Refused
 from skylight.studio.requests import CodeRequest, EstimateRequest, JobRequest
@@ -29,6 +29,8 @@ async def begin(request: Request, wanted: JobRequest) -> JSONResponse:
     if isinstance(wanted, EstimateRequest):
         photo = studio.photos.get(wanted.photo)
         arguments |= {"path": str(photo.path), "name": photo.name, "pixels": studio.limits.pixels}
+        if studio.model is not None and wanted.light in ("autoencoder", "sunsky"):
+            arguments |= {"model": str(studio.model)}
         uses = (photo.id,)
     else:
         light, uses = _light(studio, wanted.map, wanted.job)

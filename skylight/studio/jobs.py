@@ -1,4 +1,4 @@
-"""Jobs: one after another in a worker process, watched by pages, stopped when nobody looks."""
+"""The queue of jobs in a worker process, with events, cancelled when no page watches."""
 
 import asyncio
 import traceback

@@ -1,4 +1,4 @@
-"""What a server keeps for its pages, in folders of its own, until there is too much of it."""
+"""Uploads and results kept in folders, within a size limit."""
 
 import secrets
 import shutil

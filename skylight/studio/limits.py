@@ -1,4 +1,4 @@
-"""How much one server takes on."""
+"""Limits of a server."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The server's temporary folder: it goes with the server, and where that was killed, with the next.
+"""The server's temporary folder, removed at its end or by the next server.
 
 Each server holds a lock on its folder, which the system lets go however the process ends.
 """

@@ -1,4 +1,4 @@
-"""Answers that say no: a status, and one line that tells the user why."""
+"""Error responses: a status and a line."""
 
 import errno
 

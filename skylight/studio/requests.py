@@ -1,4 +1,4 @@
-"""What a client may ask for, checked strictly: the JSON bodies of POST /api/jobs."""
+"""Strict validation of the JSON bodies of POST /api/jobs."""
 
 from typing import Annotated, Literal
 

@@ -1,4 +1,4 @@
-"""A server from start to end: its socket, its folder, its processes, and a browser."""
+"""The life of a server: socket, folder, processes, browser."""
 
 import os
 import signal
@@ -6,9 +6,10 @@ import socket
 import sys
 import threading
 import webbrowser
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
+from pathlib import Path
 
 import uvicorn
 
@@ -17,6 +18,7 @@ from skylight.studio.application import make_application
 from skylight.studio.limits import Limits
 from skylight.studio.own_folder import own_folder
 from skylight.studio.state import Studio
+from skylight.work.progress import Tell
 
 _FAREWELL_S = 1  # that open connections have when the server ends
 
@@ -29,20 +31,24 @@ def serve(
     port: int = 8600,
     browser: bool = True,
     limits: Limits | None = None,
-    tell: Callable[[str], None] = _say,
+    model: Path | None = None,
+    tell: Tell = _say,
 ) -> None:
     """Serve the studio until Ctrl-C; uploads and results go with it.
 
-    ``port`` 0 takes one that is free. ``tell`` gets the address.
+    ``model`` is the folder of a trained light model to estimate with. ``port`` 0 takes one that
+    is free. ``tell`` gets the address.
 
     Raises
     ------
     InputError
-        The port is taken, or the host is none of this machine's.
+        The port is taken, the host is none of this machine's, or there is no folder ``model``.
     """
+    if model is not None and not model.is_dir():
+        raise InputError(f"{model}: no folder is there; make a model with: skylight train")
     listener = _listening(host, port)
     with listener, own_folder() as folder, _ended_by_signals():
-        studio = Studio(folder, limits or Limits())
+        studio = Studio(folder, limits or Limits(), model=model and model.resolve())
         config = uvicorn.Config(
             make_application(studio, host=host),
             log_config=None,

@@ -1,4 +1,4 @@
-"""What one running server has: uploads, jobs, and the processes that work for it."""
+"""The state of a running server: uploads, jobs, processes."""
 
 import asyncio
 import re
@@ -19,8 +19,8 @@ HDR = (".exr", ".hdr")
 UPLOADS_AT_ONCE = 4
 _READING_S = 300.0  # 50 megapixels take some tens of seconds, and wait for their turn
 _NAME_MOST = 80
-_JOB_MODULES = ["skylight.studio.estimate_task"]
-_READER_MODULES = ["skylight.studio.uploads"]
+_JOB_MODULES = ["skylight.studio.tasks.estimate"]
+_READER_MODULES = ["skylight.studio.tasks.uploads"]
 
 
 @dataclass(kw_only=True)
@@ -39,8 +39,9 @@ class Upload(Item):
 class Studio:
     """Everything is in ``folder``, which is its own."""
 
-    def __init__(self, folder: Path, limits: Limits) -> None:
+    def __init__(self, folder: Path, limits: Limits, *, model: Path | None = None) -> None:
         self.limits = limits
+        self.model = model  # folder of a trained light model
 
         def kept(name: str, most: int) -> Kept:
             most_bytes = limits.kept_bytes

@@ -1,4 +1,4 @@
-"""The built page: its files by name, with a tag so that browsers fetch only what changed."""
+"""The built page, served with entity tags."""
 
 import gzip
 import hashlib

@@ -1,4 +1,4 @@
-"""Photographs and maps of light come in."""
+"""Routes of uploads: photographs and environment maps."""
 
 from typing import Any
 

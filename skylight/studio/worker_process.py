@@ -1,15 +1,15 @@
-"""The server's end of a worker process: tasks one after another, and a way to stop one at once."""
+"""The handle of a worker process: tasks in order, and cancellation."""
 
 import asyncio
 import json
 import os
 import signal
 import sys
-from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-Progress = Callable[[str, float], None]
+from skylight.work.progress import StageProgress
+
 _LINE_BYTES = 64_000_000  # the longest answer
 _WARM = "warm"
 
@@ -27,7 +27,7 @@ class TaskStopped(Exception):
 
 
 class WorkerProcess:
-    """Runs tasks of :mod:`skylight.studio.worker`, in a process that is started when needed.
+    """Runs tasks of :mod:`skylight.studio.tasks.worker`, in a process that is started when needed.
 
     ``modules`` are imported as soon as it starts, so that the first task need not wait for them.
     """
@@ -45,7 +45,7 @@ class WorkerProcess:
             await self.run(_WARM, {"modules": self._modules})
 
     async def run(
-        self, task: str, arguments: dict[str, Any], tell: Progress | None = None
+        self, task: str, arguments: dict[str, Any], tell: StageProgress | None = None
     ) -> dict[str, Any]:
         """The task's result, once it is its turn.
 
@@ -117,7 +117,7 @@ class WorkerProcess:
                 sys.executable,
                 "-P",  # modules in the folder where the user happens to be are not ours
                 "-m",
-                "skylight.studio.worker",
+                "skylight.studio.tasks.worker",
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 limit=_LINE_BYTES,

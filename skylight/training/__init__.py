@@ -1,1 +1,1 @@
-"""Training: one readable loop for the autoencoder, one fit for the priors."""
+"""Training of the autoencoder, its priors and dictionaries."""

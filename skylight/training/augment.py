@@ -1,4 +1,4 @@
-"""How a batch of skies is varied before the network sees it."""
+"""Augmentation of skies."""
 
 import math
 from functools import cache

@@ -1,4 +1,4 @@
-"""Which skies a step sees, how they are varied, and the noise they get."""
+"""Batches of skies: order, augmentation and corruption, as functions of the seed."""
 
 import numpy as np
 import torch
@@ -7,6 +7,7 @@ from torch import Tensor
 
 from skylight.training.augment import augment
 from skylight.training.config import AutoencoderConfig
+from skylight.training.corruption import Corruption, draw_corruption
 
 
 def draw_batch(
@@ -15,8 +16,8 @@ def draw_batch(
     epoch: int,
     within: int,
     share: slice,
-) -> tuple[Float[Tensor, "b h w 3"], Float[Tensor, "b 3 h w"]]:
-    """Batch ``within`` of an epoch and its noise of ``config.noise_sigma``.
+) -> tuple[Float[Tensor, "b h w 3"], Corruption]:
+    """Batch ``within`` of an epoch and its corruption.
 
     Both depend on seed, epoch and place alone. They are drawn for the whole batch, of which
     ``share`` is returned: several processes together see what one would have seen.
@@ -28,5 +29,5 @@ def draw_batch(
     local = torch.Generator().manual_seed((config.seed * 1_000_003 + epoch) * 1_000_003 + within)
     batch = augment(batch, local, config)
     height, width = batch.shape[1:3]
-    noise = torch.randn(len(batch), 3, height, width, generator=local) * config.noise_sigma
-    return batch[share], noise[share]
+    corruption = draw_corruption(len(batch), (height, width), local, config)
+    return batch[share], Corruption(*(part[share] for part in corruption))

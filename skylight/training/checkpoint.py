@@ -1,27 +1,17 @@
-"""What a run leaves behind to go on from: its state, twice, and the best network."""
+"""Checkpoints of a run."""
 
 import json
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.imaging.tensors import read_tensors, write_tensors
-from skylight.models.autoencoder import SkyAutoencoder
+from skylight.io.tensors import read_tensors, write_tensors
+from skylight.work.progress import Tell
 
 NEWEST, PREVIOUS = "state.safetensors", "state.previous.safetensors"
-
-
-def save_network(network: SkyAutoencoder, path: Path) -> None:
-    """Write the weights as ``skylight.models.autoencoder.load_network`` reads them."""
-    state = dict(network.state_dict())
-    if network.coding == "linear":
-        state["coding_linear"] = torch.ones(1)
-    write_tensors(path, state)
 
 
 def write_state(folder: Path, state: dict[str, Any]) -> None:
@@ -38,9 +28,7 @@ def write_state(folder: Path, state: dict[str, Any]) -> None:
     write_tensors(newest, tensors, {"state": plain})
 
 
-def read_state(
-    folder: Path, identity: str, report: Callable[[str], None] = print
-) -> dict[str, Any] | None:
+def read_state(folder: Path, identity: str, report: Tell = print) -> dict[str, Any] | None:
     """The newest whole state of a run, or None where there is none yet.
 
     Raises

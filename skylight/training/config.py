@@ -1,14 +1,15 @@
-"""What a training run is made of, read from YAML and overridden on the command line."""
+"""Configurations of training runs: YAML with overrides from the command line."""
 
 import reprlib  # which stays short: YAML makes much of little
 from dataclasses import asdict, dataclass, fields
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 import yaml
 
 from skylight.errors import InputError
-from skylight.imaging.bounded import file_text
+from skylight.io.bounded import file_text
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,9 +18,12 @@ class AutoencoderConfig:
 
     ``energy_weight`` weighs the sun against the sky and ``scale_invariant`` the term that any
     exposure leaves alone: see ``reconstruction_loss``. ``sun`` gives the network a sun of its
-    own, whose coordinates get noise of ``sun_noise`` times ``noise_sigma``; ``obstacles`` is the
-    probability that something stands before a sky, ``tint`` the spread of white balances.
-    ``batch`` is that of all processes together. ``starts_from`` names a checkpoint with the
+    own. ``noise_sigma`` (of coded radiance), ``masked`` (the probability that a block is hidden)
+    and ``sun_noise`` (of the sun's coordinates) corrupt what the encoder sees: see
+    ``draw_corruption``. ``obstacles`` is the probability that something stands before a sky,
+    ``tint`` the spread of white balances: both vary the sky itself.
+    ``bfloat16`` is mixed precision where the device has it. ``batch`` is that of all processes
+    together. ``starts_from`` names a checkpoint with the
     initial weights. A ``gradient_clip`` of 0 clips nothing; ``threads`` 0 leaves their number to
     torch.
     """
@@ -30,6 +34,7 @@ class AutoencoderConfig:
     starts_from: Path | None = None
     coding: Literal["log", "linear"] = "log"
     noise_sigma: float = 0.01
+    masked: float = 0.0
     energy_weight: float = 0.3
     scale_invariant: float = 0.0
     sun: bool = True
@@ -51,7 +56,7 @@ class AutoencoderConfig:
     bfloat16: bool = True
     compile: bool = False
     threads: int = 0
-    device: str = "cpu"
+    device: str = "auto"
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -66,8 +71,9 @@ class AutoencoderConfig:
                 raise InputError(f"`{name}` must be at least 0, got {getattr(self, name)}")
         if not 0 <= self.seed < 10_000_000:  # of which steps' seeds are made, in 64 bits
             raise InputError(f"`seed` must be from 0 to 9999999, got {self.seed}")
-        if not 0 <= self.obstacles <= 1:
-            raise InputError(f"`obstacles` is a probability, got {self.obstacles}")
+        for name in ("obstacles", "masked"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InputError(f"`{name}` is a probability, got {getattr(self, name)}")
         if self.nesterov and self.momentum == 0:
             raise InputError("`nesterov` needs a `momentum` above 0; give one, or nesterov: false")
 
@@ -127,7 +133,7 @@ class DictionaryConfig:
             )
         if not 0 < self.radius_deg <= 90:
             raise InputError(f"`radius_deg` must be above 0, at most 90, got {self.radius_deg}")
-        if not 0 <= self.seed < 2**32:  # scikit-learn's
+        if not 0 <= self.seed < 2**32:  # NumPy's
             raise InputError(f"`seed` must be from 0 to {2**32 - 1}, got {self.seed}")
 
 
@@ -137,6 +143,24 @@ _KINDS: dict[str, type[Config]] = {
     "prior": PriorConfig,
     "dictionary": DictionaryConfig,
 }
+
+
+def find_config(name: str) -> Path:
+    """The file of a configuration: ``name`` is its path, or one that comes with skylight.
+
+    Raises
+    ------
+    InputError
+        Neither; the line names those that come with skylight.
+    """
+    if name.endswith((".yaml", ".yml")) or Path(name).parent != Path():
+        return Path(name)
+    packed = Path(str(files("skylight.training") / "configs"))  # in a wheel; see setup.py
+    folder = packed if packed.is_dir() else Path(__file__).parents[2] / "configs"
+    if not (folder / f"{name}.yaml").is_file():
+        known = ", ".join(sorted(path.stem for path in folder.glob("*.yaml")))
+        raise InputError(f"no configuration {name!r}: choose one of {known}, or give a .yaml file")
+    return folder / f"{name}.yaml"
 
 
 def read_config(path: Path) -> Config:

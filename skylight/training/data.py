@@ -1,9 +1,9 @@
-"""The skies to train on: converted once, then read from memory-mapped files beside the index."""
+"""Training skies, converted once to memory-mapped arrays."""
 
 import hashlib
 import multiprocessing
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -14,10 +14,11 @@ import torch
 from jaxtyping import Float
 
 from skylight.errors import InputError, SkylightError
-from skylight.imaging.atomic import atomic_path
+from skylight.io.atomic import atomic_path
 from skylight.models.autoencoder import HEIGHT, WIDTH
 from skylight.skies.index import SkyRecord, folder_hash, read_index
 from skylight.skies.loading import load_skies
+from skylight.work.progress import Tell
 
 CHUNK = 32  # skies that one process converts at a time
 CACHE = ".cache"
@@ -32,7 +33,7 @@ class SkyData:
     hash: str
 
 
-def load_data(place: Path, report: Callable[[str], None] = print) -> SkyData:
+def load_data(place: Path, report: Tell = print) -> SkyData:
     """The training and validation days of an index (its file or folder), converted once.
 
     ``.cache`` beside the index keeps them as float32 arrays named by the hash of the data, each
@@ -92,9 +93,7 @@ def _fault(path: Path, count: int) -> str | None:
     return None if found == expected else "its checksum differs"
 
 
-def _write_cache(
-    path: Path, place: Path, records: list[SkyRecord], report: Callable[[str], None]
-) -> None:
+def _write_cache(path: Path, place: Path, records: list[SkyRecord], report: Tell) -> None:
     path.parent.mkdir(exist_ok=True)
     with atomic_path(path) as temporary:
         shape = (len(records), HEIGHT, WIDTH, 3)

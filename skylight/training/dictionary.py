@@ -1,9 +1,8 @@
-"""Learns a dictionary of filters from a folder of light probes."""
+"""Learning of a dictionary of filters from a folder of light probes."""
 
 import hashlib
 import json
 import math
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,22 +12,28 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from skylight.csc.code import CodeTensors
+from skylight.csc.coder import SphericalSparseCoder
 from skylight.csc.dictionary import FilterBank
-from skylight.csc.learning import DictionaryLearner, LearningOptions
-from skylight.csc.patches import ROWS, learn_patches
+from skylight.csc.learning.caps import CapFilterBank
+from skylight.csc.learning.patches import ROWS, learn_patches
 from skylight.errors import InputError, SkylightError
-from skylight.imaging.collection import read_categories
-from skylight.imaging.files import read_environment_map, write_json, write_png
-from skylight.imaging.hdr import SUFFIXES
-from skylight.imaging.listing import visible_files
+from skylight.io.collection import read_categories
+from skylight.io.files import read_environment_map, write_json, write_png
+from skylight.io.hdr import SUFFIXES
+from skylight.io.listing import visible_files
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.training.checkpoint import drop_damaged, read_state, write_state
 from skylight.training.config import DictionaryConfig
+from skylight.work.progress import Tell
 
 FILE = "dictionary.safetensors"
 LEAST_ROWS = 64
+RATE = 0.01  # of Adam, in amounts of filters of unit norm
+STEPS = 45  # of the optimiser between two searches for supports
+MAPS_AT_ONCE = 8  # whose gradients are computed together
 _TILE, _COLUMNS = 96, 10  # pixels of a filter's picture, filters in a row
-_SHOWN_RAD = math.radians(45.0)  # from a filter's middle to its picture's rim
+_SHOWN_RAD = math.radians(45.0)  # from a filter's centre to its picture's rim
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,12 +45,12 @@ class _Probes:
     sha256: str
 
 
-def learn_dictionary(config: DictionaryConfig, report: Callable[[str], None] = print) -> Path:
+def learn_dictionary(config: DictionaryConfig, report: Tell = print) -> Path:
     """Write ``dictionary.safetensors``, ``.json`` and ``filters.png`` into ``config.out``.
 
     The dictionary is the constant, the learned filters, and ``ani``. "kmeans" takes mean patches
-    (:func:`skylight.csc.patches.learn_patches`); "gradient" goes on from them
-    (:mod:`skylight.csc.learning`), and after an interruption from its last epoch.
+    (:func:`skylight.csc.learning.patches.learn_patches`); "gradient" improves them by Adam
+    (:func:`learning_epoch`), and resumes an interrupted run from its last epoch.
 
     Raises
     ------
@@ -54,10 +59,9 @@ def learn_dictionary(config: DictionaryConfig, report: Callable[[str], None] = p
     """
     probes = _probes(config, report)
     config.out.mkdir(parents=True, exist_ok=True)
-    learner = None
+    errors: list[float] = []
     if config.method == "gradient":
-        learner = _learner(config, probes, report)
-        bank = learner.bank
+        bank, errors = _learned(config, probes, report)
     else:
         bank = _patches(config, probes, report)
     ready = FilterBank(bank.coefficients, config.method)
@@ -77,7 +81,7 @@ def learn_dictionary(config: DictionaryConfig, report: Callable[[str], None] = p
             "seed": config.seed,
             "date": datetime.now(UTC).date().isoformat(),
             "largest_undershoot": float(undershoot.max()),
-            "mean_squared_error_by_epoch": learner.errors if learner else [],
+            "mean_squared_error_by_epoch": errors,
         },
     )
     report(
@@ -87,7 +91,7 @@ def learn_dictionary(config: DictionaryConfig, report: Callable[[str], None] = p
     return config.out / FILE
 
 
-def _probes(config: DictionaryConfig, report: Callable[[str], None]) -> _Probes:
+def _probes(config: DictionaryConfig, report: Tell) -> _Probes:
     """The folder's usable maps in the order of their names; a line for each that is not."""
     names, maps, digest = [], [], hashlib.sha256()
     wanted = _wanted(config)
@@ -141,49 +145,105 @@ def _read(path: Path) -> EnvironmentMap:
     return one
 
 
-def _patches(
-    config: DictionaryConfig, probes: _Probes, report: Callable[[str], None]
-) -> FilterBank:
+def _patches(config: DictionaryConfig, probes: _Probes, report: Tell) -> FilterBank:
     report(f"{config.filters} means of patches, half a second a map or so")
     return learn_patches(probes.maps, config.degree, config.filters, seed=config.seed)
 
 
-def _learner(
-    config: DictionaryConfig, probes: _Probes, report: Callable[[str], None]
-) -> DictionaryLearner:
-    """Learned over all epochs, one after the other left on disk."""
+def _learned(
+    config: DictionaryConfig, probes: _Probes, report: Tell
+) -> tuple[FilterBank, list[float]]:
+    """The bank after all epochs, one after the other left on disk, and the error after each."""
     maps = torch.stack(
         [EnvironmentMap(radiance=m).resize(config.rows).radiance for m in probes.maps]
-    )
-    options = LearningOptions(
-        activations=config.activations,
-        radius_rad=math.radians(config.radius_deg),
-        signed=config.signed,
     )
     identity = _identity(config, probes)
     drop_damaged(config.out)
     state = read_state(config.out, identity, report)
-    learned = range(1, config.filters + 1)
-    bank = (
+    start = (
         _patches(config, probes, report) if state is None else FilterBank(state["bank"], "kmeans")
     )
-    learner = DictionaryLearner(maps, bank, learned, options)
+    bank = CapFilterBank(
+        start,
+        range(1, config.filters + 1),
+        radius_rad=math.radians(config.radius_deg),
+        signed=config.signed,
+    )
+    coder = SphericalSparseCoder(bank, height=config.rows, activations=config.activations)
+    optimiser = torch.optim.Adam(bank.parameters(), lr=RATE)
+    codes, errors = None, []
     if state is not None:
-        learner.restore(state["learner"])
-        report(f"goes on after epoch {len(learner.errors)}")
-    start = bank.coefficients
-    for epoch in range(len(learner.errors) + 1, config.epochs + 1):
-        learner.epoch(lambda done, n=epoch: report(f"epoch {n}: {done:.0%} of the maps coded"))
-        write_state(config.out, {"identity": identity, "bank": start, "learner": learner.state()})
-        report(
-            f"epoch {epoch}  mean squared relative error {learner.error:.5f}  "
-            f"{learner.used} of {config.filters} filters in use"
+        bank.load_state_dict(state["filters"])
+        optimiser.load_state_dict(state["optimiser"])
+        codes, errors = CodeTensors(*state["codes"]), state["errors"]
+        report(f"goes on after epoch {len(errors)}")
+    for epoch in range(len(errors) + 1, config.epochs + 1):
+        codes = learning_epoch(coder, optimiser, maps, codes)
+        errors.append(mean_squared_error(coder, maps, codes))
+        write_state(
+            config.out,
+            {
+                "identity": identity,
+                "bank": start.coefficients.detach(),
+                "filters": bank.state_dict(),
+                "optimiser": optimiser.state_dict(),
+                "codes": list(codes),
+                "errors": errors,
+            },
         )
-    return learner
+        active = codes.filters[codes.used].unique()
+        used = int(((active >= 1) & (active <= config.filters)).sum())
+        report(
+            f"epoch {epoch}  mean squared relative error {errors[-1]:.5f}  "
+            f"{used} of {config.filters} filters in use"
+        )
+    return bank, errors
+
+
+def learning_epoch(
+    coder: SphericalSparseCoder,
+    optimiser: torch.optim.Optimizer,
+    maps: Float[Tensor, "n h w 3"],
+    codes: CodeTensors | None,
+) -> CodeTensors:
+    """A new support for each map that it suits better, then ``STEPS`` steps of the optimiser.
+
+    The loss is the mean squared relative error of the maps under the best weights on those
+    supports; the greedy search for them has no gradient. Returned are the codes.
+    """
+    found = coder(maps)
+    if codes is not None:
+        with torch.no_grad():
+            new, old = (coder.relative_error(maps, coder.refit(maps, c)) for c in (found, codes))
+        found = CodeTensors(
+            *(
+                torch.where((new < old).view(-1, *[1] * (a.ndim - 1)), a, b)
+                for a, b in zip(found, codes, strict=True)
+            )
+        )
+    for _ in range(STEPS):
+        optimiser.zero_grad()
+        for some in torch.arange(len(maps)).split(MAPS_AT_ONCE):
+            part = CodeTensors(*(each[some] for each in found))
+            errors = coder.relative_error(maps[some], coder.refit(maps[some], part))
+            (errors.square().sum() / len(maps)).backward()
+        optimiser.step()
+        if isinstance(coder.bank, CapFilterBank):
+            coder.bank.project_()
+    with torch.no_grad():
+        return coder.refit(maps, found)
+
+
+@torch.no_grad()
+def mean_squared_error(
+    coder: SphericalSparseCoder, maps: Float[Tensor, "n h w 3"], codes: CodeTensors
+) -> float:
+    """The mean of the maps' squared relative errors."""
+    return float(coder.relative_error(maps, codes).square().mean())
 
 
 def _identity(config: DictionaryConfig, probes: _Probes) -> str:
-    """What a state must share to be gone on from: all but how long, and where."""
+    """Names the run that a state belongs to: all settings but the epochs and the folders."""
     facts = {
         k: v
         for k, v in asdict(config).items()
@@ -193,7 +253,7 @@ def _identity(config: DictionaryConfig, probes: _Probes) -> str:
 
 
 def filter_sheet(bank: FilterBank, count: int) -> UInt8[np.ndarray, "_ _ 3"]:
-    """Filters 1 .. ``count`` seen from above (orthographic), 45 degrees about their middles.
+    """Filters 1 .. ``count`` seen from above (orthographic), 45 degrees about their centres.
 
     Grey from 0 to the largest value, blue where they are negative; phi = 0 points to the right.
     """
@@ -204,7 +264,7 @@ def filter_sheet(bank: FilterBank, count: int) -> UInt8[np.ndarray, "_ _ 3"]:
     y = (1 - x.square() - z.square()).clamp(min=0).sqrt()
     directions = torch.stack([x, y, z], -1).reshape(-1, 3)
     shown = FilterBank(bank.coefficients[1 : count + 1], bank.name)
-    values = shown.evaluate(directions).reshape(-1, _TILE, _TILE)
+    values = shown.evaluate(directions).detach().reshape(-1, _TILE, _TILE)
     values = values / values.abs().amax((1, 2), keepdim=True)
     light, dark = values.clamp(min=0).sqrt(), (-values).clamp(min=0).sqrt()
     tiles = torch.stack([light, light, torch.maximum(light, dark)], -1)

@@ -1,6 +1,5 @@
-"""What a run tells about itself: curves, TensorBoard, and skies beside their reconstructions."""
+"""Logs of a run: curves, TensorBoard, reconstructions."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +9,9 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from skylight.imaging.colour import tone_map
-from skylight.imaging.files import write_json, write_png
+from skylight.io.files import write_json, write_png
 from skylight.models.autoencoder import SkyAutoencoder
+from skylight.work.progress import Tell
 
 SHOWN = 8  # validation skies
 WHITE = 1.5  # shown as full white; skies have mean luminance 1, clear ones most of it in the sun
@@ -30,12 +30,10 @@ class Logs:
         *,
         facts: dict[str, Any],
         step: int,
-        report: Callable[[str], None],
+        report: Tell,
     ) -> None:
         self.out, self.facts, self.report = out, facts, report
-        count = min(SHOWN, len(validation))
-        fixed = np.linspace(0, len(validation) - 1, count).round().astype(int)
-        self.truth = torch.from_numpy(validation[fixed])
+        self.truth = spread(validation)
         (out / "reconstructions").mkdir(exist_ok=True)
         self.board = _tensorboard(out / "tensorboard", step, report)
 
@@ -49,7 +47,7 @@ class Logs:
         picture = reconstructions(network, self.truth)
         write_png(self.out / "reconstructions" / f"epoch_{len(curves):04d}.png", picture)
         if self.board:
-            for name in ("train", "validation"):
+            for name in ("train", "validation", "denoising"):
                 self.board.add_scalar(f"loss/{name}", last[name], step)
             for name in ("learning_rate", "images_per_s"):
                 self.board.add_scalar(name, last[name], step)
@@ -57,12 +55,21 @@ class Logs:
             self.board.flush()
         self.report(
             f"epoch {len(curves)}  train {last['train']:.4f}  validation "
-            f"{last['validation']:.4f}  best {best:.4f}  {last['images_per_s']:.0f} images/s"
+            f"{last['validation']:.4f}  corrupted {last['denoising']:.4f}  best {best:.4f}  "
+            f"{last['images_per_s']:.0f} images/s"
         )
 
     def close(self) -> None:
         if self.board:
             self.board.close()
+
+
+def spread(
+    skies: Float[np.ndarray, "m h w 3"] | Float[Tensor, "m h w 3"],
+) -> Float[Tensor, "n h w 3"]:
+    """At most :data:`SHOWN` skies, evenly spread over all."""
+    fixed = np.linspace(0, len(skies) - 1, min(SHOWN, len(skies))).round().astype(int)
+    return torch.as_tensor(skies[fixed])
 
 
 @torch.no_grad()
@@ -77,7 +84,7 @@ def reconstructions(
     return tone_map(torch.cat(rows), white=WHITE)
 
 
-def _tensorboard(folder: Path, step: int, report: Callable[[str], None]) -> Any:
+def _tensorboard(folder: Path, step: int, report: Tell) -> Any:
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:

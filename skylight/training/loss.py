@@ -1,4 +1,4 @@
-"""What the sky autoencoder is trained to make small."""
+"""The loss of the sky autoencoder."""
 
 import math
 
@@ -9,13 +9,14 @@ from torch import Tensor
 from skylight.models.autoencoder import SkyAutoencoder
 from skylight.sphere.grid import DirectionGrid
 from skylight.training.config import AutoencoderConfig
+from skylight.training.corruption import Corruption
 
 
 def reconstruction_loss(
     network: SkyAutoencoder,
     clean: Float[Tensor, "b h w 3"],
-    noise: Float[Tensor, "b 3 h w"],
     config: AutoencoderConfig,
+    corruption: Corruption | None = None,
 ) -> Float[Tensor, " b"]:
     """``mean of (1 + g max(L, L')) |d| + s (mean of d^2 - (mean of d)^2)`` per sky, d = y' - y.
 
@@ -25,13 +26,15 @@ def reconstruction_loss(
     reconstruction, whichever is larger, taken as a constant): about L1 of radiance where both
     agree, but its slope does not vanish where a sun of a thousand times the sky's radiance is
     missing altogether. The second, ``scale_invariant`` s, forgives a wrong exposure (Gardner et
-    al. 2023, RENI++). The network sees y plus ``noise``, and its sun's coordinates plus
-    ``sun_noise`` times some of the noise, so that the sky does not lean on them being exact.
+    al. 2023, RENI++). The network encodes y, or what the ``corruption`` makes of it.
     """
     sun, rest = network.split(clean)
     truth = network.code(rest)
-    shaken = sun + config.sun_noise * noise.flatten(1)[:, : sun.shape[1]]
-    coded = network.decode_coded(network.encode_coded(shaken, truth + noise)).float()
+    seen = truth
+    if corruption is not None:
+        seen = corruption.kept * (truth + corruption.noise)
+        sun = sun + corruption.sun[:, : sun.shape[1]]
+    coded = network.decode_coded(network.encode_coded(sun, seen)).float()
     error = coded - truth
     larger = torch.maximum(rest, network.uncode(coded).detach()).permute(0, 3, 1, 2)
     height, width = error.shape[-2:]

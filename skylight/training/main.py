@@ -2,12 +2,17 @@
 
 import os
 import sys
-from pathlib import Path
 
 import tyro
 
 from skylight.errors import InputError, SkylightError
-from skylight.training.config import AutoencoderConfig, DictionaryConfig, read_config
+from skylight.training.config import (
+    AutoencoderConfig,
+    Config,
+    DictionaryConfig,
+    find_config,
+    read_config,
+)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -21,22 +26,9 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         if not arguments or arguments[0].startswith("-"):
             raise InputError("usage: python train.py configs/NAME.yaml [--key value ...]")
-        config = read_config(Path(arguments[0]))
+        config = read_config(find_config(arguments[0]))
         config = tyro.cli(type(config), default=config, args=arguments[1:], prog="train.py")
-        if isinstance(config, AutoencoderConfig):
-            from skylight.training.autoencoder import train
-
-            best = train(config)
-            if rank == 0:
-                print(f"best network: {best}")
-        elif isinstance(config, DictionaryConfig):
-            from skylight.training.dictionary import learn_dictionary
-
-            print(f"dictionary: {learn_dictionary(config)}")
-        else:
-            from skylight.training.prior import fit_priors
-
-            print(f"priors: {fit_priors(config)}")
+        run(config)
     except SkylightError as error:
         print(f"{name}: {error}", file=sys.stderr)
         raise SystemExit(error.exit_code) from None
@@ -46,3 +38,21 @@ def main(arguments: list[str] | None = None) -> None:
     except KeyboardInterrupt:
         print(f"{name}: interrupted; the same command goes on from here", file=sys.stderr)
         raise SystemExit(1) from None
+
+
+def run(config: Config) -> None:
+    """Do what a configuration says, and print where the result is."""
+    if isinstance(config, AutoencoderConfig):
+        from skylight.training.autoencoder import train
+
+        best = train(config)
+        if os.environ.get("RANK", "0") == "0":
+            print(f"best network: {best}")
+    elif isinstance(config, DictionaryConfig):
+        from skylight.training.dictionary import learn_dictionary
+
+        print(f"dictionary: {learn_dictionary(config)}")
+    else:
+        from skylight.training.prior import fit_priors
+
+        print(f"light model: {fit_priors(config)}")

@@ -1,4 +1,4 @@
-"""Fits the priors over light: mixtures over latents and over Sun+Sky parameters."""
+"""Fitting of priors over latents and Sun+Sky parameters, written with their network."""
 
 import math
 from pathlib import Path
@@ -8,29 +8,38 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.imaging.files import write_json
-from skylight.imaging.tensors import write_tensors
-from skylight.models.autoencoder import load_network
+from skylight.io.files import write_json
+from skylight.models.autoencoder import AutoencoderLight, load_network
 from skylight.models.base import without_azimuth
+from skylight.models.bundle import LightBundle
 from skylight.models.prior import GaussianMixture
 from skylight.models.sunsky import SunSky, fit_sunsky
 from skylight.skies.index import SkyRecord, folder_hash, read_index
 from skylight.skies.loading import load_skies
+from skylight.training.card import RECONSTRUCTIONS, model_card
 from skylight.training.config import PriorConfig, config_yaml
+from skylight.training.logs import reconstructions, spread
 
 # Added to every variance, so that no component collapses on to a few like skies.
 COVARIANCE_FLOOR = 1e-2
 HEIGHT_BINS = 24
+SKIES_PER_DIMENSION = 10
 
 
 def fit_priors(config: PriorConfig) -> Path:
-    """Write the two mixtures, the latents' bank and a report into ``config.out``.
+    """Write network, priors and bank into ``config.out`` as a :class:`LightBundle`, with its card.
 
-    Both mixtures are over the models' free parameters without the azimuth: for the
-    autoencoder these are the latents whitened by the training skies' mean and covariance.
+    Both priors are over the models' free parameters without the azimuth: for the autoencoder
+    these are the latents whitened by the training skies' mean and covariance, the latter shrunk
+    by :func:`shrunk_covariance`.
 
-    The number of components is the one of the least BIC on the validation days; the report holds
-    the mean log-likelihood per sky on training, validation and test days.
+    The number of components is the one of the least BIC on the validation days; ``report.json``
+    holds the mean log-likelihood per sky on training, validation and test days.
+
+    Raises
+    ------
+    InputError
+        A split without days, or fewer training skies than an estimate starts from.
     """
     records = read_index(config.data)
     splits = {
@@ -38,6 +47,11 @@ def fit_priors(config: PriorConfig) -> Path:
     }
     if empty := [name for name, rows in splits.items() if not rows]:
         raise InputError(f"{config.data}: too few days: none falls to {', '.join(empty)}")
+    if len(splits["train"]) < AutoencoderLight.candidates:
+        raise InputError(
+            f"{config.data}: {len(splits['train'])} training skies are too few for a light model; "
+            f"at least {AutoencoderLight.candidates} are needed, and hundreds are better"
+        )
     network = load_network(config.checkpoint)
     config.out.mkdir(parents=True, exist_ok=True)
     skies = {name: load_skies(config.data, rows) for name, rows in splits.items()}
@@ -47,7 +61,7 @@ def fit_priors(config: PriorConfig) -> Path:
             for name, batch in skies.items()
         }
     mean = latents["train"].mean(0)
-    scatter = torch.cov(latents["train"].T) + 1e-4 * torch.eye(len(mean), dtype=torch.float64)
+    scatter = shrunk_covariance(latents["train"]) + 1e-4 * torch.eye(len(mean), dtype=torch.float64)
     scale = torch.linalg.cholesky(scatter)
     white = {
         name: torch.linalg.solve_triangular(scale, (z - mean).T, upper=False).T
@@ -58,35 +72,47 @@ def fit_priors(config: PriorConfig) -> Path:
         name: without_azimuth(model, model.to_free(fit_sunsky(batch.flatten(1, 2)))).double()
         for name, batch in skies.items()
     }
-    report: dict[str, object] = {
-        "data_sha256": folder_hash(config.data, records),
-        "config": config_yaml(config),
-    }
-    for name, samples in (("latent", white), ("sunsky", features)):
-        mixture, scores = _best_mixture(samples, config)
-        mixture.float().save(config.out / f"{name}_prior.safetensors")
-        report[name] = scores
-    state = {
-        "latent_mean": mean.float(),
-        "latent_scale": scale.float().contiguous(),
-        **_bank(latents["train"], splits["train"], config),
-    }
-    write_tensors(config.out / "sky_bank.safetensors", state)
+    latent_prior, latent_scores = best_mixture(white, config)
+    sunsky_prior, sunsky_scores = best_mixture(features, config)
+    bundle = LightBundle(
+        name=config.out.resolve().name,
+        skies=len(splits["train"]),
+        data_sha256=folder_hash(config.data, records),
+        network=network,
+        latent_prior=latent_prior.float(),
+        latents={
+            "latent_mean": mean.float(),
+            "latent_scale": scale.float().contiguous(),
+            **_bank(latents["train"], splits["train"], config),
+        },
+        sunsky_prior=sunsky_prior.float(),
+    )
+    scores = {"latent": latent_scores, "sunsky": sunsky_scores}
+    report = {"data_sha256": bundle.data_sha256, "config": config_yaml(config), **scores}
     write_json(config.out / "report.json", report)
+    shown = spread(skies["validation"])
+    bundle.save(
+        config.out,
+        card=model_card(bundle, splits, scores, config.checkpoint.parent),
+        pictures={RECONSTRUCTIONS: reconstructions(network, shown)},
+    )
     return config.out
 
 
-def _best_mixture(
+def best_mixture(
     samples: dict[str, Float[Tensor, "n p"]], config: PriorConfig
 ) -> tuple[GaussianMixture, dict[str, object]]:
     """The mixture with the least BIC on the validation days.
 
     BIC = parameters ln n - 2 sum log p, with n and p of the validation skies: what is fitted to
-    the training days has to earn its parameters on days that it has not seen.
+    the training days has to earn its parameters on days that it has not seen. A component takes
+    10 training skies per dimension; where they do not suffice for one, it is a single Gaussian
+    with :func:`shrunk_covariance`.
     """
     best, least, tried = None, float("inf"), {}
     count, size = samples["validation"].shape
-    for components in range(1, config.most_components + 1):
+    most = min(config.most_components, len(samples["train"]) // (SKIES_PER_DIMENSION * size))
+    for components in range(1, most + 1):
         mixture = GaussianMixture.fit(
             samples["train"], components, seed=config.seed, covariance_floor=COVARIANCE_FLOOR
         )
@@ -96,9 +122,42 @@ def _best_mixture(
         tried[components] = {"bic": bic, "mean_log_likelihood": held_out}
         if bic < least:
             best, least = mixture, bic
-    assert best is not None
+    if best is None:
+        best = _single(samples["train"])
     likelihood = {k: float(best.log_prob(v).mean()) for k, v in samples.items()}
-    return best, {"mean_log_likelihood": likelihood, "validation_by_components": tried}
+    return best, {
+        "components": len(best.weights),
+        "mean_log_likelihood": likelihood,
+        "validation_by_components": tried,
+    }
+
+
+def _single(samples: Float[Tensor, "n p"]) -> GaussianMixture:
+    size = samples.shape[1]
+    covariance = shrunk_covariance(samples) + COVARIANCE_FLOOR * torch.eye(size).to(samples)
+    # the upper factor B of B B^T is Cholesky's lower one of the reversed matrix
+    precision = torch.linalg.inv(covariance).flip(0, 1)
+    factor = torch.linalg.cholesky(precision).flip(0, 1)
+    return GaussianMixture(samples.new_ones(1), samples.mean(0)[None], factor.triu()[None])
+
+
+def shrunk_covariance(samples: Float[Tensor, "n p"]) -> Float[Tensor, "p p"]:
+    """``(1 - r) S + r (tr S / p) I``: covariance of few samples (Ledoit & Wolf 2004, eq. 14).
+
+    ::
+
+        r = min(b, d) / d,  d = |S - (tr S / p) I|^2,  b = sum_k |x_k x_k^T - S|^2 / n^2
+
+    with the Frobenius norm, S = sum_k x_k x_k^T / n, and x centred. r vanishes as 1 / n.
+    """
+    n, p = samples.shape
+    x = samples - samples.mean(0)
+    covariance = x.T @ x / n
+    target = covariance.trace() / p * torch.eye(p).to(x)
+    d = (covariance - target).square().sum()
+    b = (x.square().sum(1).square().sum() / n - covariance.square().sum()) / n
+    r = (b / d.clamp(min=1e-300)).clamp(0, 1)
+    return (1 - r) * covariance + r * target
 
 
 def _bank(

@@ -1,4 +1,4 @@
-"""One run in several processes (``torchrun``): who does which share, and what they share."""
+"""Distributed training (``torchrun``): shares, gradients, synchronised batch normalisation."""
 
 import os
 from collections.abc import Iterator
@@ -15,6 +15,7 @@ from torch.nn.modules.batchnorm import _BatchNorm
 from torch.nn.parallel import DistributedDataParallel
 
 from skylight.errors import InputError
+from skylight.work.device import choose_device
 
 # The first process may convert a whole database while the others wait for it.
 _PATIENCE = timedelta(hours=6)
@@ -97,21 +98,11 @@ def processes(device_name: str) -> Iterator[Processes]:
 
 
 def _device(name: str, local_rank: int | None) -> torch.device:
-    try:
-        device = torch.device(name)
-    except RuntimeError as error:
-        raise InputError(f"`device`: {name!r} is none; for example cpu, cuda or cuda:1") from error
+    device = choose_device(name)
     if device.type == "cuda":
         index = (device.index or 0) if local_rank is None else local_rank
-        if index >= torch.cuda.device_count():
-            raise InputError(
-                f"`device`: cuda:{index} is not there, torch finds {torch.cuda.device_count()} "
-                "CUDA devices; choose cpu, or start fewer processes"
-            )
-        device = torch.device("cuda", index)
+        device = choose_device(f"cuda:{index}")
         torch.cuda.set_device(device)
-    elif local_rank is not None and device.type != "cpu":
-        raise InputError(f"`device`: several processes compute on cpu or cuda, not on {name}")
     return device
 
 

@@ -1,1 +1,1 @@
-"""From geometry to how light becomes shading: ray casting, transport matrices, rendering."""
+"""Light transport: ray casting, transport matrices, rendering."""

@@ -43,16 +43,3 @@ class Camera:
         x, y, z = points.unbind(1)
         cx, cy = self.center_px
         return torch.stack([cx - self.focal_px * x / z, cy + self.focal_px * y / z], dim=1)
-
-    def resized(self, height: int, width: int) -> "Camera":
-        """The camera of the same picture resampled to another size of about the same shape.
-
-        The focal length follows the height; the ratio of the sides may change by rounding only.
-        """
-        cx, cy = self.center_px
-        return Camera(
-            focal_px=self.focal_px * height / self.height,
-            width=width,
-            height=height,
-            center_px=(cx * width / self.width, cy * height / self.height),
-        )

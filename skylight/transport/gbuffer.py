@@ -1,4 +1,4 @@
-"""What a camera sees of a mesh: one surface point, with its normals, per covered pixel."""
+"""The G-buffer of a mesh: one surface point with normals per covered pixel."""
 
 from dataclasses import dataclass
 

@@ -1,13 +1,47 @@
-"""The surface reflection of skin as a second transport matrix."""
+"""Glossy reflection of skin: a transport matrix with a microfacet BRDF."""
 
 import math
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
+from torch.nn.functional import normalize
 
+from skylight.sphere.grid import DirectionGrid
+from skylight.transport.diffuse import DiffuseTransport
 from skylight.transport.matrix import TransportMatrix
 from skylight.transport.render import Specular, ggx
+
+
+class GlossyTransport(DiffuseTransport):
+    """Reflection of distant light at m glossy points: ``sum_w f_s(n_p, w, v_p) V <n_p, w>+ L dw``.
+
+    ``forward(radiance, gloss)`` is :class:`DiffuseTransport`'s with the strength of the lobe in
+    the place of the albedo; differentiable in radiance, gloss and normals, the latter where the
+    cosine with the view is above 0.01. ``views`` (towards the camera) are unit vectors.
+
+    Memory: about ten times 4 m n bytes while the matrix is computed.
+    """
+
+    views: Tensor
+
+    def __init__(
+        self,
+        visibility: Bool[Tensor, "m n"],
+        normals: Float[Tensor, "m 3"],
+        grid: DirectionGrid,
+        *,
+        views: Float[Tensor, "m 3"],
+        specular: Specular,
+    ) -> None:
+        super().__init__(visibility, normals, grid)
+        self.specular = specular
+        self.register_buffer("views", views)
+
+    def _compute(self) -> Float[Tensor, "m n"]:
+        normals = normalize(self.normals, dim=1)
+        light, views = self.directions.to(normals), self.views.to(normals)
+        return math.pi * _lobe(normals, views, light, self.specular) * super()._compute()
 
 
 def glossy_transport(
@@ -28,9 +62,17 @@ def glossy_transport(
     out = torch.empty_like(transport.matrix)
     for start in range(0, len(normals), block):
         rows = slice(start, start + block)
-        n, v = normals[rows].float(), views[rows].float()
-        lobe = ggx(
-            (light @ n.T).clamp(min=0), (n * v).sum(1).clamp(min=1e-2), light @ v.T, specular
-        )
-        out[rows] = math.pi * lobe.T * transport.matrix[rows]
+        lobe = _lobe(normals[rows].float(), views[rows].float(), light, specular)
+        out[rows] = math.pi * lobe * transport.matrix[rows]
     return TransportMatrix(matrix=out, grid=transport.grid)
+
+
+def _lobe(
+    normals: Float[Tensor, "m 3"],
+    views: Float[Tensor, "m 3"],
+    light: Float[Tensor, "n 3"],
+    specular: Specular,
+) -> Float[Tensor, "m n"]:
+    """f_s(n_p, w, v_p)."""
+    n_v = (normals * views).sum(1).clamp(min=1e-2)
+    return ggx((light @ normals.T).clamp(min=0), n_v, light @ views.T, specular).T

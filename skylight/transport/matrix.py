@@ -1,4 +1,4 @@
-"""The transport matrix: how light from each direction becomes shading at each point.
+"""Visibility and transport matrices of surface points under distant light, by ray casting.
 
 Thesis, section 5.3.1: s = diag(rho) T l (Eq. 5.2) with T from Eq. 5.3.
 """
@@ -9,14 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
-from torch import Tensor, nn
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
 
 from skylight.sphere.grid import DirectionGrid
-from skylight.transport.forked import in_processes, shared_array
 from skylight.transport.raycast import Raycaster
+from skylight.work.forked import in_processes, shared_array
+from skylight.work.progress import Progress
 
-FEWEST_ROWS = 6
 BLOCK_DIRECTIONS = 64  # cast together; bounds the scratch memory
 
 
@@ -55,30 +55,6 @@ class TransportMatrix:
         return self.matrix @ basis.to(self.matrix)
 
 
-class DiffuseTransport(nn.Module):
-    """Shading from sky, ground and albedo, differentiable in all three; T is constant."""
-
-    folded: Tensor
-
-    def __init__(self, transport: TransportMatrix) -> None:
-        super().__init__()
-        self.register_buffer("folded", transport.fold_ground())
-
-    def forward(
-        self,
-        sky: Float[Tensor, "b n 3"],
-        ground: Float[Tensor, "b 3"],
-        albedo: Float[Tensor, "b 3"],
-    ) -> Float[Tensor, "b m 3"]:
-        """rho (T l) (Eq. 5.2) for a batch of lights, one albedo per light."""
-        light = torch.cat([sky, ground[:, None]], dim=1)
-        rows = light.transpose(1, 2).flatten(0, 1)
-        # BLAS takes fewer rows one by one: of one light, 150 ms instead of 20 for 3,700 pixels
-        padded = torch.nn.functional.pad(rows, (0, 0, 0, max(0, FEWEST_ROWS - len(rows))))
-        shading = torch.nn.functional.linear(padded, self.folded)[: len(rows)]
-        return albedo[:, None] * shading.unflatten(0, (-1, 3)).transpose(1, 2)
-
-
 def diffuse_transport(
     positions: Float[Tensor, "m 3"],
     normals: Float[Tensor, "m 3"],
@@ -87,7 +63,7 @@ def diffuse_transport(
     grid: DirectionGrid,
     *,
     workers: int = 1,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> TransportMatrix:
     """T[p, w] = V(p, w) <n_p, w>+ dw / pi (thesis, Eq. 5.3), by one shadow ray per entry > 0.
 
@@ -110,14 +86,50 @@ def diffuse_transport(
     weight = (grid.solid_angles / math.pi).numpy().astype(np.float32)
     matrix = shared_array((len(positions), len(grid)), np.float32)
 
-    def fill(number: int) -> None:
-        block = slice(number * BLOCK_DIRECTIONS, (number + 1) * BLOCK_DIRECTIONS)
+    def fill(block: slice) -> None:
         cosine = points.visible_cosines(directions[block])
         matrix[:, block] = (cosine * weight[block, None]).T
 
-    blocks = -(-len(grid) // BLOCK_DIRECTIONS)
-    in_processes(fill, blocks, workers=workers, progress=progress)
+    _in_blocks(fill, len(grid), workers, progress)
     return TransportMatrix(matrix=torch.from_numpy(matrix), grid=grid)
+
+
+def visibility(
+    positions: Float[Tensor, "m 3"],
+    geometric_normals: Float[Tensor, "m 3"],
+    raycaster: Raycaster,
+    grid: DirectionGrid,
+    *,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> Bool[Tensor, "m n"]:
+    """V(p, w): whether the ray from each point in each direction of the grid is unoccluded.
+
+    Independent of shading normals, which may therefore be optimised
+    (:class:`skylight.transport.diffuse.DiffuseTransport`); twice as many rays as
+    :func:`diffuse_transport`, whose parameters these are. Memory: m n bytes.
+    """
+    points = SurfaceRays.leaving(positions, geometric_normals, geometric_normals, raycaster)
+    directions = grid.directions.numpy().astype(np.float32)
+    visible = shared_array((len(positions), len(grid)), np.bool_)
+
+    def fill(block: slice) -> None:
+        for column, direction in zip(visible.T[block], directions[block], strict=True):
+            column[:] = points.unoccluded(direction)
+
+    _in_blocks(fill, len(grid), workers, progress)
+    return torch.from_numpy(visible)
+
+
+def _in_blocks(
+    fill: Callable[[slice], None], directions: int, workers: int, progress: Progress | None
+) -> None:
+    in_processes(
+        lambda i: fill(slice(i * BLOCK_DIRECTIONS, (i + 1) * BLOCK_DIRECTIONS)),
+        -(-directions // BLOCK_DIRECTIONS),
+        workers=workers,
+        progress=progress,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,8 +165,15 @@ class SurfaceRays:
         for row, direction in zip(out, directions, strict=True):
             cosine = self.normals @ direction
             facing = np.flatnonzero(cosine > 0)
-            starts = torch.from_numpy(self.starts.take(facing, axis=0))
-            blocked = self.raycaster.occluded(starts, torch.from_numpy(direction)[None])
-            free = facing[~blocked.numpy()]
+            free = facing[self.unoccluded(direction, facing)]
             row[free] = cosine[free]
         return out
+
+    def unoccluded(
+        self, direction: Float[np.ndarray, "3"], some: Int[np.ndarray, " k"] | None = None
+    ) -> Bool[np.ndarray, " k"]:
+        """V(p, w) in one direction, of all points or of those with the given indices."""
+        starts = self.starts if some is None else self.starts.take(some, axis=0)
+        return ~self.raycaster.occluded(
+            torch.from_numpy(starts), torch.from_numpy(direction)[None]
+        ).numpy()

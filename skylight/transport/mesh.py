@@ -1,4 +1,4 @@
-"""Meshes from files, ready to be shaded."""
+"""Mesh files, read for shading."""
 
 import logging
 import math

@@ -1,4 +1,4 @@
-"""What a mesh file claims, checked before its reader takes memory for it."""
+"""Sizes of mesh files, checked before memory is allocated."""
 
 import json
 import re
@@ -8,7 +8,7 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-from skylight.imaging.bounded import (
+from skylight.io.bounded import (
     ARRAY_BYTES_MAX,
     TEXT_BYTES_MAX,
     file_bytes,
@@ -31,7 +31,7 @@ def require_bounded(path: Path) -> None:
     Raises
     ------
     OSError, ValueError
-        As :func:`skylight.imaging.bounded.file_bytes`; a glTF scene whose accessors or instances
+        As :func:`skylight.io.bounded.file_bytes`; a glTF scene whose accessors or instances
         take far more memory than the file, an .obj face of vertex 0, or a text with fewer rows
         than its header says, which the readers take as it is.
     """

@@ -1,8 +1,8 @@
-"""The camera of a known object's photograph: a pinhole somewhere in the mesh's world."""
+"""The camera of a photograph of a known object, in the mesh's world frame."""
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -10,7 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.imaging.bounded import json_content
+from skylight.io.bounded import json_content
+from skylight.sphere.rigid_transform import RigidTransform
 from skylight.transport.camera import Camera
 
 _LENS, _POSE = ("fov_deg", "focal_px"), ("position", "look_at", "up")
@@ -21,28 +22,13 @@ _EXAMPLE = '{"fov_deg": 40, "position": [0, 1, 4], "look_at": [0, 0.5, 0]}'
 
 @dataclass(frozen=True, kw_only=True)
 class PlacedCamera:
-    """``x_world = rotation @ x_camera + position``; the camera looks along its own -Z, +Y is up.
+    """A pinhole camera, which looks along its own -Z with +Y up, and its place in the world.
 
-    ``rotation`` (3,3) and ``position`` (3,) are float64, in the mesh's world and units.
+    ``world_from_camera`` is in float64 and in the mesh's world and units.
     """
 
     camera: Camera
-    rotation: Float[Tensor, "3 3"]
-    position: Float[Tensor, "3"]
-
-    def points_to_camera(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-        """World positions in the camera's frame, R^T (x - p)."""
-        return (points.double() - self.position) @ self.rotation
-
-    def directions_to_camera(self, directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-        """World directions in the camera's frame, R^T w."""
-        return directions.double() @ self.rotation
-
-    def matrix(self) -> Float[Tensor, "4 4"]:
-        """World from camera, as camera files hold it."""
-        out = torch.eye(4, dtype=torch.float64)
-        out[:3, :3], out[:3, 3] = self.rotation, self.position
-        return out
+    world_from_camera: RigidTransform
 
     def shrunk(self, factor: int) -> "PlacedCamera":
         """The camera of the picture whose pixels are means of ``factor`` x ``factor`` pixels.
@@ -56,7 +42,7 @@ class PlacedCamera:
             height=whole.height // factor,
             center_px=(whole.center_px[0] / factor, whole.center_px[1] / factor),
         )
-        return PlacedCamera(camera=camera, rotation=self.rotation, position=self.position)
+        return replace(self, camera=camera)
 
 
 def read_object_camera(path: str | Path, *, height: int, width: int) -> PlacedCamera:
@@ -124,16 +110,15 @@ def object_camera(content: Mapping[str, object], *, height: int, width: int) -> 
     if "center_px" in content:
         x, y = _numbers(content, "center_px", 2)
         center = (x, y)
-    rotation, position = _matrix(content) if "world_from_camera" in content else _aimed(content)
+    pose = _matrix(content) if "world_from_camera" in content else _aimed(content)
     return PlacedCamera(
         camera=Camera(focal_px=focal_px, width=width, height=height, center_px=center),
-        rotation=rotation,
-        position=position,
+        world_from_camera=pose,
     )
 
 
-def _aimed(content: Mapping[str, object]) -> tuple[Float[Tensor, "3 3"], Float[Tensor, "3"]]:
-    """Rotation and position of a camera that stands somewhere and looks at something."""
+def _aimed(content: Mapping[str, object]) -> RigidTransform:
+    """Of a camera at ``position`` that looks at ``look_at``."""
     missing = [key for key in ("position", "look_at") if key not in content]
     if missing:
         raise InputError(
@@ -150,11 +135,12 @@ def _aimed(content: Mapping[str, object]) -> tuple[Float[Tensor, "3 3"], Float[T
     if not right.norm() > 1e-6 * up.norm():
         raise InputError('"up" must not be zero or along the view: give another, such as [0, 0, 1]')
     right = right / right.norm()
-    return torch.stack([right, torch.linalg.cross(backward, right), backward], dim=1), position
+    rotation = torch.stack([right, torch.linalg.cross(backward, right), backward], dim=1)
+    return RigidTransform(rotation=rotation, translation=position)
 
 
-def _matrix(content: Mapping[str, object]) -> tuple[Float[Tensor, "3 3"], Float[Tensor, "3"]]:
-    """Rotation and position of a 4 x 4 matrix."""
+def _matrix(content: Mapping[str, object]) -> RigidTransform:
+    """Of a 4 x 4 matrix."""
     both = [key for key in _POSE if key in content]
     if both:
         raise InputError(f'the camera has "world_from_camera" and "{both[0]}": keep one of them')
@@ -173,7 +159,7 @@ def _matrix(content: Mapping[str, object]) -> tuple[Float[Tensor, "3 3"], Float[
             "with the last row 0 0 0 1"
         )
     u, _, v = torch.linalg.svd(rotation)  # the nearest rotation: files round
-    return u @ v, matrix[:3, 3].clone()
+    return RigidTransform(rotation=u @ v, translation=matrix[:3, 3].clone())
 
 
 def _vector(content: Mapping[str, object], key: str) -> Float[Tensor, "3"]:

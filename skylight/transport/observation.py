@@ -1,4 +1,4 @@
-"""What inverse lighting starts from: shading that was seen, and the transport that made it."""
+"""Observations: shading at pixels, and its transport."""
 
 from dataclasses import dataclass, replace
 
@@ -48,6 +48,21 @@ class Observation:
         if self.gloss is not None and self.gloss.matrix.shape != self.transport.matrix.shape:
             raise ValueError("gloss must have the shape of the transport")
 
+    def to(self, device: torch.device) -> "Observation":
+        """The same on a device; grids of directions stay on the CPU."""
+
+        def moved(transport: TransportMatrix) -> TransportMatrix:
+            return replace(transport, matrix=transport.matrix.to(device))
+
+        return Observation(
+            pixels=self.pixels.to(device),
+            weights=self.weights.to(device),
+            places=self.places.to(device),
+            transport=moved(self.transport),
+            gloss=None if self.gloss is None else moved(self.gloss),
+            clipped=None if self.clipped is None else self.clipped.to(device),
+        )
+
     def scaled(self, factor: float) -> "Observation":
         """The same with all pixels multiplied."""
         return replace(self, pixels=self.pixels * factor)
@@ -91,17 +106,18 @@ class Observation:
         kept = self.weights > 0
         blocks, index = torch.unique(key[kept], return_inverse=True)
         weight = self.weights[kept]
-        total = torch.zeros(len(blocks)).index_add_(0, index, weight)
+        total = weight.new_zeros(len(blocks)).index_add_(0, index, weight)
         share = (weight / total[index])[:, None]
-        pixels = torch.zeros(len(blocks), 3).index_add_(0, index, share * self.pixels[kept])
+        pixels = self.pixels.new_zeros(len(blocks), 3)
+        pixels.index_add_(0, index, share * self.pixels[kept])
 
         def merged(transport: TransportMatrix) -> TransportMatrix:
-            rows = torch.zeros(len(blocks), len(transport.grid))
+            rows = transport.matrix.new_zeros(len(blocks), len(transport.grid))
             rows.index_add_(0, index, share * transport.matrix[kept])
             return TransportMatrix(matrix=rows, grid=transport.grid)
 
         over = None if self.clipped is None else blocks % 2 == 1
-        places = torch.zeros(len(blocks), 2, dtype=torch.long)
+        places = cell.new_zeros(len(blocks), 2)
         places[index] = cell[kept]
         return Observation(
             pixels=pixels,

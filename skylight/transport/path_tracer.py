@@ -1,14 +1,15 @@
-"""Light that a diffuse scene passes on: a small path tracer of constant albedos, lit from afar.
+"""A path tracer for diffuse scenes of constant albedo under distant light.
 
-Outgoing radiance of a point x on a Lambertian surface (thesis, Eq. 3.1 and 3.15), where V = 0 takes
-the light that comes from other surfaces y of the scene instead::
+Outgoing radiance of a point x on a Lambertian surface (thesis, Eq. 3.1 and 3.15); where V = 0, the
+ray meets another point y of the scene::
 
     L_o(x) = rho(x) / pi  int <n, w>+ (V(x, w) L_env(w) + (1 - V(x, w)) L_o(y(x, w))) dw
 
-Directions follow the cosine, so that a path's throughput is the product of the albedos along it,
-the point's own included; where it escapes in direction w it brings L_env(w). The first directions
-are a Sobol sequence shifted at random for each point (Cranley and Patterson 1976), later ones are
-random. Every estimate comes with its standard error, from batches of their own randomness.
+Directions are sampled in proportion to the cosine, so that a path's throughput is the product of
+the albedos along it, the point's own included; a path that escapes in direction w contributes
+L_env(w). The first directions are a Sobol sequence with a random shift for each point (Cranley and
+Patterson 1976), later ones are pseudo-random. Every estimate comes with its standard error, from
+independently sampled batches.
 """
 
 import math
@@ -130,28 +131,15 @@ def radiosity_transfer(
     albedo : of the points; the scene has its own.
     """
     _check_albedo(torch.tensor(albedo))
-    series = _harmonic_series(positions, normals, scene, degree, sampling, generator, orders=1)
-    return Traced.of(albedo * series[:, 0])
+    if degree < 0:
+        raise InputError(f"degree must be 0 or more, got {degree}")
 
+    def escaped(directions: Tensor, cosine: Tensor) -> Tensor:
+        return harmonics.evaluate(directions, degree)
 
-def bounce_transfer(
-    positions: Float[Tensor, "m 3"],
-    normals: Float[Tensor, "m 3"],
-    scene: DiffuseScene,
-    *,
-    degree: int,
-    sampling: Sampling,
-    generator: torch.Generator,
-) -> Traced:
-    """:func:`radiosity_transfer` of each number of bounces apart, for points of albedo 1.
-
-    (bounces + 1, m, k). In a scene of albedo 1 as well, the transfer at any other albedo a is the
-    series ``sum_j a^(j + 1) t_j``.
-    """
-    orders = sampling.bounces + 1
-    return Traced.of(
-        _harmonic_series(positions, normals, scene, degree, sampling, generator, orders=orders)
-    )
+    count = (degree + 1) ** 2
+    means = _walk(positions, normals, scene, sampling, generator, escaped, None, channels=count)
+    return Traced.of(albedo * means)
 
 
 def shade(
@@ -187,39 +175,8 @@ def shade(
         by_cosine = cosine[free] / math.pi
         return free, radiance[free] * (by_cosine / (by_cosine + density[free]))[:, None]
 
-    means = _walk(
-        positions, normals, scene, sampling, generator, escaped, lit, channels=3, orders=1
-    )
-    return Traced.of(albedo * means[:, 0])
-
-
-def _harmonic_series(
-    positions: Tensor,
-    normals: Tensor,
-    scene: DiffuseScene,
-    degree: int,
-    sampling: Sampling,
-    generator: torch.Generator,
-    *,
-    orders: int,
-) -> Float[Tensor, "b orders m k"]:
-    if degree < 0:
-        raise InputError(f"degree must be 0 or more, got {degree}")
-
-    def escaped(directions: Tensor, cosine: Tensor) -> Tensor:
-        return harmonics.evaluate(directions, degree)
-
-    return _walk(
-        positions,
-        normals,
-        scene,
-        sampling,
-        generator,
-        escaped,
-        None,
-        channels=(degree + 1) ** 2,
-        orders=orders,
-    )
+    means = _walk(positions, normals, scene, sampling, generator, escaped, lit, channels=3)
+    return Traced.of(albedo * means)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -243,18 +200,17 @@ def _walk(
     lit: Callable[[_Vertices, Tensor], tuple[Tensor, Tensor]] | None,
     *,
     channels: int,
-    orders: int,
-) -> Float[Tensor, "b orders m c"]:
-    """Means over the paths of each batch, by number of bounces (the last order takes the rest)."""
+) -> Float[Tensor, "b m c"]:
+    """Means over the paths of each batch."""
     if positions.shape != normals.shape:
         raise InputError(f"{len(positions)} positions and {len(normals)} normals do not match")
     if not len(positions):
-        return torch.zeros(sampling.batches, orders, 0, channels, dtype=torch.float64)
+        return torch.zeros(sampling.batches, 0, channels, dtype=torch.float64)
     count = sampling.samples // sampling.batches
     at_once = max(1, _RAYS // count)
     starts = (positions.double() + scene.raycaster.epsilon * normals.double()).float()
     points = _Vertices(starts=starts, normals=normals.float())
-    result = torch.zeros(sampling.batches, orders, len(positions), channels, dtype=torch.float64)
+    result = torch.zeros(sampling.batches, len(positions), channels, dtype=torch.float64)
     for sums in result:
         seed = int(torch.randint(1 << 31, (1,), generator=generator))
         sequence = SobolEngine(4, scramble=True, seed=seed).draw(count)
@@ -262,16 +218,16 @@ def _walk(
             shift = torch.rand(len(block), 1, 4, generator=generator)
             uniform = ((sequence + shift) % 1).reshape(-1, 4)
             owner = torch.arange(len(block)).repeat_interleave(count)
-            part = torch.zeros(orders, len(block), channels)
+            part = torch.zeros(len(block), channels)
             _follow(
                 part, points[block[owner]], owner, uniform, scene, sampling, generator, escaped, lit
             )
-            sums[:, block] = part.double() / count
+            sums[block] = part.double() / count
     return result
 
 
 def _follow(
-    sums: Float[Tensor, "orders m c"],
+    sums: Float[Tensor, "m c"],
     vertices: _Vertices,
     owner: Int[Tensor, " r"],
     uniform: Float[Tensor, "r 4"],
@@ -284,10 +240,9 @@ def _follow(
     """Add to ``sums`` what the paths from some points bring."""
     throughput = torch.ones(len(owner))
     for bounce in range(sampling.bounces + 1):
-        total = sums[min(bounce, len(sums) - 1)]
         if lit is not None:
             free, radiance = lit(vertices, uniform[:, 2:])
-            total.index_add_(0, owner[free], throughput[free, None] * radiance)
+            sums.index_add_(0, owner[free], throughput[free, None] * radiance)
         directions, cosine = cosine_directions(vertices.normals, uniform[:, :2])
         if bounce == sampling.bounces:  # whatever is hit gives no more light
             free = ~scene.raycaster.occluded(vertices.starts, directions)
@@ -295,7 +250,7 @@ def _follow(
             hits = scene.raycaster.intersect(vertices.starts, directions)
             free = hits.face < 0
         radiance = escaped(directions[free], cosine[free])
-        total.index_add_(0, owner[free], throughput[free, None] * radiance)
+        sums.index_add_(0, owner[free], throughput[free, None] * radiance)
         if bounce == sampling.bounces or bool(free.all()):
             return
         on = ~free

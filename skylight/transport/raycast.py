@@ -1,4 +1,4 @@
-"""Which triangle does a ray hit, and is anything in its way: embree behind one small interface."""
+"""Ray casting by embree: closest hits and occlusion."""
 
 from dataclasses import dataclass
 

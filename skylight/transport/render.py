@@ -1,4 +1,4 @@
-"""Pictures of a mesh under an environment map, by direct light, finer than any transport grid.
+"""Reference rendering of a mesh under an environment map by direct light.
 
 The reference against which transport matrices (and what is estimated with them) are judged, so
 it chooses its own light directions: a coarse grid for the smooth part of the map, and many

@@ -1,4 +1,4 @@
-"""A fixed little scene to judge environment maps by what they do: shading and cast shadows."""
+"""A fixed evaluation scene with shading and cast shadows."""
 
 from dataclasses import dataclass
 from functools import cache

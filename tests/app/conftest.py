@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from skylight.imaging.files import write_environment_map
+from skylight.io.files import write_environment_map
 from skylight.sphere.envmap import EnvironmentMap
 
 

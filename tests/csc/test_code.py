@@ -46,7 +46,7 @@ def test_saved_and_loaded_to_the_bit(tmp_path: Path, count: int) -> None:
 def test_angles_are_those_of_the_directions() -> None:
     """About the zenith: longitude from +Z towards +X, which is pi minus the azimuth."""
     code = some_code()
-    alpha, beta, gamma = code.angles()
+    alpha, beta, gamma = code.rotations.unbind(1)
     back = direction_from_angles(math.pi - alpha, beta)
     torch.testing.assert_close(back, code.directions, atol=1e-14, rtol=0)
     assert torch.equal(gamma, code.twists_rad)

@@ -1,3 +1,5 @@
+import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -6,12 +8,11 @@ import pytest
 import torch
 
 from skylight.csc import dictionary
-from skylight.csc.code import SparseCode
+from skylight.csc.code import CodeTensors, SparseCode
 from skylight.csc.coder import SphericalSparseCoder, coder_for
-from skylight.csc.correlation import RotationCorrelation
+from skylight.csc.correlation.positions import centres_of
 from skylight.csc.dictionary import FilterBank
-from skylight.csc.layers import Layer
-from skylight.csc.pursuit import PursuitOptions
+from skylight.csc.pursuit.greedy import PursuitOptions
 from skylight.errors import InputError
 from skylight.sphere import harmonics
 from skylight.sphere.frame import direction_from_angles
@@ -59,17 +60,21 @@ def room(seed: int = 0, height: int = 32) -> torch.Tensor:
 
 def relative_error(x: torch.Tensor, y: torch.Tensor) -> float:
     dw = DirectionGrid.latlong(len(x)).solid_angles
-    squares = torch.stack([(x - y).square(), x.square()]).reshape(2, -1, 3).sum(2) @ dw
+    squares = torch.stack([(x - y.detach()).square(), x.square()]).reshape(2, -1, 3).sum(2) @ dw
     return float((squares[0] / squares[1]).sqrt())
 
 
 def repeats(coder: SphericalSparseCoder, filter_: int) -> int:
     """After how many of 32 twists a filter of the dictionary is the same again."""
-    layer = coder.layers[0]
-    assert isinstance(layer, Layer)
-    assert isinstance(layer.correlation, RotationCorrelation)
-    group, _ = layer.correlation.index[filter_]
-    return layer.correlation.by_group(torch.zeros(121, dtype=F64))[group].shape[0]
+    correlation = coder.parts[0].plan().correlation
+    group, _ = correlation.index[filter_]
+    return correlation.by_group(torch.zeros(121, dtype=F64))[group].shape[0]
+
+
+def coded(coder: SphericalSparseCoder, x: torch.Tensor) -> SparseCode:
+    """The map's code as a file has it."""
+    (code,) = coder.path(x, [coder.activations])
+    return code
 
 
 # what a code is worth
@@ -79,7 +84,7 @@ def repeats(coder: SphericalSparseCoder, filter_: int) -> int:
 def test_relative_error_is_that_of_the_decoded_map(weights: str) -> None:
     options = PursuitOptions(weights=weights)  # type: ignore[arg-type]
     coder = SphericalSparseCoder(bank(), activations=12, options=options)
-    code = coder(room())
+    code = coded(coder, room())
     assert len(code) == 12
     assert code.relative_error == pytest.approx(relative_error(room(), coder.decode(code)))
     assert code.relative_error < 0.95
@@ -87,24 +92,52 @@ def test_relative_error_is_that_of_the_decoded_map(weights: str) -> None:
 
 def test_relative_error_with_every_layer() -> None:
     x = room(height=64)
-    code = fine()(x)
+    code = coded(fine(), x)
     owners = code.filters >= len(fine().bank)
     assert owners.any()  # lamps are no lobes of degree 6
     assert code.relative_error == pytest.approx(relative_error(x, fine().decode(code)))
     banded = SphericalSparseCoder(bank(6), height=64, activations=10, banded=True)
-    assert banded(x).relative_error > code.relative_error
-    assert len(banded.layers) == 1
+    assert coded(banded, x).relative_error > code.relative_error
+    assert len(banded.parts) == 1
 
 
-def test_a_batch_is_its_maps() -> None:
-    maps = torch.stack([room(0), room(1)])
-    batch = small()(maps)
-    assert isinstance(batch, list)
-    for one, code in zip(maps, batch, strict=True):
-        alone = small()(one)
-        for name in ("filters", "directions", "twists_rad", "weights"):
-            assert torch.equal(getattr(alone, name), getattr(code, name))
-        assert alone.relative_error == code.relative_error
+@pytest.mark.parametrize("shape", [(), (2,), (3, 1), (2, 2)])
+def test_a_batch_is_its_maps(shape: tuple[int, ...], device: torch.device) -> None:
+    """Of any leading dimensions, as tensors on the maps' device and as files."""
+    coder = small().to(device)
+    count = math.prod(shape)
+    maps = torch.stack([room(seed).to(device, torch.float32) for seed in range(count)])
+    codes = coder(maps.reshape(*shape, 32, 64, 3))
+    assert codes.filters.shape == (*shape, 12)
+    assert codes.count.shape == shape
+    assert codes.weights.dtype == torch.float32
+    assert all(each.device.type == device.type for each in codes)
+    decoded = coder.decode(codes)
+    assert decoded.shape == (*shape, 32, 64, 3)
+    errors = coder.relative_error(maps.reshape(*shape, 32, 64, 3), codes).flatten()
+    for n, one in enumerate(maps):
+        alone = coded(coder, one)
+        of_batch = CodeTensors(
+            *(each.reshape(count, *each.shape[len(shape) :])[n] for each in codes)
+        )
+        assert torch.equal(of_batch.filters.cpu(), alone.filters)
+        torch.testing.assert_close(centres_of(of_batch.rotations.cpu()), alone.directions)
+        torch.testing.assert_close(of_batch.weights.cpu().double(), alone.weights)
+        assert float(errors[n]) == pytest.approx(alone.relative_error, rel=1e-5)
+        back = coder.sparse_code(of_batch, alone.relative_error)
+        again = coder.decode(back).to(decoded)
+        torch.testing.assert_close(again, decoded.flatten(0, -4)[n] if shape else decoded)
+    small().cpu()
+
+
+def test_short_codes_are_padded() -> None:
+    """A constant needs one activation; the rest of its row is nothing."""
+    maps = torch.stack([torch.full((32, 64, 3), 0.7), room().float()])
+    codes = small()(maps)
+    assert codes.count.tolist() == [1, 12]
+    assert codes.used.sum(1).tolist() == [1, 12]
+    assert not codes.weights[0, 1:].any()
+    torch.testing.assert_close(small().decode(codes)[0], maps[0], rtol=1e-4, atol=0)
 
 
 def test_a_path_gives_codes_of_every_size() -> None:
@@ -112,12 +145,12 @@ def test_a_path_gives_codes_of_every_size() -> None:
     assert [len(code) for code in path] == [2, 5, 12]
     errors = [code.relative_error for code in path]
     assert errors == sorted(errors, reverse=True)
-    assert torch.equal(path[2].weights, small()(room()).weights)
+    assert torch.equal(path[2].weights, coded(small(), room()).weights)
 
 
 def test_a_code_of_what_the_dictionary_holds_is_exact() -> None:
     x = torch.full((32, 64, 3), 0.7)
-    code = small()(x)
+    code = coded(small(), x)
     assert code.filters.tolist() == [0]
     assert code.relative_error < 1e-4  # what the L1 norm takes off
     torch.testing.assert_close(small().decode(code), x.double(), rtol=1e-4, atol=0)
@@ -125,7 +158,7 @@ def test_a_code_of_what_the_dictionary_holds_is_exact() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_search_in_single_and_double_precision(seed: int) -> None:
-    single, double = (small(12, dtype)(room(seed)) for dtype in (torch.float32, F64))
+    single, double = (coded(small(12, dtype), room(seed)) for dtype in (torch.float32, F64))
     assert torch.equal(single.filters, double.filters)
     same = single.filters != 0  # the constant is the same everywhere
     torch.testing.assert_close(single.directions[same], double.directions[same])
@@ -190,7 +223,7 @@ def assert_moved(
 @pytest.mark.parametrize("columns", [1, 23])
 def test_turning_a_map_by_columns_turns_its_code(columns: int) -> None:
     coder, x = small(), room(2)
-    code, moved = coder(x), coder(x.roll(columns, 1))
+    code, moved = coded(coder, x), coded(coder, x.roll(columns, 1))
     azimuth = torch.atan2(code.directions[:, 0], -code.directions[:, 2])
     zenith = torch.acos(code.directions[:, 1])
     directions = direction_from_angles(azimuth + columns * 2 * torch.pi / 64, zenith)
@@ -204,7 +237,7 @@ def test_turning_a_map_upside_down_turns_its_code() -> None:
     Q Rz(a) Ry(b) Rz(g) = Rz(pi - a) Ry(pi - b) Rz(g + pi): twists go half round.
     """
     coder, x = small(), room(3)
-    code, moved = coder(x), coder(x.flip(0, 1).roll(32, 1))
+    code, moved = coded(coder, x), coded(coder, x.flip(0, 1).roll(32, 1))
     assert 8 in code.filters  # without symmetry: the twist shows
     directions = code.directions * torch.tensor([1.0, -1.0, -1.0], dtype=F64)
     assert_moved(coder, code, moved, directions, code.twists_rad + torch.pi)
@@ -219,9 +252,10 @@ def test_any_turn_changes_the_error_by_little() -> None:
     coder, generator = iso(), torch.Generator().manual_seed(0)
     filters = torch.randint(20, 101, (24,), generator=generator)
     u, v, w = torch.rand(24, 3, generator=generator, dtype=F64).unbind(1)
-    angles = (2 * torch.pi * u, torch.acos(1 - 2 * v), 2 * torch.pi * w)
+    rotations = torch.stack([2 * torch.pi * u, torch.acos(1 - 2 * v), 2 * torch.pi * w], 1)
     weights = torch.rand(24, 3, generator=generator, dtype=F64)
-    coefficients = coder.coefficients(filters, angles, weights)
+    codes = CodeTensors(filters, rotations, weights, torch.tensor(24))
+    coefficients = coder.coefficients(codes).detach()
     grid = DirectionGrid.latlong(32).directions
     rotations = [torch.eye(3, dtype=F64)]
     for _ in range(10):
@@ -230,50 +264,132 @@ def test_any_turn_changes_the_error_by_little() -> None:
     errors = []
     for rotation in rotations:
         values = harmonics.evaluate_about_zenith(grid @ rotation, 40) @ coefficients
-        errors.append(coder(values.reshape(32, 64, 3)).relative_error)
+        errors.append(coded(coder, values.reshape(32, 64, 3)).relative_error)
     assert max(abs(error - errors[0]) for error in errors) < 1.5 * 0.0188
     assert errors[0] == pytest.approx(0.266, abs=0.01)
+
+
+# the module
+
+
+def taken(coder: SphericalSparseCoder) -> None:
+    """An optimiser's step on the dictionary."""
+    optimiser = torch.optim.Adam(coder.parameters(), lr=0.02)
+    codes = coder(room())
+    coder.relative_error(room(), coder.refit(room(), codes)).backward()
+    optimiser.step()
+
+
+CHANGES: dict[str, Callable[[SphericalSparseCoder], object]] = {
+    "an optimiser's step": taken,
+    "a state": lambda coder: coder.bank.load_state_dict(
+        {"unnormalised": bank().coefficients.flip(0) * 3}
+    ),
+    "double": lambda coder: coder.double(),
+    "float": lambda coder: coder.float(),
+    "a step, then double": lambda coder: (taken(coder), coder.double()),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize("sweeps", [0, 1])
+def test_after_a_change_codes_are_a_fresh_coders(change: str, sweeps: int) -> None:
+    options = PursuitOptions(sweeps=sweeps)
+    own = FilterBank(bank().coefficients, "changed by a test")
+    coder = SphericalSparseCoder(own, activations=6, options=options)
+    before = coder(room())  # plans of what the filters were
+    CHANGES[change](coder)
+    dtype = F64 if "double" in change else torch.float32
+    fresh_bank = FilterBank(coder.bank.coefficients, "changed by a test").to(
+        coder.bank.unnormalised.dtype
+    )
+    fresh = SphericalSparseCoder(fresh_bank, activations=6, options=options, dtype=dtype)
+    found, expected = coder(room()), fresh(room())
+    assert torch.equal(found.filters, expected.filters)
+    torch.testing.assert_close(found.rotations, expected.rotations)
+    close = {"rtol": 1e-4, "atol": 1e-5} if change == "float" else {"rtol": 1e-9, "atol": 1e-9}
+    torch.testing.assert_close(found.weights, expected.weights, **close)
+    torch.testing.assert_close(coder.decode(found), fresh.decode(expected), **close)
+    if "step" in change or "state" in change:
+        same = (torch.equal(a, b) for a, b in zip(found, before, strict=True))
+        assert not all(same)
+
+
+def test_a_coders_codes_follow_its_device(device: torch.device) -> None:
+    """The CPU's, to single precision of the search."""
+    coder = SphericalSparseCoder(FilterBank(bank().coefficients, "moved"), activations=6)
+    expected = coder(room())
+    coder.to(device)
+    found = coder(room().to(device))
+    assert torch.equal(found.filters.cpu(), expected.filters)
+    torch.testing.assert_close(found.weights.cpu(), expected.weights, rtol=1e-4, atol=1e-4)
+    refitted = coder.refit(room().to(device), found)
+    assert refitted.weights.device.type == device.type
+
+
+@pytest.mark.parametrize("height", [32, 64])
+def test_the_state_is_the_filters_alone(height: int) -> None:
+    """Sharper filters of finer maps and all tables are constants; nothing is kept twice."""
+    coder = SphericalSparseCoder(FilterBank(bank(6).coefficients, "a"), height=height)
+    state = coder.state_dict()
+    (key,) = state
+    assert [name for name, _ in coder.named_parameters()] == [key]
+    torch.testing.assert_close(state[key], bank(6).coefficients.detach(), rtol=0, atol=0)
+    other = SphericalSparseCoder(FilterBank(random(9, 49), "b"), height=height)
+    other.load_state_dict(state)
+    assert other.bank.fingerprint == coder.bank.fingerprint
 
 
 # gradients
 
 
-def gradcheck_inputs() -> tuple[SphericalSparseCoder, torch.Tensor, list[torch.Tensor]]:
-    own = FilterBank(bank(3).coefficients.clone(), "changed by a test")
+def gradcheck_inputs() -> tuple[SphericalSparseCoder, CodeTensors]:
+    own = FilterBank(bank(3).coefficients, "changed by a test")
     coder = SphericalSparseCoder(own, activations=4)
-    filters = torch.tensor([0, 1, 4, 8, 8])
-    angles = [2 * random(5, seed=j).sigmoid() for j in range(3)]
-    return coder, filters, [*angles, random(5, 3, seed=4)]
+    rotations = 2 * random(5, 3).sigmoid()
+    return coder, CodeTensors(
+        torch.tensor([0, 1, 4, 8, 8]), rotations, random(5, 3, seed=4), torch.tensor(5)
+    )
 
 
-def test_coefficients_are_differentiable_in_places_and_weights() -> None:
-    coder, filters, inputs = gradcheck_inputs()
+def with_filters(coder: SphericalSparseCoder, call: Callable[[], torch.Tensor]) -> Callable:
+    """``call`` as a function of the dictionary's parameter."""
 
-    def coefficients(a: torch.Tensor, b: torch.Tensor, c: torch.Tensor, w: torch.Tensor):
-        return coder.coefficients(filters, (a, b, c), w)
+    def of_filters(table: torch.Tensor) -> torch.Tensor:
+        del coder.bank.unnormalised
+        coder.bank.unnormalised = table
+        return call()
 
-    assert torch.autograd.gradcheck(coefficients, [x.requires_grad_() for x in inputs])
+    return of_filters
+
+
+def test_coefficients_are_differentiable_in_rotations_and_weights() -> None:
+    coder, codes = gradcheck_inputs()
+
+    def coefficients(rotations: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+        return coder.coefficients(codes._replace(rotations=rotations, weights=weights))
+
+    inputs = [codes.rotations.requires_grad_(), codes.weights.requires_grad_()]
+    assert torch.autograd.gradcheck(coefficients, inputs)
 
 
 def test_coefficients_are_differentiable_in_the_filters() -> None:
-    coder, filters, (a, b, c, w) = gradcheck_inputs()
-    original = coder.bank.coefficients
-
-    def coefficients(table: torch.Tensor) -> torch.Tensor:
-        coder.bank.coefficients = table
-        return coder.coefficients(filters, (a, b, c), w)
-
-    table = original.clone().requires_grad_()
+    """Of any norm: they are normalised on the way."""
+    coder, codes = gradcheck_inputs()
+    table = (coder.bank.coefficients.detach() * torch.linspace(0.5, 2, 9)[:, None]).requires_grad_()
+    coefficients = with_filters(coder, lambda: coder.coefficients(codes))
     assert torch.autograd.gradcheck(coefficients, [table])
     coefficients(table).square().sum().backward()
     assert table.grad is not None
-    used = table.grad.abs().sum(1) > 0
+    used = table.grad.abs().sum(1) > 1e-12
     assert torch.nonzero(used)[:, 0].tolist() == [0, 1, 4, 8]
+    # the norm of a filter is nobody's concern
+    assert (table.grad * table).sum(1).abs().max() < 1e-12
 
 
 def test_decoding_is_differentiable_in_the_weights() -> None:
     coder = SphericalSparseCoder(bank(3), activations=3)
-    code = coder(room())
+    code = coded(coder, room())
 
     def decoded(weights: torch.Tensor) -> torch.Tensor:
         return coder.decode(replace(code, weights=weights), 4)
@@ -292,13 +408,64 @@ def test_pixels_are_differentiable_in_their_colours() -> None:
     torch.testing.assert_close(weights.grad, expected)
 
 
+# refitting
+
+
+@pytest.mark.parametrize("weights", ["nonnegative", "free"])
+@pytest.mark.parametrize("height", [32, 64])
+def test_refitting_what_was_coded_changes_nothing(weights: str, height: int) -> None:
+    """The pursuit's own weights are the least squares of its support (pixels among them)."""
+    options = PursuitOptions(weights=weights)  # type: ignore[arg-type]
+    coder = SphericalSparseCoder(bank(6), height=height, activations=10, options=options)
+    maps = torch.stack([room(height=height), room(1, height=height)])
+    codes = coder(maps)
+    assert (codes.weights == 0).any() == (weights == "nonnegative")
+    refitted = coder.refit(maps, codes._replace(weights=codes.weights.sign()))
+    torch.testing.assert_close(refitted.weights, codes.weights, rtol=1e-6, atol=1e-9)
+
+
+def test_no_other_weights_are_better_than_refitted_ones() -> None:
+    """What is left is orthogonal to every atom."""
+    coder, x = small(), room(1)
+    codes = coder(x)
+    refitted = coder.refit(x, codes)
+    assert coder.relative_error(x, refitted) <= coder.relative_error(x, codes)
+    rest = (x - coder.decode(refitted)).detach() * coder.transform.solid_angles[..., None]
+    unit = codes._replace(weights=torch.eye(12, dtype=F64))
+    products = torch.einsum("hwc,hws->sc", rest, coder.decode(unit).detach())
+    assert products.abs().max() < 1e-9 * float(x.norm())
+
+
+def test_refitted_weights_are_differentiable_in_maps_and_filters() -> None:
+    """Free and non-negative supports, in one batch of two maps, one of them shorter."""
+    own = FilterBank(bank(3).coefficients, "changed by a test")
+    coder = SphericalSparseCoder(own, height=8, activations=3)
+    maps = random(2, 8, 16, 3).exp()
+    codes = CodeTensors(
+        torch.tensor([[1, 4, 8], [8, 8, 0]]),
+        2 * random(2, 3, 3).sigmoid(),
+        torch.tensor(
+            [[[1.0, 1, 1], [1, 0, 1], [0, 1, 1]], [[1, 1, 1], [1, 1, 1], [0, 0, 0]]]
+        ).double(),
+        torch.tensor([3, 2]),
+    )
+    table = own.coefficients.detach().requires_grad_()
+
+    def refitted(x: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
+        return with_filters(coder, lambda: coder.refit(x, codes).weights)(t)
+
+    assert torch.autograd.gradcheck(refitted, [maps.requires_grad_(), table], fast_mode=True)
+    found = refitted(maps, table)
+    assert torch.equal(found == 0, codes.weights == 0)
+
+
 # decoding elsewhere
 
 
 def lamps() -> SparseCode:
     """Three pixels of 64 rows, one of them at a pole and one beside the seam."""
     pixels = torch.tensor([10 * 128 + 20, 127, 40 * 128])
-    code = fine()(room(height=64))
+    code = coded(fine(), room(height=64))
     return replace(
         code,
         filters=torch.full((3,), fine().count - 1),
@@ -325,7 +492,7 @@ def test_pixels_keep_their_energy_at_any_height(height: int) -> None:
 
 def test_smooth_light_is_the_same_at_any_height() -> None:
     """32 rows and 96: the pixels of the one are every third of the other."""
-    code = small()(room())
+    code = coded(small(), room())
     coarse, finer = small().decode(code), small().decode(code, 96)
     rows, columns = 3 * torch.arange(32) + 1, 3 * torch.arange(64) + 1
     torch.testing.assert_close(finer[rows][:, columns], coarse, atol=1e-10, rtol=0)
@@ -337,7 +504,7 @@ def test_smooth_light_is_the_same_at_any_height() -> None:
 @pytest.mark.parametrize("fine_map", [False, True])
 def test_a_saved_code_decodes_to_the_same_map(tmp_path: Path, fine_map: bool) -> None:
     coder = fine() if fine_map else small()
-    code = coder(room(1, coder.height))
+    code = coded(coder, room(1, coder.height))
     code.save(tmp_path / "code.json")
     coder.bank.save(tmp_path / "bank.safetensors")
     again = SparseCode.load(tmp_path / "code.json")
@@ -348,7 +515,7 @@ def test_a_saved_code_decodes_to_the_same_map(tmp_path: Path, fine_map: bool) ->
 
 
 def test_codes_of_other_coders_are_refused() -> None:
-    code = small()(room())
+    code = coded(small(), room())
     renamed = FilterBank(bank().coefficients, "another name")
     # a name decides which sharper filters finer maps get, so it is part of the dictionary
     with pytest.raises(InputError, match="this coder has 'another name'"):
@@ -364,7 +531,7 @@ def test_codes_of_other_coders_are_refused() -> None:
 
 @pytest.mark.parametrize("filter_", [-1, 9])
 def test_filters_that_are_not_there_are_refused(filter_: int) -> None:
-    code = small()(room())
+    code = coded(small(), room())
     code.filters[3] = filter_
     with pytest.raises(InputError, match="names filters that 'small' does not have"):
         small().decode(code)
@@ -372,7 +539,7 @@ def test_filters_that_are_not_there_are_refused(filter_: int) -> None:
 
 def test_a_dictionary_that_is_no_file_is_refused() -> None:
     with pytest.raises(InputError, match="no dictionary 'small': choose iso, ani, vmf or a file"):
-        coder_for(small()(room()))
+        coder_for(coded(small(), room()))
 
 
 # bad input

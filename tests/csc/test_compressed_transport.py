@@ -11,10 +11,10 @@ from skylight.csc.compressed_transport import (
     row_signals,
     transform_for,
 )
+from skylight.csc.correlation.positions import Positions
 from skylight.csc.dictionary import FilterBank, isotropic
-from skylight.csc.layers import AnyLayer, Layer, PixelLayer
-from skylight.csc.positions import Positions
-from skylight.csc.pursuit import Support
+from skylight.csc.pursuit.greedy import Support
+from skylight.csc.sub_dictionaries import Part, PixelDictionary, SubDictionary
 from skylight.errors import InputError
 from skylight.sphere import harmonics
 from skylight.sphere.grid import DirectionGrid
@@ -32,22 +32,22 @@ def unshadowed(height: int = 16) -> TransportMatrix:
     return TransportMatrix(matrix=matrix, grid=grid)
 
 
-def layers_of_three_kinds() -> list[AnyLayer]:
+def parts_of_three_kinds() -> list[Part]:
     """Filters without any symmetry, isotropic ones above them, and pixels."""
     bands = 1 + harmonics.bands(6)
     skewed = torch.randn(3, 49, generator=torch.Generator().manual_seed(0)).double() / bands**2
     wide = FilterBank(torch.cat([skewed, -skewed]), "skewed")
     narrow = isotropic(8, 5)
     return [
-        Layer(wide, POSITIONS),
-        Layer(narrow, Positions(rows=16, twists=1), len(wide)),
-        PixelLayer(16, len(wide) + len(narrow), 8),
+        SubDictionary(wide, POSITIONS),
+        SubDictionary(narrow, Positions(rows=16, twists=1), len(wide)),
+        PixelDictionary(16, len(wide) + len(narrow), 8),
     ]
 
 
 @pytest.fixture(scope="module")
 def compressed() -> CompressedTransport:
-    return compress(unshadowed(), layers_of_three_kinds(), 6)
+    return compress(unshadowed(), parts_of_three_kinds(), 6)
 
 
 def test_relighting_is_the_expanded_matrix_times_the_light(compressed: CompressedTransport):
@@ -58,14 +58,14 @@ def test_relighting_is_the_expanded_matrix_times_the_light(compressed: Compresse
 
 
 def test_every_layer_is_read_where_its_atoms_stand():
-    layers, transform = layers_of_three_kinds(), transform_for(layers_of_three_kinds(), 16)
+    parts, transform = parts_of_three_kinds(), transform_for(parts_of_three_kinds(), 16)
     code = Support(
-        filters=torch.tensor([0, 0, 4, 7, layers[2].first]),
+        filters=torch.tensor([0, 0, 4, 7, parts[2].first]),
         places=torch.tensor([[2, 5, 3], [2, 5, 7], [7, 15, 0], [9, 31, 0], [4, 30, 0]]),
         weights=torch.tensor([[1.0], [-0.5], [2], [0.7], [0.1]]).double(),
         error=0.0,
     )
-    compressed = CompressedTransport.of([code], layers, transform)
+    compressed = CompressedTransport.of([code], parts, transform)
     light = torch.rand(16 * 32, 1, generator=torch.Generator().manual_seed(1)).double()
     expanded = compressed.expand().matrix.double() @ light
     assert float(compressed.relight(light)) == pytest.approx(float(expanded), rel=1e-5)
@@ -81,7 +81,7 @@ def test_rows_are_met(compressed: CompressedTransport):
 
 
 def test_every_activation_is_counted(compressed: CompressedTransport):
-    assert compressed.floats == 2 * int(torch.count_nonzero(compressed.weights)) <= 2 * 3 * 6
+    assert compressed.floats == 2 * int(torch.count_nonzero(compressed.codes.weights)) <= 2 * 3 * 6
 
 
 def test_a_sky_is_refused():
@@ -92,4 +92,4 @@ def test_a_sky_is_refused():
 
 def test_nothing_to_keep_is_refused():
     with pytest.raises(InputError, match="1 or more"):
-        compress(unshadowed(), layers_of_three_kinds(), 0)
+        compress(unshadowed(), parts_of_three_kinds(), 0)

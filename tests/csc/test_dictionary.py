@@ -12,7 +12,7 @@ from scipy.special import eval_legendre, ive, sph_harm_y
 from skylight.csc import dictionary
 from skylight.csc.dictionary import FilterBank, builtin, load_dictionary, project_about_pole
 from skylight.errors import InputError
-from skylight.imaging.tensors import write_tensors
+from skylight.io.tensors import write_tensors
 from skylight.sphere import harmonics, lobes
 from skylight.sphere.grid import DirectionGrid
 

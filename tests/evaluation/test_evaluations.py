@@ -5,11 +5,11 @@ import json
 import pytest
 import torch
 
+from skylight.evaluation.faces.real_faces import RealFaces
 from skylight.evaluation.main import run_evaluation
-from skylight.evaluation.real_faces import RealFaces
-from skylight.evaluation.scores import score
-from skylight.evaluation.sky_models import SkyModels
-from skylight.models.shipped import sunsky_light
+from skylight.evaluation.scores.relit_scene import score
+from skylight.evaluation.skies.sky_models import SkyModels
+from skylight.models.sunsky import SunSky
 from skylight.sphere.envmap import EnvironmentMap
 
 SHADING = {"mae", "rmse", "si_rmse", "ssim", "mae_aligned", "rmse_aligned", "brightness"}
@@ -17,8 +17,8 @@ SHADING = {"mae", "rmse", "si_rmse", "ssim", "mae_aligned", "rmse_aligned", "bri
 
 @pytest.fixture(scope="module")
 def sky():
-    model = sunsky_light()
-    return model.radiance(model.starts()[:1])[0].reshape(*model.grid.layout, 3)
+    model = SunSky()
+    return model(model.starts()[:1])[0].reshape(*model.grid.layout, 3)
 
 
 def test_the_truth_scores_perfectly(sky):
@@ -39,6 +39,7 @@ def test_brightness_alone_is_seen_by_brightness_alone(sky):
     assert not any(name.startswith("sun_") for name in scores)
 
 
+@pytest.mark.slow
 def test_sky_models(tmp_path):
     path = run_evaluation(SkyModels(count=1), tmp_path, command="c")
     rows = json.loads(path.read_text())["rows"]
@@ -49,6 +50,7 @@ def test_sky_models(tmp_path):
     assert "autoencoder_feedforward mae" in json.loads(path.read_text())["checks"]
 
 
+@pytest.mark.slow
 def test_real_faces(tmp_path, shared_data):
     folder = tmp_path / "photos"
     folder.mkdir()

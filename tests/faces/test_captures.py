@@ -17,8 +17,8 @@ from skylight.faces.captures import (
     true_light,
     write_azimuths,
 )
-from skylight.imaging.files import write_environment_map
-from skylight.imaging.hdr import write_exr
+from skylight.io.files import write_environment_map
+from skylight.io.hdr import write_exr
 from skylight.sphere.envmap import EnvironmentMap
 
 HEAD = "photo,probe,azimuth_deg,visible_sun,person\n"
@@ -83,7 +83,7 @@ def test_what_cannot_be_understood_is_named_in_one_line(folder, text, said):
 
 
 def test_a_folder_without_a_table_is_told_what_to_write(tmp_path):
-    with pytest.raises(InputError, match="write one with the columns photo, probe"):
+    with pytest.raises(InputError, match="photo, probe"):
         read_captures(tmp_path)
 
 

@@ -299,7 +299,7 @@ class TestErrors:
 
     def test_no_task_file(self, tmp_path):
         (tmp_path / "face.task").write_bytes(b"\xff\xd8 a picture")
-        with pytest.raises(InputError, match=r"face\.task is no whole \.task file"):
+        with pytest.raises(InputError, match=r"face\.task"):
             MediaPipeLandmarker(tmp_path / "face.task")
 
     def test_half_a_file(self, tmp_path):
@@ -319,7 +319,7 @@ class TestErrors:
     def test_no_networks(self, tmp_path):
         pytest.importorskip("ai_edge_litert", reason="LiteRT is not installed")
         path = self.zipped(tmp_path / "empty.task", {DETECTOR: b"no", LANDMARKS: b"network"})
-        with pytest.raises(InputError, match=r"face_detector\.tflite is no model that LiteRT"):
+        with pytest.raises(InputError, match=r"face_detector\.tflite"):
             MediaPipeLandmarker(path)
 
     def test_networks_of_something_else(self, tmp_path, shared_data):

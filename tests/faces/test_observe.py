@@ -164,7 +164,7 @@ def test_over_exposed_pixels_are_lower_bounds(head, person, view):
     lost = observed(head, person, picture=white, clipped=clipped).observation
     assert float(lost.clipped.float().mean()) > 0.25
     assert float((~lost.clipped).float().mean()) > 0.25
-    with pytest.raises(InputError, match=r"only 0 usable pixels .* over-exposed"):
+    with pytest.raises(InputError, match="0 usable pixels"):
         observed(head, person, clipped=torch.ones_like(clipped))
 
 

@@ -234,7 +234,8 @@ def test_shipped_file_is_what_the_builder_makes(inputs, prior: SkinPrior) -> Non
     albedos = builder().skin_albedos(*inputs)
     rebuilt = builder().fit(albedos, seed=0)
     at = torch.from_numpy(np.log(albedos[::10]))
-    # processors round differently, and the fit stops at a tolerance
-    torch.testing.assert_close(
-        rebuilt.log_prob(at), prior.log_albedo.log_prob(at), atol=0.02, rtol=0
-    )
+    found, shipped = rebuilt.log_prob(at), prior.log_albedo.log_prob(at)
+    # The fit stops where an iteration gains little, so fits of other builds of it differ by a few
+    # hundredths where samples are few, and by much less in the likelihood of all.
+    torch.testing.assert_close(found, shipped, atol=0.05, rtol=0)
+    torch.testing.assert_close(found.mean(), shipped.mean(), atol=1e-3, rtol=0)

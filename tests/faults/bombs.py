@@ -18,14 +18,14 @@ from pathlib import Path
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper
 
+from skylight.cameras.frames import read_picture
 from skylight.csc.code import SparseCode
 from skylight.csc.dictionary import FilterBank
 from skylight.faces.litert import read_task
-from skylight.imaging.files import read_environment_map
 from skylight.imaging.photo import read_photo
-from skylight.probes.capture.frames import read_picture
-from skylight.probes.partitions.scene_files import read_scene
-from skylight.probes.partitions.transfer_file import load_transfer
+from skylight.io.files import read_environment_map
+from skylight.probes.partitions.relight.scene_files import read_scene
+from skylight.probes.partitions.relight.transfer_file import load_transfer
 from skylight.probes.voxel.lightmap import load_lightmap
 from skylight.probes.voxel.model import read_voxels
 from skylight.relight.scene_file import PrecomputedScene, load_scene

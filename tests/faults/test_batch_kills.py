@@ -13,6 +13,8 @@ import pytest
 from tests.dask_cluster import dask_cluster
 from tests.faults.scenarios import batch
 
+pytestmark = pytest.mark.slow
+
 WAIT_S = 300
 FACES, PHOTOS = 3, 5
 

@@ -8,13 +8,15 @@ import pytest
 
 pytest.importorskip("distributed", reason="dask is not installed")
 
+from skylight.evaluation.harness.run import CACHE, Check, Item, measure_all
 from skylight.evaluation.rendered_faces.batch import render_folder
 from skylight.evaluation.rendered_faces.files import read_rendered_face, rendered_faces
 from skylight.evaluation.rendered_faces.options import RenderOptions
-from skylight.evaluation.run import CACHE, Check, Item, measure_all
-from skylight.imaging.cluster import Cluster
 from skylight.skies.simulated import simulate_folder
+from skylight.work.cluster import Cluster
 from tests.dask_cluster import DaskCluster, dask_cluster
+
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,9 @@ import torch
 from skimage.data import astronaut
 
 import skylight
-from skylight.inverse.estimate import Estimate
+from skylight.inverse.result import Estimate
+
+pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[2]
 TOLERANCE = {"sh9": 1e-6}

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.app.results import results_folder
 from skylight.errors import OutputError
-from skylight.imaging.files import write_environment_map, write_json, write_png
-from skylight.imaging.tensors import write_tensors
+from skylight.io.files import write_environment_map, write_json, write_png
+from skylight.io.tensors import write_tensors
 from skylight.probes.voxel.lightmap import Lightmap
 from skylight.probes.voxel.model import VoxelModel, write_voxels
 from skylight.skies.index import SkyRecord, write_rows
 from skylight.sphere.envmap import EnvironmentMap
+from skylight.work.results_folder import results_folder
 
 DISK = 1_000_000  # bytes
 _NOISE = np.random.default_rng(0)

@@ -6,8 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
+import pytest
+
 from tests.faults.kills import KILLED, attempt, kill_runs
 from tests.faults.scenarios import capture
+
+pytestmark = pytest.mark.slow
 
 
 def test_killed_captures_end_as_undisturbed_ones(tmp_path: Path) -> None:

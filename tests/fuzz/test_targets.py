@@ -34,6 +34,7 @@ def reports(count: int) -> dict[str, dict]:
     return {line["target"]: line for line in map(json.loads, done.stdout.splitlines())}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_mutated_files_are_read_or_refused(name: str) -> None:
     told = reports(INPUTS[name])[name]

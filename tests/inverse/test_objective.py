@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.inverse.objective import FaceTerm, ObjectiveWeights, SkyObjective, best_exposure
+from skylight.inverse.sky.objective import FaceTerm, ObjectiveWeights, SkyObjective, best_exposure
 from skylight.models.prior import GaussianMixture
 from skylight.models.sunsky import SunSky
 from skylight.sphere.grid import DirectionGrid
@@ -95,7 +95,7 @@ def test_unpacking_undoes_packing():
 def test_shading_is_transport_times_the_whole_sphere(gloss):
     seen = observation(gloss=gloss)
     whole, (light, exposure, shine, albedo, ground) = objective(seen), parameters()
-    full = whole.ground.append(MODEL.radiance(light), ground) * exposure[:, None]
+    full = whole.ground.append(MODEL(light), ground) * exposure[:, None]
     expected = albedo * (seen.transport.matrix @ full)
     if seen.gloss is not None:
         expected = expected + shine[:, None] * (seen.gloss.matrix @ full)
@@ -229,7 +229,7 @@ def scaled_albedo(prior, albedo):
     light, exposure, gloss, _, ground = parameters(count=1)
     albedo = torch.tensor(albedo).expand(1, 1, 3)
     free = whole.pack(light, exposure, gloss, albedo, ground)
-    after = whole.safest_scale(free)
+    after = whole.at_bayes_scale(free)
     same, other = whole.unpack(free), whole.unpack(after)
     torch.testing.assert_close(whole.shading(same)[0], whole.shading(other)[0])
     return float(other.albedo.mean())

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from skylight.inverse.posterior import (
-    DOUBT,
+    FITTED,
     SunEvidence,
     interval,
     region_parts,
@@ -37,7 +37,7 @@ def towards(azimuth_deg, zenith_deg):
 def evidence_of(*suns, kappa=60.0, gain=0.5):
     """Deviations whose likelihood is a sum of von Mises-Fisher lobes about the suns."""
     lobes = torch.stack([kappa * (CELLS.directions @ sun - 1) for sun in suns])
-    deviations = 0.1 - DOUBT.temperature * torch.logsumexp(lobes, 0)
+    deviations = 0.1 - FITTED.temperature * torch.logsumexp(lobes, 0)
     return SunEvidence(deviations=deviations, gain=gain)
 
 
@@ -113,7 +113,7 @@ def test_the_density_integrates_to_one_and_its_region_is_the_smallest(estimate):
 def test_a_lobe_keeps_its_width_but_for_the_kernel(kappa):
     # 90 % of a narrow von Mises-Fisher density lie within 1 - cos r = ln 10 / kappa
     found = posterior_of(evidence_of(towards(0.0, 45.0), kappa=kappa))
-    width = 1 / kappa + DOUBT.kernel_rad**2
+    width = 1 / kappa + FITTED.kernel_rad**2
     assert 1 - math.cos(found.region_radius_rad) == pytest.approx(math.log(10) * width, rel=0.04)
 
 
@@ -163,7 +163,7 @@ def test_two_suns_that_explain_a_face_alike_are_several_directions():
 def test_a_ball_in_the_sun_is_reliable_and_the_sun_in_the_region(lit_ball):
     found = posterior_of(lit_ball, FRONT)
     assert holds(found, FRONT)
-    assert found.region_radius_rad < DOUBT.wide_rad
+    assert found.region_radius_rad < FITTED.wide_rad
     assert found.verdict == "reliable"
     unlike = posterior_of(lit_ball, FRONT, explained=False)
     assert unlike.verdict == "unreliable: the face is not explained"
@@ -196,7 +196,7 @@ def test_wide_regions_are_told_apart_by_where_they_lie(azimuth, verdict):
 
 def test_light_from_everywhere_is_overcast():
     found = posterior_of(watched(ball(light_of(FRONT, 0.0), noise=0.03)))
-    assert found.sun_gain < 0.5 * DOUBT.sun_gain
+    assert found.sun_gain < 0.5 * FITTED.sun_gain
     assert found.verdict == "overcast: no sun"
 
 

@@ -7,18 +7,20 @@ from dataclasses import replace
 import torch
 
 from skylight.faces.skin import SkinPrior
-from skylight.inverse.harmonic import HarmonicProblem
-from skylight.inverse.objective import FaceTerm, ObjectiveWeights, SkyObjective
+from skylight.inverse.harmonic.problem import HarmonicProblem
 from skylight.inverse.scan import scan_sun
-from skylight.inverse.solve import Round, SkyProblem, SolverOptions
+from skylight.inverse.sky.objective import FaceTerm, ObjectiveWeights, SkyObjective
+from skylight.inverse.sky.problem import Round, SkyProblem, SolverOptions
+from skylight.models.bundle import load_bundle
 from skylight.models.harmonic import HarmonicLight
-from skylight.models.shipped import sunsky_light, sunsky_prior
+from skylight.models.sunsky import SunSky
 from skylight.sphere.frame import direction_from_angles
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.matrix import TransportMatrix
 from skylight.transport.observation import Observation
 
 SKIN = SkinPrior.load()
+SUNSKY_PRIOR = load_bundle().sunsky_prior
 ALBEDO_PRIOR = copy.deepcopy(SKIN.log_albedo).float()
 MODES = SKIN.means.float()
 QUICK = SolverOptions(
@@ -62,7 +64,7 @@ def sunny() -> torch.Tensor:
 def lit(blank: Observation, albedo: torch.Tensor, exposure: float) -> Observation:
     """The half ball in the sunny sky over the ground."""
     objective = SkyObjective(
-        [FaceTerm.of(blank)], sunsky_light(), sunsky_prior(), ALBEDO_PRIOR, ObjectiveWeights()
+        [FaceTerm.of(blank)], SunSky(), SUNSKY_PRIOR, ALBEDO_PRIOR, ObjectiveWeights()
     )
     free = objective.pack(
         sunny(), torch.tensor([[exposure]]), torch.ones(1, 1), albedo[None, None], GROUND
@@ -72,7 +74,7 @@ def lit(blank: Observation, albedo: torch.Tensor, exposure: float) -> Observatio
 
 
 def problem(options: SolverOptions = QUICK) -> SkyProblem:
-    return SkyProblem(sunsky_light(), sunsky_prior(), ALBEDO_PRIOR, MODES, options)
+    return SkyProblem(SunSky(), SUNSKY_PRIOR, ALBEDO_PRIOR, MODES, options)
 
 
 def sun_error_deg(direction: torch.Tensor) -> float:
@@ -84,10 +86,10 @@ def test_each_face_adds_its_data_and_its_priors() -> None:
     """Two faces in two photographs: what each gives alone, less the light's priors once."""
     seen = [lit(half_ball(-30), MODES[0], 1.0), lit(half_ball(40), MODES[2], 1.0)]
     terms = [replace(FaceTerm.of(one), level=0.5 + k) for k, one in enumerate(seen)]
-    model, weights = sunsky_light(), ObjectiveWeights()
+    model, weights = SunSky(), ObjectiveWeights()
 
     def objective(*faces: FaceTerm) -> SkyObjective:
-        return SkyObjective(faces, model, sunsky_prior(), ALBEDO_PRIOR, weights)
+        return SkyObjective(faces, model, SUNSKY_PRIOR, ALBEDO_PRIOR, weights)
 
     exposure, gloss = torch.tensor([[0.7, 1.9]]), torch.tensor([[0.6, 1.4]])
     albedo = MODES[None, 1:3]
@@ -170,14 +172,14 @@ def test_more_faces_tell_more() -> None:
         for photo, face in enumerate(faces):
             joint.add(face, photo)
         # the fit alone: what follows it tells nothing of the light's shape
-        found = model.radiance(joint._fit().product.float().reshape(1, -1))[0]
+        found = model(joint._fit().product.float().reshape(1, -1))[0]
         return float((found / found.mean(0) - light / light.mean(0)).abs().mean())
 
     alone, together = [], []
     for _ in range(3):
         coefficients = 0.2 * torch.randn(9, 3, generator=generator)
         coefficients[0] = 4.0
-        light = model.radiance(coefficients.reshape(1, -1))[0]
+        light = model(coefficients.reshape(1, -1))[0]
         faces = []
         for blank, albedo in zip(blanks, MODES[:4], strict=True):
             coarse = torch.randn(4, 4, generator=generator)
@@ -195,7 +197,7 @@ def test_harmonic_light_is_shared() -> None:
     generator = torch.Generator().manual_seed(1)
     coefficients = 0.2 * torch.randn(9, 3, generator=generator)
     coefficients[0] = 4.0
-    light = model.radiance(coefficients.reshape(1, -1))[0]
+    light = model(coefficients.reshape(1, -1))[0]
     assert (light > 0).all()
     joint = HarmonicProblem(model, ALBEDO_PRIOR, MODES)
     given = ((0, -60, MODES[2], 1.0), (0, 60, MODES[1], 1.0), (1, 10, MODES[2], 3.0))

@@ -9,25 +9,25 @@ from safetensors.torch import save_file
 from torch.nn import functional
 
 from skylight.errors import AssetError
-from skylight.imaging.tensors import read_tensors, write_tensors
+from skylight.io.tensors import read_tensors, write_tensors
 from skylight.models.autoencoder import (
     CENTRE_AZIMUTH_RAD,
     HEIGHT,
     LATENT,
     WIDTH,
     AutoencoderLight,
-    FrozenDecoder,
+    FoldedDecoder,
     SkyAutoencoder,
     UpConv,
     WrapConv,
     load_network,
+    save_network,
 )
-from skylight.models.shipped import autoencoder_light
+from skylight.models.bundle import load_bundle
 from skylight.models.sun_head import COORDINATES
 from skylight.sphere.envmap import luminance
 from skylight.sphere.frame import direction_from_angles
 from skylight.sphere.grid import DirectionGrid
-from skylight.training.autoencoder import save_network
 
 F64 = torch.float64
 
@@ -134,7 +134,7 @@ def test_the_sun_has_its_own_coordinates() -> None:
 
 
 @pytest.mark.parametrize("sun", [True, False])
-def test_the_frozen_decoder_is_the_decoder(sun: bool) -> None:
+def test_the_folded_decoder_is_the_decoder(sun: bool) -> None:
     """To rounding, in float64, with batch statistics that are not those of the start."""
     network = random_network(sun=sun).to(F64)
     generator = torch.Generator().manual_seed(6)
@@ -145,9 +145,17 @@ def test_the_frozen_decoder_is_the_decoder(sun: bool) -> None:
                 tensor.data = 0.5 + torch.rand(shape, generator=generator, dtype=F64)
     z = torch.randn(3, LATENT, generator=generator, dtype=F64)
     with torch.no_grad():
-        expected, found = network.decode_coded(z), FrozenDecoder(network).to(F64)(z)
+        expected, found = network.decode_coded(z), FoldedDecoder.of(network)(z)
     assert float(expected.std()) > 1e-3
     torch.testing.assert_close(found, expected, rtol=1e-10, atol=1e-10)
+    # and so are its gradients, those of the normalisation included
+    weights = [*network.from_latent.parameters(), *network.decoder.parameters()]
+    slopes = [
+        torch.autograd.grad(decode(z).square().sum(), weights)
+        for decode in (network.decode_coded, FoldedDecoder.of(network))
+    ]
+    for one, other in zip(*slopes, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-8, atol=1e-8)
 
 
 @settings(deadline=None)
@@ -176,11 +184,11 @@ def test_uncoding_cuts_what_is_no_radiance() -> None:
 def test_azimuth_turns_the_sky(light: AutoencoderLight) -> None:
     params = some_params()
     params[:, LATENT] = CENTRE_AZIMUTH_RAD
-    ahead = light.radiance(params).reshape(2, HEIGHT, WIDTH, 3)
+    ahead = light(params).reshape(2, HEIGHT, WIDTH, 3)
     decoded = light.network.decode(params[:, :LATENT])
     torch.testing.assert_close(ahead, decoded, rtol=1e-4, atol=1e-4)
     params[:, LATENT] += 17 * 2 * math.pi / WIDTH
-    turned = light.radiance(params).reshape(2, HEIGHT, WIDTH, 3)
+    turned = light(params).reshape(2, HEIGHT, WIDTH, 3)
     torch.testing.assert_close(turned, torch.roll(ahead, 17, dims=2), rtol=1e-3, atol=1e-4)
 
 
@@ -188,7 +196,7 @@ def test_turning_keeps_every_rows_energy(light: AutoencoderLight) -> None:
     params = some_params()
     other = params.clone()
     other[:, LATENT] += 0.777
-    rows = [light.radiance(p).reshape(2, HEIGHT, WIDTH, 3).sum(2) for p in (params, other)]
+    rows = [light(p).reshape(2, HEIGHT, WIDTH, 3).sum(2) for p in (params, other)]
     torch.testing.assert_close(rows[0], rows[1], rtol=1e-5, atol=1e-5)
 
 
@@ -230,7 +238,7 @@ def test_the_network_stays_as_it_was_trained(light: AutoencoderLight) -> None:
     assert not light.network.training
     assert not any(p.requires_grad for p in light.parameters())
     params = some_params().requires_grad_()
-    (gradient,) = torch.autograd.grad(luminance(light.radiance(params)).sum(), params)
+    (gradient,) = torch.autograd.grad(luminance(light(params)).sum(), params)
     assert gradient.isfinite().all()
 
 
@@ -294,7 +302,7 @@ def test_unusable_checkpoints(tmp_path: Path, damage) -> None:
 
 def test_a_spread_sun_moves_smoothly_and_keeps_its_energy() -> None:
     spread = math.radians(1.4)
-    smooth, sharp = autoencoder_light(sun_spread_rad=spread), autoencoder_light()
+    smooth, sharp = load_bundle().light(sun_spread_rad=spread), load_bundle().light()
     params = smooth.starts_towards(torch.tensor([[0.4, 0.6, -0.7]], dtype=F64))[0, :1].float()
     steps = torch.linspace(-0.5, 0.5, 11) * 2 * math.pi / WIDTH  # over one pixel
     turned = params.expand(len(steps), -1).clone()
@@ -303,14 +311,14 @@ def test_a_spread_sun_moves_smoothly_and_keeps_its_energy() -> None:
 
     def suns(light: AutoencoderLight) -> tuple[torch.Tensor, torch.Tensor]:
         """(the brightest pixel's share of the light, all light) at each step."""
-        energy = luminance(light.radiance(turned)).double() * grid.solid_angles
+        energy = luminance(light(turned)).double() * grid.solid_angles
         return energy.amax(1) / energy.sum(1), energy.sum(1)
 
     (share, total), (sharp_share, sharp_total) = suns(smooth), suns(sharp)
     torch.testing.assert_close(total, sharp_total, rtol=1e-3, atol=0.0)
     # a sharp sun between two pixels is torn in halves; a spread one hardly changes
     assert float(share.amax() / share.amin()) < 1.5 < float(sharp_share.amax() / sharp_share.amin())
-    energy = luminance(smooth.radiance(turned)).double() * grid.solid_angles
+    energy = luminance(smooth(turned)).double() * grid.solid_angles
     near = grid.directions @ direction_from_angles(*sun_angles(params)) > math.cos(0.15)
     middle = (energy * near) @ grid.directions
     azimuth = torch.atan2(middle[:, 0], -middle[:, 2]).float()

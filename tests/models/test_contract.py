@@ -1,17 +1,19 @@
 """What every light model promises, over every light model: one line each in ``CASES``."""
 
+import copy
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from functools import cache
 
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from torch import nn
 
-from skylight.csc.code import SparseCode
-from skylight.csc.coder import SphericalSparseCoder
-from skylight.csc.light import SparseLight
 from skylight.models.base import LightModel
+from skylight.models.bundle import load_bundle
+from skylight.models.gaussians import GaussianLobes
 from skylight.models.harmonic import HarmonicLight
 from skylight.models.sunsky import SunSky
 from skylight.sphere.envmap import luminance
@@ -20,54 +22,39 @@ from skylight.sphere.frame import direction_from_angles
 F64 = torch.float64
 
 
-@dataclass(frozen=True)
-class Case:
-    """``sun_tolerance_deg``: how near the brightest pixel of ``starts_towards`` is to what was
-    asked, where that is promised."""
-
-    model: LightModel
-    sun_tolerance_deg: float | None = None
-
-
-def sparse(sign: float) -> SparseLight:
-    """White everywhere and two lobes; ``sign`` is that of the second's red."""
-    coder = SphericalSparseCoder("vmf", banded=True)
-    azimuth, zenith = (
-        torch.tensor([0.0, 2.0, -1.0]).double(),
-        torch.tensor([0.0, 0.8, 1.9]).double(),
-    )
-    code = SparseCode(
-        dictionary=coder.bank.name,
-        fingerprint=coder.bank.fingerprint,
-        height=coder.height,
-        banded=True,
-        filters=torch.tensor([0, 1, 1]),
-        directions=direction_from_angles(azimuth, zenith),
-        twists_rad=torch.zeros(3, dtype=F64),
-        weights=torch.tensor([[4.0, 4.0, 4.0], [2.0, 2.0, 1.5], [0.5 * sign, 0.4, 0.3]]).double(),
-        relative_error=0.0,
-    )
-    return SparseLight(code, coder, height=32)
-
-
-CASES = {
-    "sunsky": Case(SunSky(16), sun_tolerance_deg=5.0),
-    "sh9": Case(HarmonicLight(2, 32)),
-    "sh25": Case(HarmonicLight(4, 32)),
-    "sparse, non-negative": Case(sparse(1.0)),
-    "sparse, of either sign": Case(sparse(-1.0)),
+# how near the brightest pixel of starts_towards is to what was asked, where that is promised
+SUN_TOLERANCE_DEG = {"autoencoder": 8.0, "sunsky": 5.0}
+CASES: dict[str, Callable[[], nn.Module]] = {
+    "autoencoder": lambda: load_bundle().light(),
+    "autoencoder, blurred sun": lambda: load_bundle().light(sun_spread_rad=0.025),
+    "sunsky": lambda: SunSky(16),
+    "sh9": lambda: HarmonicLight(2, 32),
+    "sh25": lambda: HarmonicLight(4, 32),
 }
+MODULES = CASES | {"gaussians": lambda: GaussianLobes(3, 16)}
+
+
+@cache
+def made(name: str, dtype: torch.dtype) -> nn.Module:
+    return CASES[name]().to(dtype)
 
 
 @pytest.fixture(params=CASES)
-def case(request: pytest.FixtureRequest) -> Case:
-    return CASES[request.param]
+def model(request: pytest.FixtureRequest) -> nn.Module:
+    """In float64, in which laws and gradients are checked."""
+    return CASES[request.param]().double()
 
 
-def random_params(model: LightModel, count: int, dtype: torch.dtype = F64) -> torch.Tensor:
+@pytest.fixture(params=MODULES)
+def make(request: pytest.FixtureRequest) -> Callable[[], nn.Module]:
+    return MODULES[request.param]
+
+
+def random_params(model: nn.Module | LightModel, count: int) -> torch.Tensor:
+    """In float64, whatever the model's precision."""
     generator = torch.Generator().manual_seed(0)
-    free = torch.randn(count, model.parameter_count, generator=generator, dtype=dtype)
-    return model.from_free(free)
+    free = torch.randn(count, model.parameter_count, generator=generator, dtype=F64)
+    return copy.deepcopy(model).double().from_free(free)
 
 
 def corner_params(model: LightModel) -> torch.Tensor:
@@ -77,51 +64,92 @@ def corner_params(model: LightModel) -> torch.Tensor:
     return torch.stack([low, torch.where(high.isfinite(), high, low + 1)])
 
 
-def test_conforms_to_the_protocol(case: Case) -> None:
-    assert isinstance(case.model, LightModel)
-    low, high = case.model.bounds
-    assert low.shape == high.shape == (case.model.parameter_count,)
+def test_conforms_to_the_protocol(model: LightModel) -> None:
+    assert isinstance(model, LightModel)
+    low, high = model.bounds
+    assert low.shape == high.shape == (model.parameter_count,)
     assert (low < high).all()
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
-def test_radiance_is_finite_light_in_the_dtype_of_its_parameters(
-    case: Case, dtype: torch.dtype
+def test_radiance_is_finite_light_where_its_parameters_are(
+    make: Callable[[], nn.Module], dtype: torch.dtype, device: torch.device
 ) -> None:
-    light = case.model.radiance(random_params(case.model, 3, dtype))
-    assert light.shape == (3, len(case.model.grid), 3)
-    assert light.dtype == dtype
+    model = make().to(device, dtype)
+    light = model(random_params(model, 3).to(device, dtype))
+    assert light.shape == (3, len(model.grid), 3)
+    assert (light.dtype, light.device.type) == (dtype, device.type)
     assert light.isfinite().all()
     assert (light >= 0).all()
     assert (light > 0).any()
 
 
-def test_one_by_one_equals_the_batch(case: Case) -> None:
-    params = random_params(case.model, 4)
-    singles = torch.cat([case.model.radiance(one) for one in params.split(1)])
-    torch.testing.assert_close(case.model.radiance(params), singles, rtol=1e-9, atol=1e-12)
+@pytest.mark.parametrize("shape", [(), (1,), (0,), (2, 3)])
+def test_any_batch_is_its_members_one_by_one(
+    make: Callable[[], nn.Module], shape: tuple[int, ...]
+) -> None:
+    model = make().double()
+    params = random_params(model, math.prod(shape))
+    batch = params.reshape(*shape, model.parameter_count)
+    for function in (model, model.to_free, model.from_free):
+        found = function(batch)
+        assert found.shape[: len(shape)] == shape
+        singles = [function(one[None]) for one in params]
+        expected = torch.cat([found.new_empty(0, *found.shape[len(shape) :]), *singles])
+        torch.testing.assert_close(found.reshape(expected.shape), expected, rtol=1e-9, atol=1e-12)
 
 
-def test_same_parameters_same_light(case: Case) -> None:
-    params = random_params(case.model, 2)
-    assert torch.equal(case.model.radiance(params), case.model.radiance(params))
+def test_gradients_are_the_differences(make: Callable[[], nn.Module]) -> None:
+    model = make().double()
+    params = random_params(model, 2).requires_grad_()
+    assert torch.autograd.gradcheck(model, params, fast_mode=True)
+    free = model.to_free(params.detach()).requires_grad_()
+    assert torch.autograd.gradcheck(model.from_free, free, fast_mode=True)
 
 
-def test_gradients_are_finite_at_and_within_the_bounds(case: Case) -> None:
-    params = torch.cat([corner_params(case.model), random_params(case.model, 3)]).requires_grad_()
-    light = case.model.radiance(params)
+def test_the_state_is_all_there_is(make: Callable[[], nn.Module], device: torch.device) -> None:
+    """Whatever was computed before, a loaded, converted or stepped module is like a fresh one."""
+    trained, model = make().requires_grad_(True), make()
+    params = random_params(model, 2).float()
+    before = model(params)
+    # a step of gradient ascent stands for training
+    torch.autograd.backward(trained(params.requires_grad_()).mean())
+    with torch.no_grad():
+        for weight in trained.parameters():
+            weight += 10 * (0 if weight.grad is None else weight.grad)
+        params = params.detach()
+        expected = trained(params)
+        state = trained.state_dict()
+        assert len({value.data_ptr() for value in state.values()}) == len(state)
+        model.load_state_dict(state)
+        assert torch.equal(model(params), expected)
+        assert torch.equal(model(params), before) == (not state)
+        fresh = make()
+        fresh.load_state_dict(state)
+        converted = model.double().to(device)(params.double().to(device)).cpu()
+        torch.testing.assert_close(converted, fresh.double()(params.double()), rtol=1e-6, atol=0)
+
+
+def test_same_parameters_same_light(model: LightModel) -> None:
+    params = random_params(model, 2)
+    assert torch.equal(model(params), model(params))
+
+
+def test_gradients_are_finite_at_and_within_the_bounds(model: LightModel) -> None:
+    params = torch.cat([corner_params(model), random_params(model, 3)]).requires_grad_()
+    light = model(params)
     (gradient,) = torch.autograd.grad((light**2).sum(), params)
     assert light.isfinite().all()
     assert gradient.isfinite().all()
     assert (gradient[2:] != 0).any(1).all()
 
 
-def test_gradients_through_the_free_parameters(case: Case) -> None:
-    corners = case.model.to_free(corner_params(case.model))
-    far = torch.full((2, case.model.parameter_count), 30.0, dtype=F64) * torch.tensor([[1], [-1]])
+def test_gradients_through_the_free_parameters(model: LightModel) -> None:
+    corners = model.to_free(corner_params(model))
+    far = torch.full((2, model.parameter_count), 30.0, dtype=F64) * torch.tensor([[1], [-1]])
     free = torch.cat([corners, far]).requires_grad_()
     assert free.isfinite().all()
-    light = case.model.radiance(case.model.from_free(free))
+    light = model(model.from_free(free))
     (gradient,) = torch.autograd.grad(light.sum(), free)
     assert gradient.isfinite().all()
 
@@ -133,7 +161,7 @@ def test_gradients_through_the_free_parameters(case: Case) -> None:
 def test_from_free_never_leaves_the_bounds(
     name: str, dtype: torch.dtype, data: st.DataObject
 ) -> None:
-    model = CASES[name].model
+    model = made(name, dtype)
     scale = data.draw(st.sampled_from([1.0, 30.0, 1e4]))
     values = data.draw(
         st.lists(st.floats(-1, 1), min_size=model.parameter_count, max_size=model.parameter_count)
@@ -148,7 +176,7 @@ def test_from_free_never_leaves_the_bounds(
 @given(data=st.data())
 @pytest.mark.parametrize("name", CASES)
 def test_free_and_back(name: str, data: st.DataObject) -> None:
-    model = CASES[name].model
+    model = made(name, F64)
     values = data.draw(
         st.lists(st.floats(-8, 8), min_size=model.parameter_count, max_size=model.parameter_count)
     )
@@ -158,9 +186,9 @@ def test_free_and_back(name: str, data: st.DataObject) -> None:
     torch.testing.assert_close(model.from_free(model.to_free(params)), params, rtol=1e-8, atol=1e-9)
 
 
-def test_bounds_survive_the_free_side(case: Case) -> None:
-    corners = corner_params(case.model)
-    back = case.model.from_free(case.model.to_free(corners))
+def test_bounds_survive_the_free_side(model: LightModel) -> None:
+    corners = corner_params(model)
+    back = model.from_free(model.to_free(corners))
     torch.testing.assert_close(back, corners, rtol=1e-4, atol=1e-4)
 
 
@@ -169,13 +197,13 @@ def within_bounds(model: LightModel, params: torch.Tensor) -> bool:
     return bool(((params >= low) & (params <= high)).all())
 
 
-def test_starts_are_usable(case: Case) -> None:
-    starts = case.model.starts()
+def test_starts_are_usable(model: LightModel) -> None:
+    starts = model.starts().double()
     assert starts.ndim == 2
     assert len(starts) >= 1
-    assert starts.shape[1] == case.model.parameter_count
-    assert within_bounds(case.model, starts)
-    assert case.model.to_free(starts).isfinite().all()
+    assert starts.shape[1] == model.parameter_count
+    assert within_bounds(model, starts)
+    assert model.to_free(starts).isfinite().all()
 
 
 def upper_mean(model: LightModel, light: torch.Tensor) -> torch.Tensor:
@@ -183,35 +211,35 @@ def upper_mean(model: LightModel, light: torch.Tensor) -> torch.Tensor:
     return luminance(light).double() @ upper / (2 * math.pi)
 
 
-def test_starts_towards(case: Case) -> None:
+def test_starts_towards(model: LightModel) -> None:
     zenith = torch.deg2rad(torch.tensor([10.0, 35.0, 60.0, 80.0], dtype=F64))
     directions = direction_from_angles(torch.tensor([0.1, 1.6, 3.14, -2.0], dtype=F64), zenith)
-    starts = case.model.starts_towards(directions)
+    starts = model.starts_towards(directions).double()
     count = starts.shape[1]
-    assert starts.shape == (4, count, case.model.parameter_count)
+    assert starts.shape == (4, count, model.parameter_count)
     flat = starts.flatten(0, 1)
-    assert within_bounds(case.model, flat)
-    light = case.model.radiance(flat)
-    mean = upper_mean(case.model, light)
+    assert within_bounds(model, flat)
+    light = model(flat)
+    mean = upper_mean(model, light)
     assert ((mean > 0.5) & (mean < 2)).all()
-    if case.sun_tolerance_deg is not None:
-        brightest = case.model.grid.directions[luminance(light).argmax(1)]
+    if model.name in SUN_TOLERANCE_DEG:
+        brightest = model.grid.directions[luminance(light).argmax(1)]
         cosine = (brightest * directions.repeat_interleave(count, 0)).sum(1)
-        assert torch.rad2deg(torch.acos(cosine.clamp(max=1))).max() < case.sun_tolerance_deg
+        assert torch.rad2deg(torch.acos(cosine.clamp(max=1))).max() < SUN_TOLERANCE_DEG[model.name]
 
 
 @pytest.mark.parametrize("columns", [1, 16, -5])
-def test_azimuth_turns_the_map(case: Case, columns: int) -> None:
-    if case.model.azimuth_index is None:
+def test_azimuth_turns_the_map(model: LightModel, columns: int) -> None:
+    if model.azimuth_index is None:
         pytest.skip("this model has no azimuth")
-    assert case.model.grid.layout is not None
-    height, width = case.model.grid.layout
-    params = random_params(case.model, 3)
+    assert model.grid.layout is not None
+    height, width = model.grid.layout
+    params = random_params(model, 3)
     turned = params.clone()
-    turned[:, case.model.azimuth_index] += columns * 2 * math.pi / width
-    image = case.model.radiance(params).reshape(3, height, width, 3)
+    turned[:, model.azimuth_index] += columns * 2 * math.pi / width
+    image = model(params).reshape(3, height, width, 3)
     torch.testing.assert_close(
-        case.model.radiance(turned).reshape(3, height, width, 3),
+        model(turned).reshape(3, height, width, 3),
         torch.roll(image, columns, dims=2),
         rtol=1e-7,
         atol=1e-9,

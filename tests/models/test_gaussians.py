@@ -30,7 +30,7 @@ def test_six_numbers_a_lobe_and_three_for_the_constant() -> None:
 def test_one_lobe_is_the_formula() -> None:
     model = GaussianLobes(1, 16)
     azimuth, zenith, sharpness = 0.7, 0.9, 12.0
-    light = model.radiance(one_lobe([1.0, 2.0, 4.0], [azimuth, zenith], sharpness, 0.25))[0]
+    light = model(one_lobe([1.0, 2.0, 4.0], [azimuth, zenith], sharpness, 0.25))[0]
     sun = direction_from_angles(torch.tensor(azimuth), torch.tensor(zenith)).double()
     for pixel in (0, 300, 777):
         cosine = float(model.grid.directions[pixel] @ sun)
@@ -42,7 +42,7 @@ def test_one_lobe_is_the_formula() -> None:
 def test_energy_of_a_lobe_is_its_integral_over_the_sphere() -> None:
     # a (1 - e^(-2 kappa)) 2 pi / kappa; at the zenith a sharp lobe is all above the horizon
     model, sharpness = GaussianLobes(1, 64), 40.0
-    light = model.radiance(one_lobe([1.0, 1.0, 1.0], [0.0, 0.0], sharpness))[0]
+    light = model(one_lobe([1.0, 1.0, 1.0], [0.0, 0.0], sharpness))[0]
     energy = model.grid.solid_angles @ light
     expected = 2 * math.pi / sharpness * (1 - math.exp(-sharpness))
     assert energy.tolist() == pytest.approx([expected] * 3, rel=2e-3)
@@ -52,13 +52,11 @@ def test_lobes_add_up_and_their_order_does_not_matter() -> None:
     model = GaussianLobes(2, 8)
     params = random_params(model)
     swapped = torch.cat([params[:, 6:12], params[:, :6], params[:, 12:]], 1)
-    torch.testing.assert_close(model.radiance(params), model.radiance(swapped))
+    torch.testing.assert_close(model(params), model(swapped))
     dark = params[:, -3:].clone().zero_()
-    alone = [
-        GaussianLobes(1, 8).radiance(torch.cat([params[:, i : i + 6], dark], 1)) for i in (0, 6)
-    ]
+    alone = [GaussianLobes(1, 8)(torch.cat([params[:, i : i + 6], dark], 1)) for i in (0, 6)]
     whole = alone[0] + alone[1] + params[:, None, -3:]
-    torch.testing.assert_close(model.radiance(params), whole)
+    torch.testing.assert_close(model(params), whole)
 
 
 def test_free_and_back() -> None:
@@ -73,7 +71,7 @@ def test_far_out_the_light_and_its_gradient_are_finite() -> None:
     far = torch.tensor([[300.0], [-300.0]], dtype=F64).expand(2, model.parameter_count)
     free = far.clone().requires_grad_()
     params = model.from_free(free)
-    light = model.radiance(params)
+    light = model(params)
     (gradient,) = torch.autograd.grad(light.log1p().sum(), free)
     assert light.isfinite().all()
     assert (light >= 0).all()
@@ -91,7 +89,7 @@ def test_the_matching_start_finds_lobes_that_are_there() -> None:
         ]
     )
     params = torch.cat([truth.reshape(1, -1), torch.full((1, 3), 0.2)], 1)
-    found = model.matching_start(model.radiance(params))[0, :-3].reshape(2, 6)
+    found = model.matching_start(model(params))[0, :-3].reshape(2, 6)
     where = direction_from_angles(found[:, 3], found[:, 4])
     for lobe in truth:
         cosine = where @ direction_from_angles(lobe[3], lobe[4])
@@ -108,13 +106,13 @@ def test_more_lobes_start_nearer() -> None:
     errors = []
     for lobes in (4, 12, 24):
         model = GaussianLobes(lobes, 16)
-        fit = model.radiance(model.matching_start(sky))
+        fit = model(model.matching_start(sky))
         errors.append(float((torch.log1p(fit) - torch.log1p(sky)).abs().mean()))
     assert errors[0] > errors[1] > errors[2]
 
 
 def test_starts_are_batched() -> None:
     model = GaussianLobes(3, 8)
-    skies = model.radiance(random_params(model, 4)).float()
+    skies = model(random_params(model, 4)).float()
     apart = torch.cat([model.matching_start(one) for one in skies.split(1)])
     torch.testing.assert_close(model.matching_start(skies), apart)

@@ -20,7 +20,7 @@ F64 = torch.float64
 def test_furnace_is_exact() -> None:
     """Constant sky 1: the ground shows its albedo, to rounding."""
     albedo = torch.tensor([[0.2, 0.17, 0.14], [1.0, 0.5, 0.0]], dtype=F64)
-    ground = LambertianGround(32).radiance(torch.ones(2, 4096, 3, dtype=F64), albedo)
+    ground = LambertianGround(32)(torch.ones(2, 4096, 3, dtype=F64), albedo)
     torch.testing.assert_close(ground, albedo, rtol=1e-12, atol=0)
 
 
@@ -41,7 +41,7 @@ def test_small_sun_lights_by_its_cosine(zenith: float, albedo: float) -> None:
     index = int(zenith / (math.pi / 2) * 32) * 128
     sky = torch.zeros(1, 4096, 3, dtype=F64)
     sky[0, index] = 1 / grid.solid_angles[index]
-    ground = LambertianGround(32).radiance(sky, torch.full((1, 3), albedo, dtype=F64))
+    ground = LambertianGround(32)(sky, torch.full((1, 3), albedo, dtype=F64))
     expected = albedo / math.pi * grid.directions[index, 1]
     torch.testing.assert_close(ground[0], expected.expand(3), rtol=1e-2, atol=1e-12)
 
@@ -52,7 +52,7 @@ def test_append_fills_the_lower_half() -> None:
     model = LambertianGround(32)
     full = model.append(sky, albedo).reshape(2, 64, 128, 3)
     assert torch.equal(full[:, :32], sky.reshape(2, 32, 128, 3))
-    expected = model.radiance(sky, albedo)[:, None, None].expand(2, 32, 128, 3)
+    expected = model(sky, albedo)[:, None, None].expand(2, 32, 128, 3)
     assert torch.equal(full[:, 32:], expected)
 
 

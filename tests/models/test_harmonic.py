@@ -34,7 +34,7 @@ def test_radiance_is_the_linear_one_cut_at_zero() -> None:
     model = HarmonicLight(4, 16)
     linear = model.linear_radiance(random_params(model))
     assert linear.min() < 0
-    assert torch.equal(model.radiance(random_params(model)), linear.clamp(min=0))
+    assert torch.equal(model(random_params(model)), linear.clamp(min=0))
 
 
 def test_projection_gives_the_parameters_back() -> None:
@@ -57,7 +57,7 @@ def test_starts_have_a_mean_luminance_of_one_above() -> None:
 def test_starts_towards_are_brightest_there() -> None:
     model = HarmonicLight(2)
     directions = torch.nn.functional.normalize(torch.tensor([[1.0, 1, 0], [0.2, 0.5, -1]]))
-    light = model.radiance(model.starts_towards(directions)[:, 1])[..., 0]
+    light = model(model.starts_towards(directions)[:, 1])[..., 0]
     brightest = model.grid.directions[light.argmax(1)].float()
     assert ((brightest * directions).sum(1) > math.cos(math.radians(3))).all()
 

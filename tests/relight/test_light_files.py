@@ -13,8 +13,7 @@ import pytest
 import torch
 from PIL import Image
 
-from skylight.imaging.files import read_light
-from skylight.imaging.rgbd import decode_rgbd
+from skylight.io.files import read_light
 from skylight.relight.light_files.augmented_reality import DESCRIPTION, write_augmented_reality
 from skylight.relight.light_files.blender import SCRIPT, write_blender
 from skylight.relight.light_files.blender import TEXTURE as BLENDER_TEXTURE
@@ -27,10 +26,10 @@ from skylight.sphere.cube_faces import face_directions
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import direction_from_angles
 from skylight.sphere.grid import DirectionGrid
-from skylight.sphere.harmonic_conventions import from_convention
-from skylight.sphere.harmonics import irradiance
 from skylight.sphere.wavelets import texel_solid_angles
 from tests.axis_colours import AXES, axis_map
+from tests.oracles.harmonics import from_convention, irradiance
+from tests.oracles.rgbd import decode_rgbd
 
 
 def sunny_map() -> EnvironmentMap:

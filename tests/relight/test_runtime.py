@@ -12,8 +12,8 @@ from PIL import Image
 
 from skylight.errors import AssetError, InputError, OutputError
 from skylight.imaging.colour import tone_map as torch_tone_map
-from skylight.imaging.files import write_environment_map
-from skylight.imaging.hdr import read_linear
+from skylight.io.files import write_environment_map
+from skylight.io.hdr import read_linear
 from skylight.models.ground import LambertianGround
 from skylight.relight import runtime
 from skylight.relight.export import make_scene, pack_visibility
@@ -53,7 +53,7 @@ def test_a_decoded_sky_turns_as_the_light_model_turns_it(light, decoder_path):
     decoder = SkyDecoder(decoder_path)
     sky = decoder.decode(params[:, :64].numpy())[0]
     got = rotate_columns(sky, float(params[0, 64]) - decoder.centre_azimuth_rad)
-    np.testing.assert_allclose(got.reshape(-1, 3), light.radiance(params)[0], rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(got.reshape(-1, 3), light(params)[0], rtol=1e-4, atol=1e-6)
 
 
 def test_add_ground_is_the_lambertian_ground():
@@ -255,7 +255,7 @@ def test_bad_options(scene_path, tmp_path, monkeypatch, options, message):
 
 
 def test_probes_are_checked(tmp_path):
-    from skylight.imaging.hdr import write_exr
+    from skylight.io.hdr import write_exr
 
     bad = np.ones((16, 32, 3), np.float32)
     bad[3, 4, 1] = np.nan

@@ -11,8 +11,8 @@ from skylight.relight.light_files.harmonics import second_degree
 from skylight.relight.light_files.threejs import LIGHT_PROBE, TEXTURE, write_threejs
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.grid import DirectionGrid
-from skylight.sphere.harmonics import irradiance
 from tests.axis_colours import AXES, axis_map
+from tests.oracles.harmonics import irradiance
 from tests.three_js import browser_page, run_in_node
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden" / "threejs_light_probe.json"

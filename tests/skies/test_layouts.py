@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.imaging.hdr import write_exr
+from skylight.io.hdr import write_exr
 from skylight.skies.layouts import Layout, pixel_solid_angles, read_pixels, read_sky, sky_of
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import angle_between, angles_from_direction, direction_from_angles

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.imaging.files import read_environment_map
+from skylight.io.files import read_environment_map
 from skylight.skies import simulated
 from skylight.skies.index import read_index
 from skylight.skies.loading import centre_column_azimuth, load_skies
@@ -173,7 +173,7 @@ def test_shares_of_regimes_belong_to_the_settings(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("first_seed", [-1, EVALUATION_SEEDS - 1, EVALUATION_SEEDS])
 def test_seeds_for_evaluation_are_refused(tmp_path: Path, first_seed: int) -> None:
-    with pytest.raises(InputError, match="seeds from 0 to 29999999"):
+    with pytest.raises(InputError, match="29999999"):
         simulate_folder(tmp_path / "new", days=2, first_seed=first_seed)
     assert not (tmp_path / "new").exists()
 

@@ -105,9 +105,9 @@ def test_a_mixture_is_kept_where_a_plain_draw_would_not_keep_it() -> None:
 
 def test_what_cannot_be_divided() -> None:
     giant = skies([(900, 0), *[(1, 0)] * 100])
-    with pytest.raises(InputError, match=r"best of 5000 draws was within 0\.10: add days or allow"):
+    with pytest.raises(InputError, match=r"0\.10"):
         assign_splits(giant, seed=0)
-    with pytest.raises(InputError, match=r"2 day\(s\) cannot be divided into 3 sets"):
+    with pytest.raises(InputError, match=r"2 day\(s\)"):
         assign_splits(skies([(1, 1), (1, 1)]), seed=0)
     with pytest.raises(InputError, match="sum to 1"):
         assign_splits(giant, seed=0, shares=(0.5, 0.2, 0.2))

@@ -127,7 +127,7 @@ def test_solid_angle_projection_converges_with_rows() -> None:
 def test_projection_names_what_it_cannot_do() -> None:
     grid = DirectionGrid.latlong(16)
     radiance = torch.ones(len(grid), 3)
-    with pytest.raises(ValueError, match="more than 16 rows"):
+    with pytest.raises(ValueError, match="16 rows"):
         harmonics.project(radiance, grid, 8, method="quadrature")
     sky = DirectionGrid.sky(8)
     with pytest.raises(ValueError, match="full lat-long"):
@@ -167,7 +167,9 @@ def test_irradiance_of_a_point_light_errs_by_the_published_amount() -> None:
     """Relative L2 error of order 2 for a point light: sqrt(1 / 128) = 8.84 %."""
     grid = DirectionGrid.latlong(128)
     light = torch.tensor([[0.36, 0.48, 0.8]], dtype=F64)
-    estimate = harmonics.irradiance(harmonics.evaluate(light, 2).T, grid.directions)[:, 0]
+    kernel = harmonics.cosine_coefficients(2)
+    convolved = harmonics.convolve_zonal(harmonics.evaluate(light, 2).T, kernel)
+    estimate = (harmonics.evaluate(grid.directions, 2) @ convolved)[:, 0]
     exact = (grid.directions @ light[0]).clamp(min=0)
     error = ((estimate - exact) ** 2) @ grid.solid_angles / (exact**2 @ grid.solid_angles)
     assert error.sqrt().item() == pytest.approx(math.sqrt(1 / 128), rel=1e-3)
@@ -186,9 +188,9 @@ def test_grace_cathedral_through_the_shader_polynomial(directions: torch.Tensor)
         + 2 * c1 * (l2mm * x * y + l21 * x * z + l2m * y * z)
         + 2 * c2 * (l11 * x + l1m * y + l10 * z)
     )
-    torch.testing.assert_close(
-        harmonics.irradiance(GRACE, directions), polynomial, atol=5e-6, rtol=0
-    )
+    convolved = harmonics.convolve_zonal(GRACE, harmonics.cosine_coefficients(2))
+    found = harmonics.evaluate(directions, 2) @ convolved
+    torch.testing.assert_close(found, polynomial, atol=5e-6, rtol=0)
 
 
 def test_convolution_scales_bands() -> None:

@@ -123,9 +123,9 @@ def test_corners_of_round_pictures_are_black():
 
 
 def test_wrong_shapes_are_named():
-    with pytest.raises(InputError, match="cube cannot have 64 rows"):
+    with pytest.raises(InputError, match="64 rows"):
         from_latlong(smooth_map(), "cube", 64)
-    with pytest.raises(InputError, match="96 rows has 128 columns, not 96"):
+    with pytest.raises(InputError, match="128 columns"):
         to_latlong(torch.zeros(96, 96, 3), "cube", 64)
     with pytest.raises(InputError, match="lower half"):
         from_latlong(smooth_map().upper(), "angular", 64)

@@ -5,7 +5,7 @@ import sys
 from typing import get_args
 
 from skylight.csc.dictionary import BuiltinName
-from skylight.models.shipped import LIGHT_NAMES
+from skylight.models.names import LIGHT_NAMES
 from skylight.studio.requests import (
     DICTIONARIES,
     LIGHTS,
@@ -13,7 +13,7 @@ from skylight.studio.requests import (
     EstimateRequest,
     VoxelRequest,
 )
-from skylight.studio.voxel_task import STARS
+from skylight.studio.tasks.voxel import STARS
 
 
 def test_choices_are_those_of_the_package() -> None:

@@ -15,7 +15,7 @@ import httpx
 import numpy as np
 import pytest
 
-from skylight.imaging.files import read_environment_map
+from skylight.io.files import read_environment_map
 from tests.studio.conftest import JOBS, Served, begin, events, finished
 
 FILES = ["estimate.json", "mesh.obj", "posterior.exr", "probe.exr", "probe.hdr", "report.png"]
@@ -251,7 +251,7 @@ def test_a_code_tells_of_each_activation(client: httpx.Client, tmp_path: Path) -
     """Of a map that is one lobe of the dictionary."""
     import torch
 
-    from skylight.imaging.files import write_environment_map
+    from skylight.io.files import write_environment_map
     from skylight.sphere.envmap import EnvironmentMap
     from skylight.sphere.frame import direction_from_angles
     from skylight.sphere.grid import DirectionGrid

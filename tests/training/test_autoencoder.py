@@ -14,18 +14,17 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.imaging.tensors import read_tensors
-from skylight.models.autoencoder import SkyAutoencoder, load_network
+from skylight.io.tensors import read_tensors
+from skylight.models.autoencoder import SkyAutoencoder, load_network, save_network
 from skylight.skies.index import read_index
 from skylight.training import autoencoder as training
-from skylight.training.autoencoder import schedule, train
+from skylight.training.autoencoder import initial_network, schedule, train
 from skylight.training.checkpoint import (
     NEWEST,
     PREVIOUS,
     _with_tensors,
     drop_damaged,
     read_state,
-    save_network,
 )
 from skylight.training.config import AutoencoderConfig, config_yaml, read_config
 from skylight.training.data import load_data
@@ -117,6 +116,7 @@ def test_an_interrupted_run_goes_on_bit_by_bit(
     same_run(tmp_path, uninterrupted)
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_bit_by_bit(
     config: AutoencoderConfig, uninterrupted: Path, tmp_path: Path
 ) -> None:
@@ -187,6 +187,23 @@ def test_a_state_that_cannot_be_read_is_not_taken_for_damaged(tmp_path: Path) ->
     assert (tmp_path / NEWEST).exists()
 
 
+def test_the_encoder_learns_from_corrupted_skies_alone(
+    config: AutoencoderConfig, tmp_path: Path
+) -> None:
+    """Where all of a sky is hidden, the gradient of the first convolution is exactly zero."""
+
+    def changed(masked: float) -> bool:
+        hidden = replace(
+            config, out=tmp_path / str(masked), masked=masked, sun=False, weight_decay=0.0, epochs=1
+        )
+        before = initial_network(hidden).encoder[0][0].conv.weight
+        after = load_network(train(hidden, report=lambda _: None)).encoder[0][0].conv.weight
+        return not torch.equal(before, after)
+
+    assert changed(0.0)
+    assert not changed(1.0)
+
+
 def test_a_finished_run_stays_finished(
     config: AutoencoderConfig, uninterrupted: Path, tmp_path: Path
 ) -> None:
@@ -195,7 +212,8 @@ def test_a_finished_run_stays_finished(
     shutil.copytree(uninterrupted, out)
     messages: list[str] = []
     train(replace(config, out=out, checkpoint_steps=7), report=messages.append)
-    assert messages == ["resuming at step 6 of 6"]
+    assert "resuming at step 6 of 6" in messages
+    assert not any(message.startswith("epoch") for message in messages)
     name = "model.safetensors"
     assert (out / name).read_bytes() == (uninterrupted / name).read_bytes()
 
@@ -216,7 +234,11 @@ def test_early_stopping(
 ) -> None:
     """After ``patience`` epochs without a better score; the best network is kept."""
     scores = iter([3.0, 2.0, 2.5, 2.5, 1.0])
-    monkeypatch.setattr(training, "validate", lambda *_: next(scores))
+
+    def validate(*_: object, corrupted: bool = False) -> float:
+        return 0.5 if corrupted else next(scores)
+
+    monkeypatch.setattr(training, "validate", validate)
     config = replace(config, out=tmp_path, epochs=5, patience=2, batch=12)
     train(config, report=lambda _: None)
     assert [c["validation"] for c in curves(tmp_path)] == [3.0, 2.0, 2.5, 2.5]

@@ -1,4 +1,6 @@
 import json
+import math
+import runpy
 from dataclasses import replace
 from pathlib import Path
 
@@ -6,12 +8,23 @@ import cv2
 import pytest
 import torch
 
-from skylight.csc.dictionary import FilterBank, builtin
+from skylight.csc.code import CodeTensors
+from skylight.csc.coder import SphericalSparseCoder
+from skylight.csc.correlation.positions import Positions
+from skylight.csc.correlation.wigner import RotationCorrelation
+from skylight.csc.dictionary import FilterBank, anisotropic, builtin
+from skylight.csc.learning.caps import CapFilterBank, cap_lobes, cap_nodes
 from skylight.errors import InputError
-from skylight.imaging.files import write_environment_map
+from skylight.io.files import write_environment_map
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.training.config import DictionaryConfig
-from skylight.training.dictionary import filter_sheet, learn_dictionary
+from skylight.training.dictionary import (
+    RATE,
+    filter_sheet,
+    learn_dictionary,
+    learning_epoch,
+    mean_squared_error,
+)
 from skylight.training.main import main
 
 DEGREE = 8
@@ -125,6 +138,67 @@ def test_gradient_goes_on_where_it_stopped(config: DictionaryConfig) -> None:
     assert errors[1] <= errors[0]
     with pytest.raises(InputError, match="another configuration; choose another `out`"):
         learn_dictionary(replace(config, filters=2), said.append)
+
+
+CAP_RAD = math.radians(50)
+
+
+def planted(shape: str, degree: int = 12) -> torch.Tensor:
+    """A filter that no Gaussian is like: an L, or a ring with a hole."""
+    nodes = cap_nodes(CAP_RAD, degree)
+    theta = torch.rad2deg(torch.acos(nodes[:, 1].clamp(-1, 1)))
+    phi = torch.atan2(nodes[:, 0], nodes[:, 2])
+    u, v = theta * torch.cos(phi), theta * torch.sin(phi)
+    if shape == "L":
+        on = ((u.abs() < 7) & (v > -7) & (v < 45)) | ((v.abs() < 7) & (u > -7) & (u < 32))
+    else:
+        on = (theta - 33).abs() < 8
+    row = on.double() @ cap_lobes(CAP_RAD, degree)
+    return row / row.norm()
+
+
+@pytest.mark.parametrize("shape", ["L", "ring"])
+def test_a_planted_filter_is_found_and_no_epoch_raises_the_error(shape: str) -> None:
+    """In maps of a constant and three coloured copies; what is not learned stays."""
+    generator = torch.Generator().manual_seed(0)
+    true = FilterBank(torch.stack([torch.eye(1, 169)[0].double(), planted(shape)]), "true")
+    angles = torch.tensor([2 * math.pi, math.pi, 2 * math.pi])
+    scene = CodeTensors(
+        torch.tensor([0, 1, 1, 1]).expand(8, 4),
+        torch.rand(8, 4, 3, generator=generator, dtype=torch.float64) * angles,
+        torch.rand(8, 4, 3, generator=generator, dtype=torch.float64) + 0.5,
+        torch.full((8,), 4),
+    )
+    maps = SphericalSparseCoder(true, height=16).decode(scene).detach()
+    start = FilterBank(anisotropic(12).coefficients[[0, 60, 20]], "start")
+    bank = CapFilterBank(start, [1], radius_rad=CAP_RAD)
+    coder = SphericalSparseCoder(bank, height=16, activations=4)
+
+    def likeness() -> float:
+        """The largest correlation with the planted filter, over all rotations."""
+        found = RotationCorrelation(bank.coefficients.detach()[[1]], Positions())
+        return float(found(planted(shape)).max())
+
+    assert likeness() < 0.92
+    optimiser = torch.optim.Adam(bank.parameters(), lr=RATE)
+    codes, errors = None, [1.0]
+    for _ in range(4):
+        codes = learning_epoch(coder, optimiser, maps, codes)
+        errors.append(mean_squared_error(coder, maps, codes))
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] < min(0.07, 0.8 * errors[1])
+    assert likeness() > 0.95
+    # a sum of Gaussians that undershoot by 1.8 %
+    assert float(bank.undershoot()[1]) < 0.03
+    assert torch.equal(bank.coefficients[[0, 2]], start.coefficients[[0, 2]])
+
+
+def test_the_example_beats_its_start() -> None:
+    """On maps that it does not learn from, by a third at least."""
+    example = Path(__file__).parents[2] / "examples/learn_dictionary.py"
+    assert len(example.read_text().splitlines()) <= 40
+    errors = runpy.run_path(str(example))["errors"]
+    assert errors[-1] < 0.67 * errors[0]
 
 
 def test_sheet_shows_what_looks_up_and_what_is_negative() -> None:

@@ -14,7 +14,7 @@ SKIES = np.random.default_rng(0).random((20, 32, 128, 3), dtype=np.float32)
 
 
 def entry(step: int) -> dict[str, int | float]:
-    names = ("train", "validation", "learning_rate", "images_per_s")
+    names = ("train", "validation", "learning_rate", "images_per_s", "denoising")
     return {"step": step, **{name: step + i / 8 for i, name in enumerate(names)}}
 
 

@@ -4,9 +4,8 @@ import torch
 
 from skylight.models.autoencoder import SkyAutoencoder
 from skylight.training.config import AutoencoderConfig
+from skylight.training.corruption import Corruption, draw_corruption
 from skylight.training.loss import reconstruction_loss
-
-STILL = torch.zeros(3, 3, 32, 128)
 
 
 def skies() -> tuple[np.ndarray, np.ndarray]:
@@ -20,7 +19,7 @@ def loss_of(predicted: np.ndarray, true: np.ndarray, config: AutoencoderConfig) 
     coded = torch.tensor(np.log1p(predicted)).permute(0, 3, 1, 2).float()
     network.decode_coded = lambda z: coded  # type: ignore[method-assign]
     with torch.no_grad():
-        return reconstruction_loss(network, torch.tensor(true).float(), STILL, config).numpy()
+        return reconstruction_loss(network, torch.tensor(true).float(), config).numpy()
 
 
 @pytest.mark.parametrize("energy_weight", [0.0, 0.3])
@@ -65,23 +64,37 @@ def test_a_sun_with_its_own_head_is_not_the_networks_concern() -> None:
     for strength in (1e2, 1e4):
         sky = torch.full((1, 32, 128, 3), 0.5)
         sky[:, 9, 64] = strength
-        losses.append(float(reconstruction_loss(network, sky, STILL[:1], AutoencoderConfig())))
+        losses.append(float(reconstruction_loss(network, sky, AutoencoderConfig())))
     assert losses[0] == pytest.approx(losses[1], rel=1e-6)
     assert not torch.allclose(seen[0][:, -5:], seen[1][:, -5:])
 
 
-def test_noise_reaches_the_suns_coordinates() -> None:
-    network = SkyAutoencoder(sun=True)
+def corrupted(config: AutoencoderConfig) -> Corruption:
+    return draw_corruption(3, (32, 128), torch.Generator().manual_seed(1), config)
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        AutoencoderConfig(noise_sigma=0.1),
+        AutoencoderConfig(noise_sigma=0.0, masked=0.3),
+        AutoencoderConfig(noise_sigma=0.0, sun_noise=0.1),
+    ],
+)
+def test_the_encoder_sees_the_corruption_and_the_loss_does_not(config: AutoencoderConfig) -> None:
+    network = SkyAutoencoder(sun=True).eval()
     seen = []
     coded = torch.zeros(3, 3, 32, 128)
-    network.decode_coded = lambda z: seen.append(z) or coded  # type: ignore[method-assign]
+    network.encode_coded = lambda *parts: seen.append(parts) or parts[0]  # type: ignore
+    network.decode_coded = lambda z: coded  # type: ignore[method-assign]
     sky = torch.rand(3, 32, 128, 3, generator=torch.Generator().manual_seed(0))
-    noise = 0.01 * torch.randn(3, 3, 32, 128, generator=torch.Generator().manual_seed(1))
-    with torch.no_grad():
-        for sun_noise in (0.0, 5.0):
-            reconstruction_loss(network, sky, noise, AutoencoderConfig(sun_noise=sun_noise))
-    shift = (seen[1] - seen[0])[:, -5:]
-    torch.testing.assert_close(shift, 5 * noise.flatten(1)[:, :5], rtol=1e-4, atol=1e-6)
+    corruption = corrupted(config)
+    losses = [reconstruction_loss(network, sky, config, c) for c in (None, corruption)]
+    torch.testing.assert_close(losses[0], losses[1], rtol=0, atol=0)
+    (sun, clean), (shaken, dirty) = seen
+    torch.testing.assert_close(dirty, corruption.kept * (clean + corruption.noise))
+    torch.testing.assert_close(shaken, sun + corruption.sun)
+    assert not (torch.equal(dirty, clean) and torch.equal(shaken, sun))
 
 
 def test_the_second_part_counts_contrast() -> None:

@@ -3,18 +3,21 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from PIL import Image
 from safetensors.torch import load_file
+from sklearn.covariance import ledoit_wolf
 
 from skylight.errors import AssetError, InputError
-from skylight.models.autoencoder import LATENT, SkyAutoencoder
+from skylight.models.autoencoder import LATENT, SkyAutoencoder, save_network
+from skylight.models.bundle import load_bundle
 from skylight.models.prior import GaussianMixture
 from skylight.skies.index import folder_hash, read_index
 from skylight.skies.loading import load_skies
-from skylight.training.autoencoder import save_network
 from skylight.training.config import PriorConfig
-from skylight.training.prior import fit_priors
+from skylight.training.prior import best_mixture, fit_priors, shrunk_covariance
 
 
 @pytest.fixture(scope="module")
@@ -44,24 +47,65 @@ def fitted(config: PriorConfig) -> Path:
     return fit_priors(config)
 
 
-def test_report_holds_the_choice_and_the_data(fitted: Path, config: PriorConfig) -> None:
-    report = json.loads((fitted / "report.json").read_text())
-    assert report["data_sha256"] == folder_hash(config.data, read_index(config.data))
+def test_the_bundle_is_whole_and_says_where_it_comes_from(
+    fitted: Path, config: PriorConfig, network: SkyAutoencoder
+) -> None:
+    bundle = load_bundle(fitted)
     rows = read_index(config.data)
+    assert bundle.data_sha256 == folder_hash(config.data, rows)
+    assert bundle.skies == sum(r.split == "train" for r in rows)
+    report = json.loads((fitted / "report.json").read_text())
+    card = (fitted / "card.md").read_text()
     for name in ("latent", "sunsky"):
-        tried = report[name]["validation_by_components"]
-        assert set(tried) == {"1", "2"}
-        likelihood = report[name]["mean_log_likelihood"]
-        assert set(likelihood) == {"train", "validation", "test"}
-        kept = GaussianMixture.load(fitted / f"{name}_prior.safetensors")
-        best = min(tried, key=lambda k: tried[k]["bic"])
-        assert len(kept.weights) == int(best)
-        assert likelihood["validation"] == tried[best]["mean_log_likelihood"]
-        # BIC = parameters ln n - 2 sum log p, counted from the mixture's own tensors
-        size, count = kept.means.shape[1], sum(r.split == "validation" for r in rows)
-        parameters = len(kept.weights) * (1 + size + size * (size + 1) / 2) - 1
-        bic = parameters * math.log(count) - 2 * count * likelihood["validation"]
-        assert tried[best]["bic"] == pytest.approx(bic)
+        for value in report[name]["mean_log_likelihood"].values():
+            assert f" {value:.1f} |" in card
+    assert bundle.data_sha256 in card
+    with Image.open(fitted / "reconstructions.png") as picture:
+        assert picture.size[1] == 2 * 32
+    x = bundle.light().starts()[:, :LATENT]
+    assert torch.equal(bundle.network.decode(x), network.decode(x))
+
+
+def test_the_number_of_components_is_that_of_the_least_bic() -> None:
+    """Of two clusters; BIC counted from the mixture's own tensors."""
+    generator = torch.Generator().manual_seed(0)
+    samples = {}
+    for name, count in (("train", 400), ("validation", 60), ("test", 60)):
+        x = torch.randn(count, 3, generator=generator).double()
+        x[::2, 0] += 12
+        samples[name] = x
+    kept, scores = best_mixture(samples, PriorConfig(most_components=4))
+    assert len(kept.weights) == scores["components"] == 2
+    tried = scores["validation_by_components"]
+    assert set(tried) == {1, 2, 3, 4}
+    held_out = float(kept.log_prob(samples["validation"]).mean())
+    bic = (2 * (1 + 3 + 6) - 1) * math.log(60) - 2 * 60 * held_out
+    assert tried[2]["bic"] == pytest.approx(bic)
+    assert bic == min(each["bic"] for each in tried.values())
+
+
+def test_few_samples_give_one_wide_gaussian() -> None:
+    """30 samples in 64 dimensions: unseen ones of the same kind are likely, not 100 sigmas off."""
+    generator = torch.Generator().manual_seed(0)
+    spread = torch.linspace(0.2, 3, LATENT).double()
+    draws = {
+        name: torch.randn(30, LATENT, generator=generator).double() * spread
+        for name in ("train", "validation", "test")
+    }
+    kept, scores = best_mixture(draws, PriorConfig())
+    assert scores["components"] == 1
+    truth = torch.distributions.Normal(torch.zeros(LATENT).double(), spread)
+    best = float(truth.log_prob(draws["test"]).sum(1).mean())
+    found = float(kept.log_prob(draws["test"]).mean())
+    assert best - 40 < found <= best
+
+
+@pytest.mark.parametrize("count", [8, 50, 2000])
+def test_shrunk_covariance_is_ledoit_and_wolfs(count: int) -> None:
+    samples = torch.randn(count, 6, generator=torch.Generator().manual_seed(1)).double()
+    samples[:, 0] *= 4
+    wanted = ledoit_wolf(samples.numpy())[0]
+    np.testing.assert_allclose(shrunk_covariance(samples), wanted, rtol=1e-9)
 
 
 def test_mixtures_are_over_all_parameters_but_the_azimuth(fitted: Path) -> None:
@@ -72,14 +116,14 @@ def test_mixtures_are_over_all_parameters_but_the_azimuth(fitted: Path) -> None:
 def test_bank_whitens_and_remembers_the_training_skies(
     fitted: Path, config: PriorConfig, network: SkyAutoencoder
 ) -> None:
-    state = load_file(fitted / "sky_bank.safetensors")
+    state = load_file(fitted / "bank.safetensors")
     rows = [r for r in read_index(config.data) if r.split == "train"]
     with torch.no_grad():
         latents = network.encode(load_skies(config.data, rows))
     torch.testing.assert_close(state["latent_mean"], latents.mean(0), rtol=1e-4, atol=1e-4)
-    wanted = torch.cov(latents.T) + 1e-4 * torch.eye(LATENT)
+    wanted = ledoit_wolf(latents.double().numpy())[0] + 1e-4 * np.eye(LATENT)
     scale = state["latent_scale"]
-    torch.testing.assert_close(scale @ scale.T, wanted, rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(scale @ scale.T, wanted, rtol=1e-3, atol=1e-5)
     assert torch.equal(scale, scale.tril())
     # every sky of the bank is a training sky, beside the height of its own sun
     zenith = torch.tensor([r.sun_zenith_deg for r in rows]).deg2rad()
@@ -93,7 +137,7 @@ def test_bank_whitens_and_remembers_the_training_skies(
 
 def test_same_seed_same_files(fitted: Path, config: PriorConfig, tmp_path: Path) -> None:
     again = fit_priors(replace(config, out=tmp_path))
-    for name in ("latent_prior", "sunsky_prior", "sky_bank"):
+    for name in ("latent_prior", "sunsky_prior", "bank", "network"):
         file = f"{name}.safetensors"
         assert (again / file).read_bytes() == (fitted / file).read_bytes()
 

@@ -19,8 +19,3 @@ def test_right_is_plus_x_and_up_is_a_smaller_row():
     assert centre.tolist() == [30, 25]
     assert right.tolist() == [60, 25]
     assert up.tolist() == [30, -5]
-
-
-def test_resizing_moves_projections_with_the_picture():
-    points = torch.tensor([[0.3, -0.2, -2], [-0.1, 0.4, -3]])
-    torch.testing.assert_close(CAMERA.resized(24, 32).project(points), CAMERA.project(points) / 2)

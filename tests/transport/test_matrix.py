@@ -5,7 +5,7 @@ import torch
 
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.gbuffer import vertex_normals
-from skylight.transport.matrix import DiffuseTransport, TransportMatrix, diffuse_transport
+from skylight.transport.matrix import TransportMatrix, diffuse_transport, visibility
 from skylight.transport.raycast import Raycaster
 from tests.transport.shapes import icosphere, seen_sphere
 
@@ -78,8 +78,28 @@ def test_every_number_of_processes_gives_the_same_bytes():
     one = diffuse_transport(*surface, caster, grid, progress=seen.append)
     three = diffuse_transport(*surface, caster, grid, workers=3)
     assert torch.equal(one.matrix, three.matrix)
+    visible = [visibility(surface[0], surface[2], caster, grid, workers=n) for n in (1, 3)]
+    assert torch.equal(visible[0], visible[1])
     assert seen == sorted(seen)
     assert seen[-1] == 1
+
+
+def test_visibility_is_what_the_matrix_does_not_see_shaded():
+    """Also below the horizon of a normal, where the matrix has no entries."""
+    gbuffer, caster = seen_sphere(subdivisions=3, height=24)
+    grid = DirectionGrid.latlong(16)
+    seen = visibility(gbuffer.origins, gbuffer.geometric_normals, caster, grid)
+    tilted = gbuffer.normals.flip(1)
+    for normals in (gbuffer.normals, tilted):
+        transport = diffuse_transport(
+            gbuffer.origins, normals, gbuffer.geometric_normals, caster, grid
+        )
+        cosine = (normals.float() @ grid.directions.T.float()) > 0
+        assert torch.equal(seen & cosine, transport.matrix > 0)
+    # a convex body hides what is behind the tangent plane and nothing else
+    height = gbuffer.geometric_normals @ grid.directions.T
+    assert seen[height > 0.1].all()
+    assert not seen[height < -0.3].any()  # origins are clear of the facets
 
 
 @pytest.fixture
@@ -107,36 +127,3 @@ def test_projection_commutes_with_expanding_the_basis(random_transport):
         random_transport.project(basis) @ coefficients,
         random_transport.matrix @ (basis @ coefficients),
     )
-
-
-def test_shading_and_its_gradient(random_transport):
-    shading = DiffuseTransport(random_transport).double()
-    sky = torch.rand(2, 16, 3, dtype=torch.float64, requires_grad=True)
-    ground = torch.rand(2, 3, dtype=torch.float64, requires_grad=True)
-    albedo = torch.rand(2, 3, dtype=torch.float64, requires_grad=True)
-    out = shading(sky, ground, albedo)
-    light = torch.cat([sky[1], ground[1].expand(16, 3)])
-    torch.testing.assert_close(out[1], albedo[1] * (random_transport.matrix.double() @ light))
-
-    # the adjoint, written with the transpose
-    residual = torch.randn(out.shape, dtype=torch.float64)
-    out.backward(residual)
-    back = shading.folded.T @ (residual * albedo.detach()[:, None])
-    assert sky.grad is not None
-    assert ground.grad is not None
-    torch.testing.assert_close(sky.grad, back[:, :-1])
-    torch.testing.assert_close(ground.grad, back[:, -1])
-    torch.autograd.gradcheck(shading, (sky, ground, albedo))
-
-
-@pytest.mark.parametrize("lights", [1, 2, 5])
-def test_shading_of_few_lights_is_that_of_many(random_transport, lights):
-    # the product pads few lights to a fast size
-    generator = torch.Generator().manual_seed(2)
-    n = len(random_transport.grid) // 2
-    sky = torch.rand(lights, n, 3, generator=generator, dtype=random_transport.matrix.dtype)
-    ground, albedo = sky[:, 0], sky[:, 1]
-    shading = DiffuseTransport(random_transport)(sky, ground, albedo)
-    whole = torch.cat([sky, ground[:, None].expand(-1, n, -1)], 1)
-    expected = albedo[:, None] * torch.einsum("mn,bnc->bmc", random_transport.matrix, whole)
-    torch.testing.assert_close(shading, expected)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from skylight.errors import InputError
-from skylight.probes.partitions.scene_files import read_scene
+from skylight.probes.partitions.relight.scene_files import read_scene
 from skylight.transport.mesh import read_mesh
 from skylight.transport.mesh_bounds import require_bounded
 

@@ -58,5 +58,5 @@ def test_the_nearest_of_two_walls_is_hit():
 
 
 def test_faces_must_index_vertices():
-    with pytest.raises(ValueError, match="faces must index the 3 vertices"):
+    with pytest.raises(ValueError, match="3 vertices"):
         Raycaster(torch.zeros(3, 3), torch.tensor([[0, 1, 3]]))

@@ -1,4 +1,4 @@
-"""How far each vertex follows each landmark."""
+"""Weights of local deformation: the displacement of each vertex for each landmark."""
 
 import igl
 import numpy as np

@@ -1,4 +1,4 @@
-"""Quads into triangles, and long edges into short ones."""
+"""Triangulation of quads and subdivision of long edges."""
 
 import numpy as np
 import scipy.sparse as sp

@@ -1,4 +1,4 @@
-"""Path-traced people under a known light: test faces that our own renderer had no part in.
+"""Path-traced people under known illumination, independent of the renderer of skylight.
 
 ``batch`` writes folders of them (``skylight faces render``), ``files`` reads them again.
 """

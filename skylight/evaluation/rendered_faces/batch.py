@@ -1,20 +1,20 @@
-"""Folders of rendered faces, in several processes; what is there is kept."""
+"""Folders of rendered faces, rendered in parallel and resumable."""
 
 import os
 import shutil
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from uuid import uuid4
 
 from skylight.errors import OutputError
-from skylight.evaluation.independent_render import mitsuba_variant
 from skylight.evaluation.rendered_faces.files import folder_name, write_rendered_face
+from skylight.evaluation.rendered_faces.independent_render import mitsuba_variant
 from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.evaluation.rendered_faces.render import render
-from skylight.imaging.atomic import PARTIAL
-from skylight.imaging.resumable import Workers, claimed, settle, share_work
+from skylight.io.atomic import PARTIAL
+from skylight.work.progress import CountProgress
+from skylight.work.resumable import Workers, claimed, settle, share_work
 
 
 def render_folder(
@@ -23,7 +23,7 @@ def render_folder(
     options: RenderOptions,
     *,
     workers: Workers = 1,
-    progress: Callable[[int, int], None] | None = None,
+    progress: CountProgress | None = None,
 ) -> int:
     """Render faces 0 to ``count`` - 1 into ``out`` and say how many were made now.
 

@@ -10,17 +10,17 @@ from skylight.errors import InputError
 from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.evaluation.rendered_faces.render import RenderedFace
 from skylight.faces.fit import FaceFit
-from skylight.imaging.atomic import atomic_path
-from skylight.imaging.bounded import json_content, load_arrays
 from skylight.imaging.colour import srgb_to_linear
-from skylight.imaging.files import (
+from skylight.io.atomic import atomic_path
+from skylight.io.bounded import json_content, load_arrays
+from skylight.io.files import (
     read_environment_map,
     write_environment_map,
     write_json,
     write_png,
 )
-from skylight.imaging.hdr import read_linear, write_exr
-from skylight.imaging.opened_picture import opened_picture
+from skylight.io.hdr import read_linear, write_exr
+from skylight.io.opened_picture import opened_picture
 from skylight.transport.camera import Camera
 
 _FACTS = ("number", "scene", "cluster", "sky_seed", "sun_transmittance", "exposure")

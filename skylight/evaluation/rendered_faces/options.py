@@ -1,4 +1,4 @@
-"""What a rendered face depends on besides its number."""
+"""Options of rendered faces."""
 
 from dataclasses import dataclass
 

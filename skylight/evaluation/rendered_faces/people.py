@@ -1,4 +1,4 @@
-"""Who is in a picture: shape, pose, colours, a cap of hair."""
+"""Random people: shape, pose, skin, a cap of hair."""
 
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,4 +1,4 @@
-"""From layers of light to a camera's picture: scattering, background, exposure, noise, sRGB."""
+"""From radiance to an 8-bit photograph: subsurface blur, background, exposure, noise, sRGB."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""One face: who, where, under which light; traced and photographed."""
+"""One rendered face: person, pose, illumination, path tracing, photograph."""
 
 from dataclasses import dataclass
 

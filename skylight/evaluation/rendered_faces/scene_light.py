@@ -1,4 +1,4 @@
-"""The light of a scene: a test day's sky over one of nine grounds."""
+"""The illumination of a scene: a simulated sky over one of nine grounds."""
 
 import math
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ def scene_light(scene: int, options: RenderOptions) -> SceneLight:
     albedo = torch.tensor(GROUND_ALBEDOS[rng.integers(len(GROUND_ALBEDOS))])
     turned = sky.rotate_azimuth(turn).upper()
     ground = LambertianGround(turned.layout[0])
-    bounce = ground.radiance(turned.flat[None], albedo[None].to(turned.flat))[0]
+    bounce = ground(turned.flat[None], albedo[None].to(turned.flat))[0]
     angles = math.radians(record.map_azimuth_deg) + turn, math.radians(record.sun_zenith_deg)
     return SceneLight(
         environment=turned.with_ground(bounce),

@@ -1,4 +1,4 @@
-"""What a person's head is painted with: skin of melanin and blood, lips, stubble, eyes."""
+"""Textures of a head: skin of melanin and blood, lips, stubble, eyes."""
 
 import math
 from dataclasses import dataclass

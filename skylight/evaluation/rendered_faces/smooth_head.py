@@ -1,4 +1,4 @@
-"""The head's mesh, finer and round: for rendering. The model's own vertices stay the truth."""
+"""A subdivided head mesh for rendering; the head model's vertices stay the ground truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Light that enters skin at one point and leaves at another, as a blur of the picture.
+"""Subsurface scattering as a blur in image space.
 
 An approximation in the manner of d'Eon & Luebke 2007 ("Advanced Techniques for Realistic Real-Time
 Skin Rendering", GPU Gems 3, chapter 14): what leaves diffusely is the irradiance spread by a sum of

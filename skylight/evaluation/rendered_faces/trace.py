@@ -1,4 +1,4 @@
-"""A person's layers of light by Mitsuba: what leaves the skin, what its surface reflects."""
+"""Diffuse and specular radiance of a person, by Mitsuba."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from numpy import ndarray
 
-from skylight.evaluation.independent_render import mitsuba_variant, pinhole
+from skylight.evaluation.rendered_faces.independent_render import mitsuba_variant, pinhole
 from skylight.evaluation.rendered_faces.people import Person
 from skylight.evaluation.rendered_faces.smooth_head import SmoothHead, normals_of
 from skylight.faces.model import Region

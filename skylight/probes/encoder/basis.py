@@ -1,8 +1,8 @@
-"""What points of a known object show under light from each direction: a basis on the sphere.
+"""Transfer functions of points of a known object: a basis on the sphere.
 
 A Lambertian point p turns light into the radiance ``s_p = int b_p(w) L(w) dw`` with
-``b_p(w) = rho_p / pi V_p(w) <n_p, w>+`` plus what other parts of the object throw on it, so every
-point measures the light against a function of its own (thesis, Eq. 4.18 and section 7.1.1).
+``b_p(w) = rho_p / pi V_p(w) <n_p, w>+`` plus interreflection from other parts of the object, so
+every point measures the light against a function of its own (thesis, Eq. 4.18 and section 7.1.1).
 """
 
 from dataclasses import dataclass
@@ -13,10 +13,10 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.designs import named_design
-from skylight.probes.partitions.gather import Gatherer, Nodes, gather_all
-from skylight.probes.partitions.receivers import Receivers
-from skylight.probes.partitions.scene import Scene
+from skylight.probes.partitions.design.designs import named_design
+from skylight.probes.partitions.relight.gather import Gatherer, Nodes, gather_all
+from skylight.probes.partitions.relight.receivers import Receivers
+from skylight.probes.partitions.relight.scene import Scene
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.matrix import diffuse_transport
 
@@ -73,7 +73,7 @@ def surface_transfer(
     """b_p over the grid at points of a scene: one shadow ray per direction, then the bounces.
 
     Light bounces between the scene's vertices and is interpolated in between; ``rays`` leave each
-    vertex and point to find where it comes from (:mod:`skylight.probes.partitions.gather`).
+    vertex and point to find where it comes from (:mod:`skylight.probes.partitions.relight.gather`).
     ``seed`` is theirs. More than one of ``workers``, processes, needs ``fork``.
 
     Memory: 12 d bytes for each point, three times that for each vertex where light bounces:

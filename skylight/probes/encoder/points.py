@@ -1,19 +1,15 @@
-"""Which points of a known object tell most about the light."""
-
-from collections.abc import Sequence
+"""Selection of the points of a known object that determine the light best."""
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.probes.encoder.basis import SurfaceTransfer
-from skylight.probes.partitions.receivers import Receivers
-from skylight.probes.partitions.scene import Scene
-from skylight.transport.object_camera import PlacedCamera
+from skylight.probes.partitions.relight.receivers import Receivers
+from skylight.probes.partitions.relight.scene import Scene
 
 DEPENDENT = 1e-5  # of the largest: functions that add less are rounding errors of the transfer
-_LEAST_FACING = 0.15  # cosine between normal and view: 81 degrees
 _SWEEPS = 20
 _LEAST_GAIN = 1e-3  # of a sweep, of what is made small
 
@@ -33,28 +29,6 @@ def surface_points(scene: Scene, count: int, generator: torch.Generator) -> Rece
     return Receivers.on_surface(scene, face, barycentric)
 
 
-def seen_by(
-    receivers: Receivers, cameras: Sequence[PlacedCamera], scene: Scene
-) -> Bool[Tensor, " m"]:
-    """Points that any of the cameras sees: in its picture, not hidden, not at a slant of > 81 deg.
-
-    The scene is what may hide them.
-    """
-    seen = torch.zeros(len(receivers), dtype=torch.bool)
-    starts = receivers.positions.double()
-    starts = starts + scene.raycaster.epsilon * receivers.geometric_normals.double()
-    for camera in cameras:
-        way = camera.position - starts
-        facing = (way * receivers.normals).sum(1) > _LEAST_FACING * way.norm(dim=1)
-        local = camera.points_to_camera(starts)
-        pixel = camera.camera.project(local)
-        size = torch.tensor([camera.camera.width, camera.camera.height])
-        inside = (local[:, 2] < 0) & ((pixel >= 0) & (pixel < size)).all(1)
-        free = scene.raycaster.intersect(starts, way).distance > 1
-        seen |= facing & inside & free
-    return seen
-
-
 def choose_points(
     candidates: SurfaceTransfer,
     count: int,
@@ -62,7 +36,7 @@ def choose_points(
     noise: float = 0.0,
     lit: SurfaceTransfer | None = None,
 ) -> Int[Tensor, " k"]:
-    """``count`` of the candidates that tell most about the light, or about what it lights.
+    """``count`` of the candidates, by the conditioning of the light or by relighting error.
 
     First those whose functions stand out most from all before them: the pivots of a QR
     decomposition of ``sqrt(dw) b_p(w)`` (Businger and Golub 1965). Then each point in turn is

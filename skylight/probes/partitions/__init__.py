@@ -1,1 +1,1 @@
-"""Shading probes whose walls part the sphere into cells (thesis, chapter 4)."""
+"""Shading probes whose walls partition the sphere into cells (thesis, chapter 4)."""

@@ -1,6 +1,7 @@
-"""A design's cells: where they are, and what a surface gathers from each."""
+"""A design's cells: their regions, and the exact cosine-weighted integrals over them."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -8,8 +9,8 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.probes.partitions.design import ProbeDesign
 from skylight.probes.partitions.polygons import Tessellation, voronoi
+from skylight.probes.partitions.seeds import ProbeDesign
 
 # cos of the angle that a merged cell may at most reach from its normal: 89.4 degrees
 _LEAST_HEIGHT = 0.01
@@ -29,11 +30,12 @@ class Cells:
     normals: Float[Tensor, "n 3"]
 
     @staticmethod
+    @lru_cache(maxsize=16)
     def of(design: ProbeDesign) -> "Cells":
-        """Raises :class:`InputError` for cells that cannot be built.
+        """The cells of a design, the same object for the same design.
 
-        Those are cells of unconnected parts, cells that their own face cannot see all of, and
-        cells round others, whose walls nothing would hold.
+        Raises :class:`InputError` for cells that cannot be built: of unconnected parts, not wholly
+        visible from their own face, or enclosing others, whose walls nothing would hold.
         """
         tessellation = voronoi(design.seeds)
         total = _per_cell(tessellation.vector_integrals().T, design).T

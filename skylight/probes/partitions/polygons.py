@@ -25,7 +25,7 @@ _CHUNK = 2**20  # arcs times normals that are looked at together
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tessellation:
-    """The sphere parted by arcs of great circles, each shorter than pi.
+    """The sphere partitioned by arcs of great circles, each shorter than pi.
 
     Arc k goes from vertex ``starts[k]`` to ``ends[k]``, with region ``left[k]`` on its left seen
     from outside and ``right[k]`` on the other side.

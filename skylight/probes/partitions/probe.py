@@ -1,4 +1,4 @@
-"""What a probe's faces show under some light, and the light that they tell of."""
+"""The partition probe as a linear encoder of light: radiance to shading, and back."""
 
 import math
 
@@ -18,22 +18,30 @@ _WORST_CONDITION = 1e4
 class PartitionProbe(nn.Module):
     """A kernel of n Lambertian faces, each of which sees its own cell (thesis, 4.4).
 
-    Shading, radiance of the faces, is ``s_i = rho_i / pi int_cell_i L(w) <n_i, w>+ dw`` (Eq. 4.3),
-    linear Rec.709; constant radiance L_j of the cells gives ``s = rho / pi * (A @ L)``. ``albedo``
-    is a number or broadcasts to (n,3): (3,) for colours, (n,1) for faces. ``response`` (n,n) is A
-    where it was measured on a printed probe, whose walls have thickness and are not quite black;
-    without it A is ``diag(cells.facing)``.
+    ``probe(radiance, grid)`` is the shading, radiance of the faces,
+    ``s_i = rho_i / pi int_cell_i L(w) <n_i, w>+ dw`` (Eq. 4.3), linear Rec.709; constant radiance
+    L_j of the cells gives ``s = rho / pi * (A @ L)``.
 
     On a grid each direction belongs to one cell, and each cell's directions weigh as much as
     the cell, so that uniform light comes out exactly and decoded shading encodes to itself. Basis
     functions are off by how finely the grid covers the cells: with 128 rows by at most 0.5 % for
     14 even cells and 5 % for 110, with 64 rows by 2 % and 21 %.
+
+    Parameters
+    ----------
+    albedo
+        rho, an ``nn.Parameter`` (n,3): a number or what broadcasts to that, (3,) for colours,
+        (n,1) for faces.
+    response
+        A (n,n) as measured on a printed probe, whose walls have thickness and are not quite
+        black: a buffer. Without it A is ``diag(cells.facing)``, which follows from the cells and
+        is not in the ``state_dict``. The cells are never in it; they are those of the design's
+        file.
     """
 
-    albedo: Tensor
+    albedo: nn.Parameter
     facing: Tensor
     response: Tensor
-    inverse: Tensor
 
     def __init__(
         self,
@@ -44,15 +52,18 @@ class PartitionProbe(nn.Module):
     ) -> None:
         super().__init__()
         self.cells = cells
-        if response is None:
-            response = torch.diag(cells.facing)
-        response = response.double()
+        measured = response is not None
+        response = response.double() if measured else torch.diag(cells.facing)
         _check_response(response, cells.count)
-        self.register_buffer("albedo", _albedo(albedo, cells.count))
-        self.register_buffer("facing", cells.facing)
-        self.register_buffer("response", response)
-        self.register_buffer("inverse", torch.linalg.inv(response))
+        self.albedo = nn.Parameter(_albedo(albedo, cells.count))
+        self.register_buffer("facing", cells.facing, persistent=False)
+        self.register_buffer("response", response, persistent=measured)
         self._latest: tuple[DirectionGrid, tuple[Tensor, Tensor]] | None = None
+
+    @property
+    def inverse(self) -> Float[Tensor, "n n"]:
+        """A^-1, float64."""
+        return torch.linalg.inv(self.response.double())
 
     @property
     def weights(self) -> Float[Tensor, "n 3"]:
@@ -64,9 +75,9 @@ class PartitionProbe(nn.Module):
         """d_i: what of a face's hemisphere, cosine-weighted, its cell is (Eq. 4.24)."""
         return self.facing / math.pi
 
-    def encode(
-        self, radiance: Float[Tensor, "b d 3"], grid: DirectionGrid
-    ) -> Float[Tensor, "b n 3"]:
+    def forward(
+        self, radiance: Float[Tensor, "*b d 3"], grid: DirectionGrid
+    ) -> Float[Tensor, "*b n 3"]:
         """Shading under radiance on a grid of the whole sphere; linear, differentiable.
 
         Light from other cells that ``response`` lets in counts as their own faces average it.
@@ -74,8 +85,9 @@ class PartitionProbe(nn.Module):
         cell, share = self._shares(grid)
         cell, share = cell.to(radiance.device), share.to(radiance.device)
         # float64 sums: a sun is 1e5 times brighter than the pixels it is added to
-        mean = radiance.new_zeros(len(radiance), self.cells.count, 3, dtype=torch.float64)
-        mean = mean.index_add(1, cell, radiance.double() * share[:, None])
+        shape = *radiance.shape[:-2], self.cells.count, 3
+        mean = radiance.new_zeros(shape, dtype=torch.float64)
+        mean = mean.index_add(-2, cell, radiance.double() * share[:, None])
         return (self.albedo / math.pi * (self.response.double() @ mean)).to(radiance)
 
     def encode_map(self, environment: EnvironmentMap) -> Float[Tensor, "n 3"]:
@@ -86,35 +98,36 @@ class PartitionProbe(nn.Module):
         samples = math.ceil(_FINE_ROWS / height)
         fine = environment.radiance.repeat_interleave(samples, 0).repeat_interleave(samples, 1)
         grid = DirectionGrid.latlong(height * samples, width * samples)
-        return self.encode(fine.reshape(1, -1, 3).to(self.response.device), grid)[0]
+        return self(fine.flatten(0, 1).to(self.response.device), grid)
 
-    def light(self, shading: Float[Tensor, "b n 3"]) -> Float[Tensor, "b n 3"]:
+    def light(self, shading: Float[Tensor, "*b n 3"]) -> Float[Tensor, "*b n 3"]:
         """Each cell's constant radiance, ``A^-1 (pi s / rho)``: s_i w_i if ideal (Eq. 4.6)."""
-        return (self.inverse.double() @ (math.pi * shading.double() / self.albedo)).to(shading)
+        return (self.inverse @ (math.pi * shading.double() / self.albedo)).to(shading)
 
     def decode(
-        self, shading: Float[Tensor, "b n 3"], grid: DirectionGrid
-    ) -> Float[Tensor, "b d 3"]:
-        """The light that shading tells of, constant within each cell."""
-        return self.light(shading)[:, self.cells.cell_of(grid.directions).to(shading.device)]
+        self, shading: Float[Tensor, "*b n 3"], grid: DirectionGrid
+    ) -> Float[Tensor, "*b d 3"]:
+        """Radiance reconstructed from shading, constant within each cell."""
+        cell = self.cells.cell_of(grid.directions).to(shading.device)
+        return self.light(shading)[..., cell, :]
 
     def basis(self, grid: DirectionGrid) -> Float[Tensor, "n d 3"]:
         """b_i = rho / pi V_i <n_i, w>+ for each colour, of the ideal probe (Eq. 4.18)."""
-        cell, share = self._shares(grid)
+        cell, share = (each.to(self.albedo.device) for each in self._shares(grid))
         values = share.new_zeros(self.cells.count, len(cell))
-        values[cell, torch.arange(len(cell))] = share / grid.solid_angles
+        values[cell, torch.arange(len(cell))] = share / grid.solid_angles.to(share)
         gathered = (self.albedo * self.facing[:, None] / math.pi).to(values)
         return values[..., None] * gathered[:, None]
 
     def dual_basis(self, grid: DirectionGrid) -> Float[Tensor, "n d 3"]:
         """b*_i = b_i / int b_i^2 dw (Eq. 4.22), with int b_i b*_j dw = delta_ij (Eq. 4.21)."""
         basis = self.basis(grid)
-        return basis / (basis**2 * grid.solid_angles[:, None]).sum(1, keepdim=True)
+        return basis / (basis**2 * grid.solid_angles.to(basis)[:, None]).sum(1, keepdim=True)
 
     def unpartitioned(
-        self, radiance: Float[Tensor, "b d 3"], grid: DirectionGrid
-    ) -> Float[Tensor, "b n 3"]:
-        """s'_i: what the faces would show without any walls, as places on a ball (Eq. 4.23).
+        self, radiance: Float[Tensor, "*b d 3"], grid: DirectionGrid
+    ) -> Float[Tensor, "*b n 3"]:
+        """s'_i: shading of the faces without any walls, as of points on a ball (Eq. 4.23).
 
         Times :attr:`correction` it is s''_i (Eq. 4.25).
         """

@@ -1,4 +1,4 @@
-"""How well probes tell what the missing slots look like (thesis, sections 3.4.4 to 3.4.6).
+"""How well missing slots can be reconstructed from known ones (thesis, sections 3.4.4 to 3.4.6).
 
 Residuals are squared norms of composite transfer vectors, ``|tau_u - T^T x|^2`` without a cost of
 slots, albedo included. The mean over the 26 other slots of all 169,911 sets of five among 31 is
@@ -6,7 +6,7 @@ slots, albedo included. The mean over the 26 other slots of all 169,911 sets of 
 closed all round, is dark: it is never chosen and has no error.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isfinite
 
@@ -21,7 +21,8 @@ from skylight.probes.voxel.faces import (
     ORIENTATIONS,
     exposed_faces,
 )
-from skylight.probes.voxel.global_illumination import ALBEDO, GlobalReconstruction
+from skylight.probes.voxel.interreflection.global_illumination import ALBEDO, GlobalReconstruction
+from skylight.probes.voxel.interreflection.transfer import slot_transfer, transfer_vectors
 from skylight.probes.voxel.model import VoxelModel
 from skylight.probes.voxel.reconstruct import (
     DirectReconstruction,
@@ -29,7 +30,7 @@ from skylight.probes.voxel.reconstruct import (
     occluders_in_words,
     ranks,
 )
-from skylight.probes.voxel.transfer import slot_transfer, transfer_vectors
+from skylight.work.progress import Progress
 
 LIT = CONFIGURATIONS - 1  # the last is dark
 EXHAUSTIVE = 7  # configurations in a set: 2.6 million sets
@@ -59,7 +60,7 @@ class TransferError:
 
 @dataclass(frozen=True, kw_only=True)
 class ProbeReport:
-    """What a voxel model encodes: faces of each slot, rank of V, errors to expect.
+    """What a voxel model encodes: faces of each slot, rank of V, expected errors.
 
     Errors are None where an orientation has no face at all.
     """
@@ -71,7 +72,7 @@ class ProbeReport:
 
     @property
     def tractable(self) -> bool:
-        """Whether direct light can be completed exactly for all six orientations."""
+        """Whether direct light can be reconstructed exactly in all six orientations."""
         return bool((self.rank == len(OCCLUDERS)).all())
 
     def table(self) -> str:
@@ -89,7 +90,7 @@ class ProbeReport:
 
 
 def inspect(model: VoxelModel, *, albedo: float = ALBEDO) -> ProbeReport:
-    """Configurations of a model, how often they occur, and what can be told from them."""
+    """Configurations of a model, how often they occur, and errors of their reconstructions."""
     count = exposed_faces(model).counts()
     known = count > 0
     complete = bool(known.any(1).all())
@@ -136,7 +137,7 @@ def best_sets(
     *,
     albedo: float = ALBEDO,
     exhaustive: int = EXHAUSTIVE,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[BestSet]:
     """Fig. 3.7: the sets of 1, 2, ... ``largest`` configurations that leave the least residual.
 

@@ -1,7 +1,7 @@
-"""Probes grown for a small error of the global reconstruction (thesis, section 3.4.5, open there).
+"""Beam search for probes of small reconstruction error (left open in thesis, section 3.4.5).
 
-Beam search: from one voxel, cells that touch the probe are added, one at a time or, for symmetric
-probes, all 24 turns of one together; the best few probes of each size go on.
+From one voxel, cells that touch the probe are added, one at a time or, for symmetric probes, in
+all its 24 rotations; the best few probes of each size are extended further.
 """
 
 import math
@@ -24,7 +24,7 @@ from skylight.probes.voxel.faces import (
     exposed_faces,
     quarter_turns,
 )
-from skylight.probes.voxel.global_illumination import ALBEDO
+from skylight.probes.voxel.interreflection.global_illumination import ALBEDO
 from skylight.probes.voxel.model import VoxelModel
 from skylight.sphere.frame import direction_from_angles
 from skylight.transport.raycast import Raycaster

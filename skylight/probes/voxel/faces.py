@@ -1,4 +1,4 @@
-"""Exposed faces of voxel models, their orientation and what occludes them.
+"""Exposed faces of voxel models, their orientation and occlusion.
 
 Six orientations, each with a right-handed frame (right x forward = normal). The empty cell in
 front of a face has four side neighbours and a ceiling; those that are occupied give one of 32
@@ -108,16 +108,6 @@ def visibility_vectors() -> Float[Tensor, "32 5"]:
     return 1.0 - (bits & 1).double()
 
 
-def minimal_geometry(configuration: int) -> VoxelModel:
-    """The fewest cells that give the +Y face of the middle cell (1, 0, 1) this configuration."""
-    solid = np.zeros((3, 3, 3), bool)
-    solid[1, 0, 1] = True
-    for i, step in enumerate(_neighbours(ORIENTATIONS.index("+y"))):
-        if configuration >> i & 1:
-            solid[tuple(np.array([1, 1, 1]) + step)] = True
-    return VoxelModel(occupied=solid)
-
-
 def quarter_turns() -> list[Int[np.ndarray, "3 3"]]:
     """The 24 rotations of a cube, the identity first."""
     signed = []
@@ -128,28 +118,6 @@ def quarter_turns() -> list[Int[np.ndarray, "3 3"]]:
             if round(np.linalg.det(matrix)) == 1:
                 signed.append(matrix)
     return sorted(signed, key=lambda m: -np.trace(m))
-
-
-def turned_slot(
-    rotation: Int[np.ndarray, "3 3"], orientation: int, configuration: int
-) -> tuple[int, int, int]:
-    """Where a rotated model finds a face again: (orientation, configuration, quarter turns).
-
-    The picture on the face has to be turned by so many quarters counter-clockwise (``numpy.rot90``)
-    to stand right in its new slot.
-    """
-    normal = rotation @ NORMALS[orientation]
-    new = int(np.flatnonzero((normal == NORMALS).all(1))[0])
-    steps = {tuple(step): i for i, step in enumerate(_neighbours(new))}
-    moved = 0
-    for i, step in enumerate(_neighbours(orientation)):
-        if configuration >> i & 1:
-            moved |= 1 << steps[tuple(rotation @ step)]
-    turned = rotation @ FORWARD[orientation]
-    # counter-clockwise from outside: forward, left, backward, right
-    circle = [FORWARD[new], -RIGHT[new], -FORWARD[new], RIGHT[new]]
-    quarters = next(q for q, step in enumerate(circle) if (step == turned).all())
-    return new, moved, quarters
 
 
 def _neighbours(orientation: int) -> list[Int[np.ndarray, " 3"]]:

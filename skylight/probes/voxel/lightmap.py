@@ -1,4 +1,4 @@
-"""The lightmap: a picture of shading for each of the 192 kinds of voxel faces.
+"""The lightmap: a square of shading, a slot, for each of the 192 kinds of voxel faces.
 
 As one image it is 12 rows of 16 slots: two rows for each orientation in the order of
 :data:`~skylight.probes.voxel.faces.ORIENTATIONS`, the first for configurations 0 to 15, the second
@@ -14,9 +14,9 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.imaging.atomic import atomic_path
-from skylight.imaging.bounded import load_arrays
 from skylight.imaging.colour import linear_to_srgb
+from skylight.io.atomic import atomic_path
+from skylight.io.bounded import load_arrays
 from skylight.probes.voxel.faces import CONFIGURATIONS, ORIENTATIONS
 
 SLOTS_ACROSS = 16

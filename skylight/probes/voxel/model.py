@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool
 
 from skylight.errors import InputError
-from skylight.imaging.atomic import atomic_path
-from skylight.imaging.bounded import file_bytes, load_array
+from skylight.io.atomic import atomic_path
+from skylight.io.bounded import file_bytes, load_array
 from skylight.transport.mesh import read_mesh
 
 _MOST_CELLS = 512**3

@@ -1,4 +1,4 @@
-"""Lightmaps completed: missing slots as combinations of captured ones."""
+"""Reconstruction of missing lightmap slots as linear combinations of captured ones."""
 
 from dataclasses import replace
 
@@ -20,8 +20,7 @@ from skylight.probes.voxel.subsets import sparse_combinations
 class SlotReconstruction(nn.Module):
     """A missing slot as ``sum_j weights[o, i, j] slot[o, j]`` over the known of its orientation.
 
-    Rows of known slots are rows of the identity. Weights are one small batched product away from
-    the completed lightmap.
+    ``weights`` (6,32,32), float64: rows of known slots are rows of the identity.
     """
 
     weights: Tensor
@@ -29,12 +28,13 @@ class SlotReconstruction(nn.Module):
 
     def __init__(self, weights: Float[Tensor, "6 32 32"], known: Bool[Tensor, "6 32"]) -> None:
         super().__init__()
-        self.register_buffer("weights", weights.float())
+        self.register_buffer("weights", weights.double())
         self.register_buffer("known", known)
 
-    def forward(self, radiance: Float[Tensor, "6 32 n n c"]) -> Float[Tensor, "6 32 n n c"]:
-        """Differentiable; what unknown slots hold does not matter, as long as it is finite."""
-        return (self.weights @ radiance.flatten(2).to(self.weights)).reshape(radiance.shape)
+    def forward(self, radiance: Float[Tensor, "*b 6 32 n n c"]) -> Float[Tensor, "*b 6 32 n n c"]:
+        """All slots from the known; what unknown ones hold does not matter if it is finite."""
+        slots = radiance.flatten(-3)
+        return (self.weights.to(slots.dtype) @ slots).reshape(radiance.shape)
 
     def complete(self, lightmap: Lightmap) -> Lightmap:
         """All 192 slots; light that comes out negative becomes 0."""
@@ -47,14 +47,9 @@ class SlotReconstruction(nn.Module):
             )
         return replace(lightmap, radiance=self(lightmap.radiance).clamp(min=0))
 
-    @property
-    def fetches(self) -> Tensor:
-        """Slots that each slot is made from (6, 32)."""
-        return (self.weights != 0).sum(2)
-
 
 class DirectReconstruction(SlotReconstruction):
-    """From the parts of the hemisphere that a face sees: exact for direct light.
+    """By the visible parts of the hemisphere: exact for direct light.
 
     ``argmin |v_u - V^T x|^2``, and among its solutions the one of fewest slots (thesis, Eq. 3.11
     and 3.12): the visibility vectors V of the known slots are exactly what matters, so a
@@ -70,7 +65,7 @@ class DirectReconstruction(SlotReconstruction):
 def combinations_of(
     rows: Float[Tensor, "6 32 d"], known: Bool[Tensor, "6 32"], *, cost: float
 ) -> Float[Tensor, "6 32 32"]:
-    """Weights of :class:`SlotReconstruction` from the vectors that slots are to agree in."""
+    """Weights of :class:`SlotReconstruction` that match vectors of the slots."""
     if not bool(known.any(1).all()):
         none = [ORIENTATIONS[o] for o in torch.nonzero(~known.any(1))[:, 0].tolist()]
         raise InputError(f"no slot of orientation {', '.join(none)} is known: capture those sides")
@@ -97,7 +92,7 @@ def _completing(
 
 
 def ranks(known: Bool[Tensor, "6 32"]) -> Int[Tensor, "6"]:
-    """Of each orientation's visibility vectors: 5 tell direct light completely."""
+    """Of each orientation's visibility vectors: with 5 direct light is exact."""
     vectors = visibility_vectors()
     return torch.stack([torch.linalg.matrix_rank(vectors[mine]) for mine in known])
 

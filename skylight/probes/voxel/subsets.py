@@ -1,4 +1,4 @@
-"""Least squares with as few terms as possible, by trying all subsets."""
+"""Sparse least squares with an L0 penalty, by exhaustive search over subsets."""
 
 from itertools import combinations
 from math import comb

@@ -1,1 +1,1 @@
-"""A light probe as the files of other programs: one module for each, each with its convention."""
+"""Environment maps as files of other programs, one module for each."""

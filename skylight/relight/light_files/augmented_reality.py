@@ -1,8 +1,8 @@
-"""ARCore's and ARKit's way to describe light: a main light, ambient harmonics, a cube map."""
+"""ARCore and ARKit: a main light, ambient harmonics and a cube map."""
 
 from pathlib import Path
 
-from skylight.imaging.files import write_json, write_light
+from skylight.io.files import write_json, write_light
 from skylight.relight.light_files.harmonics import rounded, second_degree
 from skylight.relight.main_light import split_main_light
 from skylight.sphere.cube_faces import FACES, cube_faces

@@ -1,9 +1,9 @@
-"""Blender: the map as an .hdr, and a script that makes it the world's light."""
+"""Blender: the map as an .hdr, and a script that loads it as the world."""
 
 from pathlib import Path
 
-from skylight.imaging.atomic import atomic_path
-from skylight.imaging.files import write_environment_map
+from skylight.io.atomic import atomic_path
+from skylight.io.files import write_environment_map
 from skylight.sphere.envmap import EnvironmentMap
 
 SCRIPT, TEXTURE = "load_light.py", "blender_light.hdr"

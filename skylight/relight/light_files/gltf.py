@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from skylight.imaging.atomic import atomic_path
-from skylight.imaging.rgbd import LARGEST, encode_rgbd
+from skylight.io.atomic import atomic_path
+from skylight.io.rgbd import LARGEST, encode_rgbd
 from skylight.relight.light_files.harmonics import rounded, second_degree
 from skylight.relight.prefilter import prefiltered_levels
 from skylight.sphere.cube_faces import FACES

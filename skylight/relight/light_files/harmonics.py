@@ -1,4 +1,4 @@
-"""Nine spherical harmonics of a light as 27 numbers, in a convention that the file names."""
+"""Nine spherical harmonic coefficients as JSON, in a named convention."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.imaging.files import write_json
+from skylight.io.files import write_json
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.harmonic_conventions import HarmonicConvention, to_convention
 from skylight.sphere.harmonics import project

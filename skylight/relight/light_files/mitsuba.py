@@ -1,9 +1,9 @@
-"""Mitsuba 3: a scene with the map as its light and three balls that show it."""
+"""Mitsuba 3: a scene of three balls lit by the map."""
 
 from pathlib import Path
 
-from skylight.imaging.atomic import atomic_path
-from skylight.imaging.files import write_environment_map
+from skylight.io.atomic import atomic_path
+from skylight.io.files import write_environment_map
 from skylight.sphere.envmap import EnvironmentMap
 
 SCENE, TEXTURE = "scene.xml", "mitsuba_light.exr"

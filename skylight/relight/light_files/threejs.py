@@ -1,10 +1,10 @@
-"""three.js: a ``LightProbe`` as its ObjectLoader reads it, and the map for its reflections."""
+"""three.js: a ``LightProbe`` for its ObjectLoader, and the map for reflections."""
 
 import json
 from pathlib import Path
 from uuid import NAMESPACE_URL, uuid5
 
-from skylight.imaging.files import write_environment_map, write_json
+from skylight.io.files import write_environment_map, write_json
 from skylight.relight.light_files.harmonics import rounded, second_degree
 from skylight.sphere.envmap import EnvironmentMap
 

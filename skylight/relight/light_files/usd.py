@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from skylight.imaging.atomic import atomic_path
-from skylight.imaging.files import write_environment_map
+from skylight.io.atomic import atomic_path
+from skylight.io.files import write_environment_map
 from skylight.sphere.envmap import EnvironmentMap
 
 LAYER, TEXTURE = "light.usda", "usd_light.exr"

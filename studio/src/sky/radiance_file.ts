@@ -1,4 +1,4 @@
-/** A flat Radiance RGBE file of a map (height x width x 3): mantissas rounded, as imaging/hdr.py. */
+/** A flat Radiance RGBE file of a map (height x width x 3): mantissas rounded, as io/hdr.py. */
 export function radianceFile(map: Float32Array, height: number, width: number): Blob {
   const bytes = new Uint8Array(4 * height * width);
   for (let pixel = 0; pixel < height * width; pixel++) {

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from skylight.imaging.files import write_environment_map
-from skylight.imaging.tensors import read_tensors
+from skylight.io.files import write_environment_map
+from skylight.io.tensors import read_tensors
 from skylight.skies.index import INDEX_NAME, SkyRecord, write_rows
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.training.config import AutoencoderConfig, config_yaml

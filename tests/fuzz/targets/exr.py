@@ -4,7 +4,7 @@ import numpy as np
 import OpenEXR
 import torch
 
-from skylight.imaging.files import read_environment_map, write_environment_map
+from skylight.io.files import read_environment_map, write_environment_map
 from skylight.skies.capture_dates import header_date
 from skylight.sphere.envmap import EnvironmentMap
 from tests.fuzz.files import as_file, written

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import torch
 
-from skylight.imaging.files import read_environment_map, write_environment_map
+from skylight.io.files import read_environment_map, write_environment_map
 from skylight.sphere.envmap import EnvironmentMap
 from tests.fuzz.files import as_file, written
 

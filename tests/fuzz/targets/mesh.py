@@ -2,7 +2,7 @@
 
 import trimesh
 
-from skylight.probes.partitions.scene_files import read_scene
+from skylight.probes.partitions.relight.scene_files import read_scene
 from skylight.transport.mesh import read_mesh
 from tests.fuzz.files import as_file, written
 

@@ -11,8 +11,8 @@ import numpy as np
 import torch
 
 from skylight.errors import InputError
-from skylight.probes.partitions.transfer import TransferCoefficients
-from skylight.probes.partitions.transfer_file import load_transfer, save_transfer
+from skylight.probes.partitions.relight.transfer import TransferCoefficients
+from skylight.probes.partitions.relight.transfer_file import load_transfer, save_transfer
 from skylight.probes.voxel.lightmap import Lightmap, load_lightmap
 from skylight.relight.runtime import relight
 from skylight.relight.scene_file import PrecomputedScene, load_scene

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 from PIL import ExifTags, Image
 
+from skylight.cameras.frames import read_picture
 from skylight.errors import SkylightError
 from skylight.imaging.photo import read_photo
-from skylight.probes.capture.frames import read_picture
 from tests.fuzz.files import as_file, clear, written
 
 _PNG = b"\x89PNG\r\n\x1a\n"

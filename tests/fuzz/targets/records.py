@@ -6,30 +6,31 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
+from skylight.cameras.board import Board, load_board, save_board
+from skylight.cameras.intrinsics import Intrinsics, load_intrinsics, save_intrinsics
+from skylight.cameras.response import Response, load_response, save_response
 from skylight.errors import InputError, SkylightError
-from skylight.imaging.collection import read_categories
-from skylight.imaging.files import write_json
-from skylight.probes.capture.board import Board, load_board, save_board
-from skylight.probes.capture.intrinsics import Intrinsics, load_intrinsics, save_intrinsics
-from skylight.probes.capture.response import Response, load_response, save_response
+from skylight.io.collection import read_categories
+from skylight.io.files import write_json
+from skylight.probes.partitions.captured.capture import load_capture
+from skylight.probes.partitions.captured.kernel_albedo import KernelAlbedo, read_albedo, save_albedo
 from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design import load_design, save_design
-from skylight.probes.partitions.designs import named_design
-from skylight.probes.partitions.halves import standing_rotation
-from skylight.probes.partitions.kernel_albedo import KernelAlbedo, read_albedo, save_albedo
-from skylight.probes.partitions.placement import (
-    StandingPartitions,
-    describe_standing_partitions,
-    load_standing_partitions,
+from skylight.probes.partitions.design.designs import named_design
+from skylight.probes.partitions.printed.assembly import (
+    PartitionAssembly,
+    load_partition_assembly,
 )
-from skylight.probes.partitions.samples import load_capture
-from skylight.probes.partitions.sizes import ProbeSizes
-from skylight.probes.voxel.placement import load_standing_probe
+from skylight.probes.partitions.printed.halves import standing_rotation
+from skylight.probes.partitions.printed.sizes import ProbeSizes
+from skylight.probes.partitions.seeds import load_design, save_design
+from skylight.probes.voxel.printed.assembly import load_voxel_assembly
 from skylight.relight.latent_file import read_latent
 from skylight.skies.capture_dates import read_days
 from skylight.skies.index import read_index
+from skylight.sphere.rigid_transform import RigidTransform
 from skylight.training.config import read_config
 from skylight.transport.object_camera import read_object_camera
 from tests.fuzz.files import PLACE, as_file, clear, written
@@ -40,8 +41,8 @@ _READERS: tuple[Callable[[Path], object], ...] = (
     load_response,
     load_design,
     load_capture,
-    load_standing_partitions,
-    load_standing_probe,
+    load_partition_assembly,
+    load_voxel_assembly,
     read_latent,
     read_index,
     read_days,
@@ -53,14 +54,14 @@ _READERS: tuple[Callable[[Path], object], ...] = (
 
 
 def seeds() -> list[bytes]:
-    design = named_design("6d")
-    cells = Cells.of(design)
+    cells = Cells.of(named_design("6d"))
     six = torch.eye(6, dtype=torch.float64)
-    standing = StandingPartitions(
-        design=design,
+    standing = PartitionAssembly(
+        cells=cells,
         sizes=ProbeSizes(),
-        rotation=standing_rotation(cells),
-        translation_mm=torch.tensor([90.0, 150.0, 60.0]).double().numpy(),
+        board_from_probe=RigidTransform.from_numpy(
+            standing_rotation(cells), np.array([90.0, 150.0, 60.0])
+        ),
         pole_mm=(90.0, 60.0, 3.0, 110.0),
         board_mm=(175.0, 125.0),
         response=six,
@@ -73,7 +74,7 @@ def seeds() -> list[bytes]:
         {"fov_deg": 36, "position": [3, 1.2, -2.6], "look_at": [0, 0, 0], "up": [0, 1, 0]},
         {"focal_px": 50.5, "center_px": [20, 15], "world_from_camera": torch.eye(4).tolist()},
         {"latent": [0.5] * 64, "exposure": 1.5, "ground_albedo": [0.1, 0.2, 0.3]},
-        describe_standing_partitions(standing),
+        standing.to_json(),
         {
             "kind": "voxel probe assembly", "format": 1, "cells": [[0, 0, 0], [1, 0, 0]],
             "voxel_mm": 20.0, "rotation": torch.eye(3).tolist(), "translation_mm": [0, 90, 0],
@@ -84,7 +85,8 @@ def seeds() -> list[bytes]:
             "kernel_albedo": [0.5, 0.5, 0.5], "cells": [cell, cell],
         },
     ]  # fmt: skip
-    curve = (torch.linspace(0, 1, 256).repeat(3, 1) ** 2).double().numpy()
+    curve = torch.linspace(0, 1, 256, dtype=torch.float64).repeat(3, 1) ** 2
+    power = Response(kind="curve", curve=curve.numpy())
     lens = {"width": 640, "height": 480, "fx": 500.0, "fy": 500.0, "cx": 320.0, "cy": 240.0}
     names = Intrinsics.__dataclass_fields__
     camera = Intrinsics(**{name: lens.get(name, 0.0) for name in names})  # type: ignore[arg-type]
@@ -98,9 +100,9 @@ def seeds() -> list[bytes]:
         *(json.dumps(each).encode() for each in plain),
         written("a.json", lambda path: save_board(path, Board())),
         written("a.json", lambda path: save_intrinsics(path, camera)),
-        written("a.json", lambda path: save_response(path, Response(kind="curve", curve=curve))),
+        written("a.json", lambda path: save_response(path, power)),
         written("a.json", lambda path: save_response(path, Response(kind="gamma", gamma=2.2))),
-        written("a.json", lambda path: save_design(path, design)),
+        written("a.json", lambda path: save_design(path, cells.design)),
         written("a.json", lambda path: save_albedo(path, albedo)),
         written("a.json", lambda path: write_json(path, [0.25] * 64)),
         index.encode(),

@@ -16,7 +16,7 @@ from PIL import Image
 from starlette.testclient import TestClient
 
 from skylight.errors import InputError
-from skylight.imaging.files import write_environment_map
+from skylight.io.files import write_environment_map
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.studio.application import make_application
 from skylight.studio.limits import Limits

@@ -6,7 +6,7 @@ import trimesh
 
 from skylight.probes.encoder.basis import SurfaceTransfer, surface_transfer
 from skylight.probes.encoder.points import surface_points
-from skylight.probes.partitions.scene import Scene
+from skylight.probes.partitions.relight.scene import Scene
 from skylight.sphere.grid import DirectionGrid
 
 GRID = DirectionGrid.latlong(16)

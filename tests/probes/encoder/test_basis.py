@@ -8,10 +8,10 @@ from skylight.errors import InputError
 from skylight.probes.encoder.basis import SurfaceTransfer, surface_transfer
 from skylight.probes.encoder.points import surface_points
 from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.designs import named_design
-from skylight.probes.partitions.receivers import Receivers
-from skylight.probes.partitions.scene import Scene
-from skylight.probes.partitions.transfer import TransferSampling, transfer_coefficients
+from skylight.probes.partitions.design.designs import named_design
+from skylight.probes.partitions.relight.receivers import Receivers
+from skylight.probes.partitions.relight.scene import Scene
+from skylight.probes.partitions.relight.transfer import TransferSampling, transfer_coefficients
 from skylight.sphere.grid import DirectionGrid
 from tests.probes.encoder.objects import GRID, lights, ring_and_ball, solid, transfer_of
 

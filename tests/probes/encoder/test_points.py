@@ -8,11 +8,9 @@ import trimesh
 from skylight.errors import InputError
 from skylight.probes.encoder.basis import SurfaceTransfer
 from skylight.probes.encoder.encoder import ObjectEncoder
-from skylight.probes.encoder.points import _pivots, choose_points, seen_by, surface_points
-from skylight.probes.partitions.scene import Scene
+from skylight.probes.encoder.points import _pivots, choose_points, surface_points
+from skylight.probes.partitions.relight.scene import Scene
 from skylight.sphere.grid import DirectionGrid
-from skylight.transport.camera import Camera
-from skylight.transport.object_camera import PlacedCamera
 from tests.probes.encoder.objects import GRID, ring_and_ball, solid, transfer_of
 
 
@@ -37,42 +35,6 @@ def test_points_are_spread_evenly_by_area():
     assert float(on_small.double().mean()) == pytest.approx(expected, abs=0.01)
     assert float(points[on_small].mean(0).norm()) < 0.03
     assert float((points[on_small].norm(dim=1) - 1).abs().max()) < 0.02
-
-
-def looking_down(height: float) -> PlacedCamera:
-    """From above the origin, +Y, at it."""
-    rotation = torch.tensor([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]).double()
-    return PlacedCamera(
-        camera=Camera(focal_px=100.0, width=100, height=100, center_px=(50.0, 50.0)),
-        rotation=rotation,
-        position=torch.tensor([0, height, 0]).double(),
-    )
-
-
-def test_a_camera_sees_what_is_in_its_picture_and_not_hidden():
-    ball = solid(trimesh.creation.icosphere(5))
-    points = surface_points(ball, 4000, torch.Generator().manual_seed(0))
-    height = points.positions[:, 1]
-    seen = seen_by(points, [looking_down(4.0)], ball)
-    # where the way to the camera leaves the ball at a sine of 0.15 or more
-    way = torch.tensor([0.0, 4, 0]).double() - points.positions
-    facing = (way * points.positions).sum(1) / way.norm(dim=1)
-    assert bool(seen[facing > 0.17].all())
-    assert not bool(seen[facing < 0.13].any())
-    # half above the ball, the picture ends before the outline: tan is 1/2 at its sides
-    near = seen_by(points, [looking_down(1.5)], ball)
-    inside = points.positions[:, [0, 2]].abs().amax(1) < 0.5 * (1.5 - height)
-    assert torch.equal(near[height > 0.75], inside[height > 0.75])
-    assert not bool(near[height < 0.65].any())
-    roof = trimesh.creation.box((1, 0.1, 1))
-    roof.apply_translation([0, 2, 0])
-    covered = seen_by(points, [looking_down(4.0)], Scene.joined([ball, solid(roof)]))
-    assert not bool(covered[height > 0.95].any())
-    # what lies behind the camera hides nothing
-    assert torch.equal(seen_by(points, [looking_down(1.8)], Scene.joined([ball, solid(roof)])),
-                       seen_by(points, [looking_down(1.8)], ball))  # fmt: skip
-    both = seen_by(points, [looking_down(4.0), looking_down(1.5)], ball)
-    assert torch.equal(both, seen | near)
 
 
 def test_pivots_are_those_of_lapack(candidates):
@@ -119,6 +81,10 @@ def test_few_points_are_chosen_almost_as_well_as_by_trying_all(candidates):
     assert float(mine) <= 1.1 * float(traces.min())
 
 
+def condition(encoder: ObjectEncoder) -> float:
+    return float(torch.linalg.cond(encoder.gram).amax().sqrt())
+
+
 @pytest.mark.parametrize("count", [9, 14, 25])
 def test_chosen_points_beat_random_ones_in_conditioning(candidates, count):
     chosen = ObjectEncoder(candidates.at(choose_points(candidates, count)))
@@ -129,9 +95,9 @@ def test_chosen_points_beat_random_ones_in_conditioning(candidates, count):
         )
         for _ in range(9)
     ]
-    conditions = sorted(encoder.condition for encoder in random)
-    assert chosen.condition < 0.5 * conditions[4]
-    assert chosen.condition < conditions[0]
+    conditions = sorted(condition(encoder) for encoder in random)
+    assert condition(chosen) < 0.5 * conditions[4]
+    assert condition(chosen) < conditions[0]
 
 
 def test_what_is_chosen_for_relighting_relights_best(candidates):
@@ -142,8 +108,8 @@ def test_what_is_chosen_for_relighting_relights_best(candidates):
     truth = body.shading(light)
 
     def error(points) -> float:
-        encoder = ObjectEncoder(candidates.at(points), noise=0.01)
-        shading = encoder.encode(light)
+        encoder = ObjectEncoder(candidates.at(points), noise=0.01).requires_grad_(False)
+        shading = encoder(light)
         disturbance = torch.randn(shading.shape, generator=generator, dtype=torch.float64)
         decoded = encoder.decode(shading + 0.01 * shading.square().mean().sqrt() * disturbance)
         return float((body.shading(decoded) - truth).square().mean().sqrt())

@@ -8,12 +8,12 @@ import torch
 import trimesh
 
 from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.composite import StandingScene, board_transfer
-from skylight.probes.partitions.designs import named_design
-from skylight.probes.partitions.ground import Ground
-from skylight.probes.partitions.refine import refined
-from skylight.probes.partitions.scene import Scene
-from skylight.probes.partitions.transfer import TransferSampling
+from skylight.probes.partitions.design.designs import named_design
+from skylight.probes.partitions.relight.composite import SceneOnBoard, board_transfer
+from skylight.probes.partitions.relight.ground import Ground
+from skylight.probes.partitions.relight.refine import refined
+from skylight.probes.partitions.relight.scene import Scene
+from skylight.probes.partitions.relight.transfer import TransferSampling
 from tests.probes.partitions.shapes import solid
 
 F64 = torch.float64
@@ -46,7 +46,7 @@ def fourteen() -> Cells:
 
 def standing(
     scene: Scene, rotation: torch.Tensor = STILL, *, rays: int = 32, bounces: int = 2, **real
-) -> StandingScene:
+) -> SceneOnBoard:
     ground = Ground.under(scene)
     transfer = board_transfer(
         Path(mkdtemp()) / "t.npz",
@@ -56,9 +56,9 @@ def standing(
         rotation,
         sampling=TransferSampling(rays=rays, bounces=bounces),
     )
-    return StandingScene(scene, ground, transfer, fourteen(), rotation, **real)
+    return SceneOnBoard(scene, ground, transfer, fourteen(), rotation, **real)
 
 
 @cache
-def box_on_board() -> StandingScene:
+def box_on_board() -> SceneOnBoard:
     return standing(box(), rays=128)

@@ -6,11 +6,12 @@ from itertools import product
 import numpy as np
 import torch
 
-from skylight.probes.capture.intrinsics import FLIP, Intrinsics
-from skylight.probes.capture.pose import Pose
-from skylight.probes.partitions.placement import PlacedPartitions
+from skylight.cameras.intrinsics import FLIP, Intrinsics
+from skylight.cameras.view import camera_centre
+from skylight.probes.partitions.printed.assembly import PlacedPartitions
+from skylight.sphere.rigid_transform import RigidTransform
 from skylight.transport.raycast import Raycaster
-from tests.probes.capture.scenes import rays_through, shrink
+from tests.cameras.scenes import rays_through, shrink
 
 Shine = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """(cells (m,), points (m,3)) -> radiance (m,3)."""
@@ -46,17 +47,18 @@ def picture_of_faces(
     probe: PlacedPartitions,
     shine: Shine,
     lens: Intrinsics,
-    pose: Pose,
+    pose: RigidTransform,
     behind: np.ndarray | None = None,
 ) -> np.ndarray:
     """Linear light (h,w,3): shining faces, dark walls, and what is behind, as linear light too."""
-    rays = rays_through(lens) @ FLIP @ pose.rotation
-    start = torch.from_numpy(pose.position).expand(len(rays), 3)
+    rays = rays_through(lens) @ FLIP @ pose.rotation.numpy()
+    eye = camera_centre(pose)
+    start = torch.from_numpy(eye).expand(len(rays), 3)
     hits = Raycaster(torch.from_numpy(probe.vertices), torch.from_numpy(probe.triangles)).intersect(
         start, torch.from_numpy(rays)
     )
     there = hits.face.numpy() >= 0
-    points = pose.position + hits.distance.numpy()[there, None] * rays[there]
+    points = eye + hits.distance.numpy()[there, None] * rays[there]
     above = np.einsum("mnc,nc->mn", points[:, None] - probe.face_centres, probe.normals)
     # a point outside of the kernel is above one of its faces
     on_face, cells = np.abs(above.max(1)) < 1e-3, above.argmax(1)
@@ -70,10 +72,10 @@ def picture_of_faces(
     return shining + empty * (0.1 if behind is None else behind)
 
 
-def looking_from(towards: np.ndarray, target: np.ndarray, distance_mm: float) -> Pose:
+def looking_from(towards: np.ndarray, target: np.ndarray, distance_mm: float) -> RigidTransform:
     """A camera upright in a direction from what it looks at."""
     back = towards / np.linalg.norm(towards)
     right = np.cross([0.0, 1.0, 0.0], back)
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(back, right), back])
-    return Pose(rotation=rotation, translation=-rotation @ (target + distance_mm * back))
+    return RigidTransform.from_numpy(rotation, -rotation @ (target + distance_mm * back))

@@ -5,9 +5,9 @@ import torch
 import trimesh
 
 from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design import ProbeDesign
-from skylight.probes.partitions.refine import refined
-from skylight.probes.partitions.scene import Scene
+from skylight.probes.partitions.relight.refine import refined
+from skylight.probes.partitions.relight.scene import Scene
+from skylight.probes.partitions.seeds import ProbeDesign
 
 QUAD = torch.tensor([[0, 1, 2], [0, 2, 3]])
 AXES = torch.cat([torch.eye(3), -torch.eye(3)]).double()

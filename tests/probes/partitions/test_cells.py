@@ -7,8 +7,8 @@ import torch
 
 from skylight.errors import InputError
 from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design import ProbeDesign
-from skylight.probes.partitions.designs import design_names, named_design
+from skylight.probes.partitions.design.designs import design_names, named_design
+from skylight.probes.partitions.seeds import ProbeDesign
 from skylight.sphere.grid import DirectionGrid
 
 CUBE = torch.cat([torch.eye(3), -torch.eye(3)]).double()

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.designs import named_design
+from skylight.probes.partitions.design.designs import named_design
 from skylight.probes.partitions.picture import cell_colours, draw_cells
 
 

@@ -4,14 +4,15 @@ import math
 
 import pytest
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.autograd import gradcheck
+from torch.func import functional_call
 
 from skylight.errors import InputError
 from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design import ProbeDesign
-from skylight.probes.partitions.designs import named_design
+from skylight.probes.partitions.design.designs import named_design
 from skylight.probes.partitions.probe import PartitionProbe
+from skylight.probes.partitions.seeds import ProbeDesign
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.grid import DirectionGrid
 
@@ -34,7 +35,7 @@ def test_uniform_light_gives_the_exact_form_factor(name: str) -> None:
     gathered = cells.clamped_cosine(cells.normals).diagonal()
     expected = RGB / math.pi * gathered[:, None] * 2.5
     radiance = torch.full((1, len(GRID), 3), 2.5).double()
-    torch.testing.assert_close(probe.encode(radiance, GRID)[0], expected, rtol=1e-12, atol=0)
+    torch.testing.assert_close(probe(radiance, GRID)[0], expected, rtol=1e-12, atol=0)
     environment = EnvironmentMap(radiance=torch.full((32, 64, 3), 2.5))
     torch.testing.assert_close(probe.encode_map(environment), expected.float(), rtol=1e-6, atol=0)
 
@@ -43,7 +44,7 @@ def test_uniform_light_gives_the_exact_form_factor(name: str) -> None:
 def test_decoded_shading_encodes_to_itself(name: str) -> None:
     probe = probe_of(name, RGB)
     shading = random(2, probe.cells.count, 3)
-    again = probe.encode(probe.decode(shading, GRID), GRID)
+    again = probe(probe.decode(shading, GRID), GRID)
     torch.testing.assert_close(again, shading, rtol=1e-12, atol=0)
 
 
@@ -51,7 +52,7 @@ def test_light_of_the_cells_comes_back() -> None:
     """Eq. 4.4 to 4.6 on radiance that is constant in each cell."""
     probe = probe_of("14d")
     light = random(1, 14, 3)
-    shading = probe.encode(light[:, probe.cells.cell_of(GRID.directions)], GRID)
+    shading = probe(light[:, probe.cells.cell_of(GRID.directions)], GRID)
     torch.testing.assert_close(probe.light(shading), light, rtol=1e-12, atol=0)
     torch.testing.assert_close(shading * probe.weights, light, rtol=1e-12, atol=0)
 
@@ -62,7 +63,7 @@ def test_a_lamp_gives_its_cosine_to_its_own_face_alone() -> None:
     lamp = int((grid.directions @ torch.tensor([0.6, 0.7, 0.2]).double()).argmax())
     radiance = torch.zeros(1, len(grid), 3).double()
     radiance[0, lamp] = 100.0
-    shading = probe.encode(radiance, grid)[0, :, 0]
+    shading = probe(radiance, grid)[0, :, 0]
     direction, angle = grid.directions[lamp], grid.solid_angles[lamp]
     face = int(probe.cells.cell_of(direction[None]))
     expected = 0.5 / math.pi * float(probe.cells.normals[face] @ direction * angle) * 100
@@ -75,9 +76,9 @@ def test_maps_are_shared_between_cells_within_their_pixels() -> None:
     probe = probe_of("14d")
     coarse = EnvironmentMap(radiance=random(16, 32, 3).float())
     fine = coarse.radiance.repeat_interleave(64, 0).repeat_interleave(64, 1).reshape(1, -1, 3)
-    expected = probe.encode(fine, DirectionGrid.latlong(1024))[0]
+    expected = probe(fine, DirectionGrid.latlong(1024))[0]
     torch.testing.assert_close(probe.encode_map(coarse), expected, rtol=0.01, atol=0)
-    nearest = probe.encode(coarse.flat[None], coarse.grid)[0]
+    nearest = probe(coarse.flat[None], coarse.grid)[0]
     assert float((nearest - expected).abs().max()) > 3 * float(
         (probe.encode_map(coarse) - expected).abs().max()
     )
@@ -97,7 +98,7 @@ def test_projecting_on_the_basis_is_encoding() -> None:
     """Eq. 4.20: coefficients are the shading."""
     probe, radiance = probe_of("14d", RGB), random(1, len(GRID), 3)
     coefficients = torch.einsum("ndk,dk,d->nk", probe.basis(GRID), radiance[0], GRID.solid_angles)
-    torch.testing.assert_close(coefficients, probe.encode(radiance, GRID)[0])
+    torch.testing.assert_close(coefficients, probe(radiance, GRID)[0])
 
 
 @pytest.mark.parametrize(("name", "tolerance"), [("14d", 0.005), ("110d", 0.05)])
@@ -118,7 +119,7 @@ def test_faces_without_walls_gather_more_by_a_known_factor() -> None:
     bare = probe.unpartitioned(radiance, GRID)
     torch.testing.assert_close(bare, torch.full_like(bare, 2.1), rtol=1e-12, atol=0)
     corrected = bare * probe.correction[:, None]
-    torch.testing.assert_close(corrected, probe.encode(radiance, GRID), rtol=1e-12, atol=0)
+    torch.testing.assert_close(corrected, probe(radiance, GRID), rtol=1e-12, atol=0)
 
 
 def test_bare_faces_show_irradiance() -> None:
@@ -133,7 +134,7 @@ def test_measured_walls_are_undone() -> None:
     response = torch.diag(0.8 * cells.facing) + 0.02 * cells.neighbours
     probe = PartitionProbe(cells, torch.linspace(0.5, 0.9, 14).double()[:, None], response=response)
     light = random(1, 14, 3)
-    shading = probe.encode(light[:, cells.cell_of(GRID.directions)], GRID)
+    shading = probe(light[:, cells.cell_of(GRID.directions)], GRID)
     torch.testing.assert_close(probe.light(shading), light, rtol=1e-10, atol=0)
     expected = torch.linspace(0.5, 0.9, 14).double()[:, None] / math.pi * (response @ light[0])
     torch.testing.assert_close(shading[0], expected, rtol=1e-10, atol=0)
@@ -143,24 +144,83 @@ def test_measured_walls_are_undone() -> None:
 
 def test_encoding_and_decoding_have_gradients() -> None:
     probe, grid = probe_of("6d"), DirectionGrid.latlong(6)
-    radiance = random(1, len(grid), 3).requires_grad_()
-    assert gradcheck(lambda x: probe.decode(probe.encode(x, grid) ** 2, grid), radiance)
+    radiance, albedo = random(1, len(grid), 3).requires_grad_(), probe.albedo
+
+    def told(radiance: Tensor, albedo: Tensor) -> Tensor:
+        module = _Told(probe, grid)
+        return functional_call(module, {"probe.albedo": albedo}, (radiance,))
+
+    assert gradcheck(told, (radiance, albedo))
 
 
-def test_a_probe_in_single_precision_works_too() -> None:
-    probe, shading = probe_of("6d", RGB), random(1, 6, 3).float()
-    expected = probe.decode(shading, GRID)
-    again = probe.float().encode(probe.decode(shading, GRID), GRID)
-    assert expected.dtype == again.dtype == torch.float32
-    torch.testing.assert_close(again, shading, rtol=1e-5, atol=0)
+class _Told(nn.Module):
+    def __init__(self, probe: PartitionProbe, grid: DirectionGrid) -> None:
+        super().__init__()
+        self.probe, self.grid = probe, grid
+
+    def forward(self, radiance: Tensor) -> Tensor:
+        return self.probe.decode(self.probe(radiance, self.grid) ** 2, self.grid)
+
+
+def test_lights_of_any_leading_shape_are_each_by_itself() -> None:
+    probe, radiance = probe_of("14d", RGB), random(2, 3, len(GRID), 3)
+    shading = probe(radiance, GRID)
+    whole = probe.decode(shading, GRID), probe.unpartitioned(radiance, GRID)
+    for i, j in [(0, 1), (1, 2)]:
+        torch.testing.assert_close(shading[i, j], probe(radiance[i, j], GRID))
+        torch.testing.assert_close(whole[0][i, j], probe.decode(shading[i, j], GRID))
+        torch.testing.assert_close(whole[1][i, j], probe.unpartitioned(radiance[i, j], GRID))
+
+
+def test_what_follows_from_the_albedo_follows_its_changes() -> None:
+    """After an optimiser's step, and after loading it, as in a fresh probe."""
+    probe, light = probe_of("14d"), random(len(GRID), 3)
+    probe(light, GRID)
+    optimiser = torch.optim.Adam(probe.parameters(), lr=0.05)
+    probe(light, GRID).sum().backward()
+    optimiser.step()
+    assert float(probe.albedo.max()) < 0.76
+    fresh, loaded = probe_of("14d", probe.albedo.detach()), probe_of("14d", 0.3)
+    loaded.load_state_dict(probe.state_dict())
+    assert set(probe.state_dict()) == {"albedo"}
+    for same in (probe, loaded):
+        torch.testing.assert_close(same(light, GRID), fresh(light, GRID))
+        torch.testing.assert_close(same.weights, fresh.weights)
+        shading = random(14, 3)
+        torch.testing.assert_close(same.decode(shading, GRID), fresh.decode(shading, GRID))
+
+
+def test_a_measured_response_is_part_of_the_state() -> None:
+    cells = Cells.of(named_design("14d"))
+    responses = [torch.diag(share * cells.facing) + 0.02 * cells.neighbours for share in (0.8, 0.9)]
+    first, second = (PartitionProbe(cells, response=response) for response in responses)
+    shading = random(14, 3)
+    second.load_state_dict(first.state_dict())
+    torch.testing.assert_close(second.light(shading), first.light(shading), rtol=0, atol=0)
+    with pytest.raises(RuntimeError, match="response"):
+        PartitionProbe(cells).load_state_dict(first.state_dict())
+
+
+def test_precision_and_device_are_those_of_the_light(device: torch.device) -> None:
+    radiance = random(2, len(GRID), 3)
+    expected = probe_of("6d", RGB)(radiance, GRID).to(device)
+    probe = probe_of("6d", RGB).to(device)
+    shading = probe(radiance.float().to(device), GRID)
+    assert shading.dtype == probe.decode(shading, GRID).dtype == torch.float32
+    torch.testing.assert_close(shading, expected.float())
+    torch.testing.assert_close(
+        probe.float()(radiance.to(device), GRID), expected, rtol=1e-5, atol=0
+    )
+    torch.testing.assert_close(probe.double().decode(probe(radiance.to(device), GRID), GRID),
+                               probe.decode(expected, GRID), rtol=1e-5, atol=0)  # fmt: skip
 
 
 def test_what_cannot_be_encoded_is_refused() -> None:
     probe = probe_of("110d")
     with pytest.raises(InputError, match="finer grid"):
-        probe.encode(random(1, 32, 3), DirectionGrid.latlong(4))
+        probe(random(1, 32, 3), DirectionGrid.latlong(4))
     with pytest.raises(InputError, match="only a part"):
-        probe.encode(random(1, 64, 3), DirectionGrid.sky(4))
+        probe(random(1, 64, 3), DirectionGrid.sky(4))
     with pytest.raises(InputError, match="ground first"):
         probe.encode_map(EnvironmentMap(radiance=random(8, 32, 3)))
 

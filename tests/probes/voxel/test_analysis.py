@@ -13,8 +13,8 @@ from skylight.probes.voxel.analysis import (
     residuals,
     residuals_by_occluders,
 )
+from skylight.probes.voxel.interreflection.transfer import slot_transfer
 from skylight.probes.voxel.model import VoxelModel, star_probe
-from skylight.probes.voxel.transfer import slot_transfer
 
 THREE_PROBE = torch.tensor([[0, 1, 2, 4, 8]])
 

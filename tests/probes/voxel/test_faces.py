@@ -14,13 +14,12 @@ from skylight.probes.voxel.faces import (
     ORIENTATIONS,
     RIGHT,
     exposed_faces,
-    minimal_geometry,
     quarter_turns,
-    turned_slot,
     visibility_vectors,
 )
 from skylight.probes.voxel.model import VoxelModel, star_probe
 from skylight.transport.raycast import Raycaster
+from tests.probes.voxel.shapes import face_among
 
 GRIDS = st.integers(1, 2**27 - 1).map(
     lambda bits: VoxelModel(
@@ -51,14 +50,11 @@ def test_the_three_probe_has_the_five_configurations_of_table_3_1() -> None:
     ]
 
 
-@pytest.mark.parametrize("configuration", range(CONFIGURATIONS))
-def test_minimal_geometries_have_their_configuration(configuration: int) -> None:
-    model = minimal_geometry(configuration)
-    assert len(model) == 1 + configuration.bit_count()
-    faces = exposed_faces(model)
-    up = ORIENTATIONS.index("+y")
-    here = (faces.orientation == up) & (faces.cells == torch.tensor([1, 0, 1])).all(1)
-    assert faces.configuration[here].tolist() == [configuration]
+@pytest.mark.parametrize("orientation", range(6))
+def test_neighbours_of_the_front_cell_are_the_bits_of_the_configuration(orientation: int) -> None:
+    for configuration in range(CONFIGURATIONS):
+        faces, number = face_among(orientation, configuration)
+        assert int(faces.configuration[number]) == configuration
 
 
 @given(GRIDS)
@@ -108,41 +104,6 @@ def test_a_cube_has_24_rotations() -> None:
     assert len({t.tobytes() for t in turns}) == 24
     assert (turns[0] == np.eye(3)).all()
     assert all(round(np.linalg.det(t)) == 1 for t in turns)
-
-
-@pytest.mark.parametrize("number", range(24))
-def test_slots_permute_when_a_model_is_turned(number: int) -> None:
-    """Each face of a lopsided model, texel by texel, in the slot that was foretold."""
-    rotation = quarter_turns()[number]
-    slots = {turned_slot(rotation, o, c)[:2] for o in range(6) for c in range(CONFIGURATIONS)}
-    assert len(slots) == 6 * CONFIGURATIONS
-    bits = np.random.default_rng(number).random((3, 3, 3)) < 0.5
-    cells = np.argwhere(bits)
-    moved = cells @ rotation.T
-    low = moved.min(0)
-    solid = np.zeros(moved.max(0) - low + 1, bool)
-    solid[tuple((moved - low).T)] = True
-    before = exposed_faces(VoxelModel(occupied=bits))
-    after = exposed_faces(VoxelModel(occupied=solid))
-    turn = torch.from_numpy(rotation).double()
-    # cells turn about their centres
-    shift = torch.from_numpy(0.5 - low) - turn @ torch.full((3,), 0.5, dtype=torch.float64)
-    found = {
-        (tuple(cell), o): i
-        for i, (cell, o) in enumerate(
-            zip(after.cells.tolist(), after.orientation.tolist(), strict=True)
-        )
-    }
-    texels = before.points(3) @ turn.T + shift
-    for i in range(len(before)):
-        o, c, quarters = turned_slot(
-            rotation, int(before.orientation[i]), int(before.configuration[i])
-        )
-        cell = tuple((rotation @ before.cells[i].numpy() - low).tolist())
-        j = found[cell, o]
-        assert int(after.configuration[j]) == c
-        moved_texels = torch.rot90(texels[i], quarters)
-        torch.testing.assert_close(moved_texels, after.points(3)[j])
 
 
 def test_names_of_occluders_are_in_the_order_of_their_bits() -> None:

@@ -29,10 +29,15 @@ def known_of(size: int) -> torch.Tensor:
     return known
 
 
+def terms(module: SlotReconstruction) -> torch.Tensor:
+    """Of how many slots each one is a combination."""
+    return (module.weights != 0).sum(2)
+
+
 def test_three_probe_gives_the_rule_of_the_ceiling() -> None:
     """Eq. 3.18: v_top = 4 v_0 - v_left - v_right - v_forward - v_backward."""
     weights = DirectReconstruction(known_of(3)).weights
-    expected = torch.zeros(32)
+    expected = torch.zeros(32, dtype=F64)
     expected[0] = 4
     expected[[LEFT, RIGHT, FORWARD, BACKWARD]] = -1
     for o in range(6):
@@ -58,17 +63,17 @@ def test_light_that_neighbours_alone_shadow_is_completed_exactly(size: int) -> N
     captured = torch.where(known[..., None, None, None], true, 7.0)
     module = DirectReconstruction(known)
     torch.testing.assert_close(module(captured), true, atol=2e-5, rtol=2e-5)
-    assert int(module.fetches.max()) <= 5
-    assert (module.fetches[known] == 1).all()
+    assert int(terms(module).max()) <= 5
+    assert (terms(module)[known] == 1).all()
 
 
-def test_more_known_slots_need_no_more_fetches() -> None:
-    few, many = (DirectReconstruction(known_of(n)).fetches.sum() for n in (3, 7))
+def test_more_known_slots_need_no_more_terms() -> None:
+    few, many = (terms(DirectReconstruction(known_of(n))).sum() for n in (3, 7))
     assert int(many) <= int(few)
 
 
 def test_gradients_flow_to_the_captured_light() -> None:
-    module = DirectReconstruction(known_of(3)).double()
+    module = DirectReconstruction(known_of(3))
     light = random(6, 32, 2, 2, 1).requires_grad_()
     assert gradcheck(module, (light,))
 
@@ -132,9 +137,20 @@ def test_more_rows_than_can_be_tried_are_combined_six_at_most() -> None:
     assert ((found != 0).sum(1) == 6).all()
 
 
-def test_weights_are_applied_per_orientation() -> None:
-    weights = random(6, 32, 32)
-    light = random(6, 32, 3, 3, 3)
+def test_weights_are_applied_per_orientation_to_lightmaps_of_any_leading_shape() -> None:
+    weights, light = random(6, 32, 32), random(2, 4, 6, 32, 3, 3, 3)
     module = SlotReconstruction(weights, torch.ones(6, 32, dtype=torch.bool))
-    expected = torch.einsum("oij,ojxyc->oixyc", weights, light)
-    torch.testing.assert_close(module(light.float()).double(), expected, atol=1e-4, rtol=1e-4)
+    expected = torch.einsum("oij,abojxyc->aboixyc", weights, light)
+    torch.testing.assert_close(module(light), expected)
+    assert module(light.float()).dtype == torch.float32
+
+
+def test_weights_and_known_slots_are_the_state(device: torch.device) -> None:
+    module, light = DirectReconstruction(known_of(5)).to(device), random(6, 32, 2, 2, 3).to(device)
+    other = DirectReconstruction(known_of(3)).to(device)
+    assert not torch.allclose(other(light), module(light))
+    other.load_state_dict(module.state_dict())
+    assert set(module.state_dict()) == {"weights", "known"}
+    assert torch.equal(other.known, module.known)
+    torch.testing.assert_close(other(light), module(light), rtol=0, atol=0)
+    torch.testing.assert_close(other.float()(light), module(light), rtol=1e-5, atol=1e-5)

@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 
 import torch
 
-from skylight.imaging.files import write_environment_map
+from skylight.io.files import write_environment_map
 from skylight.sphere.envmap import EnvironmentMap
 
 if TYPE_CHECKING:

@@ -17,10 +17,10 @@ from jaxtyping import Float
 from PIL import Image
 
 from skylight.imaging.colour import linear_to_srgb
-from skylight.imaging.files import write_environment_map
-from skylight.imaging.hdr import read_linear
+from skylight.io.files import write_environment_map
+from skylight.io.hdr import read_linear
+from skylight.models.bundle import load_bundle
 from skylight.models.ground import LambertianGround
-from skylight.models.shipped import autoencoder_light
 from skylight.relight.latent_file import read_latent
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import direction_from_angles
@@ -166,7 +166,7 @@ def test_the_decoded_sky_is_torchs(sky: "Page", studio_sky: dict[str, Any], tmp_
     assert read.ground_albedo == pytest.approx((0.35,) * 3, abs=1e-6)
     params = torch.tensor([[*read.z.tolist(), read.azimuth_rad]])
     with torch.no_grad():
-        upper = autoencoder_light().radiance(params)
+        upper = load_bundle().light()(params)
     full = LambertianGround().append(upper, torch.tensor([read.ground_albedo]))
     truth = full.reshape(64, 128, 3).numpy()
     written = read_linear(map_)

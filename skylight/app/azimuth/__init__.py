@@ -1,0 +1,1 @@
+"""The azimuth between light probes and photographs of faces."""

@@ -1,0 +1,1 @@
+"""Camera calibration, photographs of boards, video and exposures; files to files."""

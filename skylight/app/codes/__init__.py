@@ -1,0 +1,1 @@
+"""Sparse codes of environment maps: encoding, decoding and a figure; files to files."""

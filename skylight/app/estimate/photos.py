@@ -1,0 +1,244 @@
+"""Photographs in any form in, the light they were taken in out."""
+
+import os
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from skylight.app.estimate.types import PhotoEstimate, SeenFace
+from skylight.errors import InputError
+from skylight.faces.fit import FaceFit
+from skylight.faces.landmarks import FaceLandmarker, LandmarkerName
+from skylight.faces.model import HeadModel
+from skylight.faces.observe import SKIN_GLOSS, observe_face
+from skylight.faces.photographs import (
+    FoundFace,
+    HeadName,
+    WhichFaces,
+    choose_landmarker,
+    find_faces,
+    fit_visible,
+)
+from skylight.imaging.colour import Decode
+from skylight.imaging.photo import Photo, photo_from_codes, read_photo
+from skylight.inverse.estimate import Model, light_problem
+from skylight.inverse.result import Estimate
+from skylight.models.names import LightName
+from skylight.work.progress import Progress, StageProgress
+
+STAGES = ("finding the face", "fitting the head", "tracing light", "estimating the light")
+KEPT_ROWS = 16  # of the transport of several faces, once the solver has taken what it needs
+Image = str | Path | Photo | UInt8[np.ndarray, "h w 3"]
+
+
+def estimate(
+    image: Image,
+    *more: Image,
+    light: LightName = "autoencoder",
+    model: Model | None = None,
+    face: WhichFaces = 1,
+    head: HeadName = "fitted",
+    decode: Decode | None = None,
+    device: str = "auto",
+    landmarks: LandmarkerName | FaceLandmarker = "dlib",
+    landmark_model: str | Path | None = None,
+    progress: StageProgress | None = None,
+) -> Estimate:
+    """The light in which a face was photographed, or several.
+
+    Faces, heads, transport, one light: thesis, chapter 5, with a data term for each face. Cameras
+    are taken to be level (their up is the world's up) and, where there are several, to look the
+    same way. Each photograph has its own exposure, each face its own albedo and gloss.
+
+    Parameters
+    ----------
+    image, more
+        A picture's path, its 8-bit codes (h, w, 3), or a :class:`~skylight.imaging.photo.Photo`.
+        Several pictures share their light.
+    light
+        The light model: "autoencoder" (learnt skies), "sunsky" (Preetham's sky and a sun), "sh9"
+        or "sh25" (spherical harmonics up to degree 2 or 4).
+    model
+        A trained model of your own, or its folder, in place of the one that comes with skylight:
+        the network of "autoencoder", or the prior of "sunsky". ``skylight train`` makes them.
+    face
+        Which face of each picture, counted from 1, the largest; or "all", under one light.
+    head
+        "fitted": the morphable model's head. "deformed": that head bent by bounded biharmonic
+        weights until its inner landmarks are where they were detected, as in the thesis; better
+        only with landmarks that are exact to a millimetre.
+    decode
+        How values encode light: "srgb", "linear" or the exponent of a power law; None for what
+        the file says. Not for a ``Photo``, which is decoded already.
+    device
+        Where the light is optimised: "cpu", "cuda", or "auto" for CUDA where it is.
+    landmarks, landmark_model
+        What finds the face: "dlib", "mediapipe" with the ``.task`` file of MediaPipe's face
+        landmarker, which is free for commercial use, or a
+        :class:`~skylight.faces.landmarks.FaceLandmarker` of your own.
+    progress
+        Called with the name of a stage and the share of it that is done.
+
+    Returns
+    -------
+    Estimate
+        ``environment`` is the light as a 64 x 128 map in the camera's frame: its centre is where
+        the camera looks (-Z), +X is the picture's right, +Y up.
+
+    Raises
+    ------
+    InputError
+        No face can be used; the message says why and what to do. Faces turned away by more than
+        60 degrees, those too small, and photographs without the wanted face are left out where
+        others remain; a line of ``advice`` names each.
+    """
+    return estimate_photo(
+        image,
+        *more,
+        light=light,
+        model=model,
+        face=face,
+        head=head,
+        decode=decode,
+        device=device,
+        landmarks=landmarks,
+        landmark_model=landmark_model,
+        progress=progress,
+    ).estimate
+
+
+def estimate_photo(
+    image: Image,
+    *more: Image,
+    light: LightName = "autoencoder",
+    model: Model | None = None,
+    face: WhichFaces = 1,
+    head: HeadName = "fitted",
+    decode: Decode | None = None,
+    device: str = "auto",
+    landmarks: LandmarkerName | FaceLandmarker = "dlib",
+    landmark_model: str | Path | None = None,
+    names: Sequence[str] | None = None,
+    workers: int | None = None,
+    progress: StageProgress | None = None,
+) -> PhotoEstimate:
+    """:func:`estimate` with everything on the way: faces, heads, pixels, seconds.
+
+    ``names`` are what errors and results call the pictures; by default their paths. ``workers``
+    are the processes that trace light, one per core where None.
+
+    Memory: for a sky, a face on 72 rows of pixels takes about 160 MB while its light is traced
+    (T and gloss of about 2,500 pixels and 8,192 directions) and 130 MB from then on, so eight
+    faces fit in 2.5 GB.
+    """
+    if isinstance(landmarks, str):
+        landmarks = choose_landmarker(landmarks, landmark_model)
+    problem = light_problem(light, model=model, device=device)
+    images = (image, *more)
+    photos = tuple(as_photo(one, decode) for one in images)
+    names = tuple(names or (_name(one, k, len(images)) for k, one in enumerate(images, start=1)))
+    seconds: dict[str, float] = {}
+    heads = HeadModel.load()
+    with _stage(STAGES[0], seconds, progress) as tell:
+        found, left_out = find_faces(photos, names, face, landmarks, tell)
+    fitted: list[tuple[FoundFace, FaceFit]] = []
+    with _stage(STAGES[1], seconds, progress) as tell:
+        for done, one in enumerate(found, start=1):
+            try:
+                fit = fit_visible(heads, photos[one.photo], one.face, one.name, head)
+                fitted.append((one, fit))
+            except InputError as error:
+                left_out.append(str(error))
+            tell(done / len(found))
+    seen: list[SeenFace] = []
+    with _stage(STAGES[2], seconds, progress) as tell:
+        for done, (one, fit) in enumerate(fitted):
+
+            def told(share: float, done: int = done) -> None:
+                tell((done + share) / len(fitted))
+
+            try:
+                view = observe_face(
+                    photos[one.photo].pixels,
+                    photos[one.photo].clipped,
+                    heads,
+                    fit,
+                    grid_height=problem.grid_height,
+                    specular=SKIN_GLOSS if problem.uses_gloss else None,
+                    workers=workers or os.cpu_count() or 1,
+                    progress=told,
+                )
+            except InputError as error:
+                left_out.append(f"{one.name}: {error}")
+                continue
+            # photographs without a usable face have no exposure to estimate
+            used = sorted({face.photo for face in seen} | {one.photo})
+            problem.add(view.observation, used.index(one.photo))
+            if len(fitted) > 1:
+                view = replace(view, observation=view.observation.on_rows(KEPT_ROWS))
+            seen.append(
+                SeenFace(
+                    photo=one.photo,
+                    number=one.number,
+                    name=one.name,
+                    face=one.face,
+                    fit=fit,
+                    view=view,
+                )
+            )
+    if not seen:
+        raise InputError("; ".join(left_out))
+    with _stage(STAGES[3], seconds, progress) as tell:
+        found_light = problem.solve(tell)
+    unsure = [
+        f"{one.name}: hardly a face (score {one.face.score:.2f}); check the mesh overlay"
+        for one in seen
+        if one.face.score < 0
+    ]
+    advice = (*found_light.advice, *unsure, *(f"left out: {reason}" for reason in left_out))
+    # the problem counts only the photographs that it was given
+    lights = tuple(
+        replace(light, photo=one.photo) for light, one in zip(found_light.faces, seen, strict=True)
+    )
+    return PhotoEstimate(
+        estimate=replace(found_light, faces=lights, advice=advice),
+        photos=photos,
+        names=names,
+        seen=tuple(seen),
+        seconds=seconds,
+    )
+
+
+def as_photo(image: Image, decode: Decode | None) -> Photo:
+    """The picture that a path, 8-bit codes or a photo is."""
+    if isinstance(image, str | Path):
+        return read_photo(image, decode=decode)
+    if isinstance(image, np.ndarray):
+        return photo_from_codes(image, decode=decode)
+    if decode is not None:
+        raise InputError("decode is for files and 8-bit codes: a Photo is decoded already")
+    return image
+
+
+def _name(image: Image, number: int, count: int) -> str:
+    if isinstance(image, str | Path):
+        return str(image)
+    return "the picture" if count == 1 else f"picture {number}"
+
+
+@contextmanager
+def _stage(
+    name: str, seconds: dict[str, float], progress: StageProgress | None
+) -> Iterator[Progress]:
+    """Tells ``progress`` of a stage, and ``seconds`` how long it took."""
+    tell = progress or (lambda _stage, _share: None)
+    tell(name, 0.0)
+    start = time.perf_counter()
+    yield lambda share: tell(name, share)
+    seconds[name] = time.perf_counter() - start
+    tell(name, 1.0)

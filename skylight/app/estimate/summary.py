@@ -1,0 +1,106 @@
+"""An estimate as estimate.json and as lines for the terminal."""
+
+import math
+import platform
+from importlib.metadata import PackageNotFoundError, version
+
+from skylight.app.estimate.types import PhotoEstimate, SeenFace
+from skylight.app.estimate.uncertainty import (
+    angles_deg,
+    describe_posterior,
+    named_angles,
+    sure_of_the_sun,
+)
+from skylight.inverse.result import FaceLight
+
+PACKAGES = ("skylight", "torch", "numpy", "scipy", "dlib-bin", "ai-edge-litert", "embreex")
+
+
+def describe(result: PhotoEstimate) -> dict[str, object]:
+    """What estimate.json holds; ``skylight relight --latent`` reads the autoencoder's."""
+    estimate = result.estimate
+    return {
+        "sources": list(result.names),
+        "light": estimate.light,
+        "frame": "the camera looks along -Z, the centre of the map; +X is the picture's right, "
+        "+Y up; azimuth from -Z towards +X, zenith from +Y; linear Rec.709",
+        "sun": named_angles(estimate.sun_direction),
+        "posterior": describe_posterior(estimate.posterior),
+        "ground_albedo": estimate.ground_albedo.tolist(),
+        "params": estimate.params.tolist(),
+        "exposure": estimate.exposure,
+        "objective": {**estimate.terms, "total": math.fsum(estimate.terms.values())},
+        "status": estimate.status,
+        "advice": list(estimate.advice),
+        "stats": estimate.stats,
+        "faces": [
+            _describe_face(seen, light, result.names[seen.photo])
+            for seen, light in zip(result.seen, estimate.faces, strict=True)
+        ],
+        "seconds": result.seconds,
+        "versions": _versions(),
+        "seed": None,  # no step of an estimate draws random numbers
+    }
+
+
+def _describe_face(seen: SeenFace, light: FaceLight, source: str) -> dict[str, object]:
+    fit, eye_distance_px = seen.fit, seen.face.eye_distance_px
+    return {
+        "source": source,
+        "number": seen.number,
+        "albedo": light.albedo.tolist(),
+        "gloss": light.gloss,
+        "exposure": light.exposure,
+        "residual": light.residual,
+        "landmarker": seen.face.landmarker,
+        "landmark_score": seen.face.score,
+        "landmark_error": fit.landmark_error,
+        "landmark_error_px": fit.landmark_error * eye_distance_px,
+        "outer_eye_distance_px": eye_distance_px,
+        "facing_angle_deg": math.degrees(fit.facing_angle_rad),
+        "focal_length_px": fit.camera.focal_px,
+        "fit_converged": fit.converged,
+        "pixels_used": len(seen.view.observation.pixels),
+    }
+
+
+def where(azimuth_deg: float, zenith_deg: float) -> str:
+    """A direction in words, as the photographer would point: "behind, left, high"."""
+    if zenith_deg < 15:
+        return "overhead"
+    height = "high" if zenith_deg < 40 else "low" if zenith_deg > 70 else "half high"
+    turned = abs(azimuth_deg)
+    depth = "ahead" if turned < 67.5 else "behind" if turned > 112.5 else ""
+    side = "" if turned < 22.5 or turned > 157.5 else "left" if azimuth_deg < 0 else "right"
+    return ", ".join(part for part in (depth, side, height) if part)
+
+
+def _versions() -> dict[str, str | None]:
+    found: dict[str, str | None] = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:  # the same modules, installed under another name
+            found[package] = None
+    return found
+
+
+def summary(result: PhotoEstimate) -> str:
+    """A few lines for the terminal."""
+    estimate = result.estimate
+    azimuth_deg, zenith_deg = angles_deg(estimate.sun_direction)
+    count = len(estimate.faces)
+    labels = ["face"] if count == 1 else [f"face {n}" for n in range(1, count + 1)]
+    return "\n".join(
+        [
+            f"brightest   azimuth {azimuth_deg:+.0f}°, zenith {zenith_deg:.0f}° "
+            f"({where(azimuth_deg, zenith_deg)})",
+            f"sun         {sure_of_the_sun(estimate.posterior)}",
+            f"verdict     {estimate.posterior.verdict}",
+            *(
+                f"{label:<12}re-rendered to within {100 * face.residual:.0f} % on average"
+                for label, face in zip(labels, estimate.faces, strict=True)
+            ),
+            f"solver      {estimate.status} after {sum(result.seconds.values()):.0f} s",
+        ]
+    )

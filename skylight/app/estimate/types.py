@@ -1,0 +1,53 @@
+"""An estimate from photographs with the faces that it was made from."""
+
+from dataclasses import dataclass, field
+
+from skylight.faces.fit import FaceFit
+from skylight.faces.landmarks import DetectedFace
+from skylight.faces.observe import FaceView
+from skylight.imaging.photo import Photo
+from skylight.inverse.result import Estimate
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeenFace:
+    """Face ``number`` (1 is the largest) of photograph ``photo``, counted from 0, named ``name``.
+
+    Harmonics have coarser transport than skies, without gloss: a sky cannot be fitted to it.
+    Where several heads were fitted, ``view.observation`` keeps its transport on
+    :data:`~skylight.app.estimate.photos.KEPT_ROWS` rows only.
+    """
+
+    photo: int
+    number: int
+    name: str
+    face: DetectedFace
+    fit: FaceFit
+    view: FaceView
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoEstimate:
+    """The estimate with everything on the way to it; ``seconds`` per stage.
+
+    ``photos`` and their ``names`` are all that were given; ``seen`` holds the faces of
+    ``estimate.faces``, in their order; ``face``, ``fit`` and ``view`` are the first one's.
+    """
+
+    estimate: Estimate
+    photos: tuple[Photo, ...]
+    names: tuple[str, ...]
+    seen: tuple[SeenFace, ...]
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def face(self) -> DetectedFace:
+        return self.seen[0].face
+
+    @property
+    def fit(self) -> FaceFit:
+        return self.seen[0].fit
+
+    @property
+    def view(self) -> FaceView:
+        return self.seen[0].view

@@ -1,0 +1,1 @@
+"""Style, panels and exposure of all figures."""

@@ -1,0 +1,1 @@
+"""Environment maps converted, exported and scored."""

@@ -1,0 +1,1 @@
+"""Illumination from objects of known shape; files to files."""

@@ -1,0 +1,1 @@
+"""Light probes and shading probes: printing, capture and relighting; files to files."""

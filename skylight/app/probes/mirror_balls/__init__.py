@@ -1,0 +1,1 @@
+"""Light probes merged from photographs of mirror balls."""

@@ -1,0 +1,1 @@
+"""The partitions probe: designs, printing, capture, relighting."""

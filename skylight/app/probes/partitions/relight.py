@@ -1,0 +1,246 @@
+"""Virtual scenes in a photograph, lit by a captured partition probe; files to files."""
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skylight.app.cameras.board_pictures import Setup, why_unusable
+from skylight.app.probes.partitions.capture import completed_shading
+from skylight.app.progress import stage_bar
+from skylight.cameras.drawing import box_edges, is_empty, lens_rays, window_of
+from skylight.cameras.frames import read_picture
+from skylight.cameras.intrinsics import Intrinsics
+from skylight.cameras.pose import board_pose
+from skylight.errors import InputError
+from skylight.io.atomic import require_place
+from skylight.io.files import write_png
+from skylight.probes.partitions.captured.capture import (
+    ProbeCapture,
+    load_capture,
+    nonnegative_light,
+)
+from skylight.probes.partitions.captured.kernel_albedo import read_albedo
+from skylight.probes.partitions.cells import Cells
+from skylight.probes.partitions.printed.assembly import (
+    PartitionAssembly,
+    PlacedPartitions,
+    load_partition_assembly,
+)
+from skylight.probes.partitions.probe import PartitionProbe
+from skylight.probes.partitions.relight.composite import SceneOnBoard, board_transfer, meets
+from skylight.probes.partitions.relight.drawing import Mesh
+from skylight.probes.partitions.relight.ground import Ground
+from skylight.probes.partitions.relight.refine import refined
+from skylight.probes.partitions.relight.scene import Scene
+from skylight.probes.partitions.relight.scene_files import DEFAULT_ALBEDO, read_scene
+from skylight.probes.partitions.relight.transfer import TransferSampling
+from skylight.sphere.rigid_transform import RigidTransform
+from skylight.work.progress import Tell
+
+_UNEXPLAINED = 0.02  # of the shading, root mean square; noise of a capture is below
+SAMPLES = 3  # along each side of a pixel
+LARGEST_MM = 60.0  # of a scene whose size nobody names
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneStand:
+    """Where a scene stands on the board: the middle of its base, how large, and how turned.
+
+    Either ``height_mm`` or ``scale`` (mm for each of its units); without both, its longest side is
+    60 mm. ``turn_deg`` is counter-clockwise seen from above.
+    """
+
+    x_mm: float
+    z_mm: float
+    y_mm: float = 0.0
+    height_mm: float | None = None
+    scale: float | None = None
+    turn_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.height_mm is not None and self.scale is not None:
+            raise InputError("give a scene's height or its scale, not both")
+        sizes = [size for size in (self.height_mm, self.scale) if size is not None]
+        numbers = (self.x_mm, self.y_mm, self.z_mm, self.turn_deg, *sizes)
+        if not all(map(math.isfinite, numbers)) or any(size <= 0 for size in sizes):
+            raise InputError("a scene needs a place in finite mm and a size above 0")
+        if self.y_mm < 0:
+            raise InputError(f"the scene would stand {-self.y_mm:g} mm below the board")
+
+    def placed(self, scene: Scene) -> Scene:
+        """The scene in millimetres of the board."""
+        low, high = scene.vertices.amin(0), scene.vertices.amax(0)
+        rise, longest = float(high[1] - low[1]), float((high - low).max())
+        if self.height_mm is not None and rise == 0:
+            raise InputError("a flat scene has no height: give its scale")
+        if longest == 0:
+            raise InputError("all of the scene's vertices are in one place")
+        height = LARGEST_MM * rise / longest if self.height_mm is None else self.height_mm
+        size = LARGEST_MM / longest if rise == 0 else height / rise
+        size = size if self.scale is None else self.scale
+        sine, cosine = (f(math.radians(self.turn_deg)) for f in (math.sin, math.cos))
+        matrix = torch.eye(4, dtype=torch.float64)
+        matrix[:3, :3] = size * torch.tensor(
+            [[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]], dtype=torch.float64
+        )
+        base = torch.stack([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
+        place = torch.tensor([self.x_mm, self.y_mm, self.z_mm], dtype=torch.float64)
+        matrix[:3, 3] = place - matrix[:3, :3] @ base
+        return scene.placed(matrix)
+
+
+@dataclass(frozen=True, kw_only=True)
+class VirtualScene:
+    """A mesh file, how it stands, and how its transfer coefficients are worked out.
+
+    ``albedo`` is for meshes without colours. No edge is left longer than ``edge_mm``, so that
+    shadows show on large triangles. The coefficients are kept in the file ``cache``.
+    """
+
+    mesh: Path
+    stand: SceneStand
+    cache: Path
+    albedo: tuple[float, float, float] = DEFAULT_ALBEDO
+    ground_albedo: float = 0.5
+    edge_mm: float = 4.0
+    sampling: TransferSampling = field(default_factory=TransferSampling)
+    workers: int = 1
+
+    def require(self, out: Path) -> None:
+        """Refuse what cannot be used, before any work: ``out``, the cache's place, the mesh."""
+        require_place(out)
+        require_place(self.cache)
+        _ = self.placed
+
+    @cached_property
+    def placed(self) -> tuple[Scene, Ground]:
+        """In millimetres of the board, in triangles that are small enough, and what is below."""
+        scene = refined(self.stand.placed(read_scene(self.mesh, self.albedo)), self.edge_mm)
+        return scene, Ground.under(scene, albedo=self.ground_albedo)
+
+    def is_seen(self, pose: RigidTransform, intrinsics: Intrinsics) -> bool:
+        """Whether the scene or its ground is in the camera's picture, hidden or not."""
+        scene, ground = self.placed
+        around = [each.vertices.aminmax(dim=0) for each in (scene, ground.scene())]
+        return not all(
+            is_empty(window_of(box_edges(low, high).numpy(), pose, intrinsics))
+            for low, high in around
+        )
+
+    def beside(
+        self, real: PlacedPartitions, cells: Cells, rotation: Float[Tensor, "3 3"], warn: Tell
+    ) -> SceneOnBoard:
+        """:meth:`on_board`, hidden by the real probe; says where they are in one place."""
+        mesh = real.vertices, real.triangles
+        if meets(self.placed[0], mesh):
+            warn("the scene and the probe or its pole are in one place: see --at-mm")
+        return self.on_board(cells, rotation, mesh)
+
+    def on_board(
+        self, cells: Cells, rotation: Float[Tensor, "3 3"], real: Mesh | None = None
+    ) -> SceneOnBoard:
+        """Ready to be lit by a probe that is turned like that, and hidden by its mesh."""
+        scene, ground = self.placed
+        with stage_bar() as progress:
+            transfer = board_transfer(
+                self.cache,
+                scene,
+                ground,
+                cells,
+                rotation,
+                sampling=self.sampling,
+                workers=self.workers,
+                progress=lambda share: progress("transfer coefficients", share),
+            )
+        return SceneOnBoard(scene, ground, transfer, cells, rotation, real)
+
+
+def read_probe(
+    assembly: Path, capture: Path | None, albedo: Float[Tensor, "3"] | None = None
+) -> tuple[PartitionAssembly, PartitionProbe, ProbeCapture]:
+    """A printed probe, what it makes of light, and its capture: blank where none is named."""
+    printed = load_partition_assembly(assembly)
+    if capture is None:
+        plain = read_albedo(None).rgb if albedo is None else albedo
+        captured = ProbeCapture.blank(printed.design, plain)
+    else:
+        captured = load_capture(capture)
+        captured.require_design(printed.design)
+    probe = PartitionProbe(printed.cells, captured.albedo, response=printed.response)
+    return printed, probe.requires_grad_(False), captured
+
+
+def captured_light(
+    capture: ProbeCapture, printed: PartitionAssembly, probe: PartitionProbe, warn: Tell
+) -> Float[Tensor, "n 3"]:
+    """Radiance of each cell, 0 or more, 1 is the camera's largest code.
+
+    Says which cells are guessed, and when no light of the cells explains the shading.
+    """
+    light, left = nonnegative_light(completed_shading(capture, printed, probe, warn), probe)
+    if left > _UNEXPLAINED:
+        warn(
+            f"{left:.0%} of the shading is explained by no light of the cells: the probe is "
+            "turned otherwise than the assembly says, its kernel has another albedo, or the light "
+            "moved"
+        )
+    return light
+
+
+def relight_scene(
+    scene: VirtualScene,
+    photo: Path,
+    out: Path,
+    *,
+    assembly: Path,
+    capture: Path,
+    setup: Setup,
+    tell: Tell = print,
+    warn: Tell = print,
+) -> None:
+    """``out`` (.png): the photo with the scene on the board, its shadow and its bounce.
+
+    Raises
+    ------
+    InputError
+        A file cannot be used, the photo does not show the board, or not where the scene stands.
+    """
+    if out.suffix.lower() != ".png":
+        raise InputError(f"{out}: pictures are written as .png; choose another name")
+    scene.require(out)
+    image = read_picture(photo).image
+    found = board_pose(image, setup.board, setup.intrinsics)
+    if found is None or found.is_ambiguous:
+        raise InputError(f"{photo}: {why_unusable(found)}; show most of it, and larger")
+    if not scene.is_seen(found.pose, setup.intrinsics):
+        raise InputError(f"{photo}: the scene would stand outside of the picture; see --at-mm")
+    printed, probe, captured = read_probe(assembly, capture)
+    printed.require_board(setup.board.size_mm)
+    light = captured_light(captured, printed, probe, warn)
+    rotation = printed.board_from_probe.rotation
+    on_board = scene.beside(printed.placed(), probe.cells, rotation, warn)
+    lit = on_board.lit(light)
+    picture = on_board.put_into(
+        image,
+        lit,
+        found.pose,
+        setup.intrinsics,
+        setup.response,
+        lambda window: lens_rays(setup.intrinsics, SAMPLES, window),
+    )
+    if np.array_equal(picture, image):
+        raise InputError(
+            f"{photo}: nothing of the scene would be seen, it is behind the probe or only just "
+            "beyond the picture's edge; see --at-mm"
+        )
+    write_png(out, picture)
+    tell(
+        f"{out}: {len(on_board.scene.vertices)} vertices lit by {probe.cells.count} cells; "
+        f"transfer coefficients in {scene.cache}"
+    )

@@ -1,0 +1,1 @@
+"""The voxel probe: printing, capture, rendering."""

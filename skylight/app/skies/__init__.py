@@ -1,0 +1,1 @@
+"""Folders of simulated and captured skies."""

@@ -1,0 +1,1 @@
+"""Cameras: calibration, poses from marker boards, response curves, alignment by edges."""

@@ -1,0 +1,192 @@
+"""``skylight probe partitions relight``, ``live`` and ``export``."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import OmitArgPrefixes
+
+from skylight.cli.sources import film_source, take_care
+from skylight.errors import InputError
+
+if TYPE_CHECKING:
+    from skylight.app.probes.partitions.relight import VirtualScene
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneOptions:
+    """A virtual scene on the board.
+
+    Args:
+        scene: The mesh file.
+        at_mm: Where the middle of its base stands: right, up and down the page from the pattern's
+            upper left corner.
+        height_mm: Its height; without height and scale, its longest side is 60 mm.
+        scale: Millimetres for each unit of the mesh, instead of the height.
+        turn_deg: Turn about the vertical, counter-clockwise seen from above.
+        albedo: Red, green and blue in 0..1, linear, of a mesh without colours.
+        ground_albedo: Of what the scene stands on, for the light that goes to and fro.
+        edge_mm: Triangles with longer edges are divided.
+        rays: How many leave each vertex.
+        bounces: How often light may bounce.
+        cache: File for the transfer coefficients, used again for the same scene and probe; without
+            it, OUT with the ending .transfer.npz.
+        workers: Processes that cast rays.
+    """
+
+    scene: Path
+    at_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    height_mm: float | None = None
+    scale: float | None = None
+    turn_deg: float = 0.0
+    albedo: tuple[float, float, float] = (0.7, 0.7, 0.7)
+    ground_albedo: float = 0.5
+    edge_mm: float = 4.0
+    rays: int = 512
+    bounces: int = 3
+    cache: Path | None = None
+    workers: int = 2
+
+    def read(self, out: Path) -> "VirtualScene":
+        from skylight.app.probes.partitions.relight import SceneStand, VirtualScene
+        from skylight.probes.partitions.relight.transfer import TransferSampling
+
+        if self.workers < 1:
+            raise InputError(f"{self.workers} workers cannot work: use 1 or more")
+        x, y, z = self.at_mm
+        return VirtualScene(
+            mesh=self.scene,
+            stand=SceneStand(
+                x_mm=x, y_mm=y, z_mm=z,
+                height_mm=self.height_mm, scale=self.scale, turn_deg=self.turn_deg,
+            ),
+            cache=self.cache or out.with_suffix(".transfer.npz"),
+            albedo=self.albedo,
+            ground_albedo=self.ground_albedo,
+            edge_mm=self.edge_mm,
+            sampling=TransferSampling(rays=self.rays, bounces=self.bounces),
+            workers=self.workers,
+        )  # fmt: skip
+
+
+def relight(
+    virtual: Annotated[SceneOptions, OmitArgPrefixes],
+    photo: Path,
+    probe: Path = Path("capture/assembly.json"),
+    capture: Path = Path("capture/shading.json"),
+    camera: Path = Path("camera.json"),
+    board: Path = Path("board.json"),
+    response: Path | None = None,
+    out: Path = Path("scene.png"),
+) -> None:
+    """Put a virtual scene into a photo of the board, in the light that the probe captured.
+
+    It stands on the board, which takes its shadow and the light that it throws.
+
+    Args:
+        virtual: The scene.
+        photo: Picture with most of the board in view.
+        probe: The printed probe and its place, as `print` or `capture` wrote it.
+        capture: Its shading, as `capture` wrote it.
+        camera: The camera that took the photo, as `skylight camera calibrate` wrote it.
+        board: The board's measures, as `skylight camera board` wrote them.
+        response: The camera's response; otherwise sRGB.
+        out: The .png to write.
+    """
+    from skylight.app.cameras.board_pictures import read_setup
+    from skylight.app.probes.partitions.relight import relight_scene
+
+    relight_scene(
+        virtual.read(out),
+        photo,
+        out,
+        assembly=probe,
+        capture=capture,
+        setup=read_setup(camera, board, response),
+        warn=take_care,
+    )
+
+
+def live(
+    virtual: Annotated[SceneOptions, OmitArgPrefixes],
+    video: Path | None = None,
+    webcam: int | None = None,
+    probe: Path = Path("assembly.json"),
+    capture: Path | None = None,
+    kernel_albedo: str | None = None,
+    camera: Path = Path("camera.json"),
+    board: Path = Path("board.json"),
+    response: Path | None = None,
+    out: Path = Path("live.mp4"),
+    frames: int | None = None,
+) -> None:
+    """Track, look into the probe, relight and draw, frame by frame, and write the film.
+
+    The scene appears as soon as half of the cells were seen, and follows when the light changes.
+    Says how long each stage takes. Ctrl-C ends a webcam's film.
+
+    Args:
+        virtual: The scene.
+        video: A film with the probe and its board.
+        webcam: Instead of it, the number of a webcam.
+        probe: The printed probe and its place, as `print` or `capture` wrote it.
+        capture: Shading to begin with, as `capture` wrote it, with the kernel's albedo.
+        kernel_albedo: Without --capture: a number, or a file that `albedo` wrote; otherwise 0.8.
+        camera: The camera, as `skylight camera calibrate` wrote it.
+        board: The board's measures, as `skylight camera board` wrote them.
+        response: The camera's response; otherwise sRGB.
+        out: The film to write: .mp4.
+        frames: Stop after so many.
+    """
+    from skylight.app.cameras.board_pictures import read_setup
+    from skylight.app.probes.partitions.live import live_scene
+    from skylight.probes.partitions.captured.kernel_albedo import read_albedo
+
+    if capture is not None and kernel_albedo is not None:
+        raise InputError("the capture has the kernel's albedo: give it without --kernel-albedo")
+    live_scene(
+        film_source(video, webcam),
+        out,
+        scene=virtual.read(out),
+        setup=read_setup(camera, board, response),
+        assembly=probe,
+        capture=capture,
+        albedo=read_albedo(kernel_albedo).rgb,
+        most=frames,
+        warn=take_care,
+    )
+
+
+def export(
+    virtual: Annotated[SceneOptions, OmitArgPrefixes],
+    probe: Path = Path("capture/assembly.json"),
+    capture: Path = Path("capture/shading.json"),
+    exposure: float = 1.0,
+    atlas_px: int | None = None,
+    out: Path = Path("scene.glb"),
+) -> None:
+    """Write a scene as .glb with its light baked in, and the coefficients to light it anew.
+
+    Any viewer shows the baked colours; docs/relightable_glb.md says how an engine relights it.
+
+    Args:
+        virtual: The scene.
+        probe: The printed probe and its place, as `print` or `capture` wrote it.
+        capture: Its shading, as `capture` wrote it.
+        exposure: The baked colours are the light times this.
+        atlas_px: Work the light out at the texels of a texture so wide and high instead of at
+            the vertices; the coefficients go to OUT with the ending .atlas.npz, and to the cache
+            in place of the vertices'.
+        out: The .glb to write.
+    """
+    from skylight.app.probes.partitions.export import export_scene
+
+    export_scene(
+        virtual.read(out),
+        out,
+        assembly=probe,
+        capture=capture,
+        exposure=exposure,
+        atlas_px=atlas_px,
+        warn=take_care,
+    )

@@ -1,0 +1,70 @@
+"""The grid on SO(3) of the rotations that activations may have."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from skylight.errors import InputError
+from skylight.sphere.frame import direction_from_angles
+
+
+@dataclass(frozen=True, kw_only=True)
+class Positions:
+    """``rows`` x ``2 rows`` lat-long directions (pixel centres), each with ``twists`` turns.
+
+    A filter at the zenith goes to (row, column, twist) by ``Rz(alpha) Ry(beta) Rz(gamma)`` about
+    the axes (+Z, +X, +Y): alpha is the longitude of the column (pi minus its azimuth), beta the
+    zenith angle of the row, gamma = 2 pi twist / twists (thesis, 6.4.4: 32 x 64 x 32).
+    """
+
+    rows: int = 32
+    twists: int = 32
+
+    def __post_init__(self) -> None:
+        if self.rows < 2 or self.twists < 1:
+            raise InputError(
+                f"positions need 2 or more rows and 1 or more twists, got {self.rows} and "
+                f"{self.twists}"
+            )
+
+    @property
+    def columns(self) -> int:
+        return 2 * self.rows
+
+    def __len__(self) -> int:
+        """N T, the number of rotations."""
+        return self.rows * self.columns * self.twists
+
+    @property
+    def beta(self) -> Float[Tensor, " rows"]:
+        return (torch.arange(self.rows, dtype=torch.float64) + 0.5) * math.pi / self.rows
+
+    @property
+    def alpha(self) -> Float[Tensor, " columns"]:
+        turn = (torch.arange(self.columns, dtype=torch.float64) + 0.5) / self.columns
+        return 2 * math.pi * (1 - turn)
+
+    @property
+    def gamma(self) -> Float[Tensor, " twists"]:
+        return torch.arange(self.twists, dtype=torch.float64) * 2 * math.pi / self.twists
+
+    def rotations(self, places: Int[Tensor, "s 3"]) -> Float[Tensor, "s 3"]:
+        """Euler angles (alpha, beta, gamma) of (row, column, twist) triples, float64."""
+        row, column, twist = places.cpu().unbind(1)
+        return torch.stack([self.alpha[column], self.beta[row], self.gamma[twist]], 1)
+
+    def places(self, rotations: Float[Tensor, "s 3"]) -> Int[Tensor, "s 3"]:
+        """The nearest (row, column, twist) triples: the inverse of :meth:`rotations`."""
+        alpha, beta, gamma = rotations.cpu().unbind(1)
+        row = (beta / math.pi * self.rows - 0.5).round().clamp(0, self.rows - 1)
+        column = ((1 - alpha / (2 * math.pi)) * self.columns - 0.5).round() % self.columns
+        twist = (gamma / (2 * math.pi) * self.twists).round() % self.twists
+        return torch.stack([row, column, twist], 1).long()
+
+
+def centres_of(rotations: Float[Tensor, "*s 3"]) -> Float[Tensor, "*s 3"]:
+    """World directions of the centres of filters after these rotations (Euler angles)."""
+    return direction_from_angles(math.pi - rotations[..., 0], rotations[..., 1])

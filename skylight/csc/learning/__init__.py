@@ -1,0 +1,1 @@
+"""Dictionary learning: k-means over patches, and gradient descent through the codes."""

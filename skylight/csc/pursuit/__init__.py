@@ -1,0 +1,1 @@
+"""Sparse solvers: quadratic objectives, greedy pursuit, refits and exchanges."""

@@ -1,0 +1,374 @@
+"""Greedy pursuits: the filters of a code, their rotations and weights."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+from torch.nn.functional import max_pool2d, pad
+
+from skylight.csc.code import CodeTensors
+from skylight.csc.pursuit.active_set import ActiveSet
+from skylight.csc.pursuit.quadratic import Quadratic
+from skylight.csc.sub_dictionaries import Part, part_of
+from skylight.errors import InputError
+
+_EXACT = 1e-12  # of the signal's energy: an error of the weights of 1e-6
+_PEAK, _MOST_PEAKS = 0.4, 600  # a share of the highest; pairs are tried among so many
+_ROOM = 192  # images at first: 144 activations and some rivals
+Values = Float[Tensor, "_ _ _ _"]  # (twist, filter, row, column); groups differ in size
+Group = tuple[Values, int, int]  # correlations, sub-dictionary, group
+Atom = tuple[int, tuple[int, int, int]]  # filter, (row, column, twist)
+Sign = Literal["l1", "nonnegative", "free"]
+WEAK_L1 = 1e-5  # of the largest correlation with the signal
+_ROUNDING = 2e-6  # of the same: what is left in float32 of a correlation that is 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PursuitOptions:
+    """``weights``: which weights a refit allows.
+
+    "nonnegative" (NNLS), "l1" (either sign, with a weak L1 norm: 6.6.3), or "free" (plain least
+    squares). ``thresholding`` is Hard Thresholding Pursuit (6.4.6), otherwise the pursuit only
+    adds (orthogonal matching pursuit). ``sweeps`` is how often, at most, each activation of
+    a finished code is exchanged for a better one (:mod:`skylight.csc.pursuit.exchange`), each
+    costing about as much as finding the code, and the last, which try pairs, some times that.
+    """
+
+    weights: Sign = "l1"
+    thresholding: bool = True
+    sweeps: int = 0
+    penalty: float = WEAK_L1
+
+    def __post_init__(self) -> None:
+        if self.weights not in get_args(Sign):
+            raise InputError(f"weights {self.weights!r}: choose one of {', '.join(get_args(Sign))}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Support:
+    """A pursuit's activations on its grid of rotations, and the squared error that they leave.
+
+    Filter indices (s,), (row, column, twist) places (s,3), weights (s,c).
+    """
+
+    filters: Int[Tensor, " s"]
+    places: Int[Tensor, "s 3"]
+    weights: Float[Tensor, "s c"]
+    error: float
+    """Squared error, summed over colours."""
+
+    def __len__(self) -> int:
+        return len(self.filters)
+
+    def tensors(self, parts: Sequence[Part], length: int | None = None) -> CodeTensors:
+        """The code as tensors, padded to ``length`` activations where that is given."""
+        rotations = torch.zeros(len(self), 3, dtype=torch.float64)
+        number = torch.tensor([part_of(parts, f) for f in self.filters.tolist()])
+        for n, part in enumerate(parts):
+            mine = number == n
+            rotations[mine] = part.positions.rotations(self.places[mine])
+        missing = 0 if length is None else length - len(self)
+        return CodeTensors(
+            pad(self.filters, (0, missing)),
+            pad(rotations, (0, 0, 0, missing)),
+            pad(self.weights, (0, 0, 0, missing)),
+            torch.tensor(len(self)),
+        )
+
+
+class Pursuit:
+    """One activation more per step, until :meth:`step` finds nothing to add.
+
+    With atoms a_j = R_j d_j, H and b of the :class:`~skylight.csc.pursuit.quadratic.Quadratic`,
+    and weights z, a step looks for the atom whose correlation ``<a, b - H sum_j z_j a_j>`` is
+    largest, over all filters and rotations, and refits all weights. Colours share their
+    activations: the correlation is that of the residual's principal colour (its mean colour where
+    weights must not be negative), the refit is exact for each colour.
+
+    Thresholding takes a gradient step ``u = z + mu * correlation`` and keeps the strongest t + 1
+    atoms of those present and those found, so that it can exchange weak ones (Foucart 2011). It
+    descends for certain: with mu <= 1 / (largest eigenvalue of the Gram matrix of the atoms
+    involved), the quadratic with curvature 1 / mu lies above the error and touches it at z, and
+    the kept atoms minimise it among all choices of t + 1 (the proximal steps of the L1 norm and of
+    the bound leave this true, atom by atom). The refit can only lower the error further.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[Part],
+        objective: Quadratic,
+        options: PursuitOptions,
+        norms: Sequence[Values] | None = None,
+    ) -> None:
+        self.options = options
+        self._norms = norms
+        self._plans = [part.plan() for part in parts]
+        self._objective = objective
+        self._target = objective.target.double()
+        k, colours = self._target.shape
+        self.filters: list[int] = []
+        self.places: list[tuple[int, int, int]] = []
+        self._images = self._target.new_zeros(_ROOM, k)  # H a_j, the first of them in use
+        self._gram = np.zeros((0, 0))
+        self._right = np.zeros((0, colours))
+        self._sets: list[ActiveSet] = []
+        self._scale = self._largest_correlation()
+        penalty = options.penalty * self._scale if options.weights == "l1" else 0.0
+        self._sets = [
+            ActiveSet(penalty=penalty, nonnegative=options.weights == "nonnegative")
+            for _ in range(colours)
+        ]
+
+    @property
+    def penalty(self) -> float:
+        return self._sets[0].penalty
+
+    @property
+    def weights(self) -> Float[np.ndarray, "s c"]:
+        return np.stack([s.weights for s in self._sets], 1)
+
+    def support(self) -> Support:
+        z = self.weights
+        error = self._objective.energy.double().cpu().numpy() - np.einsum(
+            "sc,sc->c", z, 2 * self._right - self._gram @ z
+        )
+        return Support(
+            filters=torch.tensor(self.filters, dtype=torch.long),
+            places=torch.tensor(self.places, dtype=torch.long).reshape(-1, 3),
+            weights=torch.from_numpy(z.copy()),
+            error=float(error.sum()),
+        )
+
+    def step(self) -> bool:
+        """One activation more; False where the colour searched for correlates with no atom."""
+        groups = self._unused()
+        best = self._best(groups)
+        if best is None:
+            return False
+        old = len(self.filters)
+        rivals = self._rivals(groups) if self.options.thresholding and old else []
+        found = [best, *(atom for atom in rivals if atom != best)]
+        self._append(found)
+        if len(found) > 1:
+            self._threshold(old + 1, len(found))
+        self._refit()
+        return True
+
+    @property
+    def exact(self) -> bool:
+        """Whether the code explains the signal to rounding."""
+        return self.support().error <= _EXACT * float(self._objective.energy.sum())
+
+    @property
+    def atoms(self) -> list[Atom]:
+        return list(zip(self.filters, self.places, strict=True))
+
+    def best(self) -> Atom | None:
+        """The unused atom that correlates most with the residual; None where none does."""
+        return self._best(self._unused())
+
+    def peaks(self) -> list[Atom]:
+        """Unused atoms that correlate more than their neighbours, each filter at its own places.
+
+        The strongest first, down to a share of the first; the constant has no peaks.
+        """
+        groups = self._unused()
+        least = _PEAK * max(float(values.max()) for values, _, _ in groups)
+        found: list[tuple[float, Atom]] = []
+        for values, number, group in groups:
+            over_twists, twists = values.max(0)
+            around = pad(over_twists[None], (1, 1, 0, 0), mode="circular")[0]
+            around = max_pool2d(pad(around, (0, 0, 1, 1))[:, None], 3, stride=1)[:, 0]
+            high = (over_twists == around) & (over_twists > least)
+            for place, row, column in torch.nonzero(high).tolist():
+                spot = int(twists[place, row, column]), place, row, column
+                atom = self._named(
+                    values, number, group, int(np.ravel_multi_index(spot, values.shape))
+                )
+                if atom[0] not in self._plans[number].constant:
+                    found.append((float(values[spot]), atom))
+        return [atom for _, atom in sorted(found, reverse=True)[:_MOST_PEAKS]]
+
+    def best_pair(self, atoms: list[Atom]) -> list[Atom]:
+        """Those two of ``atoms`` that lower the error most together, all weights refitted freely.
+
+        With the images of those in use projected out, G the Gram matrix of a pair and r its
+        correlations with the residual, the error falls by ``sum_colours r^T G^-1 r``.
+        """
+        rotated = torch.stack([self._rotated(atom) for atom in atoms])
+        gram = (self._objective.hessian(rotated.T).T @ rotated.T).cpu().numpy()
+        shared = (self._images[: len(self.filters)] @ rotated.T).cpu().numpy()
+        gram = gram - shared.T @ np.linalg.pinv(self._gram) @ shared
+        right = (rotated @ self._residual()).cpu().numpy()
+        squared = right @ right.T
+        own, power = gram.diagonal().clip(1e-9), squared.diagonal()
+        both = np.outer(own, own)
+        # pairs that are all but one atom have no determinant to divide by
+        determinant = np.maximum(both - gram**2, 1e-6 * both)
+        gain = np.outer(power, own) - 2 * gram * squared + np.outer(own, power)
+        gain /= determinant
+        np.fill_diagonal(gain, -1)
+        first, second = np.unravel_index(gain.argmax(), gain.shape)
+        return [atoms[first], atoms[second]]
+
+    def nearest(self, atom: int) -> int:
+        """The activation whose image is most like that of ``atom``."""
+        length = np.sqrt(self._gram.diagonal())
+        likeness = np.abs(self._gram[atom]) / length
+        likeness[atom] = -1
+        return int(likeness.argmax())
+
+    def least_useful(self) -> int:
+        """Leaving j out raises the squared error by ``z_j^2 / (G^-1)_jj``."""
+        loss = np.square(self.weights).sum(1) / np.linalg.pinv(self._gram).diagonal()
+        return int(loss.argmin())
+
+    def drop(self, gone: Sequence[int], *, refit: bool = True) -> None:
+        """Leave activations out; the others move up."""
+        for atom in sorted(gone, reverse=True):
+            self._drop(atom)
+        if refit:
+            self._refit()
+
+    def add(self, atoms: list[Atom]) -> None:
+        """Activations more, after the others; all weights are refitted."""
+        self._append(atoms)
+        self._refit()
+
+    def _residual(self) -> Float[Tensor, "k c"]:
+        """``b - H sum_j z_j a_j``: minus half the gradient by the coefficients."""
+        z = torch.from_numpy(self.weights).to(self._target)
+        return self._target - self._images[: len(z)].T @ z
+
+    def _colour(self, residual: Float[Tensor, "k c"]) -> Float[Tensor, " c"]:
+        colours = residual.shape[1]
+        if self.options.weights == "nonnegative":
+            return residual.new_full((colours,), colours**-0.5)
+        return torch.linalg.eigh(residual.T @ residual).eigenvectors[:, -1]
+
+    def _correlations(self, residual: Float[Tensor, "k c"]) -> list[list[Values]]:
+        """Per sub-dictionary and group: signed where weights have one sign, else absolute."""
+        grey = residual @ self._colour(residual)
+        found = [plan.correlation.by_group(grey[plan.coordinates]) for plan in self._plans]
+        if self._norms is not None:
+            for values, norm in zip(found[0], self._norms, strict=True):
+                values /= norm
+        if self.options.weights == "nonnegative":
+            return found
+        return [[values.abs_() for values in groups] for groups in found]
+
+    def _largest_correlation(self) -> float:
+        return max(float(v.max()) for groups in self._correlations(self._target) for v in groups)
+
+    def _unused(self) -> list[Group]:
+        """The residual's correlations with their sub-dictionary and group, 0 for atoms in use."""
+        found = self._correlations(self._residual())
+        for filter_, (row, column, twist) in zip(self.filters, self.places, strict=True):
+            number = part_of(self._plans, filter_)
+            plan = self._plans[number]
+            group, place = plan.correlation.index[filter_ - plan.first]
+            taken = found[number][group][:, place]
+            if filter_ in plan.constant:  # the same at every rotation
+                taken[:] = 0
+            taken[twist % len(taken), row, column] = 0
+        return [
+            (values, number, group)
+            for number, per_layer in enumerate(found)
+            for group, values in enumerate(per_layer)
+        ]
+
+    def _best(self, groups: list[Group]) -> Atom | None:
+        """The atom of the largest correlation; None where that is as good as 0."""
+        tops = [float(values.max()) for values, _, _ in groups]
+        best = int(np.argmax(tops))
+        if tops[best] <= self.penalty + _ROUNDING * self._scale:
+            return None
+        return self._named(*groups[best], int(groups[best][0].argmax()))
+
+    def _rivals(self, groups: list[Group]) -> list[Atom]:
+        """Atoms that the longest step allowed by those in use would lift over the weakest."""
+        least = float(np.linalg.norm(self.weights, axis=1).min())
+        least *= float(np.linalg.eigvalsh(self._gram)[-1])
+        wanted = len(self.filters) + 1
+        rivals: list[tuple[float, Atom]] = []
+        for values, number, group in groups:
+            flat = values.flatten()
+            over = torch.nonzero(flat > least)[:, 0]
+            keep = torch.topk(flat[over], min(len(over), wanted)).indices
+            rivals += [
+                (float(flat[i]), self._named(values, number, group, i)) for i in over[keep].tolist()
+            ]
+        return [atom for _, atom in sorted(rivals, reverse=True)[:wanted]]
+
+    def _named(self, values: Values, number: int, group: int, flat: int) -> Atom:
+        twist, place, row, column = (int(i) for i in np.unravel_index(flat, values.shape))
+        plan = self._plans[number]
+        return plan.first + plan.correlation.members(group)[place], (row, column, twist)
+
+    def _rotated(self, atom: Atom) -> Float[Tensor, " k"]:
+        plan = self._plans[part_of(self._plans, atom[0])]
+        out = torch.zeros_like(self._target[:, 0])
+        out[plan.coordinates] = plan.correlation.rotated(
+            torch.tensor([atom[0] - plan.first]), torch.tensor([atom[1]])
+        )[0]
+        return out
+
+    def _append(self, found: list[Atom]) -> None:
+        atoms = torch.stack([self._rotated(atom) for atom in found])
+        old, new = len(self._gram), len(self._gram) + len(found)
+        if new > len(self._images):
+            more = self._images.new_zeros(new, self._images.shape[1])
+            self._images = torch.cat([self._images, more])
+        self._images[old:new] = self._objective.hessian(atoms.T).T
+        block = (self._images[:new] @ atoms.T).cpu().numpy()
+        gram = np.zeros((new, new))
+        gram[:old, :old] = self._gram
+        gram[:, old:] = block
+        gram[old:, :old] = block[:old].T
+        self._gram = gram
+        self._right = np.concatenate([self._right, (atoms @ self._target).cpu().numpy()])
+        self.filters += [f[0] for f in found]
+        self.places += [f[1] for f in found]
+        for each in self._sets:
+            for _ in found:
+                each.grow()
+
+    def _threshold(self, size: int, new: int) -> None:
+        """Keep the ``size`` strongest after a gradient step, of the atoms present and ``new``."""
+        z = self.weights
+        gradient = self._right - self._gram @ z
+        present = np.arange(len(z)) < len(z) - new
+        # no step that involves these atoms may be longer
+        step = 1 / np.linalg.eigvalsh(self._gram[np.ix_(present, present)])[-1]
+        while True:
+            u = z + step * gradient
+            if self.options.weights == "nonnegative":
+                u = np.maximum(u, 0)
+            else:
+                u = np.sign(u) * np.maximum(np.abs(u) - step * self.penalty, 0)
+            strength = np.linalg.norm(u, axis=1)
+            kept = np.sort(np.argsort(-strength, kind="stable")[:size])
+            involved = np.flatnonzero(present | np.isin(np.arange(len(z)), kept))
+            curvature = np.linalg.eigvalsh(self._gram[np.ix_(involved, involved)])[-1]
+            if step * curvature <= 1 + 1e-9:
+                break
+            step = 1 / curvature
+        for atom in sorted(set(range(len(z))) - set(kept.tolist()), reverse=True):
+            self._drop(atom)
+
+    def _drop(self, atom: int) -> None:
+        del self.filters[atom], self.places[atom]
+        rest = [i for i in range(len(self._gram)) if i != atom]
+        self._images[atom : len(rest)] = self._images[atom + 1 : len(rest) + 1].clone()
+        self._gram = self._gram[np.ix_(rest, rest)]
+        self._right = self._right[rest]
+        for each in self._sets:
+            each.drop(atom)
+
+    def _refit(self) -> None:
+        for colour, each in enumerate(self._sets):
+            each.solve(self._gram, self._right[:, colour])

@@ -1,0 +1,160 @@
+"""Illumination from rendered faces (thesis, 5.5.3, Table 5.2)."""
+
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from skylight.evaluation.faces.face_ablation import from_true_light, with_true_albedo
+from skylight.evaluation.faces.face_light import (
+    METHODS,
+    NOT_FOUND,
+    LitFace,
+    coverage,
+    face_score,
+    fitted_head,
+    light_of,
+    peak_mib,
+    pose_error_deg,
+)
+from skylight.evaluation.faces.known_faces import FIRST_SEED, FaceSource, KnownFace
+from skylight.evaluation.faces.options import EstimateOptions
+from skylight.evaluation.harness.pictures import beside, strip, write_sheet
+from skylight.evaluation.harness.run import Check, Item, picture_of
+from skylight.evaluation.harness.tables import Rows
+from skylight.io.files import write_png
+from skylight.models.names import LightName
+
+OURS: LightName = "autoencoder"
+# rows with something known: the geometry, the skin's albedo, the light where the search starts
+TRUE, TRUE_ALBEDO, TRUE_START = "_true", "_true_albedo", "_true_start"
+MEAN_GOALS = {
+    "mae": 0.45,
+    "rmse": 0.35,
+    "si_rmse": 0.25,
+    "full_dw_mae": 0.60,
+    "sky_dw_mae": 0.35,
+    "sun_dw_mae": 0.12,
+    "sun_angle_deg": 8.0,
+}
+MEDIAN_GOALS = {"sun_angle_deg": 4.0}
+COVERED = 0.80, 0.97  # how often the 90 % region may hold the true sun
+WORST_TONE = 1.5  # mean sun angle of the worst cluster of skin tones over the best's
+FEWEST_OF_A_TONE = 3
+SHOWN, SHEET_WIDTH = 10, 2500  # faces of Fig. 5.6, in two columns
+
+
+@dataclass(frozen=True, kw_only=True)
+class SyntheticFaces:
+    """Rendered people (of the folder ``data``, or rendered here), heads from dlib's landmarks.
+
+    ``ablation`` adds what the autoencoder makes of the true head, and of the fitted one with the
+    true albedo and from the true light: three times the time.
+    """
+
+    count: int | None
+    data: Path | None = None
+    size: int = 256
+    seed: int = FIRST_SEED
+    methods: tuple[LightName, ...] = METHODS
+    ablation: bool = False
+    options: EstimateOptions = EstimateOptions()
+
+    @property
+    def name(self) -> str:
+        return "synthetic-faces" if self.data is None else "rendered-faces"
+
+    @property
+    def source(self) -> FaceSource:
+        return FaceSource(data=self.data, count=self.count, size=self.size, seed=self.seed)
+
+    def config(self) -> dict[str, object]:
+        return self.source.config() | {
+            "methods": list(self.methods),
+            "ablation": self.ablation,
+            **self.options.config(),
+        }
+
+    def items(self) -> list[str]:
+        return self.source.names()
+
+    def measure(self, item: str, picture: Path) -> Item:
+        face = self.source.read(item)
+        seconds: dict[str, float] = {}
+        fit = fitted_head(face, seconds)
+        facts: dict[str, object] = {"found": fit is not None, "sun_visible": face.sun_visible}
+        if face.tone is not None:
+            facts["skin tone"] = face.tone
+        if fit is None:
+            return Item(name=item, metrics={}, facts=facts, problem=NOT_FOUND)
+        found = light_of(face, fit, self.methods, seconds, options=self.options)
+        facts |= {
+            "landmark_error": fit.landmark_error,
+            "pose_deg": pose_error_deg(fit, face.truth),
+            "pixels": len(found.view.observation.pixels),
+        }
+        environments = {m: e.environment for m, e in found.estimates.items()}
+        write_png(picture, beside(face.encoded, strip(face.environment, environments), item))
+        metrics = found.metrics | self._known(face, found)
+        if OURS in metrics:
+            metrics[OURS]["pose_deg"] = pose_error_deg(fit, face.truth)
+            metrics[OURS]["peak_mib"] = peak_mib()
+            posterior = found.estimates[OURS].posterior
+            facts["verdict"] = posterior.verdict
+            if face.sun_visible:
+                metrics[OURS] |= coverage(posterior, face.environment.brightest_direction())
+        facts |= {"seconds": seconds, "peak_mib": peak_mib()}
+        return Item(name=item, metrics=metrics, facts=facts)
+
+    def _known(self, face: KnownFace, found: LitFace) -> dict[str, dict[str, float]]:
+        """Rows in which something is known that is not in a photograph."""
+        rows = {}
+        if self.ablation:
+            true_head = light_of(face, face.truth, (OURS,), {}, options=self.options)
+            rows[OURS + TRUE] = true_head.metrics[OURS]
+            observation = found.view.observation
+            told = {TRUE_ALBEDO: with_true_albedo, TRUE_START: from_true_light}
+            for suffix, estimate in told.items():
+                rows[OURS + suffix] = face_score(estimate(observation, face).environment, face)
+        return rows
+
+    def checks(self, rows: Rows, items: list[Item]) -> dict[str, Check]:
+        ours = rows.get(OURS, {})
+        checks: dict[str, Check] = {}
+        for statistic, goals in (("mean", MEAN_GOALS), ("median", MEDIAN_GOALS)):
+            for metric, goal in goals.items():
+                if metric in ours:  # a run without a visible sun has no sun to check
+                    value = ours[metric][statistic]
+                    checks[f"{OURS} {statistic} {metric}"] = Check.at_most(value, goal)
+        if "in_region" in ours:
+            share = ours["in_region"]["mean"]
+            low, high = COVERED
+            checks["true sun in the 90 % region"] = Check(
+                value=share, goal=f"{low:g} to {high:g}", ok=low <= share <= high
+            )
+        ratio = worst_tone(items)
+        if ratio is not None:
+            name = "mean sun angle, worst cluster of skin tones over the best"
+            checks[name] = Check.at_most(ratio, WORST_TONE)
+        return checks
+
+    def illustrate(self, out: Path, rows: Rows, items: list[Item]) -> None:
+        """``figure_5_6.png``: ten faces, and what each method makes of them."""
+        found = [picture_of(out, item.name) for item in items if item.metrics]
+        chosen = np.linspace(0, len(found) - 1, min(SHOWN, len(found))).round().astype(int)
+        write_sheet(out / "figure_5_6.png", [found[i] for i in chosen], width=SHEET_WIDTH)
+
+
+def worst_tone(items: list[Item]) -> float | None:
+    """Highest mean sun angle over the lowest, of clusters with three faces or more.
+
+    None where fewer than two clusters have so many with a visible sun.
+    """
+    angles: dict[object, list[float]] = defaultdict(list)
+    for item in items:
+        angle = item.metrics.get(OURS, {}).get("sun_angle_deg")
+        if angle is not None and "skin tone" in item.facts:
+            angles[item.facts["skin tone"]].append(angle)
+    means = [float(np.mean(a)) for a in angles.values() if len(a) >= FEWEST_OF_A_TONE]
+    return max(means) / min(means) if len(means) > 1 else None

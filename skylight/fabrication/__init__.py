@@ -1,0 +1,1 @@
+"""Parts for 3D printers: files, layout, mounts and checks."""

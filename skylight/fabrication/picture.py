@@ -1,0 +1,102 @@
+"""Ray-traced images of parts: ambient occlusion, a lamp, and feature lines."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+
+from skylight.fabrication.part import PrintedPart, merged
+from skylight.imaging.colour import linear_to_srgb
+from skylight.transport.raycast import Raycaster
+
+_FINE = 2  # rays along a pixel's side
+_SKY_RAYS = 4  # per ray that hits
+_SKY, _LAMP, _EDGE = 0.62, 0.5, 0.55
+_MARGIN = 1.06
+
+
+def shaded_picture(
+    parts: Sequence[PrintedPart],
+    colours: Float[np.ndarray, "n 3"],
+    *,
+    size: tuple[int, int],
+    up: tuple[int, int, int],
+    azimuth_rad: float = 0.6,
+    elevation_rad: float = 0.5,
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Parts on white, seen from far away (parallel rays); ``size`` is (height, width).
+
+    ``colours`` are linear reflectances. The view turns about ``up``: azimuth 0 looks along the
+    axis after next (-Z where +Y is up) and grows as the viewer goes to the right.
+    """
+    vertices, faces, owner = merged(parts)
+    right, above, towards = _view(up, azimuth_rad, elevation_rad)
+    caster = Raycaster(torch.from_numpy(vertices), torch.from_numpy(faces))
+    height, width = (side * _FINE for side in size)
+    across, along = vertices @ right, vertices @ above
+    scale = _MARGIN * max(np.ptp(across) / width, np.ptp(along) / height)
+    x = (np.arange(width) + 0.5 - width / 2) * scale + (across.min() + across.max()) / 2
+    y = (height / 2 - np.arange(height) - 0.5) * scale + (along.min() + along.max()) / 2
+    far = float((vertices @ towards).max()) + caster.diagonal / 10
+    origins = (y[:, None, None] * above + x[None, :, None] * right + far * towards).reshape(-1, 3)
+    hits = caster.intersect(torch.from_numpy(origins), torch.from_numpy(-towards)[None])
+    face = hits.face.numpy()
+    seen = np.flatnonzero(face >= 0)
+    points = origins[seen] - hits.distance.numpy()[seen, None] * towards
+    corners = vertices[faces[face[seen]]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    light = _light(caster, points, normals, right, above, towards)
+    linear = np.ones((height * width, 3))
+    linear[seen] = colours[owner[face[seen]]] * light[:, None]
+    # lines where the part or the surface's direction changes from one ray to the next
+    mark = np.zeros((height * width, 4))
+    mark[seen] = np.concatenate([normals, 10.0 + owner[face[seen], None]], 1)
+    linear[_breaks(mark.reshape(height, width, 4)).reshape(-1) & (face >= 0)] *= _EDGE
+    picture = linear.reshape(size[0], _FINE, size[1], _FINE, 3).mean((1, 3))
+    return (255 * linear_to_srgb(torch.from_numpy(picture.clip(0, 1)))).round().byte().numpy()
+
+
+def _view(up: tuple[int, int, int], azimuth_rad: float, elevation_rad: float) -> np.ndarray:
+    """Rows: right, above, towards the viewer."""
+    vertical = np.array(up, float)
+    front = np.roll(vertical, 1)  # +Z where +Y is up
+    side = np.cross(vertical, front)
+    level = math.cos(azimuth_rad) * front + math.sin(azimuth_rad) * side
+    towards = math.cos(elevation_rad) * level + math.sin(elevation_rad) * vertical
+    right = np.cross(vertical, level)
+    return np.stack([right, np.cross(towards, right), towards])
+
+
+def _light(
+    caster: Raycaster,
+    points: np.ndarray,
+    normals: np.ndarray,
+    right: np.ndarray,
+    above: np.ndarray,
+    towards: np.ndarray,
+) -> np.ndarray:
+    """Sky light that is not hidden, and a lamp at the viewer's upper left that casts shadows."""
+    lifted = torch.from_numpy(points + 2 * caster.epsilon * normals)
+    generator = np.random.default_rng(0)
+    sky = np.zeros(len(points))
+    for _ in range(_SKY_RAYS):
+        # cosine-weighted: the normal and a point on the unit sphere
+        ball = generator.normal(size=(len(points), 3))
+        ball /= np.linalg.norm(ball, axis=1, keepdims=True)
+        away = normals * (1 + 1e-6) + ball
+        sky += ~caster.occluded(lifted, torch.from_numpy(away)).numpy()
+    lamp = towards + 0.9 * above - 0.55 * right
+    lamp /= np.linalg.norm(lamp)
+    lit = ~caster.occluded(lifted, torch.from_numpy(lamp)[None]).numpy()
+    return _SKY * sky / _SKY_RAYS + _LAMP * lit * (normals @ lamp).clip(0) + 0.03
+
+
+def _breaks(mark: np.ndarray) -> np.ndarray:
+    """Where the next ray to the right or below sees something else."""
+    found = np.zeros(mark.shape[:2], bool)
+    found[:, :-1] |= (np.abs(np.diff(mark, axis=1)) > 0.3).any(-1)
+    found[:-1] |= (np.abs(np.diff(mark, axis=0)) > 0.3).any(-1)
+    return found

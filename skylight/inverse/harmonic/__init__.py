@@ -1,0 +1,1 @@
+"""Spherical harmonic illumination: robust and non-negative least squares."""

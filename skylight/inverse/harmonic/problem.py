@@ -1,0 +1,289 @@
+"""Observations of one light -> that light as spherical harmonics: a robust linear problem."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skylight.errors import InputError
+from skylight.inverse.posterior import sun_evidence, sun_posterior
+from skylight.inverse.result import UNEXPLAINED, Estimate, FaceLight, advice, residual
+from skylight.inverse.scale import bayes_scale, scale_nll, tone_prior
+from skylight.inverse.scan import SCAN_HEIGHT, scan_sun
+from skylight.inverse.sky.objective import ObjectiveWeights, charbonnier, data_term
+from skylight.models.harmonic import HarmonicLight, solve_linear
+from skylight.models.prior import GaussianMixture
+from skylight.sphere import harmonics
+from skylight.sphere.envmap import EnvironmentMap, luminance
+from skylight.sphere.grid import DirectionGrid
+from skylight.transport.observation import Observation
+from skylight.work.progress import Progress
+
+ROWS = 32  # of transport: shadows' edges within 3 degrees do for light of degree 4
+RIDGES = (1e-6, 1e-3, 1e-2, 1e-1, 1.0)
+COLOUR_RIDGE = 1e-6  # of the changes of the faces' colours, which must not be slowed
+REWEIGHTINGS = 8
+MOST_REWEIGHTINGS = 30  # where several faces share a light
+SETTLED = 1e-3  # a smaller relative change of the faces' colours
+DAYLIGHT_CHROMA = 0.15  # by which daylight varies in the log of its channels' ratios
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Fit:
+    """``product`` the first albedo times the coefficients, ``mean`` what that shades on average.
+
+    ``colour`` (f,3) the faces' factors on it, ``data`` the data term of the light cut off at zero,
+    in nats.
+    """
+
+    product: Float[Tensor, "k 3"]
+    colour: Float[Tensor, "f 3"]
+    mean: Float[Tensor, "3"]
+    data: float
+    rounds: int
+    settled: bool
+
+
+class HarmonicProblem:
+    """SH coefficients from all faces under one light: give it each face, then solve.
+
+    Surface reflection is left out, in the posterior too: highlights count as outliers. Keeps
+    each observation's transport on :data:`ROWS` rows, without its gloss. Everything is computed on
+    the device of ``albedo_modes``, where the model and the prior have to be; the estimate is on
+    the CPU.
+    """
+
+    grid_height = ROWS  # of the observations that it needs
+    uses_gloss = False
+
+    def __init__(
+        self,
+        model: HarmonicLight,
+        albedo_prior: GaussianMixture,
+        albedo_modes: Float[Tensor, "k 3"],
+    ) -> None:
+        self.model = model
+        basis = harmonics.evaluate(DirectionGrid.latlong(ROWS).directions, model.degree)
+        self.basis = basis.to(albedo_modes.device)
+        self.albedo_prior = albedo_prior
+        self.tone_prior = tone_prior(albedo_prior)
+        self.albedo_modes = albedo_modes
+        self._faces: list[Observation] = []
+        self._photos: list[int] = []
+        self._scanned: list[Observation] = []
+
+    def add(self, observation: Observation, photo: int = 0) -> None:
+        """One more face; photographs come in order, counted from 0.
+
+        Raises
+        ------
+        InputError
+            All of the face is over-exposed.
+        """
+        observation = observation.to(self.albedo_modes.device)
+        weights = observation.weights
+        if observation.clipped is not None:  # a linear fit has no use for bounds
+            weights = weights * ~observation.clipped
+            if not bool((weights > 0).any()):
+                raise InputError("the whole face is over-exposed; use a darker picture")
+        matt = replace(observation, gloss=None)
+        self._faces.append(replace(matt, weights=weights).on_rows(ROWS))
+        self._photos.append(photo)
+        self._scanned.append(matt.coarser(1).on_rows(SCAN_HEIGHT))
+
+    def solve(self, progress: Progress | None = None) -> Estimate:
+        """Robust fit of SH coefficients by reweighted linear least squares, cut off at zero.
+
+        A pixel's weight is divided by its mean Charbonnier residual over the channels, which
+        share it. Shading is linear in the coefficients, so there is no start to choose. A face
+        says little of what it does not see, and there the best coefficients swing far below zero;
+        of :data:`RIDGES` the one is taken whose light, cut off, explains the faces best. Several
+        faces have a colour factor each (albedo times exposure; the first one's is 1), and light
+        and factors are fitted together, by Gauss-Newton steps that share the reweighting.
+        ``status`` is "converged" unless they did not settle.
+        """
+        model, faces = self.model, self._faces
+        fit = self._fit()
+        albedos, exposures = self._split(fit.colour.cpu(), fit.mean.cpu())
+        albedos = albedos.to(fit.product.device)
+        coefficients = (fit.product / albedos[0]).float()
+        with torch.no_grad():
+            radiance = model(coefficients.reshape(1, -1))[0]
+        layout = model.grid.layout
+        assert layout is not None
+        environment = EnvironmentMap(radiance=radiance.reshape(*layout, 3).float().cpu())
+        coarse = environment.resize(ROWS).flat.to(radiance.device)
+        lights = []
+        for face, photo, albedo in zip(faces, self._photos, albedos.float(), strict=True):
+            rendered = exposures[photo] * albedo * (face.transport.matrix @ coarse)
+            lights.append(
+                FaceLight(
+                    photo=photo,
+                    exposure=exposures[photo],
+                    albedo=albedo.cpu(),
+                    gloss=0.0,
+                    rendered=rendered.cpu(),
+                    residual=residual(rendered, face.pixels, face.clipped),
+                )
+            )
+        ground = environment.radiance[layout[0] // 2 :].reshape(-1, 3).mean(0)
+        down = environment.upper().irradiance(torch.tensor([0.0, 1.0, 0.0])) / torch.pi
+        if progress is not None:
+            progress(1.0)
+        # harmonics this smooth have no sun of their own to add to the scan's
+        posterior = sun_posterior(
+            sun_evidence(self._scanned, scan_sun(self._scanned).faces),
+            None,
+            explained=all(light.residual <= UNEXPLAINED for light in lights),
+            exposure=lights[0].exposure,
+            albedo=lights[0].albedo,
+            gloss=None,
+            albedo_prior=self.tone_prior,
+        )
+        return Estimate(
+            light=model.name,
+            environment=environment,
+            params=coefficients.reshape(-1).cpu(),
+            ground_albedo=(ground / down.clamp(min=1e-12)).clamp(0, 1),
+            sun_direction=environment.brightest_direction(),
+            posterior=posterior,
+            faces=tuple(lights),
+            terms={"data": fit.data},
+            status="converged" if fit.settled else "iteration limit",
+            advice=advice(tuple(lights)),
+            stats={"evaluations": fit.rounds, "nonfinite": 0},
+        )
+
+    def _fit(self) -> "_Fit":
+        # float64: rounding in the reweighting does not reach the float32 of the result
+        shading = [face.transport.project(self.basis).double() for face in self._faces]
+        fits = [self._fit_with(ridge, shading) for ridge in RIDGES]
+        best = min(fits, key=lambda fit: fit.data)
+        return replace(best, rounds=sum(fit.rounds for fit in fits))
+
+    def _fit_with(self, ridge: float, shading: list[Float[Tensor, "_ k"]]) -> "_Fit":
+        faces = self._faces
+        pixels = [face.pixels.double() for face in faces]
+        means = [float(luminance(p).mean()) for p in pixels]
+        # each face counts alike, as in the objective
+        first = faces[0].weights.double().sum()
+        given = [f.weights.double() * (first / f.weights.double().sum()) for f in faces]
+        colour = torch.stack([(w[:, None] * p).sum(0) for w, p in zip(given, pixels, strict=True)])
+        colour = (colour / colour[0]).clamp(min=1e-6)
+        weights = given
+        lit: list[Float[Tensor, "_ 3"]] = []
+        for rounds in range(1, MOST_REWEIGHTINGS + 1):
+            product, change = _gauss_newton(
+                shading,
+                [p / c for p, c in zip(pixels, colour, strict=True)],
+                torch.cat(weights),
+                lit,
+                ridge,
+            )
+            lit = [one @ product for one in shading]
+            colour = colour * change
+            gaps = [
+                (one * c - p) / mean
+                for one, c, p, mean in zip(lit, colour, pixels, means, strict=True)
+            ]
+            weights = [w / charbonnier(gap).mean(1) for w, gap in zip(given, gaps, strict=True)]
+            settled = bool((change.log().abs() < SETTLED).all())
+            if settled and rounds >= REWEIGHTINGS:
+                break
+        shares = [w[:, None] / w.sum() / 3 for w in given]
+        # cut off at zero the light is another: each channel is brought back to its weighted mean
+        light = (self.basis @ product).clamp(min=0).float()
+        lit = [(face.transport.matrix @ light).double() for face in faces]
+        seen, shaded = (
+            torch.stack([(w[:, None] * one).sum(0) for w, one in zip(weights, values, strict=True)])
+            for values in ([p / c for p, c in zip(pixels, colour, strict=True)], lit)
+        )
+        rescale = seen.sum(0) / shaded.sum(0).clamp(min=1e-12)
+        lit = [one * rescale for one in lit]
+        gaps = [
+            (one * c - p) / mean for one, c, p, mean in zip(lit, colour, pixels, means, strict=True)
+        ]
+        return _Fit(
+            product=product * rescale,
+            colour=colour,
+            mean=torch.cat(lit).mean(0).clamp(min=1e-6 * means[0]),
+            data=sum(
+                float(data_term(gap, share, ObjectiveWeights()))
+                for gap, share in zip(gaps, shares, strict=True)
+            ),
+            rounds=rounds,
+            settled=settled,
+        )
+
+    def _split(
+        self, colour: Float[Tensor, "f 3"], mean: Float[Tensor, "3"]
+    ) -> tuple[Float[Tensor, "f 3"], list[float]]:
+        """(albedos, exposure of each photograph) from the faces' colour factors.
+
+        The fit knows only albedo times light (the ambiguity of Eq. 5.9). Of the skin prior's
+        modes, as albedos of the first photograph's faces, the one is taken that leaves the light
+        most neutral, plus its negative log-likelihood, for all faces that follow from it. A
+        further photograph is exposed so that one of its faces is as bright as a mode. Then every
+        photograph is brought to the :func:`bayes_scale` of its albedos.
+        """
+        modes = self.albedo_modes.cpu().double()
+        rows = [[k for k, p in enumerate(self._photos) if p == n] for n in sorted({*self._photos})]
+        best: tuple[float, Float[Tensor, "f 3"], list[float]] | None = None
+        for lead in rows[0]:
+            for mode in modes:
+                # albedos up to the exposure of each photograph; exactly the mode for its face
+                albedos = colour / colour[lead] * mode
+                chroma = torch.log(mean / albedos[0])
+                cost = 0.5 * float(((chroma - chroma.mean()) ** 2).sum()) / DAYLIGHT_CHROMA**2
+                exposures = [1.0]
+                for mine in rows[1:]:
+                    levels = luminance(albedos[mine])[:, None] / luminance(modes)
+                    nll = [self._nll(albedos[mine] / level) for level in levels.flatten()]
+                    exposures.append(float(levels.flatten()[nll.index(min(nll))]))
+                    albedos[mine] /= exposures[-1]
+                cost += self._nll(albedos)
+                if best is None or cost < best[0]:
+                    best = cost, albedos, exposures
+        assert best is not None
+        _, albedos, exposures = best
+        for photo, mine in enumerate(rows):
+            nll = scale_nll(albedos[mine][None].float(), self.tone_prior)
+            scale = float(bayes_scale(nll))
+            albedos[mine] *= scale
+            # the light is the one over the first albedo: it changes with the first photograph
+            exposures[photo] /= scale
+        return albedos, [exposure / exposures[0] for exposure in exposures]
+
+    def _nll(self, albedos: Float[Tensor, "f 3"]) -> float:
+        """-ln p of all albedos together."""
+        return -float(self.albedo_prior.log_prob(albedos.log().float()).sum())
+
+
+def _gauss_newton(
+    shading: list[Float[Tensor, "_ k"]],
+    pixels: list[Float[Tensor, "_ 3"]],
+    weights: Float[Tensor, " m"],
+    lit: list[Float[Tensor, "_ 3"]],
+    ridge: float,
+) -> tuple[Float[Tensor, "k 3"], Float[Tensor, "f 3"]]:
+    """(coefficients, factors by which the faces' colours change), the first face's being 1.
+
+    ``pixels`` are over the colours so far. A face is modelled by B c + x (B c_0), with the
+    ``lit`` B c_0 of the step before, and its colour grows by 1 + x; with ``lit`` empty it stays.
+    """
+    faces, coefficients = len(shading), shading[0].shape[1]
+    product = shading[0].new_zeros(coefficients, 3)
+    change = shading[0].new_ones(faces, 3)
+    for channel in range(3):
+        basis = torch.cat(shading)
+        if lit:
+            column = [one[:, channel : channel + 1] for one in lit]
+            basis = torch.cat([basis, torch.block_diag(*column)[:, 1:]], 1)
+        ridges = basis.new_full((basis.shape[1],), COLOUR_RIDGE, dtype=torch.float32)
+        ridges[:coefficients] = ridge
+        solution = solve_linear(basis, torch.cat(pixels), weights, ridge=ridges)[:, channel]
+        product[:, channel] = solution[:coefficients]
+        if lit:
+            change[1:, channel] += solution[coefficients:].clamp(-0.5, 1.0)
+    return product, change

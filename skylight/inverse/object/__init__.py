@@ -1,0 +1,1 @@
+"""Illumination from an object of known shape."""

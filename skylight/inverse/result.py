@@ -1,0 +1,105 @@
+"""What inverse lighting answers: a light, and what it does to each face."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from skylight.inverse.posterior import SunPosterior
+from skylight.sphere.envmap import EnvironmentMap, luminance
+
+Status = Literal["converged", "iteration limit", "recovered from a non-finite step"]
+UNEXPLAINED = 0.25  # a face whose residual is larger cannot be trusted
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceLight:
+    """What a face does with the light: it sees ``albedo * T l + gloss * G l`` with l exposed.
+
+    ``photo`` is the number of its photograph among all that were given, from 0, and ``exposure``
+    that photograph's; ``rendered`` (m,3) its observation's pixels, in the photograph's radiance
+    units; ``residual`` their mean deviation in luminance, relative to the face's mean. ``gloss``
+    is 0 where a model leaves surface reflection out.
+    """
+
+    photo: int
+    exposure: float
+    albedo: Float[Tensor, "3"]
+    gloss: float
+    rendered: Float[Tensor, "m 3"]
+    residual: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """The light of a picture, in its camera's frame and its own radiance units.
+
+    ``environment`` is a full 64 x 128 map; ``faces`` what was lit by it, one or more, in the
+    order in which they were given; ``terms`` the parts of the objective (nats) at the end;
+    ``params`` those of the light model. ``status`` is "converged" where the optimisation ended
+    at a minimum, else how it ended (``stats["nonfinite"]`` counts steps taken back in either
+    case), and ``advice`` says what to do where the result should not be trusted (empty where
+    nothing is known against it). ``posterior`` says how sure the sun, exposure and albedo are.
+
+    Of several photographs the map has the first used one's units: a face of another sees it times
+    the ratio of the two exposures. ``exposure``, ``albedo`` and ``rendered`` are the first face's.
+    """
+
+    light: str
+    environment: EnvironmentMap
+    params: Float[Tensor, " p"]
+    ground_albedo: Float[Tensor, "3"]
+    sun_direction: Float[Tensor, "3"]
+    posterior: SunPosterior
+    faces: tuple[FaceLight, ...]
+    terms: dict[str, float]
+    status: Status
+    advice: tuple[str, ...]
+    stats: dict[str, float | int]
+
+    @property
+    def exposure(self) -> float:
+        return self.faces[0].exposure
+
+    @property
+    def albedo(self) -> Float[Tensor, "3"]:
+        return self.faces[0].albedo
+
+    @property
+    def rendered(self) -> Float[Tensor, "m 3"]:
+        return self.faces[0].rendered
+
+
+def residual(
+    rendered: Float[Tensor, "m 3"],
+    seen: Float[Tensor, "m 3"],
+    clipped: Bool[Tensor, " m"] | None = None,
+) -> float:
+    """Mean ``|rendered - seen|`` in luminance, relative to the mean luminance seen.
+
+    Where ``clipped``, what was seen is a lower bound: both means leave out the bounds that are
+    kept. The residual is 0 where these are all there is.
+    """
+    true = luminance(seen)
+    deviation = luminance(rendered) - true
+    if clipped is not None:
+        counted = ~clipped | (deviation < 0)
+        if not bool(counted.any()):
+            return 0.0
+        deviation, true = deviation[counted], true[counted]
+    return float(deviation.abs().mean() / true.mean())
+
+
+def advice(faces: tuple[FaceLight, ...]) -> tuple[str, ...]:
+    """What the residuals tell about trust."""
+    given = []
+    for number, face in enumerate(faces, start=1):
+        name = "face" if len(faces) == 1 else f"face {number} of {len(faces)}"
+        if face.residual > UNEXPLAINED:
+            given.append(
+                f"the re-rendered {name} is off by {100 * face.residual:.0f} % on average: the "
+                "light is unreliable; check the mesh overlay, or use a picture with less hair, "
+                "glasses or gloss"
+            )
+    return tuple(given)

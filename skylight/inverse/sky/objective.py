@@ -1,0 +1,257 @@
+"""The objective of inverse lighting (thesis, Eq. 5.8) as a function of free parameters.
+
+One light, seen on one face or more: every face adds its own data term and priors.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from skylight.inverse.scale import GLOSS_SPREAD, bayes_scale, gloss_nll, scale_nll, tone_prior
+from skylight.models.base import LightModel, Prior, without_azimuth
+from skylight.models.ground import LambertianGround, ground_prior
+from skylight.models.prior import GaussianMixture
+from skylight.transport.diffuse import SkyTransport
+from skylight.transport.observation import Observation
+
+CHARBONNIER_EPSILON = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectiveWeights:
+    """How much the parts count. All parts are negative log-likelihoods, in nats.
+
+    ``noise`` is the expected mean deviation of a pixel from the model, relative to the face's
+    mean radiance: not sensor noise, but freckles, gloss and wrong geometry. Neighbouring pixels
+    deviate together, so a face's pixels count as ``independent`` observations, whatever their
+    number; those of several faces add up.
+    """
+
+    noise: float = 0.06
+    independent: float = 250.0
+    light_prior: float = 1.0
+    albedo_prior: float = 1.0
+    ground_prior: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceTerm:
+    """One face as the objective sees it.
+
+    ``target`` (m,3) the pixels; ``share`` (m,1) each pixel's weight over all pixels and channels,
+    with sum 1/3; ``photo`` counts the photographs from 0: faces of one share its exposure.
+    ``level`` is the face's mean luminance in the target's units, which deviations are relative
+    to: a dark face in the shade says as much about light as a bright one. Where ``clipped``, the
+    target is a lower bound: what is brighter deviates by nothing.
+    """
+
+    target: Float[Tensor, "m 3"]
+    share: Float[Tensor, "m 1"]
+    transport: SkyTransport
+    gloss: SkyTransport | None
+    photo: int = 0
+    level: float = 1.0
+    clipped: Bool[Tensor, " m"] | None = None
+
+    @staticmethod
+    def of(observation: Observation) -> "FaceTerm":
+        """The only face of a photograph whose mean luminance is 1."""
+        gloss = observation.gloss
+        return FaceTerm(
+            target=observation.pixels,
+            share=(observation.weights / observation.weights.sum())[:, None] / 3,
+            transport=SkyTransport(observation.transport),
+            gloss=None if gloss is None else SkyTransport(gloss),
+            clipped=observation.clipped,
+        )
+
+    @property
+    def exact_share(self) -> Float[Tensor, "m 1"]:
+        """``share`` where the target is more than a bound."""
+        return self.share if self.clipped is None else self.share * ~self.clipped[:, None]
+
+    def deviation(self, shading: Float[Tensor, "*b m 3"]) -> Float[Tensor, "*b m 3"]:
+        """How far the face is from this shading, in its own level."""
+        deviation = (shading - self.target) / self.level
+        if self.clipped is None:
+            return deviation
+        return torch.where(self.clipped[:, None], deviation.clamp(max=0), deviation)
+
+    def data_term(
+        self, shading: Float[Tensor, "*b m 3"], weights: ObjectiveWeights
+    ) -> Float[Tensor, "*b"]:
+        """How unlikely the face is under this shading, in nats."""
+        return data_term(self.deviation(shading), self.share, weights)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unpacked:
+    """The physical meaning of a batch of free parameters: n photographs of f faces in all."""
+
+    light: Float[Tensor, "b p"]
+    exposure: Float[Tensor, "b n"]
+    gloss: Float[Tensor, "b f"]
+    albedo: Float[Tensor, "b f 3"]
+    ground_albedo: Float[Tensor, "b 3"]
+
+
+def charbonnier(x: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
+    """``sqrt(x^2 + 1e-6)``: smooth, convex, close to ``|x|``."""
+    return torch.sqrt(x * x + CHARBONNIER_EPSILON)
+
+
+class SkyObjective:
+    """Eq. 5.8 for a model of the sky over a Lambertian ground, summed over the faces it lights.
+
+    Beyond the thesis, a share of surface reflection: shading is rho T l + gloss G l, with one
+    unknown strength for each face (1 is what the index of refraction of skin says). On dark skin
+    highlights are as bright as the diffuse part, and taken for diffuse they pull the sun aside.
+
+    ``albedo_prior`` is a density over *log* albedo: over albedo itself it would be the same
+    distribution, but its maximum would lean towards dark skin.
+
+    Free parameters of one problem: those of the light model, a log exposure for each photograph,
+    for each face log gloss and the logits of skin albedo, then the logits of ground albedo, so
+    that 0 < albedo < 1 always holds. Targets are scaled beforehand to a mean luminance of 1 in
+    each photograph, which makes the loss's epsilon mean the same for every picture.
+    """
+
+    def __init__(
+        self,
+        faces: Sequence[FaceTerm],
+        model: LightModel,
+        light_prior: Prior,
+        albedo_prior: GaussianMixture,
+        weights: ObjectiveWeights,
+    ) -> None:
+        self.faces = tuple(faces)
+        self.photo_count = 1 + max(face.photo for face in faces)
+        self.model = model
+        self.light_prior = light_prior
+        self.albedo_prior = albedo_prior
+        self.tone_prior = tone_prior(albedo_prior)
+        self.weights = weights
+        device = self.faces[0].target.device
+        self.ground = LambertianGround(model.grid.layout[0]).to(device)  # type: ignore[index]
+        self.ground_prior = ground_prior().to(device)
+
+    @property
+    def size(self) -> int:
+        return self.model.parameter_count + 3 + self.photo_count + 4 * len(self.faces)
+
+    def faces_of(self, photo: int) -> list[int]:
+        """Which faces are of that photograph."""
+        return [k for k, face in enumerate(self.faces) if face.photo == photo]
+
+    def pack(
+        self,
+        light: Float[Tensor, "b p"],
+        exposure: Float[Tensor, "b n"],
+        gloss: Float[Tensor, "b f"],
+        albedo: Float[Tensor, "b f 3"],
+        ground_albedo: Float[Tensor, "b 3"],
+    ) -> Float[Tensor, "b q"]:
+        skin = torch.cat([gloss.log()[..., None], torch.logit(albedo, eps=1e-4)], 2)
+        return torch.cat(
+            [
+                self.model.to_free(light),
+                exposure.log(),
+                skin.flatten(1),
+                torch.logit(ground_albedo, eps=1e-4),
+            ],
+            1,
+        )
+
+    def unpack(self, free: Float[Tensor, "b q"]) -> Unpacked:
+        sizes = (self.model.parameter_count, self.photo_count, 4 * len(self.faces), 3)
+        light, exposure, skin, ground_albedo = free.split(sizes, 1)
+        skin = skin.unflatten(1, (-1, 4))
+        return Unpacked(
+            light=self.model.from_free(light),
+            # beyond e^+-20 a line search has gone astray; exp must not overflow on its way back
+            exposure=exposure.clamp(-20, 20).exp(),
+            gloss=skin[..., 0].clamp(-20, 5).exp(),
+            albedo=torch.sigmoid(skin[..., 1:]),
+            ground_albedo=torch.sigmoid(ground_albedo),
+        )
+
+    def shading(self, parts: Unpacked) -> list[Float[Tensor, "b _ 3"]]:
+        """Each face's rho T l + gloss G l with its photograph's exposure in l."""
+        radiance = self.model(parts.light)
+        skies = [radiance * e[:, None, None] for e in parts.exposure.unbind(1)]
+        grounds = [self.ground(sky, parts.ground_albedo) for sky in skies]
+        shadings = []
+        for k, face in enumerate(self.faces):
+            sky, ground = skies[face.photo], grounds[face.photo]
+            shading = face.transport(sky, ground, parts.albedo[:, k])
+            if face.gloss is not None:
+                gloss = parts.gloss[:, k, None].expand(-1, 3)
+                shading = shading + face.gloss(sky, ground, gloss)
+            shadings.append(shading)
+        return shadings
+
+    def terms(self, free: Float[Tensor, "b q"]) -> dict[str, Float[Tensor, " b"]]:
+        """Each part of the objective, weighted and summed over faces; they add up to it."""
+        parts = self.unpack(free)
+        light = without_azimuth(self.model, free[:, : self.model.parameter_count])
+        w = self.weights
+        data = [f.data_term(s, w) for f, s in zip(self.faces, self.shading(parts), strict=True)]
+        skin = self.albedo_prior.log_prob(parts.albedo.log().flatten(0, 1))
+        return {
+            "data": torch.stack(data).sum(0),
+            "light_prior": -w.light_prior * self.light_prior.log_prob(light),
+            "albedo_prior": -w.albedo_prior * skin.unflatten(0, (-1, len(self.faces))).sum(1),
+            "ground_prior": -w.ground_prior * self.ground_prior.log_prob(parts.ground_albedo.log()),
+            "gloss_prior": (0.5 * (parts.gloss.log() / GLOSS_SPREAD) ** 2).sum(1),
+        }
+
+    @torch.no_grad()
+    def at_bayes_scale(self, free: Float[Tensor, "b q"]) -> Float[Tensor, "b q"]:
+        """The same appearance with albedo and exposure at the scale of least expected error.
+
+        Albedo and gloss times c under 1/c of a photograph's exposure look the same: only the
+        priors know c, and between skins of different tone they have valleys that a descent does
+        not cross. Every photograph's c is that of :func:`bayes_scale`.
+        """
+        parts = self.unpack(free)
+        exposure, gloss, albedo = parts.exposure.clone(), parts.gloss.clone(), parts.albedo.clone()
+        for photo in range(self.photo_count):
+            mine = self.faces_of(photo)
+            glossy = free.new_tensor([self.faces[k].gloss is not None for k in mine])
+            scale = bayes_scale(
+                scale_nll(albedo[:, mine], self.tone_prior, self.weights.albedo_prior)
+                + gloss_nll(gloss[:, mine], glossy)
+            )
+            exposure[:, photo] /= scale
+            gloss[:, mine] *= scale[:, None]
+            albedo[:, mine] *= scale[:, None, None]
+        return self.pack(parts.light, exposure, gloss, albedo, parts.ground_albedo)
+
+    def __call__(
+        self, free: Float[Tensor, "b q"], index: Int[Tensor, " b"] | None = None
+    ) -> Float[Tensor, " b"]:
+        return torch.stack(list(self.terms(free).values())).sum(0)
+
+
+def data_term(
+    residual: Float[Tensor, "*b m 3"], share: Float[Tensor, "m 1"], weights: ObjectiveWeights
+) -> Float[Tensor, "*b"]:
+    """How unlikely a residual is, in nats: its mean Charbonnier over the expected deviation.
+
+    ``share`` holds each pixel's weight over all pixels and channels; it sums to 1/3.
+    """
+    mean = (charbonnier(residual) * share).sum((-2, -1))
+    return weights.independent / weights.noise * mean
+
+
+def best_exposure(
+    shading: Float[Tensor, "b m 3"], target: Float[Tensor, "m 3"], share: Float[Tensor, "m 1"]
+) -> Float[Tensor, " b"]:
+    """The exposure that makes the weighted mean of the shading that of the picture."""
+    return ((target * share).sum() / (shading * share).sum((1, 2)).clamp(min=1e-12)).clamp(
+        min=math.exp(-19), max=math.exp(19)
+    )

@@ -1,0 +1,1 @@
+"""Files of radiance, tensors and records: strict reading, atomic writing."""

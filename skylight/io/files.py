@@ -1,0 +1,162 @@
+"""Environment maps, images and JSON: strict reading, atomic writing."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import torch
+from jaxtyping import Float, UInt8
+from PIL import Image
+from torch import Tensor
+
+from skylight.errors import InputError, OutputError
+from skylight.io.atomic import atomic_path
+from skylight.io.hdr import (
+    HALF_MAX,
+    RGBE_MAX,
+    check_suffix,
+    read_linear,
+    write_exr,
+    write_radiance,
+)
+from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.frame import Convention, convert_latlong
+
+
+def read_environment_map(
+    path: str | Path, *, convention: Convention = "skylight"
+) -> EnvironmentMap:
+    """Light from an .exr or .hdr lat-long file, turned into skylight's frame.
+
+    Parameters
+    ----------
+    path
+        A full map (width = 2 height) or an upper-hemisphere sky (width = 4 height).
+    convention
+        Where the file's columns look: see :data:`skylight.sphere.frame.Convention`.
+
+    Raises
+    ------
+    InputError
+        A missing or damaged file, another shape, or values that are NaN, negative or infinite.
+    """
+    path = Path(path)
+    pixels = read_linear(path)
+    height, width = pixels.shape[:2]
+    if width not in (2 * height, 4 * height):
+        raise InputError(
+            f"{path}: {width}x{height} (width x height) is no lat-long map: expected a width of "
+            "2 heights (whole sphere) or 4 heights (upper half); crop or resize it"
+        )
+    radiance = convert_latlong(_checked(path, pixels), convention, "skylight")
+    return EnvironmentMap(radiance=radiance)
+
+
+def read_light(path: Path) -> Float[Tensor, "h w 3"]:
+    """Linear radiance from an .exr or .hdr file of any shape.
+
+    Raises
+    ------
+    InputError
+        A missing or damaged file, or values that are NaN, negative or infinite.
+    """
+    return _checked(path, read_linear(path))
+
+
+def write_environment_map(
+    path: str | Path,
+    environment: EnvironmentMap,
+    *,
+    half: bool = False,
+    convention: Convention = "skylight",
+) -> None:
+    """Write a map as .exr (single precision, or half) or .hdr (RGBE), laid out as asked.
+
+    An .exr carries the Rec.709 chromaticities and, for a full map, the standard ``envmap``
+    attribute. That attribute names the projection; the orientation is OpenEXR's own only where
+    ``convention`` is "openexr", so a comment in the header names it.
+
+    Raises
+    ------
+    OutputError
+        Values that no reader should meet (NaN, negative, infinite, too large for the format),
+        or a disk that does not take the file. A file that was there before is left as it was.
+    """
+    header: dict[str, object] = {"comments": f"lat-long, {convention} convention"}
+    if not environment.is_sky:
+        header["envmap"] = OpenEXR.ENVMAP_LATLONG
+    picture = convert_latlong(environment.radiance, "skylight", convention)
+    write_light(path, picture, header=header, half=half)
+
+
+def write_light(
+    path: str | Path,
+    picture: Float[Tensor, "h w 3"],
+    *,
+    header: dict[str, object],
+    half: bool = False,
+) -> None:
+    """Write linear Rec.709 radiance as .exr, with ``header`` (see OpenEXR), or as .hdr.
+
+    Raises
+    ------
+    InputError, OutputError
+        As :func:`write_environment_map`.
+    """
+    path = Path(path)
+    check_suffix(path)
+    is_exr = path.suffix.lower() == ".exr"
+    if half and not is_exr:
+        raise InputError(f"{path}: half precision is a choice for .exr; RGBE has one precision")
+    pixels = _float_pixels(picture)
+    fault = _fault(pixels)
+    if fault:
+        raise OutputError(f"{path} was not written: {fault}")
+    limit = (HALF_MAX if half else np.inf) if is_exr else RGBE_MAX
+    if pixels.max() > limit:
+        raise OutputError(
+            f"{path} was not written: the brightest value {pixels.max():.6g} exceeds the format's "
+            f"largest, {limit:.6g}; write single-precision .exr (half=False) or scale the map down"
+        )
+    with atomic_path(path) as temporary:
+        if is_exr:
+            write_exr(temporary, pixels, half=half, header=header)
+        else:
+            write_radiance(temporary, pixels)
+
+
+def write_png(path: str | Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
+    """Write an 8-bit picture."""
+    with atomic_path(path) as temporary:
+        Image.fromarray(np.ascontiguousarray(rgb)).save(temporary, format="PNG")
+
+
+def write_json(path: str | Path, content: object) -> None:
+    """Write strict JSON: a NaN or infinity is a ValueError, since other readers refuse it."""
+    text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _checked(path: Path, pixels: Float[np.ndarray, "h w 3"]) -> Float[Tensor, "h w 3"]:
+    fault = _fault(pixels)
+    if fault:
+        raise InputError(f"{path}: {fault}; repair or replace these pixels")
+    return torch.from_numpy(pixels)
+
+
+def _float_pixels(radiance: Float[Tensor, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
+    return np.ascontiguousarray(radiance.detach().to("cpu", torch.float32).numpy())
+
+
+def _fault(pixels: Float[np.ndarray, "h w 3"]) -> str | None:
+    """What is wrong with these as radiances, in words: counts of pixels and the first place."""
+    kinds = {"NaN": np.isnan(pixels), "infinite": np.isinf(pixels), "negative": pixels < 0}
+    counts = {name: int(bad.any(-1).sum()) for name, bad in kinds.items()}
+    if not any(counts.values()):
+        return None
+    row, column = np.argwhere(np.any(list(kinds.values()), axis=(0, 3)))[0]
+    listed = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    where = f"the first at row {row}, column {column}"
+    return f"radiance must be finite and >= 0, got {listed} pixel(s), {where}"

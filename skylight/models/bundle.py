@@ -1,0 +1,216 @@
+"""A trained light model as a folder, as training writes it and everything else reads it.
+
+=============================  ==================================================================
+``bundle.json``                format version, name, number of training skies, SHA-256 of the
+                               training data and of all tensors together
+``network.safetensors``        weights of the :class:`SkyAutoencoder`, and its coding
+``latent_prior.safetensors``   :class:`GaussianMixture` over whitened latents
+``bank.safetensors``           mean and scale of the latents, latents of training skies
+``sunsky_prior.safetensors``   :class:`GaussianMixture` over the free parameters of
+                               :class:`SunSky` but the azimuth, of the same skies
+``card.md``                    the model card
+=============================  ==================================================================
+
+The model that comes with skylight is such a folder too.
+"""
+
+import copy
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import TypeVar
+
+import torch
+from jaxtyping import UInt8
+from numpy import ndarray
+from torch import Tensor
+
+from skylight.errors import AssetError, InputError
+from skylight.io.files import write_json, write_png
+from skylight.io.json_files import read_object, read_whole, require_keys
+from skylight.io.tensors import read_tensors, tensors_sha256, write_tensors
+from skylight.models.autoencoder import (
+    LATENT,
+    AutoencoderLight,
+    SkyAutoencoder,
+    network_of,
+    save_network,
+)
+from skylight.models.prior import GaussianMixture
+from skylight.work.results_folder import results_folder
+
+Part = TypeVar("Part")
+
+KIND, VERSION = "light model", 1
+MANIFEST, CARD = "bundle.json", "card.md"
+NETWORK, BANK = "network.safetensors", "bank.safetensors"
+LATENT_PRIOR, SUNSKY_PRIOR = "latent_prior.safetensors", "sunsky_prior.safetensors"
+SHIPPED = Path(str(files("skylight.models") / "data" / "sky_autoencoder"))
+_TRAIN = "make one with: skylight train FOLDER --out DIR"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LightBundle:
+    """A trained :class:`AutoencoderLight` with its priors, and where it comes from.
+
+    ``latents`` holds ``latent_mean``, ``latent_scale``, ``bank`` and ``bank_zenith_rad`` of
+    :class:`AutoencoderLight`. ``skies`` is the number of training skies, ``data_sha256`` the hash
+    of their index and maps.
+    """
+
+    name: str
+    skies: int
+    data_sha256: str
+    network: SkyAutoencoder
+    latent_prior: GaussianMixture
+    latents: Mapping[str, Tensor]
+    sunsky_prior: GaussianMixture
+
+    def light(self, *, sun_spread_rad: float = 0.0) -> AutoencoderLight:
+        """A light model with its own copy of everything; see :class:`AutoencoderLight`."""
+        return AutoencoderLight(
+            copy.deepcopy(self.network),
+            **{name: tensor.clone() for name, tensor in self.latents.items()},
+            white_centroids=self.latent_prior.means.clone(),
+            sun_spread_rad=sun_spread_rad,
+        )
+
+    def prior(self) -> GaussianMixture:
+        """A copy of the mixture over whitened latents."""
+        return copy.deepcopy(self.latent_prior)
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 over all tensors: equal for models that give equal results."""
+        parts = {
+            "network": self.network.state_dict(),
+            "prior": self.latent_prior.state_dict(),
+            "latents": self.latents,
+            "sunsky": self.sunsky_prior.state_dict(),
+        }
+        tensors = {f"{part}.{n}": t for part, named in parts.items() for n, t in named.items()}
+        return tensors_sha256(tensors, {"coding": self.network.coding})
+
+    def save(
+        self, folder: Path, *, card: str, pictures: Mapping[str, UInt8[ndarray, "_ _ 3"]]
+    ) -> None:
+        """Write the folder; ``pictures`` are those that the card shows, by file name.
+
+        A process that is killed meanwhile leaves a folder that :func:`load_bundle` refuses or one
+        that is whole: the manifest's hash is that of all tensors.
+
+        Raises
+        ------
+        OutputError
+            The disk does not take it.
+        """
+        with results_folder(folder) as partial:
+            save_network(self.network, partial / NETWORK)
+            self.latent_prior.save(partial / LATENT_PRIOR)
+            self.sunsky_prior.save(partial / SUNSKY_PRIOR)
+            write_tensors(partial / BANK, self.latents)
+            (partial / CARD).write_text(card, encoding="utf-8")
+            for name, picture in pictures.items():
+                write_png(partial / name, picture)
+            manifest = {
+                "kind": KIND,
+                "version": VERSION,
+                "name": self.name,
+                "skies": self.skies,
+                "data_sha256": self.data_sha256,
+                "fingerprint": self.fingerprint,
+            }
+            write_json(partial / MANIFEST, manifest)
+
+
+def load_bundle(folder: Path | None = None) -> LightBundle:
+    """The trained light model in ``folder``; by default the one that comes with skylight.
+
+    Raises
+    ------
+    InputError
+        The folder is no such model, lacks a part, is damaged or of a newer version.
+    AssetError
+        The same of the model that comes with skylight.
+    """
+    if folder is not None:
+        return _read(folder)
+    try:
+        return _read(SHIPPED)
+    except InputError as error:
+        reason = str(error).removesuffix(f"; {_TRAIN}")
+        raise AssetError(f"{reason}; reinstall skylight") from error
+
+
+def _read(folder: Path) -> LightBundle:
+    if not (folder / MANIFEST).is_file():
+        kind = f"no light model, it has no {MANIFEST}" if folder.is_dir() else "no folder is there"
+        raise InputError(f"{folder}: {kind}; {_TRAIN}")
+    try:
+        manifest = read_object(folder / MANIFEST, KIND)
+        require_keys(folder / MANIFEST, manifest, ["version"])
+        version = read_whole(manifest, "version")
+    except InputError as error:
+        raise InputError(f"{folder}: {error}; {_TRAIN}") from error
+    if version > VERSION:
+        raise InputError(
+            f"{folder}: of format {version}, but this skylight reads formats up to {VERSION}; "
+            "upgrade skylight"
+        )
+    try:
+        require_keys(folder / MANIFEST, manifest, ["name", "skies", "data_sha256", "fingerprint"])
+        skies = read_whole(manifest, "skies")
+    except InputError as error:
+        raise InputError(f"{folder}: {error}; {_TRAIN}") from error
+    bundle = LightBundle(
+        name=str(manifest["name"]),
+        skies=skies,
+        data_sha256=str(manifest["data_sha256"]),
+        network=_part(folder / NETWORK, network_of),
+        latent_prior=_part(folder / LATENT_PRIOR, _latent_prior),
+        latents=_part(folder / BANK, _latents),
+        sunsky_prior=_part(folder / SUNSKY_PRIOR, GaussianMixture.of),
+    )
+    if bundle.fingerprint != manifest["fingerprint"]:
+        raise InputError(
+            f"{folder}: its tensors are not those that {MANIFEST} was written for; {_TRAIN}"
+        )
+    return bundle
+
+
+def _part(path: Path, make: Callable[[dict[str, Tensor]], Part]) -> Part:
+    try:
+        return make(read_tensors(path)[0])
+    except FileNotFoundError as error:
+        raise InputError(f"{path.parent}: {path.name} is missing; {_TRAIN}") from error
+    except (OSError, ValueError, RuntimeError, KeyError, IndexError) as error:
+        reason = str(error).partition("\n")[0]
+        raise InputError(f"{path}: cannot be used ({reason}); {_TRAIN}") from error
+
+
+def _latent_prior(tensors: dict[str, Tensor]) -> GaussianMixture:
+    mixture = GaussianMixture.of(tensors)
+    if mixture.means.shape[1] != LATENT:
+        raise ValueError(f"it is over {mixture.means.shape[1]} numbers, not {LATENT} latents")
+    return mixture
+
+
+def _latents(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    """The tensors; ValueError for any but those that :class:`AutoencoderLight` takes."""
+    count = len(tensors["bank"])
+    shapes = {
+        "latent_mean": (LATENT,),
+        "latent_scale": (LATENT, LATENT),
+        "bank": (count, LATENT),
+        "bank_zenith_rad": (count,),
+    }
+    found = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+    if found != shapes or count < AutoencoderLight.candidates:
+        raise ValueError(f"it holds {found}")
+    if not all(t.dtype == torch.float32 and bool(t.isfinite().all()) for t in tensors.values()):
+        raise ValueError("its values are no finite float32 numbers")
+    scale = tensors["latent_scale"]
+    if not torch.equal(scale, scale.tril()) or not bool((scale.diagonal() > 0).all()):
+        raise ValueError("latent_scale is no lower triangle with a positive diagonal")
+    return tensors

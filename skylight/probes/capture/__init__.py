@@ -1,1 +1,0 @@
-"""The camera of shading probes: calibration, pose and response."""

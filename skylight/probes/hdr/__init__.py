@@ -1,1 +1,0 @@
-"""HDR probes from photographs: exposures merged, mirror balls unwrapped, two views blended."""

@@ -1,0 +1,1 @@
+"""Shading of the partitions probe from photographs."""

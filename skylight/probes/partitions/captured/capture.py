@@ -1,0 +1,220 @@
+"""The captured shading of a partition probe, its file, and the shading of cells not captured."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from scipy.optimize import nnls
+from torch import Tensor
+
+from skylight.errors import InputError
+from skylight.io.files import write_json
+from skylight.io.json_files import read_object, require_keys
+from skylight.probes.partitions.probe import PartitionProbe
+from skylight.probes.partitions.seeds import ProbeDesign
+
+_KIND, _FORMAT = "partition probe capture", 1
+_NAMED_MOST = 4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ProbeCapture:
+    """Shading s (n,3) of the faces' centres: linear light, 1 is the camera's largest code.
+
+    All in float64. Cells with ``area_px`` (n,) above 0 are known: their shading is the mean of a
+    disc that covers that many pixels, of which the share ``clipped`` (n,) was over-exposed. A
+    ``saturated`` (n,) cell was over-exposed wherever it was seen. ``disagreement`` (n,) is the
+    median relative difference of other views of a cell, NaN without any. ``albedo`` (3,) is the
+    kernel's.
+    """
+
+    design: str
+    fingerprint: str
+    albedo: Float[Tensor, "3"]
+    shading: Float[Tensor, "n 3"]
+    area_px: Float[Tensor, " n"]
+    clipped: Float[Tensor, " n"]
+    saturated: Bool[Tensor, " n"]
+    disagreement: Float[Tensor, " n"]
+
+    def __post_init__(self) -> None:
+        n = len(self.shading)
+        if self.shading.shape != (n, 3) or any(
+            each.shape != (n,)
+            for each in (self.area_px, self.clipped, self.saturated, self.disagreement)
+        ):
+            raise InputError("a capture's rows must be one for each cell, with three colours")
+        for values in (self.shading, self.area_px, self.clipped):
+            if not bool((values.isfinite() & (values >= 0)).all()):
+                raise InputError("a capture's numbers must be finite and 0 or more")
+        if self.albedo.shape != (3,) or not bool(((self.albedo > 0) & (self.albedo <= 1)).all()):
+            raise InputError("a kernel's albedo is three numbers above 0 and at most 1")
+
+    @staticmethod
+    def blank(design: ProbeDesign, albedo: Float[Tensor, "3"]) -> "ProbeCapture":
+        """Without any known cell."""
+        n = design.count
+        zeros = torch.zeros(n, dtype=torch.float64)
+        return ProbeCapture(
+            design=design.name,
+            fingerprint=fingerprint(design),
+            albedo=albedo,
+            shading=torch.zeros(n, 3, dtype=torch.float64),
+            area_px=zeros,
+            clipped=zeros,
+            saturated=torch.zeros(n, dtype=torch.bool),
+            disagreement=torch.full_like(zeros, torch.nan),
+        )
+
+    @property
+    def known(self) -> Bool[Tensor, " n"]:
+        return self.area_px > 0
+
+    def require_design(self, design: ProbeDesign) -> None:
+        """Refuse another probe than the one that was captured."""
+        if self.fingerprint != fingerprint(design):
+            raise InputError(
+                f"the capture is of a probe of design {self.design!r} with "
+                f"{len(self.shading)} cells, not of this {design.name!r} with {design.count}: "
+                "give the files of one probe"
+            )
+
+
+def fingerprint(design: ProbeDesign) -> str:
+    """16 letters that are the same for the same seeds and cells, whatever the name."""
+    seeds = np.round(design.seeds.numpy(), 9) + 0.0  # no -0
+    digest = hashlib.sha256(seeds.tobytes())
+    digest.update(design.labels.numpy().astype(np.int64).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def complete_shading(
+    shading: Float[Tensor, "n 3"], known: Bool[Tensor, " n"], probe: PartitionProbe
+) -> Float[Tensor, "n 3"]:
+    """The shading with that of unknown cells filled in, from the smoothest light.
+
+    Of known cells ``pi s_i / rho_i = (A L)_i``; the radiance L of each other cell is the mean of
+    its neighbours' (a discrete Laplace equation). Known shading is returned as it was.
+
+    Raises
+    ------
+    InputError
+        Less than half of the cells are known.
+    """
+    count, n = int(known.sum()), probe.cells.count
+    if 2 * count < n:
+        raise InputError(
+            f"only {count} of {n} cells were captured, half of them are needed: take more "
+            "pictures all round the probe"
+        )
+    near = probe.cells.neighbours.double()
+    smooth = torch.eye(n, dtype=torch.float64) - near / near.sum(1, keepdim=True)
+    system = torch.where(known[:, None], probe.response.cpu(), smooth)
+    albedo = probe.albedo.detach().cpu()
+    gathered = torch.where(known[:, None], torch.pi * shading.double() / albedo, 0.0)
+    light = torch.linalg.solve(system, gathered)
+    filled = albedo / torch.pi * (probe.response.cpu() @ light)
+    return torch.where(known[:, None], shading, filled.clamp(min=0).to(shading))
+
+
+def nonnegative_light(
+    shading: Float[Tensor, "n 3"], probe: PartitionProbe
+) -> tuple[Float[Tensor, "n 3"], float]:
+    """(radiance of the cells, relative residual) by non-negative least squares.
+
+    ``min |A L - g|`` over L >= 0 in each colour, g = pi s / rho (Lawson & Hanson 1974): that is
+    :meth:`PartitionProbe.light` where nothing of that is below 0. The residual is
+    ``|A L - g| / |g|``.
+    """
+    gathered = (torch.pi * shading.double() / probe.albedo.detach().cpu()).numpy()
+    found = [nnls(probe.response.cpu().double().numpy(), colour) for colour in gathered.T]
+    light = torch.from_numpy(np.stack([each for each, _ in found], 1))
+    left, whole = np.linalg.norm([norm for _, norm in found]), np.linalg.norm(gathered)
+    return light.to(shading), float(left / whole) if whole > 0 else 0.0
+
+
+def name_cells(cells: Bool[Tensor, " n"], normals: Float[Tensor, "n 3"]) -> str:
+    """The marked cells, with their normals in the board's frame: +Y up, +Z to the reader."""
+    marked = torch.nonzero(cells)[:, 0].tolist()
+    rounded = (normals.round(decimals=2) + 0.0).tolist()
+    named = [
+        f"cell {i} towards ({', '.join(f'{value:.2f}' for value in rounded[i])})"
+        for i in marked[:_NAMED_MOST]
+    ]
+    others = len(marked) - len(named)
+    return ", ".join(named) + (f" and {others} others" if others else "")
+
+
+def save_capture(path: str | Path, capture: ProbeCapture) -> None:
+    """Write the capture as JSON."""
+    cells = [
+        {
+            "shading": capture.shading[i].tolist(),
+            "known": bool(capture.known[i]),
+            "area_px": float(capture.area_px[i]),
+            "clipped": float(capture.clipped[i]),
+            "saturated": bool(capture.saturated[i]),
+            "disagreement": float(d) if (d := capture.disagreement[i]).isfinite() else None,
+        }
+        for i in range(len(capture.shading))
+    ]
+    content = {
+        "kind": _KIND,
+        "format": _FORMAT,
+        "design": capture.design,
+        "fingerprint": capture.fingerprint,
+        "kernel_albedo": capture.albedo.tolist(),
+        "cells": cells,
+    }
+    write_json(path, content)
+
+
+def load_capture(path: str | Path) -> ProbeCapture:
+    """The capture that :func:`save_capture` wrote.
+
+    Raises
+    ------
+    InputError
+        The file is missing or no such file, or its numbers cannot be.
+    """
+    content = read_object(path, _KIND)
+    require_keys(path, content, ["format", "design", "fingerprint", "kernel_albedo", "cells"])
+    if content["format"] != _FORMAT:
+        raise InputError(f"{path}: of format {content['format']}, this program reads {_FORMAT}")
+    try:
+        return _capture_of(content)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    except (TypeError, ValueError, KeyError) as error:
+        raise InputError(f"{path}: its numbers are not those of a capture ({error})") from error
+
+
+def _capture_of(content: Mapping[str, object]) -> ProbeCapture:
+    cells = content["cells"]
+    if not isinstance(cells, list) or not cells:
+        raise ValueError("a list of them is wanted")
+
+    def tensor(values: object, *shape: int) -> Float[Tensor, "..."]:
+        # null becomes NaN
+        return torch.from_numpy(np.array(values, dtype=np.float64).reshape(shape))
+
+    def column(name: str, *shape: int) -> Float[Tensor, "..."]:
+        return tensor([each[name] for each in cells], len(cells), *shape)
+
+    area = column("area_px")
+    if ((column("known") != 0) != (area > 0)).any():
+        raise ValueError("known cells have an area_px above 0, others none")
+    return ProbeCapture(
+        design=str(content["design"]),
+        fingerprint=str(content["fingerprint"]),
+        albedo=tensor(content["kernel_albedo"], 3),
+        shading=column("shading", 3),
+        area_px=area,
+        clipped=column("clipped"),
+        saturated=column("saturated") != 0,
+        disagreement=column("disagreement"),
+    )

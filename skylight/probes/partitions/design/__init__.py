@@ -1,0 +1,1 @@
+"""Designs of the partitions probe, and their optimisation."""

@@ -1,0 +1,1 @@
+"""The partitions probe as solids for 3D printing."""

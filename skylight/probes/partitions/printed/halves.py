@@ -1,0 +1,224 @@
+"""The printed parts of a partition probe: two half shells with pins, kernel, and the pole's socket.
+
+Parts stand as assembled: origin in the probe's centre, +Y up, mm.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from manifold3d import Manifold, OpType
+
+from skylight.errors import InputError
+from skylight.fabrication.part import PrintedPart, part_of
+from skylight.probes.partitions.cells import Cells
+from skylight.probes.partitions.printed.sizes import ProbeSizes
+from skylight.probes.partitions.printed.solids import (
+    WallEnds,
+    WallNet,
+    along_axis,
+    bend_solids,
+    core_solid,
+    corners_of,
+    face_radii,
+    kernel_solid,
+    wall_solid,
+)
+from skylight.probes.partitions.printed.split import Split, choose_split
+
+_SEGMENTS = 48
+_DOWN = np.array([0.0, -1.0, 0.0])
+_STEEPEST_FOOT_COS = 0.5  # the pole's joint lies within 60 degrees of straight down
+_JOINT_MM = 6.0  # depth to which the pole's socket holds the walls
+_PIN_WALLS, _PIN_LENGTHS = 1.25, 2.0  # a pin's width in walls, and its length in widths
+
+
+@dataclass(frozen=True, kw_only=True)
+class Foot:
+    """The socket of a vertical pole below the joint of walls in direction ``joint``; mm.
+
+    The pole's axis passes (x, z) and its upper end stops at ``top_mm``.
+    """
+
+    joint: Float[np.ndarray, "3"]
+    axis: tuple[float, float]
+    radius_mm: float
+    bore_mm: float
+    top_mm: float
+    bottom_mm: float
+
+    @staticmethod
+    def of(net: WallNet, sizes: ProbeSizes, pole_mm: float) -> "Foot":
+        """Below the lowest junction of three walls or more."""
+        joint = net.vertices[lowest_junction(net)]
+        if joint[1] > -_STEEPEST_FOOT_COS:
+            raise InputError(
+                "walls meet nowhere near below the probe, where its pole would hold it: turn the "
+                "design, or add seeds below"
+            )
+        bore = pole_mm / 2 + sizes.clearance_mm
+        radius = bore + sizes.wall_mm
+        x, _, z = (sizes.radius_mm * joint).tolist()
+        near = max(math.hypot(x, z) - radius, 0.0)  # below the ball all over the socket
+        top = -math.sqrt(sizes.radius_mm**2 - near**2)
+        return Foot(
+            joint=joint,
+            axis=(x, z),
+            radius_mm=radius,
+            bore_mm=bore,
+            top_mm=top,
+            bottom_mm=top - 2 * pole_mm,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProbeParts:
+    """Half shells and kernel, where they come apart, and where the pole goes."""
+
+    net: WallNet
+    rotation: Float[np.ndarray, "3 3"]
+    lower: PrintedPart
+    upper: PrintedPart
+    kernel: PrintedPart
+    split: Split
+    foot: Foot
+
+    @property
+    def parts(self) -> tuple[PrintedPart, ...]:
+        """In order of assembly."""
+        return self.lower, self.kernel, self.upper
+
+
+def standing_rotation(cells: Cells) -> Float[np.ndarray, "3 3"]:
+    """The smallest turn that brings the lowest junction of walls straight down.
+
+    None for oriented designs.
+    """
+    if cells.design.oriented:
+        return np.eye(3)
+    net = WallNet.of(cells)
+    lowest = net.vertices[lowest_junction(net)]
+    axis, cosine = np.cross(lowest, _DOWN), float(lowest @ _DOWN)
+    cross = np.cross(np.eye(3), axis).T  # cross @ x = axis x x, up to its sign
+    return np.eye(3) - cross + cross @ cross / (1 + cosine)
+
+
+def lowest_junction(net: WallNet) -> int:
+    """The lowest vertex where three walls or more meet."""
+    height = np.where(net.meeting >= 3, net.vertices[:, 1], np.inf)
+    return int(height.round(9).argmin())
+
+
+def probe_parts(
+    cells: Cells,
+    sizes: ProbeSizes,
+    *,
+    rotation: Float[np.ndarray, "3 3"],
+    pole_mm: float,
+) -> ProbeParts:
+    """Half shells and kernel of a design that stands turned by ``rotation``.
+
+    Raises
+    ------
+    InputError
+        The sizes do not fit the design: cells too narrow, kernel too large, nowhere to cut.
+    """
+    net = WallNet.of(cells, rotation)
+    face_radii(net, sizes)
+    kernel = kernel_solid(net, sizes)
+    ends = WallEnds.of(net, corners_of(kernel))
+    foot = Foot.of(net, sizes, pole_mm)
+    pin = _PIN_WALLS * sizes.wall_mm
+    boss = pin / 2 + sizes.clearance_mm + sizes.wall_mm
+    split = choose_split(
+        ends, sizes, foot=foot.joint, foot_mm=foot.radius_mm + boss, pin_mm=2 * boss
+    )
+    lower, upper = (_half(ends, split, sizes, upper=flag) for flag in (False, True))
+    for wall in split.pinned.tolist():
+        joint = _PinJoint(split.way_in, sizes.radius_mm * net.middles[wall], pin, boss, sizes)
+        lower = lower + joint.boss(-1) - joint.keep_clear(1) + joint.pin()
+        upper = upper + joint.boss(1) - joint.keep_clear(-1) - joint.hole()
+    lower = _with_socket(lower, foot, sizes)
+    return ProbeParts(
+        net=net,
+        rotation=rotation,
+        lower=part_of("shell_lower", lower, (0, 1, 0)),
+        upper=part_of("shell_upper", upper, (0, 1, 0)),
+        kernel=part_of("kernel", kernel, (0, 1, 0)),
+        split=split,
+        foot=foot,
+    )
+
+
+def _half(ends: WallEnds, split: Split, sizes: ProbeSizes, *, upper: bool) -> Manifold:
+    net = ends.net
+    own = split.upper == upper
+    walls = []
+    for wall, pair in enumerate(net.ends_of_walls):
+        mine = own[[net.starts[wall], net.ends[wall]]]
+        if not mine.any():
+            continue
+        solid = wall_solid(pair, net.poles[wall], sizes)
+        if split.cut[wall]:
+            keep = np.cross(net.poles[wall], net.middles[wall])  # towards the wall's end
+            keep = keep if mine[1] else -keep
+            solid = solid.trim_by_plane(tuple(keep.tolist()), sizes.clearance_mm / 2)
+        walls.append(solid)
+    walls += bend_solids(net, np.flatnonzero(own).tolist(), sizes)
+    way = -split.way_in if upper else split.way_in
+    return Manifold.batch_boolean(walls, OpType.Add) - core_solid(ends, sizes.clearance_mm, way)
+
+
+@dataclass(frozen=True)
+class _PinJoint:
+    """A boss on either side of the cut at ``place``, a pin on the lower, its hole in the upper."""
+
+    axis: Float[np.ndarray, "3"]
+    place: Float[np.ndarray, "3"]
+    width: float
+    radius: float
+    sizes: ProbeSizes
+
+    @property
+    def length(self) -> float:
+        return _PIN_LENGTHS * self.width
+
+    def boss(self, side: int) -> Manifold:
+        """Above (1) or below (-1) the cut."""
+        gap = self.sizes.clearance_mm / 2
+        height = self.length + self.sizes.clearance_mm + self.sizes.wall_mm
+        return self._rod(self.radius, *sorted((side * gap, side * (gap + height))))
+
+    def keep_clear(self, side: int) -> Manifold:
+        """What the other half must leave to that boss."""
+        gap, height = self.sizes.clearance_mm, self.length + 3 * self.sizes.wall_mm
+        radius = self.radius + gap
+        return self._rod(radius, *sorted((-side * gap / 2, side * height)))
+
+    def pin(self) -> Manifold:
+        gap = self.sizes.clearance_mm / 2
+        return self._rod(self.width / 2, -gap - self.sizes.wall_mm, self.length - gap)
+
+    def hole(self) -> Manifold:
+        clear = self.sizes.clearance_mm
+        return self._rod(self.width / 2 + clear, -2 * clear, self.length + clear / 2)
+
+    def _rod(self, radius: float, low: float, high: float) -> Manifold:
+        outer = radius / math.cos(math.pi / _SEGMENTS)  # nothing is narrower than the circle
+        rod = Manifold.cylinder(high - low, outer, outer, _SEGMENTS).translate((0.0, 0.0, low))
+        return along_axis(rod, self.axis).translate(tuple(self.place.tolist()))
+
+
+def _with_socket(lower: Manifold, foot: Foot, sizes: ProbeSizes) -> Manifold:
+    """A cylinder round the pole's upper end that holds the walls above it."""
+    high = float(sizes.radius_mm * foot.joint[1]) + _JOINT_MM
+    holder = _upright(foot, foot.radius_mm, foot.bottom_mm, high)
+    bore = _upright(foot, foot.bore_mm, foot.bottom_mm - 1.0, foot.top_mm)
+    return lower + holder - bore
+
+
+def _upright(foot: Foot, radius: float, low: float, high: float) -> Manifold:
+    outer = radius / math.cos(math.pi / _SEGMENTS)
+    rod = Manifold.cylinder(high - low, outer, outer, _SEGMENTS).rotate((-90, 0, 0))
+    return rod.translate((foot.axis[0], low, foot.axis[1]))

@@ -1,0 +1,1 @@
+"""Meshes lit by the probe's cells: transfer, rendering, compositing and export."""

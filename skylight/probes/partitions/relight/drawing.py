@@ -1,0 +1,120 @@
+"""Rendering of scenes from radiance at their vertices."""
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from skylight.cameras.drawing import Drawing, Window, box_edges, window_of
+from skylight.cameras.intrinsics import Intrinsics
+from skylight.probes.partitions.relight.scene import Scene, texture_at
+from skylight.sphere.rigid_transform import RigidTransform
+from skylight.transport.raycast import Raycaster
+
+_DARK = 1e-4  # an albedo that may be divided by
+
+
+Mesh = tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]
+
+
+class SceneRenderer:
+    """Draws one scene from anywhere; its ray caster is made once.
+
+    Surfaces are two-sided. ``real`` (vertices, triangles) is an object in the photograph: it
+    occludes what is behind it, and is not drawn itself.
+    """
+
+    def __init__(self, scene: Scene, real: Mesh | None = None) -> None:
+        self.scene = scene
+        vertices, faces = scene.vertices, scene.faces
+        self._real_box: Float[np.ndarray, "n 3"] | None = None
+        if real is not None:
+            faces = torch.cat([faces, torch.from_numpy(real[1]) + len(vertices)])
+            vertices = torch.cat([vertices, torch.from_numpy(real[0])])
+            low, high = torch.from_numpy(real[0]).aminmax(dim=0)
+            self._real_box = box_edges(low, high).numpy()
+        self._caster = Raycaster(vertices, faces)
+        self._corners = scene.vertices[scene.faces]
+        box = box_edges(scene.vertices.amin(0), scene.vertices.amax(0))
+        self.box: Float[np.ndarray, "n 3"] = box.numpy()
+
+    def draw(
+        self,
+        radiance: Float[Tensor, "v 3"],
+        rays: Float[Tensor, "h w s 3"],
+        pose: RigidTransform,
+    ) -> Drawing:
+        """By unit ``rays`` of a camera with the pose ``camera_from_world``.
+
+        A pixel is the mean of its s rays. ``radiance`` of the vertices is interpolated; where there
+        is a texture, what falls on them is, and the texture reflects it.
+        """
+        height, width, samples, _ = rays.shape
+        eye, directions, face = self._hits(rays, pose)
+        found = torch.nonzero((face >= 0) & (face < len(self.scene.faces)))[:, 0]
+        place = self._barycentric(eye, face[found], directions[found])
+        colours = torch.zeros(height * width * samples, 4)
+        colours[found, :3] = self._shading(radiance.float(), face[found], place)
+        colours[found, 3] = 1
+        pixels = colours.reshape(height, width, samples, 4).mean(2)
+        return Drawing(radiance=pixels[..., :3], alpha=pixels[..., 3])
+
+    def window(self, pose: RigidTransform, intrinsics: Intrinsics) -> Window:
+        """The rectangle of a camera's picture outside of which nothing of the scene is seen."""
+        return window_of(self.box, pose, intrinsics)
+
+    def uncovered(
+        self,
+        window: Window,
+        rays: Float[Tensor, "h w s 3"],
+        pose: RigidTransform,
+        intrinsics: Intrinsics,
+    ) -> Float[Tensor, "h w"]:
+        """The share of each pixel of a window in which the real thing is not seen."""
+        share = torch.ones(rays.shape[:2])
+        if self._real_box is None:
+            return share
+        part = window_of(self._real_box, pose, intrinsics)
+        rows, columns = (
+            slice(max(a.start, b.start) - b.start, max(min(a.stop, b.stop) - b.start, 0))
+            for a, b in zip(part, window, strict=True)
+        )
+        inner = rays[rows, columns]
+        if inner.numel():
+            seen = self._hits(inner, pose)[2] >= len(self.scene.faces)
+            share[rows, columns] = 1 - seen.float().reshape(inner.shape[:3]).mean(2)
+        return share
+
+    def _hits(
+        self, rays: Float[Tensor, "h w s 3"], pose: RigidTransform
+    ) -> tuple[Float[Tensor, "3"], Float[Tensor, "r 3"], Int[Tensor, " r"]]:
+        """(the camera's place, directions, which triangles they meet or -1)."""
+        back = pose.inverse()
+        eye, directions = back.translation, back.directions(rays.reshape(-1, 3).float())
+        face = self._caster.faces_hit(eye.float().expand(len(directions), 3), directions)
+        return eye, directions, face
+
+    def _barycentric(
+        self, eye: Float[Tensor, "3"], face: Int[Tensor, " r"], directions: Float[Tensor, "r 3"]
+    ) -> Float[Tensor, "r 3"]:
+        """Ratios of the volumes that a ray d spans with two corners each, as seen from the eye.
+
+        Corner a weighs ``<d, (b - e) x (c - e)>``; the products are worked out once for each
+        triangle, in float64, as they are much larger than the volumes.
+        """
+        a, b, c = (self._corners - eye).unbind(1)
+        planes = torch.stack([b.cross(c, 1), c.cross(a, 1), a.cross(b, 1)], 1).float()
+        volumes = torch.einsum("rki,ri->rk", planes[face], directions)
+        total = volumes.sum(1, keepdim=True)
+        # rounding lets hits on an edge lie outside; triangles seen edge-on have no volume
+        return torch.where(total == 0, 1 / 3, volumes / total).clamp(0, 1)
+
+    def _shading(
+        self, radiance: Float[Tensor, "v 3"], face: Int[Tensor, " r"], place: Float[Tensor, "r 3"]
+    ) -> Float[Tensor, "r 3"]:
+        scene = self.scene
+        if scene.uv is None or scene.texture is None:
+            return scene.interpolated(radiance, face, place)
+        falling = radiance / scene.albedo.float().clamp(min=_DARK)
+        albedo = texture_at(scene.texture, scene.interpolated(scene.uv, face, place))
+        return scene.interpolated(falling, face, place) * albedo.float()

@@ -1,0 +1,1 @@
+"""Shading of the voxel probe from photographs."""

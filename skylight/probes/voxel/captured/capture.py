@@ -1,0 +1,216 @@
+"""Shading copied from pictures of a voxel probe into its lightmap (thesis, section 3.5.2)."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from skylight.cameras.intrinsics import Intrinsics
+from skylight.cameras.response import Response, saturated
+from skylight.cameras.view import camera_centre, in_frame, part_around, project
+from skylight.probes.voxel.faces import CONFIGURATIONS, ORIENTATIONS, places_on
+from skylight.probes.voxel.lightmap import SIZE, Lightmap
+from skylight.probes.voxel.printed.assembly import PlacedProbe
+from skylight.sphere.rigid_transform import RigidTransform
+
+_GRAZING = 0.17  # cosine: faces seen under less than 10 degrees tell little
+_INSET = 0.04  # of a face: what lies nearer to its edge may belong to what is beyond
+_SAMPLES = 4  # along each side of a texel
+_LEAST_COVERAGE = 0.75
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceView:
+    """One face in one picture: its slot, its size on screen and its shading."""
+
+    face: int
+    orientation: int
+    configuration: int
+    area_px: float
+    radiance: Float[Tensor, "n n 3"]
+    valid: Bool[Tensor, "n n"]
+
+    @property
+    def mean(self) -> Float[Tensor, "3"]:
+        return self.radiance[self.valid].mean(0)
+
+
+def visible_faces(
+    probe: PlacedProbe, pose: RigidTransform, intrinsics: Intrinsics
+) -> tuple[list[int], Float[np.ndarray, "f 4 2"], Float[np.ndarray, " f"]]:
+    """(faces that a picture shows whole, all corners in it, areas on screen in px^2).
+
+    Tested in the order of their cost: turned to the camera, inside of the frame, and nothing
+    between the camera and any of a face's corners, the middles of its sides and its own middle.
+    """
+    eye = camera_centre(pose)
+    middles = probe.corners.mean(1)
+    towards = eye - middles
+    cosine = (towards * probe.normals).sum(1) / np.linalg.norm(towards, axis=1)
+    pixels, inside = in_frame(probe.corners, pose, intrinsics)
+    candidates = np.flatnonzero((cosine > _GRAZING) & inside)
+    a, b, c, d = pixels.transpose(1, 0, 2)
+    areas = 0.5 * np.abs(_cross(c - a, d - b))
+    if not len(candidates):
+        return [], pixels, areas
+    corners = probe.corners[candidates]
+    nine = np.concatenate(
+        [corners, 0.5 * (corners + np.roll(corners, 1, axis=1)), middles[candidates, None]], 1
+    )
+    # a hair inwards: an edge belongs to the neighbouring face as well
+    nine = nine + 0.02 * (middles[candidates, None] - nine)
+    free = probe.sees(eye, nine).numpy().all(1)
+    return candidates[free].tolist(), pixels, areas
+
+
+def read_faces(
+    picture: Float[np.ndarray, "h w 3"],
+    clipped: Bool[np.ndarray, "h w"],
+    probe: PlacedProbe,
+    pose: RigidTransform,
+    intrinsics: Intrinsics,
+    *,
+    size: int = SIZE,
+) -> list[FaceView]:
+    """The shading of all faces that a linear picture shows whole.
+
+    Every texel is the mean of 4 x 4 bilinear samples, each at its own place through the lens'
+    distortion. Samples within 4 % of a face's edge are taken 4 % from it, so that a pose that is
+    off by little does not bring in what is beyond; the thesis shrinks the whole face instead.
+    """
+    shown, _, areas = visible_faces(probe, pose, intrinsics)
+    return _sampled(picture, clipped, (0, 0), probe, pose, intrinsics, shown, areas, size)
+
+
+def _sampled(
+    picture: Float[np.ndarray, "h w 3"],
+    clipped: Bool[np.ndarray, "h w"],
+    corner: tuple[int, int],
+    probe: PlacedProbe,
+    pose: RigidTransform,
+    intrinsics: Intrinsics,
+    shown: list[int],
+    areas: Float[np.ndarray, " f"],
+    size: int,
+) -> list[FaceView]:
+    """:func:`read_faces` of faces known to be shown, from pixels that begin at (column, row)."""
+    orientation, configuration = probe.faces.orientation, probe.faces.configuration
+    if not shown:
+        return []
+    along = (torch.arange(size * _SAMPLES, dtype=torch.float64) + 0.5) / (size * _SAMPLES)
+    along = along.clamp(_INSET, 1 - _INSET)
+    points = places_on(torch.from_numpy(probe.corners[shown]), along).numpy()
+    places = project(points.reshape(-1, 3), pose, intrinsics) - np.array(corner)
+    places = places.astype(np.float32)
+    places = places.reshape(len(shown), -1, size * _SAMPLES, 2)
+    source = np.ascontiguousarray(picture, dtype=np.float32)
+    bright = clipped.astype(np.float32)
+    views = []
+    for face, place in zip(shown, places, strict=True):
+        x, y = place[..., 0].copy(), place[..., 1].copy()
+        colour = cv2.remap(source, x, y, cv2.INTER_LINEAR)
+        burnt = cv2.remap(bright, x, y, cv2.INTER_LINEAR)
+        valid = _binned(burnt[..., None], size)[..., 0] == 0
+        views.append(
+            FaceView(
+                face=face,
+                orientation=int(orientation[face]),
+                configuration=int(configuration[face]),
+                area_px=float(areas[face]),
+                radiance=torch.from_numpy(_binned(colour, size)),
+                valid=torch.from_numpy(valid),
+            )
+        )
+    return views
+
+
+class LightmapCapture:
+    """Accumulates a lightmap over pictures: of each slot, its largest view."""
+
+    def __init__(self, probe: PlacedProbe, start: Lightmap | None = None) -> None:
+        self.probe = probe
+        lightmap = start or Lightmap.blank()
+        self.size = lightmap.size
+        self._radiance = lightmap.radiance.clone()
+        self._coverage = lightmap.coverage.clone()
+        self._area = lightmap.confidence * self.size**2
+        self.rejected = torch.zeros(len(ORIENTATIONS), CONFIGURATIONS, dtype=torch.bool)
+        """Unknown slots of which some view was over-exposed."""
+        self.disagreements: list[float] = []
+        """For each face seen again: relative difference of its mean from that of the view kept."""
+        self._face = lightmap.faces.clone()
+
+    def add(
+        self,
+        picture: Float[np.ndarray, "h w 3"],
+        clipped: Bool[np.ndarray, "h w"],
+        pose: RigidTransform,
+        intrinsics: Intrinsics,
+    ) -> int:
+        """Copy what this linear picture shows larger than any before; how many slots it gave."""
+        return self._keep(
+            read_faces(picture, clipped, self.probe, pose, intrinsics, size=self.size)
+        )
+
+    def add_photo(
+        self,
+        image: UInt8[np.ndarray, "h w 3"],
+        response: Response,
+        pose: RigidTransform,
+        intrinsics: Intrinsics,
+    ) -> int:
+        """:meth:`add` of a picture as the camera gave it; only the probe's part is linearised."""
+        shown, pixels, areas = visible_faces(self.probe, pose, intrinsics)
+        if not shown:
+            return 0
+        codes, corner = part_around(image, pixels[shown])
+        linear = response.linearise(codes).numpy()
+        views = _sampled(
+            linear, saturated(codes), corner, self.probe, pose, intrinsics, shown, areas,
+            self.size,
+        )  # fmt: skip
+        return self._keep(views)
+
+    def _keep(self, views: list[FaceView]) -> int:
+        taken = 0
+        for view in sorted(views, key=lambda v: v.area_px):
+            slot = view.orientation, view.configuration
+            share = float(view.valid.double().mean())
+            if share < _LEAST_COVERAGE:
+                self.rejected[slot] |= self._coverage[slot] == 0
+                continue
+            if self._face[slot] == view.face:
+                kept = self._radiance[slot].mean((0, 1))
+                apart = (view.mean / kept.clamp(min=1e-6) - 1).abs().max()
+                self.disagreements.append(float(apart))
+            if view.area_px <= self._area[slot]:
+                continue
+            # what the camera clipped is at least as bright as the brightest that it did not
+            brightest = view.radiance[view.valid].amax(0)
+            self._radiance[slot] = torch.where(view.valid[..., None], view.radiance, brightest)
+            self._coverage[slot], self._area[slot] = share, view.area_px
+            self.rejected[slot], self._face[slot] = False, view.face
+            taken += 1
+        return taken
+
+    def lightmap(self) -> Lightmap:
+        """What was captured so far."""
+        return Lightmap(
+            radiance=self._radiance.clone(),
+            coverage=self._coverage.clone(),
+            confidence=self._area / self.size**2,
+            faces=self._face.clone(),
+            rotation=self.probe.assembly.board_from_probe.rotation,
+        )
+
+
+def _binned(fine: Float[np.ndarray, "a a c"], size: int) -> Float[np.ndarray, "n n c"]:
+    """Means over the samples of each texel."""
+    return fine.reshape(size, _SAMPLES, size, _SAMPLES, -1).mean((1, 3))
+
+
+def _cross(a: Float[np.ndarray, "f 2"], b: Float[np.ndarray, "f 2"]) -> Float[np.ndarray, " f"]:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

@@ -1,0 +1,1 @@
+"""Interreflection between the faces of a voxel model."""

@@ -1,0 +1,148 @@
+"""Light in the cell in front of a voxel face: radiosity on the six sides of a unit cube.
+
+Light that leaves the cell through an open side meets none of the neighbours again (each of them
+lies beyond a side of its own), so that the cell is all there is to the transport of the simplest
+geometry of a configuration. Direct light of every harmonic is integrated over the open sides;
+interreflections are solved for by collocation, radiance being a polynomial on each side (Cohen and
+Wallace 1993, chapter 3).
+
+The cell is [0, 1]^3 in the frame of the face: x right, y forward, z along its normal. Side 0 is the
+face itself, side i + 1 is where occluder i of :data:`~skylight.probes.voxel.faces.OCCLUDERS` is.
+"""
+
+import math
+from functools import cache
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skylight.probes.voxel.faces import CONFIGURATIONS
+from skylight.sphere import harmonics
+
+TERMS = 10  # of the polynomial, along each axis
+_NODES = 12  # Gauss-Legendre, on each side of a point's foot
+
+# a corner of each side, its two edges (their cross product points into the cell)
+_SIDES = torch.tensor(
+    [
+        [[0, 0, 0], [1, 0, 0], [0, 1, 0]],
+        [[0, 0, 0], [0, 1, 0], [0, 0, 1]],  # left
+        [[1, 0, 0], [0, 0, 1], [0, 1, 0]],  # right
+        [[0, 1, 0], [1, 0, 0], [0, 0, 1]],  # forward
+        [[0, 0, 0], [0, 0, 1], [1, 0, 0]],  # backward
+        [[0, 0, 1], [0, 1, 0], [1, 0, 0]],  # top
+    ],
+    dtype=torch.float64,
+)
+_INWARD = torch.linalg.cross(_SIDES[:, 1], _SIDES[:, 2])
+
+
+class CellTransfer:
+    """Outgoing radiance at points (right, forward) in [0, 1]^2 of the face where the light is Y_i.
+
+    ``L = albedo (E / pi + F L)`` for each configuration, light and harmonics in the face's frame.
+    What depends on the points alone is integrated once, for any number of albedos.
+    """
+
+    def __init__(self, points: Float[Tensor, "m 2"], degree: int) -> None:
+        here = torch.nn.functional.pad(points.double(), (0, 1))
+        self._received = {s: _received(here, 0, s, degree) for s in range(1, len(_SIDES))}
+        self._direct, self._factors = _between_sides(degree)
+
+    def at(self, albedo: float | Float[Tensor, ""]) -> Float[Tensor, "32 m k"]:
+        """Differentiable in the albedo. A cell that is closed all round is dark."""
+        return albedo * torch.stack([self._arriving(c, albedo) for c in range(CONFIGURATIONS)])
+
+    def _arriving(self, configuration: int, albedo: float | Tensor) -> Float[Tensor, "m k"]:
+        closed = [s for s in self._received if configuration >> (s - 1) & 1]
+        free = [s for s in self._received if s not in closed]
+        if not free:
+            return torch.zeros_like(self._received[1][0])
+        total = torch.stack([self._received[s][0] for s in free]).sum(0)
+        radiance = _solved(self._direct, self._factors, [0, *closed], free, albedo)
+        for side in closed:  # a plane does not light itself
+            total = total + self._received[side][1] @ radiance[side]
+        return total
+
+
+def _solved(
+    direct: Float[Tensor, "6 6 p k"],
+    factors: Float[Tensor, "6 p 6 p"],
+    closed: list[int],
+    free: list[int],
+    albedo: float | Tensor,
+) -> dict[int, Float[Tensor, "p k"]]:
+    """Radiance at the nodes of each closed side."""
+    emitted = direct[free][:, closed].sum(0).flatten(0, 1)
+    kernel = factors[closed][:, :, closed].flatten(2).flatten(0, 1)
+    system = torch.eye(len(kernel), dtype=torch.float64) - albedo * kernel
+    radiance = torch.linalg.solve(system, albedo * emitted)
+    return dict(zip(closed, radiance.split(direct.shape[2]), strict=True))
+
+
+@cache
+def _between_sides(degree: int) -> tuple[Float[Tensor, "6 6 p k"], Float[Tensor, "6 p 6 p"]]:
+    """(light through side t to the nodes of side s: [t, s], what they see of each other [s, t])."""
+    ticks = torch.from_numpy((np.polynomial.legendre.leggauss(TERMS)[0] + 1) / 2)
+    u, v = torch.meshgrid(ticks, ticks, indexing="ij")
+    sides, nodes = len(_SIDES), TERMS**2
+    direct = torch.zeros(sides, sides, nodes, (degree + 1) ** 2, dtype=torch.float64)
+    factors = torch.zeros(sides, nodes, sides, nodes, dtype=torch.float64)
+    for s, (corner, first, second) in enumerate(_SIDES):
+        points = corner + u.reshape(-1, 1) * first + v.reshape(-1, 1) * second
+        for t in range(sides):
+            if t != s:
+                direct[t, s], factors[s, :, t] = _received(points, s, t, degree)
+    return direct, factors
+
+
+def _received(
+    points: Float[Tensor, "m 3"], side: int, other: int, degree: int
+) -> tuple[Float[Tensor, "m k"], Float[Tensor, "m p"]]:
+    """``1 / pi int f <n, w> dw`` over the directions from points of a side to another side.
+
+    For f each harmonic of w, and for f each polynomial of the place there that is 1 at one node
+    and 0 at the others. With a the distance to the other side's plane and (s, t) the foot in it,
+    ``u = s + a sinh p`` and ``v = t + a sinh q`` take the kernel's peak away: Gauss-Legendre rules
+    in p and q on both sides of the foot converge exponentially.
+    """
+    corner, first, second = _SIDES[other]
+    offset = points - corner
+    distance = offset @ _INWARD[other]
+    u, u_weight = _sinh_rule(offset @ first, distance)
+    v, v_weight = _sinh_rule(offset @ second, distance)
+    place = corner + u[:, :, None, None] * first + v[:, None, :, None] * second
+    towards = place - points[:, None, None]
+    length = towards.norm(dim=-1)
+    cosine = (towards @ _INWARD[side]) / length
+    weight = u_weight[:, :, None] * v_weight[:, None, :] * cosine / length**3
+    weight = weight * distance[:, None, None] / math.pi
+    basis = harmonics.evaluate((towards / length[..., None]).reshape(-1, 3), degree)
+    basis = basis.reshape(len(points), -1, basis.shape[1])
+    light = (weight.flatten(1)[:, None] @ basis)[:, 0]
+    seen = _lagrange(u).mT @ weight @ _lagrange(v)
+    return light, seen.flatten(1)
+
+
+def _sinh_rule(
+    foot: Float[Tensor, " m"], scale: Float[Tensor, " m"]
+) -> tuple[Float[Tensor, "m q"], Float[Tensor, "m q"]]:
+    """Nodes in [0, 1] and weights of a rule that is fine near the foot."""
+    nodes, weights = (torch.from_numpy(a) for a in np.polynomial.legendre.leggauss(_NODES))
+    places, shares = [], []
+    for end in (0.0, 1.0):
+        reach = torch.asinh((end - foot) / scale)
+        p = reach[:, None] * (nodes + 1) / 2
+        places.append(foot[:, None] + scale[:, None] * torch.sinh(p))
+        shares.append(reach.abs()[:, None] / 2 * weights * scale[:, None] * torch.cosh(p))
+    return torch.cat(places, 1), torch.cat(shares, 1)
+
+
+def _lagrange(places: Float[Tensor, "m q"]) -> Float[Tensor, "m q p"]:
+    """The polynomials in [0, 1] that are 1 at one Gauss-Legendre node and 0 at the others."""
+    nodes, _ = np.polynomial.legendre.leggauss(TERMS)
+    values = np.polynomial.legendre.legvander(2 * places.numpy() - 1, TERMS - 1)
+    to_nodes = np.linalg.inv(np.polynomial.legendre.legvander(nodes, TERMS - 1))
+    return torch.from_numpy(values @ to_nodes)

@@ -1,0 +1,1 @@
+"""The voxel probe as press-fit parts for 3D printing."""

@@ -1,0 +1,96 @@
+"""A printed voxel probe over its marker board: its file, and what its faces see."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skylight.cameras.assembly import Pole, ProbeAssembly, cylinder_mesh, read_stand, unoccluded
+from skylight.errors import InputError
+from skylight.io.json_files import read_object, require_keys
+from skylight.probes.voxel.faces import NORMALS, VoxelFaces, exposed_faces
+from skylight.probes.voxel.model import VoxelModel
+from skylight.transport.raycast import Raycaster
+
+_KIND, _VERSION = "voxel probe assembly", 1
+_LARGEST = 64
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class VoxelAssembly(ProbeAssembly):
+    """What was printed, and where: the probe's frame has cells of ``voxel_mm`` along its axes."""
+
+    model: VoxelModel
+    voxel_mm: float
+    pole_mm: Pole | None = None
+    board_mm: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.voxel_mm) and self.voxel_mm > 0):
+            raise InputError("an assembly needs voxels above 0 mm")
+
+    def to_board(self, cells: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+        """Cell coordinates in mm of the board."""
+        return self.board_from_probe.points(self.voxel_mm * cells)
+
+    def to_json(self) -> dict[str, object]:
+        """What :func:`load_voxel_assembly` reads; a file may hold more."""
+        return {
+            "kind": _KIND,
+            "format": _VERSION,
+            "cells": np.argwhere(self.model.occupied).tolist(),
+            "voxel_mm": self.voxel_mm,
+            **self.stand_json(),
+        }
+
+
+class PlacedProbe:
+    """The faces of a probe in the board's frame, and what occludes them: the probe and its pole."""
+
+    def __init__(self, assembly: VoxelAssembly) -> None:
+        self.assembly = assembly
+        self.faces: VoxelFaces = exposed_faces(assembly.model)
+        self.corners = assembly.to_board(self.faces.corners.numpy())
+        normals = NORMALS[self.faces.orientation.numpy()].astype(float)
+        self.normals = assembly.board_from_probe.directions(normals)
+        vertices, triangles = (part.numpy() for part in self.faces.triangles())
+        vertices = assembly.to_board(vertices)
+        if assembly.pole_mm is not None:
+            pole, strips = cylinder_mesh(assembly.pole_mm)
+            triangles = np.concatenate([triangles, strips + len(vertices)])
+            vertices = np.concatenate([vertices, pole])
+        self._caster = Raycaster(torch.from_numpy(vertices), torch.from_numpy(triangles))
+
+    def sees(
+        self, eye: Float[np.ndarray, "3"], points: Float[np.ndarray, "*n 3"]
+    ) -> Float[Tensor, "*n"]:
+        """1 where nothing is between a point of a face and the eye, 0 elsewhere."""
+        return unoccluded(self._caster, eye, points)
+
+
+def load_voxel_assembly(path: str | Path) -> VoxelAssembly:
+    """The assembly that :meth:`VoxelAssembly.to_json` wrote.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read as one, or its numbers are no placement.
+    """
+    content = read_object(path, _KIND)
+    require_keys(path, content, ["format", "cells", "voxel_mm", "rotation", "translation_mm"])
+    if content["format"] != _VERSION:
+        raise InputError(f"{path}: of format {content['format']}, this program reads {_VERSION}")
+    try:
+        cells = np.array(content["cells"], dtype=np.int64).reshape(-1, 3)
+        voxel_mm = float(content["voxel_mm"])  # type: ignore[arg-type]
+        stand = read_stand(content)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path}: its numbers are not those of an assembly ({error})") from error
+    if not len(cells) or cells.min() < 0 or cells.max() >= _LARGEST:
+        raise InputError(f"{path}: a probe's cells are 1 or more, from 0 to {_LARGEST - 1}")
+    solid = np.zeros(cells.max(0) + 1, bool)
+    solid[tuple(cells.T)] = True
+    return VoxelAssembly(model=VoxelModel(occupied=solid), voxel_mm=voxel_mm, **stand)

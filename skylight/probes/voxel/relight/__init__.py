@@ -1,0 +1,1 @@
+"""Voxel models rendered with the probe's lightmap."""

@@ -1,0 +1,1 @@
+"""Tasks of the studio, run in worker processes."""

@@ -1,0 +1,47 @@
+"""Illumination from an uploaded photograph."""
+
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+from skylight.app.estimate.photos import estimate_photo
+from skylight.app.estimate.results import write_results
+from skylight.app.estimate.types import PhotoEstimate
+from skylight.models.names import LightName
+from skylight.studio.tasks.uploads import open_photo, preview_scale
+from skylight.work.progress import StageProgress
+
+
+def estimate_light(
+    path: str,
+    name: str,
+    pixels: int,
+    folder: str,
+    face: int | Literal["all"],
+    light: LightName,
+    model: str | None = None,
+    *,
+    tell: StageProgress,
+) -> dict[str, Any]:
+    """estimate.json with the preview's camera and where the heads are; all files in ``folder``."""
+    tell("reading the picture", 0.0)
+    photo = open_photo(Path(path), name, pixels)
+    result = estimate_photo(photo, names=[name], light=light, model=model, face=face, progress=tell)
+    tell("writing the results", 0.0)
+    write_results(Path(folder), result)
+    described = json.loads((Path(folder) / "estimate.json").read_text(encoding="utf-8"))
+    return described | _seen(result, preview_scale(photo))
+
+
+def _seen(result: PhotoEstimate, scale: float) -> dict[str, Any]:
+    """``camera``: that of the first head's fit, for the preview; ``faces_at``: their middles."""
+    camera = result.fit.camera
+    return {
+        "camera": {
+            "focal_px": scale * camera.focal_px,
+            "width": round(scale * camera.width),
+            "height": round(scale * camera.height),
+            "principal": [scale * part for part in camera.center_px],
+        },
+        "faces_at": [{"position": seen.fit.vertices.mean(0).tolist()} for seen in result.seen],
+    }

@@ -1,0 +1,123 @@
+"""From a folder of skies to a light model that everything can use."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+from skylight.errors import InputError
+from skylight.models.bundle import NETWORK, SHIPPED, load_bundle
+from skylight.skies.captures import Refusal, index_folder
+from skylight.skies.index import INDEX_NAME, SkyRecord, is_index, map_path, read_index
+from skylight.training.autoencoder import train
+from skylight.training.config import AutoencoderConfig, PriorConfig
+from skylight.training.prior import fit_priors
+from skylight.work.progress import CountProgress, Tell
+from skylight.work.resumable import claimed
+
+RUN = "training"  # in the model's folder: what training goes on from
+FEW = 2000  # training skies; below, the shipped network is trained on instead of a new one
+LEAST_STEPS = 300
+
+
+def train_folder(
+    folder: Path,
+    out: Path,
+    config: AutoencoderConfig,
+    *,
+    epochs: int | None = None,
+    report: Tell = print,
+    progress: CountProgress | None = None,
+) -> Path:
+    """Index ``folder``, train the network, fit the priors; returns ``out``, a light model's folder.
+
+    ``folder`` is one of .exr or .hdr maps, or has an index of skies already. ``config`` says how
+    to train; what the number of skies does not allow is changed, and ``report`` told: a batch of
+    at most a quarter of the training skies, at least 300 steps, and below 2,000 training skies
+    the weights of the shipped model to start from.
+    A run that was killed goes on where it was, in ``out / "training"``.
+
+    Raises
+    ------
+    InputError
+        No usable skies, or too few days to divide.
+    """
+    run = out / RUN
+    with claimed(run):
+        place = _indexed(folder, run, report, progress)
+        records = read_index(place)
+        skies = sum(record.split == "train" for record in records)
+        days = len({record.day for record in records})
+        if len({record.split for record in records}) < 3:
+            raise InputError(
+                f"{folder}: {len(records)} skies of {days} day(s) cannot be divided into training, "
+                "validation and test days; add skies of other days, or name their days with: "
+                f"skylight skies index {folder} --days DAYS.csv"
+            )
+        best = train(fitting(config, place, run, skies, epochs, report), report)
+        report("fitting the priors")
+        fit_priors(PriorConfig(data=place, checkpoint=best, out=out, seed=config.seed))
+    load_bundle(out)
+    return out
+
+
+def fitting(
+    config: AutoencoderConfig,
+    place: Path,
+    run: Path,
+    skies: int,
+    epochs: int | None,
+    report: Tell,
+) -> AutoencoderConfig:
+    """``config`` for so many training skies, as :func:`train_folder` says."""
+    batch = min(config.batch, max(1, skies // 4))
+    steps = max(1, skies // batch)
+    wanted = max(config.epochs, math.ceil(LEAST_STEPS / steps)) if epochs is None else epochs
+    fitted = replace(
+        config,
+        data=place,
+        out=run,
+        batch=batch,
+        epochs=wanted,
+        patience=max(config.patience, wanted // 4),
+        warmup_steps=min(config.warmup_steps, steps * wanted // 10),
+    )
+    start = SHIPPED / NETWORK
+    if skies < FEW and config.starts_from is None and (config.coding, config.sun) == ("log", True):
+        fitted = replace(fitted, starts_from=start, learning_rate=config.learning_rate / 3)
+        report(f"{skies} training skies are few: the shipped model's weights are trained further")
+    if batch != config.batch:
+        report(f"batches of {batch} instead of {config.batch} skies")
+    if wanted != config.epochs:
+        report(f"{wanted} epochs instead of {config.epochs}")
+    return fitted
+
+
+def _indexed(folder: Path, run: Path, report: Tell, progress: CountProgress | None) -> Path:
+    """The place of an index of ``folder``: its own, that of an earlier run, or a new one."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: there is no such folder; give one with .exr or .hdr maps")
+    if is_index(folder / INDEX_NAME):
+        return folder
+    index = run / INDEX_NAME
+    if index.exists():
+        maps = (map_path(index, record).resolve() for record in read_index(index))
+        if not any(folder.resolve() in path.parents for path in maps):
+            raise InputError(
+                f"{index} is of another folder than {folder}; choose another --out, or delete it"
+            )
+        report(f"{index}: used again; delete it to index {folder} anew")
+        return index
+    _, records, refusals = index_folder(folder, out=index, progress=progress)
+    for line in _counted(records, refusals):
+        report(line)
+    return index
+
+
+def _counted(records: list[SkyRecord], refusals: list[Refusal]) -> list[str]:
+    return [
+        f"{len(records)} skies indexed",
+        *(
+            f"{refusal.file}: {'refused' if refusal.is_sky else 'left out'}, {refusal.reason}"
+            for refusal in refusals
+        ),
+    ]

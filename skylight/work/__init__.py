@@ -1,0 +1,1 @@
+"""Long computations: resumable folders, processes, clusters, devices, progress."""

@@ -1,0 +1,8 @@
+"""Signatures of progress callbacks."""
+
+from collections.abc import Callable
+
+Progress = Callable[[float], None]  # the share that is done, 0 to 1
+StageProgress = Callable[[str, float], None]  # a stage's name, and the share of it that is done
+CountProgress = Callable[[int, int], None]  # items done, items in all
+Tell = Callable[[str], None]  # a line for people

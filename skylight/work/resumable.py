@@ -1,0 +1,249 @@
+"""Resumable folders, and work shared by processes."""
+
+import json
+import multiprocessing
+import os
+import shutil
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    Future,
+    ProcessPoolExecutor,
+    as_completed,
+    wait,
+)
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import wait as wait_for
+from pathlib import Path
+from typing import IO, TypeVar
+
+from skylight.errors import InputError, OutputError, SkylightError
+from skylight.io.atomic import PARTIAL
+from skylight.io.files import write_json
+from skylight.work.cluster import Cluster, prepare_once, share_on_cluster
+
+Result = TypeVar("Result")
+Workers = int | Cluster  # so many processes here, or those of a cluster
+MOST_LOSSES = 3  # a piece that its process did not survive so often is given up
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
+@contextmanager
+def claimed(folder: Path, *inner: Path) -> Iterator[None]:
+    """A folder for one run at a time, made where there is none; it and ``inner`` are swept.
+
+    The lock ends with its process. Windows, and some clusters' file systems, have no such locks:
+    there runs are not kept apart, and nothing is swept.
+
+    Raises
+    ------
+    InputError
+        Another run is at work there.
+    OutputError
+        It cannot be written to.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / ".lock").open("w")
+    except OSError as error:
+        raise OutputError(
+            f"cannot write into {folder}: {error.strerror}; choose another folder with --out"
+        ) from error
+    with lock:
+        is_locked = _is_locked(lock, folder)
+        if is_locked:
+            _sweep(folder, *inner)
+        yield
+        if is_locked:  # workers may have been killed meanwhile
+            _sweep(folder, *inner)
+
+
+def _sweep(*folders: Path) -> None:
+    """Remove what processes that were killed have left half written."""
+    for folder in folders:
+        for partial in folder.glob(f"{PARTIAL}*"):
+            if partial.is_dir():
+                shutil.rmtree(partial, ignore_errors=True)
+            else:
+                partial.unlink(missing_ok=True)
+
+
+def _is_locked(file: IO[str], folder: Path) -> bool:
+    """Whether this run has the lock now; False where there are no locks."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return False
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise InputError(
+            f"{folder}: another run is at work there; wait for it, or give another folder"
+        ) from error
+    except OSError:  # a file system without locks, as some clusters have
+        return False
+    return True
+
+
+def settle(note: Path, settings: dict[str, object]) -> None:
+    """Note what a folder is made with, or see that an earlier run made it with the same.
+
+    Raises
+    ------
+    InputError
+        The note is damaged or tells of other settings; the line names both.
+    """
+    wanted = json.loads(json.dumps(settings))
+    if note.exists():
+        try:
+            there = json.loads(note.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise InputError(f"{note}: damaged; give another folder ({error})") from error
+        if there != wanted:
+            raise InputError(
+                f"{note.parent}: made with other settings ({json.dumps(there)}, now "
+                f"{json.dumps(wanted)}); give the same, or another folder"
+            )
+    write_json(note, wanted)
+
+
+def share_work(
+    work: Callable[..., Result],
+    arguments: Iterable[tuple],
+    *,
+    workers: Workers,
+    prepare: Callable[[], None] | None = None,
+    finish: bool = False,
+    lost: Callable[..., Result] | None = None,
+) -> Iterator[Result]:
+    """Results of ``work(*one)`` for each of ``arguments``, as they come.
+
+    With one worker or one piece of work in this process; otherwise each process runs ``prepare``
+    first and computes with one thread. Ctrl-C ends the pieces at work; with ``finish``, for pieces
+    of seconds, those at work here are finished, and their results come before the interrupt.
+
+    A piece whose process dies (killed, or out of memory) is given to another process. One that
+    has lost three is answered by ``lost(*one)``; with ``lost``, even a single worker is another
+    process, which this one survives.
+
+    Raises
+    ------
+    SkylightError
+        A piece lost its process three times, and there is no ``lost``.
+    """
+    pieces = list(arguments)
+    if isinstance(workers, Cluster):
+        yield from share_on_cluster(work, pieces, workers, prepare=prepare, lost=lost)
+    elif lost is None and (workers == 1 or len(pieces) < 2):
+        for one in pieces:
+            yield work(*one)
+    else:
+        yield from _share_here(work, pieces, workers, prepare, finish, lost)
+
+
+def _share_here(
+    work: Callable[..., Result],
+    pieces: Sequence[tuple],
+    workers: int,
+    prepare: Callable[[], None] | None,
+    finish: bool,
+    lost: Callable[..., Result] | None,
+) -> Iterator[Result]:
+    waiting = deque((one, 0) for one in pieces)
+    # a pool for each process: where one dies, it is known at which piece
+    idle: list[ProcessPoolExecutor] = []
+    busy: dict[Future[Result], tuple[ProcessPoolExecutor, tuple, int]] = {}
+    try:
+        while waiting or busy:
+            while waiting and len(busy) < workers:
+                pool = idle.pop() if idle else _process(finish)
+                one, losses = waiting[0]
+                with _for_new_processes(), suppress(BrokenProcessPool):  # killed while idle
+                    busy[pool.submit(_run, prepare, work, one)] = pool, one, losses
+                    waiting.popleft()
+            for future in wait(busy, return_when=FIRST_COMPLETED).done:
+                pool, one, losses = busy.pop(future)
+                try:
+                    result = future.result()
+                except BrokenProcessPool as error:
+                    pool.shutdown()
+                    if losses + 1 < MOST_LOSSES:
+                        waiting.appendleft((one, losses + 1))
+                        continue
+                    if lost is None:
+                        raise SkylightError(
+                            f"a process died {MOST_LOSSES} times at the same piece of work, so "
+                            "memory may be short; what is done is kept: use fewer workers, and "
+                            "run the same command again"
+                        ) from error
+                    result = lost(*one)
+                else:
+                    idle.append(pool)
+                yield result
+    except KeyboardInterrupt:
+        if finish:
+            for future in as_completed(busy):
+                with suppress(BrokenProcessPool):  # the next run's piece
+                    yield future.result()
+        raise
+    finally:
+        for pool in (*idle, *(pool for pool, _, _ in busy.values())):
+            pool.shutdown(cancel_futures=True)
+
+
+def _run(prepare: Callable[[], None] | None, work: Callable[..., Result], one: tuple) -> Result:
+    if prepare is not None:
+        prepare_once(prepare)
+    return work(*one)
+
+
+def _process(finish: bool) -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(
+        1,
+        # spawned, because a process that has run torch's threads cannot be forked safely
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_start_worker,
+        initargs=(finish,),
+    )
+
+
+@contextmanager
+def _for_new_processes() -> Iterator[None]:
+    """Processes that start within have one thread, and do not hear Ctrl-C while they start.
+
+    The environment is what all libraries read when they are loaded.
+    """
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
+    can_mask = hasattr(signal, "pthread_sigmask")  # not on Windows
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if can_mask else None
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+        if mask is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def _start_worker(finish: bool) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    if finish:  # Ctrl-C reaches workers too; here the parent decides
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    elif hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+
+def _end_with_parent() -> None:
+    """A parent that was killed cannot end its workers, and they would wait for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait_for([parent.sentinel])
+        os._exit(1)

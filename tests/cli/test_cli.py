@@ -1,0 +1,405 @@
+"""The command line from end to end: what it writes, and how it fails."""
+
+import errno
+import json
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+import torch
+from PIL import Image
+from skimage.data import astronaut
+
+import skylight
+from skylight.app.estimate.photos import estimate, estimate_photo
+from skylight.cli import main
+from skylight.cli.estimate import Landmarks, Light
+from skylight.cli.workers import who_works
+from skylight.errors import InputError, explain
+from skylight.faces.landmarks import DetectedFace, LandmarkerName, default_landmarker
+from skylight.faces.model import HeadModel
+from skylight.io.files import read_environment_map
+from skylight.models.names import LightName
+from skylight.sphere.frame import angles_from_direction
+from skylight.work.progress import StageProgress
+
+RESULTS = {"probe.exr", "probe.hdr", "posterior.exr", "mesh.obj", "estimate.json", "report.png"}
+
+
+@pytest.fixture(scope="module")
+def portrait(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("portrait") / "astronaut.png"
+    Image.fromarray(astronaut()).save(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def results(portrait: Path) -> Path:
+    """The folder of one good run, by the quickest light model."""
+    out = portrait.parent / "out"
+    assert main(["estimate", str(portrait), "--light", "sh9", "--out", str(out)]) == 0
+    return out
+
+
+class Faces:
+    """A landmarker that sees the same faces in every picture."""
+
+    def __init__(self, *faces: DetectedFace) -> None:
+        self.faces = list(faces)
+
+    def detect(self, image: np.ndarray) -> list[DetectedFace]:
+        return self.faces
+
+
+def profile() -> DetectedFace:
+    """The mean head, turned by 80 degrees."""
+    head = HeadModel.load()
+    c, s = np.cos(np.radians(80)), np.sin(np.radians(80))
+    points = head.landmarks(head.mean) @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T
+    pixels = points[:, :2] * [1500, -1500] / (1.5 - points[:, 2:]) + 256
+    return DetectedFace(points=pixels, score=1.0)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    captured = capsys.readouterr()
+    lines = captured.err.splitlines()
+    assert len(lines) == 1, captured.err
+    assert captured.out == ""
+    assert lines[0].startswith("skylight: ")
+    return lines[0]
+
+
+class TestResults:
+    def test_all_files_are_there_and_nothing_else(self, results: Path) -> None:
+        assert {path.name for path in results.iterdir()} == RESULTS
+
+    def test_numbers_and_map_tell_the_same_sun(self, results: Path) -> None:
+        told = json.loads((results / "estimate.json").read_text())
+        probe = read_environment_map(results / "probe.exr")
+        assert probe.layout == (64, 128)
+        azimuth, zenith = angles_from_direction(probe.brightest_direction())
+        assert told["sun"]["azimuth_deg"] == pytest.approx(np.degrees(float(azimuth)), abs=0.01)
+        assert told["sun"]["zenith_deg"] == pytest.approx(np.degrees(float(zenith)), abs=0.01)
+        assert told["objective"]["total"] == pytest.approx(told["objective"]["data"])
+        assert len(told["params"]) == 27
+        (face,) = told["faces"]
+        assert face["source"] == told["sources"][0]
+        assert face["landmarker"] == "dlib"
+        assert face["landmark_score"] > 0
+        assert "ai-edge-litert" in told["versions"]
+        assert 0 < min(face["albedo"]) < max(face["albedo"]) < 1
+
+    def test_both_maps_hold_the_same_light(self, results: Path) -> None:
+        exr, hdr = (read_environment_map(results / f"probe.{kind}") for kind in ("exr", "hdr"))
+        peak = exr.radiance.amax(-1, keepdim=True)
+        assert ((hdr.radiance - exr.radiance).abs() <= peak / 255).all()
+
+    def test_mesh_stands_before_the_camera(self, results: Path) -> None:
+        import trimesh
+
+        mesh = trimesh.load_mesh(results / "mesh.obj", process=False)
+        assert len(mesh.faces) == len(HeadModel.load().faces)
+        assert (mesh.vertices[:, 2] < -0.2).all()
+        assert 0.15 < np.ptp(mesh.vertices[:, 1]) < 0.45
+
+    def test_report_is_a_large_picture(self, results: Path) -> None:
+        with Image.open(results / "report.png") as report:
+            report.load()
+            assert report.width > 1500
+            assert report.height > 1000
+
+    def test_codes_give_the_light_of_their_file(self, results: Path) -> None:
+        found = estimate(astronaut(), light="sh9")
+        written = read_environment_map(results / "probe.exr").radiance
+        torch.testing.assert_close(found.environment.radiance, written, rtol=0.02, atol=1e-3)
+
+    def test_default_folder_is_named_after_the_picture(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "portrait_light").write_text("taken")
+        Image.fromarray(astronaut()).save("portrait.png")
+        assert main(["estimate", "portrait.png"]) == 1
+        assert "portrait_light" in one_line(capsys)
+
+
+def _truncated(path: Path) -> None:
+    Image.fromarray(astronaut()).save(path, format="JPEG")
+    path.write_bytes(path.read_bytes()[:9000])
+
+
+def _animated(path: Path) -> None:
+    frames = [Image.new("RGB", (64, 64), color) for color in ("red", "green")]
+    frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:])
+
+
+def _landscape(path: Path) -> None:
+    rng = np.random.default_rng(7)
+    coarse = Image.fromarray(rng.integers(0, 255, (12, 20, 3), dtype=np.uint8))
+    coarse.resize((400, 240), Image.Resampling.BICUBIC).save(path, format="PNG")
+
+
+def written_exr(value: float) -> Callable[[Path], None]:
+    def write(path: Path) -> None:
+        pixels = np.full((64, 128, 3), 0.5, np.float32)
+        pixels[3, 5, 1] = value
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        OpenEXR.File(header, {"RGB": pixels}).write(str(path))
+
+    return write
+
+
+def _plain(mode: str, size: tuple[int, int], color: object, kind: str) -> Callable[[Path], None]:
+    return lambda path: Image.new(mode, size, color).save(path, format=kind)  # type: ignore[arg-type]
+
+
+BAD_PICTURES: dict[str, tuple[str, Callable[[Path], object], str]] = {
+    "missing": ("a.jpg", lambda path: None, "No such file"),
+    "an empty folder": ("a.jpg", lambda path: path.mkdir(), "no pictures"),
+    "empty": ("a.jpg", lambda path: path.touch(), "no picture"),
+    "text": ("a.png", lambda path: path.write_text("hello"), "no picture"),
+    "truncated": ("a.jpg", _truncated, "cut short"),
+    "animated": ("a.gif", _animated, "several pictures"),
+    "CMYK": ("a.jpg", _plain("CMYK", (64, 64), (9, 80, 40, 3), "JPEG"), "CMYK"),
+    "one pixel": ("a.png", _plain("RGB", (1, 1), (9, 80, 40), "PNG"), "1x1"),
+    "too wide": ("a.png", _plain("RGB", (20_000, 40), (9, 80, 40), "PNG"), "20000x40"),
+    "grey": ("a.png", _plain("L", (64, 64), 80, "PNG"), "grey"),
+    "grey in RGB": ("a.png", _plain("RGB", (64, 64), (80, 80, 80), "PNG"), "grey"),
+    "black": ("a.png", _plain("RGB", (64, 64), (0, 0, 0), "PNG"), "black"),
+    "no face": ("a.png", _landscape, "no face found"),
+    "EXR with NaN": ("a.exr", written_exr(np.nan), "NaN"),
+    "EXR with infinity": ("a.exr", written_exr(np.inf), "infinite"),
+}
+
+
+class TestFailures:
+    @pytest.mark.parametrize("kind", BAD_PICTURES)
+    def test_bad_picture(
+        self, kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        name, make, expected = BAD_PICTURES[kind]
+        make(tmp_path / name)
+        out = tmp_path / "out"
+        assert main(["estimate", str(tmp_path / name), "--out", str(out)]) == 2
+        line = one_line(capsys)
+        assert expected in line
+        assert name in line
+        assert not out.exists()
+
+    def test_earlier_results_survive_a_failure(
+        self, results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        before = contents(results)
+        _landscape(tmp_path / "hills.png")
+        assert main(["estimate", str(tmp_path / "hills.png"), "--out", str(results)]) == 2
+        one_line(capsys)
+        assert contents(results) == before
+
+    def test_earlier_results_survive_an_interrupt(
+        self,
+        portrait: Path,
+        results: Path,
+        capsys: pytest.CaptureFixture[str],
+        monkeypatch: pytest.MonkeyPatch,
+    ) -> None:
+        before = contents(results)
+        stages: list[str] = []
+
+        @contextmanager
+        def interrupted_while_writing() -> Iterator[StageProgress]:
+            def tell(stage: str, share: float) -> None:
+                stages.append(stage)
+                if stage == "writing the results":
+                    raise KeyboardInterrupt
+
+            yield tell
+
+        # a real signal may fall where some library swallows it
+        monkeypatch.setattr("skylight.app.progress.stage_bar", interrupted_while_writing)
+        assert main(["estimate", str(portrait), "--out", str(results)]) == 1
+        assert "interrupted" in one_line(capsys)
+        assert contents(results) == before
+        assert stages[-1] == "writing the results"
+
+    def test_face_that_is_not_there(
+        self, portrait: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        for number in ("2", "0"):
+            out = str(tmp_path / "out")
+            assert main(["estimate", str(portrait), "--face", number, "--out", out]) == 2
+            line = one_line(capsys)
+            assert f"no face {number}" in line
+            assert "choose --face 1 to 1" in line
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            (["--landmarks", "mediapipe"], "name it with --landmark-model"),
+            (["--landmark-model", "a.task"], "a.task: dlib's landmarks bring their own model"),
+            (["--landmarks", "mediapipe", "--landmark-model", "a.task"], "there is no such file"),
+        ],
+    )
+    def test_landmarkers_that_cannot_be(
+        self,
+        portrait: Path,
+        options: list[str],
+        message: str,
+        tmp_path: Path,
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:
+        assert main(["estimate", str(portrait), *options, "--out", str(tmp_path / "out")]) == 2
+        assert message in one_line(capsys)
+
+    @pytest.mark.parametrize(
+        ("wrong", "expected"),
+        [
+            (["b.png"], "add --shared-light"),
+            (["--face", "1", "--faces", "all"], "contradict"),
+            (["b.png", "--shared-light"], "b.png"),
+        ],
+    )
+    def test_several_faces_that_cannot_be(
+        self,
+        wrong: list[str],
+        expected: str,
+        portrait: Path,
+        tmp_path: Path,
+        capsys: pytest.CaptureFixture[str],
+        monkeypatch: pytest.MonkeyPatch,
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        assert main(["estimate", str(portrait), *wrong]) == 2
+        assert expected in one_line(capsys)
+        assert not list(tmp_path.iterdir())
+
+    def test_face_turned_away(self, portrait: Path) -> None:
+        with pytest.raises(InputError, match="turned away") as caught:
+            estimate_photo(skylight.read_photo(portrait), landmarks=Faces(profile()))
+        message, code = explain(caught.value)
+        assert code == 2
+        assert "use a picture" in message
+
+    def test_a_face_turned_away_among_others_is_left_out(self, portrait: Path) -> None:
+        photo = skylight.read_photo(portrait)
+        (frontal,) = default_landmarker().detect(photo.encoded)
+        result = estimate_photo(
+            photo,
+            light="sh9",
+            face="all",
+            names=["group.png"],
+            landmarks=Faces(profile(), frontal),
+        )
+        (seen,) = result.seen
+        assert (seen.number, seen.name) == (2, "group.png, face 2")
+        (advice,) = [line for line in result.estimate.advice if "left out" in line]
+        assert "group.png, face 1: the face is turned away" in advice
+
+    def test_photographs_without_a_face_keep_their_numbers(
+        self, portrait: Path, tmp_path: Path
+    ) -> None:
+        _landscape(tmp_path / "hills.png")
+        photos = [skylight.read_photo(path) for path in (tmp_path / "hills.png", portrait)]
+        result = estimate_photo(*photos, light="sh9", names=["hills.png", "portrait.png"])
+        (seen,), (light,) = result.seen, result.estimate.faces
+        assert seen.photo == light.photo == 1
+        assert any("left out: hills.png: no face" in line for line in result.estimate.advice)
+
+    def test_arrays_are_told_apart(self) -> None:
+        hills = np.random.default_rng(7).integers(0, 255, (64, 64, 3), dtype=np.uint8)
+        with pytest.raises(InputError, match=r"picture 1: no face.*; picture 2: no face"):
+            estimate(hills, hills, light="sh9")
+        with pytest.raises(InputError, match="the picture: no face"):
+            estimate(hills, light="sh9")
+
+    def test_folder_that_cannot_be_written(
+        self, portrait: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        (tmp_path / "file").touch()
+        out = tmp_path / "file" / "out"
+        assert main(["estimate", str(portrait), "--out", str(out)]) == 1
+        assert "choose another folder" in one_line(capsys)
+
+    def test_no_cuda(
+        self, portrait: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        if torch.cuda.is_available():
+            pytest.skip("there is a CUDA device")
+        out = tmp_path / "out"
+        assert main(["estimate", str(portrait), "--device", "cuda", "--out", str(out)]) == 2
+        assert "CUDA" in one_line(capsys)
+
+    @pytest.mark.parametrize(
+        "arguments",
+        [
+            ["estimate"],
+            ["estimate", "a.png", "--light", "moon"],
+            ["estimate", "a.png", "--gamma", "2.2", "--linear"],
+            ["estimate", "a.png", "--face", "first"],
+            ["estimate", "a.png", "--faces", "some"],
+            ["fly"],
+            ["skies"],
+            ["export", "scene"],
+        ],
+    )
+    def test_usage(self, arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+        with pytest.raises(SystemExit) as end:
+            main(arguments)
+        assert end.value.code == 2
+        assert "Traceback" not in capsys.readouterr().err
+
+    def test_debug_adds_the_traceback(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert main(["estimate", str(tmp_path / "a.png"), "--debug"]) == 2
+        captured = capsys.readouterr().err
+        assert "Traceback" in captured
+        assert captured.splitlines()[-1].startswith("skylight: ")
+
+    @pytest.mark.parametrize(
+        ("error", "expected"),
+        [
+            (MemoryError(), "out of memory"),
+            (
+                RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried"),
+                "out of memory",
+            ),
+            (OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "a.obj"), "a.obj: No space left"),
+            (ZeroDivisionError("division by zero"), "rerun with --debug"),
+        ],
+    )
+    def test_what_is_nobodys_mistake(self, error: Exception, expected: str) -> None:
+        message, code = explain(error)
+        assert code == 1
+        assert expected in message
+
+
+def test_light_choices_are_the_models() -> None:
+    assert Light == LightName
+
+
+def test_without_a_number_each_core_that_this_process_may_use_gets_a_worker(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 3, 5}, raising=False)
+    assert who_works(0, None, tmp_path) == 3
+    assert who_works(2, None, tmp_path) == 2
+
+
+def test_landmark_choices_are_the_landmarkers() -> None:
+    assert Landmarks == LandmarkerName
+
+
+def test_public_names_exist() -> None:
+    for name in skylight.__all__:
+        assert getattr(skylight, name) is not None
+        assert name in dir(skylight)
+    with pytest.raises(AttributeError, match="moonlight"):
+        skylight.moonlight  # noqa: B018

@@ -1,0 +1,201 @@
+"""The command `skylight estimate-object`: files in, files out, one line where it fails."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from PIL import Image
+
+from skylight.cli import main
+from skylight.cli.estimate import ObjectLight
+from skylight.imaging.colour import linear_to_srgb
+from skylight.inverse.object.problem import ObjectLightName
+from skylight.inverse.object.view import observe_object
+from skylight.io.files import read_environment_map
+from skylight.io.hdr import write_exr
+from skylight.sphere import harmonics
+from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.grid import DirectionGrid
+from skylight.transport.object_camera import object_camera
+from tests.cli.test_cli import one_line
+
+CAMERA = {"fov_deg": 36, "position": [3, 1.2, -2.6], "look_at": [0, 0, 0]}
+RESULTS = {"probe.exr", "probe.hdr", "estimate.json", "comparison.png"}
+SIZE = 56
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A mesh, its camera, and its picture in light from +X above, linear and as PNG."""
+    folder = tmp_path_factory.mktemp("object")
+    mesh = trimesh.util.concatenate(
+        [
+            trimesh.creation.icosphere(subdivisions=3, radius=0.8),
+            trimesh.creation.torus(1.0, 0.12, major_sections=64, minor_sections=16),
+        ]
+    )
+    mesh.export(folder / "mesh.ply")
+    (folder / "camera.json").write_text(json.dumps(CAMERA))
+    grid = DirectionGrid.latlong(64)
+    c = torch.zeros(9, 3, dtype=torch.float64)
+    c[0], c[1], c[3] = torch.tensor([0.9, 0.8, 0.7]), 0.2, torch.tensor([0.4, 0.3, 0.2])
+    light = EnvironmentMap(
+        radiance=(harmonics.evaluate(grid.directions, 2) @ c).reshape(64, 128, 3).float()
+    )
+    view = observe_object(
+        torch.from_numpy(np.array(mesh.vertices)),
+        torch.from_numpy(np.array(mesh.faces)),
+        object_camera(CAMERA, height=SIZE, width=SIZE),
+        torch.ones(SIZE, SIZE, 3),
+    )
+    background = torch.tensor([0.1, 0.2, 0.4]).expand(SIZE, SIZE, 3)
+    pixels = view.surface.image(view.shade(light, torch.arange(len(view.surface))), background)
+    write_exr(folder / "photo.exr", pixels.numpy(), half=False, header={})
+    codes = (255 * linear_to_srgb(pixels.clamp(0, 1))).round().to(torch.uint8).numpy()
+    Image.fromarray(codes).save(folder / "photo.png")
+    Image.fromarray(np.full((SIZE, SIZE), 255, np.uint8)).save(folder / "mask.png")
+    return folder
+
+
+def arguments(folder: Path, out: Path, *more: str, photo: str = "photo.exr") -> list[str]:
+    files = [str(folder / "mesh.ply"), str(folder / photo)]
+    return [
+        "estimate-object", *files, "--camera", str(folder / "camera.json"), "--out", str(out), *more
+    ]  # fmt: skip
+
+
+class TestResults:
+    def test_harmonics(
+        self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        out = tmp_path / "out"
+        mask = ["--mask", str(folder / "mask.png")]
+        assert main(arguments(folder, out, "--light", "sh9", *mask)) == 0
+        assert {path.name for path in out.iterdir()} == RESULTS
+        assert "re-rendered to within 0." in capsys.readouterr().out
+        told = json.loads((out / "estimate.json").read_text())
+        assert told["residual"] < 0.01
+        # from +X, 90 degrees to the right of -Z, and above
+        assert told["brightest"]["azimuth_deg"] == pytest.approx(90, abs=10)
+        assert told["brightest"]["zenith_deg"] == pytest.approx(63, abs=10)
+        assert np.shape(told["coefficients"]) == (9, 3)
+        probe = read_environment_map(out / "probe.exr")
+        assert probe.layout == (64, 128)
+        row, column = np.unravel_index(int(probe.flat.sum(1).argmax()), probe.layout)
+        assert abs(int(column) - 96) < 5
+        assert int(row) < 32
+        with Image.open(out / "comparison.png") as image:
+            assert image.size == (1650, 1100)
+
+    def test_camera_told_is_camera_read(self, folder: Path, tmp_path: Path) -> None:
+        out = tmp_path / "out"
+        assert main(arguments(folder, out, "--light", "sh9")) == 0
+        told = json.loads((out / "estimate.json").read_text())["camera"]
+        again = object_camera(
+            {k: told[k] for k in ("focal_px", "center_px", "world_from_camera")},
+            height=told["height"],
+            width=told["width"],
+        )
+        torch.testing.assert_close(
+            again.world_from_camera.rotation,
+            object_camera(CAMERA, height=SIZE, width=SIZE).world_from_camera.rotation,
+        )
+
+    def test_code(self, folder: Path, tmp_path: Path) -> None:
+        out = tmp_path / "out"
+        more = ["--light", "vmf", "--activations", "6", "--albedo", "0.9,0.8,0.7"]
+        assert main(arguments(folder, out, *more, "--roughness", "0.5", photo="photo.png")) == 0
+        told = json.loads((out / "estimate.json").read_text())
+        assert told["dictionary"]["name"] == "vmf"
+        assert 1 <= len(told["code"]) <= 6
+        assert all(min(each["rgb"]) >= 0 for each in told["code"])
+        # the file of the code is what `skylight decode` reads: the light that was found
+        assert main(["decode", str(out / "code.json"), "--out", str(tmp_path / "map.exr")]) == 0
+        decoded, probe = (
+            read_environment_map(path) for path in (tmp_path / "map.exr", out / "probe.exr")
+        )
+        torch.testing.assert_close(decoded.radiance, probe.radiance, rtol=1e-3, atol=1e-4)
+        assert told["material"] == {
+            "albedo": [0.9, 0.8, 0.7],
+            "roughness": 0.5,
+            "reflectance": 0.04,
+        }
+
+    def test_choices_are_those_of_the_library(self) -> None:
+        assert get_args(ObjectLight) == get_args(ObjectLightName)
+
+
+def text(name: str, content: str) -> Callable[[Path], None]:
+    return lambda folder: (folder / name).write_text(content) and None
+
+
+def picture(name: str, pixels: np.ndarray) -> Callable[[Path], None]:
+    return lambda folder: Image.fromarray(pixels).save(folder / name)
+
+
+def exr_with_nan(folder: Path) -> None:
+    pixels = np.random.default_rng(0).random((SIZE, SIZE, 3)).astype(np.float32)
+    pixels[0, 0] = np.nan
+    write_exr(folder / "nan.exr", pixels, half=False, header={})
+
+
+SATURATED = np.full((SIZE, SIZE, 3), (255, 200, 100), np.uint8)
+
+
+class TestFailures:
+    @pytest.mark.parametrize(
+        ("spoil", "changes", "message"),
+        [
+            (text("c.json", '{"fov_deg": 30}'), {"--camera": "c.json"}, 'lacks "position"'),
+            (text("c.json", "?"), {"--camera": "c.json"}, "no JSON"),
+            (None, {"--camera": "none.json"}, "No such file"),
+            (
+                text("c.json", json.dumps({**CAMERA, "look_at": [9, 9, -9]})),
+                {"--camera": "c.json"},
+                "does not see the mesh",
+            ),
+            (picture("m.png", SATURATED[:9]), {"--mask": "m.png"}, "mask has 56x9 pixels"),
+            (text("m.png", "none"), {"--mask": "m.png"}, "no picture"),
+            (None, {"--mask": "none.png"}, "none.png: No such file"),
+            (picture("p.png", SATURATED), {"photo": "p.png"}, "over-exposed"),
+            (exr_with_nan, {"photo": "nan.exr"}, "NaN"),
+            (None, {"mesh": "none.ply"}, "no such mesh"),
+            (text("m.ply", "ply?"), {"mesh": "m.ply"}, "m.ply"),
+            (None, {"--albedo": "red"}, "--albedo"),
+            (None, {"--albedo": "0.5,0.5,2"}, "from 0 to 1"),
+            (None, {"--roughness": "0.1"}, "roughness must be"),
+            (None, {"--reflectance": "0.1"}, "--roughness"),
+            (None, {"--activations": "0"}, "1 or more"),
+        ],
+    )
+    def test_one_line(
+        self,
+        spoil: Callable[[Path], None] | None,
+        changes: dict[str, str],
+        message: str,
+        folder: Path,
+        tmp_path: Path,
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:
+        if spoil is not None:
+            spoil(tmp_path)
+        given = {
+            "mesh": str(folder / "mesh.ply"),
+            "photo": str(folder / "photo.exr"),
+            "--camera": str(folder / "camera.json"),
+        }
+        for key, value in changes.items():
+            is_file = key in ("mesh", "photo", "--camera", "--mask")
+            given[key] = str(tmp_path / value) if is_file else value
+        mesh, photo = given.pop("mesh"), given.pop("photo")
+        options = [part for pair in given.items() for part in pair]
+        out = tmp_path / "out"
+        code = main(["estimate-object", mesh, photo, *options, "--light", "vmf", "--out", str(out)])
+        assert code == 2
+        assert message in one_line(capsys)
+        assert not out.exists()

@@ -1,0 +1,332 @@
+"""The commands `skylight code` and `skylight decode`: files in, files out, one line on failure."""
+
+import json
+import math
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from skylight.app.codes.sparse_codes import _unrolled, outlines
+from skylight.cli import main
+from skylight.cli.sparse_codes import CodeWeights
+from skylight.csc.code import SparseCode
+from skylight.csc.coder import SphericalSparseCoder
+from skylight.csc.dictionary import builtin, isotropic
+from skylight.csc.pursuit.greedy import Sign
+from skylight.io.files import read_environment_map, write_environment_map
+from skylight.io.hdr import write_exr
+from skylight.sphere import harmonics
+from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.frame import angle_between, direction_from_angles
+from skylight.sphere.grid import DirectionGrid
+from tests.cli.test_cli import one_line
+
+
+def make_map(height: int) -> EnvironmentMap:
+    """Grey, with a warm lobe in the right half and a blue one in the left."""
+    directions = DirectionGrid.latlong(height).directions
+    centres = direction_from_angles(
+        torch.tensor([1.5, -1.2]).double(), torch.tensor([1.0, 0.7]).double()
+    )
+    colours = torch.tensor([[3.0, 2.0, 1.0], [0.5, 1.0, 2.0]]).double()
+    angle = angle_between(
+        directions[:, None].expand(-1, 2, -1), centres.expand(len(directions), -1, -1)
+    )
+    light = 0.3 + torch.exp(-0.5 * (angle / 0.25) ** 2) @ colours
+    return EnvironmentMap(radiance=light.reshape(height, 2 * height, 3).float())
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A map, and the code of it that one good run made."""
+    folder = tmp_path_factory.mktemp("codes")
+    write_environment_map(folder / "map.exr", make_map(48))
+    arguments = ["--dictionary", "iso", "--height", "32", "--activations", "12"]
+    assert main(["code", str(folder / "map.exr"), *arguments, "--out", str(folder / "a.json")]) == 0
+    return folder
+
+
+class TestCode:
+    def test_code_and_picture(self, folder: Path) -> None:
+        assert {path.name for path in folder.iterdir()} >= {"a.json", "a.png"}
+        code = SparseCode.load(folder / "a.json")
+        assert (code.dictionary, code.height) == ("iso", 32)
+        assert 1 <= len(code) <= 12
+        assert code.relative_error < 0.05
+        with Image.open(folder / "a.png") as picture:
+            assert picture.size == (1800, 1008)
+
+    def test_numbers_told(
+        self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        out = tmp_path / "new" / "b.json"
+        more = ["--dictionary", "vmf", "--activations", "3", "--weights", "nonnegative"]
+        assert main(["code", str(folder / "map.exr"), *more, "--out", str(out)]) == 0
+        told = capsys.readouterr().out
+        code = SparseCode.load(out)
+        assert code.height == 48  # the map's own
+        assert (code.weights >= 0).all()
+        assert {path.name for path in out.parent.iterdir()} == {"b.json", "b.png"}
+        assert "activations    3\n" in told
+        assert f"relative error {100 * code.relative_error:.1f} %" in told
+        assert "floats         12 for 13824 (0.087 %)" in told
+
+    def test_choices_are_those_of_the_library(self) -> None:
+        assert get_args(CodeWeights) == get_args(Sign)
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"map": "none.exr"}, "no such file"),
+            ({"map": "half.exr"}, "upper half"),
+            ({"map": "nan.exr"}, "NaN"),
+            ({"map": "black.exr"}, "black"),
+            ({"map": "tiny.exr"}, "finer map"),
+            ({"map": "square.exr"}, "no lat-long map"),
+            ({"--dictionary": "abc"}, "no dictionary 'abc'"),
+            ({"--dictionary": "/"}, "cannot be read as a dictionary"),
+            ({"--activations": "0"}, "0 activations"),
+            ({"--activations": "99999"}, "99999 activations"),
+            ({"--height": "64"}, "fewer than --height 64"),
+            ({"--out": "a.png"}, "must end in .json"),
+        ],
+    )
+    def test_one_line(
+        self,
+        change: dict[str, str],
+        message: str,
+        folder: Path,
+        tmp_path: Path,
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:
+        bad = np.full((32, 64, 3), 0.5, np.float32)
+        bad[3, 4] = np.nan
+        shapes = {"half": (16, 64), "black": (32, 64), "tiny": (8, 16), "square": (32, 32)}
+        for name, pixels in [
+            ("nan", bad),
+            *((name, np.full((*s, 3), name != "black", np.float32)) for name, s in shapes.items()),
+        ]:
+            write_exr(tmp_path / f"{name}.exr", pixels, half=False, header={})
+        given = {"map": str(folder / "map.exr"), "--dictionary": "vmf", "--out": "c.json"}
+        given |= change
+        probe = tmp_path / given.pop("map")
+        before = set(tmp_path.iterdir())
+        given["--out"] = str(tmp_path / given["--out"])
+        options = [part for pair in given.items() for part in pair]
+        assert main(["code", str(probe), *options]) == 2
+        assert message in one_line(capsys)
+        assert set(tmp_path.iterdir()) == before
+
+    def test_earlier_code_survives_a_failure(
+        self, folder: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        before = {path: path.read_bytes() for path in folder.iterdir()}
+        out = ["--out", str(folder / "a.json")]
+        assert (
+            main(
+                ["code", str(folder / "map.exr"), "--dictionary", "vmf", "--activations", "0", *out]
+            )
+            == 2
+        )
+        one_line(capsys)
+        assert {path: path.read_bytes() for path in folder.iterdir()} == before
+
+
+class TestDecode:
+    def test_map_is_the_code_decoded(
+        self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        out = tmp_path / "map.exr"
+        assert main(["decode", str(folder / "a.json"), "--out", str(out)]) == 0
+        assert "% of the energy cut off" in capsys.readouterr().out
+        code, decoded = SparseCode.load(folder / "a.json"), read_environment_map(out)
+        true = read_environment_map(folder / "map.exr").resize(32)
+        share = true.grid.solid_angles[:, None]
+        error = (share * (decoded.flat - true.flat).square()).sum()
+        found = float((error / (share * true.flat.square()).sum()).sqrt())
+        assert found == pytest.approx(code.relative_error, rel=0.02)
+
+    def test_any_height(self, folder: Path, tmp_path: Path) -> None:
+        out = tmp_path / "map.hdr"
+        arguments = [str(folder / "a.json"), "--height", "80", "--out", str(out)]
+        assert main(["decode", *arguments]) == 0
+        fine, true = read_environment_map(out), make_map(80)
+        assert fine.layout == (80, 160)
+        assert float((fine.radiance - true.radiance).abs().mean() / true.radiance.mean()) < 0.05
+
+    def test_share_cut_off(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        """Of a constant all or nothing, by its sign."""
+        for sign, share in ((1.0, "0"), (-1.0, "1e+02")):
+            code = SparseCode(
+                dictionary="vmf",
+                fingerprint=builtin("vmf").fingerprint,
+                height=32,
+                banded=False,
+                filters=torch.tensor([0]),
+                directions=torch.tensor([[0.0, 1.0, 0.0]]).double(),
+                twists_rad=torch.zeros(1).double(),
+                weights=torch.tensor([[sign, sign, sign]]).double(),
+                relative_error=0.0,
+            )
+            code.save(tmp_path / "c.json")
+            arguments = [str(tmp_path / "c.json"), "--out", str(tmp_path / "c.exr")]
+            assert main(["decode", *arguments]) == 0
+            assert f"c.exr: {share} % of the energy" in capsys.readouterr().out
+            level = max(sign, 0.0) / math.sqrt(4 * math.pi)
+            radiance = read_environment_map(tmp_path / "c.exr").radiance
+            torch.testing.assert_close(radiance, torch.full_like(radiance, level))
+
+    def test_own_dictionary(
+        self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        bank = isotropic(40, 6)
+        bank.name = "mine"
+        bank.save(tmp_path / "mine.safetensors")
+        isotropic(40, 7).save(tmp_path / "other.safetensors")
+        code, out = str(tmp_path / "c.json"), ["--out", str(tmp_path / "c.exr")]
+        mine = ["--dictionary", str(tmp_path / "mine.safetensors")]
+        more = ["--height", "32", "--activations", "4", "--out", code]
+        assert main(["code", str(folder / "map.exr"), *mine, *more]) == 0
+        assert main(["decode", code, *mine, *out]) == 0
+        capsys.readouterr()
+        (tmp_path / "c.exr").unlink()
+        assert main(["decode", code, *out]) == 2
+        assert "'mine'" in one_line(capsys)
+        other = ["--dictionary", str(tmp_path / "other.safetensors")]
+        assert main(["decode", code, *other, *out]) == 2
+        assert "make a coder that matches" in one_line(capsys)
+        assert not (tmp_path / "c.exr").exists()
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"height": 1_000_000}, "damaged"),
+            ({"height": -4}, "damaged"),
+            ({"height": "tall"}, "damaged"),
+            ({"format": "poem"}, "no sparse code"),
+            ({"version": 99}, "version 99"),
+            ({"dictionary": "abc"}, "--dictionary"),
+            ({"fingerprint": "abc"}, "make a coder that matches"),
+            ({"activations": 3}, "damaged"),
+            ({"activations": ["a"]}, "damaged"),
+            ({"filter": 10**6}, "filters that"),
+            ({"filter": -1}, "damaged"),
+            ({"direction": [0, 0, 0]}, "damaged"),
+            ({"direction": [0, math.nan, 1]}, "damaged"),
+            ({"rgb": [0, math.inf, 1]}, "damaged"),
+            ({"rgb": None}, "damaged"),
+            ({"rgb": [0, 1e300, 1]}, "damaged"),
+        ],
+    )
+    def test_damaged_codes(
+        self,
+        change: dict[str, object],
+        message: str,
+        folder: Path,
+        tmp_path: Path,
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:
+        content = json.loads((folder / "a.json").read_text())
+        ((key, value),) = change.items()
+        target = content if key in content else content["activations"][-1]
+        target[key] = value
+        (tmp_path / "c.json").write_text(json.dumps(content))
+        assert main(["decode", str(tmp_path / "c.json"), "--out", str(tmp_path / "c.exr")]) == 2
+        assert message in one_line(capsys)
+        assert {path.name for path in tmp_path.iterdir()} == {"c.json"}
+
+    @pytest.mark.parametrize(
+        ("code", "more", "message"),
+        [
+            ("none.json", [], "cannot be read"),
+            ("a.png", [], "no JSON"),
+            ("a.json", ["--height", "0"], "--height must be"),
+            ("a.json", ["--height", "99999"], "--height must be"),
+            ("a.json", ["--out", "c.png"], "use .exr or .hdr"),
+            ("a.json", ["--dictionary", "none"], "no dictionary"),
+        ],
+    )
+    def test_one_line(
+        self,
+        code: str,
+        more: list[str],
+        message: str,
+        folder: Path,
+        tmp_path: Path,
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:
+        out = [] if "--out" in more else ["--out", str(tmp_path / "c.exr")]
+        assert main(["decode", str(folder / code), *out, *more]) == 2
+        assert message in one_line(capsys)
+        assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def coder() -> SphericalSparseCoder:
+    return SphericalSparseCoder("ani", banded=True)
+
+
+class TestOutlines:
+    def code(self, coder: SphericalSparseCoder, filter_: int, direction: list[float]) -> SparseCode:
+        return SparseCode(
+            dictionary="ani",
+            fingerprint=coder.bank.fingerprint,
+            height=32,
+            banded=True,
+            filters=torch.tensor([filter_]),
+            directions=torch.nn.functional.normalize(torch.tensor([direction]).double(), dim=1),
+            twists_rad=torch.tensor([0.7]).double(),
+            weights=torch.ones(1, 3).double(),
+            relative_error=0.0,
+        )
+
+    @pytest.mark.parametrize("direction", [[0.3, 0.2, -1], [0.2, 1, 0.1], [-0.1, -0.4, 1]])
+    @pytest.mark.parametrize("filter_", [45, 88, 200])
+    def test_half_the_height_all_around(
+        self, coder: SphericalSparseCoder, filter_: int, direction: list[float]
+    ) -> None:
+        """Turned as the decoder turns: the filter's values along the outline are alike."""
+        code = self.code(coder, filter_, direction)
+        (found,) = outlines(coder, code)
+        assert found is not None
+        coefficients = coder.coefficients(code.tensors()).detach()[:, 0]
+        around, middle = (
+            harmonics.evaluate_about_zenith(d, coder.degree) @ coefficients
+            for d in (found.around, code.directions)
+        )
+        assert (around / middle > 0.2).all()
+        assert (around / middle < 0.75).all()
+        assert (found.axis is None) == (filter_ >= 101)
+        if found.axis is not None:
+            ends = angle_between(found.axis[:1], found.axis[-1:])
+            across = angle_between(found.around[24:25], found.around[72:73])
+            along = angle_between(found.around[:1], found.around[48:49])
+            torch.testing.assert_close(ends, torch.maximum(across, along))
+
+    def test_width_of_a_gaussian(self, coder: SphericalSparseCoder) -> None:
+        (found,) = outlines(coder, self.code(coder, 180, [1, 0, 0]))
+        assert found is not None
+        radius = float(angle_between(found.around, torch.tensor([[1.0, 0, 0]]).double()).mean())
+        profile = coder.bank.evaluate(
+            direction_from_angles(torch.zeros(400).double(), torch.linspace(0, 2, 400).double())
+        )[180]
+        half = 2 * int((profile > 0.5 * profile[0]).sum()) / 399
+        assert radius == pytest.approx(half, rel=0.1)
+
+    def test_constants_have_none(self, coder: SphericalSparseCoder) -> None:
+        assert outlines(coder, self.code(coder, 0, [1, 0, 0])) == [None]
+
+    def test_no_seam(self) -> None:
+        """A circle about the middle of the seam: no stroke crosses the map."""
+        angle = torch.linspace(0, 2 * math.pi, 97, dtype=torch.float64)
+        circle = torch.stack([0.3 * torch.cos(angle), 0.3 * torch.sin(angle), torch.ones(97)], 1)
+        columns, rows = _unrolled(torch.nn.functional.normalize(circle.double(), dim=1), (32, 64))
+        steps = np.abs(np.diff(columns))
+        assert np.nanmax(steps) < 1
+        for edge in (0, 63):
+            assert np.nanmin(np.abs(columns - edge)) < 1
+        assert len(columns) == len(rows)

@@ -1,0 +1,95 @@
+"""Estimates on every device: those there are, and one that PyTorch's rules are checked on."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from skylight.inverse import estimate as entry
+from skylight.inverse.estimate import estimate_light
+from skylight.inverse.object import problem as of_object
+from skylight.inverse.object.problem import ObjectLight, ObjectLightName, estimate_object_light
+from skylight.inverse.object.view import ObjectMaterial
+from skylight.inverse.result import Estimate
+from skylight.inverse.sky.problem import Round, SolverOptions
+from skylight.transport.render import Specular
+from tests.inverse.checked_device import DEVICE, CheckedDevice
+from tests.inverse.test_solve import SUNS, harmonic_ball, observed, watched
+
+LIGHTS = ("sunsky", "autoencoder", "sh9")
+FEW = SolverOptions(
+    rounds=(Round(level=3, starts=3, iterations=3), Round(level=2, starts=1, iterations=3))
+)
+
+
+def estimated(light: str, device: torch.device) -> Estimate:
+    observation = harmonic_ball(2)[1] if light == "sh9" else watched(*SUNS[0])[0]
+    return estimate_light(observation, light, options=FEW, device=str(device))
+
+
+@pytest.fixture(scope="module", params=LIGHTS)
+def on_cpu(request: pytest.FixtureRequest) -> Estimate:
+    return estimated(request.param, torch.device("cpu"))
+
+
+def test_no_operation_mixes_devices(on_cpu: Estimate, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The whole solver, with tensors that refuse to meet those of the CPU: the same to the bit."""
+    monkeypatch.setattr(entry, "choose_device", torch.device)
+    with CheckedDevice():
+        found = estimated(on_cpu.light, DEVICE)
+    assert torch.equal(found.params, on_cpu.params)
+    assert torch.equal(found.environment.radiance, on_cpu.environment.radiance)
+    assert torch.equal(found.rendered, on_cpu.rendered)
+    assert (found.terms, found.stats, found.status) == (on_cpu.terms, on_cpu.stats, on_cpu.status)
+
+
+def test_a_device_gives_the_cpus_light(on_cpu: Estimate, device: torch.device) -> None:
+    """Few iterations, so that rounding does not grow: 1 % of the brightest."""
+    found = estimated(on_cpu.light, device)
+    white = on_cpu.environment.radiance.max()
+    error = (found.environment.radiance - on_cpu.environment.radiance).abs().max()
+    assert float(error / white) < 0.01
+    assert found.environment.radiance.device.type == "cpu"
+
+
+def estimated_object(light: ObjectLightName, device: torch.device) -> ObjectLight:
+    """Of a glossy ball."""
+    matt = harmonic_ball(2)[1]
+    observation = replace(matt, gloss=observed(matt.pixels.numpy(), rows=32).gloss)
+    material = ObjectMaterial(albedo=(0.8, 0.5, 0.3), specular=Specular(f0=0.04, roughness=0.4))
+    return estimate_object_light(
+        observation, light, material=material, activations=6, device=str(device)
+    )
+
+
+def test_no_operation_on_a_known_object_mixes_devices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Harmonics: the search for a sparse code is tested with those of maps."""
+    expected = estimated_object("sh9", torch.device("cpu"))
+    monkeypatch.setattr(of_object, "choose_device", torch.device)
+    with CheckedDevice():
+        found = estimated_object("sh9", DEVICE)
+    assert torch.equal(found.coefficients, expected.coefficients)
+    assert torch.equal(found.environment.radiance, expected.environment.radiance)
+    assert torch.equal(found.rendered, expected.rendered)
+    assert found.residual == expected.residual
+
+
+@pytest.mark.parametrize("light", ["sh9", "vmf"])
+def test_a_device_gives_the_cpus_light_of_a_known_object(
+    light: ObjectLightName, device: torch.device
+) -> None:
+    expected = estimated_object(light, torch.device("cpu"))
+    found = estimated_object(light, device)
+    white = expected.environment.radiance.max()
+    error = (found.environment.radiance - expected.environment.radiance).abs().max()
+    assert float(error / white) < 0.01
+    assert found.rendered.device.type == found.coefficients.device.type == "cpu"
+
+
+def test_the_checked_device_refuses_to_mix() -> None:
+    with CheckedDevice():
+        there = torch.ones(3).to(DEVICE)
+        assert float((2 * there).sum()) == 6
+        with pytest.raises(RuntimeError, match="one device"):
+            _ = there + torch.ones(3)
+        assert float((there + torch.tensor(1.0)).sum()) == 6  # no dimensions, as PyTorch allows

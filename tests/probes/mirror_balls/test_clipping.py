@@ -1,0 +1,72 @@
+"""Suns that saturate the shortest exposure are said, with their solid angle."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from skylight.probes.mirror_balls.clipping import SUN_SR, find_clipping
+from skylight.probes.mirror_balls.unwrap import ProbeMap, unwrap
+from skylight.sphere.envmap import EnvironmentMap
+from tests.probes.mirror_balls.conftest import made_light, picture_of, view_of
+
+RADIUS = math.radians(6.0)
+SUN = np.array([0.6, 0.5, 0.62]) / np.linalg.norm([0.6, 0.5, 0.62])
+
+
+def with_sun(w: np.ndarray) -> np.ndarray:
+    colour = made_light(w)
+    colour[w @ SUN > math.cos(RADIUS)] = 500.0
+    return colour
+
+
+def test_the_suns_disc() -> None:
+    assert pytest.approx(6.8e-5, rel=0.01) == SUN_SR
+
+
+def test_a_clipped_disc_in_a_ball() -> None:
+    picture = picture_of(with_sun)
+    clipped = picture.max(-1) >= 50
+    probe = unwrap(view_of(np.minimum(picture, 50), clipped), 64)
+    found = find_clipping(probe)
+    assert found is not None
+    # pixels partly of the sun saturate as well
+    true = 2 * math.pi * (1 - math.cos(RADIUS))
+    assert true < found.solid_angle_sr < 1.5 * true
+    assert found.regions == 1
+    zenith = math.degrees(math.acos(SUN[1]))
+    azimuth = math.degrees(math.atan2(SUN[0], -SUN[2]))
+    assert (found.azimuth_deg, found.zenith_deg) == pytest.approx((azimuth, zenith), abs=1.0)
+    # every channel is counted with 50, the level of saturation
+    assert min(found.radiance_sr) > 50 * true
+    assert 0 < found.light_share < 1
+    assert f"azimuth {azimuth:.0f}" in found.sentence()
+
+
+def test_regions_join_across_the_edge_of_the_map() -> None:
+    share = torch.zeros(8, 16)
+    share[3, [0, 15]] = 1
+    share[6, 4:6] = 0.5
+    probe = ProbeMap(
+        environment=EnvironmentMap(radiance=torch.ones(8, 16, 3)),
+        clipped=share,
+        seen=torch.ones(8, 16),
+    )
+    found = find_clipping(probe)
+    assert found is not None
+    assert found.regions == 2
+    assert abs(found.azimuth_deg) == pytest.approx(180, abs=1e-6)
+    angles = probe.environment.grid.solid_angles.reshape(8, 16)
+    want = float((share.double() * angles).sum())
+    assert found.solid_angle_sr == pytest.approx(want)
+    assert found.light_share == pytest.approx(want / (4 * math.pi))
+
+
+def test_nothing_clipped() -> None:
+    probe = ProbeMap(
+        environment=EnvironmentMap(radiance=torch.ones(8, 16, 3)),
+        clipped=torch.zeros(8, 16),
+        seen=torch.ones(8, 16),
+    )
+    assert find_clipping(probe) is None

@@ -1,0 +1,87 @@
+"""Pictures of a mirror ball, ray traced in known light, become that light."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from skylight.probes.mirror_balls.ball import ball_of_circle, picture_camera
+from skylight.probes.mirror_balls.unwrap import BallView, unwrap
+from tests.probes.mirror_balls.conftest import (
+    SIZE,
+    Made,
+    map_of,
+    picture_of,
+    true_ball,
+    view_of,
+)
+
+
+def axis_colours(w: np.ndarray) -> np.ndarray:
+    """Red towards +X, green towards +Y, blue towards +Z; 0.5 across."""
+    return 0.5 + 0.5 * w
+
+
+class TestUnwrap:
+    def test_light_is_found_again(self, made: Made) -> None:
+        probe = unwrap(view_of(made.picture), 32)
+        seen = probe.seen.numpy() > 0.999
+        got, want = probe.environment.radiance.numpy(), made.radiance.numpy()
+        error = np.abs(got - want).mean(-1) / want.mean(-1)
+        assert np.median(error[seen]) < 0.01
+        assert np.quantile(error[seen], 0.95) < 0.12  # at edges, and in the squeezed rim
+        weight = (probe.environment.grid.solid_angles.numpy().reshape(32, 64) * seen)[..., None]
+        assert (got * weight).sum() == pytest.approx((want * weight).sum(), rel=0.01)
+
+    def test_the_right_way_round(self) -> None:
+        probe = unwrap(view_of(picture_of(axis_colours)), 32)
+        seen = probe.seen.numpy() > 0.999
+        error = np.abs(probe.environment.radiance.numpy() - map_of(axis_colours, 32).numpy())
+        assert error[seen].max() < 0.02
+        rows, columns = probe.environment.layout
+        right = probe.environment.radiance[rows // 2, 3 * columns // 4]
+        assert float(right[0]) > 0.99  # +X a quarter turn to the right
+        assert float(probe.environment.radiance[0, 0, 1]) > 0.97  # +Y on top
+        assert float(probe.environment.radiance[rows // 2, 0, 2]) > 0.97  # the camera's side
+
+    def test_the_blind_cone_is_the_shadow_of_the_ball(self, made: Made) -> None:
+        view = view_of(made.picture)
+        ball = view.ball
+        # 1.5 px within the outline a ray at b to the axis meets the ball and leaves at psi
+        b = math.atan(math.tan(ball.half_angle_rad) * (1 - 1.5 / ball.circle[2]))
+        psi = 2 * math.asin(ball.distance * math.sin(b)) - b
+        assert unwrap(view, 32).unseen_share == pytest.approx((1 + math.cos(psi)) / 2, abs=2e-3)
+
+    def test_parallel_rays_follow_the_half_angle(self) -> None:
+        """Orthographic: light from psi off the camera's side is seen at radius sin(psi / 2)."""
+        ball = ball_of_circle(picture_camera(*SIZE, None), 150.0, 120.0, 100.0)
+        mask = torch.zeros(SIZE, dtype=torch.bool)
+        view = BallView(radiance=torch.zeros(*SIZE, 3), clipped=mask, ball=ball)
+        psi = torch.tensor([0.0, 0.3, 1.0, 2.0], dtype=torch.float64)
+        directions = torch.stack([torch.sin(psi), 0 * psi, torch.cos(psi)], -1)
+        places, seen = view.places(directions)
+        assert seen.all()
+        np.testing.assert_allclose(places[:, 0], 150 + 100 * np.sin(psi.numpy() / 2), atol=0.1)
+        np.testing.assert_allclose(places[:, 1], 120, atol=0.1)
+
+    def test_reflectivity_divides(self, made: Made) -> None:
+        bright = unwrap(view_of(made.picture), 16).environment.radiance
+        view = view_of(0.6 * made.picture)
+        half = BallView(
+            radiance=view.radiance, clipped=view.clipped, ball=view.ball, reflectivity=0.6
+        )
+        torch.testing.assert_close(unwrap(half, 16).environment.radiance, bright)
+
+    def test_too_short_a_lens_is_told_by_what_comes_out(self, made: Made) -> None:
+        """That the camera is near counts: parallel rays put things degrees away."""
+        view = view_of(made.picture)
+        circle = true_ball().circle
+        far = BallView(
+            radiance=view.radiance,
+            clipped=view.clipped,
+            ball=ball_of_circle(picture_camera(*SIZE, None), *circle),
+        )
+        right = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
+        apart = np.linalg.norm(view.places(right)[0] - far.places(right)[0])
+        assert apart > 0.03 * circle[2]

@@ -1,0 +1,66 @@
+"""What the page makes skies of: the components of the prior, and the shipped decoder."""
+
+import math
+from importlib.resources import files
+
+import httpx
+import numpy as np
+import pytest
+import torch
+
+from skylight.models.autoencoder import CENTRE_AZIMUTH_RAD, LATENT
+from skylight.models.bundle import load_bundle
+from skylight.relight.export import BATCHES, TOLERANCE, decoder_difference
+from skylight.relight.sky_decoder import SkyDecoder
+from skylight.studio.tasks.sky import describe_sky, latent_moments
+
+
+def test_moments_are_those_of_samples() -> None:
+    light, prior = load_bundle().light(), load_bundle().prior()
+    mean, covariance = latent_moments(light, prior)
+    white = prior.sample(100_000, torch.Generator().manual_seed(0))
+    free = torch.cat([white, torch.zeros(len(white), 1)], 1)
+    latents = light.from_free(free)[:, :LATENT].double()
+    assert (latents.mean(0) - mean).abs().max() < 0.02
+    assert (torch.cov(latents.T) - covariance).norm() < 0.01 * covariance.norm()
+
+
+def test_components_are_axes_of_the_latents() -> None:
+    sky = describe_sky(tell=lambda *_: None)
+    axes, sigmas = np.array(sky["components"]), np.array(sky["sigmas"])
+    _, covariance = latent_moments(load_bundle().light(), load_bundle().prior())
+    assert np.allclose(axes @ axes.T, np.eye(8), atol=1e-9)
+    assert np.allclose(axes @ covariance.numpy() @ axes.T, np.diag(sigmas**2), atol=1e-9)
+    assert (np.diff(sigmas) < 0).all()
+    assert np.allclose(sky["shares"], sigmas**2 / float(covariance.trace()))
+    assert (axes[range(8), np.abs(axes).argmax(1)] > 0).all()
+
+
+def test_the_shipped_decoder_is_that_of_the_shipped_network() -> None:
+    light = load_bundle().light()
+    free = torch.randn(sum(BATCHES), LATENT + 1, generator=torch.Generator().manual_seed(1))
+    graph = (files("skylight.models") / "data" / "sky_decoder.onnx").read_bytes()
+    latents = light.from_free(free)[:, :LATENT]
+    assert decoder_difference(graph, light.network, latents) <= TOLERANCE
+    # no word of the folders in which it was exported
+    assert b"export.py" not in graph
+    assert b"site-packages" not in graph
+
+
+def test_the_page_gets_both(client: httpx.Client) -> None:
+    sky = client.get("/api/sky.json").json()
+    graph = client.get("/api/sky.onnx").content
+    decoder = SkyDecoder(graph)
+    assert decoder.centre_azimuth_rad == pytest.approx(CENTRE_AZIMUTH_RAD)
+    assert decoder.centre_azimuth_rad == pytest.approx(math.pi / sky["columns"])
+    radiance = decoder.decode(np.array([sky["mean"]], np.float32))
+    assert radiance.shape == (1, sky["rows"], sky["columns"], 3)
+    assert 0.2 < radiance.mean() < 5  # relative to a mean luminance of 1
+
+
+def test_designs_are_those_that_jobs_take(client: httpx.Client) -> None:
+    from skylight.probes.partitions.design.designs import design_names
+
+    told = client.get("/api/designs").json()
+    assert [design["name"] for design in told["partitions"]] == design_names()
+    assert [design["probe"] for design in told["voxel"]] == [1, 3, 5, 7]

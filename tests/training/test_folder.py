@@ -1,0 +1,171 @@
+"""From a folder of EXR skies to a light model."""
+
+import math
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from skylight.errors import InputError
+from skylight.io.hdr import write_exr
+from skylight.models.bundle import NETWORK, SHIPPED, load_bundle
+from skylight.sphere.frame import angle_between, direction_from_angles
+from skylight.sphere.grid import DirectionGrid
+from skylight.training import autoencoder, folder
+from skylight.training.config import AutoencoderConfig, find_config, read_config
+from skylight.training.folder import fitting, train_folder
+
+COUNT = 40
+
+
+@pytest.fixture(scope="session")
+def exr_skies(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Skies of 40 days, with a sun or overcast, and a room."""
+    out = tmp_path_factory.mktemp("exr_skies")
+    draw = np.random.default_rng(0)
+    grid = DirectionGrid.sky(32)
+    for number in range(COUNT):
+        azimuth, zenith = draw.uniform(-math.pi, math.pi), draw.uniform(0.2, 1.4)
+        place = direction_from_angles(torch.tensor(azimuth), torch.tensor(zenith)).double()
+        angle = angle_between(grid.directions, place.expand_as(grid.directions))
+        sun = float(draw.uniform(0, 3000) * (number % 3 > 0))
+        haze = draw.uniform(0.2, 2.0)
+        light = 1 + haze * torch.exp(-angle) + sun * torch.exp(-((angle / 0.03) ** 2))
+        colour = torch.tensor([1.0, 1.0 + 0.1 * number / COUNT, 1.2])
+        pixels = (light[:, None] * colour).reshape(32, 128, 3).numpy().astype(np.float32)
+        write_exr(out / f"2024-{1 + number // 20:02d}-{1 + number % 20:02d}.exr", pixels,
+                  half=False, header={})  # fmt: skip
+    room = np.ones((96, 192, 3), np.float32) * [1.0, 0.9, 0.5]
+    write_exr(out / "room.exr", room.astype(np.float32), half=False, header={})
+    return out
+
+
+def config(**changes: object) -> AutoencoderConfig:
+    settings = {"batch": 16, "epochs": 1, "device": "cpu", "bfloat16": False}
+    return AutoencoderConfig(**{**settings, **changes})  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def model(exr_skies: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
+    said: list[str] = []
+    out = tmp_path_factory.mktemp("models") / "mine"
+    train_folder(exr_skies, out, config(), epochs=1, report=said.append)
+    return out, said
+
+
+def test_forty_skies_make_a_model(model: tuple[Path, list[str]], exr_skies: Path) -> None:
+    out, said = model
+    bundle = load_bundle(out)
+    assert bundle.name == "mine"
+    assert bundle.skies == 32
+    assert any(line.startswith("room.exr: left out, no sky above") for line in said)
+    assert any("batches of 8 instead of 16" in line for line in said)
+    light = bundle.light()
+    with torch.no_grad():
+        sky = light(light.starts_towards(torch.tensor([[0.5, 0.5, -0.7]]))[0])
+    assert bool(sky.isfinite().all())
+    assert float(sky.min()) >= 0
+    card = (out / "card.md").read_text()
+    assert "| train | 32 | 32 |" in card
+    assert bundle.data_sha256 in card
+    assert (out / "reconstructions.png").is_file()
+    assert not (exr_skies / "index.csv").exists()  # FOLDER may be read-only
+
+
+class Killed(BaseException):
+    """A kill as far as Python can feel one."""
+
+
+@pytest.mark.parametrize("moment", ["indexed", "within the epoch", "trained", "priors"])
+def test_a_run_that_was_killed_goes_on_to_the_same_model(
+    moment: str,
+    model: tuple[Path, list[str]],
+    exr_skies: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drawn = []
+    draw_batch = autoencoder.draw_batch
+
+    def draw(*arguments: object) -> object:
+        drawn.append(arguments)
+        if len(drawn) == 3:
+            raise Killed
+        return draw_batch(*arguments)  # type: ignore[arg-type]
+
+    def kill(*_: object, **__: object) -> None:
+        raise Killed
+
+    settings = config(checkpoint_steps=1)
+    with monkeypatch.context() as patched:
+        if moment == "indexed":
+            patched.setattr(folder, "train", kill)
+        elif moment == "within the epoch":
+            patched.setattr(autoencoder, "draw_batch", draw)
+        elif moment == "trained":
+            patched.setattr(folder, "fit_priors", kill)
+        else:
+            patched.setattr("skylight.training.prior.model_card", kill)
+        with pytest.raises(Killed):
+            train_folder(exr_skies, tmp_path / "mine", settings, epochs=1, report=lambda _: None)
+    with pytest.raises(InputError, match=r"bundle\.json"):
+        load_bundle(tmp_path / "mine")
+    said: list[str] = []
+    train_folder(exr_skies, tmp_path / "mine", settings, epochs=1, report=said.append)
+    assert load_bundle(tmp_path / "mine").fingerprint == load_bundle(model[0]).fingerprint
+    resumed = {"indexed": None, "within the epoch": "resuming at step 2 of 4"}
+    wanted = resumed.get(moment, "resuming at step 4 of 4")
+    assert wanted is None or wanted in said
+
+
+@pytest.mark.parametrize(("skies", "batch", "epochs"), [(3, 1, 100), (32, 8, 75), (5000, 16, 9)])
+def test_few_skies_get_small_batches_and_many_epochs(skies: int, batch: int, epochs: int) -> None:
+    said: list[str] = []
+    base = AutoencoderConfig(batch=16, epochs=9, learning_rate=0.03)
+    found = fitting(base, Path("a"), Path("b"), skies, None, said.append)
+    assert (found.batch, found.epochs) == (batch, epochs)
+    assert (found.starts_from == SHIPPED / NETWORK) == (skies < 2000)
+    assert bool(said) == (found.batch != 16 or found.epochs != 9 or skies < 2000)
+    scratch = fitting(AutoencoderConfig(sun=False), Path("a"), Path("b"), skies, None, said.append)
+    assert scratch.starts_from is None  # the shipped weights are of another network
+
+
+def test_skies_of_one_day_are_refused(exr_skies: Path, tmp_path: Path) -> None:
+    skies = tmp_path / "skies"
+    skies.mkdir()
+    for number, path in enumerate(sorted(exr_skies.glob("2024*"))[:5]):
+        (skies / f"2024-05-01_10{number:02d}00.exr").write_bytes(path.read_bytes())
+    with pytest.raises(InputError) as caught:
+        train_folder(skies, tmp_path / "out", config(), report=lambda _: None)
+    assert "1 day(s)" in str(caught.value)
+    assert "skies index" in str(caught.value)
+
+
+def test_the_folders_own_index_is_used(sky_folder: Path, tmp_path: Path) -> None:
+    """That of simulated skies knows more than their maps show; they need not be 32 rows high."""
+    said: list[str] = []
+    train_folder(sky_folder, tmp_path / "out", config(), epochs=1, report=said.append)
+    assert not (tmp_path / "out" / "training" / "index.csv").exists()
+    assert load_bundle(tmp_path / "out").skies > 0
+
+
+@pytest.mark.parametrize("name", ["sky_autoencoder", "sky_autoencoder_thesis", "sky_prior"])
+def test_configurations_by_name(name: str) -> None:
+    assert read_config(find_config(name)) == read_config(
+        Path(__file__).parents[2] / "configs" / f"{name}.yaml"
+    )
+    with pytest.raises(InputError, match=name):
+        find_config("sky_autoencode")
+
+
+def test_a_run_is_of_one_folder(
+    model: tuple[Path, list[str]], exr_skies: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / "other"
+    other.mkdir()
+    shutil.copy(next(exr_skies.glob("2024*.exr")), other)
+    with pytest.raises(InputError, match=f"another folder than {re.escape(str(other))}"):
+        train_folder(other, model[0], config(), epochs=1)

@@ -1,0 +1,98 @@
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from skylight.errors import SkylightError
+from skylight.work.forked import in_processes, shared_array
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_all_work_is_done_once_and_the_share_grows_to_one(workers):
+    done, seen = shared_array((10,), np.int32), []
+
+    def work(i: int) -> None:
+        done[i] += i + 1
+
+    in_processes(work, 10, workers=workers, progress=seen.append)
+    assert done.tolist() == list(range(1, 11))
+    assert seen == sorted(seen)
+    assert seen[-1] == 1
+
+
+def test_nothing_runs_on_after_an_error():
+    def work(i: int) -> None:
+        if i == 0:
+            raise ValueError("here")
+        time.sleep(60)
+
+    with pytest.raises(ValueError, match="here"):
+        in_processes(work, 3, workers=3)
+    assert not multiprocessing.active_children()
+
+
+def test_the_death_of_a_helper_is_told():
+    with pytest.raises(SkylightError, match="exit code 3"):
+        in_processes(lambda i: os._exit(3) if i else None, 2, workers=2)
+
+
+def test_an_interrupt_ends_all_processes_and_says_so_once():
+    # a job in a shell's background starts with interrupts ignored
+    program = """
+import signal, time
+from skylight.errors import SkylightError
+from skylight.work.forked import in_processes
+signal.signal(signal.SIGINT, signal.default_int_handler)
+print("on", flush=True)
+in_processes(lambda i: time.sleep(0.2), 1000, workers=3)
+"""
+    process = subprocess.Popen(
+        [sys.executable, "-c", program],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    process.stdout.readline()
+    time.sleep(0.5)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    _, errors = process.communicate(timeout=20)
+    assert errors.count(b"KeyboardInterrupt") == 1
+    with pytest.raises(ProcessLookupError):  # nobody is left of the group
+        os.killpg(process.pid, 0)
+
+
+def test_threads_of_a_pool_may_fork():
+    """What Python does at a process's end would wait in a helper for threads that it has not."""
+
+    def count(start: int) -> list[int]:
+        made = shared_array((8,), np.int64)
+
+        def work(i: int) -> None:
+            made[i] = start + i
+
+        in_processes(work, 8, workers=2)
+        return made.tolist()
+
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(count, (0, 100, 200, 300)))
+    assert found == [list(range(start, start + 8)) for start in (0, 100, 200, 300)]
+
+
+def test_threads_of_a_pool_may_have_helpers_that_fail():
+    def work(i: int) -> None:
+        if i == 1:
+            raise ValueError("in the helper")
+
+    def fail(_: int) -> None:
+        in_processes(work, 2, workers=2)
+
+    with ThreadPoolExecutor(2) as pool:
+        for made in [pool.submit(fail, n) for n in range(4)]:
+            assert isinstance(made.exception(timeout=30), SkylightError)

@@ -1,0 +1,52 @@
+"""A folder of results that appear together or not at all."""
+
+import errno
+from pathlib import Path
+
+import pytest
+
+from skylight.app.estimate.results import MESHES
+from skylight.errors import OutputError
+from skylight.work.results_folder import results_folder
+from tests.cli.test_cli import contents
+
+
+def fill(folder: Path, *names: str, stop: BaseException | None = None) -> None:
+    with results_folder(folder, MESHES) as partial:
+        for name in names:
+            (partial / name).write_text("new")
+        if stop:
+            raise stop
+
+
+@pytest.mark.parametrize("stop", [OSError(errno.ENOSPC, "full"), KeyboardInterrupt()])
+def test_what_stops_a_run_leaves_no_trace(stop: BaseException, tmp_path: Path) -> None:
+    old, new = tmp_path / "old", tmp_path / "new"
+    old.mkdir()
+    (old / "a.txt").write_text("good")
+    for folder in (old, new):
+        with pytest.raises(type(stop)):
+            fill(folder, "a.txt", stop=stop)
+    assert contents(old) == {"a.txt": b"good"}
+    assert not new.exists()
+
+
+def test_meshes_of_an_earlier_run_go_and_nothing_else(tmp_path: Path) -> None:
+    mine = ("mesh_of_me.obj", "mesh_1.ply")
+    for name in mine:
+        (tmp_path / name).write_text("mine")
+    fill(tmp_path, "mesh_1.obj", "mesh_2.obj", "mesh_10.obj")
+    with pytest.raises(KeyboardInterrupt):
+        fill(tmp_path, "mesh.obj", stop=KeyboardInterrupt())
+    assert {*contents(tmp_path)} == {*mine, "mesh_1.obj", "mesh_2.obj", "mesh_10.obj"}
+    fill(tmp_path, "mesh.obj")
+    assert {*contents(tmp_path)} == {*mine, "mesh.obj"}
+    fill(tmp_path, "mesh_1.obj", "mesh_2.obj")
+    assert {*contents(tmp_path)} == {*mine, "mesh_1.obj", "mesh_2.obj"}
+
+
+def test_a_folder_in_a_files_place_is_kept(tmp_path: Path) -> None:
+    (tmp_path / "b.txt").mkdir()
+    with pytest.raises(OutputError, match="folder"):
+        fill(tmp_path, "a.txt", "b.txt")
+    assert [path.name for path in tmp_path.iterdir()] == ["b.txt"]
