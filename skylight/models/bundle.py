@@ -28,7 +28,6 @@ from torch import Tensor
 
 from skylight.errors import AssetError, InputError
 from skylight.io.files import write_json, write_png
-from skylight.io.json_files import read_object, read_whole, require_keys
 from skylight.io.tensors import read_tensors, tensors_sha256, write_tensors
 from skylight.models.autoencoder import (
     LATENT,
@@ -37,17 +36,16 @@ from skylight.models.autoencoder import (
     network_of,
     save_network,
 )
+from skylight.models.bundle_manifest import MAKE_ONE, MANIFEST, BundleManifest, read_manifest
 from skylight.models.prior import GaussianMixture
 from skylight.work.results_folder import results_folder
 
 Part = TypeVar("Part")
 
-KIND, VERSION = "light model", 1
-MANIFEST, CARD = "bundle.json", "card.md"
+CARD = "card.md"
 NETWORK, BANK = "network.safetensors", "bank.safetensors"
 LATENT_PRIOR, SUNSKY_PRIOR = "latent_prior.safetensors", "sunsky_prior.safetensors"
 SHIPPED = Path(str(files("skylight.models") / "data" / "sky_autoencoder"))
-_TRAIN = "make one with: skylight train FOLDER --out DIR"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -113,15 +111,13 @@ class LightBundle:
             (partial / CARD).write_text(card, encoding="utf-8")
             for name, picture in pictures.items():
                 write_png(partial / name, picture)
-            manifest = {
-                "kind": KIND,
-                "version": VERSION,
-                "name": self.name,
-                "skies": self.skies,
-                "data_sha256": self.data_sha256,
-                "fingerprint": self.fingerprint,
-            }
-            write_json(partial / MANIFEST, manifest)
+            manifest = BundleManifest(
+                name=self.name,
+                skies=self.skies,
+                data_sha256=self.data_sha256,
+                fingerprint=self.fingerprint,
+            )
+            write_json(partial / MANIFEST, manifest.entries())
 
 
 def load_bundle(folder: Path | None = None) -> LightBundle:
@@ -139,42 +135,24 @@ def load_bundle(folder: Path | None = None) -> LightBundle:
     try:
         return _read(SHIPPED)
     except InputError as error:
-        reason = str(error).removesuffix(f"; {_TRAIN}")
+        reason = str(error).removesuffix(f"; {MAKE_ONE}")
         raise AssetError(f"{reason}; reinstall skylight") from error
 
 
 def _read(folder: Path) -> LightBundle:
-    if not (folder / MANIFEST).is_file():
-        kind = f"no light model, it has no {MANIFEST}" if folder.is_dir() else "no folder is there"
-        raise InputError(f"{folder}: {kind}; {_TRAIN}")
-    try:
-        manifest = read_object(folder / MANIFEST, KIND)
-        require_keys(folder / MANIFEST, manifest, ["version"])
-        version = read_whole(manifest, "version")
-    except InputError as error:
-        raise InputError(f"{folder}: {error}; {_TRAIN}") from error
-    if version > VERSION:
-        raise InputError(
-            f"{folder}: of format {version}, but this skylight reads formats up to {VERSION}; "
-            "upgrade skylight"
-        )
-    try:
-        require_keys(folder / MANIFEST, manifest, ["name", "skies", "data_sha256", "fingerprint"])
-        skies = read_whole(manifest, "skies")
-    except InputError as error:
-        raise InputError(f"{folder}: {error}; {_TRAIN}") from error
+    manifest = read_manifest(folder)
     bundle = LightBundle(
-        name=str(manifest["name"]),
-        skies=skies,
-        data_sha256=str(manifest["data_sha256"]),
+        name=manifest.name,
+        skies=manifest.skies,
+        data_sha256=manifest.data_sha256,
         network=_part(folder / NETWORK, network_of),
         latent_prior=_part(folder / LATENT_PRIOR, _latent_prior),
         latents=_part(folder / BANK, _latents),
         sunsky_prior=_part(folder / SUNSKY_PRIOR, GaussianMixture.of),
     )
-    if bundle.fingerprint != manifest["fingerprint"]:
+    if bundle.fingerprint != manifest.fingerprint:
         raise InputError(
-            f"{folder}: its tensors are not those that {MANIFEST} was written for; {_TRAIN}"
+            f"{folder}: its tensors are not those that {MANIFEST} was written for; {MAKE_ONE}"
         )
     return bundle
 
@@ -183,10 +161,10 @@ def _part(path: Path, make: Callable[[dict[str, Tensor]], Part]) -> Part:
     try:
         return make(read_tensors(path)[0])
     except FileNotFoundError as error:
-        raise InputError(f"{path.parent}: {path.name} is missing; {_TRAIN}") from error
+        raise InputError(f"{path.parent}: {path.name} is missing; {MAKE_ONE}") from error
     except (OSError, ValueError, RuntimeError, KeyError, IndexError) as error:
         reason = str(error).partition("\n")[0]
-        raise InputError(f"{path}: cannot be used ({reason}); {_TRAIN}") from error
+        raise InputError(f"{path}: cannot be used ({reason}); {MAKE_ONE}") from error
 
 
 def _latent_prior(tensors: dict[str, Tensor]) -> GaussianMixture:

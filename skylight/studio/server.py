@@ -14,6 +14,7 @@ from pathlib import Path
 import uvicorn
 
 from skylight.errors import InputError
+from skylight.models.bundle_manifest import read_manifest
 from skylight.studio.application import make_application
 from skylight.studio.limits import Limits
 from skylight.studio.own_folder import own_folder
@@ -42,10 +43,10 @@ def serve(
     Raises
     ------
     InputError
-        The port is taken, the host is none of this machine's, or there is no folder ``model``.
+        The port is taken, the host is none of this machine's, or ``model`` is no light model.
     """
-    if model is not None and not model.is_dir():
-        raise InputError(f"{model}: no folder is there; make a model with: skylight train")
+    if model is not None:
+        read_manifest(model)  # refuses what is no light model; its tensors need torch
     listener = _listening(host, port)
     with listener, own_folder() as folder, _ended_by_signals():
         studio = Studio(folder, limits or Limits(), model=model and model.resolve())

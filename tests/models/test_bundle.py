@@ -16,12 +16,12 @@ from skylight.models.bundle import (
     BANK,
     CARD,
     LATENT_PRIOR,
-    MANIFEST,
     NETWORK,
     SUNSKY_PRIOR,
     LightBundle,
     load_bundle,
 )
+from skylight.models.bundle_manifest import MANIFEST
 from skylight.models.prior import GaussianMixture
 
 

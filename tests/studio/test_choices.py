@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from importlib.resources import files
 from typing import get_args
 
 from skylight.csc.dictionary import BuiltinName
@@ -24,5 +25,10 @@ def test_choices_are_those_of_the_package() -> None:
 
 
 def test_the_server_itself_needs_no_torch() -> None:
-    code = "import sys, skylight.studio.server; sys.exit('torch' in sys.modules)"
+    shipped = files("skylight.models") / "data" / "sky_autoencoder"
+    code = (
+        "import sys, pathlib, skylight.studio.server as server\n"
+        f"server.read_manifest(pathlib.Path({str(shipped)!r}))\n"
+        "sys.exit('torch' in sys.modules)"
+    )
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0

@@ -14,8 +14,10 @@ import httpx
 import pytest
 
 from skylight import __version__
+from skylight.errors import InputError
 from skylight.studio import static_files
 from skylight.studio.guard import is_own
+from skylight.studio.server import serve
 from tests.studio.conftest import JOBS, MEGAPIXELS, UPLOAD_MB, Served, start
 
 
@@ -149,6 +151,27 @@ def test_a_taken_port_is_one_line(served: Served) -> None:
     assert ended.stdout == ""
     assert ended.stderr.startswith(f"skylight: cannot listen at 127.0.0.1, port {port}: ")
     assert ended.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("manifest", "said"),
+    [
+        (None, "it has no bundle.json; make one with: skylight train"),
+        ("{", "no JSON"),
+        ('{"kind": "light model", "version": 2}', "upgrade skylight"),
+        ('{"kind": "light model", "version": 1, "name": "a"}', '"skies" is missing'),
+    ],
+)
+def test_a_folder_that_is_no_light_model_is_one_line(
+    tmp_path: Path, manifest: str | None, said: str
+) -> None:
+    if manifest is not None:
+        (tmp_path / "bundle.json").write_text(manifest)
+    with pytest.raises(InputError) as caught:
+        serve(model=tmp_path, port=-1, browser=False)  # no server, were the model let through
+    assert said in str(caught.value)
+    assert str(tmp_path) in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.skipif(not Path("/proc").exists(), reason="looks for processes in /proc")
