@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol, TypeVar, runtime_checkable
 
-from skylight.errors import InputError
 from skylight.faces.skin import SkinPrior
 from skylight.inverse.harmonic.problem import HarmonicProblem
 from skylight.inverse.result import Estimate
@@ -14,7 +13,7 @@ from skylight.inverse.sky.problem import SkyProblem, SolverOptions
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.bundle import LightBundle, load_bundle
 from skylight.models.harmonic import HarmonicLight
-from skylight.models.names import LightName, check_light_name
+from skylight.models.names import LightName, check_is_trained, check_light_name
 from skylight.models.prior import GaussianMixture
 from skylight.models.sunsky import SunSky
 from skylight.transport.observation import Observation
@@ -45,7 +44,13 @@ class LightProblem(Protocol[Result_co]):
         ...
 
     def solve(self, progress: Progress | None = None) -> Result_co:
-        """The light under which the observations are likeliest."""
+        """The light under which the observations are likeliest.
+
+        Raises
+        ------
+        InputError
+            Nothing was added.
+        """
         ...
 
 
@@ -88,8 +93,6 @@ def estimate_light(
     """
     if isinstance(observations, Observation):
         observations = (observations,)
-    if not observations:
-        raise InputError("there is no observation to estimate light from; give at least one")
     problem = light_problem(light, model=model, options=options, device=device)
     for observation, photo in zip(observations, photos or [0] * len(observations), strict=True):
         problem.add(observation, photo)
@@ -109,11 +112,11 @@ def light_problem(
     held with its full transport.
     """
     check_light_name(light)
+    if model is not None:
+        check_is_trained(light)
     where = choose_device(device)
     modes, prior = SkinPrior.load().means.float().to(where), albedo_prior().to(where)
     if light == "sh9" or light == "sh25":
-        if model is not None:
-            raise InputError(f"{light} has no trained model: leave --model out")
         return HarmonicProblem(HarmonicLight(2 if light == "sh9" else 4).to(where), prior, modes)
     bundle = (
         model

@@ -13,3 +13,14 @@ def check_light_name(name: str) -> LightName:
     if name not in LIGHT_NAMES:
         raise InputError(f"unknown light model {name!r}: choose one of {', '.join(LIGHT_NAMES)}")
     return name  # type: ignore[return-value]
+
+
+def is_trained(light: LightName) -> bool:
+    """Whether a light model's folder has anything for this light: a network, or a prior."""
+    return light in ("autoencoder", "sunsky")
+
+
+def check_is_trained(light: LightName) -> None:
+    """:class:`InputError` for a light that takes no model's folder."""
+    if not is_trained(light):
+        raise InputError(f"{light} has no trained model: leave --model out")

@@ -11,6 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 
 from skylight.io.atomic import atomic_path
+from skylight.models.names import is_trained
 from skylight.studio.jobs import Job
 from skylight.studio.refusals import Refused
 from skylight.studio.requests import CodeRequest, EstimateRequest, JobRequest
@@ -29,7 +30,7 @@ async def begin(request: Request, wanted: JobRequest) -> JSONResponse:
     if isinstance(wanted, EstimateRequest):
         photo = studio.photos.get(wanted.photo)
         arguments |= {"path": str(photo.path), "name": photo.name, "pixels": studio.limits.pixels}
-        if studio.model is not None and wanted.light in ("autoencoder", "sunsky"):
+        if studio.model is not None and is_trained(wanted.light):
             arguments |= {"model": str(studio.model)}
         uses = (photo.id,)
     else:

@@ -379,3 +379,8 @@ class TestRefused:
     def test_activations(self, front: ObjectView) -> None:
         with pytest.raises(InputError, match="1 or more"):
             estimate_object_light(front.observation, "vmf", material=CORAL, activations=0)
+
+    @pytest.mark.parametrize("light", ["sh9", "vmf"])
+    def test_nothing_added(self, light: str) -> None:
+        with pytest.raises(InputError, match="no observation"):
+            KnownObjectProblem(light).solve()

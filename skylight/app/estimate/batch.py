@@ -28,7 +28,7 @@ from skylight.imaging.photo import read_photo
 from skylight.io.hdr import SUFFIXES as HDR_SUFFIXES
 from skylight.io.listing import visible_files
 from skylight.models.bundle import load_bundle
-from skylight.models.names import LightName
+from skylight.models.names import LightName, check_is_trained
 from skylight.work.progress import StageProgress
 from skylight.work.results_folder import results_folder
 from skylight.work.resumable import Workers, claimed, settle, share_work
@@ -49,6 +49,10 @@ class BatchSettings:
     landmarks: LandmarkerName = "dlib"
     landmark_model: Path | None = None
     device: str = "auto"
+
+    def __post_init__(self) -> None:
+        if self.model is not None:
+            check_is_trained(self.light)
 
     def facts(self) -> dict[str, object]:
         """For notes: the same for the same model files, wherever they lie, and on any device."""

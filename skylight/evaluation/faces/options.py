@@ -8,7 +8,7 @@ from pathlib import Path
 from skylight.inverse.estimate import estimate_light
 from skylight.inverse.result import Estimate
 from skylight.models.bundle import LightBundle, load_bundle
-from skylight.models.names import LightName
+from skylight.models.names import LightName, is_trained
 from skylight.transport.observation import Observation
 
 
@@ -27,8 +27,7 @@ class EstimateOptions:
         self, observations: Observation | Sequence[Observation], light: LightName
     ) -> Estimate:
         """:func:`estimate_light`; harmonics have no trained model."""
-        is_trained = light in ("autoencoder", "sunsky")
-        model = _bundle(self.model) if self.model is not None and is_trained else None
+        model = _bundle(self.model) if self.model is not None and is_trained(light) else None
         return estimate_light(observations, light, model=model, device=self.device)
 
 

@@ -102,7 +102,14 @@ class HarmonicProblem:
         faces have a colour factor each (albedo times exposure; the first one's is 1), and light
         and factors are fitted together, by Gauss-Newton steps that share the reweighting.
         ``status`` is "converged" unless they did not settle.
+
+        Raises
+        ------
+        InputError
+            Nothing was added.
         """
+        if not self._faces:
+            raise InputError("there is no observation to estimate light from; give at least one")
         model, faces = self.model, self._faces
         fit = self._fit()
         albedos, exposures = self._split(fit.colour.cpu(), fit.mean.cpu())

@@ -150,7 +150,15 @@ class KnownObjectProblem:
         self._observations.append(observation.to(self.device))
 
     def solve(self, progress: Progress | None = None) -> ObjectLight:
-        """The light, and what the objects look like in it: ``rendered`` in the order of adding."""
+        """The light, and what the objects look like in it: ``rendered`` in the order of adding.
+
+        Raises
+        ------
+        InputError
+            Nothing was added, or no sparse code explains the pictures.
+        """
+        if not self._observations:
+            raise InputError("there is no observation to estimate light from; give at least one")
         light, material, activations = self.light, self.material, self.activations
         observation = _together(self._observations)
         bank, code = None, None

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skylight.errors import InputError
 from skylight.inverse.lbfgs import minimise
 from skylight.inverse.posterior import sun_evidence, sun_posterior
 from skylight.inverse.result import UNEXPLAINED, Estimate, FaceLight, Status, advice, residual
@@ -130,7 +131,14 @@ class SkyProblem:
         mixture's centroids turned to the best of them; each with the albedo modes that explain
         the picture best. All are scored on the coarsest level, the best few optimised as one
         batch, fewer on every finer level; the best end point wins.
+
+        Raises
+        ------
+        InputError
+            Nothing was added.
         """
+        if not self._faces:
+            raise InputError("there is no observation to estimate light from; give at least one")
         options, model = self.options, self.model
         photo_count = 1 + max(face.photo for face in self._faces)
         scales = [

@@ -277,6 +277,7 @@ class TestFailures:
             (["--workers", "2", "--cluster", "tcp://there:1"], "contradict each other"),
             (["--workers", "-1"], "--workers must be 0 or more"),
             (["--landmarks", "mediapipe"], "landmarks by mediapipe need its model"),
+            (["--light", "sh9", "--model", "mine"], "sh9 has no trained model"),
         ],
     )
     def test_folders_refuse_what_does_not_fit(
