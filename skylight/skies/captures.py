@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 
 from skylight.errors import InputError
-from skylight.io.collection import read_categories
+from skylight.io.collection import names_categories, read_categories
 from skylight.io.hdr import SUFFIXES, read_linear
 from skylight.io.listing import visible_files
 from skylight.skies.capture_dates import capture_of, read_days
@@ -48,7 +48,8 @@ def index_captures(
     Unless ``all_maps``, maps that show no sky are left out: those that an ``index.csv`` with the
     columns file and category calls indoor, studio or night, and those of :func:`why_no_sky`.
 
-    Raises :class:`InputError` where there are no maps, or the list names one that is not there.
+    Raises :class:`InputError` where there are no maps, the list names one that is not there, or
+    an ``index.csv`` of the folder is damaged.
     """
     maps = visible_files(folder, SUFFIXES, recursive=True)
     files = sorted(path.relative_to(folder).as_posix() for path in maps)
@@ -138,13 +139,9 @@ def index_folder(
 
 def _categories(folder: Path) -> dict[str, str]:
     """File -> category of a folder whose index names them; nothing where there is no such index."""
-    path = folder / INDEX_NAME
-    if not path.is_file() or is_index(path):
+    if is_index(folder / INDEX_NAME) or not names_categories(folder):
         return {}
-    try:
-        return read_categories(folder)
-    except InputError:  # an index of another kind says nothing of categories
-        return {}
+    return read_categories(folder)
 
 
 def _no_sky(folder: Path, record: SkyRecord) -> str | None:

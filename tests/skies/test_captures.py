@@ -267,6 +267,25 @@ def test_categories_of_another_index_count(tmp_path: Path) -> None:
     assert ["indoor" in refusals[0].reason, "night" in refusals[1].reason] == [True, True]
 
 
+@pytest.mark.parametrize(
+    "content", [b"", bytes(4096), b"file,category\n\xff\xfe,night\n", b"file,category\na.exr\n"]
+)
+def test_a_damaged_index_is_told(tmp_path: Path, content: bytes) -> None:
+    write(tmp_path / "a.exr", painted())
+    (tmp_path / "index.csv").write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        index_captures(tmp_path)
+    assert str(tmp_path / "index.csv") in str(caught.value)
+    assert "move it away" in str(caught.value)
+    assert len(index_captures(tmp_path, all_maps=True)[0]) == 1
+
+
+def test_an_index_without_categories_says_nothing_of_the_maps(tmp_path: Path) -> None:
+    write(tmp_path / "a.exr", painted())
+    (tmp_path / "index.csv").write_text("name,photographer\na.exr,somebody\n")
+    assert len(index_captures(tmp_path)[0]) == 1
+
+
 def test_collected_probes_by_the_maps_alone(shared_data: Path) -> None:
     """Of a published collection: most rooms are told, and no open sky is left out."""
     folder = shared_data / "hdr"

@@ -7,7 +7,6 @@ the columns ``file`` and ``category``. Of the latter the outdoor maps by day are
 which settings may be chosen by, and the rest is the *held-out* half.
 """
 
-import csv
 import hashlib
 import math
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.io.collection import read_categories
+from skylight.io.collection import names_categories, read_categories
 from skylight.io.files import read_environment_map
 from skylight.skies.index import INDEX_NAME, SkyRecord, read_index
 from skylight.skies.loading import centre_column_azimuth, load_skies, normalise
@@ -61,7 +60,7 @@ class KnownSkies:
     @property
     def collected(self) -> bool:
         """Whether the maps come from a collection with categories."""
-        return self.data is not None and _is_collection(self.data)
+        return self.data is not None and names_categories(self.data)
 
     def fingerprint(self) -> str | None:
         """SHA-256 of the folder's index: results of another one are none of these."""
@@ -152,16 +151,6 @@ def _collected_sky(data: Path, number: int) -> KnownSky:
 def _name(file: str) -> str:
     """A map's path as the name of a picture: maps of one name may lie in several folders."""
     return Path(file).with_suffix("").as_posix().strip("/").replace("/", "_")
-
-
-@cache
-def _is_collection(data: Path) -> bool:
-    try:
-        with (data / INDEX_NAME).open(newline="") as stream:
-            head = next(csv.reader(stream), [])
-    except (OSError, UnicodeDecodeError, csv.Error):
-        return False  # left to read_index, which says what is wrong
-    return {"file", "category"} <= set(head)
 
 
 @cache
