@@ -51,8 +51,13 @@ def relight(
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run ``relight``, the one command without the full package, and return its exit code."""
+    """Run ``relight``, the one command without the full package, and return its exit code.
+
+    ``--debug``, anywhere, adds the traceback to an error, as in the full command.
+    """
     arguments = sys.argv[1:] if arguments is None else arguments
+    debug = "--debug" in arguments
+    arguments = [argument for argument in arguments if argument != "--debug"]
     if arguments and arguments[0] != "relight" and not arguments[0].startswith("-"):
         print(
             f"skylight: only relighting is installed here; `{arguments[0]}` needs the full "
@@ -61,7 +66,7 @@ def main(arguments: list[str] | None = None) -> int:
         )
         return 2
     options = vars(_parser().parse_args(arguments or ["--help"]))
-    debug, scene = options.pop("debug"), options.pop("scene")
+    scene = options.pop("scene")
     try:
         relight(scene, **options)
     except (Exception, KeyboardInterrupt) as error:
@@ -78,7 +83,9 @@ def _parser() -> ArgumentParser:
     what, _, arguments = (inspect.getdoc(relight) or "").partition("\n\nArgs:\n")
     help_of = dict(re.findall(r"^ +(\w+): (.+)$", arguments, re.MULTILINE))
     parser = ArgumentParser(
-        "skylight", description="Relighting alone; the other commands come with the full package."
+        "skylight",
+        description="Relighting alone; the other commands come with the full package. Add --debug "
+        "to see where in the program an error came from.",
     )
     parser.add_argument("--version", action="version", version=f"skylight {__version__}")
     commands = parser.add_subparsers(required=True)
@@ -94,5 +101,4 @@ def _parser() -> ArgumentParser:
                 required=parameter.default is parameter.empty,
                 help=help_of[name],
             )
-    command.add_argument("--debug", action="store_true", help="Show where an error came from.")
     return parser

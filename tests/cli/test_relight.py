@@ -73,3 +73,18 @@ def test_without_tyro_errors_are_one_line_too(
     arguments = ["relight", str(scene), "--out", str(tmp_path / "lit.png"), "--probe", "gone.exr"]
     assert command.main(arguments) == 2
     assert "gone.exr" in one_line(capsys)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_debug_goes_before_or_after_the_command(
+    first: bool, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["relight", str(scene), "--out", str(tmp_path / "lit.png"), "--probe", "gone.exr"]
+    debug = ["--debug"]
+    given = debug + arguments if first else arguments + debug
+    told = []
+    for run in (command.main, main):
+        assert run(given) == 2
+        told.append(capsys.readouterr().err.splitlines())
+    assert told[0][-1] == told[1][-1]
+    assert {lines[0] for lines in told} == {"Traceback (most recent call last):"}
