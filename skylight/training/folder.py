@@ -10,7 +10,7 @@ from skylight.skies.captures import Refusal, index_folder
 from skylight.skies.index import INDEX_NAME, SkyRecord, is_index, map_path, read_index
 from skylight.training.autoencoder import train
 from skylight.training.config import AutoencoderConfig, PriorConfig
-from skylight.training.prior import fit_priors
+from skylight.training.prior import fit_priors, splits_for_priors
 from skylight.work.progress import CountProgress, Tell
 from skylight.work.resumable import claimed
 
@@ -39,7 +39,7 @@ def train_folder(
     Raises
     ------
     InputError
-        No usable skies, or too few days to divide.
+        No usable skies, too few days to divide, or too few training skies for the priors.
     """
     run = out / RUN
     with claimed(run):
@@ -53,9 +53,11 @@ def train_folder(
                 "validation and test days; add skies of other days, or name their days with: "
                 f"skylight skies index {folder} --days DAYS.csv"
             )
+        priors = PriorConfig(data=place, out=out, seed=config.seed)
+        splits_for_priors(priors, records)  # refuses too few before hours of training
         best = train(fitting(config, place, run, skies, epochs, report), report)
         report("fitting the priors")
-        fit_priors(PriorConfig(data=place, checkpoint=best, out=out, seed=config.seed))
+        fit_priors(replace(priors, checkpoint=best))
     load_bundle(out)
     return out
 

@@ -42,16 +42,7 @@ def fit_priors(config: PriorConfig) -> Path:
         A split without days, or fewer training skies than an estimate starts from.
     """
     records = read_index(config.data)
-    splits = {
-        name: [r for r in records if r.split == name] for name in ("train", "validation", "test")
-    }
-    if empty := [name for name, rows in splits.items() if not rows]:
-        raise InputError(f"{config.data}: too few days: none falls to {', '.join(empty)}")
-    if len(splits["train"]) < AutoencoderLight.candidates:
-        raise InputError(
-            f"{config.data}: {len(splits['train'])} training skies are too few for a light model; "
-            f"at least {AutoencoderLight.candidates} are needed, and hundreds are better"
-        )
+    splits = splits_for_priors(config, records)
     network = load_network(config.checkpoint)
     config.out.mkdir(parents=True, exist_ok=True)
     skies = {name: load_skies(config.data, rows) for name, rows in splits.items()}
@@ -97,6 +88,32 @@ def fit_priors(config: PriorConfig) -> Path:
         pictures={RECONSTRUCTIONS: reconstructions(network, shown)},
     )
     return config.out
+
+
+def splits_for_priors(config: PriorConfig, records: list[SkyRecord]) -> dict[str, list[SkyRecord]]:
+    """The records of each split, where :func:`fit_priors` can make a light model of them.
+
+    Any number of skies gives a mixture (:func:`best_mixture`), but an estimate starts from
+    :attr:`AutoencoderLight.candidates` skies of the bank.
+
+    Raises
+    ------
+    InputError
+        A split without days, or too few training skies.
+    """
+    splits = {
+        name: [r for r in records if r.split == name] for name in ("train", "validation", "test")
+    }
+    if empty := [name for name, rows in splits.items() if not rows]:
+        raise InputError(f"{config.data}: too few days: none falls to {', '.join(empty)}")
+    found = len(_bank_rows(splits["train"], config))
+    if found < AutoencoderLight.candidates:
+        raise InputError(
+            f"{config.data}: {len(splits['train'])} training skies, {found} of them of use to "
+            f"start estimates from, are too few for a light model; at least "
+            f"{AutoencoderLight.candidates} are needed, and hundreds are better"
+        )
+    return splits
 
 
 def best_mixture(
@@ -163,6 +180,16 @@ def shrunk_covariance(samples: Float[Tensor, "n p"]) -> Float[Tensor, "p p"]:
 def _bank(
     latents: Float[Tensor, "n z"], records: list[SkyRecord], config: PriorConfig
 ) -> dict[str, Float[Tensor, "..."]]:
+    """Latents and suns of :func:`_bank_rows`."""
+    rows = _bank_rows(records, config)
+    zenith_deg = torch.tensor([records[row].sun_zenith_deg for row in rows])
+    return {
+        "bank": latents[torch.tensor(rows)].float().contiguous(),
+        "bank_zenith_rad": zenith_deg.deg2rad().float().contiguous(),
+    }
+
+
+def _bank_rows(records: list[SkyRecord], config: PriorConfig) -> list[int]:
     """Training skies evenly spread over the sun's height, those with an open sun first."""
     zenith = torch.tensor([r.sun_zenith_deg for r in records]).deg2rad()
     hidden = torch.tensor([r.sun_transmittance < 0.3 for r in records])
@@ -175,8 +202,4 @@ def _bank(
         inside = [i for i in shuffle if b * width <= float(zenith[i]) < (b + 1) * width]
         inside.sort(key=lambda i: bool(hidden[i]))
         chosen += inside[: config.bank // HEIGHT_BINS]
-    index = torch.tensor(chosen)
-    return {
-        "bank": latents[index].float().contiguous(),
-        "bank_zenith_rad": zenith[index].float().contiguous(),
-    }
+    return chosen

@@ -11,6 +11,7 @@ import torch
 
 from skylight.errors import InputError
 from skylight.io.hdr import write_exr
+from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.bundle import NETWORK, SHIPPED, load_bundle
 from skylight.sphere.frame import angle_between, direction_from_angles
 from skylight.sphere.grid import DirectionGrid
@@ -142,6 +143,21 @@ def test_skies_of_one_day_are_refused(exr_skies: Path, tmp_path: Path) -> None:
         train_folder(skies, tmp_path / "out", config(), report=lambda _: None)
     assert "1 day(s)" in str(caught.value)
     assert "skies index" in str(caught.value)
+
+
+def test_too_few_skies_for_the_priors_are_refused_before_training(
+    exr_skies: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    skies = tmp_path / "skies"
+    skies.mkdir()
+    for path in sorted(exr_skies.glob("2024*"))[:5]:
+        shutil.copy(path, skies)
+    monkeypatch.setattr(folder, "train", lambda *_: pytest.fail("the network was trained"))
+    with pytest.raises(InputError) as caught:
+        train_folder(skies, tmp_path / "out", config(), report=lambda _: None)
+    assert "3 training skies" in str(caught.value)
+    assert f"at least {AutoencoderLight.candidates}" in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 def test_the_folders_own_index_is_used(sky_folder: Path, tmp_path: Path) -> None:

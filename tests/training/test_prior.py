@@ -11,13 +11,18 @@ from safetensors.torch import load_file
 from sklearn.covariance import ledoit_wolf
 
 from skylight.errors import AssetError, InputError
-from skylight.models.autoencoder import LATENT, SkyAutoencoder, save_network
+from skylight.models.autoencoder import LATENT, AutoencoderLight, SkyAutoencoder, save_network
 from skylight.models.bundle import load_bundle
 from skylight.models.prior import GaussianMixture
 from skylight.skies.index import folder_hash, read_index
 from skylight.skies.loading import load_skies
 from skylight.training.config import PriorConfig
-from skylight.training.prior import best_mixture, fit_priors, shrunk_covariance
+from skylight.training.prior import (
+    best_mixture,
+    fit_priors,
+    shrunk_covariance,
+    splits_for_priors,
+)
 
 
 @pytest.fixture(scope="module")
@@ -150,3 +155,16 @@ def test_what_is_missing_is_named(config: PriorConfig, tmp_path: Path) -> None:
     (tmp_path / "index.csv").write_text(f"{index[0]}\n{row}\n")
     with pytest.raises(InputError, match="none falls to validation, test"):
         fit_priors(replace(config, data=tmp_path))
+
+
+def test_suns_below_the_horizon_do_not_count_for_the_bank(config: PriorConfig) -> None:
+    """The skies that an estimate starts from have their suns up: six are wanted."""
+    few = [replace(record, sun_zenith_deg=95.0) for record in read_index(config.data)]
+    with pytest.raises(InputError, match="0 of them"):
+        splits_for_priors(config, few)
+    up = 0
+    for number, record in enumerate(few):
+        if record.split == "train" and up < AutoencoderLight.candidates:
+            few[number] = replace(record, sun_zenith_deg=10.0 + 10.0 * up)
+            up += 1
+    assert len(splits_for_priors(config, few)["train"]) > up
