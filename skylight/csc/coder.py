@@ -143,9 +143,11 @@ class SphericalSparseCoder(nn.Module):
 
         Weights have the maps' dtype. The maps of a batch share the processor's cores.
         """
+        self._check_maps(maps)
         flat = maps.reshape(-1, *maps.shape[-3:])
-        for one in flat:
-            self._check_map(one)
+        if len(flat) == 0:
+            blank = maps.new_zeros(*maps.shape[:-3], self.activations, 3)
+            return CodeTensors(blank[..., 0].long(), blank.double(), blank, blank[..., 0, 0].long())
         for part in self.parts:
             _ = part.plan().correlation  # made once, by one thread
         if self.options.sweeps:
@@ -170,7 +172,7 @@ class SphericalSparseCoder(nn.Module):
         self, radiance: Float[Tensor, "h w 3"], counts: list[int], progress: Progress | None = None
     ) -> list[SparseCode]:
         """Codes of several sizes, ascending, from one pursuit, which continues from each."""
-        self._check_map(radiance)
+        self._check_maps(radiance)
         signal = self._signal(radiance)
         energy = float(signal.energy.sum())
         return [
@@ -189,15 +191,15 @@ class SphericalSparseCoder(nn.Module):
         norms = self.norms() if self.options.sweeps else None
         return list(pursue(Pursuit(self.parts, signal, self.options, norms), counts, progress))
 
-    def _check_map(self, radiance: Float[Tensor, "h w 3"]) -> None:
-        if radiance.shape != (self.height, 2 * self.height, 3):
+    def _check_maps(self, maps: Float[Tensor, "*batch h w 3"]) -> None:
+        if maps.shape[-3:] != (self.height, 2 * self.height, 3):
             raise InputError(
                 f"this coder takes maps of {self.height}x{2 * self.height} with 3 colours, got "
-                f"{tuple(radiance.shape)}: resize the map or make a coder for its height"
+                f"{tuple(maps.shape[-3:])}: resize the map or make a coder for its height"
             )
-        if not bool(radiance.isfinite().all()):
+        if not bool(maps.isfinite().all()):
             raise InputError("the map has values that are NaN or infinite: repair them first")
-        if not bool(radiance.any()):
+        if not bool(maps.flatten(-3).any(-1).all()):
             raise InputError("the map is black: there is nothing to code")
 
     def refit(self, maps: Float[Tensor, "*batch h w 3"], codes: CodeTensors) -> CodeTensors:

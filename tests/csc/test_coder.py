@@ -130,6 +130,28 @@ def test_a_batch_is_its_maps(shape: tuple[int, ...], device: torch.device) -> No
     small().cpu()
 
 
+@pytest.mark.parametrize("shape", [(0,), (2, 0), (0, 3)])
+@pytest.mark.parametrize("make", [small, fine])
+def test_a_batch_of_no_maps(
+    make: Callable[[], SphericalSparseCoder], shape: tuple[int, ...]
+) -> None:
+    """Every result has its shape and dtype; maps of another layout are refused all the same."""
+    coder = make()
+    one = room(height=coder.height).float()
+    maps = one.new_zeros(*shape, *one.shape)
+    codes, of_one = coder(maps), coder(one)
+    for each, alone in zip(codes, of_one, strict=True):
+        assert each.shape == (*shape, *alone.shape)
+        assert each.dtype == alone.dtype
+    for each, alone in zip(coder.refit(maps, codes), of_one, strict=True):
+        assert each.shape == (*shape, *alone.shape)
+    assert coder.decode(codes).shape == maps.shape
+    assert coder.decode(codes, 16).shape == (*shape, 16, 32, 3)
+    assert coder.relative_error(maps, codes).shape == shape
+    with pytest.raises(InputError, match="resize the map"):
+        coder(maps[..., 1:, :, :])
+
+
 def test_short_codes_are_padded() -> None:
     """A constant needs one activation; the rest of its row is nothing."""
     maps = torch.stack([torch.full((32, 64, 3), 0.7), room().float()])
@@ -560,8 +582,9 @@ def test_maps_of_another_layout_are_refused(shape: tuple[int, ...]) -> None:
 
 
 def test_black_maps_are_refused() -> None:
-    with pytest.raises(InputError, match="map is black"):
-        small()(torch.zeros(32, 64, 3))
+    for maps in (torch.zeros(32, 64, 3), torch.stack([room(), torch.zeros(32, 64, 3)])):
+        with pytest.raises(InputError, match="map is black"):
+            small()(maps)
 
 
 @pytest.mark.parametrize("activations", [0, -1, 2049])
