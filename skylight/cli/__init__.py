@@ -116,7 +116,8 @@ def evaluate(
         out: Folder for the results.
         quick: A small run that shows the form of the result in minutes.
         data: Folder of collected data, where the evaluation needs any.
-        model: Of faces: folder of a trained model of your own to estimate their light with.
+        model: Of faces and skies: folder of a trained model of your own instead of the one that
+            comes with skylight.
         device: Of faces: where their light is optimised.
         workers: Processes that work at the same time; 0 for one per core.
         cluster: A dask scheduler's address, whose workers do it instead.

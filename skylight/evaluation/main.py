@@ -30,6 +30,7 @@ from skylight.evaluation.harness.run import Evaluation, Illustrated, measure_all
 from skylight.evaluation.harness.tables import markdown, summarise, summarise_groups
 from skylight.evaluation.probes.partition_probe import PartitionProbeTable
 from skylight.evaluation.probes.voxel_probe import VoxelProbe
+from skylight.evaluation.skies.known_skies import SkyEvaluation
 from skylight.evaluation.skies.sky_models import SkyModels
 from skylight.evaluation.skies.sky_representations import SkyRepresentations
 from skylight.faces.captures import CAPTURES_NAME
@@ -161,7 +162,7 @@ def evaluate(
     ------
     InputError
         An unknown name, data that the evaluation cannot use, or ``options`` (which are given where
-        they are not the defaults) for one that estimates no light of faces.
+        they are not the defaults) for one that uses no trained model, or on no other device.
     """
     if name not in EVALUATIONS:
         raise InputError(f"unknown evaluation {name!r}: choose one of {', '.join(EVALUATIONS)}")
@@ -172,13 +173,21 @@ def evaluate(
     command += f" --model {options.model.name}" if options and options.model else ""
     evaluation = EVALUATIONS[name](quick, data)
     if options is not None:
-        if not isinstance(
-            evaluation, SyntheticFaces | SharedLight | CapturedFaces | RealFaces | FaceSensitivity
-        ):
-            raise InputError(f"{name} estimates no light of faces: leave --model and --device out")
-        choose_device(options.device)
-        evaluation = replace(evaluation, options=options)
+        evaluation = _with_options(name, evaluation, options)
     return run_evaluation(evaluation, out, command=command, quick=quick, workers=workers)
+
+
+def _with_options(name: str, evaluation: Evaluation, options: EstimateOptions) -> Evaluation:
+    if isinstance(
+        evaluation, SyntheticFaces | SharedLight | CapturedFaces | RealFaces | FaceSensitivity
+    ):
+        choose_device(options.device)
+        return replace(evaluation, options=options)
+    if not isinstance(evaluation, SkyEvaluation):
+        raise InputError(f"{name} uses no trained model: leave --model and --device out")
+    if options.device != "auto":
+        raise InputError(f"{name} fits skies on the CPU: leave --device out")
+    return replace(evaluation, model=options.model)
 
 
 def run_evaluation(

@@ -66,7 +66,7 @@ def true_parameters(
     ahead = normalise(sky[None])[0]
     light = load_bundle().light()
     loss = SkyLoss(light, ahead)
-    start = autoencoder_start(ahead)
+    start = autoencoder_start(light, ahead)
     parameters = fitted_parameters(loss, start, held=held, released=released).clone()
     parameters[:, light.azimuth_index] += turn
     return parameters

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
+from skylight.evaluation.harness.trained_model import trained_model
 from skylight.io.collection import names_categories, read_categories
 from skylight.io.files import read_environment_map
 from skylight.skies.index import INDEX_NAME, SkyRecord, read_index
@@ -102,12 +103,14 @@ class SkyEvaluation:
 
     The skies are simulated ones, or those of a folder of maps (``data``). Over a collection of
     real maps by category an evaluation goes by the name of its ``title`` with "-real" behind it.
+    ``model`` is a trained model's folder, None for the one that comes with skylight.
     """
 
     title: ClassVar[str]
 
     count: int
     data: Path | None = None
+    model: Path | None = None
     seed: int = 30_000_000
 
     def __post_init__(self) -> None:
@@ -123,7 +126,10 @@ class SkyEvaluation:
 
     def config(self) -> dict[str, object]:
         data = str(self.data.resolve()) if self.data else None
-        return {"seed": self.seed, "data": data, "index": self.skies.fingerprint()}
+        config = {"seed": self.seed, "data": data, "index": self.skies.fingerprint()}
+        if self.model is not None:
+            config["model"] = trained_model(self.model).fingerprint
+        return config
 
     def items(self) -> list[str]:
         return self.skies.names()

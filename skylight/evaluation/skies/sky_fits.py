@@ -20,7 +20,7 @@ real maps, for a third more time; they are left out.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Protocol, runtime_checkable
 
 import torch
@@ -30,7 +30,6 @@ from torch import Tensor
 from skylight.inverse.lbfgs import Objective, minimise
 from skylight.inverse.sky.objective import charbonnier
 from skylight.models.autoencoder import HEIGHT, AutoencoderLight
-from skylight.models.bundle import load_bundle
 from skylight.models.ground import LambertianGround
 from skylight.models.harmonic import HarmonicLight, solve_linear
 from skylight.models.sunsky import SunSky, fit_sunsky
@@ -126,33 +125,35 @@ def fit_sun_and_sky(sky: Float[Tensor, "h w 3"], ground: Float[Tensor, "3"]) -> 
     return over_ground(fitted.reshape(sky.shape), ground)
 
 
-@cache
-def shipped_light() -> AutoencoderLight:
-    """The model that is scored, read once: no fit changes it."""
-    return load_bundle().light()
-
-
-def feed_forward(sky: Float[Tensor, "h w 3"], ground: Float[Tensor, "3"]) -> EnvironmentMap:
+def feed_forward(
+    light: AutoencoderLight, sky: Float[Tensor, "h w 3"], ground: Float[Tensor, "3"]
+) -> EnvironmentMap:
     """Encoded and decoded, nothing fitted."""
     with torch.no_grad():
-        radiance = shipped_light()(autoencoder_start(sky))[0]
+        radiance = light(autoencoder_start(light, sky))[0]
     return over_ground(radiance.reshape(sky.shape), ground)
 
 
-def fit_autoencoder(sky: Float[Tensor, "h w 3"], ground: Float[Tensor, "3"]) -> EnvironmentMap:
+def fit_autoencoder(
+    light: AutoencoderLight, sky: Float[Tensor, "h w 3"], ground: Float[Tensor, "3"]
+) -> EnvironmentMap:
     """From the encoder's latents down under :class:`SkyLoss`."""
-    fitted = descend(SkyLoss(shipped_light(), sky), autoencoder_start(sky))
+    fitted = descend(SkyLoss(light, sky), autoencoder_start(light, sky))
     return over_ground(fitted.reshape(sky.shape), ground)
 
 
 Fit = Callable[[Float[Tensor, "h w 3"], Float[Tensor, "3"]], EnvironmentMap]
-FITS: dict[str, Fit] = {
-    "sh9": lambda sky, ground: fit_harmonic(sky, ground, degree=2),
-    "sh25": lambda sky, ground: fit_harmonic(sky, ground, degree=4),
-    "sunsky": fit_sun_and_sky,
-    "autoencoder_feedforward": feed_forward,
-    "autoencoder": fit_autoencoder,
-}
+
+
+def fits(light: AutoencoderLight) -> dict[str, Fit]:
+    """All by name; ``light`` is the autoencoder that is scored."""
+    return {
+        "sh9": lambda sky, ground: fit_harmonic(sky, ground, degree=2),
+        "sh25": lambda sky, ground: fit_harmonic(sky, ground, degree=4),
+        "sunsky": fit_sun_and_sky,
+        "autoencoder_feedforward": partial(feed_forward, light),
+        "autoencoder": partial(fit_autoencoder, light),
+    }
 
 
 def sun_and_sky_start(sky: Float[Tensor, "h w 3"]) -> Float[Tensor, "1 p"]:
@@ -160,11 +161,11 @@ def sun_and_sky_start(sky: Float[Tensor, "h w 3"]) -> Float[Tensor, "1 p"]:
     return fit_sunsky(sky.reshape(1, -1, 3), SunSky()).float()
 
 
-def autoencoder_start(sky: Float[Tensor, "h w 3"]) -> Float[Tensor, "1 p"]:
+def autoencoder_start(light: AutoencoderLight, sky: Float[Tensor, "h w 3"]) -> Float[Tensor, "1 p"]:
     """The encoder's latents, the sun ahead."""
     azimuth = torch.tensor([[centre_column_azimuth(HEIGHT)]])
     with torch.no_grad():
-        return torch.cat([shipped_light().network.encode(sky[None]), azimuth], 1)
+        return torch.cat([light.network.encode(sky[None]), azimuth], 1)
 
 
 def descend(

@@ -13,9 +13,10 @@ import torch
 
 from skylight.evaluation.harness.pictures import panorama_rows
 from skylight.evaluation.harness.run import Check, Item
+from skylight.evaluation.harness.trained_model import trained_light
 from skylight.evaluation.scores.relit_scene import score
 from skylight.evaluation.skies.known_skies import SkyEvaluation
-from skylight.evaluation.skies.sky_fits import FITS, over_ground
+from skylight.evaluation.skies.sky_fits import fits, over_ground
 from skylight.io.files import write_png
 from skylight.models.ground import GROUND_ALBEDOS
 
@@ -62,7 +63,7 @@ class SkyModels(SkyEvaluation):
         ground = torch.tensor(albedo)
         truth = over_ground(known.radiance, ground)
         metrics, environments = {}, {}
-        for method, fit in FITS.items():
+        for method, fit in fits(trained_light(self.model)).items():
             start, cpu_start = time.perf_counter(), time.process_time()
             environment = fit(known.radiance, ground)
             seconds, cpu = time.perf_counter() - start, time.process_time() - cpu_start

@@ -12,6 +12,7 @@ All representations are fitted under one loss, the L1 of log(1 + radiance).
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from torch import Tensor
 
 from skylight.evaluation.harness.pictures import sky_grid
 from skylight.evaluation.harness.run import Check, Item
+from skylight.evaluation.harness.trained_model import trained_light
 from skylight.evaluation.skies.known_skies import HEIGHT, SkyEvaluation
 from skylight.evaluation.skies.sky_fits import (
     HELD,
@@ -31,7 +33,6 @@ from skylight.evaluation.skies.sky_fits import (
     SkyLoss,
     autoencoder_start,
     descend,
-    shipped_light,
     sun_and_sky_start,
 )
 from skylight.imaging.colour import linear_to_srgb
@@ -59,7 +60,7 @@ class SkyRepresentations(SkyEvaluation):
     def measure(self, item: str, picture: Path) -> Item:
         known = self.skies.sky(self.items().index(item))
         metrics, shown = {}, {"truth": tone_mapped(known.radiance)}
-        for name, (floats, fit) in REPRESENTATIONS.items():
+        for name, (floats, fit) in representations(trained_light(self.model)).items():
             start = time.perf_counter()
             fitted = fit(known.radiance)
             seconds = time.perf_counter() - start
@@ -126,8 +127,8 @@ def fit_sun_and_sky(sky: Sky) -> Sky:
     return _descended(SunSky(), sun_and_sky_start(sky), sky)
 
 
-def fit_autoencoder(sky: Sky) -> Sky:
-    return _descended(shipped_light(), autoencoder_start(sky), sky)
+def fit_autoencoder(light: AutoencoderLight, sky: Sky) -> Sky:
+    return _descended(light, autoencoder_start(light, sky), sky)
 
 
 def _descended(model: Decoder, start: Float[Tensor, "1 p"], sky: Sky) -> Sky:
@@ -136,7 +137,7 @@ def _descended(model: Decoder, start: Float[Tensor, "1 p"], sky: Sky) -> Sky:
     return descend(loss, start, held=2 * HELD, released=2 * RELEASED).reshape(sky.shape)
 
 
-def _representations() -> dict[str, tuple[int, Callable[[Sky], Sky]]]:
+def representations(light: AutoencoderLight) -> dict[str, tuple[int, Callable[[Sky], Sky]]]:
     """Name -> (floats, fit). Gaussians have as many lobes as the floats of SH allow."""
     found: dict[str, tuple[int, Callable[[Sky], Sky]]] = {}
     for degree, floats in zip(DEGREES, FLOATS, strict=True):
@@ -146,8 +147,5 @@ def _representations() -> dict[str, tuple[int, Callable[[Sky], Sky]]]:
         count = LOBE_PARAMETERS * lobes + CONSTANT_PARAMETERS
         found[f"gaussians_{count}"] = (count, lambda sky, k=lobes: fit_gaussians(sky, k))
     found["sunsky_10"] = (SunSky.parameter_count, fit_sun_and_sky)
-    found["autoencoder_65"] = (AutoencoderLight.parameter_count, fit_autoencoder)
+    found["autoencoder_65"] = (light.parameter_count, partial(fit_autoencoder, light))
     return found
-
-
-REPRESENTATIONS = _representations()

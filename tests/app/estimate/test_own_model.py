@@ -12,10 +12,12 @@ from skimage.data import astronaut
 
 from skylight.app.estimate.photos import estimate_photo
 from skylight.cli import main
+from skylight.evaluation.main import EVALUATIONS
 from skylight.faces.fit import camera_project
 from skylight.faces.model import HeadModel
 from skylight.inverse.estimate import estimate_light
 from skylight.inverse.sky.problem import Round, SolverOptions
+from tests.evaluation.harness.test_run import Counting
 from tests.inverse.test_solve import SUNS, watched
 
 FEW = SolverOptions(rounds=(Round(level=3, starts=2, iterations=3),))
@@ -54,15 +56,22 @@ def test_a_damaged_model_is_one_line(
 
 
 def test_what_has_no_trained_model_refuses_one(
-    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    own: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     portrait = tmp_path / "me.png"
     Image.fromarray(astronaut()[:256, 100:356]).save(portrait)
     model, out = ["--model", str(own)], ["--out", str(tmp_path / "out")]
     assert main(["estimate", str(portrait), "--light", "sh9", *model, *out]) == 2
     assert "leave --model out" in capsys.readouterr().err
-    assert main(["evaluate", "sky-models", "--quick", *model, *out]) == 2
+    counting = Counting(count=1, marks=tmp_path / "marks")
+    monkeypatch.setitem(EVALUATIONS, "counting", lambda *_: counting)
+    assert main(["evaluate", "counting", *model, *out]) == 2
     assert "leave --model and --device out" in capsys.readouterr().err
+    assert main(["evaluate", "sky-models", "--quick", "--device", "cpu", *out]) == 2
+    assert "leave --device out" in capsys.readouterr().err
 
 
 def test_a_deformed_head_meets_the_inner_landmarks() -> None:

@@ -71,11 +71,12 @@ def test_shading_misses_energy_that_is_nowhere_missed_much(sky):
 
 
 def test_the_encoder_starts_with_the_sun_ahead(sky):
-    start = autoencoder_start(sky)
+    light = load_bundle().light()
+    start = autoencoder_start(light, sky)
     assert start.shape == (1, 65)
     assert float(start[0, -1]) == pytest.approx(centre_column_azimuth(32))
     with torch.no_grad():
-        decoded = load_bundle().light()(start).reshape(32, 128, 3)
+        decoded = light(start).reshape(32, 128, 3)
     brightest = EnvironmentMap(radiance=decoded).brightest_direction()
     truth = EnvironmentMap(radiance=sky).brightest_direction()
     assert float(angle_between(brightest, truth).rad2deg()) < 2
