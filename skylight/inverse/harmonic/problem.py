@@ -1,5 +1,6 @@
 """Observations of one light -> that light as spherical harmonics: a robust linear problem."""
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -7,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
+from skylight.inverse.harmonic.nonnegative import nonnegative_harmonics
 from skylight.inverse.posterior import sun_evidence, sun_posterior
 from skylight.inverse.result import UNEXPLAINED, Estimate, FaceLight, advice, residual
 from skylight.inverse.scale import bayes_scale, scale_nll, tone_prior
@@ -21,7 +23,7 @@ from skylight.transport.observation import Observation
 from skylight.work.progress import Progress
 
 ROWS = 32  # of transport: shadows' edges within 3 degrees do for light of degree 4
-RIDGES = (1e-6, 1e-3, 1e-2, 1e-1, 1.0)
+RIDGE = 1e-6  # relative, as in solve_linear
 COLOUR_RIDGE = 1e-6  # of the changes of the faces' colours, which must not be slowed
 REWEIGHTINGS = 8
 MOST_REWEIGHTINGS = 30  # where several faces share a light
@@ -33,8 +35,7 @@ DAYLIGHT_CHROMA = 0.15  # by which daylight varies in the log of its channels' r
 class _Fit:
     """``product`` the first albedo times the coefficients, ``mean`` what that shades on average.
 
-    ``colour`` (f,3) the faces' factors on it, ``data`` the data term of the light cut off at zero,
-    in nats.
+    ``colour`` (f,3) the faces' factors on it, ``data`` the data term of that light, in nats.
     """
 
     product: Float[Tensor, "k 3"]
@@ -93,14 +94,15 @@ class HarmonicProblem:
         self._scanned.append(matt.coarser(1).on_rows(SCAN_HEIGHT))
 
     def solve(self, progress: Progress | None = None) -> Estimate:
-        """Robust fit of SH coefficients by reweighted linear least squares, cut off at zero.
+        """Robust fit of non-negative light by reweighted linear least squares.
 
         A pixel's weight is divided by its mean Charbonnier residual over the channels, which
         share it. Shading is linear in the coefficients, so there is no start to choose. A face
-        says little of what it does not see, and there the best coefficients swing far below zero;
-        of :data:`RIDGES` the one is taken whose light, cut off, explains the faces best. Several
-        faces have a colour factor each (albedo times exposure; the first one's is 1), and light
-        and factors are fitted together, by Gauss-Newton steps that share the reweighting.
+        says little of what it does not see, and there the best coefficients swing far below zero:
+        with the weights they end with, the light is fitted once more, nowhere negative
+        (:func:`~skylight.inverse.harmonic.nonnegative.nonnegative_harmonics`). Several faces have
+        a colour factor each (albedo times exposure; the first one's is 1), and light and factors
+        are fitted together, by Gauss-Newton steps that share the reweighting.
         ``status`` is "converged" unless they did not settle.
 
         Raises
@@ -165,11 +167,6 @@ class HarmonicProblem:
     def _fit(self) -> "_Fit":
         # float64: rounding in the reweighting does not reach the float32 of the result
         shading = [face.transport.project(self.basis).double() for face in self._faces]
-        fits = [self._fit_with(ridge, shading) for ridge in RIDGES]
-        best = min(fits, key=lambda fit: fit.data)
-        return replace(best, rounds=sum(fit.rounds for fit in fits))
-
-    def _fit_with(self, ridge: float, shading: list[Float[Tensor, "_ k"]]) -> "_Fit":
         faces = self._faces
         pixels = [face.pixels.double() for face in faces]
         means = [float(luminance(p).mean()) for p in pixels]
@@ -186,33 +183,26 @@ class HarmonicProblem:
                 [p / c for p, c in zip(pixels, colour, strict=True)],
                 torch.cat(weights),
                 lit,
-                ridge,
             )
             lit = [one @ product for one in shading]
             colour = colour * change
-            gaps = [
-                (one * c - p) / mean
-                for one, c, p, mean in zip(lit, colour, pixels, means, strict=True)
-            ]
+            gaps = _gaps(lit, colour, pixels, means)
             weights = [w / charbonnier(gap).mean(1) for w, gap in zip(given, gaps, strict=True)]
             settled = bool((change.log().abs() < SETTLED).all())
             if settled and rounds >= REWEIGHTINGS:
                 break
         shares = [w[:, None] / w.sum() / 3 for w in given]
-        # cut off at zero the light is another: each channel is brought back to its weighted mean
+        product = _nonnegative(
+            torch.cat(shading),
+            torch.cat([p / c for p, c in zip(pixels, colour, strict=True)]),
+            torch.cat(weights),
+        )
+        # between the directions that hold it the light may still fall below zero a little
         light = (self.basis @ product).clamp(min=0).float()
         lit = [(face.transport.matrix @ light).double() for face in faces]
-        seen, shaded = (
-            torch.stack([(w[:, None] * one).sum(0) for w, one in zip(weights, values, strict=True)])
-            for values in ([p / c for p, c in zip(pixels, colour, strict=True)], lit)
-        )
-        rescale = seen.sum(0) / shaded.sum(0).clamp(min=1e-12)
-        lit = [one * rescale for one in lit]
-        gaps = [
-            (one * c - p) / mean for one, c, p, mean in zip(lit, colour, pixels, means, strict=True)
-        ]
+        gaps = _gaps(lit, colour, pixels, means)
         return _Fit(
-            product=product * rescale,
+            product=product,
             colour=colour,
             mean=torch.cat(lit).mean(0).clamp(min=1e-6 * means[0]),
             data=sum(
@@ -267,12 +257,35 @@ class HarmonicProblem:
         return -float(self.albedo_prior.log_prob(albedos.log().float()).sum())
 
 
+def _gaps(
+    lit: list[Float[Tensor, "_ 3"]],
+    colour: Float[Tensor, "f 3"],
+    pixels: list[Float[Tensor, "_ 3"]],
+    means: list[float],
+) -> list[Float[Tensor, "_ 3"]]:
+    """How far each face is from what is lit, relative to its mean luminance."""
+    return [
+        (one * c - p) / mean for one, c, p, mean in zip(lit, colour, pixels, means, strict=True)
+    ]
+
+
+def _nonnegative(
+    shading: Float[Tensor, "m k"],
+    pixels: Float[Tensor, "m 3"],
+    weights: Float[Tensor, " m"],
+) -> Float[Tensor, "k 3"]:
+    """:func:`solve_linear` with :data:`RIDGE`, of light that is nowhere negative."""
+    root = weights.sqrt()[:, None]
+    points, count = shading.shape
+    noise = math.sqrt(RIDGE * points / count)  # its words for this ridge
+    return nonnegative_harmonics(root * shading, root * pixels, noise=noise).coefficients
+
+
 def _gauss_newton(
     shading: list[Float[Tensor, "_ k"]],
     pixels: list[Float[Tensor, "_ 3"]],
     weights: Float[Tensor, " m"],
     lit: list[Float[Tensor, "_ 3"]],
-    ridge: float,
 ) -> tuple[Float[Tensor, "k 3"], Float[Tensor, "f 3"]]:
     """(coefficients, factors by which the faces' colours change), the first face's being 1.
 
@@ -288,7 +301,7 @@ def _gauss_newton(
             column = [one[:, channel : channel + 1] for one in lit]
             basis = torch.cat([basis, torch.block_diag(*column)[:, 1:]], 1)
         ridges = basis.new_full((basis.shape[1],), COLOUR_RIDGE, dtype=torch.float32)
-        ridges[:coefficients] = ridge
+        ridges[:coefficients] = RIDGE
         solution = solve_linear(basis, torch.cat(pixels), weights, ridge=ridges)[:, channel]
         product[:, channel] = solution[:coefficients]
         if lit:
