@@ -18,6 +18,8 @@ from skylight.sphere.frame import direction_from_angles
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.matrix import TransportMatrix
 from skylight.transport.observation import Observation
+from tests.oracles.harmonics import irradiance
+from tests.oracles.outdoors import Outdoors
 
 SKIN = SkinPrior.load()
 SUNSKY_PRIOR = load_bundle().sunsky_prior
@@ -34,8 +36,8 @@ GROUND = torch.tensor([[0.15, 0.13, 0.11]])
 SUN = (2.3, 0.8)  # azimuth, zenith
 
 
-def half_ball(turn_deg: float = 0.0, side: int = 12) -> Observation:
-    """A matt half ball turned about the vertical: it faces aside, as a face does."""
+def half_ball_normals(turn_deg: float, side: int = 12) -> tuple[torch.Tensor, torch.Tensor]:
+    """(pixels, normals) of a half ball that is turned aside about the vertical, as a face is."""
     line = (torch.arange(side) + 0.5) / side * 2 - 1
     y, x = torch.meshgrid(-line, line, indexing="ij")
     inside = x**2 + y**2 < 0.9
@@ -44,9 +46,14 @@ def half_ball(turn_deg: float = 0.0, side: int = 12) -> Observation:
     z = (1 - x**2 - y**2).sqrt()
     angle = math.radians(turn_deg)
     turned = (math.cos(angle) * x + math.sin(angle) * z, math.cos(angle) * z - math.sin(angle) * x)
-    normals = torch.stack([turned[0], y, turned[1]], 1)
+    return places, torch.stack([turned[0], y, turned[1]], 1).double()
+
+
+def half_ball(turn_deg: float = 0.0) -> Observation:
+    """A matt half ball, white until it is lit."""
+    places, normals = half_ball_normals(turn_deg)
     grid = DirectionGrid.latlong(64)
-    cosine = (normals.double() @ grid.directions.T).clamp(min=0)
+    cosine = (normals @ grid.directions.T).clamp(min=0)
     matrix = (cosine * grid.solid_angles / math.pi).float()
     return Observation(
         pixels=torch.ones(len(places), 3),
@@ -149,11 +156,21 @@ def test_a_face_twice_gives_the_light_of_once() -> None:
 
 
 def test_faces_of_one_picture_keep_the_ratio_of_their_albedos() -> None:
-    """Exposure and light are shared, so the ratio of albedos is in the pixels alone."""
+    """Exposure and light are shared, so the ratio of albedos is in the pixels alone.
+
+    The shading is a sum over the directions of another sky and a point sun, in float64.
+    """
+    sun = direction_from_angles(*torch.tensor(SUN).double())
+    world = Outdoors(
+        sun.numpy(), sky=[0.45, 0.55, 0.8], sun_irradiance=[5.5, 5.0, 4.2], ground=GROUND[0].numpy()
+    )
     joint = problem()
     for turn, albedo in ((-25, MODES[1]), (25, MODES[3])):
-        joint.add(lit(half_ball(turn), albedo, 1.7))
+        _, normals = half_ball_normals(turn)
+        shading = torch.from_numpy(world.irradiance(normals.numpy())) / math.pi
+        joint.add(replace(half_ball(turn), pixels=(1.7 * albedo * shading).float()))
     found = joint.solve()
+    assert sun_error_deg(found.sun_direction) < 5
     first, second = found.faces
     assert first.exposure == second.exposure == found.exposure
     torch.testing.assert_close(second.albedo / first.albedo, MODES[3] / MODES[1], rtol=0.06, atol=0)
@@ -192,7 +209,10 @@ def test_more_faces_tell_more() -> None:
 
 
 def test_harmonic_light_is_shared() -> None:
-    """Exact data: the light of all faces together, albedo ratios exact within a picture."""
+    """The light of all faces together, albedo ratios exact within a picture.
+
+    The shading is analytic: ``sum_lm A_l L_lm Y_lm(n) / pi`` (Ramamoorthi & Hanrahan 2001).
+    """
     model = HarmonicLight(2, height=64)
     generator = torch.Generator().manual_seed(1)
     coefficients = 0.2 * torch.randn(9, 3, generator=generator)
@@ -202,9 +222,10 @@ def test_harmonic_light_is_shared() -> None:
     joint = HarmonicProblem(model, ALBEDO_PRIOR, MODES)
     given = ((0, -60, MODES[2], 1.0), (0, 60, MODES[1], 1.0), (1, 10, MODES[2], 3.0))
     for photo, turn, albedo, exposure in given:
-        blank = half_ball(turn)
-        seen = replace(blank, pixels=exposure * albedo * (blank.transport.matrix @ light))
-        joint.add(seen, photo)
+        _, normals = half_ball_normals(turn)
+        shading = irradiance(coefficients, normals) / math.pi
+        pixels = (exposure * albedo * shading).float()
+        joint.add(replace(half_ball(turn), pixels=pixels), photo)
     found = joint.solve()
     assert found.status == "converged"
     one, two, other = found.faces
