@@ -61,7 +61,7 @@ def test_numbers_of_rows_must_match() -> None:
     """Past the tests' own type checks, which come first."""
     code = some_code(3)
     object.__setattr__(code, "weights", code.weights[:2])
-    with pytest.raises(ValueError, match="3 filters do not match"):
+    with pytest.raises(ValueError, match="3 filters"):
         code.__post_init__()
 
 
@@ -82,28 +82,28 @@ def written(tmp_path: Path, **changes: object) -> Path:
 
 
 def test_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"gone\.json cannot be read: No such file"):
+    with pytest.raises(InputError, match=r"gone\.json .*No such file"):
         SparseCode.load(tmp_path / "gone.json")
 
 
 @pytest.mark.parametrize("content", [b"", b'{"format": "skyl', b"\xff\xfe\x00", b"P6 2 2 255"])
 def test_no_json(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "x.json").write_bytes(content)
-    with pytest.raises(InputError, match=r"x\.json is no JSON file"):
+    with pytest.raises(InputError, match=r"x\.json .*JSON"):
         SparseCode.load(tmp_path / "x.json")
 
 
 @pytest.mark.parametrize("content", ["[]", "3", "{}", '{"format": "skylight estimate"}', "null"])
 def test_foreign_json(tmp_path: Path, content: str) -> None:
     (tmp_path / "x.json").write_text(content)
-    with pytest.raises(InputError, match=r"x\.json is no sparse code: choose a file"):
+    with pytest.raises(InputError, match=r"x\.json .*no sparse code"):
         SparseCode.load(tmp_path / "x.json")
 
 
 @pytest.mark.parametrize("version", [2, 0, "1", None])
 def test_newer_format(tmp_path: Path, version: object) -> None:
     path = written(tmp_path, version=version)
-    with pytest.raises(InputError, match=rf"has version {version} of the format, .* reads 1"):
+    with pytest.raises(InputError, match=f"version {version} "):
         SparseCode.load(path)
 
 
@@ -136,7 +136,7 @@ SUBTLE_DAMAGES: list[dict[str, object]] = [
 
 @pytest.mark.parametrize("changes", DAMAGES + SUBTLE_DAMAGES, ids=str)
 def test_damaged_files(tmp_path: Path, changes: dict[str, object]) -> None:
-    with pytest.raises(InputError, match=r"code\.json is damaged"):
+    with pytest.raises(InputError, match=r"code\.json .*damaged"):
         SparseCode.load(written(tmp_path, **changes))
 
 
@@ -147,5 +147,5 @@ def test_files_with_parts_missing(tmp_path: Path, name: str) -> None:
     part = content if name in content else content["activations"][0]
     del part[name]
     path.write_text(json.dumps(content))
-    with pytest.raises(InputError, match=rf"code\.json is damaged \('{name}'\)"):
+    with pytest.raises(InputError, match=rf"code\.json .*'{name}'"):
         SparseCode.load(path)

@@ -540,14 +540,14 @@ def test_codes_of_other_coders_are_refused() -> None:
     code = coded(small(), room())
     renamed = FilterBank(bank().coefficients, "another name")
     # a name decides which sharper filters finer maps get, so it is part of the dictionary
-    with pytest.raises(InputError, match="this coder has 'another name'"):
+    with pytest.raises(InputError, match="'another name'"):
         SphericalSparseCoder(renamed).decode(code)
     other = FilterBank(bank().coefficients[:-1], "small")
-    with pytest.raises(InputError, match=r"made with dictionary 'small'.*a coder that matches"):
+    with pytest.raises(InputError, match=r"'small' \(.* for 32"):
         SphericalSparseCoder(other).decode(code)
-    with pytest.raises(InputError, match=r"for maps of 32 rows, this coder has .* for 40"):
+    with pytest.raises(InputError, match=r"32 rows.* 40"):
         SphericalSparseCoder(bank(), height=40).decode(code)
-    with pytest.raises(InputError, match="make a coder that matches"):
+    with pytest.raises(InputError, match="matches"):
         SphericalSparseCoder(bank(), banded=True).decode(code)
 
 
@@ -555,12 +555,12 @@ def test_codes_of_other_coders_are_refused() -> None:
 def test_filters_that_are_not_there_are_refused(filter_: int) -> None:
     code = coded(small(), room())
     code.filters[3] = filter_
-    with pytest.raises(InputError, match="names filters that 'small' does not have"):
+    with pytest.raises(InputError, match="'small' does not"):
         small().decode(code)
 
 
 def test_a_dictionary_that_is_no_file_is_refused() -> None:
-    with pytest.raises(InputError, match="no dictionary 'small': choose iso, ani, vmf or a file"):
+    with pytest.raises(InputError, match=r"no dictionary 'small'.* ani"):
         coder_for(coded(small(), room()))
 
 
@@ -571,13 +571,13 @@ def test_a_dictionary_that_is_no_file_is_refused() -> None:
 def test_maps_with_holes_are_refused(value: float) -> None:
     x = room()
     x[3, 4, 1] = value
-    with pytest.raises(InputError, match="NaN or infinite: repair"):
+    with pytest.raises(InputError, match="NaN"):
         small()(x)
 
 
 @pytest.mark.parametrize("shape", [(16, 32, 3), (32, 32, 3), (64, 32, 3)])
 def test_maps_of_another_layout_are_refused(shape: tuple[int, ...]) -> None:
-    with pytest.raises(InputError, match=r"32x64 with 3 colours, got \(\d+, 32, 3\): resize"):
+    with pytest.raises(InputError, match=r"32x64 .* got \(\d+, 32, 3\)"):
         small()(torch.ones(shape))
 
 
@@ -589,18 +589,18 @@ def test_black_maps_are_refused() -> None:
 
 @pytest.mark.parametrize("activations", [0, -1, 2049])
 def test_activations_must_fit(activations: int) -> None:
-    with pytest.raises(InputError, match=f"{activations} activations .* 2048 .* ask for 1 to 2048"):
+    with pytest.raises(InputError, match=f"{activations} activations .* 2048"):
         SphericalSparseCoder(bank(3), activations=activations)
 
 
 def test_degree_must_fit_the_grid() -> None:
-    with pytest.raises(InputError, match="degree 10 have 121 coefficients, a map of 7x14 only 98"):
+    with pytest.raises(InputError, match=r"121 .* 7x14 .*98"):
         SphericalSparseCoder(bank(), height=7)
     assert SphericalSparseCoder(bank(), height=8).degree == 10
 
 
 def test_dictionaries_without_light_are_refused() -> None:
-    with pytest.raises(InputError, match="'none' has no filters"):
+    with pytest.raises(InputError, match="'none'"):
         SphericalSparseCoder(FilterBank(torch.zeros(0, 16), "none"))
-    with pytest.raises(InputError, match=r"1 of 3 filters are zero or not finite \(number 1\)"):
+    with pytest.raises(InputError, match=r"1 of 3 .*number 1\)"):
         SphericalSparseCoder(FilterBank(torch.eye(3, 16) * torch.tensor([[1], [0], [1]]), "dark"))

@@ -291,7 +291,7 @@ def test_other_files_are_refused_in_one_line(tmp_path: Path, damage: str) -> Non
         ({"coefficients": torch.ones(4)}, "no table"),
         ({"coefficients": torch.ones(2, 4, dtype=torch.int64)}, "no table"),
         ({"coefficients": torch.ones(2, 5)}, "got 5"),
-        ({"coefficients": torch.zeros(2, 4)}, "zero or not finite"),
+        ({"coefficients": torch.zeros(2, 4)}, "not finite"),
     ],
 )
 def test_files_with_other_tensors_are_refused(
@@ -319,7 +319,7 @@ def test_unusable_filters_are_refused() -> None:
 
 
 def test_unknown_dictionaries_and_sizes_are_refused() -> None:
-    with pytest.raises(InputError, match="choose iso, ani, vmf or a file"):
+    with pytest.raises(InputError, match="iso, ani, vmf"):
         load_dictionary("kmeans")
     with pytest.raises(InputError, match="no square"):
         dictionary.anisotropic(8, 99)

@@ -173,7 +173,7 @@ def test_two_damaged_states_are_refused(
     shutil.copytree(uninterrupted, out)
     for name in (NEWEST, PREVIOUS):
         (out / name).write_bytes(b"")
-    with pytest.raises(InputError, match="nothing to go on from") as caught:
+    with pytest.raises(InputError, match="nothing to go on") as caught:
         train(replace(config, out=out), report=lambda _: None)
     assert "\n" not in str(caught.value)
 
@@ -247,12 +247,12 @@ def test_early_stopping(
 
 def test_divergence_is_said(config: AutoencoderConfig, tmp_path: Path) -> None:
     config = replace(config, out=tmp_path, learning_rate=math.nan, batch=12)
-    with pytest.raises(InputError, match="diverged in epoch 1"):
+    with pytest.raises(InputError, match="diverged"):
         train(config)
 
 
 def test_too_few_skies(config: AutoencoderConfig, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="do not fill a batch of 1000"):
+    with pytest.raises(InputError, match="batch of 1000"):
         train(replace(config, out=tmp_path, batch=1000))
 
 
@@ -304,5 +304,5 @@ def test_weights_of_another_kind_are_refused(config: AutoencoderConfig, tmp_path
     start = tmp_path / "linear.safetensors"
     save_network(SkyAutoencoder("linear"), start)
     config = replace(config, out=tmp_path / "out", starts_from=start)
-    with pytest.raises(InputError, match=r"linear\.safetensors: made with coding: linear"):
+    with pytest.raises(InputError, match=r"linear\.safetensors: .*linear"):
         train(config, report=lambda _: None)

@@ -114,9 +114,9 @@ def test_which_maps(config: DictionaryConfig) -> None:
     assert used(maps=("d.exr", "a.exr")) == ["a.exr", "d.exr"]
     with pytest.raises(InputError, match=r"no z\.exr there"):
         used(maps=("a.exr", "z.exr"))
-    with pytest.raises(InputError, match=r"'night'; there are indoor, outdoor-sun, semi-outdoor"):
+    with pytest.raises(InputError, match=r"'night'; .*indoor, outdoor-sun, semi-outdoor"):
         used(category="night")
-    with pytest.raises(InputError, match=r"none of 1 maps can be learned from"):
+    with pytest.raises(InputError, match="none of 1 maps"):
         used(maps=("small.exr",))
     with pytest.raises(InputError, match="no such folder"):
         used(data=config.data / "none")
@@ -136,7 +136,7 @@ def test_gradient_goes_on_where_it_stopped(config: DictionaryConfig) -> None:
     assert errors[0] == first["mean_squared_error_by_epoch"][0]
     assert len(errors) == 2
     assert errors[1] <= errors[0]
-    with pytest.raises(InputError, match="another configuration; choose another `out`"):
+    with pytest.raises(InputError, match="another `out`"):
         learn_dictionary(replace(config, filters=2), said.append)
 
 
@@ -234,12 +234,12 @@ def test_the_command(
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"filters": 0}, "`filters` must be at least 1"),
-        ({"rows": 64}, "`rows` must be below 64"),
-        ({"rows": 20, "degree": 40}, r"at least \(degree \+ 1\)\^2 = 1681, got 20"),
-        ({"radius_deg": 91.0}, "`radius_deg` must be above 0"),
-        ({"degree": 2}, "`degree` must be at least 3"),
-        ({"seed": -1}, "`seed` must be from 0"),
+        ({"filters": 0}, "`filters`"),
+        ({"rows": 64}, "`rows` .* 64"),
+        ({"rows": 20, "degree": 40}, "1681, got 20"),
+        ({"radius_deg": 91.0}, "`radius_deg`"),
+        ({"degree": 2}, "`degree`"),
+        ({"seed": -1}, "`seed`"),
     ],
 )
 def test_unusable_configurations(changes: dict[str, object], message: str) -> None:

@@ -87,7 +87,7 @@ def test_two_processes_train_as_one(sky_folder: Path, tmp_path: Path) -> None:
 
 
 def test_a_batch_that_does_not_divide(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="`batch` of 4 does not divide among 3 processes"):
+    with pytest.raises(InputError, match=r"`batch` of 4 .* 3 processes"):
         Processes(rank=0, size=3, device=CPU).share(4)
     shares = [Processes(rank=rank, size=2, device=CPU).share(6) for rank in range(2)]
     assert [list(range(6))[s] for s in shares] == [[0, 1, 2], [3, 4, 5]]

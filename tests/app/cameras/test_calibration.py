@@ -166,5 +166,5 @@ class TestResponse:
             tags = Image.Exif()
             tags[0x8769] = {0x829A: 0.5, 0x8827: iso}
             Image.new("RGB", (40, 40)).save(path, exif=tags)
-        with pytest.raises(InputError, match=r"b.jpg: its aperture or ISO"):
+        with pytest.raises(InputError, match=r"b\.jpg: .*ISO"):
             exif_exposures(paths)

@@ -112,11 +112,11 @@ def test_a_state_makes_the_same_dictionary_and_codes_follow() -> None:
 @pytest.mark.parametrize(
     ("learned", "radius_deg", "message"),
     [
-        ([0], 50, "constant filter cannot be learned"),
-        ([5], 50, "different ones of 0 to 4, got"),
-        ([], 50, "different ones of 0 to 4"),
-        ([1, 1], 50, "different ones of 0 to 4"),
-        ([1], 100, "at most 90 degrees, got 100"),
+        ([0], 50, "constant filter"),
+        ([5], 50, "0 to 4, got"),
+        ([], 50, "0 to 4"),
+        ([1, 1], 50, "0 to 4"),
+        ([1], 100, "got 100"),
     ],
 )
 def test_what_cannot_be_learned(learned: list[int], radius_deg: float, message: str) -> None:

@@ -187,7 +187,7 @@ def test_real_rooms_hardly_ring(shared_data: Path) -> None:
 def test_maps_without_lights_give_no_patches() -> None:
     assert extract_patches([torch.full((64, 128, 3), 0.7)], 5).shape == (0, 36)
     assert extract_patches([], 5).shape == (0, 36)
-    with pytest.raises(InputError, match="full lat-long maps"):
+    with pytest.raises(InputError, match="lat-long"):
         extract_patches([torch.ones(64, 256, 3)], 5)
 
 
@@ -214,7 +214,7 @@ def test_kmeans_finds_the_bunches_largest_first() -> None:
 
 def test_too_few_patches_are_refused() -> None:
     same = clouds((1, 1)).repeat(20, 1)
-    with pytest.raises(InputError, match="3 filters cannot be learned from 2 different patches"):
+    with pytest.raises(InputError, match=r"3 filters .* 2 different"):
         kmeans_filters(same, 3)
     with pytest.raises(InputError, match="0 filters"):
         kmeans_filters(same, 0)

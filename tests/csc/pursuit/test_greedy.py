@@ -533,5 +533,5 @@ def test_unknown_weights_are_refused() -> None:
     """Past the tests' own type checks, which come first."""
     options = object.__new__(PursuitOptions)
     object.__setattr__(options, "weights", "signed")
-    with pytest.raises(InputError, match="'signed': choose one of l1, nonnegative, free"):
+    with pytest.raises(InputError, match=r"'signed': .* l1, nonnegative, free"):
         options.__post_init__()

@@ -97,7 +97,7 @@ def test_an_item_with_a_problem_is_named_and_left_out(tmp_path, marks):
 
 
 def test_unknown_names_are_answered_with_the_known_ones(tmp_path):
-    with pytest.raises(InputError, match="synthetic-faces, sky-models, real-faces"):
+    with pytest.raises(InputError, match="sky-models, real-faces"):
         evaluate("faces", quick=True, data=None, out=tmp_path)
 
 

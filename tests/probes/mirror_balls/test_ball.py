@@ -46,9 +46,9 @@ class TestBall:
 
     def test_circles_out_of_the_picture_are_refused(self) -> None:
         camera = picture_camera(*SIZE, FOCAL_PX)
-        with pytest.raises(InputError, match="reaches 20 px out of the picture of 300x240"):
+        with pytest.raises(InputError, match=r"20 px .* 300x240"):
             ball_of_circle(camera, 30.0, 100.0, 50.0)
-        with pytest.raises(InputError, match="radius of 16 px or more"):
+        with pytest.raises(InputError, match="16 px"):
             ball_of_circle(camera, 150.0, 100.0, 5.0)
 
     def test_fields_of_view(self) -> None:
@@ -76,5 +76,5 @@ class TestFindBall:
 
     def test_no_ball(self) -> None:
         picture = torch.from_numpy(np.random.default_rng(0).uniform(0.4, 0.6, (*SIZE, 3)))
-        with pytest.raises(InputError, match="no ball's outline was found"):
+        with pytest.raises(InputError, match="outline"):
             find_ball(picture.float(), picture_camera(*SIZE, FOCAL_PX))

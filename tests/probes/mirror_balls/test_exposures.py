@@ -131,13 +131,13 @@ class TestResponse:
 
 class TestRefusals:
     def test_one_picture(self, light: np.ndarray) -> None:
-        with pytest.raises(InputError, match="one picture cannot show both"):
+        with pytest.raises(InputError, match="one picture"):
             merge(bracket(light)[:1])
 
     def test_sizes(self, light: np.ndarray) -> None:
         shots = bracket(light)
         small = Exposure(name="b.png", seconds=9.0, image=shots[0].image[:50])
-        with pytest.raises(InputError, match=r"b\.png: 128x50 pixels, but 0\.0039"):
+        with pytest.raises(InputError, match=r"b\.png: 128x50"):
             merge([shots[0], small])
 
     def test_equal_times(self, light: np.ndarray) -> None:
@@ -148,7 +148,7 @@ class TestRefusals:
 
     def test_times_that_cannot_be(self, light: np.ndarray) -> None:
         wrong = Exposure(name="b.png", seconds=0.0, image=bracket(light)[0].image)
-        with pytest.raises(InputError, match=r"b\.png: an exposure time must be above 0"):
+        with pytest.raises(InputError, match=r"b\.png: .*time"):
             merge([*bracket(light), wrong])
 
     def test_linear_and_codes(self, light: np.ndarray) -> None:

@@ -230,10 +230,10 @@ def test_what_cannot_be_encoded_is_refused() -> None:
     [
         ({"albedo": 0.0}, "above 0"),
         ({"albedo": 1.2}, "at most 1"),
-        ({"albedo": torch.full((6,), 0.5)}, "does not fit 6 faces"),
-        ({"response": torch.eye(5)}, "measure it on this design"),
-        ({"response": torch.ones(6, 6)}, "cannot be inverted"),
-        ({"response": torch.full((6, 6), torch.nan)}, "cannot be inverted"),
+        ({"albedo": torch.full((6,), 0.5)}, "6 faces"),
+        ({"response": torch.eye(5)}, "measure it"),
+        ({"response": torch.ones(6, 6)}, "inverted"),
+        ({"response": torch.full((6, 6), torch.nan)}, "inverted"),
     ],
 )
 def test_impossible_probes_are_refused(options: dict, reason: str) -> None:

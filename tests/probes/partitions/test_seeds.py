@@ -47,10 +47,10 @@ def test_files_hold_seeds_of_any_length_and_merges(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("merges", "reason"),
     [
-        ([[0, 6]], r"names seed 6; seeds are 0\.\.5"),
-        ([[0, -1]], "names seed -1"),
-        ([[0, 1], [2, 1]], "seed 1 is merged twice"),
-        ([[2, 2]], "seed 2 is merged twice"),
+        ([[0, 6]], r"seed 6; .* 0\.\.5"),
+        ([[0, -1]], "seed -1"),
+        ([[0, 1], [2, 1]], "seed 1 .* twice"),
+        ([[2, 2]], "seed 2 .* twice"),
         ([[2]], "two seeds or more"),
     ],
 )
@@ -62,12 +62,12 @@ def test_merges_that_make_no_sense_are_refused(merges: list[list[int]], reason: 
 @pytest.mark.parametrize(
     ("seeds", "reason"),
     [
-        (torch.cat([CUBE, CUBE[2:3] + 1e-5]), "seeds 2 and 6 coincide"),
+        (torch.cat([CUBE, CUBE[2:3] + 1e-5]), "2 and 6"),
         (torch.cat([CUBE, torch.zeros(1, 3).double()]), "seed 6 is zero"),
         (torch.cat([CUBE, torch.full((1, 3), torch.inf).double()]), "finite"),
-        (CUBE[:3], "4 seeds or more, got 3"),
+        (CUBE[:3], "got 3"),
         (CUBE[[0, 1, 3, 4]], "on one circle"),
-        (CUBE[:5], "leave a hemisphere empty"),
+        (CUBE[:5], "hemisphere"),
         (torch.tensor([[1, 0, 1.0], [0, 1, 1], [-1, 0, 1], [0, -1, 1]]).double(), "one circle"),
     ],
 )
@@ -86,14 +86,14 @@ def test_a_fifth_seed_under_four_is_enough() -> None:
     [
         ({"kind": "camera intrinsics"}, "kind"),
         ({"format": 2}, "this version reads 1"),
-        ({"name": " "}, '"name" must be a text'),
-        ({"seeds": []}, '"seeds" must be a list'),
-        ({"seeds": [[1, 0]]}, '"seeds" must be a list'),
-        ({"seeds": [[1, 0, "0"]]}, '"seeds" must be a list'),
-        ({"merges": [0, 1]}, '"merges" must be a list'),
-        ({"merges": [[0, 1.5]]}, '"merges" must be a list'),
+        ({"name": " "}, '"name"'),
+        ({"seeds": []}, '"seeds"'),
+        ({"seeds": [[1, 0]]}, '"seeds"'),
+        ({"seeds": [[1, 0, "0"]]}, '"seeds"'),
+        ({"merges": [0, 1]}, '"merges"'),
+        ({"merges": [[0, 1.5]]}, '"merges"'),
         ({"oriented": 1}, "true or false"),
-        ({"merges": [[0, 9]]}, "names seed 9"),
+        ({"merges": [[0, 9]]}, "seed 9"),
     ],
 )
 def test_bad_files_are_refused_by_name(tmp_path: Path, changes: dict, reason: str) -> None:

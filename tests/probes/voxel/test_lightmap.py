@@ -67,10 +67,10 @@ def test_files_that_are_no_lightmaps_are_refused(tmp_path: Path) -> None:
     whole = path.read_bytes()
     for damaged in (b"nothing", whole[: len(whole) // 2], whole[:200] + b"x" * 300 + whole[500:]):
         path.write_bytes(damaged)
-        with pytest.raises(InputError, match="cannot be read as a lightmap"):
+        with pytest.raises(InputError, match="cannot be read"):
             load_lightmap(path)
     np.save(tmp_path / "b.npy", np.ones(3))
-    with pytest.raises(InputError, match="cannot be read as a lightmap"):
+    with pytest.raises(InputError, match="cannot be read"):
         load_lightmap(tmp_path / "b.npy")
     some = dict.fromkeys(("radiance", "coverage", "confidence", "faces", "rotation"), 0)
     np.savez(path, version=np.array(99), **some)

@@ -94,9 +94,9 @@ def test_a_box_fills_its_cells_exactly(tmp_path: Path, resolution: int) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.npy", b"x", "cannot be read as a .npy"),
+        ("a.npy", b"x", "a .npy"),
         ("a.vox", b"PNG.", "not a MagicaVoxel"),
-        ("a.vox", vox((2, 2, 2), [(0, 0, 0)])[:-1060], "MagicaVoxel file|holds no voxels"),
+        ("a.vox", vox((2, 2, 2), [(0, 0, 0)])[:-1060], "MagicaVoxel|no voxels"),
         ("a.vox", vox((2, 2, 2), [(0, 0, 5)]), "damaged"),
         ("a.vox", vox((2, 2, 2), []), "is empty"),
         ("a.vox", b"VOX " + bytes(4), "damaged"),

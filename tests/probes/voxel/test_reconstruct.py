@@ -90,11 +90,11 @@ def test_completed_light_is_not_negative_and_keeps_what_was_captured() -> None:
 def test_slots_that_were_not_captured_are_named() -> None:
     blank = Lightmap.blank(2)
     module = DirectReconstruction(known_of(3))
-    with pytest.raises(InputError, match=r"30 of the 30 slots.*\+x, free"):
+    with pytest.raises(InputError, match=r"30 of .*\+x, free"):
         module.complete(blank)
     known = known_of(3)
     known[2] = False
-    with pytest.raises(InputError, match=r"orientation \+y is known"):
+    with pytest.raises(InputError, match=r"\+y"):
         DirectReconstruction(known)
 
 

@@ -77,14 +77,14 @@ def test_skies_get_a_ground_that_throws_back_a_fifth(tmp_path):
 def test_what_is_no_folder_of_maps_is_said(folder, tmp_path):
     with pytest.raises(InputError, match="no such folder"):
         read_maps(tmp_path / "nowhere")
-    with pytest.raises(InputError, match="'cellar': choose one of indoor, urban"):
+    with pytest.raises(InputError, match=r"'cellar': .*indoor, urban"):
         read_maps(folder, "cellar")
     empty = tmp_path / "empty"
     empty.mkdir()
-    with pytest.raises(InputError, match=r"no \.exr or \.hdr maps"):
+    with pytest.raises(InputError, match=r"\.exr or \.hdr"):
         read_maps(empty)
     write_environment_map(empty / "black.exr", EnvironmentMap(radiance=torch.zeros(8, 16, 3)))
-    with pytest.raises(InputError, match=r"black\.exr: the map is all black"):
+    with pytest.raises(InputError, match=r"black\.exr: .*black"):
         read_maps(empty)
 
 
@@ -140,11 +140,11 @@ def test_rivals_have_as_many_cells():
 
 
 def test_divisions_that_leave_nothing_are_refused():
-    with pytest.raises(InputError, match="one map or weather is too few"):
+    with pytest.raises(InputError, match="one map"):
         optimise_for(lights(1), "found", 14)
-    with pytest.raises(InputError, match="between 0 and 1, got 1"):
+    with pytest.raises(InputError, match="0 and 1"):
         optimise_for(lights(3), "found", 14, held_out=1.0)
-    with pytest.raises(InputError, match="a design '14d' already"):
+    with pytest.raises(InputError, match="'14d'"):
         optimise_for(lights(3), "14d", 14)
 
 
@@ -154,7 +154,7 @@ def test_places_and_days_are_checked():
         place_and_day(91.0, 0.0, "2026-06-21")
     with pytest.raises(InputError, match="is no day"):
         place_and_day(0.0, 0.0, "midsummer")
-    with pytest.raises(InputError, match="weathers must be 1 or more"):
+    with pytest.raises(InputError, match="weathers"):
         simulated_lights(MUNICH, SPRING, weathers=0)
     with pytest.raises(InputError, match="does not rise"):
         simulated_lights(

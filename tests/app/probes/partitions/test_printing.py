@@ -105,7 +105,7 @@ def test_poles_that_let_the_shell_hide_the_board_are_told(cube: PrintedPartition
 
 
 def test_short_poles_are_refused() -> None:
-    with pytest.raises(InputError, match=r"make it longer than \d+ mm, better 122 mm"):
+    with pytest.raises(InputError, match="122 mm"):
         print_partition_probe(
             named_design("6d"), ProbeSizes(outer_mm=60.0, kernel_mm=9.0), pole=Pole(length_mm=20.0)
         )

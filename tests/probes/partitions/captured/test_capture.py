@@ -53,7 +53,7 @@ def test_a_file_holds_all(tmp_path: Path) -> None:
 
 
 def test_a_capture_is_of_one_design(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="'14d' with 14 cells, not of this '6d' with 6"):
+    with pytest.raises(InputError, match=r"'14d' .* '6d'"):
         capture().require_design(named_design("6d"))
     # the same seeds in another file are the same design, other merges are not
     save_design(tmp_path / "d.json", DESIGN)
@@ -66,11 +66,11 @@ def test_a_capture_is_of_one_design(tmp_path: Path) -> None:
     ("change", "message"),
     [
         ({"format": 2}, "of format 2"),
-        ({"cells": []}, "not those of a capture"),
-        ({"cells": [{"shading": [1, 2]}]}, "not those of a capture"),
-        ({"kernel_albedo": [0.5, 0.5]}, "not those of a capture"),
-        ({"kernel_albedo": [0.5, 0.5, 1.5]}, "albedo is three numbers"),
-        ({"kind": "x"}, "no partition probe capture file"),
+        ({"cells": []}, "not those"),
+        ({"cells": [{"shading": [1, 2]}]}, "not those"),
+        ({"kernel_albedo": [0.5, 0.5]}, "not those"),
+        ({"kernel_albedo": [0.5, 0.5, 1.5]}, "albedo is"),
+        ({"kind": "x"}, "kind"),
     ],
 )
 def test_other_files_are_refused(tmp_path: Path, change: dict, message: str) -> None:
@@ -84,10 +84,10 @@ def test_other_files_are_refused(tmp_path: Path, change: dict, message: str) -> 
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("clipped", -1.0, "finite and 0 or more"),
-        ("shading", [0.1, -0.1, 0.1], "finite and 0 or more"),
-        ("known", False, "known cells have an area_px"),
-        ("area_px", "big", "not those of a capture"),
+        ("clipped", -1.0, "finite"),
+        ("shading", [0.1, -0.1, 0.1], "finite"),
+        ("known", False, "area_px"),
+        ("area_px", "big", "not those"),
     ],
 )
 def test_cells_that_cannot_be_are_refused(

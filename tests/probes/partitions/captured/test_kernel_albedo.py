@@ -109,11 +109,11 @@ class TestChart:
         np.testing.assert_allclose(found.rgb, MATERIAL, rtol=0.015)
 
     def test_no_chart(self) -> None:
-        with pytest.raises(InputError, match="no ColorChecker in the photo"):
+        with pytest.raises(InputError, match="ColorChecker"):
             albedo_beside_chart(np.full((400, 600, 3), 90, np.uint8), GAMMA, (0, 0, 50, 50))
 
     def test_over_exposure(self) -> None:
-        with pytest.raises(InputError, match="patch is over-exposed: expose shorter"):
+        with pytest.raises(InputError, match="over-exposed"):
             albedo_beside_chart(photo(brightness=1.8), GAMMA, PATCH)
 
 
@@ -134,11 +134,11 @@ class TestCard:
     @pytest.mark.parametrize(
         ("patch", "card", "albedo", "message"),
         [
-            ((1400, 500, 200, 160), CARD, 0.25, "leaves the photo, which is 1500x1000"),
-            ((-1, 0, 20, 20), CARD, 0.25, "leaves the photo"),
-            (PATCH, (0, 0, 5, 40), 0.25, "card must be 8 pixels"),
-            (PATCH, CARD, 0.0, "card's albedo is above 0"),
-            (PATCH, CARD, 0.9, "at most 1, not .*: material and grey card must lie side by side"),
+            ((1400, 500, 200, 160), CARD, 0.25, "1500x1000"),
+            ((-1, 0, 20, 20), CARD, 0.25, "leaves"),
+            (PATCH, (0, 0, 5, 40), 0.25, "card .* 8 pixels"),
+            (PATCH, CARD, 0.0, "card's albedo"),
+            (PATCH, CARD, 0.9, "at most 1.* grey card"),
         ],
     )
     def test_what_makes_no_sense_is_refused(

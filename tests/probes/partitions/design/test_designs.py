@@ -101,7 +101,7 @@ def test_three_points_of_a_small_circle_give_its_length() -> None:
 
 
 def test_points_that_coincide_make_no_path() -> None:
-    with pytest.raises(InputError, match="three different directions"):
+    with pytest.raises(InputError, match="three"):
         path_through(EAST, EAST, UP)
 
 
@@ -151,7 +151,7 @@ def test_short_paths_and_strange_numbers_are_refused() -> None:
     with pytest.raises(InputError, match="less than 30"):
         path_design("x", base, 6, short)
     midsummer = sun_path(Place(latitude_deg=65.0, longitude_deg=0.0), date(2024, 6, 21))
-    with pytest.raises(InputError, match="no room to end 6 cells"):
+    with pytest.raises(InputError, match="6 cells"):
         path_design("x", base, 6, midsummer)
     strip = path_design("x", base, 16, midsummer)
     assert Cells.of(strip).count > 16

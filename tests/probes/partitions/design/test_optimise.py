@@ -111,7 +111,7 @@ def test_a_cell_between_the_grids_directions_is_infinitely_bad():
 def test_light_that_reaches_nothing_is_refused():
     below = torch.zeros(2, len(GRID), 3)
     below[0] = 1
-    with pytest.raises(InputError, match="light 1 leaves the scene black"):
+    with pytest.raises(InputError, match="light 1"):
         RelightingError(transport(), below, GRID)
 
 
@@ -181,13 +181,13 @@ def test_symmetric_designs_are_even(count):
 
 def test_searches_that_cannot_be_are_refused():
     error = RelightingError(transport(), lamps(2, seed=1), GRID)
-    with pytest.raises(InputError, match="6 to 110 cells, got 5"):
+    with pytest.raises(InputError, match="got 5"):
         optimise_design("found", 5, error, generator())
-    with pytest.raises(InputError, match="leave no room to search"):
+    with pytest.raises(InputError, match="room"):
         optimise_design("found", 14, error, generator(), settings=few(10, width_rad=1.2))
-    with pytest.raises(InputError, match="1 start and 1 step"):
+    with pytest.raises(InputError, match="1 start"):
         SearchSettings(starts=0)
-    with pytest.raises(InputError, match="less than 90 degrees wide"):
+    with pytest.raises(InputError, match="90 degrees"):
         SearchSettings(width_rad=2.0)
-    with pytest.raises(InputError, match="at most 85 degrees"):
+    with pytest.raises(InputError, match="85 degrees"):
         SearchSettings(reach_rad=1.6)

@@ -76,23 +76,23 @@ def test_three_faces_are_seen_over_a_junction(placed: PlacedPartitions) -> None:
 
 def test_other_boards_are_refused() -> None:
     standing().require_board((175.0, 125.0))
-    with pytest.raises(InputError, match="stands on a board of 175 x 125 mm"):
+    with pytest.raises(InputError, match="175 x 125"):
         standing().require_board((100.0, 125.0))
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"kind": "voxel probe assembly"}, "no partition probe assembly file"),
+        ({"kind": "voxel probe assembly"}, "kind"),
         ({"format": 2}, "format 2"),
         ({"rotation": (2 * np.eye(3)).tolist()}, "orthonormal"),
-        ({"rotation": [1, 2]}, "not those of an assembly"),
-        ({"response": [[1.0]]}, "6 x 6 finite numbers"),
-        ({"sizes": {"outer_mm": -1.0}}, "outer_mm must be a length"),
-        ({"sizes": {"height_mm": 1.0}}, "not those of an assembly"),
-        ({"pole_mm": None}, "not those of an assembly"),
-        ({"design": {"name": "a"}}, "not those of an assembly"),
-        ({"design": 3}, "not those of an assembly"),
+        ({"rotation": [1, 2]}, "not those"),
+        ({"response": [[1.0]]}, "6 x 6"),
+        ({"sizes": {"outer_mm": -1.0}}, "outer_mm"),
+        ({"sizes": {"height_mm": 1.0}}, "not those"),
+        ({"pole_mm": None}, "not those"),
+        ({"design": {"name": "a"}}, "not those"),
+        ({"design": 3}, "not those"),
     ],
 )
 def test_files_that_are_no_probes_are_refused(
@@ -107,7 +107,7 @@ def test_files_that_are_no_probes_are_refused(
 
 def test_oriented_probes_are_not_turned() -> None:
     cells = Cells.of(named_design("14d-outdoor"))
-    with pytest.raises(InputError, match="must not be turned"):
+    with pytest.raises(InputError, match="turned"):
         PartitionAssembly(
             cells=cells,
             sizes=ProbeSizes(outer_mm=60.0, kernel_mm=9.0),

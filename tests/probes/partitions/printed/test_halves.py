@@ -59,7 +59,7 @@ def test_a_design_without_a_junction_below_is_refused() -> None:
     seeds = torch.tensor([[0, -3.0, 0], [1, 1, 0], [-0.5, 1, 0.866], [-0.5, 1, -0.866]])
     seeds[1:, [0, 2]] *= 8**0.5
     design = ProbeDesign.of("tetrahedron", seeds, oriented=True)
-    with pytest.raises(InputError, match="walls meet nowhere near below"):
+    with pytest.raises(InputError, match="walls meet"):
         Foot.of(WallNet.of(Cells.of(design)), SIZES, 6.0)
 
 
@@ -123,5 +123,5 @@ def test_an_outdoor_probe_can_be_printed() -> None:
 
 
 def test_shells_without_room_for_a_cut_are_refused() -> None:
-    with pytest.raises(InputError, match="cannot be cut in two"):
+    with pytest.raises(InputError, match="cut in two"):
         parts_of("14d", ProbeSizes(outer_mm=30.0, kernel_mm=8.0, wall_mm=2.4))

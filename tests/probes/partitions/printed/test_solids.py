@@ -101,9 +101,9 @@ def test_walls_end_a_clearance_above_the_kernels_edges() -> None:
         (
             "110d",
             ProbeSizes(outer_mm=60.0, kernel_mm=9.0),
-            "too narrow: above the kernel its walls leave",
+            "too narrow",
         ),
-        ("38d", ProbeSizes(wall_mm=6.0), "walls close it; make kernel_mm"),
+        ("38d", ProbeSizes(wall_mm=6.0), "walls close it"),
     ],
 )
 def test_cells_that_walls_close_are_refused(name: str, sizes: ProbeSizes, message: str) -> None:
@@ -112,17 +112,17 @@ def test_cells_that_walls_close_are_refused(name: str, sizes: ProbeSizes, messag
 
 
 def test_kernels_that_reach_outside_are_refused() -> None:
-    with pytest.raises(InputError, match=r"corners are 15\.6 mm from the centre"):
+    with pytest.raises(InputError, match=r"15\.6 mm"):
         kernel_solid(net_of("6d"), ProbeSizes(outer_mm=36.0, kernel_mm=9.0))
 
 
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"outer_mm": -1.0}, "outer_mm must be a length"),
-        ({"kernel_mm": float("nan")}, "kernel_mm must be a length"),
+        ({"outer_mm": -1.0}, "outer_mm"),
+        ({"kernel_mm": float("nan")}, "kernel_mm"),
         ({"wall_mm": 0.5}, "too thin to print"),
-        ({"clearance_mm": 0.9}, "light passes below the walls"),
+        ({"clearance_mm": 0.9}, "light passes"),
         ({"outer_mm": 20.0}, "no room for walls"),
     ],
 )

@@ -100,7 +100,7 @@ def test_triangles_that_overlap_are_refused():
 
 def test_swatches_of_colour_are_no_places():
     point = [[0.9, 0.9]] * 3
-    with pytest.raises(UnusableLayout, match="50 % of the surface"):
+    with pytest.raises(UnusableLayout, match="50 %"):
         Atlas.of_file(layout(LOWER, point), 16)
 
 

@@ -49,9 +49,9 @@ def test_row_0_lies_forward_and_column_0_left() -> None:
 
 
 def test_bad_input_is_named() -> None:
-    with pytest.raises(InputError, match="albedo lies in 0 to 1"):
+    with pytest.raises(InputError, match="albedo"):
         slot_transfer(1.2)
-    with pytest.raises(InputError, match="size must be 1 or more"):
+    with pytest.raises(InputError, match="size"):
         slot_transfer(0.5, size=0)
 
 
