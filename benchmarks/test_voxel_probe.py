@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.app.probes.voxel.render import Stand
+from skylight.app.probes.voxel.render import VoxelPlacement
 from skylight.cameras.response import Response
 from skylight.probes.voxel.interreflection.global_illumination import GlobalReconstruction
 from skylight.probes.voxel.model import VoxelModel
@@ -40,7 +40,7 @@ def test_live_frame(benchmark) -> None:
         response=Response(),
         probe=PlacedProbe(standing()),
         model=model,
-        to_board=Stand(x_mm=60.0, z_mm=75.0, voxel_mm=5.0).matrix(model),
+        to_board=VoxelPlacement(x_mm=60.0, z_mm=75.0, voxel_mm=5.0).matrix(model),
         reconstruction=lambda lightmap: DirectReconstruction(lightmap.known),
     )
     photos = [photograph(number) for number in range(len(VIEWS))]

@@ -1,4 +1,4 @@
-"""Kill long commands at random moments and see that they end as an undisturbed run does.
+"""Kill long commands at random times and check that they end as an uninterrupted run does.
 
     python tools/kill_runs.py                              60 kills over all scenarios
     python tools/kill_runs.py training capture --kills 10  10 of each

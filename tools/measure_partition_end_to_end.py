@@ -25,7 +25,7 @@ from jaxtyping import Bool, Float
 from skylight.app.cameras.board_pictures import read_setup
 from skylight.app.probes.partitions.live import live_scene
 from skylight.app.probes.partitions.printing import describe_partition_assembly
-from skylight.app.probes.partitions.relight import SceneStand, VirtualScene
+from skylight.app.probes.partitions.relight import ScenePlacement, VirtualScene
 from skylight.cameras.assembly import cylinder_mesh
 from skylight.cameras.drawing import lens_rays
 from skylight.cameras.frames import read_picture
@@ -64,7 +64,7 @@ from tools.rendered_photos import (
 )
 
 MESH_ALBEDO = 0.7
-STAND = SceneStand(x_mm=40.0, z_mm=75.0, height_mm=50.0)
+PLACEMENT = ScenePlacement(x_mm=40.0, z_mm=75.0, height_mm=50.0)
 OFF_DEG, ALBEDO_ERROR = 0.5, 1.1
 _RING_PX = 61  # round the mesh, where its shadow falls
 _LIVE_EDGE_MM = 2.0
@@ -168,7 +168,7 @@ class Standing:
         save_intrinsics(work / "small.json", halved(load_intrinsics(work / "camera.json")))
         scene = VirtualScene(
             mesh=self.mesh,
-            stand=STAND,
+            placement=PLACEMENT,
             cache=work / "live.transfer.npz",
             edge_mm=_LIVE_EDGE_MM,
             workers=2,
@@ -222,16 +222,16 @@ class Standing:
 
         ``empty_ring_mae`` is that of the photo without the mesh: all of the shadow is missing.
         """
-        work, stand = self.work, STAND
+        work, placement = self.work, PLACEMENT
         photo = self.photographer.photos[0]
-        place = [str(v) for v in (stand.x_mm, stand.y_mm, stand.z_mm)]
+        place = [str(v) for v in (placement.x_mm, placement.y_mm, placement.z_mm)]
         files = {"perfect": (work / "assembly.json", work / "perfect.json")}
         for name in ("capture", *_off_axes()):
             files[name] = (work / name / "assembly.json", work / name / "shading.json")
         for name, (assembly, capture) in files.items():
             run(
                 ["probe", "partitions", "relight", "--scene", str(self.mesh), "--photo", str(photo),
-                 "--at-mm", *place, "--height-mm", str(stand.height_mm),
+                 "--at-mm", *place, "--height-mm", str(placement.height_mm),
                  "--probe", str(assembly), "--capture", str(capture),
                  *self.photographer.command_files, "--cache", str(work / f"{name}.transfer.npz"),
                  "--out", str(work / f"{name}.png")]
@@ -255,7 +255,7 @@ class Standing:
         return facts
 
     def _mesh_on_board(self) -> Solid:
-        scene = STAND.placed(read_scene(self.mesh, (MESH_ALBEDO, MESH_ALBEDO, MESH_ALBEDO)))
+        scene = PLACEMENT.placed(read_scene(self.mesh, (MESH_ALBEDO, MESH_ALBEDO, MESH_ALBEDO)))
         return Solid(
             vertices=scene.vertices.numpy(), triangles=scene.faces.numpy(), albedo=MESH_ALBEDO
         )

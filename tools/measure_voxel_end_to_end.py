@@ -22,7 +22,7 @@ import torch
 from skylight.app.cameras.board_pictures import read_setup
 from skylight.app.probes.voxel.live import live_film
 from skylight.app.probes.voxel.printing import describe_assembly
-from skylight.app.probes.voxel.render import Stand, reconstruction_for
+from skylight.app.probes.voxel.render import VoxelPlacement, reconstruction_for
 from skylight.cameras.assembly import cylinder_mesh
 from skylight.cameras.drawing import camera_rays, looking_at
 from skylight.cameras.intrinsics import load_intrinsics, save_intrinsics
@@ -52,7 +52,7 @@ from tools.rendered_photos import (
 )
 
 MODEL_MM = 3.0
-STAND = Stand(x_mm=40.0, y_mm=0.0, z_mm=75.0, voxel_mm=MODEL_MM)
+PLACEMENT = VoxelPlacement(x_mm=40.0, y_mm=0.0, z_mm=75.0, voxel_mm=MODEL_MM)
 
 
 def main() -> None:
@@ -139,7 +139,7 @@ class Standing:
             setup=read_setup(work / "small.json", work / "board.json", None),
             assembly=work / "assembly.json",
             model=model,
-            stand=STAND,
+            placement=PLACEMENT,
         )
         return {
             "frames": report.frames,
@@ -202,7 +202,7 @@ class Standing:
         )  # fmt: skip
         pose = self.photographer.pose(0)
         view = Camera(focal_px=600.0, width=320, height=320, center_px=(160.0, 160.0))
-        matrix = STAND.matrix(model)
+        matrix = PLACEMENT.matrix(model)
         middle = matrix[:3, :3] @ (torch.tensor(model.occupied.shape).double() / 2) + matrix[:3, 3]
         eye = pose.inverse().translation - middle
         pose = looking_at(middle + eye * (170 / eye.norm()), middle)

@@ -1,8 +1,8 @@
 """The pose of an object, refined on the outlines of its bright faces in all pictures jointly.
 
-A round pole leaves the turn about it free, and sockets have play. Faces that are small in every
-picture say too little in any one of them for its pose; one motion of the object for all pictures
-is well determined.
+A round pole leaves the rotation about its axis undetermined, and sockets have play. Small faces
+constrain the pose too weakly in any one picture; one rigid motion shared by all pictures is well
+constrained.
 """
 
 from collections.abc import Callable, Sequence
@@ -63,7 +63,7 @@ class Outline:
 
 @dataclass(frozen=True, kw_only=True)
 class OutlineFit:
-    """An object's motion, how well it is known, and how much of the outline agrees with it.
+    """An object's motion, its standard error, and how much of the outline agrees with it.
 
     ``motion``, in mm, has its origin in the object's centre as assembled: in the board's frame it
     is ``motion.about(centre)``. In each picture ``places`` counts the points of the outline that
@@ -116,7 +116,7 @@ class OutlineAligner:
         return self._fit_of(RigidTransform.identity(), np.inf)
 
     def best(self, range_deg: float) -> list[OutlineFit]:
-        """Fits from turns about the vertical within +- ``range_deg``, the best first.
+        """Fits started from rotations about the vertical within +- ``range_deg``, the best first.
 
         Tried every 5 degrees on some of the outline in some pictures; the best four and no turn
         are followed on all of it.

@@ -21,7 +21,7 @@ Pole = tuple[float, float, float, float]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ProbeAssembly:
-    """Where a printed probe stands over its marker board, in mm.
+    """The pose of a printed probe over its marker board, in mm.
 
     ``board_mm`` is the width and height of the pattern that it was made for.
     """
@@ -39,8 +39,8 @@ class ProbeAssembly:
                 "one that was printed"
             )
 
-    def stand_json(self) -> dict[str, object]:
-        """What :func:`read_stand` reads."""
+    def placement_json(self) -> dict[str, object]:
+        """What :func:`read_placement` reads."""
         return {
             "rotation": self.board_from_probe.rotation.tolist(),
             "translation_mm": self.board_from_probe.translation.tolist(),
@@ -49,7 +49,7 @@ class ProbeAssembly:
         }
 
 
-def read_stand(content: Mapping[str, object]) -> dict[str, Any]:
+def read_placement(content: Mapping[str, object]) -> dict[str, Any]:
     """The fields of a :class:`ProbeAssembly` in an assembly file.
 
     Numbers of another shape raise ``TypeError`` or ``ValueError``.

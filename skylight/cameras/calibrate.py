@@ -45,10 +45,10 @@ class View:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """The camera, what it rests on and what speaks against it.
+    """The camera, the views that it was estimated from, and warnings.
 
     ``std`` holds one standard deviation of each estimated number; ``dropped`` (picture, reason)
-    of those not used; ``warnings`` whole sentences for the user.
+    of those not used; ``warnings`` sentences for the user.
     """
 
     intrinsics: Intrinsics
@@ -83,7 +83,7 @@ def calibrate(pictures: Iterable[Frame], board: Board) -> Calibration:
     Raises
     ------
     InputError
-        Fewer than three usable pictures, several sizes, or views that say nothing about the focal
+        Fewer than three usable pictures, several sizes, or views that do not constrain the focal
         length.
     """
     seen: list[tuple[str, BoardCorners]] = []

@@ -1,8 +1,8 @@
 """Pose refinement on the edges of a known object.
 
-Board corners lie beside the object and in one plane; the object's own edges say where it is. Each
-visible edge is sampled, the strongest step of brightness is sought across it, and the pose follows
-by robust least squares (Drummond & Cipolla 2002, "Real-time visual tracking of complex
+Board corners lie beside the object and in one plane; the object's own edges constrain its pose
+better. Each visible edge is sampled, the largest gradient across it is searched for, and the pose
+follows by robust least squares (Drummond & Cipolla 2002, "Real-time visual tracking of complex
 structures"; Harris 1990, RAPID).
 """
 
@@ -39,8 +39,8 @@ _CONDITION_MIN = 1e-5  # of the scaled normal matrix: less leaves a motion undet
 class EdgeFit:
     """The refined pose, or the one given where ``converged`` is False; ``reason`` then says why.
 
-    ``samples`` counts places on edges that the fit follows, ``rms_px`` is what is left across
-    the edges at them, ``moved_px`` how far the edges went in the picture on the whole.
+    ``samples`` counts the inliers, ``rms_px`` is their RMS residual normal to the edges,
+    ``moved_px`` how far the edges went in the picture on the whole.
     """
 
     pose: RigidTransform
@@ -79,8 +79,8 @@ def refine_on_edges(
     Each sample p on an edge with normal n in the picture gives one residual r: how far along n,
     within ``search_px``, the derivative of the blurred brightness is strongest. The motion m
     (rotation and translation in the camera's frame) minimises sum rho(n . dp/dm m - r) with
-    Tukey's rho, whose scale is ``1.48 median |r|``; repeated until the edges stand still, searching
-    ever nearer.
+    Tukey's rho, whose scale is ``1.48 median |r|``; iterated to convergence with a
+    shrinking search range.
     """
     intrinsics.require_size(image.shape[1], image.shape[0])
     if len(edges) != len(visible):

@@ -25,11 +25,11 @@ OPENCV_FROM_BOARD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]
 
 @dataclass(frozen=True, kw_only=True)
 class BoardPose:
-    """A pose, how many corners it rests on and by how much they miss, root mean square.
+    """A pose, the number of corners it was estimated from, and their RMS reprojection error.
 
-    A flat board explains a picture nearly as well when tilted the other way; ``mirror_rms_px`` is
-    the error of that pose, infinite where there is none. Where it is close to ``rms_px``, do not
-    trust the tilt.
+    The pose of a plane is ambiguous: tilted the other way, it fits nearly as well.
+    ``mirror_rms_px`` is the error of that second pose, infinite where there is none. Where it is
+    close to ``rms_px``, do not trust the tilt.
     """
 
     pose: RigidTransform

@@ -131,7 +131,7 @@ def recover_response(
             "the pictures do not get brighter with longer exposures: see that each time belongs to "
             "its picture, and that aperture, ISO and white balance were fixed"
         )
-    rows, columns = _calm_places(stack)
+    rows, columns = _smooth_places(stack)
     logs = []
     for channel in range(3):
         codes = stack[:, rows, columns, channel].astype(int)
@@ -213,10 +213,10 @@ def _check(pictures: Sequence[np.ndarray], times: Float[np.ndarray, " p"]) -> No
             )
 
 
-def _calm_places(stack: UInt8[np.ndarray, "p h w 3"]) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of places of all brightnesses, each in the calmest surroundings.
+def _smooth_places(stack: UInt8[np.ndarray, "p h w 3"]) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of samples of all brightnesses, each where the local variance is least.
 
-    There a camera that moved by a hair, its sharpening and its noise do least.
+    There small camera motion, sharpening and noise matter least.
     """
     import cv2
 

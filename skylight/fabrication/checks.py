@@ -1,6 +1,6 @@
 """Printability checks on meshes: walls, overhangs, clearances, collisions.
 
-Nothing is taken from how the parts were made; broken parts are measured like good ones.
+The checks use the meshes alone, not the construction, so they find its errors.
 """
 
 from collections.abc import Sequence
@@ -68,7 +68,7 @@ def check_print(
     ray_start_mm: float,
     alone: Sequence[PrintedPart] = (),
 ) -> PrintReport:
-    """Measure parts that stand as assembled, in order of assembly.
+    """Check parts in their assembled poses, in order of assembly.
 
     ``inside`` names the parts that belong to the outer shape (a foot does not). Rays onto the
     outer faces start ``ray_start_mm`` in front of them. Parts ``alone`` are measured by themselves.

@@ -53,7 +53,7 @@ class MarkerBoard:
 class Mount:
     """Foot (in the probe's frame), base (in the board's), and the transform between the frames, mm.
 
-    Both parts clear the pole by the sizes' clearance. The pole leaves the turn about its axis free:
+    Both parts clear the pole by the sizes' clearance. The rotation about the pole's axis is free:
     notches in the middle of the foot's and the base's front edges show it.
     """
 

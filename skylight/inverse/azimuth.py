@@ -36,7 +36,7 @@ def azimuth_curve(observation: Observation, probe: EnvironmentMap) -> AzimuthCur
     """si-RMSE of the face relit by a probe in every azimuth, column by column.
 
     For each turn k the relit face is ``p = a_c (T l_k)_c + g (G l_k)_c`` with the albedo a and the
-    strength of gloss g, both times the exposure, that suit it best; g is 0 where the observation
+    strength of gloss g, both times the exposure, that fit best; g is 0 where the observation
     has no gloss. White balance goes into a. Its error is ``sqrt(mean_c sum w (p - t)^2)`` over
     ``mean_c sum w t``, with the pixels t and weights w that sum to 1.
 
@@ -46,7 +46,7 @@ def azimuth_curve(observation: Observation, probe: EnvironmentMap) -> AzimuthCur
     Raises
     ------
     InputError
-        A probe that throws no light on the face, or the same light from all sides.
+        A probe that does not light the face, or lights it uniformly.
     """
     height, width = _layout(observation)
     radiance = probe.resize(height).radiance
@@ -68,8 +68,8 @@ def azimuth_curve(observation: Observation, probe: EnvironmentMap) -> AzimuthCur
 def local_minima(curve: Float[Tensor, " w"], *, prominence: float) -> tuple[int, ...]:
     """Indices of a closed curve's local minima, the lowest first, at most six.
 
-    A minimum counts where the curve climbs by ``prominence`` on both sides before it falls below
-    it. Of a flat bottom the middle is taken.
+    A minimum counts if its prominence is at least ``prominence`` on both sides. Of a flat minimum
+    the middle is taken.
     """
     count = len(curve)
     # three times round, so that the ends have neighbours

@@ -17,7 +17,7 @@ class Minimum:
 
     ``converged``: the last accepted step changed the loss by less than the tolerance, or no
     descent was possible any more. ``nonfinite`` counts trial points whose loss or gradient was
-    not finite and which were stepped back from.
+    not finite and which were rejected.
     """
 
     x: Float[Tensor, "b p"]

@@ -2,7 +2,7 @@
 
 **Sun.** The linear scan finds the best explanation of a face with the sun at d. The weights are
 divided, for all d alike, by the deviations (to a floor) that the best d leaves, twice, so that
-brows, beards and highlights count for little; what is left is then about the mean absolute
+outliers (brows, beards, highlights) count for little; the residual is then about the mean absolute
 deviation m(d) over the face's mean.
 As in the objective, an explanation is unlikely by its deviation, in units of a temperature::
 
@@ -11,8 +11,8 @@ As in the objective, an explanation is unlikely by its deviation, in units of a 
 for several faces under one light with the sum of their m(d). No direction of the upper hemisphere
 is preferred beforehand. Fitted heads are turned wrongly by about three degrees, and their light
 with them, so L is spread by a von Mises-Fisher kernel V. The optimisation knows more than the scan,
-namely which skies there are; its sun s is trusted by a lobe about it over a constant, since some
-estimates are plain wrong. As a density over the hemisphere, ::
+namely which skies there are; its sun s enters as a lobe about it plus a constant, since some
+estimates are outliers. As a density over the hemisphere, ::
 
     p(d) ~ (V * L)(d) (1 + h V_s(d) / V_s(s))^k.
 
@@ -23,7 +23,7 @@ uncertain as the light's, says how it may be split: see :func:`split_density`.
 
 Of :class:`PosteriorConstants`, ``temperature``, ``estimate_rad``, ``estimate_height`` and
 ``estimate_weight`` were fitted to rendered faces: ``tools/calibrate_posterior.py``. The others were
-set by looking at the faces of development: ``kernel_rad``, the error of fitted heads' poses,
+tuned by hand on development faces: ``kernel_rad``, the error of fitted heads' poses,
 ``sun_gain``, ``wide_rad`` and the ``..._spread``.
 """
 
@@ -90,7 +90,7 @@ FITTED = PosteriorConstants()
 
 @dataclass(frozen=True, kw_only=True)
 class SunEvidence:
-    """What faces say of the sun: m(d) of the module's text (n,), summed over the faces.
+    """Evidence of the faces for the sun: m(d) of the module's text (n,), summed over the faces.
 
     ``gain``: by how much the best sun lowers the deviation of a face, against no sun at all.
     """

@@ -40,7 +40,7 @@ class Estimate:
     ``params`` those of the light model. ``status`` is "converged" where the optimisation ended
     at a minimum, else how it ended (``stats["nonfinite"]`` counts steps taken back in either
     case), and ``advice`` says what to do where the result should not be trusted (empty where
-    nothing is known against it). ``posterior`` says how sure the sun, exposure and albedo are.
+    it can). ``posterior`` says how sure the sun, exposure and albedo are.
 
     Of several photographs the map has the first used one's units: a face of another sees it times
     the ratio of the two exposures. ``exposure``, ``albedo`` and ``rendered`` are the first face's.

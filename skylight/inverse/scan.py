@@ -6,7 +6,7 @@ sphere, all non-negative::
 
     min_{a, g, b >= 0}  sum_p w_p (y_p - a T[p, d] - g G[p, d] - sum_j b_j (T A)[p, j])^2
 
-The directions with the smallest residuals are where non-linear optimisation should start.
+The directions with the smallest residuals initialise the non-linear optimisation.
 
 Several faces under one light have a problem each, since each has its own albedo and exposure.
 Energies relative to the face's own add up: each face counts alike, as in the objective.

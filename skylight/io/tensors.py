@@ -18,7 +18,7 @@ _HEADER, _DIGEST = "skylight", "sha256"
 def write_tensors(
     path: str | Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str] | None = None
 ) -> None:
-    """Write tensors and what is to be said of them, whole or not at all.
+    """Write tensors and metadata atomically.
 
     Raises
     ------

@@ -1,12 +1,12 @@
 """The clear sky: radiative transfer through air, aerosol and ozone round a spherical Earth.
 
-Single scattering is integrated along the view rays; all further orders follow from one small
+Single scattering is integrated along the view rays; all higher orders follow from one small
 table after Hillaire (2020), "A Scalable and Production Ready Sky and Atmosphere Rendering
 Technique", which assumes that they are isotropic and that neighbouring points see the same
-light. Haze scatters mostly forward, which is as good as not scattering: for scattered light the
-part g of what it scatters counts as not scattered ("scaled" below; the similarity relation of
+light. Aerosol scatters mostly forward: for multiply scattered light the fraction g of its
+scattering is treated as transmission ("scaled" below; the similarity relation of
 van de Hulst 1980, used with the unscaled phase function for the first order as by Nakajima &
-Tanaka 1988). Diffuse irradiance is within 4 % of photons followed one by one (sun 0 to 75
+Tanaka 1988). Diffuse irradiance is within 4 % of Monte Carlo (sun 0 to 75
 degrees from the zenith, aerosol optical depth 0 to 0.4).
 
 Three wavelengths stand for the three Rec.709 primaries (as in Bruneton & Neyret 2008); against a
@@ -176,7 +176,7 @@ class ClearSky:
     def _extinction_per_km(self, *, scaled: bool = False) -> Float[Tensor, "3 3"]:
         """Rows: air and haze at sea level, ozone at the middle of its layer; columns: colours.
 
-        ``scaled``: the part g of what haze scatters counts as not scattered (see the module).
+        ``scaled``: the fraction g of the aerosol's scattering is transmission (see the module).
         """
         air = self.atmosphere
         relative = torch.tensor(WAVELENGTHS_NM, device=self.device) / 550.0

@@ -29,9 +29,9 @@ class Capture:
 
 
 def capture_of(folder: Path, file: str, listed: dict[str, Capture]) -> Capture:
-    """When ``folder / file`` was captured: the list's word, the name's, the header's.
+    """When ``folder / file`` was captured: by the list, else the name, else the header.
 
-    A map that none of them dates is a day of its own, named like the file.
+    A map dated by none of them is a day of its own, named like the file.
     """
     if file in listed:
         return listed[file]

@@ -1,11 +1,11 @@
 """Cloud layers: procedural density, ray marched.
 
 A layer lies between two spherical shells. Its density is periodic noise (:mod:`noise`) cut at a
-threshold, so that a stated share of it is cloud, and it drifts and changes with time. Along each
-ray of view the march adds up
+threshold, so that a given fraction of it is cloud, advected and changed with time. Ray marching
+along each view ray accumulates
 
-- sunlight scattered once: beam dimmed on its way through the layer, two-lobe phase function;
-- light scattered more often, from the sun, the sky above and the ground below: the Eddington
+- single scattering of sunlight: the beam attenuated in the layer, two-lobe phase function;
+- multiple scattering of light from the sun, the sky above and the ground below: the Eddington
   solution of a slab (:mod:`slab`) as deep as the cloud is, at the point, towards the sun and away
   from it. Exact in a homogeneous layer to what that solution is; on the flank of a tower, where
   light also enters sideways, an approximation (no error bound is known: Monte Carlo in three
@@ -25,7 +25,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from skylight.skies.atmosphere import EARTH_RADIUS_KM, henyey_greenstein
-from skylight.skies.noise import CELLS, swell
+from skylight.skies.noise import CELLS, fractal_noise
 from skylight.skies.slab import FORWARD, SCALED_G, slab_light, two_lobes
 
 STEPS = 12  # along a ray of view, within the layer
@@ -157,11 +157,11 @@ def _density(
     footprint_km: Float[Tensor, "*s"] | None,
 ) -> Float[Tensor, "*s"]:
     """Extinction per km at places in the noise; without a footprint its finer part is left out."""
-    body = swell(cells)
+    body = fractal_noise(cells)
     if footprint_km is not None and layer.erosion > 0:
         for octave, strength in ((3.7, 0.6), (9.3, 0.4)):
             resolved = (1.5 - 2 * footprint_km * octave / layer.cell_km).clamp(0, 1)
-            finer = swell(cells * octave) - 0.5
+            finer = fractal_noise(cells * octave) - 0.5
             body = body + layer.erosion * strength * resolved * finer
     share = ((height - layer.base_km) / layer.thickness_km).clamp(0, 1)
     above = (body - (1 - layer.coverage) - layer.towering * share**2) / layer.softness

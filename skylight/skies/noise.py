@@ -7,18 +7,18 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-CELLS = 16  # period of the tile, in cells of the largest swell
+CELLS = 16  # period of the tile, in cells of the coarser octave
 _SIZE = 96  # samples a side: 3 in a cell of the finer octave
 _OCTAVES = 2
 _TILE_SEED = 20150101
 
 
-def swell(points: Float[Tensor, "*s 3"]) -> Float[Tensor, "*s"]:
+def fractal_noise(points: Float[Tensor, "*s 3"]) -> Float[Tensor, "*s"]:
     """Smooth random values, uniform on [0, 1], at positions in cells (period ``CELLS``).
 
     Two octaves of Perlin's (2002) gradient noise, summed with amplitudes 1 and 1/2 and brought
     to a uniform distribution by rank. Trilinear between the table's nodes, which draws values
-    a little to the middle: P(swell < q) is within 0.03 of q.
+    a little to the middle: P(fractal_noise < q) is within 0.03 of q.
     """
     table = _tile(str(points.device))
     # align_corners puts -1 and 1 on the first node and on its repetition at the end

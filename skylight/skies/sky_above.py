@@ -1,7 +1,7 @@
 """Whether a whole lat-long map shows a sky above, judged by the map alone.
 
-Collections of light probes mix skies with rooms, studios and nights. The thresholds stand where
-published maps of known content leave a gap: without a visible sun, the zenith of outdoor maps has
+Collections of light probes mix skies with rooms, studios and nights. The thresholds lie in a
+gap between published maps of known content: without a visible sun, the zenith of outdoor maps has
 a blue of 0.99 of its red and more, that of rooms under lamps mostly 0.90 and less; its luminance is
 at least that of the ground, but 0.3 of it and less under a dark ceiling.
 A night under lamps or the moon differs from a day by its level alone, which relative maps lack: it

@@ -1,20 +1,20 @@
 """Multiple scattering in a plane-parallel, non-absorbing cloud: the Eddington approximation.
 
 Droplets scatter sharply forward. By delta scaling (Joseph, Wiscombe & Weinman 1976) a part
-f = g^2 of what they scatter counts as not scattered at all, the rest as scattered with the
+f = g^2 of what they scatter is treated as transmitted, the rest as scattered with the
 asymmetry g' = g / (1 + g) at optical depths tau' = (1 - f) tau. All depths here are scaled ones.
 
 With mean diffuse radiance J and net diffuse flux F (downwards), the beam E on top at the cosine
 mu0, light without absorption obeys (Eddington's closure)::
 
-    F(tau) + mu0 E e^(-tau/mu0) = C           (nothing is lost)
+    F(tau) + mu0 E e^(-tau/mu0) = C           (conservation)
     (4 pi / 3) dJ/dtau = -(1 - g') C + mu0 E e^(-tau/mu0)
 
 with pi J + F/2 = D on top (D: irradiance from the sky above), and at the bottom
 pi J - F/2 = A (all light going down) over ground of albedo A.
 
-Against Monte Carlo photons in homogeneous slabs the light sent down is wrong by at most 0.14 of
-what falls in, 0.05 for suns above 30 degrees (see the tests).
+Against Monte Carlo photons in homogeneous slabs the transmitted flux is wrong by at most 0.14 of
+the incident flux, 0.05 for suns above 30 degrees (see the tests).
 """
 
 import math

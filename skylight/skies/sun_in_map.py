@@ -1,6 +1,6 @@
 """The sun in a captured sky: position, visibility, clipping.
 
-The thresholds stand where published outdoor maps of known content leave a gap: with a visible
+The threshold lies in a gap between published outdoor maps of known content: with a visible
 sun, 35 % and more of the light that a plane facing the brightest place receives comes from
 within 4 degrees of it; with none, 12 % and less.
 """

@@ -1,8 +1,8 @@
-"""Commands killed at random moments, resumed, and compared with an undisturbed run.
+"""Commands killed at random times, resumed, and compared with an uninterrupted run.
 
-A scenario is a module of ``tests.faults.scenarios``: ``command(folder)`` tells what to run,
-``result(folder)`` what must not depend on kills, and ``whole(found, expected)``, where there is
-one, whether what stands there after a kill is fit to be seen.
+A scenario is a module of ``tests.faults.scenarios``: ``command(folder)`` is the command line,
+``result(folder)`` the output that must not depend on kills, and ``is_consistent(found, expected)``,
+if defined, whether the output right after a kill has no partial files.
 """
 
 import os
@@ -20,7 +20,7 @@ KILLED = "killed"
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """``kills`` that met the command at work, over ``runs`` folders; what differed, by name."""
+    """``kills`` that interrupted the command, over ``runs`` folders; names of what differed."""
 
     kills: int
     runs: int
@@ -29,19 +29,19 @@ class Outcome:
 
 
 def kill_runs(scenario: ModuleType, folder: Path, *, kills: int, seed: int) -> Outcome:
-    """Kill the whole process group of a command ``kills`` times, at uniformly drawn moments.
+    """Kill the process group of a command ``kills`` times, at uniformly distributed times.
 
-    Each folder is gone on with until its command ends; where that is before enough kills, another
-    folder is begun. Kills come within the time that the quickest undisturbed run took.
+    The command is resumed in its folder until it finishes; if that is before enough kills, it is
+    started in another folder. Kills come within the time of the fastest uninterrupted run.
     """
     draw = random.Random(seed)
     started = time.monotonic()
-    if failure := attempt(scenario.command(folder / "undisturbed"), PATIENCE_S):
+    if failure := attempt(scenario.command(folder / "uninterrupted"), PATIENCE_S):
         raise RuntimeError(failure)
     duration = time.monotonic() - started
-    expected = scenario.result(folder / "undisturbed")
+    expected = scenario.result(folder / "uninterrupted")
     if not expected:
-        raise ValueError(f"{scenario.__name__}: the undisturbed run has no result")
+        raise ValueError(f"{scenario.__name__}: the uninterrupted run has no result")
     done = runs = 0
     differences: list[str] = []
     while done < kills:
@@ -54,16 +54,16 @@ def kill_runs(scenario: ModuleType, folder: Path, *, kills: int, seed: int) -> O
             failure = attempt(command, draw.uniform(0, duration))
             if failure == KILLED:
                 done += 1
-                if hasattr(scenario, "whole") and not scenario.whole(
+                if hasattr(scenario, "is_consistent") and not scenario.is_consistent(
                     scenario.result(place), expected
                 ):
-                    differences.append(f"{run}, after kill {done}: not whole")
+                    differences.append(f"{run}, after kill {done}: inconsistent")
         if failure == KILLED:  # that was the last one
             failure = attempt(command, PATIENCE_S)
         if failure:
             differences.append(f"{run}: {failure}")
             continue
-        if done == before:  # the machine has become quicker, or its load less
+        if done == before:  # the machine has become faster, or less loaded
             duration = min(duration, time.monotonic() - begun)
         found = scenario.result(place)
         differences += [
@@ -75,7 +75,7 @@ def kill_runs(scenario: ModuleType, folder: Path, *, kills: int, seed: int) -> O
 
 
 def attempt(command: list[str], seconds: float) -> str:
-    """Empty where the command ended well; ``KILLED`` after that time; else how it failed."""
+    """Empty on success; ``KILLED`` if it was killed after that time; else how it failed."""
     process = subprocess.Popen(
         command,
         start_new_session=True,
@@ -84,10 +84,10 @@ def attempt(command: list[str], seconds: float) -> str:
         text=True,
     )
     try:
-        _, told = process.communicate(timeout=seconds)
+        _, stderr = process.communicate(timeout=seconds)
     except subprocess.TimeoutExpired:
         os.killpg(process.pid, signal.SIGKILL)
-        _, told = process.communicate()
+        _, stderr = process.communicate()
         if process.returncode == -signal.SIGKILL:
             return KILLED
-    return f"ended with {process.returncode}: {told.strip()}" if process.returncode else ""
+    return f"ended with {process.returncode}: {stderr.strip()}" if process.returncode else ""

@@ -1,4 +1,4 @@
-"""A batch that is killed, or loses workers, ends where an undisturbed one does."""
+"""A batch that is killed, or loses workers, ends as an uninterrupted one does."""
 
 import json
 import os

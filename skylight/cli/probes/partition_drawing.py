@@ -48,7 +48,7 @@ class SceneOptions:
     workers: int = 2
 
     def read(self, out: Path) -> "VirtualScene":
-        from skylight.app.probes.partitions.relight import SceneStand, VirtualScene
+        from skylight.app.probes.partitions.relight import ScenePlacement, VirtualScene
         from skylight.probes.partitions.relight.transfer import TransferSampling
 
         if self.workers < 1:
@@ -56,7 +56,7 @@ class SceneOptions:
         x, y, z = self.at_mm
         return VirtualScene(
             mesh=self.scene,
-            stand=SceneStand(
+            placement=ScenePlacement(
                 x_mm=x, y_mm=y, z_mm=z,
                 height_mm=self.height_mm, scale=self.scale, turn_deg=self.turn_deg,
             ),

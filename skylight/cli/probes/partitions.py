@@ -154,7 +154,7 @@ def albedo_of_a_kernel(
         warn=take_care,
     )
     told = ", ".join(f"{v:.3f} +- {e:.3f}" for v, e in zip(found.rgb, found.error, strict=True))
-    print(f"{out}: albedo {told} (red, green, blue), by a {found.told_by}")
+    print(f"{out}: albedo {told} (red, green, blue), by a {found.reference}")
 
 
 @partitions.command(name="capture")

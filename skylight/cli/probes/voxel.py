@@ -216,7 +216,7 @@ def render_voxel(
         voxel_mm: Side of a voxel, in a .glb too.
     """
     from skylight.app.cameras.board_pictures import read_setup
-    from skylight.app.probes.voxel.render import Stand, render_voxels
+    from skylight.app.probes.voxel.render import VoxelPlacement, render_voxels
 
     render_voxels(
         model,
@@ -228,7 +228,7 @@ def render_voxel(
         turns=rotate,
         photo=photo,
         setup=None if photo is None else read_setup(camera, board, response),
-        stand=Stand(x_mm=at_mm[0], y_mm=at_mm[1], z_mm=at_mm[2], voxel_mm=voxel_mm),
+        placement=VoxelPlacement(x_mm=at_mm[0], y_mm=at_mm[1], z_mm=at_mm[2], voxel_mm=voxel_mm),
     )
 
 
@@ -274,7 +274,7 @@ def live_voxel(
     """
     from skylight.app.cameras.board_pictures import read_setup
     from skylight.app.probes.voxel.live import live_film
-    from skylight.app.probes.voxel.render import Stand, turned
+    from skylight.app.probes.voxel.render import VoxelPlacement, turned
     from skylight.probes.voxel.model import read_voxels
 
     live_film(
@@ -283,7 +283,7 @@ def live_voxel(
         setup=read_setup(camera, board, response),
         assembly=assembly,
         model=turned(read_voxels(scene, resolution=resolution), rotate),
-        stand=Stand(x_mm=at_mm[0], y_mm=at_mm[1], z_mm=at_mm[2], voxel_mm=voxel_mm),
+        placement=VoxelPlacement(x_mm=at_mm[0], y_mm=at_mm[1], z_mm=at_mm[2], voxel_mm=voxel_mm),
         kind=reconstruction,
         albedo=albedo,
         most=frames,

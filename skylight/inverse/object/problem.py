@@ -44,15 +44,15 @@ class ObjectLight:
     """The light of a known object's picture, in the mesh's world and the picture's units.
 
     ``environment``
-        64 x 128, cut off at zero; ``clamped_share`` is what that took away:
+        64 x 128, clamped at zero; ``clamped_share`` is the share removed by that:
         ``int max(0, -L) / int |L|``, over all colours.
     ``coefficients``
-        (k,3), before that cut: of :func:`skylight.sphere.harmonics.evaluate`, or, where ``code``
+        (k,3), before clamping: of :func:`skylight.sphere.harmonics.evaluate`, or, where ``code``
         is given, of :func:`skylight.sphere.harmonics.evaluate_about_zenith`.
     ``rendered``
         (m,3), the observation's pixels under ``environment``; ``residual`` is their difference
         from those seen, root of weighted mean squares, relative to the pixels'. ``linear_residual``
-        is the same before the cut.
+        is the same before clamping.
     ``code``
         The activations; its ``relative_error`` is ``linear_residual``.
     """

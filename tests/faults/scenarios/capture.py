@@ -40,8 +40,8 @@ def result(folder: Path) -> dict[str, str]:
     return {path.name: _content(path, folder) for path in sorted(out.glob("probe.*"))}
 
 
-def whole(found: dict[str, str], expected: dict[str, str]) -> bool:
-    """Whether what a kill left is nothing but files of the result, each of them whole."""
+def is_consistent(found: dict[str, str], expected: dict[str, str]) -> bool:
+    """Whether a kill left nothing but complete files of the result."""
     return found.items() <= expected.items()
 
 

@@ -90,7 +90,7 @@ def seeds() -> list[bytes]:
     lens = {"width": 640, "height": 480, "fx": 500.0, "fy": 500.0, "cx": 320.0, "cy": 240.0}
     names = Intrinsics.__dataclass_fields__
     camera = Intrinsics(**{name: lens.get(name, 0.0) for name in names})  # type: ignore[arg-type]
-    albedo = KernelAlbedo(rgb=curve[:, 200], error=curve[:, 9], told_by="a card")
+    albedo = KernelAlbedo(rgb=curve[:, 200], error=curve[:, 9], reference="a card")
     index = (
         "file,day,time,split,regime,sun_zenith_deg,sun_azimuth_deg,map_azimuth_deg,"
         "sun_transmittance,latitude_deg,longitude_deg,seed,layout,field_deg\n"

@@ -92,7 +92,7 @@ def _export_vertices(scene: VirtualScene, out: Path, lit: _Captured, tell: Tell)
 
 
 def _export_texels(scene: VirtualScene, out: Path, lit: _Captured, size: int, tell: Tell) -> None:
-    thing = scene.stand.placed(read_scene(scene.mesh, scene.albedo))
+    thing = scene.placement.placed(read_scene(scene.mesh, scene.albedo))
     atlas = _laid_out(thing, size, tell)
     transfer = _texel_transfer(scene, thing, atlas, lit.probe.cells, lit.rotation)
     write_relightable_atlas(
@@ -144,9 +144,9 @@ def _texel_transfer(
 
 def _in_metres(thing: Scene, scene: VirtualScene) -> Scene:
     """With the middle of its base at the origin."""
-    stand = scene.stand
+    placement = scene.placement
     to_metres = torch.eye(4, dtype=torch.float64)
     to_metres[:3, :3] *= _METRES
-    place = torch.tensor([stand.x_mm, stand.y_mm, stand.z_mm], dtype=torch.float64)
+    place = torch.tensor([placement.x_mm, placement.y_mm, placement.z_mm], dtype=torch.float64)
     to_metres[:3, 3] = -_METRES * place
     return replace(thing, uv=None, texture=None).placed(to_metres)

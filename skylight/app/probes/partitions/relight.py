@@ -49,8 +49,8 @@ LARGEST_MM = 60.0  # of a scene whose size nobody names
 
 
 @dataclass(frozen=True, kw_only=True)
-class SceneStand:
-    """Where a scene stands on the board: the middle of its base, how large, and how turned.
+class ScenePlacement:
+    """Position of a scene on the board (the middle of its base), its size and rotation.
 
     Either ``height_mm`` or ``scale`` (mm for each of its units); without both, its longest side is
     60 mm. ``turn_deg`` is counter-clockwise seen from above.
@@ -97,14 +97,14 @@ class SceneStand:
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualScene:
-    """A mesh file, how it stands, and how its transfer coefficients are worked out.
+    """A mesh file, its placement, and how its transfer coefficients are computed.
 
     ``albedo`` is for meshes without colours. No edge is left longer than ``edge_mm``, so that
     shadows show on large triangles. The coefficients are kept in the file ``cache``.
     """
 
     mesh: Path
-    stand: SceneStand
+    placement: ScenePlacement
     cache: Path
     albedo: tuple[float, float, float] = DEFAULT_ALBEDO
     ground_albedo: float = 0.5
@@ -121,7 +121,7 @@ class VirtualScene:
     @cached_property
     def placed(self) -> tuple[Scene, Ground]:
         """In millimetres of the board, in triangles that are small enough, and what is below."""
-        scene = refined(self.stand.placed(read_scene(self.mesh, self.albedo)), self.edge_mm)
+        scene = refined(self.placement.placed(read_scene(self.mesh, self.albedo)), self.edge_mm)
         return scene, Ground.under(scene, albedo=self.ground_albedo)
 
     def is_seen(self, pose: RigidTransform, intrinsics: Intrinsics) -> bool:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from skylight.app.cameras.board_pictures import Setup
 from skylight.app.cameras.live_film import LiveReport, check_film, write_film
-from skylight.app.probes.voxel.render import Reconstruction, Stand, reconstruction_for
+from skylight.app.probes.voxel.render import Reconstruction, VoxelPlacement, reconstruction_for
 from skylight.probes.voxel.model import VoxelModel
 from skylight.probes.voxel.printed.assembly import PlacedProbe, load_voxel_assembly
 from skylight.probes.voxel.relight.live import LiveView
@@ -18,7 +18,7 @@ def live_film(
     setup: Setup,
     assembly: Path,
     model: VoxelModel,
-    stand: Stand,
+    placement: VoxelPlacement,
     kind: Reconstruction = "direct",
     albedo: float = 0.8,
     most: int | None = None,
@@ -42,7 +42,7 @@ def live_film(
         response=setup.response,
         probe=PlacedProbe(printed),
         model=model,
-        to_board=stand.matrix(model, printed.board_from_probe.rotation),
+        to_board=placement.matrix(model, printed.board_from_probe.rotation),
         reconstruction=lambda lightmap: reconstruction_for(lightmap, kind, albedo),
     )
     size = setup.intrinsics.width, setup.intrinsics.height

@@ -30,8 +30,8 @@ SAMPLES = 3  # along each side of a pixel
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stand:
-    """Where a virtual model stands on the board: the middle of its base, and its voxels' size."""
+class VoxelPlacement:
+    """Position of a virtual model on the board (the middle of its base), and its voxels' size."""
 
     x_mm: float
     z_mm: float
@@ -93,7 +93,7 @@ def render_voxels(
     albedo: float = 0.8,
     resolution: int = 32,
     turns: str = "",
-    stand: Stand,
+    placement: VoxelPlacement,
     photo: Path | None = None,
     setup: Setup | None = None,
     tell: Tell = print,
@@ -113,23 +113,23 @@ def render_voxels(
     captured = load_lightmap(lightmap)
     completed = reconstruction_for(captured, kind, albedo).complete(captured)
     if photo is None:
-        write_glb(out, voxels, completed, voxel_size=stand.voxel_mm / 1000)
+        write_glb(out, voxels, completed, voxel_size=placement.voxel_mm / 1000)
     else:
         if setup is None:
             raise InputError("a photo needs the camera that took it, and the board in it")
-        write_png(out, drawn_into(photo, voxels, completed, setup, stand))
+        write_png(out, drawn_into(photo, voxels, completed, setup, placement))
     tell(f"{out}: {len(voxels)} voxels lit from {int(captured.known.sum())} captured slots")
 
 
 def drawn_into(
-    photo: Path, model: VoxelModel, lightmap: Lightmap, setup: Setup, stand: Stand
+    photo: Path, model: VoxelModel, lightmap: Lightmap, setup: Setup, placement: VoxelPlacement
 ) -> UInt8[np.ndarray, "h w 3"]:
     """The photo with the model standing in it, as codes of the camera's own response."""
     image = read_picture(photo).image
     found = board_pose(image, setup.board, setup.intrinsics)
     if found is None or found.is_ambiguous:
         raise InputError(f"{photo}: {why_unusable(found)}; show most of it, and larger")
-    renderer = VoxelRenderer(model, stand.matrix(model, lightmap.rotation))
+    renderer = VoxelRenderer(model, placement.matrix(model, lightmap.rotation))
     window = renderer.window(found.pose, setup.intrinsics)
     drawing = renderer.draw(lightmap, lens_rays(setup.intrinsics, SAMPLES, window), found.pose)
     if not bool((drawing.alpha > 0).any()):

@@ -86,14 +86,14 @@ class PartitionAligner(OutlineAligner):
     def __init__(
         self, assembly: PartitionAssembly, placed: PlacedPartitions, intrinsics: Intrinsics
     ) -> None:
-        stand = assembly.board_from_probe
-        outline = outline_of(WallNet.of(assembly.cells, stand.rotation.numpy()), assembly.sizes)
+        pose = assembly.board_from_probe
+        outline = outline_of(WallNet.of(assembly.cells, pose.rotation.numpy()), assembly.sizes)
         self._range, self._every = _ORIENTED_RANGE_DEG, 360.0
         if not assembly.design.oriented:
             self._every = 360 / symmetry(outline)
             self._range = self._every / 2
-        at = replace(outline, places=outline.places + stand.translation.numpy())
-        super().__init__(at, placed.sees, stand.translation, intrinsics)
+        at = replace(outline, places=outline.places + pose.translation.numpy())
+        super().__init__(at, placed.sees, pose.translation, intrinsics)
 
     def alignment(self) -> PartitionAlignment:
         """What all pictures say together."""

@@ -42,11 +42,11 @@ Rectangle = tuple[int, int, int, int]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class KernelAlbedo:
-    """Linear Rec.709 ``rgb`` (3,), its standard ``error`` (3,), and what it was compared with."""
+    """Linear Rec.709 ``rgb`` (3,), its standard ``error`` (3,), and the ``reference`` target."""
 
     rgb: Float[Tensor, "3"]
     error: Float[Tensor, "3"]
-    told_by: str
+    reference: str
 
     def __post_init__(self) -> None:
         if not bool(((self.rgb > 0) & (self.rgb <= 1)).all()):
@@ -121,7 +121,7 @@ def save_albedo(path: str | Path, albedo: KernelAlbedo) -> None:
             "format": _FORMAT,
             "albedo": albedo.rgb.tolist(),
             "standard_error": albedo.error.tolist(),
-            "told_by": albedo.told_by,
+            "told_by": albedo.reference,
         },
     )
 
@@ -143,21 +143,21 @@ def read_albedo(told: str | None) -> KernelAlbedo:
     return _uniform(value, "given")
 
 
-def _uniform(value: float, told_by: str) -> KernelAlbedo:
+def _uniform(value: float, reference: str) -> KernelAlbedo:
     rgb = torch.full((3,), value, dtype=torch.float64)
-    return KernelAlbedo(rgb=rgb, error=torch.zeros_like(rgb), told_by=told_by)
+    return KernelAlbedo(rgb=rgb, error=torch.zeros_like(rgb), reference=reference)
 
 
 def _compared(
-    rgb: Float[np.ndarray, "3"], error: Float[np.ndarray, "3"], told_by: str
+    rgb: Float[np.ndarray, "3"], error: Float[np.ndarray, "3"], reference: str
 ) -> KernelAlbedo:
     try:
         return KernelAlbedo(
-            rgb=torch.from_numpy(rgb), error=torch.from_numpy(error), told_by=told_by
+            rgb=torch.from_numpy(rgb), error=torch.from_numpy(error), reference=reference
         )
     except InputError as wrong:
         raise InputError(
-            f"{wrong}: material and {told_by} must lie side by side, in the same light and "
+            f"{wrong}: material and {reference} must lie side by side, in the same light and "
             "without gloss"
         ) from wrong
 
@@ -172,7 +172,7 @@ def _load(path: Path) -> KernelAlbedo:
             torch.from_numpy(np.array(content[name], dtype=np.float64).reshape(3))
             for name in ("albedo", "standard_error")
         )
-        return KernelAlbedo(rgb=rgb, error=error, told_by=str(content["told_by"]))
+        return KernelAlbedo(rgb=rgb, error=error, reference=str(content["told_by"]))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     except (TypeError, ValueError) as error:

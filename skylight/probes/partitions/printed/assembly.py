@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from skylight.cameras.assembly import Pole, ProbeAssembly, cylinder_mesh, read_stand, unoccluded
+from skylight.cameras.assembly import Pole, ProbeAssembly, cylinder_mesh, read_placement, unoccluded
 from skylight.errors import InputError
 from skylight.fabrication.part import merged
 from skylight.io.json_files import read_object, require_keys
@@ -97,16 +97,16 @@ class PartitionAssembly(ProbeAssembly):
             "format": _FORMAT,
             "design": {**self.design.to_json(), "labels": self.design.labels.tolist()},
             "sizes": asdict(self.sizes),
-            **self.stand_json(),
+            **self.placement_json(),
             "response": self.response.tolist(),
         }
 
     def placed(self) -> PlacedPartitions:
         """The printed geometry, built anew from design and sizes; takes seconds."""
-        stand = self.board_from_probe
-        turn, pole_mm = stand.rotation.numpy(), 2 * self.pole_mm[2]
+        pose = self.board_from_probe
+        turn, pole_mm = pose.rotation.numpy(), 2 * self.pole_mm[2]
         parts = probe_parts(self.cells, self.sizes, rotation=turn, pole_mm=pole_mm)
-        return placed_parts(parts, self.sizes, stand.translation.numpy(), self.pole_mm)
+        return placed_parts(parts, self.sizes, pose.translation.numpy(), self.pole_mm)
 
 
 def placed_parts(
@@ -145,7 +145,7 @@ def load_partition_assembly(path: str | Path) -> PartitionAssembly:
             cells=Cells.of(_read_design(content["design"])),
             sizes=ProbeSizes(**content["sizes"]),  # type: ignore[arg-type]
             response=torch.tensor(content["response"], dtype=torch.float64),
-            **read_stand(content),
+            **read_placement(content),
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from error

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.cameras.assembly import Pole, ProbeAssembly, cylinder_mesh, read_stand, unoccluded
+from skylight.cameras.assembly import Pole, ProbeAssembly, cylinder_mesh, read_placement, unoccluded
 from skylight.errors import InputError
 from skylight.io.json_files import read_object, require_keys
 from skylight.probes.voxel.faces import NORMALS, VoxelFaces, exposed_faces
@@ -43,7 +43,7 @@ class VoxelAssembly(ProbeAssembly):
             "format": _VERSION,
             "cells": np.argwhere(self.model.occupied).tolist(),
             "voxel_mm": self.voxel_mm,
-            **self.stand_json(),
+            **self.placement_json(),
         }
 
 
@@ -86,11 +86,11 @@ def load_voxel_assembly(path: str | Path) -> VoxelAssembly:
     try:
         cells = np.array(content["cells"], dtype=np.int64).reshape(-1, 3)
         voxel_mm = float(content["voxel_mm"])  # type: ignore[arg-type]
-        stand = read_stand(content)
+        placement = read_placement(content)
     except (TypeError, ValueError) as error:
         raise InputError(f"{path}: its numbers are not those of an assembly ({error})") from error
     if not len(cells) or cells.min() < 0 or cells.max() >= _LARGEST:
         raise InputError(f"{path}: a probe's cells are 1 or more, from 0 to {_LARGEST - 1}")
     solid = np.zeros(cells.max(0) + 1, bool)
     solid[tuple(cells.T)] = True
-    return VoxelAssembly(model=VoxelModel(occupied=solid), voxel_mm=voxel_mm, **stand)
+    return VoxelAssembly(model=VoxelModel(occupied=solid), voxel_mm=voxel_mm, **placement)

@@ -10,7 +10,7 @@ import pytest
 import torch
 from PIL import Image
 
-from skylight.app.probes.partitions.relight import SceneStand, captured_light
+from skylight.app.probes.partitions.relight import ScenePlacement, captured_light
 from skylight.cameras.board import save_board
 from skylight.cameras.intrinsics import FLIP, save_intrinsics
 from skylight.cameras.pose import OPENCV_FROM_BOARD
@@ -285,15 +285,17 @@ def test_film_shows_the_scene_once_enough_cells_were_seen(
     assert changed[3] > 0.005
 
 
-def test_stand_says_how_large_and_where() -> None:
+def test_a_placement_says_how_large_and_where() -> None:
     cube = box(2.0)
-    turned = SceneStand(x_mm=10.0, z_mm=20.0, y_mm=3.0, height_mm=8.0, turn_deg=90.0).placed(cube)
+    turned = ScenePlacement(x_mm=10.0, z_mm=20.0, y_mm=3.0, height_mm=8.0, turn_deg=90.0).placed(
+        cube
+    )
     torch.testing.assert_close(turned.vertices.amin(0), torch.tensor([6, 3, 16.0]).double())
     torch.testing.assert_close(turned.vertices.amax(0), torch.tensor([14, 11, 24.0]).double())
     # counter-clockwise from above: +X goes to -Z
     right = int((cube.vertices[:, 0] - cube.vertices[:, 1] - cube.vertices[:, 2]).argmax())
     assert float(turned.vertices[right, 2]) == pytest.approx(16)
-    default = SceneStand(x_mm=0.0, z_mm=0.0).placed(cube)
+    default = ScenePlacement(x_mm=0.0, z_mm=0.0).placed(cube)
     assert float(default.vertices[:, 1].max()) == pytest.approx(60)
     with pytest.raises(InputError, match="not both"):
-        SceneStand(x_mm=0.0, z_mm=0.0, height_mm=1.0, scale=1.0)
+        ScenePlacement(x_mm=0.0, z_mm=0.0, height_mm=1.0, scale=1.0)

@@ -13,7 +13,7 @@ import trimesh
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from skylight.app.probes.voxel.render import Stand, render_voxels
+from skylight.app.probes.voxel.render import VoxelPlacement, render_voxels
 from skylight.cameras.board import Board, save_board
 from skylight.cameras.drawing import composite, lens_rays, looking_at
 from skylight.cameras.intrinsics import FLIP, Intrinsics, save_intrinsics
@@ -181,8 +181,8 @@ def test_a_model_is_drawn_into_a_photo(
 def test_a_model_stands_parallel_to_a_turned_probe(captured: Path) -> None:
     """Light is known for the probe's six orientations: those the model's faces get."""
     turn = torch.from_numpy(Rotation.from_rotvec([0, 30, 0], degrees=True).as_matrix())
-    stand = Stand(x_mm=10.0, y_mm=5.0, z_mm=20.0, voxel_mm=2.0)
-    matrix = stand.matrix(star_probe(3), turn)
+    placement = VoxelPlacement(x_mm=10.0, y_mm=5.0, z_mm=20.0, voxel_mm=2.0)
+    matrix = placement.matrix(star_probe(3), turn)
     torch.testing.assert_close(matrix[:3, :3], 2 * turn)
     base = matrix @ torch.tensor([1.5, 0, 1.5, 1.0], dtype=torch.float64)
     torch.testing.assert_close(base[:3], torch.tensor([10.0, 5.0, 20.0], dtype=torch.float64))
@@ -324,7 +324,7 @@ class TestRefusals:
                 tmp_path / "x.npy",
                 captured / "lightmap.npz",
                 tmp_path / "x.glb",
-                stand=Stand(x_mm=0.0, z_mm=0.0),
+                placement=VoxelPlacement(x_mm=0.0, z_mm=0.0),
                 photo=tmp_path / "x.png",
             )
 

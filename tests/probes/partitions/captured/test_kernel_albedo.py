@@ -92,7 +92,7 @@ class TestChart:
         np.testing.assert_allclose(found.rgb, MATERIAL, rtol=0.01)
         assert found.error.max() < 0.01
         assert (np.abs(found.rgb - MATERIAL) < 4 * found.error + 0.001).all()
-        assert found.told_by == "ColorChecker"
+        assert found.reference == "ColorChecker"
 
     def test_uneven_light_shows_in_the_error(self) -> None:
         even = albedo_beside_chart(photo(), GAMMA, PATCH)
@@ -157,13 +157,13 @@ class TestFile:
         made = KernelAlbedo(
             rgb=torch.from_numpy(MATERIAL),
             error=torch.from_numpy(MATERIAL / 50),
-            told_by="grey card",
+            reference="grey card",
         )
         save_albedo(tmp_path / "a.json", made)
         read = read_albedo(str(tmp_path / "a.json"))
         np.testing.assert_array_equal(read.rgb, made.rgb)
         np.testing.assert_array_equal(read.error, made.error)
-        assert read.told_by == made.told_by
+        assert read.reference == made.reference
 
     def test_a_number_is_grey_and_sure(self) -> None:
         read = read_albedo("0.8")
