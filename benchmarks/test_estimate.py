@@ -1,6 +1,7 @@
 """Seconds of an estimate: its stages on a 512 x 512 photograph, and each light model alone."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,11 +10,12 @@ import torch
 from skylight.app.estimate.photos import STAGES, estimate_photo
 from skylight.imaging.colour import srgb_to_linear
 from skylight.imaging.photo import Photo
-from skylight.inverse.estimate import estimate_light
+from skylight.inverse.estimate import estimate_each, estimate_light
 from skylight.models.bundle import load_bundle
 from skylight.models.names import LIGHT_NAMES
 from skylight.skies.atmosphere import ClearSky
 from skylight.skies.simulator import draw_day, simulate_sky, sunlit_moments
+from skylight.transport.observation import Observation
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +46,50 @@ def test_estimate(benchmark, photo, estimated):
 @pytest.mark.parametrize("light", LIGHT_NAMES)
 def test_light_model(benchmark, estimated, light):
     benchmark.pedantic(estimate_light, (estimated.view.observation, light), rounds=2)
+
+
+@pytest.fixture(scope="module", params=["cpu", "cuda"])
+def device(request):
+    if request.param == "cuda" and not torch.cuda.is_available():
+        pytest.skip("no CUDA device")
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def eight(estimated):
+    """The photograph's face eight times, each without another part of it."""
+    whole = estimated.view.observation
+    column = whole.places[:, 1]
+    cuts = torch.linspace(0.05, 0.4, 8)
+    return [_part(whole, column > column.float().quantile(cut)) for cut in cuts]
+
+
+def _part(whole, kept):
+    def rows(transport):
+        return replace(transport, matrix=transport.matrix[kept])
+
+    return Observation(
+        pixels=whole.pixels[kept],
+        weights=whole.weights[kept],
+        places=whole.places[kept],
+        transport=rows(whole.transport),
+        gloss=rows(whole.gloss),
+    )
+
+
+@pytest.mark.benchmark(group="eight lights")
+@pytest.mark.parametrize("light", ["sunsky", "autoencoder"])
+def test_lights_one_by_one(benchmark, eight, light, device):
+    def each():
+        return [estimate_light(one, light, device=device) for one in eight]
+
+    benchmark.pedantic(each, rounds=1)
+
+
+@pytest.mark.benchmark(group="eight lights")
+@pytest.mark.parametrize("light", ["sunsky", "autoencoder"])
+def test_lights_as_one_batch(benchmark, eight, light, device):
+    benchmark.pedantic(estimate_each, (eight, light), {"device": device}, rounds=1)
 
 
 @pytest.mark.parametrize("batch", [1, 8])

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from skylight.csc.dictionary import FilterBank
     from skylight.errors import SkylightError
     from skylight.imaging.photo import Photo, read_photo
-    from skylight.inverse.estimate import estimate_light
+    from skylight.inverse.estimate import estimate_each, estimate_light
     from skylight.inverse.result import Estimate
     from skylight.io.files import read_environment_map, write_environment_map
     from skylight.models.autoencoder import AutoencoderLight
@@ -44,6 +44,7 @@ _HOME = {
     "TransportMatrix": "skylight.transport.matrix",
     "VoxelProbe": "skylight.probes.voxel.probe",
     "estimate": "skylight.app.estimate.photos",
+    "estimate_each": "skylight.inverse.estimate",
     "estimate_light": "skylight.inverse.estimate",
     "estimate_photo": "skylight.app.estimate.photos",
     "read_environment_map": "skylight.io.files",
@@ -69,6 +70,7 @@ __all__ = [
     "VoxelProbe",
     "__version__",
     "estimate",
+    "estimate_each",
     "estimate_light",
     "estimate_photo",
     "read_environment_map",

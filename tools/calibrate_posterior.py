@@ -28,11 +28,12 @@ from skylight.inverse.posterior import (
     ROWS,
     PosteriorConstants,
     SunEvidence,
+    face_evidence,
     smallest_region,
     sun_density,
     sun_evidence,
 )
-from skylight.inverse.scan import SCAN_HEIGHT, scan_face
+from skylight.inverse.scan import SCAN_HEIGHT, scan_faces
 from skylight.io.tensors import read_tensors, write_tensors
 from skylight.sphere.grid import DirectionGrid
 
@@ -53,7 +54,7 @@ def case(seed: int) -> dict[str, torch.Tensor]:
     fit = fit_face(model, found[0], SIZE, SIZE)
     observation = observe_face(face.picture, face.clipped, model, fit).observation
     coarse = observation.coarser(1).on_rows(SCAN_HEIGHT)
-    evidence = sun_evidence([coarse], [scan_face(coarse)])
+    evidence = sun_evidence(face_evidence([coarse], scan_faces([coarse])))
     return {
         "deviations": evidence.deviations,
         "gain": torch.tensor(evidence.gain, dtype=torch.float64),

@@ -9,7 +9,8 @@ from typing import Protocol, TypeVar, runtime_checkable
 from skylight.faces.skin import SkinPrior
 from skylight.inverse.harmonic.problem import HarmonicProblem
 from skylight.inverse.result import Estimate
-from skylight.inverse.sky.problem import SkyProblem, SolverOptions
+from skylight.inverse.sky.problem import SkyProblem, solve_together
+from skylight.inverse.sky.solver import SolverOptions
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.bundle import LightBundle, load_bundle
 from skylight.models.harmonic import HarmonicLight
@@ -99,6 +100,43 @@ def estimate_light(
     return problem.solve(progress)
 
 
+def estimate_each(
+    observations: Sequence[Observation],
+    light: LightName = "autoencoder",
+    *,
+    model: Model | None = None,
+    options: SolverOptions | None = None,
+    device: str = "auto",
+    progress: Progress | None = None,
+) -> list[Estimate]:
+    """The light of each observation, each face in a light of its own.
+
+    As :func:`estimate_light` of each, but for rounding; parameters and errors are its own. Skies
+    ("autoencoder", "sunsky") are solved as one batch, which keeps a GPU busy: give it as many
+    as its memory holds (:func:`~skylight.inverse.sky.problem.solve_together`). A CPU is
+    busy with one: there a batch takes a little longer. Harmonics are solved one after the other.
+    """
+    problems = light_problems(len(observations), light, model=model, options=options, device=device)
+    for problem, observation in zip(problems, observations, strict=True):
+        problem.add(observation)
+    return solve_each(problems, progress)
+
+
+def solve_each(
+    problems: Sequence[LightProblem[Estimate]], progress: Progress | None = None
+) -> list[Estimate]:
+    """The light of each of :func:`light_problems`: skies together, others one by one."""
+    skies = [problem for problem in problems if isinstance(problem, SkyProblem)]
+    if skies and len(skies) == len(problems):
+        return solve_together(skies, progress)
+    found = []
+    for done, problem in enumerate(problems, start=1):
+        found.append(problem.solve())
+        if progress is not None:
+            progress(done / len(problems))
+    return found
+
+
 def light_problem(
     light: LightName,
     *,
@@ -111,13 +149,26 @@ def light_problem(
     An observation can be let go once it is added: of several faces, only one at a time need be
     held with its full transport.
     """
+    return light_problems(1, light, model=model, options=options, device=device)[0]
+
+
+def light_problems(
+    count: int,
+    light: LightName,
+    *,
+    model: Model | None = None,
+    options: SolverOptions | None = None,
+    device: str = "auto",
+) -> Sequence[LightProblem[Estimate]]:
+    """So many of :func:`light_problem`, each with a light of its own, for :func:`solve_each`."""
     check_light_name(light)
     if model is not None:
         check_is_trained(light)
     where = choose_device(device)
     modes, prior = SkinPrior.load().means.float().to(where), albedo_prior().to(where)
     if light == "sh9" or light == "sh25":
-        return HarmonicProblem(HarmonicLight(2 if light == "sh9" else 4).to(where), prior, modes)
+        harmonics = HarmonicLight(2 if light == "sh9" else 4).to(where)
+        return [HarmonicProblem(harmonics, prior, modes) for _ in range(count)]
     bundle = (
         model
         if isinstance(model, LightBundle)
@@ -127,7 +178,8 @@ def light_problem(
         sky, over = smooth_autoencoder(bundle), bundle.prior()
     else:
         sky, over = SunSky(), copy.deepcopy(bundle.sunsky_prior)
-    return SkyProblem(sky.to(where), over.to(where), prior, modes, options)
+    first = SkyProblem(sky.to(where), over.to(where), prior, modes, options)
+    return [first.another() for _ in range(count)]
 
 
 def smooth_autoencoder(bundle: LightBundle) -> AutoencoderLight:

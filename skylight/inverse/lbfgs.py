@@ -16,16 +16,16 @@ class Minimum:
     """The best iterate of each problem, never one with a non-finite loss.
 
     ``converged``: the last accepted step changed the loss by less than the tolerance, or no
-    descent was possible any more. ``nonfinite`` counts trial points whose loss or gradient was
-    not finite and which were rejected.
+    descent was possible any more. ``evaluations`` are the trial points of each problem,
+    ``nonfinite`` those whose loss or gradient was not finite and which were rejected.
     """
 
     x: Float[Tensor, "b p"]
     loss: Float[Tensor, " b"]
     converged: Bool[Tensor, " b"]
     iterations: Int[Tensor, " b"]
-    evaluations: int
-    nonfinite: int
+    evaluations: Int[Tensor, " b"]
+    nonfinite: Int[Tensor, " b"]
 
 
 @torch.no_grad()
@@ -48,24 +48,23 @@ def minimise(
     """
     count = len(x0)
     x = x0.clone()
-    nonfinite = 0
+    everyone = torch.arange(count, device=x.device)
+    evaluations, nonfinite = torch.zeros_like(everyone), torch.zeros_like(everyone)
 
     def evaluate(points: Tensor, index: Tensor) -> tuple[Tensor, Tensor]:
-        nonlocal nonfinite
         with torch.enable_grad():
             leaf = points.detach().requires_grad_(True)
             loss = objective(leaf, index)
             (slope,) = torch.autograd.grad(loss.sum(), leaf)
         bad = ~(loss.isfinite() & slope.isfinite().all(1))
-        nonfinite += int(bad.sum())
+        evaluations[index] += 1
+        nonfinite[index] += bad
         return (
             torch.where(bad, torch.inf, loss.detach()),
             torch.where(bad[:, None], 0.0, slope),
         )
 
-    everyone = torch.arange(count, device=x.device)
     loss, slope = evaluate(x, everyone)
-    evaluations = count
     steps: list[Tensor] = []
     turns: list[Tensor] = []
     active = loss.isfinite()
@@ -92,7 +91,6 @@ def minimise(
                 break
             trial = x[index[todo]] + scale[todo, None] * direction[todo]
             trial_loss, trial_slope = evaluate(trial, index[todo])
-            evaluations += len(todo)
             enough = trial_loss <= loss[index[todo]] + 1e-4 * scale[todo] * descent[todo]
             good = todo[enough]
             new_x[good], new_loss[good] = trial[enough], trial_loss[enough]

@@ -39,7 +39,7 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from skylight.inverse.scale import GLOSS_SPREAD
-from skylight.inverse.scan import FaceScan, scan_face
+from skylight.inverse.scan import FaceScan, scan_faces
 from skylight.models.base import Prior
 from skylight.sphere.envmap import luminance
 from skylight.sphere.grid import DirectionGrid
@@ -138,24 +138,48 @@ class SunPosterior:
         return math.acos(1 - min(self.region_sr / (2 * math.pi), 1.0))
 
 
-def sun_evidence(observations: Sequence[Observation], scans: Sequence[FaceScan]) -> SunEvidence:
-    """Robust scans of all faces under one light, from their ordinary scans."""
-    deviations, unlit = [], []
-    for observation, scan in zip(observations, scans, strict=True):
-        weights = observation.weights.double() / observation.weights.double().sum()
-        seen = luminance(observation.pixels).double()
-        mean = weights @ seen
-        robust = weights
-        for _ in range(REWEIGHTINGS):
-            away = scan.deviations / mean
-            robust = weights / (away.square() + LEAST_DEVIATION**2).sqrt()
-            scan = scan_face(replace(observation, weights=robust.float()))
-        energy = robust @ (seen / mean).square()
-        deviations.append(scan.unexplained * energy)
-        unlit.append(scan.unlit * float(energy))
-    total = torch.stack(deviations).sum(0).cpu()
-    gain = (math.fsum(unlit) - float(total.min())) / len(observations)
+@dataclass(frozen=True, kw_only=True)
+class FaceEvidence:
+    """What one face says of the sun: its share of m(d), and its deviation without any sun."""
+
+    deviations: Float[Tensor, " n"]
+    unlit: float
+
+
+def sun_evidence(faces: Sequence[FaceEvidence]) -> SunEvidence:
+    """That of all faces under one light."""
+    total = torch.stack([face.deviations for face in faces]).sum(0).cpu()
+    gain = (math.fsum(face.unlit for face in faces) - float(total.min())) / len(faces)
     return SunEvidence(deviations=total, gain=gain)
+
+
+def face_evidence(
+    observations: Sequence[Observation], scans: Sequence[FaceScan]
+) -> list[FaceEvidence]:
+    """Robust scans of faces, under one light or several, from their ordinary scans."""
+    weights = [one.weights.double() / one.weights.double().sum() for one in observations]
+    seen = [luminance(one.pixels).double() for one in observations]
+    means = [weight @ level for weight, level in zip(weights, seen, strict=True)]
+    robust = weights
+    for _ in range(REWEIGHTINGS):
+        robust = [
+            weight / ((scan.deviations / mean).square() + LEAST_DEVIATION**2).sqrt()
+            for weight, scan, mean in zip(weights, scans, means, strict=True)
+        ]
+        scans = scan_faces(
+            [
+                replace(one, weights=weight.float())
+                for one, weight in zip(observations, robust, strict=True)
+            ]
+        )
+    energies = [
+        weight @ (level / mean).square()
+        for weight, level, mean in zip(robust, seen, means, strict=True)
+    ]
+    return [
+        FaceEvidence(deviations=scan.unexplained * energy, unlit=scan.unlit * float(energy))
+        for scan, energy in zip(scans, energies, strict=True)
+    ]
 
 
 def sun_density(

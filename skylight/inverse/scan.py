@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+from torch.nn.functional import pad
 
 from skylight.sphere.envmap import luminance
 from skylight.sphere.grid import DirectionGrid
@@ -48,34 +49,27 @@ class SunScan:
     strengths: Float[Tensor, " k"]
     faces: "tuple[FaceScan, ...]"
 
+    @staticmethod
+    def of(
+        faces: "Sequence[FaceScan]", *, candidates: int = 4, separation_deg: float = 12.0
+    ) -> "SunScan":
+        """What the scans of faces under one light tell together, on the CPU.
 
-def scan_sun(
-    observations: Observation | Sequence[Observation],
-    *,
-    candidates: int = 4,
-    separation_deg: float = 12.0,
-) -> SunScan:
-    """Solve the problem above for all 1,024 directions of the upper half of a 32 x 64 grid.
-
-    Several observations are faces under the same light, whatever their albedos and exposures.
-    Each face is solved on the device of its observation; the rest of the answer is on the CPU.
-    """
-    if isinstance(observations, Observation):
-        observations = (observations,)
-    faces = [scan_face(observation) for observation in observations]
-    energy = torch.stack([face.unexplained for face in faces]).mean(0)
-    strength = torch.stack([face.strengths for face in faces]).mean(0)
-    residuals = energy.sqrt().cpu()
-    grid = DirectionGrid.latlong(SCAN_HEIGHT)
-    directions = grid.directions[: len(grid) // 2]
-    chosen = _best_apart(directions, residuals, candidates, math.radians(separation_deg))
-    return SunScan(
-        directions=directions,
-        residuals=residuals,
-        candidates=directions[chosen],
-        strengths=strength.cpu()[chosen],
-        faces=tuple(faces),
-    )
+        The faces may have any albedos and exposures. Candidates are ``separation_deg`` apart.
+        """
+        energy = torch.stack([face.unexplained for face in faces]).mean(0)
+        strength = torch.stack([face.strengths for face in faces]).mean(0)
+        residuals = energy.sqrt().cpu()
+        grid = DirectionGrid.latlong(SCAN_HEIGHT)
+        directions = grid.directions[: len(grid) // 2]
+        chosen = _best_apart(directions, residuals, candidates, math.radians(separation_deg))
+        return SunScan(
+            directions=directions,
+            residuals=residuals,
+            candidates=directions[chosen],
+            strengths=strength.cpu()[chosen],
+            faces=tuple(faces),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,124 +87,201 @@ class FaceScan:
     deviations: Float[Tensor, " m"]
 
 
-def scan_face(observation: Observation) -> FaceScan:
-    """Explain one face by a sun in each direction, and by ambient light alone."""
-    root = observation.weights.double().sqrt()
-    y = luminance(observation.pixels).double() * root
-    coarse = observation.on_rows(SCAN_HEIGHT)
-    grid = coarse.transport.grid
-    upper = len(grid) // 2
+def scan_faces(
+    observations: Sequence[Observation], *, at_once: int | None = None
+) -> list[FaceScan]:
+    """Explain each face by a sun in each direction, and by ambient light alone.
 
-    def columns(transport: TransportMatrix) -> Float[Tensor, "m n"]:
-        return transport.matrix.double() * root[:, None]
+    Directions are the 1,024 of the upper half of a 32 x 64 grid. Each face is solved on the device
+    of its observation, ``at_once`` faces together; its scan is the same whatever that is. By
+    default one on the CPU, whose cache holds the unknowns of one (4 MB; eight at once take a
+    third longer), and all on other devices, which are idle otherwise.
+    """
+    if at_once is None:
+        on_cpu = observations[0].weights.device.type == "cpu"
+        at_once = 1 if on_cpu else len(observations)
+    scans: list[FaceScan] = []
+    for begin in range(0, len(observations), at_once):
+        problems = [_SunProblem.of(one) for one in observations[begin : begin + at_once]]
+        scans += [explained.scan() for explained in _explain(problems)]
+    return scans
 
-    def suns(transport: TransportMatrix) -> Float[Tensor, "m n_1"]:
-        """One problem for each direction, and a last one without a sun."""
-        return torch.nn.functional.pad(_unit(columns(transport)[:, :upper]), (0, 1))
 
-    diffuse = columns(coarse.transport)
-    groups = [suns(coarse.transport)]
-    if coarse.gloss is not None:
-        groups.append(suns(coarse.gloss))
-    ambient = _unit(diffuse @ _ambient_lobes(grid).to(diffuse))
-    clipped = torch.zeros_like(y, dtype=torch.bool)
-    if observation.clipped is not None:
-        clipped = observation.clipped
-    explained = _explain(torch.stack(groups), ambient, y, clipped)
-    energy = float(y @ y)
-    unexplained = explained.squared.clamp(min=0) / energy
-    best = int(unexplained[:-1].argmin())
-    return FaceScan(
-        unexplained=unexplained[:-1],
-        unlit=float(unexplained[-1]),
-        strengths=(explained.x[:, 0] * (groups[0].sum(0) / y.sum()))[:-1],
-        deviations=explained.deviations(best) / root.clamp(min=1e-12),
-    )
+@dataclass(frozen=True, kw_only=True)
+class _SunProblem:
+    """min_{x >= 0} |y - sum_g suns[g, :, d] x_g - ambient x|^2 for each direction d of a face.
+
+    The last of the n directions has no sun. All is scaled by ``root``, of the weights; the suns
+    and the ambient light have unit norm.
+    """
+
+    suns: Float[Tensor, "g m n"]
+    ambient: Float[Tensor, "m j"]
+    y: Float[Tensor, " m"]
+    root: Float[Tensor, " m"]
+    clipped: Bool[Tensor, " m"]
+
+    @staticmethod
+    def of(observation: Observation) -> "_SunProblem":
+        root = observation.weights.double().sqrt()
+        coarse = observation.on_rows(SCAN_HEIGHT)
+        grid = coarse.transport.grid
+        upper = len(grid) // 2
+
+        def columns(transport: TransportMatrix) -> Float[Tensor, "m n"]:
+            return transport.matrix.double() * root[:, None]
+
+        def suns(transport: TransportMatrix) -> Float[Tensor, "m n_1"]:
+            """One problem for each direction, and a last one without a sun."""
+            return pad(_unit(columns(transport)[:, :upper]), (0, 1))
+
+        groups = [suns(coarse.transport)]
+        if coarse.gloss is not None:
+            groups.append(suns(coarse.gloss))
+        clipped = torch.zeros_like(root, dtype=torch.bool)
+        if observation.clipped is not None:
+            clipped = observation.clipped
+        return _SunProblem(
+            suns=torch.stack(groups),
+            ambient=_unit(columns(coarse.transport) @ _ambient_lobes(grid).to(root)),
+            y=luminance(observation.pixels).double() * root,
+            root=root,
+            clipped=clipped,
+        )
+
+    @property
+    def unknowns(self) -> int:
+        return len(self.suns) + self.ambient.shape[1]
+
+    def gram(self) -> Float[Tensor, "n k k"]:
+        suns, ambient, g = self.suns, self.ambient, len(self.suns)
+        gram = self.y.new_zeros(suns.shape[2], self.unknowns, self.unknowns)
+        gram[:, :g, :g] = torch.einsum("gmn,hmn->ngh", suns, suns)
+        gram[:, :g, g:] = torch.einsum("gmn,mj->ngj", suns, ambient)
+        gram[:, g:, :g] = gram[:, :g, g:].transpose(1, 2)
+        gram[:, g:, g:] = ambient.T @ ambient
+        return gram
+
+    def right(self) -> Float[Tensor, "n k"]:
+        ambient = (self.ambient.T @ self.y).expand(self.suns.shape[2], -1)
+        return torch.cat([torch.einsum("gmn,m->ng", self.suns, self.y), ambient], 1)
+
+    def raised(self, x: Float[Tensor, "n k"]) -> tuple[Float[Tensor, "n k"], Float[Tensor, " n"]]:
+        """What y adds to the right side and to y^2 where it is raised to what x explains."""
+        g, high = len(self.suns), self.clipped
+        suns, ambient, bound = self.suns[:, high], self.ambient[high], self.y[high]
+        shaded = torch.einsum("gmn,ng->mn", suns, x[:, :g]) + ambient @ x[:, g:].T
+        excess = (shaded - bound[:, None]).clamp(min=0)
+        more = torch.cat([torch.einsum("gmn,mn->ng", suns, excess), excess.T @ ambient], 1)
+        return more, (excess * (excess + 2 * bound[:, None])).sum(0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Explained:
-    """n problems: ``x`` (n,k) the suns' parts and the ambient ones, ``squared`` what is left."""
+    """Solutions: ``x`` (n,k) the suns' parts and the ambient ones, ``squared`` what is left."""
 
+    problem: _SunProblem
     x: Float[Tensor, "n k"]
     squared: Float[Tensor, " n"]
-    suns: Float[Tensor, "g m n"]
-    ambient: Float[Tensor, "m j"]
-    y: Float[Tensor, " m"]
-    clipped: Bool[Tensor, " m"]
 
-    def deviations(self, problem: int) -> Float[Tensor, " m"]:
+    def scan(self) -> FaceScan:
+        one = self.problem
+        energy = float(one.y @ one.y)
+        unexplained = self.squared.clamp(min=0) / energy
+        best = int(unexplained[:-1].argmin())
+        return FaceScan(
+            unexplained=unexplained[:-1],
+            unlit=float(unexplained[-1]),
+            strengths=(self.x[:, 0] * (one.suns[0].sum(0) / one.y.sum()))[:-1],
+            deviations=self.deviations(best) / one.root.clamp(min=1e-12),
+        )
+
+    def deviations(self, direction: int) -> Float[Tensor, " m"]:
         """Seen less explained; none where a bound is kept."""
-        g = len(self.suns)
-        shaded = self.suns[:, :, problem].T @ self.x[problem, :g]
-        left = self.y - shaded - self.ambient @ self.x[problem, g:]
-        return torch.where(self.clipped, left.clamp(min=0), left)
+        one, g = self.problem, len(self.problem.suns)
+        shaded = one.suns[:, :, direction].T @ self.x[direction, :g]
+        left = one.y - shaded - one.ambient @ self.x[direction, g:]
+        return torch.where(one.clipped, left.clamp(min=0), left)
 
 
-def _explain(
-    suns: Float[Tensor, "g m n"],
-    ambient: Float[Tensor, "m j"],
-    y: Float[Tensor, " m"],
-    clipped: Bool[Tensor, " m"],
-) -> _Explained:
-    """min_{x >= 0} |y - sum_g suns[g, :, d] x_g - ambient x|^2 for each d.
+def _explain(problems: Sequence[_SunProblem]) -> list[_Explained]:
+    """The solution of each.
 
     Where ``clipped``, y is a lower bound: it is raised to what explains it and the problem is
     solved anew, :data:`RAISES` times, which never makes the error larger.
     """
-    g, count = len(suns), suns.shape[2]
-    gram = y.new_zeros(count, g + ambient.shape[1], g + ambient.shape[1])
-    gram[:, :g, :g] = torch.einsum("gmn,hmn->ngh", suns, suns)
-    gram[:, :g, g:] = torch.einsum("gmn,mj->ngj", suns, ambient)
-    gram[:, g:, :g] = gram[:, :g, g:].transpose(1, 2)
-    gram[:, g:, g:] = ambient.T @ ambient
-    right = torch.cat([torch.einsum("gmn,m->ng", suns, y), (ambient.T @ y).expand(count, -1)], 1)
-    energy = (y @ y).expand(count)
+    most = max(one.unknowns for one in problems)
+    grams, rights = [one.gram() for one in problems], [one.right() for one in problems]
+    # unknowns that a problem without gloss has not are 0 and stay 0
+    missing = [most - one.unknowns for one in problems]
+    gram = torch.stack([pad(a, (0, k, 0, k)) for a, k in zip(grams, missing, strict=True)])
+    right = torch.stack([pad(r, (0, k)) for r, k in zip(rights, missing, strict=True)])
+    level = torch.stack(
+        [(one.y @ one.y).expand(len(r)) for one, r in zip(problems, rights, strict=True)]
+    )
     x = nnls(gram, right, tolerance=SETTLED)
-    high, bound = suns[:, clipped], y[clipped]
-    raised, level = right, energy
-    for raises in range(RAISES + 1 if len(bound) else 0):
+    bounded = [p for p, one in enumerate(problems) if bool(one.clipped.any())]
+    raised, raised_level = right.clone(), level.clone()
+    for raises in range(RAISES + 1 if bounded else 0):
         if raises:
-            x = nnls(gram, raised, start=x, tolerance=SETTLED)
-        shaded = torch.einsum("gmn,ng->mn", high, x[:, :g]) + ambient[clipped] @ x[:, g:].T
-        excess = (shaded - bound[:, None]).clamp(min=0)
-        more = torch.cat([torch.einsum("gmn,mn->ng", high, excess), excess.T @ ambient[clipped]], 1)
-        raised, level = right + more, energy + (excess * (excess + 2 * bound[:, None])).sum(0)
-    squared = level - 2 * (raised * x).sum(1) + torch.einsum("nj,njk,nk->n", x, gram, x)
-    return _Explained(x=x, squared=squared, suns=suns, ambient=ambient, y=y, clipped=clipped)
+            x[bounded] = nnls(gram[bounded], raised[bounded], start=x[bounded], tolerance=SETTLED)
+        for p in bounded:
+            more, energy = problems[p].raised(x[p, :, : problems[p].unknowns])
+            raised[p, :, : problems[p].unknowns] = rights[p] + more
+            raised_level[p] = level[p] + energy
+    explained = []
+    for p, one in enumerate(problems):
+        mine, k = x[p, :, : one.unknowns], one.unknowns
+        along = torch.einsum("nj,njk,nk->n", mine, grams[p], mine)
+        squared = raised_level[p] - 2 * (raised[p, :, :k] * mine).sum(1) + along
+        explained.append(_Explained(problem=one, x=mine, squared=squared))
+    return explained
 
 
 def nnls(
-    gram: Float[Tensor, "b k k"],
-    right: Float[Tensor, "b k"],
+    gram: Float[Tensor, "p b k k"],
+    right: Float[Tensor, "p b k"],
     *,
-    start: Float[Tensor, "b k"] | None = None,
+    start: Float[Tensor, "p b k"] | None = None,
     sweeps: int = 150,
     tolerance: float = 1e-9,
-) -> Float[Tensor, "b k"]:
-    """min_{x >= 0} x^T G x / 2 - r^T x for many small problems, by coordinate descent.
+) -> Float[Tensor, "p b k"]:
+    """min_{x >= 0} x^T G x / 2 - r^T x for p sets of b small problems, by coordinate descent.
 
     Franc, Hlavac & Navara (2005): each sweep sets every unknown to its own minimum in turn;
     the objective never rises, and stops falling at the solution (G positive semi-definite with
-    a positive diagonal; unknowns whose row and right side are zero keep their start). Ends early
-    once a sweep moves nothing by more than ``tolerance``, relative to the largest unknown.
+    a positive diagonal; unknowns whose row and right side are zero keep their start). A set ends
+    early once a sweep moves nothing in it by more than ``tolerance``, relative to its largest
+    unknown, so its solution does not depend on the others.
     """
     # one unknown of all problems at a time, together in memory
-    x = (torch.zeros_like(right) if start is None else start).T.clone(
-        memory_format=torch.contiguous_format
-    )
-    columns = gram.permute(2, 1, 0).contiguous()
-    slope = torch.einsum("kjb,kb->jb", columns, x) - right.T
-    inverse = 1 / gram.diagonal(dim1=1, dim2=2).clamp(min=1e-30).T.contiguous()
+    x = (torch.zeros_like(right) if start is None else start).permute(2, 0, 1)
+    x = x.clone(memory_format=torch.contiguous_format)
+    columns = gram.permute(3, 2, 0, 1).contiguous()
+    slope = torch.einsum("kjpb,kpb->jpb", columns, x) - right.permute(2, 0, 1)
+    inverse = 1 / gram.diagonal(dim1=2, dim2=3).clamp(min=1e-30).permute(2, 0, 1).contiguous()
+    solution = torch.empty_like(x)
+    moving = torch.arange(len(gram), device=x.device)
     for _ in range(sweeps):
         before = x.clone()
         for value, steep, scale, column in zip(x, slope, inverse, columns, strict=True):
             new = torch.addcmul(value, steep, scale, value=-1).clamp_(min=0)
             slope.addcmul_(new - value, column)
             value.copy_(new)
-        if float((x - before).abs().max()) <= tolerance * float(x.abs().max()):
-            break
-    return x.T
+        settled = (x - before).abs().amax((0, 2)) <= tolerance * x.abs().amax((0, 2))
+        if bool(settled.any()):
+            solution[:, moving[settled]] = x[:, settled]
+            moving, x, slope, inverse, columns = (
+                moving[~settled],
+                x[:, ~settled],
+                slope[:, ~settled],
+                inverse[:, ~settled],
+                columns[:, :, ~settled],
+            )
+            if len(moving) == 0:
+                break
+    solution[:, moving] = x
+    return solution.permute(1, 2, 0)
 
 
 def _unit(columns: Float[Tensor, "m n"]) -> Float[Tensor, "m n"]:

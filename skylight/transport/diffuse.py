@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -105,25 +105,61 @@ class DiffuseTransport(nn.Module):
 
 
 class SkyTransport(nn.Module):
-    """Shading from a sky above a ground of uniform radiance; differentiable in both and in albedo.
+    """Shading from skies above grounds of uniform radiance; differentiable in both and in albedo.
 
-    Half as many columns as the full sphere: all directions below the horizon are one.
+    Half as many columns as the full sphere: all directions below the horizon are one. ``folded``
+    (p,m,n) are the matrices of p scenes; where one has fewer points, its last rows are zeros.
     """
 
     folded: Tensor
 
-    def __init__(self, transport: TransportMatrix) -> None:
+    def __init__(self, folded: Float[Tensor, "p m n"]) -> None:
         super().__init__()
-        self.register_buffer("folded", transport.fold_ground())
+        self.register_buffer("folded", folded)
+
+    @staticmethod
+    def of(transport: TransportMatrix) -> "SkyTransport":
+        """That of one scene."""
+        return SkyTransport(transport.fold_ground()[None])
 
     def forward(
         self,
         sky: Float[Tensor, "b n 3"],
         ground: Float[Tensor, "b 3"],
         albedo: Float[Tensor, "b 3"],
+        scene: Int[Tensor, " b"] | None = None,
     ) -> Float[Tensor, "b m 3"]:
-        """rho (T l) (Eq. 5.2) for a batch of lights, one albedo per light."""
-        return albedo[:, None] * shade(self.folded, torch.cat([sky, ground[:, None]], dim=1))
+        """rho (T l) (Eq. 5.2) for a batch of lights, one albedo per light.
+
+        ``scene`` is the one that each light falls on, in ascending order; None where there is
+        but one.
+        """
+        radiance = torch.cat([sky, ground[:, None]], dim=1)
+        return albedo[:, None] * shade_scenes(self.folded, radiance, scene)
+
+
+def shade_scenes(
+    matrices: Float[Tensor, "p m n"],
+    radiance: Float[Tensor, "b n c"],
+    scene: Int[Tensor, " b"] | None,
+) -> Float[Tensor, "b m c"]:
+    """``matrices[scene] @ radiance`` as one batched product, which copies no matrix.
+
+    ``scene`` is in ascending order. The lights of each scene go into as many slots as the scene
+    with the most lights has; the product is over all slots.
+    """
+    if len(matrices) == 1:
+        return shade(matrices[0], radiance)
+    assert scene is not None
+    colours = radiance.shape[-1]
+    counts = torch.bincount(scene, minlength=len(matrices))
+    size = max(int(counts.max()), -(-_FEWEST_ROWS // colours))
+    place = torch.arange(len(scene), device=scene.device) - (counts.cumsum(0) - counts)[scene]
+    slot = scene * size + place
+    rows = radiance.transpose(1, 2)
+    slots = rows.new_zeros(len(matrices) * size, *rows.shape[1:]).index_copy(0, slot, rows)
+    shading = slots.reshape(len(matrices), size * colours, -1) @ matrices.transpose(1, 2)
+    return shading.reshape(-1, colours, matrices.shape[1])[slot].transpose(1, 2)
 
 
 def shade(

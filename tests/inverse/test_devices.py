@@ -6,12 +6,12 @@ import pytest
 import torch
 
 from skylight.inverse import estimate as entry
-from skylight.inverse.estimate import estimate_light
+from skylight.inverse.estimate import estimate_each, estimate_light
 from skylight.inverse.object import problem as of_object
 from skylight.inverse.object.problem import ObjectLight, ObjectLightName, estimate_object_light
 from skylight.inverse.object.view import ObjectMaterial
 from skylight.inverse.result import Estimate
-from skylight.inverse.sky.problem import Round, SolverOptions
+from skylight.inverse.sky.solver import Round, SolverOptions
 from skylight.transport.render import Specular
 from tests.inverse.checked_device import DEVICE, CheckedDevice
 from tests.inverse.test_solve import SUNS, harmonic_ball, observed, watched
@@ -41,6 +41,22 @@ def test_no_operation_mixes_devices(on_cpu: Estimate, monkeypatch: pytest.Monkey
     assert torch.equal(found.environment.radiance, on_cpu.environment.radiance)
     assert torch.equal(found.rendered, on_cpu.rendered)
     assert (found.terms, found.stats, found.status) == (on_cpu.terms, on_cpu.stats, on_cpu.status)
+
+
+def test_no_operation_of_a_batch_mixes_devices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two photographs at once, one with fewer pixels and lower bounds: the CPU's light."""
+    whole = watched(*SUNS[0])[0]
+    coarse = watched(*SUNS[1])[0].coarser(1)
+    level = coarse.pixels.mean(1)
+    both = [whole, replace(coarse, clipped=level > level.quantile(0.8))]
+    expected = estimate_each(both, "sunsky", options=FEW, device="cpu")
+    monkeypatch.setattr(entry, "choose_device", torch.device)
+    with CheckedDevice():
+        found = estimate_each(both, "sunsky", options=FEW, device=str(DEVICE))
+    for one, other in zip(found, expected, strict=True):
+        assert torch.equal(one.environment.radiance, other.environment.radiance)
+        assert torch.equal(one.rendered, other.rendered)
+        assert (one.terms, one.stats, one.status) == (other.terms, other.stats, other.status)
 
 
 def test_a_device_gives_the_cpus_light(on_cpu: Estimate, device: torch.device) -> None:

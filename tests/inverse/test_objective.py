@@ -109,7 +109,7 @@ def test_parts_add_up_and_are_what_they_say():
     free = whole.pack(*given)
     terms = whole.terms(free)
     torch.testing.assert_close(sum(terms.values()), whole(free))
-    torch.testing.assert_close(whole(free)[1:3], whole(free[1:3], torch.tensor([1, 2])))
+    torch.testing.assert_close(whole(free)[1:3], whole(free[1:3]))
     # the priors of standard normals, written out; the azimuth (6) has none
     light = torch.cat([free[:, :6], free[:, 7:10]], 1)
     constant = 0.5 * np.log(2 * np.pi)
@@ -208,12 +208,12 @@ def test_what_is_brighter_than_a_lower_bound_deviates_by_nothing():
     seen = observation()
     clipped = torch.arange(len(seen.pixels)) % 2 == 0
     face = FaceTerm.of(replace(seen, clipped=clipped))
-    brighter, darker = face.deviation(seen.pixels + 0.1), face.deviation(seen.pixels - 0.1)
+    brighter, darker = face.deviation(torch.stack([seen.pixels + 0.1, seen.pixels - 0.1])).unbind()
     assert (brighter[clipped] == 0).all()
     torch.testing.assert_close(brighter[~clipped], torch.full_like(brighter[~clipped], 0.1))
     torch.testing.assert_close(darker, torch.full_like(darker, -0.1))
-    assert (face.exact_share[clipped] == 0).all()
-    torch.testing.assert_close(face.exact_share[~clipped], face.share[~clipped])
+    assert (face.exact_share[0, clipped] == 0).all()
+    torch.testing.assert_close(face.exact_share[0, ~clipped], face.share[0, ~clipped])
 
 
 def tones(weights, means, spread):
@@ -243,8 +243,8 @@ def test_the_safest_albedo_is_the_weighted_median(dark, wanted):
 
 
 def test_the_best_exposure_matches_the_mean():
-    shading, target = torch.rand(4, 20, 3) + 0.1, torch.rand(20, 3)
-    share = torch.rand(20, 1)
+    shading, target = torch.rand(4, 20, 3) + 0.1, torch.rand(1, 20, 3)
+    share = torch.rand(1, 20, 1)
     share = share / share.sum() / 3
     exposed = best_exposure(shading, target, share)[:, None, None] * shading
     torch.testing.assert_close((exposed * share).sum((1, 2)), (target * share).sum().expand(4))

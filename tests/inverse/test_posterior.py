@@ -9,6 +9,7 @@ import torch
 from skylight.inverse.posterior import (
     FITTED,
     SunEvidence,
+    face_evidence,
     interval,
     region_parts,
     smallest_region,
@@ -17,7 +18,7 @@ from skylight.inverse.posterior import (
     sun_evidence,
     sun_posterior,
 )
-from skylight.inverse.scan import scan_face
+from skylight.inverse.scan import scan_faces
 from skylight.models.prior import GaussianMixture
 from skylight.sphere.frame import direction_from_angles
 from skylight.sphere.grid import DirectionGrid
@@ -54,7 +55,7 @@ def posterior_of(evidence, estimate=None, *, explained=True):
 
 
 def watched(observation):
-    return sun_evidence([observation], [scan_face(observation)])
+    return sun_evidence(face_evidence([observation], scan_faces([observation])))
 
 
 def ball(light, noise=0.0):
@@ -242,10 +243,10 @@ def test_the_smallest_region_of_equal_densities_is_as_large_as_its_share():
 
 def test_faces_add_their_deviations_and_share_the_gain(lit_ball):
     one, other = ball(light_of(FRONT, 0.6), noise=0.05), ball(light_of(towards(-120.0, 40.0), 0.3))
-    both = sun_evidence([one, other], [scan_face(one), scan_face(other)])
+    both = sun_evidence(face_evidence([one, other], scan_faces([one, other])))
     alone = lit_ball, watched(other)
     torch.testing.assert_close(both.deviations, sum(face.deviations for face in alone))
     unlit = sum(face.gain + float(face.deviations.min()) for face in alone)
     assert both.gain == pytest.approx((unlit - float(both.deviations.min())) / 2)
-    twice = sun_evidence([one, one], [scan_face(one)] * 2)
+    twice = sun_evidence(face_evidence([one, one], scan_faces([one, one])))
     assert twice.gain == pytest.approx(lit_ball.gain)

@@ -8,7 +8,7 @@ import pytest
 import torch
 from scipy.optimize import nnls as scipy_nnls
 
-from skylight.inverse.scan import nnls, scan_sun
+from skylight.inverse.scan import SunScan, nnls, scan_faces
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.camera import Camera
 from skylight.transport.gbuffer import rasterize
@@ -64,6 +64,10 @@ def seen(ball, light, albedo, *, shine, gloss):
     )
 
 
+def scanned(observation, **options):
+    return SunScan.of(scan_faces([observation]), **options)
+
+
 def degrees_between(a, b):
     return math.degrees(math.acos(min(1.0, float(a @ b))))
 
@@ -75,8 +79,9 @@ def test_non_negative_least_squares_as_solved_by_an_active_set_method(positive):
     wanted = rng.normal(size=(30, 40)) + positive
     gram = torch.from_numpy(np.einsum("bij,bik->bjk", matrices, matrices))
     right = torch.from_numpy(np.einsum("bij,bi->bj", matrices, wanted))
+    gram, right = gram[None], right[None]
     found = nnls(gram, right, sweeps=2000)
-    truth = np.stack([scipy_nnls(a, y)[0] for a, y in zip(matrices, wanted, strict=True)])
+    truth = np.stack([scipy_nnls(a, y)[0] for a, y in zip(matrices, wanted, strict=True)])[None]
     assert (found >= 0).all()
     assert (truth == 0).any()  # the constraint matters
     kept = found.clone()
@@ -90,15 +95,15 @@ def test_non_negative_least_squares_as_solved_by_an_active_set_method(positive):
 def test_non_negative_least_squares_that_are_unconstrained_at_heart():
     rng = np.random.default_rng(6)
     matrix, truth = rng.random((40, 5)), np.array([1.0, 2.0, 0.5, 3.0, 1.5])
-    gram = torch.from_numpy(matrix.T @ matrix)[None]
-    found = nnls(gram, torch.from_numpy(matrix.T @ matrix @ truth)[None], sweeps=5000)
-    np.testing.assert_allclose(found[0].numpy(), truth, atol=1e-6)
+    gram = torch.from_numpy(matrix.T @ matrix)[None, None]
+    found = nnls(gram, torch.from_numpy(matrix.T @ matrix @ truth)[None, None], sweeps=5000)
+    np.testing.assert_allclose(found[0, 0].numpy(), truth, atol=1e-6)
 
 
 @pytest.mark.parametrize("sun", SUNS)
 def test_the_sun_is_found_within_a_cell(ball, sun):
     light, direction = under(sun, share=0.6)
-    scan = scan_sun(seen(ball, light, 0.5, shine=0.0, gloss=False))
+    scan = scanned(seen(ball, light, 0.5, shine=0.0, gloss=False))
     assert degrees_between(scan.candidates[0], direction) < CELL_DEG
     assert 0.2 < float(scan.strengths[0]) <= 1.0
 
@@ -107,9 +112,9 @@ def test_the_sun_is_found_within_a_cell(ball, sun):
 def test_highlights_do_not_pull_the_sun_aside(ball, sun):
     # as bright as they are on dark skin
     light, direction = under(sun, share=0.6)
-    scan = scan_sun(seen(ball, light, 0.06, shine=1.5, gloss=True))
+    scan = scanned(seen(ball, light, 0.06, shine=1.5, gloss=True))
     assert degrees_between(scan.candidates[0], direction) < CELL_DEG
-    blind = scan_sun(seen(ball, light, 0.06, shine=1.5, gloss=False))
+    blind = scanned(seen(ball, light, 0.06, shine=1.5, gloss=False))
     assert scan.residuals.min() < 0.8 * blind.residuals.min()
 
 
@@ -121,14 +126,14 @@ def test_lower_bounds_tell_of_a_sun_behind(ball):
     over = (whole.pixels >= white).any(1)
     assert 0.05 < float(over.float().mean()) < 0.4
     cut = replace(whole, pixels=whole.pixels.clamp(max=white))
-    told = scan_sun(replace(cut, clipped=over))
-    plain = scan_sun(cut)
+    told = scanned(replace(cut, clipped=over))
+    plain = scanned(cut)
     off, plain_off = (degrees_between(scan.candidates[0], direction) for scan in (told, plain))
     assert off < 0.7 * plain_off
     assert float(told.residuals.min()) < 0.8 * float(plain.residuals.min())
     # nothing is clipped: the same scan
     none = replace(whole, clipped=torch.zeros_like(over))
-    torch.testing.assert_close(scan_sun(none).residuals, scan_sun(whole).residuals)
+    torch.testing.assert_close(scanned(none).residuals, scanned(whole).residuals)
 
 
 def test_one_direction_alone_is_explained_entirely(ball):
@@ -136,7 +141,7 @@ def test_one_direction_alone_is_explained_entirely(ball):
     cell = 9 * 64 + 27
     light = torch.zeros(32, 2, 64, 2, 3)
     light[9, :, 27] = 100.0
-    scan = scan_sun(seen(ball, light.reshape(-1, 3), 0.4, shine=0.0, gloss=False))
+    scan = scanned(seen(ball, light.reshape(-1, 3), 0.4, shine=0.0, gloss=False))
     assert int(scan.residuals.argmin()) == cell
     assert float(scan.residuals[cell]) < 1e-3
     assert float(scan.strengths[0]) == pytest.approx(1, abs=0.01)
@@ -144,7 +149,7 @@ def test_one_direction_alone_is_explained_entirely(ball):
 
 def test_candidates_are_apart_and_in_order(ball):
     light, _ = under(SUNS[0], share=0.3)
-    scan = scan_sun(
+    scan = scanned(
         seen(ball, light, 0.5, shine=0.0, gloss=False), candidates=6, separation_deg=20.0
     )
     assert len(scan.candidates) == len(scan.strengths) == 6
@@ -159,7 +164,7 @@ def test_candidates_are_apart_and_in_order(ball):
 def test_the_unit_of_radiance_does_not_matter(ball):
     light, _ = under(SUNS[1], share=0.5)
     observation = seen(ball, light, 0.3, shine=1.0, gloss=True)
-    ours, theirs = scan_sun(observation), scan_sun(observation.scaled(1000.0))
+    ours, theirs = scanned(observation), scanned(observation.scaled(1000.0))
     torch.testing.assert_close(ours.residuals, theirs.residuals, atol=1e-5, rtol=1e-3)
     torch.testing.assert_close(ours.candidates[0], theirs.candidates[0])
 
@@ -172,4 +177,4 @@ def test_a_grid_that_does_not_divide_is_refused():
         transport=TransportMatrix(matrix=torch.ones(1, 800), grid=DirectionGrid.latlong(20)),
     )
     with pytest.raises(ValueError, match="multiple of 32"):
-        scan_sun(observation)
+        scanned(observation)

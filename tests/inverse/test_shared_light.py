@@ -8,9 +8,10 @@ import torch
 
 from skylight.faces.skin import SkinPrior
 from skylight.inverse.harmonic.problem import HarmonicProblem
-from skylight.inverse.scan import scan_sun
+from skylight.inverse.scan import SunScan, scan_faces
 from skylight.inverse.sky.objective import FaceTerm, ObjectiveWeights, SkyObjective
-from skylight.inverse.sky.problem import Round, SkyProblem, SolverOptions
+from skylight.inverse.sky.problem import SkyProblem
+from skylight.inverse.sky.solver import Round, SolverOptions
 from skylight.models.bundle import load_bundle
 from skylight.models.harmonic import HarmonicLight
 from skylight.models.sunsky import SunSky
@@ -92,7 +93,7 @@ def sun_error_deg(direction: torch.Tensor) -> float:
 def test_each_face_adds_its_data_and_its_priors() -> None:
     """Two faces in two photographs: what each gives alone, less the light's priors once."""
     seen = [lit(half_ball(-30), MODES[0], 1.0), lit(half_ball(40), MODES[2], 1.0)]
-    terms = [replace(FaceTerm.of(one), level=0.5 + k) for k, one in enumerate(seen)]
+    terms = [replace(FaceTerm.of(one), level=torch.tensor([0.5 + k])) for k, one in enumerate(seen)]
     model, weights = SunSky(), ObjectiveWeights()
 
     def objective(*faces: FaceTerm) -> SkyObjective:
@@ -119,7 +120,7 @@ def test_a_dark_face_says_as_much_as_a_bright_one() -> None:
     bright = lit(half_ball(), MODES[3], 2.0)
     wrong = bright.pixels * torch.linspace(0.8, 1.2, len(bright.pixels))[:, None]
     term = FaceTerm.of(bright)
-    dark = replace(term, target=term.target * 0.1, level=0.1)
+    dark = replace(term, target=term.target * 0.1, level=torch.tensor([0.1]))
     weights = ObjectiveWeights()
     torch.testing.assert_close(
         dark.data_term(0.1 * wrong[None], weights), term.data_term(wrong[None], weights)
@@ -128,8 +129,8 @@ def test_a_dark_face_says_as_much_as_a_bright_one() -> None:
 
 def test_the_scan_of_faces_is_the_mean_of_their_scans() -> None:
     faces = [lit(half_ball(turn), MODES[k], 1.0 + k) for k, turn in enumerate((-40, 10, 60))]
-    joint = scan_sun(faces)
-    alone = torch.stack([scan_sun(face).residuals ** 2 for face in faces])
+    joint = SunScan.of(scan_faces(faces))
+    alone = torch.stack([SunScan.of([scan]).residuals ** 2 for scan in joint.faces])
     torch.testing.assert_close(joint.residuals**2, alone.mean(0))
     assert sun_error_deg(joint.candidates[0]) < 6
 

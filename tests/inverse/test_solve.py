@@ -14,7 +14,8 @@ from skylight.inverse.estimate import estimate_light
 from skylight.inverse.harmonic.problem import HarmonicProblem
 from skylight.inverse.result import residual
 from skylight.inverse.scale import bayes_scale, scale_nll, tone_prior
-from skylight.inverse.sky.problem import Round, SkyProblem, SolverOptions
+from skylight.inverse.sky.problem import SkyProblem
+from skylight.inverse.sky.solver import Round, SolverOptions
 from skylight.models.bundle import load_bundle
 from skylight.models.harmonic import HarmonicLight
 from skylight.models.sunsky import SunSky

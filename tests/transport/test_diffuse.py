@@ -6,7 +6,7 @@ from torch import nn
 from torch.nn.functional import normalize
 
 from skylight.sphere.grid import DirectionGrid
-from skylight.transport.diffuse import DiffuseTransport, SkyTransport
+from skylight.transport.diffuse import DiffuseTransport, SkyTransport, shade_scenes
 from skylight.transport.gloss import GlossyTransport, glossy_transport
 from skylight.transport.matrix import TransportMatrix, diffuse_transport, visibility
 from skylight.transport.raycast import Raycaster
@@ -168,7 +168,7 @@ def random_transport() -> TransportMatrix:
 
 
 def test_sky_transport_and_its_gradient(random_transport):
-    shading = SkyTransport(random_transport).double()
+    shading = SkyTransport.of(random_transport).double()
     sky = torch.rand(2, 16, 3, dtype=torch.float64, requires_grad=True)
     ground = torch.rand(2, 3, dtype=torch.float64, requires_grad=True)
     albedo = torch.rand(2, 3, dtype=torch.float64, requires_grad=True)
@@ -179,7 +179,7 @@ def test_sky_transport_and_its_gradient(random_transport):
     # the adjoint, written with the transpose
     residual = torch.randn(out.shape, dtype=torch.float64)
     out.backward(residual)
-    back = shading.folded.T @ (residual * albedo.detach()[:, None])
+    back = shading.folded[0].T @ (residual * albedo.detach()[:, None])
     assert sky.grad is not None
     assert ground.grad is not None
     torch.testing.assert_close(sky.grad, back[:, :-1])
@@ -194,7 +194,20 @@ def test_shading_of_few_lights_is_that_of_many(random_transport, lights):
     n = len(random_transport.grid) // 2
     sky = torch.rand(lights, n, 3, generator=generator, dtype=random_transport.matrix.dtype)
     ground, albedo = sky[:, 0], sky[:, 1]
-    shading = SkyTransport(random_transport)(sky, ground, albedo)
+    shading = SkyTransport.of(random_transport)(sky, ground, albedo)
     whole = torch.cat([sky, ground[:, None].expand(-1, n, -1)], 1)
     expected = albedo[:, None] * torch.einsum("mn,bnc->bmc", random_transport.matrix, whole)
     torch.testing.assert_close(shading, expected)
+
+
+@pytest.mark.parametrize("scene", [[0, 0, 1, 2, 2, 2, 2], [1], [0, 2, 2]])
+def test_shading_of_several_scenes_is_each_ones_own(scene):
+    """However many lights fall on each, on some of them none; and its adjoint."""
+    generator = torch.Generator().manual_seed(3)
+    matrices = torch.rand(3, 4, 6, generator=generator, dtype=torch.float64)
+    radiance = torch.rand(len(scene), 6, 3, generator=generator, dtype=torch.float64)
+    radiance.requires_grad_(True)
+    index = torch.tensor(scene)
+    shading = shade_scenes(matrices, radiance, index)
+    torch.testing.assert_close(shading, torch.einsum("bmn,bnc->bmc", matrices[index], radiance))
+    torch.autograd.gradcheck(lambda x: shade_scenes(matrices, x, index), (radiance,))

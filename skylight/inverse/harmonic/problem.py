@@ -9,10 +9,10 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.inverse.harmonic.nonnegative import nonnegative_harmonics
-from skylight.inverse.posterior import sun_evidence, sun_posterior
+from skylight.inverse.posterior import face_evidence, sun_evidence, sun_posterior
 from skylight.inverse.result import UNEXPLAINED, Estimate, FaceLight, advice, residual
 from skylight.inverse.scale import bayes_scale, scale_nll, tone_prior
-from skylight.inverse.scan import SCAN_HEIGHT, scan_sun
+from skylight.inverse.scan import SCAN_HEIGHT, scan_faces
 from skylight.inverse.sky.objective import ObjectiveWeights, charbonnier, data_term
 from skylight.models.harmonic import HarmonicLight, solve_linear
 from skylight.models.prior import GaussianMixture
@@ -142,7 +142,7 @@ class HarmonicProblem:
             progress(1.0)
         # harmonics this smooth have no sun of their own to add to the scan's
         posterior = sun_posterior(
-            sun_evidence(self._scanned, scan_sun(self._scanned).faces),
+            sun_evidence(face_evidence(self._scanned, scan_faces(self._scanned))),
             None,
             explained=all(light.residual <= UNEXPLAINED for light in lights),
             exposure=lights[0].exposure,

@@ -1,6 +1,8 @@
 """The objective of inverse lighting (thesis, Eq. 5.8) as a function of free parameters.
 
-One light, seen on one face or more: every face adds its own data term and priors.
+One light, seen on one face or more: every face adds its own data term and priors. Problems of one
+shape (as many faces in the same photographs, all with gloss or none) share one objective, so that
+points of all of them are evaluated as one batch.
 """
 
 import math
@@ -8,8 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from skylight.inverse.scale import GLOSS_SPREAD, bayes_scale, gloss_nll, scale_nll, tone_prior
 from skylight.models.base import LightModel, Prior, without_azimuth
@@ -40,52 +43,99 @@ class ObjectiveWeights:
 
 @dataclass(frozen=True, kw_only=True)
 class FaceTerm:
-    """One face as the objective sees it.
+    """One face of each of p problems as the objective sees it.
 
-    ``target`` (m,3) the pixels; ``share`` (m,1) each pixel's weight over all pixels and channels,
-    with sum 1/3; ``photo`` counts the photographs from 0: faces of one share its exposure.
-    ``level`` is the face's mean luminance in the target's units, which deviations are relative
-    to: a dark face in the shade says as much about light as a bright one. Where ``clipped``, the
-    target is a lower bound: what is brighter deviates by nothing.
+    ``target`` (p,m,3) the pixels; ``share`` (p,m,1) each pixel's weight over all pixels and
+    channels, with sum 1/3 (0 beyond a face's own pixels, where others have more); ``photo`` counts
+    a problem's photographs from 0: faces of one share its exposure. ``level`` (p,) is the face's
+    mean luminance in the target's units, which deviations are relative to: a dark face in the shade
+    says as much about light as a bright one. Where ``clipped``, the target is a lower bound: what
+    is brighter deviates by nothing.
+
+    Batches of shading have the ``problem`` of each row, in ascending order; None where there is
+    but one.
     """
 
-    target: Float[Tensor, "m 3"]
-    share: Float[Tensor, "m 1"]
+    target: Float[Tensor, "p m 3"]
+    share: Float[Tensor, "p m 1"]
     transport: SkyTransport
     gloss: SkyTransport | None
+    level: Float[Tensor, " p"]
     photo: int = 0
-    level: float = 1.0
-    clipped: Bool[Tensor, " m"] | None = None
+    clipped: Bool[Tensor, "p m"] | None = None
 
     @staticmethod
     def of(observation: Observation) -> "FaceTerm":
-        """The only face of a photograph whose mean luminance is 1."""
-        gloss = observation.gloss
+        """The only face of a photograph whose mean luminance is 1, in one problem."""
+        gloss, clipped = observation.gloss, observation.clipped
         return FaceTerm(
-            target=observation.pixels,
-            share=(observation.weights / observation.weights.sum())[:, None] / 3,
-            transport=SkyTransport(observation.transport),
-            gloss=None if gloss is None else SkyTransport(gloss),
-            clipped=observation.clipped,
+            target=observation.pixels[None],
+            share=(observation.weights / observation.weights.sum())[None, :, None] / 3,
+            transport=SkyTransport.of(observation.transport),
+            gloss=None if gloss is None else SkyTransport.of(gloss),
+            level=observation.pixels.new_ones(1),
+            clipped=None if clipped is None else clipped[None],
+        )
+
+    @staticmethod
+    def together(terms: "Sequence[FaceTerm]") -> "FaceTerm":
+        """The faces of as many problems; of one, without a copy."""
+        first, *others = terms
+        if not others:
+            return first
+        glosses = [term.gloss for term in terms if term.gloss is not None]
+        if len(glosses) not in (0, len(terms)) or any(term.photo != first.photo for term in others):
+            raise ValueError("faces of several problems must all have gloss or none, and one photo")
+        clipped = [
+            torch.zeros_like(term.share[..., 0], dtype=torch.bool)
+            if term.clipped is None
+            else term.clipped
+            for term in terms
+        ]
+        return FaceTerm(
+            target=_padded([term.target for term in terms]),
+            share=_padded([term.share for term in terms]),
+            transport=SkyTransport(_padded([term.transport.folded for term in terms])),
+            gloss=SkyTransport(_padded([one.folded for one in glosses])) if glosses else None,
+            level=torch.cat([term.level for term in terms]),
+            photo=first.photo,
+            clipped=_padded(clipped) if any(bool(one.any()) for one in clipped) else None,
         )
 
     @property
-    def exact_share(self) -> Float[Tensor, "m 1"]:
+    def exact_share(self) -> Float[Tensor, "p m 1"]:
         """``share`` where the target is more than a bound."""
-        return self.share if self.clipped is None else self.share * ~self.clipped[:, None]
+        return self.share if self.clipped is None else self.share * ~self.clipped[..., None]
 
-    def deviation(self, shading: Float[Tensor, "*b m 3"]) -> Float[Tensor, "*b m 3"]:
+    def deviation(
+        self, shading: Float[Tensor, "b m 3"], problem: Int[Tensor, " b"] | None = None
+    ) -> Float[Tensor, "b m 3"]:
         """How far the face is from this shading, in its own level."""
-        deviation = (shading - self.target) / self.level
+        level = _of(self.level, problem)[:, None, None]
+        deviation = (shading - _of(self.target, problem)) / level
         if self.clipped is None:
             return deviation
-        return torch.where(self.clipped[:, None], deviation.clamp(max=0), deviation)
+        clipped = _of(self.clipped, problem)[..., None]
+        return torch.where(clipped, deviation.clamp(max=0), deviation)
 
     def data_term(
-        self, shading: Float[Tensor, "*b m 3"], weights: ObjectiveWeights
-    ) -> Float[Tensor, "*b"]:
+        self,
+        shading: Float[Tensor, "b m 3"],
+        weights: ObjectiveWeights,
+        problem: Int[Tensor, " b"] | None = None,
+    ) -> Float[Tensor, " b"]:
         """How unlikely the face is under this shading, in nats."""
-        return data_term(self.deviation(shading), self.share, weights)
+        return data_term(self.deviation(shading, problem), _of(self.share, problem), weights)
+
+
+def _of(x: Shaped[Tensor, "p *s"], problem: Int[Tensor, " b"] | None) -> Shaped[Tensor, "_ *s"]:
+    """Each row's own; what there is but one of is left to broadcast."""
+    return x if len(x) == 1 else x[problem]
+
+
+def _padded(parts: Sequence[Shaped[Tensor, "1 _ *s"]]) -> Shaped[Tensor, "p m *s"]:
+    """With zeros after the end of the shorter ones."""
+    return pad_sequence([part[0] for part in parts], batch_first=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,7 +229,9 @@ class SkyObjective:
             ground_albedo=torch.sigmoid(ground_albedo),
         )
 
-    def shading(self, parts: Unpacked) -> list[Float[Tensor, "b _ 3"]]:
+    def shading(
+        self, parts: Unpacked, problem: Int[Tensor, " b"] | None = None
+    ) -> list[Float[Tensor, "b _ 3"]]:
         """Each face's rho T l + gloss G l with its photograph's exposure in l."""
         radiance = self.model(parts.light)
         skies = [radiance * e[:, None, None] for e in parts.exposure.unbind(1)]
@@ -187,19 +239,22 @@ class SkyObjective:
         shadings = []
         for k, face in enumerate(self.faces):
             sky, ground = skies[face.photo], grounds[face.photo]
-            shading = face.transport(sky, ground, parts.albedo[:, k])
+            shading = face.transport(sky, ground, parts.albedo[:, k], problem)
             if face.gloss is not None:
                 gloss = parts.gloss[:, k, None].expand(-1, 3)
-                shading = shading + face.gloss(sky, ground, gloss)
+                shading = shading + face.gloss(sky, ground, gloss, problem)
             shadings.append(shading)
         return shadings
 
-    def terms(self, free: Float[Tensor, "b q"]) -> dict[str, Float[Tensor, " b"]]:
+    def terms(
+        self, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None
+    ) -> dict[str, Float[Tensor, " b"]]:
         """Each part of the objective, weighted and summed over faces; they add up to it."""
         parts = self.unpack(free)
         light = without_azimuth(self.model, free[:, : self.model.parameter_count])
         w = self.weights
-        data = [f.data_term(s, w) for f, s in zip(self.faces, self.shading(parts), strict=True)]
+        shadings = self.shading(parts, problem)
+        data = [f.data_term(s, w, problem) for f, s in zip(self.faces, shadings, strict=True)]
         skin = self.albedo_prior.log_prob(parts.albedo.log().flatten(0, 1))
         return {
             "data": torch.stack(data).sum(0),
@@ -232,13 +287,14 @@ class SkyObjective:
         return self.pack(parts.light, exposure, gloss, albedo, parts.ground_albedo)
 
     def __call__(
-        self, free: Float[Tensor, "b q"], index: Int[Tensor, " b"] | None = None
+        self, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None
     ) -> Float[Tensor, " b"]:
-        return torch.stack(list(self.terms(free).values())).sum(0)
+        """Of points in ascending order of their problems; None where there is but one."""
+        return torch.stack(list(self.terms(free, problem).values())).sum(0)
 
 
 def data_term(
-    residual: Float[Tensor, "*b m 3"], share: Float[Tensor, "m 1"], weights: ObjectiveWeights
+    residual: Float[Tensor, "*b m 3"], share: Float[Tensor, "*#b m 1"], weights: ObjectiveWeights
 ) -> Float[Tensor, "*b"]:
     """How unlikely a residual is, in nats: its mean Charbonnier over the expected deviation.
 
@@ -249,7 +305,7 @@ def data_term(
 
 
 def best_exposure(
-    shading: Float[Tensor, "b m 3"], target: Float[Tensor, "m 3"], share: Float[Tensor, "m 1"]
+    shading: Float[Tensor, "b m 3"], target: Float[Tensor, "1 m 3"], share: Float[Tensor, "1 m 1"]
 ) -> Float[Tensor, " b"]:
     """The exposure that makes the weighted mean of the shading that of the picture."""
     return ((target * share).sum() / (shading * share).sum((1, 2)).clamp(min=1e-12)).clamp(

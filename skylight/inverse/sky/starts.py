@@ -23,8 +23,8 @@ def choose_starts(
     The score is data and albedo prior alone: how likely a sky is counts from the first step on.
     """
     model = objective.model
-    towards = model.starts_towards(directions).flatten(0, 1).float()
-    centroids = model.starts().float()
+    towards = model.starts_towards(directions).flatten(0, 1).to(albedo_modes)
+    centroids = model.starts().to(albedo_modes)
     if model.azimuth_index is not None:
         i = model.azimuth_index
         centroids = centroids.clone()

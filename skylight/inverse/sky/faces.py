@@ -1,0 +1,73 @@
+"""The faces under one sky, as its solver needs them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from statistics import fmean
+
+import torch
+
+from skylight.inverse.scan import SCAN_HEIGHT
+from skylight.inverse.sky.objective import FaceTerm
+from skylight.sphere.envmap import luminance
+from skylight.transport.observation import Observation
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkyFace:
+    """What a sky needs of an observation: the pyramid's levels, and what the scan reads.
+
+    Both are scaled to a mean luminance of 1 from ``mean``, in the photograph's units.
+    """
+
+    photo: int
+    pyramid: dict[int, FaceTerm]
+    scanned: Observation
+    mean: float
+
+    @staticmethod
+    def of(
+        observation: Observation, photo: int, levels: Sequence[int], device: torch.device
+    ) -> "SkyFace":
+        """With those ``levels`` of the pyramid, on that device."""
+        mean = float(luminance(observation.pixels).mean())
+        pyramid = [observation.to(device).scaled(1 / mean)]
+        while len(pyramid) <= max(1, *levels):
+            pyramid.append(pyramid[-1].coarser(1))
+        return SkyFace(
+            photo=photo,
+            pyramid={level: FaceTerm.of(pyramid[level]) for level in levels},
+            scanned=pyramid[1].on_rows(SCAN_HEIGHT),
+            mean=mean,
+        )
+
+
+class SkyFaces(list[SkyFace]):
+    """The faces under one sky, in the order in which they were added."""
+
+    @property
+    def shape(self) -> tuple[tuple[int, bool], ...]:
+        """What problems have in common that can be solved together."""
+        return tuple((face.photo, face.scanned.gloss is None) for face in self)
+
+    def scales(self) -> list[float]:
+        """The mean luminance of each photograph's faces."""
+        count = 1 + max(face.photo for face in self)
+        return [fmean(face.mean for face in self if face.photo == k) for k in range(count)]
+
+    def terms(self, level: int) -> list[FaceTerm]:
+        """Of one problem: each face at a level of the pyramid, in units of its photograph's scale.
+
+        So are the exposures that explain it.
+        """
+        scales, terms = self.scales(), []
+        for face in self:
+            term, relative = face.pyramid[level], face.mean / scales[face.photo]
+            terms.append(
+                replace(
+                    term,
+                    target=term.target * relative,
+                    photo=face.photo,
+                    level=term.level * relative,
+                )
+            )
+        return terms

@@ -1,0 +1,231 @@
+"""Several photographs, each in a light of its own, solved as one batch: each as if alone."""
+
+import copy
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from skylight.errors import InputError
+from skylight.inverse.estimate import estimate_each, estimate_light
+from skylight.inverse.result import Estimate
+from skylight.inverse.scan import nnls, scan_faces
+from skylight.inverse.sky.objective import FaceTerm, ObjectiveWeights, SkyObjective
+from skylight.inverse.sky.problem import SkyProblem, solve_together
+from skylight.inverse.sky.solver import Round, SolverOptions
+from skylight.models.names import LightName
+from skylight.models.sunsky import SunSky
+from skylight.sphere.envmap import luminance
+from skylight.transport.matrix import TransportMatrix
+from skylight.transport.observation import Observation
+from tests.inverse.test_solve import (
+    ALBEDO_PRIOR,
+    MODES,
+    SUNS,
+    SUNSKY_PRIOR,
+    harmonic_ball,
+    watched,
+)
+
+FEW = SolverOptions(
+    rounds=(
+        Round(level=3, starts=4, iterations=6),
+        Round(level=2, starts=2, iterations=4),
+        Round(level=0, starts=1, iterations=3),
+    )
+)
+
+
+def part(observation: Observation, kept: Tensor) -> Observation:
+    """Some of its pixels."""
+
+    def rows(transport: TransportMatrix) -> TransportMatrix:
+        return replace(transport, matrix=transport.matrix[kept])
+
+    assert observation.gloss is not None
+    return Observation(
+        pixels=observation.pixels[kept],
+        weights=observation.weights[kept],
+        places=observation.places[kept],
+        transport=rows(observation.transport),
+        gloss=rows(observation.gloss),
+    )
+
+
+def double(observation: Observation) -> Observation:
+    def moved(transport: TransportMatrix) -> TransportMatrix:
+        return replace(transport, matrix=transport.matrix.double())
+
+    return replace(
+        observation,
+        pixels=observation.pixels.double(),
+        weights=observation.weights.double(),
+        transport=moved(observation.transport),
+        gloss=None if observation.gloss is None else moved(observation.gloss),
+    )
+
+
+@pytest.fixture(scope="module")
+def seen() -> list[Observation]:
+    """A whole ball, half of one, a matt one, and one whose brightest pixels are clipped."""
+    whole, half, matt, bright = (watched(*sun)[0] for sun in (*SUNS, SUNS[0]))
+    level = luminance(bright.pixels)
+    white = float(level.quantile(0.8))
+    return [
+        whole,
+        part(half, half.places[:, 1] < 10),
+        replace(matt, gloss=None),
+        replace(bright, pixels=bright.pixels.clamp(max=white), clipped=level > white),
+    ]
+
+
+def assert_alike(found: Estimate, alone: Estimate, tolerance: float) -> None:
+    """Relative: of the objective and, against the brightest, of light and shading."""
+    for name, value in alone.terms.items():
+        assert found.terms[name] == pytest.approx(value, rel=tolerance, abs=100 * tolerance)
+    for one, other in (
+        (found.environment.radiance, alone.environment.radiance),
+        (found.rendered, alone.rendered),
+        (found.albedo, alone.albedo),
+        (found.posterior.density, alone.posterior.density),
+    ):
+        assert float((one - other).abs().max() / other.max()) < tolerance
+    assert found.posterior.verdict == alone.posterior.verdict
+    assert found.faces[0].residual == pytest.approx(alone.faces[0].residual, rel=tolerance)
+    assert found.status == alone.status
+    assert found.stats["evaluations"] == alone.stats["evaluations"]
+
+
+def test_each_problem_of_a_batch_ends_as_alone(seen: list[Observation]) -> None:
+    """In float64, where 13 iterations leave roundings small: the same path to the end."""
+    first = SkyProblem(
+        SunSky().double(),
+        copy.deepcopy(SUNSKY_PRIOR).double(),
+        copy.deepcopy(ALBEDO_PRIOR).double(),
+        MODES.double(),
+        FEW,
+    )
+    problems, alone = [first, *(first.another() for _ in seen[1:])], []
+    for problem, observation in zip(problems, seen, strict=True):
+        problem.add(double(observation))
+        single = first.another()
+        single.add(double(observation))
+        alone.append(single.solve())
+    told: list[float] = []
+    found = solve_together(problems, told.append)
+    assert told == sorted(told)
+    assert told[-1] == 1
+    assert len({len(one.rendered) for one in found}) == 2  # some were padded
+    assert len({one.stats["evaluations"] for one in found}) > 1  # line searches differ
+    for one, other in zip(found, alone, strict=True):
+        assert_alike(one, other, 1e-6)
+
+
+@pytest.mark.parametrize("light", ["sunsky", "autoencoder"])
+def test_the_light_of_each_observation_is_its_own(
+    seen: list[Observation], light: LightName
+) -> None:
+    """In float32 the same but for its roundings, which few iterations amplify to 1 %."""
+    few = SolverOptions(rounds=(Round(level=2, starts=2, iterations=3),))
+    two = [seen[1], seen[3]]  # fewer pixels, clipped ones
+    found = estimate_each(two, light, options=few)
+    alone = [estimate_light(one, light, options=few) for one in two]
+    for one, other in zip(found, alone, strict=True):
+        white = other.environment.radiance.max()
+        error = (one.environment.radiance - other.environment.radiance).abs().max()
+        assert float(error / white) < 0.01
+        assert sum(one.terms.values()) == pytest.approx(sum(other.terms.values()), rel=1e-3)
+    assert float(found[0].sun_direction @ found[1].sun_direction) < 0.9  # not one light for all
+
+
+def test_harmonics_are_solved_one_after_the_other() -> None:
+    balls, told = [harmonic_ball(degree)[1] for degree in (2, 4)], []
+    found = estimate_each(balls, "sh9", progress=told.append)
+    assert told == [0.5, 1.0]
+    for one, ball in zip(found, balls, strict=True):
+        assert torch.equal(one.params, estimate_light(ball, "sh9").params)
+
+
+def test_several_faces_a_problem_keep_their_photographs(seen: list[Observation]) -> None:
+    """Two problems of two photographs each: those of the second are not those of the first."""
+    options = SolverOptions(rounds=(Round(level=2, starts=1, iterations=2),))
+    first = SkyProblem(SunSky(), SUNSKY_PRIOR, ALBEDO_PRIOR, MODES, options)
+    problems = [first, first.another()]
+    for problem, (one, other) in zip(problems, [(1, 0), (0, 3)], strict=True):
+        problem.add(seen[one], 0)
+        problem.add(seen[other].scaled(3.0), 1)
+    found = solve_together(problems)
+    for problem, one in zip(problems, found, strict=True):
+        alone = problem.solve()
+        assert [face.photo for face in one.faces] == [0, 1]
+        for face, expected in zip(one.faces, alone.faces, strict=True):
+            assert len(face.rendered) == len(expected.rendered)
+            assert face.exposure == pytest.approx(expected.exposure, rel=0.01)
+
+
+def test_an_objective_of_several_problems_is_that_of_each(seen: list[Observation]) -> None:
+    """Values and slopes in float64, whatever of the problems' points are asked for."""
+    faces = [FaceTerm.of(double(seen[k])) for k in (0, 1, 3)]
+    faces[1] = replace(faces[1], level=torch.tensor([0.5]).double())
+    model, weights = SunSky().double(), ObjectiveWeights()
+
+    def objective(face: FaceTerm) -> SkyObjective:
+        return SkyObjective([face], model, SUNSKY_PRIOR, ALBEDO_PRIOR, weights)
+
+    problem = torch.tensor([0, 0, 0, 2])  # none of the second
+    light = model.starts().double()[[0, 4, 8, 11]]
+    together = objective(FaceTerm.together(faces))
+    free = together.pack(
+        light,
+        torch.linspace(0.5, 2, 4).double()[:, None],
+        torch.linspace(0.7, 1.4, 4).double()[:, None],
+        MODES[:4, None].double(),
+        torch.full((4, 3), 0.2).double(),
+    ).requires_grad_(True)
+    (slope,) = torch.autograd.grad(together(free, problem).sum(), free)
+    for row, p in enumerate(problem.tolist()):
+        point = free[row : row + 1]
+        value = objective(faces[p])(point)
+        torch.testing.assert_close(together(free, problem)[row : row + 1], value)
+        (alone,) = torch.autograd.grad(value.sum(), point)
+        torch.testing.assert_close(slope[row : row + 1], alone)
+
+
+def test_scans_do_not_depend_on_how_many_are_made_at_once(seen: list[Observation]) -> None:
+    scanned = [one.coarser(1).on_rows(32) for one in seen]
+    for one, other in zip(scan_faces(scanned, at_once=4), scan_faces(scanned), strict=True):
+        torch.testing.assert_close(one.unexplained, other.unexplained, rtol=1e-9, atol=1e-12)
+        torch.testing.assert_close(one.strengths, other.strengths, rtol=1e-9, atol=1e-12)
+        torch.testing.assert_close(one.deviations, other.deviations, rtol=1e-9, atol=1e-12)
+        assert one.unlit == pytest.approx(other.unlit, rel=1e-9)
+
+
+def test_a_set_of_least_squares_problems_ends_by_itself() -> None:
+    """A set that settles in the first sweep (a diagonal) and one that takes many."""
+    generator = torch.Generator().manual_seed(3)
+    matrix = torch.rand(2, 12, 6, generator=generator, dtype=torch.float64)
+    slow = matrix.mT @ matrix
+    gram = torch.stack([torch.eye(6).double().expand(2, 6, 6), slow])
+    right = torch.rand(2, 2, 6, generator=generator, dtype=torch.float64)
+    found = nnls(gram, right, tolerance=1e-3)
+    torch.testing.assert_close(found[0], right[0])
+    alone = nnls(gram[1:], right[1:], tolerance=1e-3)[0]
+    assert torch.equal(found[1], alone)
+    assert not torch.allclose(alone, nnls(gram[1:], right[1:], sweeps=1)[0])
+
+
+def test_what_cannot_be_solved_together_is_refused(seen: list[Observation]) -> None:
+    def problem() -> SkyProblem:
+        return SkyProblem(SunSky(), SUNSKY_PRIOR, ALBEDO_PRIOR, MODES)
+
+    with pytest.raises(ValueError, match="share a solver"):
+        solve_together([problem(), problem()])
+    with pytest.raises(ValueError, match="gloss or none"):
+        FaceTerm.together([FaceTerm.of(seen[0]), FaceTerm.of(seen[2])])
+    with pytest.raises(InputError, match="no observation"):
+        problem().solve()
+
+
+def test_no_photographs_have_no_lights() -> None:
+    assert estimate_each([]) == estimate_each([], "sh9") == []
