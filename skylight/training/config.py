@@ -108,7 +108,7 @@ class DictionaryConfig:
     kind: Literal["dictionary"] = "dictionary"
     data: Path = Path("runs/probes")
     out: Path = Path("runs/dictionary")
-    method: Literal["kmeans", "gradient"] = "gradient"
+    method: Literal["kmeans", "gradient"] = "kmeans"
     filters: int = 100
     category: str = ""
     maps: tuple[str, ...] = ()

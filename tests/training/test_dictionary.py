@@ -68,7 +68,6 @@ def config(probes: Path, tmp_path: Path) -> DictionaryConfig:
     return DictionaryConfig(
         data=probes,
         out=tmp_path / "out",
-        method="kmeans",
         filters=3,
         degree=DEGREE,
         rows=16,
@@ -226,9 +225,8 @@ def test_the_command(
 ) -> None:
     yaml = Path(__file__).parents[2] / "configs" / "csc_dictionary.yaml"
     out = str(tmp_path / "out")
-    small = {"filters": 2, "degree": 8, "rows": 16, "activations": 2, "epochs": 1}
-    options = [word for key, value in small.items() for word in (f"--{key}", str(value))]
-    main([str(yaml), "--data", str(config.data), "--out", out, *options])
+    small = "--filters 2 --degree 8 --rows 16 --activations 2 --epochs 1 --method gradient"
+    main([str(yaml), "--data", str(config.data), "--out", out, *small.split()])
     said = capsys.readouterr().out
     assert "left out: " in said
     assert "epoch 1  mean squared relative error" in said
