@@ -4,10 +4,10 @@
         --out benchmarks/results/csc-learned-dictionary.json
 
 ``--data`` holds maps and an index.csv (columns file and category). Every second map by name is the
-half that is learned from; coded are rooms of the other half, at 32 x 64 and degree 40, by three
+half that is learned from; coded are the rooms of the other half, at 32 x 64 and degree 40, by three
 dictionaries of which each has the filters of the one before, or as many: ``ani``; ``kmeans``, which
 adds means of bright patches of the learning half; ``gradient``, which starts from these means and
-fits them to codes of that half's rooms.
+fits them to codes of that half (only its rooms, which are few, with ``--fit-to indoor``).
 """
 
 import argparse
@@ -42,9 +42,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--filters", type=int, default=32)
     parser.add_argument("--activations", type=int, default=36)
-    parser.add_argument("--epochs", type=int, default=4)
-    parser.add_argument("--most-maps", type=int, default=12, help="rooms to fit filters to")
-    parser.add_argument("--held-out", type=int, default=8, help="rooms to measure on")
+    parser.add_argument("--epochs", type=int, default=1)
+    parser.add_argument("--fit-to", default="", help="only maps whose category begins so")
     parser.add_argument("--signed", action="store_true", help="filters may be negative")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
@@ -52,8 +51,8 @@ def main() -> None:
     index = read_categories(arguments.data)
     names = sorted(index)
     halves = names[::2], names[1::2]
-    rooms = [[n for n in half if index[n] == "indoor"] for half in halves]
-    fitted, held_out = rooms[0][: arguments.most_maps], rooms[1][: arguments.held_out]
+    fitted = [n for n in halves[0] if index[n].startswith(arguments.fit_to)]
+    held_out = [n for n in halves[1] if index[n] == "indoor"]
 
     begun = time.process_time()
     kmeans = learn_patches(
