@@ -33,6 +33,7 @@ from skylight.relight.sky_decoder import SkyDecoder
 from skylight.skies.index import read_index
 from skylight.training.config import read_config
 from skylight.transport.mesh import read_mesh
+from tests.peak_memory import peak_mb
 
 LIGHTMAP = ("version", "radiance", "coverage", "confidence", "faces", "rotation")
 SCENE = tuple(PrecomputedScene.__dataclass_fields__)
@@ -294,7 +295,7 @@ def main(folder: Path) -> None:
     for name, (write, read) in BOMBS.items():
         path = folder / name
         write(path)
-        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        before = peak_mb()
         started = time.monotonic()
         try:
             read(path)
@@ -302,7 +303,7 @@ def main(folder: Path) -> None:
         except Exception as error:
             kind, line = type(error).__name__, str(error)
         seconds = time.monotonic() - started
-        grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
+        grown = peak_mb() - before
         told[name] = [kind, line, grown, seconds]
         path.unlink()
     print(json.dumps(told))

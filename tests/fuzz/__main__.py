@@ -11,7 +11,6 @@ Prints a line of JSON for each target. A finding, a hang beyond ``TIMEOUT_S`` or
 import argparse
 import faulthandler
 import json
-import resource
 import sys
 import time
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from skylight.errors import SkylightError
 from tests.fuzz.files import clear
 from tests.fuzz.mutate import mutated
 from tests.fuzz.targets import NAMES
+from tests.peak_memory import peak_mb
 
 TIMEOUT_S = 20.0  # an input, on a busy machine
 MEMORY_MB = 3072  # the process, its libraries included
@@ -69,14 +69,14 @@ def _mutate(name: str, count: int, seed: int) -> dict[str, object]:
             raise
         slowest = max(slowest, time.monotonic() - started)
         faulthandler.cancel_dump_traceback_later()
-    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    assert peak_mb < MEMORY_MB, f"{name}: {peak_mb:.0f} MB"
+    peak = peak_mb()
+    assert peak < MEMORY_MB, f"{name}: {peak:.0f} MB"
     return {
         "target": name,
         "inputs": len(done),
         "read": sum(done),
         "slowest_s": round(slowest, 3),
-        "peak_mb": round(peak_mb),
+        "peak_mb": round(peak),
     }
 
 

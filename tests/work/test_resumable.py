@@ -135,7 +135,9 @@ def test_a_hopeless_piece_without_an_answer_ends_the_work(
 
 
 def _begin_and_end(folder: Path, number: int, seconds: float) -> int:
-    (folder / f"begun{number}").write_text(str(os.getpid()))
+    beside = folder / f"beginning{number}"
+    beside.write_text(str(os.getpid()))
+    beside.rename(folder / f"begun{number}")  # whoever waits for it finds the number in it
     time.sleep(seconds)
     (folder / f"ended{number}").touch()
     return number
