@@ -108,7 +108,7 @@ class DictionaryConfig:
     kind: Literal["dictionary"] = "dictionary"
     data: Path = Path("runs/probes")
     out: Path = Path("runs/dictionary")
-    method: Literal["kmeans", "gradient"] = "kmeans"
+    method: Literal["kmeans", "gradient"] = "gradient"
     filters: int = 100
     category: str = ""
     maps: tuple[str, ...] = ()
@@ -116,7 +116,7 @@ class DictionaryConfig:
     seed: int = 0
     rows: int = 32
     activations: int = 36
-    epochs: int = 6
+    epochs: int = 1
     radius_deg: float = 30.0
     signed: bool = False
 

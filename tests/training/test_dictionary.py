@@ -68,6 +68,7 @@ def config(probes: Path, tmp_path: Path) -> DictionaryConfig:
     return DictionaryConfig(
         data=probes,
         out=tmp_path / "out",
+        method="kmeans",
         filters=3,
         degree=DEGREE,
         rows=16,
@@ -225,7 +226,7 @@ def test_the_command(
 ) -> None:
     yaml = Path(__file__).parents[2] / "configs" / "csc_dictionary.yaml"
     out = str(tmp_path / "out")
-    small = "--filters 2 --degree 8 --rows 16 --activations 2 --epochs 1 --method gradient"
+    small = "--filters 2 --degree 8 --rows 16 --activations 2"
     main([str(yaml), "--data", str(config.data), "--out", out, *small.split()])
     said = capsys.readouterr().out
     assert "left out: " in said
