@@ -203,6 +203,7 @@ class TestFailures:
         one_line(capsys)
         assert contents(results) == before
 
+    @pytest.mark.slow
     def test_earlier_results_survive_an_interrupt(
         self,
         portrait: Path,

@@ -205,6 +205,7 @@ def test_planted_codes_are_found_again() -> None:
         assert result["found"], result
 
 
+@pytest.mark.slow
 def test_two_activations_that_one_wide_filter_swallowed_are_found_again() -> None:
     """Exchanges of one at a time leave these ten with two missing, exchanges of pairs none."""
     result = planted_codes.run_trial(0, 0)

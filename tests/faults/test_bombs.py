@@ -25,6 +25,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list]:
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BOMBS)
 def test_it_is_refused_before_memory_is_taken(told: dict[str, list], name: str) -> None:
     kind, line, grown_mb, seconds = told[name]

@@ -122,6 +122,7 @@ def test_each_problem_of_a_batch_ends_as_alone(seen: list[Observation]) -> None:
         assert_alike(one, other, 1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", ["sunsky", "autoencoder"])
 def test_the_light_of_each_observation_is_its_own(
     seen: list[Observation], light: LightName

@@ -32,6 +32,7 @@ def on_cpu(request: pytest.FixtureRequest) -> Estimate:
     return estimated(request.param, torch.device("cpu"))
 
 
+@pytest.mark.slow
 def test_no_operation_mixes_devices(on_cpu: Estimate, monkeypatch: pytest.MonkeyPatch) -> None:
     """The whole solver, with tensors that refuse to meet those of the CPU: the same to the bit."""
     monkeypatch.setattr(entry, "choose_device", torch.device)
@@ -43,6 +44,7 @@ def test_no_operation_mixes_devices(on_cpu: Estimate, monkeypatch: pytest.Monkey
     assert (found.terms, found.stats, found.status) == (on_cpu.terms, on_cpu.stats, on_cpu.status)
 
 
+@pytest.mark.slow
 def test_no_operation_of_a_batch_mixes_devices(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two photographs at once, one with fewer pixels and lower bounds: the CPU's light."""
     whole = watched(*SUNS[0])[0]

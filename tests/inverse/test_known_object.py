@@ -275,6 +275,7 @@ class TestSparse:
         assert float(apart.max()) < GRID_STEP_RAD
         torch.testing.assert_close(found.code.weights[strongest], self.COLOURS, rtol=0.05, atol=0.0)
 
+    @pytest.mark.slow
     def test_metal_shows_the_light(self) -> None:
         """A ball without a matt part: a mirror that is a little rough."""
         material = ObjectMaterial(albedo=(0.0, 0.0, 0.0), specular=Specular(f0=0.9, roughness=0.4))
@@ -298,6 +299,7 @@ class TestSparse:
         assert len(found.code) <= 5
         assert found.residual == pytest.approx(0.05, rel=0.15)
 
+    @pytest.mark.slow
     def test_same_picture_same_code(self, front: ObjectView) -> None:
         _, environment = lobes([[8, 40], [12, 28]], self.COLOURS)
         observation = lit(front, environment).observation

@@ -4,6 +4,7 @@ import copy
 import math
 from dataclasses import replace
 
+import pytest
 import torch
 
 from skylight.faces.skin import SkinPrior
@@ -135,6 +136,7 @@ def test_the_scan_of_faces_is_the_mean_of_their_scans() -> None:
     assert sun_error_deg(joint.candidates[0]) < 6
 
 
+@pytest.mark.slow
 def test_a_face_twice_gives_the_light_of_once() -> None:
     """All of the objective but the priors on light doubles; with weak ones the minimum stays."""
     weak = ObjectiveWeights(light_prior=0.0, albedo_prior=1e-3, ground_prior=1e-3)

@@ -3,9 +3,12 @@
 import runpy
 from pathlib import Path
 
+import pytest
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
+@pytest.mark.slow
 def test_cells_moved_by_gradient_relight_better() -> None:
     design, before, after = runpy.run_path(str(EXAMPLES / "optimise_probe_cells.py"))["optimise"]()
     assert design.count == 14

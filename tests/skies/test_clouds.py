@@ -160,6 +160,7 @@ def test_drift_moves_the_clouds_overhead() -> None:
     assert abs(float(later - here)) > 0.1
 
 
+@pytest.mark.slow
 def test_drift_is_smooth_over_many_cells() -> None:
     """The finer octaves, whose periods are not the tile's, do not jump where the tile repeats."""
     layer = broken(base_km=1.0, cell_km=1.0, erosion=0.5, softness=0.6)

@@ -77,6 +77,7 @@ def test_days_already_there_are_kept(folder: Path, tmp_path: Path) -> None:
     assert contents(tmp_path) == contents(folder)
 
 
+@pytest.mark.slow
 def test_a_day_cut_short_is_done_again(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -98,6 +99,7 @@ def test_a_day_cut_short_is_done_again(
     assert contents(tmp_path) == contents(folder)
 
 
+@pytest.mark.slow
 def test_an_interrupt_ends_the_workers_and_keeps_whole_days(tmp_path: Path) -> None:
     """Ctrl-C reaches every process of a terminal, so it is sent to the group."""
     command = [sys.executable, "-m", "skylight", "skies", "simulate", "--days", "300"]

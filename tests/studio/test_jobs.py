@@ -229,6 +229,7 @@ def test_a_worker_that_dies_takes_one_job_with_it(
     assert "no face 3" in finished(client, kind="estimate", photo=photo, face=3)["error"]
 
 
+@pytest.mark.slow
 def test_a_job_whose_page_went_is_cancelled(client: httpx.Client, photo: str) -> None:
     job = begin(client, kind="estimate", photo=photo)
     stream = events(client, job)

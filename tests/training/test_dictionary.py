@@ -158,6 +158,7 @@ def planted(shape: str, degree: int = 12) -> torch.Tensor:
     return row / row.norm()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", ["L", "ring"])
 def test_a_planted_filter_is_found_and_no_epoch_raises_the_error(shape: str) -> None:
     """In maps of a constant and three coloured copies; what is not learned stays."""

@@ -118,6 +118,7 @@ def _may_die(folder: Path, number: int) -> int:
     return number
 
 
+@pytest.mark.slow
 def test_killed_processes_lose_nothing_and_hopeless_pieces_are_answered_for(tmp_path: Path) -> None:
     work = [(tmp_path, number) for number in range(4)]
     results = list(share_work(_may_die, work, workers=2, lost=lambda _, number: -number))
@@ -177,6 +178,7 @@ def _wait(condition: Callable[[], bool]) -> None:
     raise TimeoutError
 
 
+@pytest.mark.slow
 def test_work_ends_with_the_process_that_shares_it(tmp_path: Path) -> None:
     parent = _sharing(tmp_path, 60, "")
     _wait(lambda: len(list(tmp_path.glob("begun*"))) == 2)
@@ -193,6 +195,7 @@ def _is_alive(pid: int) -> bool:
         return False
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("finish", "killed"), [("finish", ""), ("finish", "0"), ("", "")])
 def test_ctrl_c_finishes_the_pieces_at_work_where_asked(
     tmp_path: Path, finish: str, killed: str

@@ -30,6 +30,7 @@ def own(tmp_path: Path) -> Path:
     return Path(shutil.copytree(shipped, tmp_path / "own"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("light", ["autoencoder", "sunsky"])
 def test_a_copy_of_the_shipped_model_gives_the_same_light(own: Path, light: str) -> None:
     observation, _ = watched(*SUNS[0])

@@ -344,6 +344,7 @@ def test_sweeps_never_make_a_code_worse_nor_longer(weights: Sign) -> None:
             before = after.error
 
 
+@pytest.mark.slow
 def test_an_exchange_of_a_pair_that_does_not_help_is_undone() -> None:
     it, maps = setting(), random(ROWS, 2 * ROWS, 2, seed=3)
     (code,) = pursue(search := it.start(maps, weights="free", sweeps=30), [5])

@@ -69,6 +69,7 @@ def test_a_new_azimuth_or_probe_makes_old_results_stale(calibrated):
     assert seen[0] != seen[1] != seen[2]
 
 
+@pytest.mark.slow
 def test_the_table(calibrated, tmp_path):
     evaluation = CapturedFaces(data=calibrated, methods=("sh9", "sunsky"), every=2)
     path = run_evaluation(evaluation, tmp_path / "out", command="c")

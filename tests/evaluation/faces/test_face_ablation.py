@@ -39,6 +39,7 @@ def test_true_parameters_put_the_sun_where_it_is(face: KnownFace) -> None:
     assert math.degrees(float(away)) < 4
 
 
+@pytest.mark.slow
 def test_a_known_albedo_is_kept(face: KnownFace, observation: Observation) -> None:
     found = with_true_albedo(observation, face)
     assert float((found.faces[0].albedo / face.albedo).log().abs().max()) < 0.05

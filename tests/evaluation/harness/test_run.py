@@ -67,6 +67,7 @@ def test_what_was_measured_is_not_measured_again(tmp_path, marks):
     assert more[:2] == first
 
 
+@pytest.mark.slow
 def test_two_processes_measure_the_same(tmp_path, marks):
     here = measure_all(Counting(count=4, marks=marks), tmp_path / "here", workers=1)
     there = measure_all(Counting(count=4, marks=marks), tmp_path / "there", workers=2)

@@ -75,6 +75,7 @@ def test_gaussians_recover_a_sky_of_their_kind():
     assert tone_mapped_scores(fit_gaussians(sky, 2), sky)["psnr"] > 40
 
 
+@pytest.mark.slow
 def test_one_sky_by_all_representations(tmp_path):
     evaluation = SkyRepresentations(count=1)
     (name,) = evaluation.items()

@@ -11,6 +11,8 @@ from skimage.data import astronaut
 
 from tests.studio.browser.known_light import answers
 
+pytestmark = pytest.mark.slow
+
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 

@@ -22,6 +22,8 @@ from skylight.sphere.frame import pixel_from_direction
 from skylight.sphere.grid import DirectionGrid
 from tests.studio.browser.known_light import REGION, SIZE
 
+pytestmark = pytest.mark.slow
+
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 

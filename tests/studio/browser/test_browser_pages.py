@@ -26,6 +26,8 @@ from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import direction_from_angles
 from skylight.sphere.grid import DirectionGrid
 
+pytestmark = pytest.mark.slow
+
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Locator, Page
 
