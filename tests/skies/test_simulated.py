@@ -139,6 +139,7 @@ def test_an_interrupt_ends_the_workers_and_keeps_whole_days(tmp_path: Path) -> N
     assert not (tmp_path / "index.csv").exists()
 
 
+@pytest.mark.slow
 def test_simulating_leaves_the_callers_threads_alone(tmp_path: Path) -> None:
     before = torch.get_num_threads()
     torch.set_num_threads(2)

@@ -195,6 +195,7 @@ def test_a_planted_filter_is_found_and_no_epoch_raises_the_error(shape: str) -> 
     assert torch.equal(bank.coefficients[[0, 2]], start.coefficients[[0, 2]])
 
 
+@pytest.mark.slow
 def test_the_example_beats_its_start() -> None:
     """On maps that it does not learn from, by a third at least."""
     example = Path(__file__).parents[2] / "examples/learn_dictionary.py"

@@ -15,6 +15,8 @@ from skylight.faces.captures import CAPTURES_NAME, read_captures
 from skylight.io.files import write_png
 from tests.face_captures import MIRRORED, PHOTO, TURNS_DEG
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def first_run(face_captures, tmp_path_factory):

@@ -165,6 +165,7 @@ def test_the_autoencoder_is_started_at_the_true_sun(face):
     assert math.degrees(apart) < 3
 
 
+@pytest.mark.slow
 def test_one_face_from_end_to_end(tmp_path):
     evaluation = SyntheticFaces(count=1, size=160, methods=("sh9", "sh25"))
     path = run_evaluation(evaluation, tmp_path, command="c")

@@ -66,6 +66,7 @@ def test_probes_without_a_mesh_are_refused_before_anything_is_measured(
         evaluate(name, quick=True, data=tmp_path, out=tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_a_folder_of_ones_own_is_measured(tmp_path: Path) -> None:
     """One map in a folder of its own, one mesh of no usual name, and no sunny day."""
     light = EnvironmentMap(radiance=torch.tensor([1.0, 0.8, 0.6]).expand(16, 32, 3).clone())

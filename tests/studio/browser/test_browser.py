@@ -164,6 +164,7 @@ def test_from_a_dropped_photo_to_a_downloaded_map(
     assert page.locator(".result").count() == 2
 
 
+@pytest.mark.slow
 def test_one_of_two_faces(new_page: MakePage, tmp_path: Path, pictures: Path) -> None:
     two = np.concatenate([astronaut()[:, 60:400], astronaut()[:, 60:400]], axis=1)
     Image.fromarray(two).save(tmp_path / "two.png")
@@ -217,6 +218,7 @@ def test_files_that_are_no_use(new_page: MakePage, portrait: Path, tmp_path: Pat
     assert line.count() == 0
 
 
+@pytest.mark.slow
 def test_a_job_that_fails_and_a_server_that_is_gone(new_page: MakePage, portrait: Path) -> None:
     page = new_page()
     choose_photo(page, portrait)
