@@ -161,8 +161,8 @@ def evaluate(
     Raises
     ------
     InputError
-        An unknown name, data that the evaluation cannot use, or ``options`` (which are given where
-        they are not the defaults) for one that uses no trained model, or on no other device.
+        An unknown name, data that the evaluation cannot use, or ``options`` other than the
+        defaults for an evaluation that does not have them.
     """
     if name not in EVALUATIONS:
         raise InputError(f"unknown evaluation {name!r}: choose one of {', '.join(EVALUATIONS)}")

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol, TypeVar, runtime_checkable
 
+from skylight.errors import InputError
 from skylight.faces.skin import SkinPrior
 from skylight.inverse.harmonic.problem import HarmonicProblem
 from skylight.inverse.result import Estimate
@@ -14,7 +15,7 @@ from skylight.inverse.sky.solver import SolverOptions
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.bundle import LightBundle, load_bundle
 from skylight.models.harmonic import HarmonicLight
-from skylight.models.names import LightName, check_is_trained, check_light_name
+from skylight.models.names import LightName, check_is_trained, check_light_name, is_trained
 from skylight.models.prior import GaussianMixture
 from skylight.models.sunsky import SunSky
 from skylight.transport.observation import Observation
@@ -90,12 +91,19 @@ def estimate_light(
     Raises
     ------
     InputError
-        No observation, or one without a usable pixel; an unknown light model; no such device.
+        No observation, or one without a usable pixel; ``photos`` that do not count them; an
+        unknown light model; no such device.
     """
     if isinstance(observations, Observation):
         observations = (observations,)
+    photos = photos or [0] * len(observations)
+    if len(photos) != len(observations) or {*photos} != {*range(len({*photos}))}:
+        raise InputError(
+            "photos has the number of each observation's photograph, counted from 0 without gaps; "
+            f"for {len(observations)} observations got {list(photos)}"
+        )
     problem = light_problem(light, model=model, options=options, device=device)
-    for observation, photo in zip(observations, photos or [0] * len(observations), strict=True):
+    for observation, photo in zip(observations, photos, strict=True):
         problem.add(observation, photo)
     return problem.solve(progress)
 
@@ -111,29 +119,29 @@ def estimate_each(
 ) -> list[Estimate]:
     """The light of each observation, each face in a light of its own.
 
-    As :func:`estimate_light` of each, but for rounding; parameters and errors are its own. Skies
-    ("autoencoder", "sunsky") are solved as one batch, which keeps a GPU busy: give it as many
-    as its memory holds (:func:`~skylight.inverse.sky.problem.solve_together`). A CPU is
-    busy with one: there a batch takes a little longer. Harmonics are solved one after the other.
+    As :func:`estimate_light` of each, but for rounding, with its parameters. On a GPU skies
+    ("autoencoder", "sunsky") are solved as one batch, which keeps it busy: give it as many as its
+    memory holds (:func:`~skylight.inverse.sky.problem.solve_together`). A CPU is busy with one,
+    and takes an eighth longer for a batch: there, and for harmonics, they are solved in turn.
+
+    Raises
+    ------
+    InputError
+        As :func:`estimate_light`, for all where it is wrong with one.
     """
-    problems = light_problems(len(observations), light, model=model, options=options, device=device)
-    for problem, observation in zip(problems, observations, strict=True):
-        problem.add(observation)
-    return solve_each(problems, progress)
-
-
-def solve_each(
-    problems: Sequence[LightProblem[Estimate]], progress: Progress | None = None
-) -> list[Estimate]:
-    """The light of each of :func:`light_problems`: skies together, others one by one."""
-    skies = [problem for problem in problems if isinstance(problem, SkyProblem)]
-    if skies and len(skies) == len(problems):
+    if choose_device(device).type != "cpu" and is_trained(light):
+        many = light_problems(len(observations), light, model=model, options=options, device=device)
+        skies = [problem for problem in many if isinstance(problem, SkyProblem)]
+        for problem, observation in zip(skies, observations, strict=True):
+            problem.add(observation)
         return solve_together(skies, progress)
-    found = []
-    for done, problem in enumerate(problems, start=1):
+    found: list[Estimate] = []
+    for observation in observations:
+        (problem,) = light_problems(1, light, model=model, options=options, device=device)
+        problem.add(observation)
         found.append(problem.solve())
         if progress is not None:
-            progress(done / len(problems))
+            progress(len(found) / len(observations))
     return found
 
 
@@ -160,7 +168,7 @@ def light_problems(
     options: SolverOptions | None = None,
     device: str = "auto",
 ) -> Sequence[LightProblem[Estimate]]:
-    """So many of :func:`light_problem`, each with a light of its own, for :func:`solve_each`."""
+    """So many of :func:`light_problem`, each with a light of its own."""
     check_light_name(light)
     if model is not None:
         check_is_trained(light)

@@ -140,7 +140,7 @@ class SunPosterior:
 
 @dataclass(frozen=True, kw_only=True)
 class FaceEvidence:
-    """What one face says of the sun: its share of m(d), and its deviation without any sun."""
+    """Evidence of one face: its share of m(d), and its deviation without any sun."""
 
     deviations: Float[Tensor, " n"]
     unlit: float

@@ -39,15 +39,13 @@ class SunScan:
     ``residuals`` (n,) are sqrt(min / sum w y^2) for each of ``directions`` (n,3), the root mean
     square where there are several faces; ``candidates`` (k,3) the best in order, each 12 degrees
     or more from the better ones (not necessarily local minima), ``strengths`` (k,) the share of
-    the diffuse shading that the sun explains in each, a mean over the faces. ``faces`` holds
-    the scan of each.
+    the diffuse shading that the sun explains in each, a mean over the faces.
     """
 
     directions: Float[Tensor, "n 3"]
     residuals: Float[Tensor, " n"]
     candidates: Float[Tensor, "k 3"]
     strengths: Float[Tensor, " k"]
-    faces: "tuple[FaceScan, ...]"
 
     @staticmethod
     def of(
@@ -68,7 +66,6 @@ class SunScan:
             residuals=residuals,
             candidates=directions[chosen],
             strengths=strength.cpu()[chosen],
-            faces=tuple(faces),
         )
 
 
@@ -93,7 +90,7 @@ def scan_faces(
     """Explain each face by a sun in each direction, and by ambient light alone.
 
     Directions are the 1,024 of the upper half of a 32 x 64 grid. Each face is solved on the device
-    of its observation, ``at_once`` faces together; its scan is the same whatever that is. By
+    of its observation, ``at_once`` faces together; its scan is the same but for rounding. By
     default one on the CPU, whose cache holds the unknowns of one (4 MB; eight at once take a
     third longer), and all on other devices, which are idle otherwise.
     """

@@ -43,10 +43,11 @@ def serve(
     Raises
     ------
     InputError
-        The port is taken, the host is none of this machine's, or ``model`` is no light model.
+        The port is taken, the host is none of this machine's, or ``model`` has no readable
+        bundle.json.
     """
     if model is not None:
-        read_manifest(model)  # refuses what is no light model; its tensors need torch
+        read_manifest(model)  # its tensors need torch, and are read by the worker
     listener = _listening(host, port)
     with listener, own_folder() as folder, _ended_by_signals():
         studio = Studio(folder, limits or Limits(), model=model and model.resolve())

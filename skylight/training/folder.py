@@ -54,7 +54,11 @@ def train_folder(
                 f"skylight skies index {folder} --days DAYS.csv"
             )
         priors = PriorConfig(data=place, out=out, seed=config.seed)
-        splits_for_priors(priors, records)  # refuses too few before hours of training
+        try:
+            splits_for_priors(priors, records)  # refuses too few before hours of training
+        except InputError as error:
+            again = f"; then delete {place}" if place != folder else ""
+            raise InputError(f"{folder}: {error}{again}") from error
         best = train(fitting(config, place, run, skies, epochs, report), report)
         report("fitting the priors")
         fit_priors(replace(priors, checkpoint=best))

@@ -151,6 +151,7 @@ def shade_scenes(
     if len(matrices) == 1:
         return shade(matrices[0], radiance)
     assert scene is not None
+    assert scene.device.type != "cpu" or bool((scene.diff() >= 0).all())
     colours = radiance.shape[-1]
     counts = torch.bincount(scene, minlength=len(matrices))
     size = max(int(counts.max()), -(-_FEWEST_ROWS // colours))

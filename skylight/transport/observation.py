@@ -1,11 +1,14 @@
 """Observations: shading at pixels, and its transport."""
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from skylight.errors import InputError
+from skylight.sphere.envmap import luminance
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.matrix import TransportMatrix
 
@@ -47,6 +50,16 @@ class Observation:
             raise ValueError(f"clipped ({len(self.clipped)}) must match pixels ({count})")
         if self.gloss is not None and self.gloss.matrix.shape != self.transport.matrix.shape:
             raise ValueError("gloss must have the shape of the transport")
+
+    @property
+    def mean_luminance(self) -> float:
+        """Of all pixels; :class:`InputError` where they are black."""
+        mean = float(luminance(self.pixels).mean())
+        if not 0 < mean < math.inf:
+            raise InputError(
+                f"what is observed has a mean luminance of {mean:g}; give a picture that is lit"
+            )
+        return mean
 
     def to(self, device: torch.device) -> "Observation":
         """The same on a device; grids of directions stay on the CPU."""

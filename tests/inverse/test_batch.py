@@ -8,12 +8,12 @@ import torch
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.inverse.estimate import estimate_each, estimate_light
+from skylight.inverse.estimate import estimate_each, estimate_light, light_problems
 from skylight.inverse.result import Estimate
 from skylight.inverse.scan import nnls, scan_faces
 from skylight.inverse.sky.objective import FaceTerm, ObjectiveWeights, SkyObjective
 from skylight.inverse.sky.problem import SkyProblem, solve_together
-from skylight.inverse.sky.solver import Round, SolverOptions
+from skylight.inverse.sky.solver import Round, SkySolver, SolverOptions
 from skylight.models.names import LightName
 from skylight.models.sunsky import SunSky
 from skylight.sphere.envmap import luminance
@@ -35,6 +35,8 @@ FEW = SolverOptions(
         Round(level=0, starts=1, iterations=3),
     )
 )
+
+FEWER = SolverOptions(rounds=(Round(level=2, starts=2, iterations=3),))
 
 
 def part(observation: Observation, kept: Tensor) -> Observation:
@@ -122,20 +124,30 @@ def test_each_problem_of_a_batch_ends_as_alone(seen: list[Observation]) -> None:
         assert_alike(one, other, 1e-6)
 
 
+def together(observations: list[Observation], light: LightName) -> list[Estimate]:
+    """As one batch, on the CPU too."""
+    problems = light_problems(len(observations), light, options=FEWER, device="cpu")
+    skies = [problem for problem in problems if isinstance(problem, SkyProblem)]
+    for problem, observation in zip(skies, observations, strict=True):
+        problem.add(observation)
+    return solve_together(skies)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("light", ["sunsky", "autoencoder"])
 def test_the_light_of_each_observation_is_its_own(
     seen: list[Observation], light: LightName
 ) -> None:
     """In float32 the same but for its roundings, which few iterations amplify to 1 %."""
-    few = SolverOptions(rounds=(Round(level=2, starts=2, iterations=3),))
     two = [seen[1], seen[3]]  # fewer pixels, clipped ones
-    found = estimate_each(two, light, options=few)
-    alone = [estimate_light(one, light, options=few) for one in two]
+    found = together(two, light)
+    alone = estimate_each(two, light, options=FEWER, device="cpu")
     for one, other in zip(found, alone, strict=True):
         white = other.environment.radiance.max()
         error = (one.environment.radiance - other.environment.radiance).abs().max()
         assert float(error / white) < 0.01
+        off = (one.rendered - other.rendered).abs().max() / other.rendered.max()
+        assert float(off) < 0.01
         assert sum(one.terms.values()) == pytest.approx(sum(other.terms.values()), rel=1e-3)
     assert float(found[0].sun_direction @ found[1].sun_direction) < 0.9  # not one light for all
 
@@ -229,4 +241,29 @@ def test_what_cannot_be_solved_together_is_refused(seen: list[Observation]) -> N
 
 
 def test_no_photographs_have_no_lights() -> None:
-    assert estimate_each([]) == estimate_each([], "sh9") == []
+    assert estimate_each([]) == estimate_each([], "sh9") == solve_together([]) == []
+
+
+def test_an_empty_problem_among_others_is_refused_before_any_is_solved(
+    seen: list[Observation], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = SkyProblem(SunSky(), SUNSKY_PRIOR, ALBEDO_PRIOR, MODES)
+    first.add(seen[0])
+    monkeypatch.setattr(SkySolver, "solve", lambda *_: pytest.fail("solved"))
+    with pytest.raises(InputError, match="without an observation"):
+        solve_together([first, first.another()])
+
+
+@pytest.mark.parametrize("photos", [[1, 1], [0, 2], [0]])
+def test_photographs_are_counted_from_0_without_gaps(
+    seen: list[Observation], photos: list[int]
+) -> None:
+    with pytest.raises(InputError, match="counted from 0"):
+        estimate_light(seen[:2], "sh9", photos=photos)
+
+
+@pytest.mark.parametrize("light", ["sh9", "sunsky"])
+def test_a_black_face_is_refused(seen: list[Observation], light: LightName) -> None:
+    black = replace(seen[0], pixels=torch.zeros_like(seen[0].pixels))
+    with pytest.raises(InputError, match="mean luminance of 0"):
+        estimate_light(black, light)

@@ -6,11 +6,12 @@ import pytest
 import torch
 
 from skylight.inverse import estimate as entry
-from skylight.inverse.estimate import estimate_each, estimate_light
+from skylight.inverse.estimate import estimate_each, estimate_light, light_problems
 from skylight.inverse.object import problem as of_object
 from skylight.inverse.object.problem import ObjectLight, ObjectLightName, estimate_object_light
 from skylight.inverse.object.view import ObjectMaterial
 from skylight.inverse.result import Estimate
+from skylight.inverse.sky.problem import SkyProblem, solve_together
 from skylight.inverse.sky.solver import Round, SolverOptions
 from skylight.transport.render import Specular
 from tests.inverse.checked_device import DEVICE, CheckedDevice
@@ -51,7 +52,12 @@ def test_no_operation_of_a_batch_mixes_devices(monkeypatch: pytest.MonkeyPatch) 
     coarse = watched(*SUNS[1])[0].coarser(1)
     level = coarse.pixels.mean(1)
     both = [whole, replace(coarse, clipped=level > level.quantile(0.8))]
-    expected = estimate_each(both, "sunsky", options=FEW, device="cpu")
+    first, second = light_problems(2, "sunsky", options=FEW, device="cpu")
+    assert isinstance(first, SkyProblem)
+    assert isinstance(second, SkyProblem)
+    first.add(both[0])
+    second.add(both[1])
+    expected = solve_together([first, second])
     monkeypatch.setattr(entry, "choose_device", torch.device)
     with CheckedDevice():
         found = estimate_each(both, "sunsky", options=FEW, device=str(DEVICE))

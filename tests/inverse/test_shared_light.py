@@ -130,8 +130,9 @@ def test_a_dark_face_says_as_much_as_a_bright_one() -> None:
 
 def test_the_scan_of_faces_is_the_mean_of_their_scans() -> None:
     faces = [lit(half_ball(turn), MODES[k], 1.0 + k) for k, turn in enumerate((-40, 10, 60))]
-    joint = SunScan.of(scan_faces(faces))
-    alone = torch.stack([SunScan.of([scan]).residuals ** 2 for scan in joint.faces])
+    scans = scan_faces(faces)
+    joint = SunScan.of(scans)
+    alone = torch.stack([SunScan.of([scan]).residuals ** 2 for scan in scans])
     torch.testing.assert_close(joint.residuals**2, alone.mean(0))
     assert sun_error_deg(joint.candidates[0]) < 6
 

@@ -28,7 +28,7 @@ from skylight.imaging.photo import read_photo
 from skylight.io.hdr import SUFFIXES as HDR_SUFFIXES
 from skylight.io.listing import visible_files
 from skylight.models.bundle import load_bundle
-from skylight.models.names import LightName, check_is_trained
+from skylight.models.names import LightName, check_is_trained, check_light_name
 from skylight.work.progress import StageProgress
 from skylight.work.results_folder import results_folder
 from skylight.work.resumable import Workers, claimed, settle, share_work
@@ -51,6 +51,7 @@ class BatchSettings:
     device: str = "auto"
 
     def __post_init__(self) -> None:
+        check_light_name(self.light)
         if self.model is not None:
             check_is_trained(self.light)
 

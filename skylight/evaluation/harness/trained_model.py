@@ -15,5 +15,5 @@ def trained_model(folder: Path | None) -> LightBundle:
 
 @cache
 def trained_light(folder: Path | None) -> AutoencoderLight:
-    """Its light model, which nobody changes."""
+    """Its light model, shared: do not modify it."""
     return trained_model(folder).light()

@@ -80,8 +80,9 @@ class HarmonicProblem:
         Raises
         ------
         InputError
-            All of the face is over-exposed.
+            All of the face is over-exposed, or it is black.
         """
+        _ = observation.mean_luminance  # refuses what is black
         observation = observation.to(self.albedo_modes.device)
         weights = observation.weights
         if observation.clipped is not None:  # a linear fit has no use for bounds
@@ -99,7 +100,8 @@ class HarmonicProblem:
         A pixel's weight is divided by its mean Charbonnier residual over the channels, which
         share it. Shading is linear in the coefficients, so there is no start to choose. A face
         says little of what it does not see, and there the best coefficients swing far below zero:
-        with the weights they end with, the light is fitted once more, nowhere negative
+        with the weights and factors they end with, the light is fitted once more, under the
+        constraint that it is not negative at 1,024 directions
         (:func:`~skylight.inverse.harmonic.nonnegative.nonnegative_harmonics`). Several faces have
         a colour factor each (albedo times exposure; the first one's is 1), and light and factors
         are fitted together, by Gauss-Newton steps that share the reweighting.

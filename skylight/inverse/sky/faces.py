@@ -8,7 +8,6 @@ import torch
 
 from skylight.inverse.scan import SCAN_HEIGHT
 from skylight.inverse.sky.objective import FaceTerm
-from skylight.sphere.envmap import luminance
 from skylight.transport.observation import Observation
 
 
@@ -28,8 +27,14 @@ class SkyFace:
     def of(
         observation: Observation, photo: int, levels: Sequence[int], device: torch.device
     ) -> "SkyFace":
-        """With those ``levels`` of the pyramid, on that device."""
-        mean = float(luminance(observation.pixels).mean())
+        """With those ``levels`` of the pyramid, on that device.
+
+        Raises
+        ------
+        InputError
+            The face is black.
+        """
+        mean = observation.mean_luminance
         pyramid = [observation.to(device).scaled(1 / mean)]
         while len(pyramid) <= max(1, *levels):
             pyramid.append(pyramid[-1].coarser(1))

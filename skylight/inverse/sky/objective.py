@@ -130,6 +130,7 @@ class FaceTerm:
 
 def _of(x: Shaped[Tensor, "p *s"], problem: Int[Tensor, " b"] | None) -> Shaped[Tensor, "_ *s"]:
     """Each row's own; what there is but one of is left to broadcast."""
+    assert problem is not None or len(x) == 1
     return x if len(x) == 1 else x[problem]
 
 

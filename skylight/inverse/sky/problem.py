@@ -7,6 +7,7 @@ from copy import copy
 from jaxtyping import Float
 from torch import Tensor
 
+from skylight.errors import InputError
 from skylight.inverse.result import Estimate
 from skylight.inverse.sky.faces import SkyFace, SkyFaces
 from skylight.inverse.sky.solver import SkySolver, SolverOptions
@@ -104,9 +105,13 @@ def solve_together(
     ValueError
         A problem that is not :meth:`SkyProblem.another` of the first.
     """
+    if not problems:
+        return []
     solver = problems[0].solver
     if any(problem.solver is not solver for problem in problems):
         raise ValueError("problems solved together share a solver: make them by another()")
+    if not all(problem.faces for problem in problems):
+        raise InputError("there is a problem without an observation; give each at least one")
     groups: dict[tuple, list[int]] = defaultdict(list)
     for number, problem in enumerate(problems):
         groups[problem.faces.shape].append(number)

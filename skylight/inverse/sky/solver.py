@@ -108,8 +108,8 @@ class SkySolver:
         ends = _Ends.of(objective, points)
         evidence = _per_problem(face_evidence(observed, every), problems)
         return [
-            _estimate(ends, p, faces, level, scan, sun_evidence(told))
-            for p, (faces, scan, told) in enumerate(zip(problems, scans, evidence, strict=True))
+            _estimate(ends, p, faces, level, scan, sun_evidence(each))
+            for p, (faces, scan, each) in enumerate(zip(problems, scans, evidence, strict=True))
         ]
 
     def _objective(self, problems: Sequence[SkyFaces], level: int) -> SkyObjective:
