@@ -13,7 +13,7 @@ import pytest
 import yaml
 from skimage.data import astronaut
 
-from skylight.faces.landmarks import default_landmarker
+from skylight.faces.photographs import choose_landmarker
 from skylight.io.files import write_png
 
 ROOT = Path(__file__).parents[1]
@@ -199,7 +199,7 @@ def test_a_landmarker_of_ones_own(tmp_path, monkeypatch):
     text = (DOCS / "landmarks_card.md").read_text()
     (program,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     picture = astronaut()
-    found = default_landmarker().detect(picture)[0].points
+    found = choose_landmarker().detect(picture)[0].points
     write_png(tmp_path / "portrait.png", picture)
     np.savetxt(tmp_path / "points.txt", found)
     monkeypatch.chdir(tmp_path)

@@ -19,9 +19,9 @@ import torch
 
 from skylight.evaluation.faces.known_faces import synthetic_face
 from skylight.faces.fit import fit_face
-from skylight.faces.landmarks import default_landmarker
 from skylight.faces.model import HeadModel
 from skylight.faces.observe import observe_face
+from skylight.faces.photographs import choose_landmarker
 from skylight.inverse.estimate import estimate_light
 from skylight.inverse.posterior import (
     FITTED,
@@ -47,7 +47,7 @@ Case = tuple[SunEvidence, torch.Tensor, int]  # evidence, the estimate's sun, th
 def case(seed: int) -> dict[str, torch.Tensor]:
     """What one face says; empty where the landmark detector finds none."""
     face = synthetic_face(seed, SIZE)
-    found = default_landmarker().detect(face.encoded)
+    found = choose_landmarker().detect(face.encoded)
     if not found:
         return {}
     model = HeadModel.load()

@@ -1,9 +1,8 @@
 """Mean and covariance of the errors of a landmark detector.
 
-    python tools/measure_landmarks.py --out skylight/faces/data/landmark_errors.npz
-    python tools/measure_landmarks.py --landmarker mediapipe --model face_landmarker.task \\
-        --out skylight/faces/data/mediapipe_landmarks.npz
-    python tools/measure_landmarks.py --model face_landmarker.task --compare 40
+    python tools/measure_landmarks.py --out skylight/faces/data/mediapipe_landmarks.npz
+    python tools/measure_landmarks.py --landmarker dlib --out skylight/faces/data/dlib_landmarks.npz
+    python tools/measure_landmarks.py --compare 40
 
 Renders random people under simulated training skies, detects their landmarks, and compares them
 with the projected landmarks of the true heads (the jaw's on the silhouette). The errors are large
@@ -26,13 +25,9 @@ from numpy import ndarray
 from skylight.evaluation.faces.face_light import pose_error_deg
 from skylight.evaluation.faces.known_faces import synthetic_face
 from skylight.evaluation.rendered_faces.files import read_rendered_face, rendered_faces
+from skylight.faces.dlib_landmarks import DlibLandmarker
 from skylight.faces.fit import FaceFit, FitProblem, fit_face
-from skylight.faces.landmarks import (
-    DetectedFace,
-    DlibLandmarker,
-    FaceLandmarker,
-    default_landmarker,
-)
+from skylight.faces.landmarks import DetectedFace, FaceLandmarker
 from skylight.faces.mediapipe_face import IBUG, MediaPipeLandmarker, eye_axes
 from skylight.faces.model import HeadModel
 from skylight.faces.synthetic import render_face
@@ -54,29 +49,24 @@ Truth = tuple[UInt8[ndarray, "h w 3"], Float[ndarray, "68 2"], FaceFit]  # pictu
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--landmarker", choices=("dlib", "mediapipe"), default="dlib")
-    parser.add_argument("--model", type=Path, help="MediaPipe's face_landmarker.task")
+    parser.add_argument("--landmarker", choices=("mediapipe", "dlib"), default="mediapipe")
     parser.add_argument("--people", type=int, default=400)
     task = parser.add_mutually_exclusive_group(required=True)
     task.add_argument("--out", type=Path, help="measure, and write the errors there")
     task.add_argument("--compare", type=int, metavar="N", help="dlib with MediaPipe on N faces")
     parser.add_argument("--faces", type=Path, help="path-traced faces to compare on")
     arguments = parser.parse_args()
-    if not arguments.model and (arguments.compare or arguments.landmarker == "mediapipe"):
-        parser.error("MediaPipe needs --model")
     torch.set_num_threads(1)
     if arguments.compare:
         count = arguments.compare
         faces = traced(arguments.faces, count) if arguments.faces else held_out(count)
-        compare(
-            {"dlib": default_landmarker(), "mediapipe": MediaPipeLandmarker(arguments.model)}, faces
-        )
+        compare({"dlib": DlibLandmarker(), "mediapipe": MediaPipeLandmarker()}, faces)
         return
     faces = people(arguments.people)
     if arguments.landmarker == "dlib":
-        errors, mean = dlib_errors(default_landmarker(), faces), np.zeros((68, 2))
+        errors, mean = dlib_errors(DlibLandmarker(), faces), np.zeros((68, 2))
     else:
-        errors, mean = mediapipe_errors(MediaPipeLandmarker(arguments.model), faces)
+        errors, mean = mediapipe_errors(MediaPipeLandmarker(), faces)
     kept = errors[_plausible(errors)].reshape(-1, 136)
     print(f"{len(errors)} of {arguments.people} people found, {len(kept)} used")
     moment = kept.T @ kept / len(kept)

@@ -33,7 +33,6 @@ def estimate(
     gamma: Annotated[float | None, Decoding] = None,
     linear: Annotated[bool, Decoding] = False,
     landmarks: Landmarks = "dlib",
-    landmark_model: Path | None = None,
     workers: int = 0,
     cluster: str | None = None,
     retry_failed: bool = False,
@@ -72,7 +71,6 @@ def estimate(
         gamma: The picture's values are light to the power of 1/GAMMA, instead of sRGB.
         linear: The picture's values are proportional to light, instead of sRGB.
         landmarks: What finds the face: dlib, or MediaPipe's landmarker, free for commercial use.
-        landmark_model: MediaPipe's face_landmarker.task, which you download yourself.
         workers: Of a folder: processes that work at the same time; 0 for one per core. Each takes
             up to 1.6 GB.
         cluster: Of a folder: a dask scheduler's address, whose workers do it instead.
@@ -101,7 +99,6 @@ def estimate(
             head=head,
             decode=decode,
             landmarks=landmarks,
-            landmark_model=landmark_model,
         )
         return
     for option, given in (
@@ -130,7 +127,7 @@ def estimate(
     paths = (photo, *more)
     pictures = [read_photo(path, decode=decode) for path in paths]
     choose_device(device)
-    landmarker = choose_landmarker(landmarks, landmark_model)
+    landmarker = choose_landmarker(landmarks)
     with stage_bar() as progress, results_folder(out, MESHES) as folder:
         result = estimate_photo(
             *pictures,

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-ANCHORS = 896
 SIDE = 128  # of its pictures
 _LEAST_SCORE, _MOST_OVERLAP = 0.5, 0.3
 _MARGIN = 1.5  # the landmark network's square over the face's box

@@ -34,7 +34,7 @@ FOCAL_GUESS_SIGMA = 0.3
 FOCAL_EXIF_SIGMA = 0.05
 _JAW = np.arange(17)
 _ERRORS: dict[LandmarkerName, str] = {
-    "dlib": "landmark_errors.npz",
+    "dlib": "dlib_landmarks.npz",
     "mediapipe": "mediapipe_landmarks.npz",
 }
 

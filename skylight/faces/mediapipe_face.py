@@ -1,16 +1,15 @@
-"""MediaPipe's face landmarker (478 points) from its ``.task`` file, run by LiteRT alone.
+"""MediaPipe's face landmarker: 478 points of each face.
 
-The file is a zip of networks. BlazeFace (Bazarevsky et al. 2019) finds faces in a square of the
-picture; the landmark network (Kartynnik et al. 2019, Grishchenko et al. 2020) sees each face in an
-upright square of its own. What stands around them, anchors, suppression and squares, follows
-MediaPipe's graphs (``mediapipe/tasks/cc/vision/face_landmarker``), with two additions: BlazeFace
-looks at parts of the picture too, for small faces, and the landmark network looks twice, the
-second time at the square that its own landmarks ask for, as MediaPipe does from frame to frame.
+BlazeFace (Bazarevsky et al. 2019) finds faces in a square of the picture; the landmark network
+(Kartynnik et al. 2019, Grishchenko et al. 2020) sees each face in an upright square of its own.
+What stands around them, anchors, suppression and squares, follows MediaPipe's graphs
+(``mediapipe/tasks/cc/vision/face_landmarker``), with two additions: BlazeFace looks at parts of the
+picture too, for small faces, and the landmark network looks twice, the second time at the square
+that its own landmarks ask for, as MediaPipe does from frame to frame.
 """
 
 from functools import cache
 from importlib.resources import files
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -18,11 +17,10 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from skylight.errors import AssetError
-from skylight.faces.blazeface import ANCHORS, SIDE, Square, decode, suppress, upright, views
+from skylight.faces.blazeface import SIDE, Square, decode, suppress, upright, views
 from skylight.faces.landmarks import DetectedFace
-from skylight.faces.litert import Network, read_task
+from skylight.faces.networks import network
 
-DETECTOR, LANDMARKS = "face_detector.tflite", "face_landmarks_detector.tflite"
 POINTS = 478
 _LEAST_PRESENCE, _WEAKEST_SHARE = 0.5, 0.9
 _RIGHT_EYE, _LEFT_EYE = 33, 263  # outer corners among the 478
@@ -41,22 +39,10 @@ IBUG = (
 
 
 class MediaPipeLandmarker:
-    """Faces by the models in ``task_file``: the ``face_landmarker.task`` that Google offers.
+    """Faces by the networks that come with skylight; threads may share it."""
 
-    Raises
-    ------
-    DependencyError
-        LiteRT is not installed (extra ``mediapipe``).
-    InputError
-        ``task_file`` is missing, damaged, or not a face landmarker.
-    """
-
-    def __init__(self, task_file: str | Path) -> None:
-        models = read_task(Path(task_file), (DETECTOR, LANDMARKS))
-        self._detector = Network(models[DETECTOR], f"{task_file}: {DETECTOR}")
-        self._landmarks = Network(models[LANDMARKS], f"{task_file}: {LANDMARKS}")
-        self._detector.check_outputs(16 * ANCHORS, ANCHORS)
-        self._landmarks.check_outputs(3 * POINTS, 1)
+    def __init__(self) -> None:
+        self._detector, self._landmarks = network("face_detector"), network("face_landmarks")
 
     def detect(self, image: UInt8[ndarray, "h w 3"]) -> list[DetectedFace]:
         return [

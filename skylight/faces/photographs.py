@@ -3,17 +3,17 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from functools import cache
 from typing import Literal
 
 from skylight.errors import InputError
+from skylight.faces.dlib_landmarks import DlibLandmarker
 from skylight.faces.fit import FaceFit, fit_face
 from skylight.faces.landmarks import (
     DetectedFace,
     FaceLandmarker,
     LandmarkerName,
     choose_face,
-    default_landmarker,
 )
 from skylight.faces.mediapipe_face import MediaPipeLandmarker
 from skylight.faces.model import HeadModel
@@ -86,20 +86,17 @@ def fit_visible(
     return fit
 
 
-def choose_landmarker(name: LandmarkerName, model: str | Path | None) -> FaceLandmarker:
-    """What finds faces; :class:`InputError` where ``model``, a file, is missing or has no use."""
-    if name == "mediapipe" and model is not None:
-        return MediaPipeLandmarker(model)
+@cache
+def choose_landmarker(name: LandmarkerName = "dlib") -> FaceLandmarker:
+    """What finds faces, one a process: its models are loaded once.
+
+    Raises
+    ------
+    InputError
+        No such landmarker.
+    """
     if name == "mediapipe":
-        raise InputError(
-            "landmarks by mediapipe need its model: download face_landmarker.task (Google's AI "
-            "Edge pages, Face Landmarker) and name it with --landmark-model"
-        )
+        return MediaPipeLandmarker()
     if name != "dlib":
         raise InputError(f"{name!r} is no landmarker; choose dlib or mediapipe")
-    if model is not None:
-        raise InputError(
-            f"{model}: dlib's landmarks bring their own model; add --landmarks mediapipe, or "
-            "leave --landmark-model out"
-        )
-    return default_landmarker()
+    return DlibLandmarker()

@@ -20,8 +20,9 @@ from skylight.cli import main
 from skylight.cli.estimate import Landmarks, Light
 from skylight.cli.workers import who_works
 from skylight.errors import InputError, explain
-from skylight.faces.landmarks import DetectedFace, LandmarkerName, default_landmarker
+from skylight.faces.landmarks import DetectedFace, LandmarkerName
 from skylight.faces.model import HeadModel
+from skylight.faces.photographs import choose_landmarker
 from skylight.io.files import read_environment_map
 from skylight.models.names import LightName
 from skylight.sphere.frame import angles_from_direction
@@ -94,7 +95,7 @@ class TestResults:
         assert face["source"] == told["sources"][0]
         assert face["landmarker"] == "dlib"
         assert face["landmark_score"] > 0
-        assert "ai-edge-litert" in told["versions"]
+        assert "onnxruntime" in told["versions"]
         assert 0 < min(face["albedo"]) < max(face["albedo"]) < 1
 
     def test_both_maps_hold_the_same_light(self, results: Path) -> None:
@@ -241,25 +242,6 @@ class TestFailures:
             assert "choose --face 1 to 1" in line
 
     @pytest.mark.parametrize(
-        ("options", "message"),
-        [
-            (["--landmarks", "mediapipe"], "name it with --landmark-model"),
-            (["--landmark-model", "a.task"], "a.task: dlib's landmarks bring their own model"),
-            (["--landmarks", "mediapipe", "--landmark-model", "a.task"], "there is no such file"),
-        ],
-    )
-    def test_landmarkers_that_cannot_be(
-        self,
-        portrait: Path,
-        options: list[str],
-        message: str,
-        tmp_path: Path,
-        capsys: pytest.CaptureFixture[str],
-    ) -> None:
-        assert main(["estimate", str(portrait), *options, "--out", str(tmp_path / "out")]) == 2
-        assert message in one_line(capsys)
-
-    @pytest.mark.parametrize(
         ("wrong", "expected"),
         [
             (["b.png"], "add --shared-light"),
@@ -290,7 +272,7 @@ class TestFailures:
 
     def test_a_face_turned_away_among_others_is_left_out(self, portrait: Path) -> None:
         photo = skylight.read_photo(portrait)
-        (frontal,) = default_landmarker().detect(photo.encoded)
+        (frontal,) = choose_landmarker().detect(photo.encoded)
         result = estimate_photo(
             photo,
             light="sh9",

@@ -8,19 +8,20 @@ import pytest
 from skimage.data import astronaut
 
 from skylight.errors import AssetError, InputError
-from skylight.faces import landmarks
-from skylight.faces.landmarks import (
-    DetectedFace,
-    FaceLandmarker,
-    choose_face,
-    default_landmarker,
-    predictor_path,
-)
+from skylight.faces import dlib_landmarks
+from skylight.faces.dlib_landmarks import predictor_path
+from skylight.faces.landmarks import DetectedFace, FaceLandmarker, choose_face
+from skylight.faces.photographs import choose_landmarker
+
+
+@pytest.fixture(scope="module", params=["mediapipe", "dlib"])
+def landmarker(request):
+    return choose_landmarker(request.param)
 
 
 @pytest.fixture(scope="module")
-def found():
-    return default_landmarker().detect(astronaut())
+def found(landmarker):
+    return landmarker.detect(astronaut())
 
 
 def faces(count):
@@ -41,48 +42,49 @@ def test_the_astronaut_is_found(found):
 
 
 @pytest.mark.parametrize("factor", [2, 4])
-def test_large_pictures_give_the_same_landmarks(found, factor):
+def test_large_pictures_give_the_same_landmarks(landmarker, found, factor):
     size = (512 * factor, 512 * factor)
     larger = cv2.resize(astronaut(), size, interpolation=cv2.INTER_CUBIC)
-    face = max(default_landmarker().detect(larger), key=lambda f: f.score)
+    face = max(landmarker.detect(larger), key=lambda f: f.score)
     off = np.linalg.norm(face.points / factor - found[0].points, axis=1)
     assert np.median(off) < 0.05 * found[0].eye_distance_px
 
 
-def test_the_first_face_of_a_large_picture_is_no_fold_of_cloth(found):
+def test_the_first_face_of_a_large_picture_is_no_fold_of_cloth(landmarker, found):
     larger = cv2.resize(astronaut(), (1024, 1024), interpolation=cv2.INTER_CUBIC)
-    first = default_landmarker().detect(larger)[0]
+    first = landmarker.detect(larger)[0]
     off = np.linalg.norm(first.points / 2 - found[0].points, axis=1)
     assert np.median(off) < 0.05 * found[0].eye_distance_px
 
 
-def test_small_faces_are_found_at_a_second_look(found):
+def test_small_faces_are_found_at_a_second_look(landmarker, found):
     smaller = cv2.resize(astronaut(), (256, 256), interpolation=cv2.INTER_AREA)
-    (face,) = default_landmarker().detect(smaller)
+    (face,) = landmarker.detect(smaller)
     off = np.linalg.norm(face.points * 2 - found[0].points, axis=1)
     assert np.median(off) < 0.1 * found[0].eye_distance_px
 
 
-def test_several_faces_come_largest_first(found):
+def test_several_faces_come_largest_first(landmarker, found):
     picture = np.zeros((512, 768, 3), np.uint8)
     picture[256:, :256] = cv2.resize(astronaut(), (256, 256), interpolation=cv2.INTER_AREA)
     picture[:, 256:] = astronaut()
-    crowd = default_landmarker().detect(picture)
+    crowd = landmarker.detect(picture)
     sizes = [face.size_px for face in crowd]
     assert sizes == sorted(sizes, reverse=True)
     np.testing.assert_allclose(crowd[0].points - [256, 0], found[0].points, atol=4)
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 3), (40, 300, 3), (480, 640, 3)])
-def test_no_face_in_nothing(shape):
-    assert default_landmarker().detect(np.zeros(shape, np.uint8)) == []
+def test_no_face_in_nothing(landmarker, shape):
+    assert landmarker.detect(np.zeros(shape, np.uint8)) == []
     noise = np.random.default_rng(1).integers(0, 256, shape, dtype=np.uint8)
-    assert default_landmarker().detect(noise) == []
+    assert landmarker.detect(noise) == []
 
 
-def test_the_default_is_a_landmarker_and_loads_once():
-    assert isinstance(default_landmarker(), FaceLandmarker)
-    assert default_landmarker() is default_landmarker()
+def test_it_is_a_landmarker_and_loads_once(landmarker):
+    assert isinstance(landmarker, FaceLandmarker)
+    name = landmarker.detect(astronaut())[0].landmarker
+    assert choose_landmarker(name) is landmarker
 
 
 def test_faces_are_chosen_by_number():
@@ -113,7 +115,7 @@ def test_a_missing_predictor_says_what_to_install(monkeypatch, tmp_path):
     def nothing(name):
         raise importlib.metadata.PackageNotFoundError(name)
 
-    metadata = landmarks.importlib.metadata
+    metadata = dlib_landmarks.importlib.metadata
     monkeypatch.setattr(metadata, "distribution", lambda name: Empty())
     with pytest.raises(AssetError, match="reinstall"):
         predictor_path()
@@ -122,9 +124,11 @@ def test_a_missing_predictor_says_what_to_install(monkeypatch, tmp_path):
         predictor_path()
 
 
-def test_a_face_that_is_hard_to_see_is_found_and_scored_as_such(found):
+def test_a_face_that_is_hard_to_see_is_found_and_scored_as_such():
+    dlib = choose_landmarker("dlib")
+    (seen,) = dlib.detect(astronaut())
     turn = cv2.getRotationMatrix2D((225.0, 130.0), 48.0, 1.0)
-    (face,) = default_landmarker().detect(cv2.warpAffine(astronaut(), turn, (512, 512)))
-    assert face.score < 0 < found[0].score
-    middle = turn[:, :2] @ found[0].points.mean(0) + turn[:, 2]
-    assert np.linalg.norm(face.points.mean(0) - middle) < 0.5 * found[0].eye_distance_px
+    (face,) = dlib.detect(cv2.warpAffine(astronaut(), turn, (512, 512)))
+    assert face.score < 0 < seen.score
+    middle = turn[:, :2] @ seen.points.mean(0) + turn[:, 2]
+    assert np.linalg.norm(face.points.mean(0) - middle) < 0.5 * seen.eye_distance_px

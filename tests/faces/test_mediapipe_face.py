@@ -1,7 +1,5 @@
-"""MediaPipe's landmarks, run by LiteRT from the model's file."""
+"""MediaPipe's landmarks."""
 
-import sys
-import zipfile
 from dataclasses import replace
 from importlib.resources import files
 
@@ -12,14 +10,12 @@ import torch
 from scipy.spatial.transform import Rotation
 from skimage.data import astronaut
 
-from skylight.errors import DependencyError, InputError
 from skylight.faces.blazeface import Square, decode, suppress, upright, views
+from skylight.faces.dlib_landmarks import DlibLandmarker
 from skylight.faces.fit import FaceFit, FitProblem, fit_face
-from skylight.faces.landmarks import DetectedFace, FaceLandmarker, default_landmarker
+from skylight.faces.landmarks import DetectedFace, FaceLandmarker
 from skylight.faces.mediapipe_face import (
-    DETECTOR,
     IBUG,
-    LANDMARKS,
     MediaPipeLandmarker,
     eye_axes,
     to_ibug,
@@ -29,22 +25,12 @@ from skylight.faces.synthetic import render_face
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.transport.camera import Camera
 
-TASK = "weights/face_landmarker_v2_with_blendshapes.task"  # an older file; its pictures: 192 px
-PRESENT_TASK = "weights/face_landmarker.task"  # what Google offers; its pictures: 256 px
 SHOWN = Square(centre=np.array([300.0, 200.0]), side=120.0, angle_rad=0.4)
 
 
-def model_file(shared_data, name):
-    pytest.importorskip("ai_edge_litert", reason="LiteRT is not installed")
-    path = shared_data / name
-    if not path.is_file():
-        pytest.skip(f"no {path}")
-    return path
-
-
 @pytest.fixture(scope="module")
-def landmarker(shared_data):
-    return MediaPipeLandmarker(model_file(shared_data, TASK))
+def landmarker():
+    return MediaPipeLandmarker()
 
 
 @pytest.fixture(scope="module")
@@ -175,7 +161,7 @@ class TestLandmarker:
         (face,) = found
         assert face.landmarker == "mediapipe"
         assert face.score > 0.9
-        other = default_landmarker().detect(astronaut())[0]
+        other = DlibLandmarker().detect(astronaut())[0]
         off = np.linalg.norm(face.points - other.points, axis=1) / other.eye_distance_px
         assert off[17:].mean() < 0.05
 
@@ -215,14 +201,13 @@ class TestLandmarker:
         noise = np.random.default_rng(1).integers(0, 256, shape, dtype=np.uint8)
         assert landmarker.detect(noise) == []
 
-    def test_the_reference_pair(self, shared_data, reference):
+    def test_the_reference_pair(self, landmarker, reference):
         """The whole picture in, the network's 478 points out, against MediaPipe's own run.
 
         MediaPipe's run was in half precision on a GPU, ours is not: 1.1 px at most, 0.25 px in
         the mean, of 256.
         """
         picture, expected = reference
-        landmarker = MediaPipeLandmarker(model_file(shared_data, PRESENT_TASK))
         whole = Square(centre=np.array([128.0, 128.0]), side=256.0, angle_rad=0.0)
         points, presence = landmarker.read(picture, whole)
         gap = np.abs(points - expected)
@@ -230,23 +215,16 @@ class TestLandmarker:
         assert gap.mean() < 0.25
         assert presence == pytest.approx(1 / (1 + np.exp(-4.4648)), abs=1e-3)
 
-    def test_another_network_comes_near_the_reference(self, landmarker, reference):
-        """The older network, on the reference's picture: 8 % of the eyes' distance."""
-        picture, expected = reference
-        whole = Square(centre=np.array([128.0, 128.0]), side=256.0, angle_rad=0.0)
-        points, _ = landmarker.read(picture, whole)
-        eyes = np.linalg.norm(eye_axes(expected)[0])
-        assert np.linalg.norm(points - expected, axis=1).mean() < 0.08 * eyes
-
     def test_rendered_people_are_read_better_than_by_dlib(self, landmarker):
         light = np.full((8, 16, 3), 0.3, np.float32)
         light[2, 5] = 20
         sky = EnvironmentMap(radiance=torch.from_numpy(light))
+        dlib = DlibLandmarker()
         errors = {"mediapipe": [], "dlib": []}
         for seed in (4_000_001, 4_000_002):
             person = render_face(sky, torch.tensor([0.2, 0.2, 0.2]), seed=seed, light_rows=8)
             truth = FitProblem.landmarks_of(HeadModel.load(), person.truth)
-            for finder in (landmarker, default_landmarker()):
+            for finder in (landmarker, dlib):
                 (face,) = finder.detect(person.encoded)
                 off = np.linalg.norm(face.points - truth, axis=1)[17:].mean()
                 errors[face.landmarker].append(off / face.eye_distance_px)
@@ -284,53 +262,3 @@ def test_the_fit_knows_whose_errors_they_are():
             turn = Rotation.from_matrix(fit.rotation.T @ rotation)
             poses.append(np.degrees(turn.magnitude()))
     assert np.mean(errors["mediapipe"]) < 0.9 * np.mean(errors["dlib"])
-
-
-class TestErrors:
-    def zipped(self, path, content):
-        with zipfile.ZipFile(path, "w") as archive:
-            for name, data in content.items():
-                archive.writestr(name, data)
-        return path
-
-    def test_no_file(self, tmp_path):
-        with pytest.raises(InputError, match=r"none\.task: there is no such file"):
-            MediaPipeLandmarker(tmp_path / "none.task")
-
-    def test_no_task_file(self, tmp_path):
-        (tmp_path / "face.task").write_bytes(b"\xff\xd8 a picture")
-        with pytest.raises(InputError, match=r"face\.task"):
-            MediaPipeLandmarker(tmp_path / "face.task")
-
-    def test_half_a_file(self, tmp_path):
-        # damaged inside, where the zip's checksum tells
-        path = self.zipped(tmp_path / "half.task", {DETECTOR: b"a" * 500, LANDMARKS: b"b" * 500})
-        whole = path.read_bytes()
-        for damaged in (whole[:600], whole.replace(b"b" * 500, b"b" * 499 + b"c")):
-            path.write_bytes(damaged)
-            with pytest.raises(InputError, match=r"no whole \.task file .*download it again"):
-                MediaPipeLandmarker(path)
-
-    def test_another_task(self, tmp_path):
-        path = self.zipped(tmp_path / "hand.task", {"hand_detector.tflite": b"x"})
-        with pytest.raises(InputError, match=r"another task's file: it holds no face_detector"):
-            MediaPipeLandmarker(path)
-
-    def test_no_networks(self, tmp_path):
-        pytest.importorskip("ai_edge_litert", reason="LiteRT is not installed")
-        path = self.zipped(tmp_path / "empty.task", {DETECTOR: b"no", LANDMARKS: b"network"})
-        with pytest.raises(InputError, match=r"face_detector\.tflite"):
-            MediaPipeLandmarker(path)
-
-    def test_networks_of_something_else(self, tmp_path, shared_data):
-        with zipfile.ZipFile(model_file(shared_data, TASK)) as archive:
-            detector = archive.read(DETECTOR)
-        path = self.zipped(tmp_path / "odd.task", {DETECTOR: detector, LANDMARKS: detector})
-        with pytest.raises(InputError, match=r"face_landmarks.*another version"):
-            MediaPipeLandmarker(path)
-
-    def test_without_litert_it_says_what_to_install(self, tmp_path, monkeypatch):
-        path = self.zipped(tmp_path / "face.task", {DETECTOR: b"x", LANDMARKS: b"x"})
-        monkeypatch.setitem(sys.modules, "ai_edge_litert", None)
-        with pytest.raises(DependencyError, match=r"skylight\[mediapipe\]"):
-            MediaPipeLandmarker(path)

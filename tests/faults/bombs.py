@@ -21,7 +21,6 @@ from onnx import TensorProto, helper, numpy_helper
 from skylight.cameras.frames import read_picture
 from skylight.csc.code import SparseCode
 from skylight.csc.dictionary import FilterBank
-from skylight.faces.litert import read_task
 from skylight.imaging.photo import read_photo
 from skylight.io.files import read_environment_map
 from skylight.probes.partitions.relight.scene_files import read_scene
@@ -275,7 +274,6 @@ BOMBS: dict[str, tuple[Callable[[Path], object], Callable[[Path], object]]] = {
         lambda p: _write(p, struct.pack("<Q", 2**40) + b"{}"),
         FilterBank.load,
     ),
-    "face.task": (lambda p: swollen(p, ("network",), 300), lambda p: read_task(p, ("network",))),
     "huge.onnx": (lambda p: _write(p, huge_graph()), decode),
     "outside.onnx": (lambda p: _write(p, outside_graph()), decode),
     "branches.onnx": (lambda p: _write(p, graph([_LOOP], [])), decode),

@@ -19,10 +19,10 @@ from skylight.faces.captures import (
     read_probe,
     write_azimuths,
 )
-from skylight.faces.landmarks import choose_face, default_landmarker
+from skylight.faces.landmarks import choose_face
 from skylight.faces.model import HeadModel
 from skylight.faces.observe import FaceView, observe_face
-from skylight.faces.photographs import fit_visible
+from skylight.faces.photographs import choose_landmarker, fit_visible
 from skylight.imaging.photo import Photo, read_photo
 from skylight.inverse.azimuth import azimuth_curve
 from skylight.io.bounded import json_content
@@ -162,6 +162,6 @@ def _proposal(data: Path, capture: FaceCapture) -> Proposal:
 def _view(photo: Photo, source: str) -> FaceView:
     """The largest face with its transport."""
     model = HeadModel.load()
-    face = choose_face(default_landmarker().detect(photo.encoded), 1, source)
+    face = choose_face(choose_landmarker().detect(photo.encoded), 1, source)
     fit = fit_visible(model, photo, face, source)
     return observe_face(photo.pixels, photo.clipped, model, fit, face_height_px=FACE_HEIGHT_PX)

@@ -7,7 +7,6 @@ import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from skylight.app.estimate.manifest import (
 from skylight.app.estimate.photos import estimate_photo
 from skylight.app.estimate.results import MESHES, write_results
 from skylight.errors import InputError, SkylightError
-from skylight.faces.landmarks import FaceLandmarker, LandmarkerName
+from skylight.faces.landmarks import LandmarkerName
 from skylight.faces.photographs import HeadName, WhichFaces, choose_landmarker
 from skylight.imaging.colour import Decode
 from skylight.imaging.photo import read_photo
@@ -47,7 +46,6 @@ class BatchSettings:
     head: HeadName = "fitted"
     decode: Decode | None = None
     landmarks: LandmarkerName = "dlib"
-    landmark_model: Path | None = None
     device: str = "auto"
 
     def __post_init__(self) -> None:
@@ -57,11 +55,9 @@ class BatchSettings:
 
     def facts(self) -> dict[str, object]:
         """For notes: the same for the same model files, wherever they lie, and on any device."""
-        landmarks, model = self.landmark_model, self.model
         facts: dict[str, object] = {
             **asdict(self),
-            "landmark_model": None if landmarks is None else file_hash(landmarks),
-            "model": None if model is None else load_bundle(model).fingerprint,
+            "model": None if self.model is None else load_bundle(self.model).fingerprint,
         }
         del facts["device"]
         return facts
@@ -94,7 +90,7 @@ def estimate_folder(
         ``out`` cannot be written to.
     """
     sources = list_photos(photos, out)
-    choose_landmarker(settings.landmarks, settings.landmark_model)  # refuses what cannot be used
+    choose_landmarker(settings.landmarks)  # refuses what cannot be used
     facts = settings.facts()
     with claimed(out, *(out / folder_name(source) for source in sources)):
         settle(out / SETTINGS, facts)
@@ -218,18 +214,12 @@ def _estimate_into(out: Path, path: Path, source: str, settings: BatchSettings) 
             face=settings.face,
             head=settings.head,
             device=settings.device,
-            landmarks=_landmarker(settings.landmarks, settings.landmark_model),
+            landmarks=choose_landmarker(settings.landmarks),
             names=[source],
             workers=1,
         )
         write_results(folder, result)
         return json.loads((folder / "estimate.json").read_text(encoding="utf-8"))
-
-
-@cache
-def _landmarker(name: LandmarkerName, model: Path | None) -> FaceLandmarker:
-    """One a process: loading its models takes as long as a face."""
-    return choose_landmarker(name, model)
 
 
 def _lost(

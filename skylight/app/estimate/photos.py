@@ -46,7 +46,6 @@ def estimate(
     decode: Decode | None = None,
     device: str = "auto",
     landmarks: LandmarkerName | FaceLandmarker = "dlib",
-    landmark_model: str | Path | None = None,
     progress: StageProgress | None = None,
 ) -> Estimate:
     """The light in which a face was photographed, or several.
@@ -77,9 +76,8 @@ def estimate(
         the file says. Not for a ``Photo``, which is decoded already.
     device
         Where the light is optimised: "cpu", "cuda", or "auto" for CUDA where it is.
-    landmarks, landmark_model
-        What finds the face: "dlib", "mediapipe" with the ``.task`` file of MediaPipe's face
-        landmarker, which is free for commercial use, or a
+    landmarks
+        What finds the face: "dlib", "mediapipe" (free for commercial use), or a
         :class:`~skylight.faces.landmarks.FaceLandmarker` of your own.
     progress
         Called with the name of a stage and the share of it that is done.
@@ -107,7 +105,6 @@ def estimate(
         decode=decode,
         device=device,
         landmarks=landmarks,
-        landmark_model=landmark_model,
         progress=progress,
     ).estimate
 
@@ -122,7 +119,6 @@ def estimate_photo(
     decode: Decode | None = None,
     device: str = "auto",
     landmarks: LandmarkerName | FaceLandmarker = "dlib",
-    landmark_model: str | Path | None = None,
     names: Sequence[str] | None = None,
     workers: int | None = None,
     progress: StageProgress | None = None,
@@ -137,7 +133,7 @@ def estimate_photo(
     faces fit in 2.5 GB.
     """
     if isinstance(landmarks, str):
-        landmarks = choose_landmarker(landmarks, landmark_model)
+        landmarks = choose_landmarker(landmarks)
     problem = light_problem(light, model=model, device=device)
     images = (image, *more)
     photos = tuple(as_photo(one, decode) for one in images)

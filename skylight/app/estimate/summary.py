@@ -13,7 +13,7 @@ from skylight.app.estimate.uncertainty import (
 )
 from skylight.inverse.result import FaceLight
 
-PACKAGES = ("skylight", "torch", "numpy", "scipy", "dlib-bin", "ai-edge-litert", "embreex")
+PACKAGES = ("skylight", "torch", "numpy", "scipy", "dlib-bin", "onnxruntime", "embreex")
 
 
 def describe(result: PhotoEstimate) -> dict[str, object]:

@@ -17,10 +17,10 @@ from skylight.evaluation.faces.known_faces import KnownFace
 from skylight.evaluation.faces.options import EstimateOptions
 from skylight.evaluation.scores.relit_scene import score
 from skylight.faces.fit import FaceFit, fit_face
-from skylight.faces.landmarks import choose_face, default_landmarker
+from skylight.faces.landmarks import choose_face
 from skylight.faces.model import HeadModel
 from skylight.faces.observe import FaceView, observe_face
-from skylight.faces.photographs import fit_visible
+from skylight.faces.photographs import choose_landmarker, fit_visible
 from skylight.imaging.photo import Photo
 from skylight.inverse.posterior import SunPosterior
 from skylight.inverse.result import Estimate
@@ -47,7 +47,7 @@ def fitted_head(face: KnownFace, seconds: dict[str, float]) -> FaceFit | None:
     """
     height, width = face.encoded.shape[:2]
     with stage(seconds, "landmarks"):
-        faces = default_landmarker().detect(face.encoded)
+        faces = choose_landmarker().detect(face.encoded)
     if not faces:
         return None
     with stage(seconds, "head"):
@@ -98,7 +98,7 @@ def observe_largest(
     seconds = {} if seconds is None else seconds
     model = HeadModel.load()
     with stage(seconds, "landmarks"):
-        face = choose_face(default_landmarker().detect(photo.encoded), 1, name)
+        face = choose_face(choose_landmarker().detect(photo.encoded), 1, name)
     with stage(seconds, "head"):
         fit = fit_visible(model, photo, face, name)
     with stage(seconds, "transport"):

@@ -9,7 +9,8 @@ from typing import Any
 from PIL import Image
 
 from skylight.errors import InputError
-from skylight.faces.landmarks import DetectedFace, default_landmarker
+from skylight.faces.landmarks import DetectedFace
+from skylight.faces.photographs import choose_landmarker
 from skylight.imaging.photo import Photo, read_photo
 from skylight.io.atomic import atomic_path
 from skylight.io.files import read_environment_map
@@ -27,7 +28,7 @@ def see_photo(
     tell("reading the picture", 0.0)
     photo = open_photo(Path(path), name, pixels)
     tell("finding faces", 0.3)
-    faces = default_landmarker().detect(photo.encoded)
+    faces = choose_landmarker().detect(photo.encoded)
     scale = preview_scale(photo)
     height, width = photo.encoded.shape[:2]
     size = (max(1, round(scale * width)), max(1, round(scale * height)))
