@@ -4,7 +4,6 @@ from functools import cache
 from importlib.resources import files
 
 import numpy as np
-import onnxruntime
 from jaxtyping import Float32
 from numpy import ndarray
 
@@ -21,6 +20,8 @@ class Network:
     """
 
     def __init__(self, name: str) -> None:
+        import onnxruntime  # where it is used only: imported, it leaves a file in TMPDIR
+
         source = files("skylight.faces") / "data" / f"{name}.onnx"
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 4  # what is wrong is raised, and told once

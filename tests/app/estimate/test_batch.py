@@ -276,7 +276,6 @@ class TestFailures:
             (["--shared-light"], "is a folder, whose pictures are estimated one by one"),
             (["--workers", "2", "--cluster", "tcp://there:1"], "contradict each other"),
             (["--workers", "-1"], "--workers must be 0 or more"),
-            (["--landmarks", "mediapipe"], "landmarks by mediapipe need its model"),
             (["--light", "sh9", "--model", "mine"], "sh9 has no trained model"),
         ],
     )

@@ -18,6 +18,7 @@ from skimage.data import astronaut
 
 from skylight.io.files import write_environment_map
 from skylight.sphere.envmap import EnvironmentMap
+from skylight.studio.own_folder import PREFIX
 from skylight.studio.state import clean_name
 from skylight.studio.tasks.picture_headers import pixel_count
 from tests.studio.conftest import UPLOAD_MB, Served
@@ -95,7 +96,7 @@ def test_too_large_uploads_are_refused_by_what_they_say(client: httpx.Client) ->
 @pytest.mark.skipif(not Path("/proc").exists(), reason="reads a process's memory in /proc")
 def test_too_large_uploads_are_refused_by_what_comes(client: httpx.Client, served: Served) -> None:
     """Those that do not say how large they are; nothing of them is kept."""
-    (folder,) = served.temporary.iterdir()
+    (folder,) = served.temporary.glob(f"{PREFIX}*")
     before = {file for file in folder.rglob("*") if file.is_file()}
     answer = client.post("/api/photos", content=(bytes(10**5) for _ in range(500)))
     assert answer.status_code == 413
