@@ -25,7 +25,6 @@ extensions = [
 ]
 exclude_patterns = ["_build", "_templates", "walkthroughs", "sg_execution_times.rst"]
 templates_path = ["_templates"]
-suppress_warnings = ["docutils"]  # two summaries of shapes such as "*batch" read as emphasis
 html_copy_source = False
 html_static_path = ["_static"]
 html_css_files = ["site.css"]

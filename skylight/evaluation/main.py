@@ -19,6 +19,7 @@ from skylight.evaluation.codes.transport_compression import TransportCompression
 from skylight.evaluation.faces.captured_faces import CapturedFaces
 from skylight.evaluation.faces.face_sensitivity import SIZES, FaceSensitivity
 from skylight.evaluation.faces.known_faces import FaceSource
+from skylight.evaluation.faces.lamps import Lamps
 from skylight.evaluation.faces.options import EstimateOptions
 from skylight.evaluation.faces.real_faces import RealFaces
 from skylight.evaluation.faces.shared_light import SharedLight
@@ -80,6 +81,11 @@ def _real_faces(quick: bool, data: Path | None) -> Evaluation:
     return RealFaces(data=data, every=3 if quick else 1)
 
 
+def _lamps(quick: bool, data: Path | None) -> Evaluation:
+    needed = "grey photographs of faces and a lamps.json with the direction of each one's lamp"
+    return Lamps(data=_data("lamps", data, needed), every=4 if quick else 1)
+
+
 def _data(name: str, data: Path | None, needed: str) -> Path:
     if data is None:
         raise InputError(f"{name} needs --data DIR: {needed}")
@@ -131,6 +137,7 @@ EVALUATIONS: dict[str, Callable[[bool, Path | None], Evaluation]] = {
     "synthetic-faces": _synthetic_faces,
     "sky-models": _sky_models,
     "real-faces": _real_faces,
+    "lamps": _lamps,
     "sky-representations": _sky_representations,
     "sparse-coding": _sparse_coding,
     "sparse-inverse": _sparse_inverse,
@@ -179,7 +186,8 @@ def evaluate(
 
 def _with_options(name: str, evaluation: Evaluation, options: EstimateOptions) -> Evaluation:
     if isinstance(
-        evaluation, SyntheticFaces | SharedLight | CapturedFaces | RealFaces | FaceSensitivity
+        evaluation,
+        SyntheticFaces | SharedLight | CapturedFaces | RealFaces | Lamps | FaceSensitivity,
     ):
         choose_device(options.device)
         return replace(evaluation, options=options)

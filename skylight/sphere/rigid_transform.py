@@ -16,8 +16,8 @@ from skylight.errors import InputError
 
 _TOLERANCE = 1e-6  # of float64; numbers of single precision are a hundred times coarser
 
+# rows of a tensor or, for OpenCV, of an array; results are of the same kind
 Vectors = TypeVar("Vectors", Float[Tensor, "*_ 3"], Float[np.ndarray, "*_ 3"])
-"""Rows of a tensor or, for OpenCV, of an array; results are of the same kind."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from skylight.evaluation.faces.known_faces import KnownFace
@@ -21,11 +21,12 @@ from skylight.faces.landmarks import choose_face
 from skylight.faces.model import HeadModel
 from skylight.faces.observe import FaceView, observe_face
 from skylight.faces.photographs import choose_landmarker, fit_visible
+from skylight.imaging.colour import tone_map
 from skylight.imaging.photo import Photo
 from skylight.inverse.posterior import SunPosterior
 from skylight.inverse.result import Estimate
 from skylight.models.names import LightName
-from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.envmap import EnvironmentMap, luminance
 
 NOT_FOUND = "no face found by the landmark detector"
 METHODS: tuple[LightName, ...] = ("sh9", "sh25", "sunsky", "autoencoder")
@@ -103,6 +104,15 @@ def observe_largest(
         fit = fit_visible(model, photo, face, name)
     with stage(seconds, "transport"):
         return fit, observe_face(photo.pixels, photo.clipped, model, fit)
+
+
+def seen_and_rendered(view: FaceView, rendered: Float[Tensor, "m 3"]) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture, and beside it the face as the estimate renders it."""
+    shown = view.image.clone()
+    rows, columns = view.surface.pixels[view.used].unbind(1)
+    shown[rows, columns] = rendered
+    white = float(luminance(view.image[rows, columns]).quantile(0.98))
+    return np.hstack([tone_map(picture, white=white) for picture in (view.image, shown)])
 
 
 def coverage(posterior: SunPosterior, sun: Float[Tensor, "3"]) -> dict[str, float]:

@@ -6,21 +6,16 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8
-from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.evaluation.faces.face_light import observe_largest, stage
+from skylight.evaluation.faces.face_light import observe_largest, seen_and_rendered, stage
 from skylight.evaluation.faces.notes import side_of_light
 from skylight.evaluation.faces.options import EstimateOptions
 from skylight.evaluation.harness.pictures import beside, strip
 from skylight.evaluation.harness.run import Check, Item
-from skylight.faces.observe import FaceView
-from skylight.imaging.colour import tone_map
 from skylight.imaging.photo import read_photo
 from skylight.io.files import write_png
 from skylight.models.names import LightName
-from skylight.sphere.envmap import luminance
 
 OURS: LightName = "autoencoder"
 LINEAR: tuple[LightName, ...] = ("sh9", "sh25")
@@ -62,7 +57,8 @@ class RealFaces:
         others = {method: self.options.estimate(view.observation, method) for method in LINEAR}
         estimates = {OURS: ours} | others
         environments = {m: e.environment for m, e in estimates.items()}
-        write_png(picture, beside(_face(view, ours.rendered), strip(None, environments), item))
+        face = seen_and_rendered(view, ours.rendered)
+        write_png(picture, beside(face, strip(None, environments), item))
 
         note = str(entry.get("desc", ""))
         side = None if entry.get("light") == BEHIND else side_of_light(note)
@@ -101,15 +97,6 @@ class RealFaces:
             name = f"light from the side that the note names, of {count:.0f} photographs"
             checks[name] = Check.at_least(ours["right_side"]["mean"], 0.8)
         return checks
-
-
-def _face(view: FaceView, rendered: Float[Tensor, "m 3"]) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture, and beside it the face as the estimate renders it."""
-    shown = view.image.clone()
-    rows, columns = view.surface.pixels[view.used].unbind(1)
-    shown[rows, columns] = rendered
-    white = float(luminance(view.image[rows, columns]).quantile(0.98))
-    return np.hstack([tone_map(picture, white=white) for picture in (view.image, shown)])
 
 
 @cache

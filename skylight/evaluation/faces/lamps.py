@@ -1,0 +1,208 @@
+"""Illumination from photographs of faces under one lamp of known direction."""
+
+import json
+import math
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from skylight.errors import InputError
+from skylight.evaluation.faces.face_light import (
+    NOT_FOUND,
+    coverage,
+    observe_largest,
+    seen_and_rendered,
+    stage,
+)
+from skylight.evaluation.faces.options import EstimateOptions
+from skylight.evaluation.harness.pictures import beside, strip
+from skylight.evaluation.harness.run import Check, Item
+from skylight.evaluation.harness.tables import Rows
+from skylight.faces.fit import FaceFit
+from skylight.imaging.colour import linear_to_srgb
+from skylight.imaging.photo import Photo, photo_from_codes
+from skylight.io.files import write_png
+from skylight.models.names import LightName
+from skylight.sphere.frame import angle_between
+
+OURS: LightName = "autoencoder"
+INDEX = "lamps.json"
+# linear; usual skin under white light, since the photographs are grey
+SKIN_TINT = (1.0, 0.66, 0.51)
+FOUND, MEDIAN_DEG, MEAN_DEG, BIAS_DEG = 0.97, 6.0, 9.0, 2.0
+TRUSTED_DEG, TRUSTED_SHARE = 10.0, 0.85
+COVERED = 0.85, 0.95
+POSE_SCATTER_DEG, POSE_MEDIAN_DEG, POSE_WORST_DEG = 1.5, 2.0, 8.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lamps:
+    """The grey, linear photographs of ``data/lamps.json``: {file: unit vector to the lamp}.
+
+    The vector is in the camera's frame (-Z ahead, +X right, +Y up). A file's name begins with the
+    person's, up to the first ``_``; each person is taken to keep one pose, facing the camera.
+    Angles are of lamps that are not behind the face (z >= 0). ``every`` n-th photograph only.
+    """
+
+    data: Path
+    every: int = 1
+    seed: int = 0  # nothing is drawn
+    options: EstimateOptions = EstimateOptions()
+    name: str = "lamps"
+
+    def __post_init__(self) -> None:
+        _read_index(self.data)
+
+    def config(self) -> dict[str, object]:
+        return {"data": str(self.data.resolve())} | self.options.config()
+
+    def items(self) -> list[str]:
+        return sorted(_read_index(self.data))[:: self.every]
+
+    def measure(self, item: str, picture: Path) -> Item:
+        lamp = torch.tensor(_read_index(self.data)[item], dtype=torch.float64)
+        facts: dict[str, object] = {"person": item.partition("_")[0], "found": False}
+        seconds: dict[str, float] = {}
+        try:
+            fit, view = observe_largest(read_lamp_photo(self.data / item), item, seconds)
+        except InputError as error:
+            facts["found"] = "no face found" not in str(error)
+            problem = NOT_FOUND if not facts["found"] else str(error)
+            return Item(name=item, metrics={}, facts=facts, problem=problem)
+        with stage(seconds, OURS):
+            estimate = self.options.estimate(view.observation, OURS)
+        shown = seen_and_rendered(view, estimate.rendered)
+        environments = {OURS: estimate.environment}
+        write_png(picture, beside(shown, strip(None, environments), item))
+        facts |= {
+            "found": True,
+            "verdict": estimate.posterior.verdict,
+            "residual": estimate.faces[0].residual,
+            "landmark_error": fit.landmark_error,
+            "seconds": seconds,
+            **pose_deg(fit),
+        }
+        metrics = {}
+        if float(lamp[2]) >= 0:
+            errors = lamp_errors(estimate.sun_direction.double(), lamp)
+            metrics[OURS] = errors | coverage(estimate.posterior, lamp)
+        return Item(name=item, metrics=metrics, facts=facts)
+
+    def checks(self, rows: Rows, items: list[Item]) -> dict[str, Check]:
+        found = float(np.mean([bool(item.facts.get("found")) for item in items]))
+        checks = {"faces found": Check.at_least(found, FOUND)}
+        ours = rows.get(OURS, {})
+        if ours:
+            angle = ours["angle_deg"]
+            checks["median angle"] = Check.at_most(angle["median"], MEDIAN_DEG)
+            checks["mean angle"] = Check.at_most(angle["mean"], MEAN_DEG)
+            for what in ("elevation", "azimuth"):
+                bias = abs(ours[f"{what}_deg"]["median"])
+                checks[f"bias of {what}"] = Check.at_most(bias, BIAS_DEG)
+            covered, (low, high) = ours["in_region"]["mean"], COVERED
+            checks["lamp in the 90 % region"] = Check(
+                value=covered, goal=f"{low:g} to {high:g}", ok=low <= covered <= high
+            )
+        trusted = [
+            item.metrics[OURS]["angle_deg"]
+            for item in items
+            if OURS in item.metrics and item.facts["verdict"] == "reliable"
+        ]
+        if trusted:
+            share = float(np.mean(np.array(trusted) <= TRUSTED_DEG))
+            name = f"of {len(trusted)} called reliable, within {TRUSTED_DEG:g} degrees"
+            checks[name] = Check.at_least(share, TRUSTED_SHARE)
+        return checks | _pose_checks(items)
+
+
+def _pose_checks(items: list[Item]) -> dict[str, Check]:
+    """A person's pitch is the same in all photographs, and about level."""
+    people: dict[object, list[float]] = {}
+    for item in items:
+        if "pitch_deg" in item.facts:
+            pitch = float(str(item.facts["pitch_deg"]))
+            people.setdefault(item.facts["person"], []).append(pitch)
+    if not people:
+        return {}
+    medians = np.array([np.median(pitches) for pitches in people.values()])
+    scatter = float(np.median([np.std(pitches) for pitches in people.values()]))
+    return {
+        "pitch scatters within a person by": Check.at_most(scatter, POSE_SCATTER_DEG),
+        "median pitch of all people": Check.at_most(
+            abs(float(np.median(medians))), POSE_MEDIAN_DEG
+        ),
+        "largest median pitch of a person": Check.at_most(
+            float(np.abs(medians).max()), POSE_WORST_DEG
+        ),
+    }
+
+
+def pose_deg(fit: FaceFit) -> dict[str, float]:
+    """Yaw to the picture's right and pitch up of the face's forward axis."""
+    x, y, z = fit.rotation[:, 2]
+    return {
+        "yaw_deg": math.degrees(math.atan2(x, z)),
+        "pitch_deg": math.degrees(math.asin(float(np.clip(y, -1, 1)))),
+    }
+
+
+def lamp_errors(found: Float[Tensor, "3"], lamp: Float[Tensor, "3"]) -> dict[str, float]:
+    """Angle to the lamp; azimuth and elevation found less the lamp's.
+
+    Azimuth is to the right of the camera's back, where light from behind the camera has 0.
+    """
+    turn = _azimuth_rad(found) - _azimuth_rad(lamp)
+    return {
+        "angle_deg": math.degrees(float(angle_between(found, lamp))),
+        "elevation_deg": math.degrees(math.asin(float(found[1])) - math.asin(float(lamp[1]))),
+        "azimuth_deg": math.degrees(math.remainder(turn, 2 * math.pi)),
+    }
+
+
+def _azimuth_rad(direction: Float[Tensor, "3"]) -> float:
+    return math.atan2(float(direction[0]), float(direction[2]))
+
+
+def read_lamp_photo(path: Path) -> Photo:
+    """A grey, linear picture as a colour photograph: tinted as skin, encoded as sRGB."""
+    grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if grey is None:
+        raise InputError(f"{path}: missing or damaged")
+    return photo_from_codes(tinted(grey))
+
+
+def tinted(grey: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
+    """sRGB codes of grey linear ones, in the hue of skin."""
+    linear = torch.from_numpy(grey).float()[..., None] / 255 * torch.tensor(SKIN_TINT)
+    return (255 * linear_to_srgb(linear)).round().to(torch.uint8).numpy()
+
+
+@cache
+def _read_index(data: Path) -> dict[str, list[float]]:
+    path = data / INDEX
+    try:
+        index = json.loads(path.read_text())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    except ValueError as error:
+        raise InputError(f"{path}: not JSON ({error})") from error
+    if not isinstance(index, dict) or not index:
+        raise InputError(f'{path}: expected {{"photo.png": [x, y, z], ...}}')
+    for name, vector in index.items():
+        if not _is_direction(vector):
+            raise InputError(f"{path}: {name} needs a unit vector [x, y, z], got {vector}")
+    return index
+
+
+def _is_direction(vector: object) -> bool:
+    if not isinstance(vector, list) or len(vector) != 3:
+        return False
+    if not all(isinstance(x, int | float) for x in vector):
+        return False
+    return abs(math.hypot(*vector) - 1) < 1e-3
