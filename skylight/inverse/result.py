@@ -18,13 +18,15 @@ class FaceLight:
     """What a face does with the light: it sees ``albedo * T l + gloss * G l`` with l exposed.
 
     ``photo`` is the number of its photograph among all that were given, from 0, and ``exposure``
-    that photograph's; ``rendered`` (m,3) its observation's pixels, in the photograph's radiance
+    that photograph's, as are the gains ``white_balance``, of product 1, by which it shows each
+    channel too bright; ``rendered`` (m,3) its observation's pixels, in the photograph's radiance
     units; ``residual`` their mean deviation in luminance, relative to the face's mean. ``gloss``
     is 0 where a model leaves surface reflection out.
     """
 
     photo: int
     exposure: float
+    white_balance: Float[Tensor, "3"]
     albedo: Float[Tensor, "3"]
     gloss: float
     rendered: Float[Tensor, "m 3"]
@@ -43,7 +45,9 @@ class Estimate:
     it can). ``posterior`` says how sure the sun, exposure and albedo are.
 
     Of several photographs the map has the first used one's units: a face of another sees it times
-    the ratio of the two exposures. ``exposure``, ``albedo`` and ``rendered`` are the first face's.
+    the ratio of the two exposures. ``exposure``, ``white_balance``, ``albedo`` and ``rendered`` are
+    the first face's. The map has the light's own colours: the picture is ``white_balance`` times
+    what it shades.
     """
 
     light: str
@@ -61,6 +65,10 @@ class Estimate:
     @property
     def exposure(self) -> float:
         return self.faces[0].exposure
+
+    @property
+    def white_balance(self) -> Float[Tensor, "3"]:
+        return self.faces[0].white_balance
 
     @property
     def albedo(self) -> Float[Tensor, "3"]:

@@ -18,7 +18,9 @@ GLOSS_SPREAD = 0.7  # of log gloss: skin from matt to oily, a factor of two eith
 def tone_prior(albedo_prior: GaussianMixture) -> GaussianMixture:
     """Over log albedo whose hue is as uncertain as the light's, by :data:`DAYLIGHT_HUE`.
 
-    A skin that looks a little too red need not be the darkest.
+    A skin that looks a little too red need not be the darkest. A white balance that is estimated
+    with the light does not settle its hue: it tells how a photograph may differ from the light,
+    this how daylight may differ from what was estimated.
     """
     grey = torch.full((3, 3), 1 / 3)
     return albedo_prior.widened(DAYLIGHT_HUE**2 * (torch.eye(3) - grey))

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.inverse.sky.objective import FaceTerm, ObjectiveWeights, SkyObjective, best_exposure
+from skylight.inverse.lbfgs import minimise
+from skylight.inverse.sky.objective import (
+    WHITE_BALANCE_SPREAD,
+    FaceTerm,
+    ObjectiveWeights,
+    SkyObjective,
+    best_exposure,
+)
 from skylight.models.prior import GaussianMixture
 from skylight.models.sunsky import SunSky
 from skylight.sphere.grid import DirectionGrid
@@ -60,7 +67,7 @@ def objective(seen):
 
 
 def parameters(count=5, seed=2):
-    """Plausible (light, exposure, gloss, albedo, ground albedo) of one face."""
+    """Plausible (light, exposure, gloss, albedo, ground albedo, white balance) of one face."""
     rng = np.random.default_rng(seed)
     parts = (
         np.concatenate(
@@ -77,6 +84,7 @@ def parameters(count=5, seed=2):
         rng.uniform(0.3, 3, (count, 1)),
         rng.uniform(0.05, 0.8, (count, 1, 3)),
         rng.uniform(0.05, 0.4, (count, 3)),
+        rng.normal(0, 0.1, (count, 1, 2)),
     )
     return tuple(torch.from_numpy(p) for p in parts)
 
@@ -87,15 +95,17 @@ def test_unpacking_undoes_packing():
     assert free.shape == (5, whole.size)
     parts = whole.unpack(free)
     found = (parts.light, parts.exposure, parts.gloss, parts.albedo, parts.ground_albedo)
-    for theirs, ours in zip(found, given, strict=True):
+    for theirs, ours in zip((*found, parts.balance), given, strict=True):
         torch.testing.assert_close(theirs, ours)
 
 
 @pytest.mark.parametrize("gloss", [True, False])
 def test_shading_is_transport_times_the_whole_sphere(gloss):
     seen = observation(gloss=gloss)
-    whole, (light, exposure, shine, albedo, ground) = objective(seen), parameters()
-    full = whole.ground.append(MODEL(light), ground) * exposure[:, None]
+    whole, (light, exposure, shine, albedo, ground, balance) = objective(seen), parameters()
+    red, blue = balance[:, 0].exp().unbind(1)
+    gains = torch.stack([red, torch.ones_like(red), blue], 1) / (red * blue)[:, None] ** (1 / 3)
+    full = whole.ground.append(MODEL(light), ground) * (exposure * gains)[:, None]
     expected = albedo * (seen.transport.matrix @ full)
     if seen.gloss is not None:
         expected = expected + shine[:, None] * (seen.gloss.matrix @ full)
@@ -116,13 +126,15 @@ def test_parts_add_up_and_are_what_they_say():
     torch.testing.assert_close(terms["light_prior"], 0.5 * (light**2).sum(1) + 9 * constant)
     log_albedo = given[3][:, 0].log()
     torch.testing.assert_close(terms["albedo_prior"], 0.5 * (log_albedo**2).sum(1) + 3 * constant)
+    balance = given[5][:, 0] / WHITE_BALANCE_SPREAD
+    torch.testing.assert_close(terms["white_balance_prior"], 0.5 * (balance**2).sum(1))
     gap = (whole.shading(whole.unpack(free))[0] - seen.pixels).abs().mean(2)
     data = 250 / 0.06 * (gap @ seen.weights) / seen.weights.sum()
     torch.testing.assert_close(terms["data"], data, atol=4.2, rtol=0)  # Charbonnier's 1e-3
 
 
 def test_ground_and_gloss_are_drawn_to_the_usual():
-    whole, (light, exposure, gloss, albedo, ground) = objective(observation()), parameters()
+    whole, (light, exposure, gloss, albedo, ground, _) = objective(observation()), parameters()
     usual = whole.ground_prior.means[0].exp().expand(5, 3)
     terms = whole.terms(whole.pack(light, exposure, torch.ones(5, 1), albedo, usual))
     least = -whole.ground_prior.log_prob(whole.ground_prior.means)
@@ -131,6 +143,54 @@ def test_ground_and_gloss_are_drawn_to_the_usual():
     terms = whole.terms(whole.pack(light, exposure, gloss, albedo, ground))
     assert (terms["ground_prior"] > least).all()
     assert (terms["gloss_prior"] > 0).all()
+
+
+def test_a_white_balance_that_is_trusted_has_no_gains():
+    seen, trusting = observation(), replace(WEIGHTS, white_balance_spread=0.0)
+    whole = SkyObjective([FaceTerm.of(seen)], MODEL, normal(9), normal(3), trusting)
+    light, exposure, gloss, albedo, ground, balance = parameters()
+    told = whole.pack(light, exposure, gloss, albedo, ground, balance)
+    silent = whole.pack(light, exposure, gloss, albedo, ground)
+    for gains, without in zip(
+        whole.shading(whole.unpack(told)), whole.shading(whole.unpack(silent)), strict=True
+    ):
+        assert torch.equal(gains, without)
+    assert torch.equal(whole.white_balance(whole.unpack(told)), torch.ones(5, 1, 3))
+    # balances of 0 cost nothing and are what a picture without a cast is packed with
+    assert torch.equal(silent, whole.pack(light, exposure, gloss, albedo, ground, 0 * balance))
+    assert (whole.terms(silent)["white_balance_prior"] == 0).all()
+
+
+@pytest.mark.parametrize("skin_spread", [0.02, 0.1, 0.5])
+def test_a_cast_is_shared_out_between_camera_and_skin_by_their_variances(skin_spread):
+    """Gaussian priors, the light known: normal equations say what of a cast u is the camera's.
+
+    min_v |v|^2 / s^2 + |P (u - v)|^2 / t^2 over ratios to green, where |P w|^2 is the squared norm
+    of (w_red, 0, w_blue) less its mean, which is exposure.
+    """
+    light, exposure, gloss, albedo, ground, _ = parameters(count=1)
+    mean, spread = albedo[:, 0].log(), torch.eye(3)[None] / skin_spread
+    skin = GaussianMixture(torch.ones(1), mean, spread)
+    seen = observation(gloss=False)
+    known = SkyObjective([FaceTerm.of(seen)], MODEL, normal(9), skin, WEIGHTS)
+    free = known.pack(light, exposure, gloss, albedo, ground)
+    cast = torch.tensor([0.08, -0.1])
+    factors = torch.tensor([cast[0], 0.0, cast[1]]).exp()
+    pixels = known.shading(known.unpack(free))[0][0].detach() * factors
+    whole = SkyObjective(
+        [FaceTerm.of(replace(seen, pixels=pixels))], MODEL, normal(9), skin, WEIGHTS
+    )
+    held = MODEL.parameter_count
+
+    def around(x, _):
+        return whole(torch.cat([free[:, :held].expand(len(x), -1), x], 1))
+
+    found = minimise(around, free[:, held:], iterations=400, tolerance=1e-13)
+    balance = whole.unpack(torch.cat([free[:, :held], found.x], 1)).balance[0, 0]
+    squared = torch.eye(2) - 1 / 3
+    precision = torch.eye(2) / WHITE_BALANCE_SPREAD**2 + squared / skin_spread**2
+    expected = torch.linalg.solve(precision, squared @ cast / skin_spread**2)
+    torch.testing.assert_close(balance, expected, atol=1e-3, rtol=0)
 
 
 def test_own_shading_leaves_no_residual():
@@ -201,6 +261,8 @@ def test_lower_bounds_make_blocks_of_their_own():
         coarse.coarser(1),
     )
     torch.testing.assert_close(once.pixels, twice.pixels)
+    assert once.clipped is not None
+    assert twice.clipped is not None
     assert torch.equal(once.clipped, twice.clipped)
 
 
@@ -226,9 +288,9 @@ def tones(weights, means, spread):
 def scaled_albedo(prior, albedo):
     """What the choice of scale makes of an albedo; the picture stays."""
     whole = SkyObjective([FaceTerm.of(observation())], MODEL, normal(9), prior, WEIGHTS)
-    light, exposure, gloss, _, ground = parameters(count=1)
+    light, exposure, gloss, _, ground, balance = parameters(count=1)
     albedo = torch.tensor(albedo).expand(1, 1, 3)
-    free = whole.pack(light, exposure, gloss, albedo, ground)
+    free = whole.pack(light, exposure, gloss, albedo, ground, balance)
     after = whole.at_bayes_scale(free)
     same, other = whole.unpack(free), whole.unpack(after)
     torch.testing.assert_close(whole.shading(same)[0], whole.shading(other)[0])

@@ -142,7 +142,7 @@ def test_an_estimate_is_in_itself_consistent(first):
     rendered = found.albedo * (observation.transport.matrix @ flat)
     assert observation.gloss is not None
     rendered = rendered + found.faces[0].gloss * (observation.gloss.matrix @ flat)
-    torch.testing.assert_close(rendered, found.rendered, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(found.white_balance * rendered, found.rendered, rtol=1e-4, atol=1e-5)
     sky = SunSky()(found.params[None])[0] * found.exposure
     torch.testing.assert_close(sky, found.environment.upper().flat, rtol=1e-4, atol=1e-5)
     assert found.environment.radiance[32:].reshape(-1, 3).std(0).max() < 1e-5  # one ground

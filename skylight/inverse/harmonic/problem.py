@@ -132,6 +132,7 @@ class HarmonicProblem:
                 FaceLight(
                     photo=photo,
                     exposure=exposures[photo],
+                    white_balance=torch.ones(3),  # the light is free in colour, and takes it
                     albedo=albedo.cpu(),
                     gloss=0.0,
                     rendered=rendered.cpu(),

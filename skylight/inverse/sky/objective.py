@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
+from torch.nn.functional import pad
 from torch.nn.utils.rnn import pad_sequence
 
 from skylight.inverse.scale import GLOSS_SPREAD, bayes_scale, gloss_nll, scale_nll, tone_prior
@@ -22,6 +23,11 @@ from skylight.transport.diffuse import SkyTransport
 from skylight.transport.observation import Observation
 
 CHARBONNIER_EPSILON = 1e-6
+# Automatic white balance misses the light's colour by 2 to 5 degrees in the mean, as the angle
+# between colours (Gijsenij, Gevers & van de Weijer 2011, "Computational color constancy: survey and
+# experiments", IEEE Trans. Image Processing 20(9); Cheng, Prasad & Brown 2014, JOSA A 31(5)). White
+# turns by 2/3 of this spread, rms: 3.8 degrees.
+WHITE_BALANCE_SPREAD = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +38,9 @@ class ObjectiveWeights:
     mean radiance: not sensor noise, but freckles, gloss and wrong geometry. Neighbouring pixels
     deviate together, so a face's pixels count as ``independent`` observations, whatever their
     number; those of several faces add up.
+
+    ``white_balance_spread`` is the standard deviation of the log of red and of blue against green
+    that a camera leaves in a picture of something grey; 0 trusts its white balance.
     """
 
     noise: float = 0.06
@@ -39,6 +48,7 @@ class ObjectiveWeights:
     light_prior: float = 1.0
     albedo_prior: float = 1.0
     ground_prior: float = 1.0
+    white_balance_spread: float = WHITE_BALANCE_SPREAD
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,10 +151,14 @@ def _padded(parts: Sequence[Shaped[Tensor, "1 _ *s"]]) -> Shaped[Tensor, "p m *s
 
 @dataclass(frozen=True, kw_only=True)
 class Unpacked:
-    """The physical meaning of a batch of free parameters: n photographs of f faces in all."""
+    """The physical meaning of a batch of free parameters: n photographs of f faces in all.
+
+    ``balance`` is the log of each photograph's red and blue gain against green.
+    """
 
     light: Float[Tensor, "b p"]
     exposure: Float[Tensor, "b n"]
+    balance: Float[Tensor, "b n 2"]
     gloss: Float[Tensor, "b f"]
     albedo: Float[Tensor, "b f 3"]
     ground_albedo: Float[Tensor, "b 3"]
@@ -162,13 +176,18 @@ class SkyObjective:
     unknown strength for each face (1 is what the index of refraction of skin says). On dark skin
     highlights are as bright as the diffuse part, and taken for diffuse they pull the sun aside.
 
+    Beyond it too, every photograph has gains of its channels, diag(g) (rho T l + gloss G l) with
+    sum_c log g_c = 0, which are what its camera's white balance is wrong by. Cameras take away
+    part of what colours the light: without gains a low sun has to be warm, so skin turns blue.
+
     ``albedo_prior`` is a density over *log* albedo: over albedo itself it would be the same
     distribution, but its maximum would lean towards dark skin.
 
-    Free parameters of one problem: those of the light model, a log exposure for each photograph,
-    for each face log gloss and the logits of skin albedo, then the logits of ground albedo, so
-    that 0 < albedo < 1 always holds. Targets are scaled beforehand to a mean luminance of 1 in
-    each photograph, which makes the loss's epsilon mean the same for every picture.
+    Free parameters of one problem: those of the light model, for each photograph a log exposure
+    and its two log gains against green, for each face log gloss and the logits of skin albedo, then
+    the logits of ground albedo, so that 0 < albedo < 1 always holds. Targets are scaled beforehand
+    to a mean luminance of 1 in each photograph, which makes the loss's epsilon mean the same for
+    every picture.
     """
 
     def __init__(
@@ -192,7 +211,7 @@ class SkyObjective:
 
     @property
     def size(self) -> int:
-        return self.model.parameter_count + 3 + self.photo_count + 4 * len(self.faces)
+        return self.model.parameter_count + 3 + 3 * self.photo_count + 4 * len(self.faces)
 
     def faces_of(self, photo: int) -> list[int]:
         """Which faces are of that photograph."""
@@ -205,12 +224,17 @@ class SkyObjective:
         gloss: Float[Tensor, "b f"],
         albedo: Float[Tensor, "b f 3"],
         ground_albedo: Float[Tensor, "b 3"],
+        balance: Float[Tensor, "b n 2"] | None = None,
     ) -> Float[Tensor, "b q"]:
+        """Free parameters of physical ones; the white balance is right where none is given."""
+        if balance is None:
+            balance = exposure.new_zeros(*exposure.shape, 2)
+        camera = torch.cat([exposure.log()[..., None], balance], 2)
         skin = torch.cat([gloss.log()[..., None], torch.logit(albedo, eps=1e-4)], 2)
         return torch.cat(
             [
                 self.model.to_free(light),
-                exposure.log(),
+                camera.flatten(1),
                 skin.flatten(1),
                 torch.logit(ground_albedo, eps=1e-4),
             ],
@@ -218,24 +242,33 @@ class SkyObjective:
         )
 
     def unpack(self, free: Float[Tensor, "b q"]) -> Unpacked:
-        sizes = (self.model.parameter_count, self.photo_count, 4 * len(self.faces), 3)
-        light, exposure, skin, ground_albedo = free.split(sizes, 1)
-        skin = skin.unflatten(1, (-1, 4))
+        sizes = (self.model.parameter_count, 3 * self.photo_count, 4 * len(self.faces), 3)
+        light, camera, skin, ground_albedo = free.split(sizes, 1)
+        camera, skin = camera.unflatten(1, (-1, 3)), skin.unflatten(1, (-1, 4))
         return Unpacked(
             light=self.model.from_free(light),
             # beyond e^+-20 a line search has gone astray; exp must not overflow on its way back
-            exposure=exposure.clamp(-20, 20).exp(),
+            exposure=camera[..., 0].clamp(-20, 20).exp(),
+            balance=camera[..., 1:],
             gloss=skin[..., 0].clamp(-20, 5).exp(),
             albedo=torch.sigmoid(skin[..., 1:]),
             ground_albedo=torch.sigmoid(ground_albedo),
         )
 
+    def white_balance(self, parts: Unpacked) -> Float[Tensor, "b n 3"]:
+        """The gains of each photograph's channels; their product is 1."""
+        if self.weights.white_balance_spread == 0:
+            return torch.ones_like(parts.albedo[:, :1]).expand(-1, self.photo_count, -1)
+        log_gains = pad(parts.balance.clamp(-5, 5), (0, 1))[..., [0, 2, 1]]  # green in the middle
+        return (log_gains - log_gains.mean(2, keepdim=True)).exp()
+
     def shading(
         self, parts: Unpacked, problem: Int[Tensor, " b"] | None = None
     ) -> list[Float[Tensor, "b _ 3"]]:
-        """Each face's rho T l + gloss G l with its photograph's exposure in l."""
+        """Each face's rho T l + gloss G l with its photograph's exposure and gains in l."""
         radiance = self.model(parts.light)
-        skies = [radiance * e[:, None, None] for e in parts.exposure.unbind(1)]
+        exposure = parts.exposure[..., None] * self.white_balance(parts)
+        skies = [radiance * e[:, None] for e in exposure.unbind(1)]
         grounds = [self.ground(sky, parts.ground_albedo) for sky in skies]
         shadings = []
         for k, face in enumerate(self.faces):
@@ -263,7 +296,12 @@ class SkyObjective:
             "albedo_prior": -w.albedo_prior * skin.unflatten(0, (-1, len(self.faces))).sum(1),
             "ground_prior": -w.ground_prior * self.ground_prior.log_prob(parts.ground_albedo.log()),
             "gloss_prior": (0.5 * (parts.gloss.log() / GLOSS_SPREAD) ** 2).sum(1),
+            "white_balance_prior": self._white_balance_nll(parts),
         }
+
+    def _white_balance_nll(self, parts: Unpacked) -> Float[Tensor, " b"]:
+        spread = self.weights.white_balance_spread or 1.0  # of gains that do not count
+        return 0.5 * (parts.balance / spread).square().sum((1, 2))
 
     @torch.no_grad()
     def at_bayes_scale(self, free: Float[Tensor, "b q"]) -> Float[Tensor, "b q"]:
@@ -285,7 +323,7 @@ class SkyObjective:
             exposure[:, photo] /= scale
             gloss[:, mine] *= scale[:, None]
             albedo[:, mine] *= scale[:, None, None]
-        return self.pack(parts.light, exposure, gloss, albedo, parts.ground_albedo)
+        return self.pack(parts.light, exposure, gloss, albedo, parts.ground_albedo, parts.balance)
 
     def __call__(
         self, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None

@@ -183,6 +183,7 @@ class _Ends:
 
     objective: SkyObjective
     parts: Unpacked
+    white_balance: Float[Tensor, "p k 3"]
     shadings: list[Float[Tensor, "p _ 3"]]
     sky: Float[Tensor, "p n 3"]
     terms: dict[str, Float[Tensor, " p"]]
@@ -207,6 +208,7 @@ class _Ends:
         return _Ends(
             objective=objective,
             parts=parts,
+            white_balance=objective.white_balance(parts),
             shadings=objective.shading(parts, problem),
             sky=objective.model(parts.light),
             terms=objective.terms(free, problem),
@@ -228,6 +230,7 @@ def _estimate(
             FaceLight(
                 photo=face.photo,
                 exposure=float(parts.exposure[p, face.photo]) * scales[face.photo],
+                white_balance=ends.white_balance[p, face.photo].cpu(),
                 albedo=parts.albedo[p, k].cpu(),
                 gloss=float(parts.gloss[p, k]),
                 rendered=(shading * scales[face.photo]).cpu(),
