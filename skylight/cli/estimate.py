@@ -55,7 +55,8 @@ def estimate(
     code is 0 unless all failed.
 
     Args:
-        photo: Colour picture of a face: JPEG, PNG, TIFF, EXR or Radiance HDR; or a folder of such.
+        photo: Picture of a face: JPEG, PNG, TIFF, EXR or Radiance HDR; or a folder of such. Of a
+            grey one the colour of the light is only what is usual.
         more: Further pictures in the same light; only with --shared-light.
         shared_light: All pictures were taken in one light by cameras that looked the same way.
         light: Light model: learnt skies, Preetham's sky with a sun, or spherical harmonics with
@@ -238,7 +239,7 @@ def estimate_object(
 
     out = out or Path(f"{photo.stem}_light")
     material = material_of(albedo, roughness, reflectance)
-    picture = read_photo(photo, decode="linear" if linear else gamma)
+    picture = read_photo(photo, decode="linear" if linear else gamma, require_colour=True)
     choose_device(device)
     with stage_bar() as progress, results_folder(out) as folder:
         result = estimate_known_object(

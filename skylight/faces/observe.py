@@ -62,6 +62,7 @@ def observe_face(
     face_height_px: int = 72,
     grid_height: int = 64,
     specular: Specular | None = SKIN_GLOSS,
+    grey: bool = False,
     workers: int = 1,
     progress: Progress | None = None,
 ) -> FaceView:
@@ -70,7 +71,8 @@ def observe_face(
     Visibility comes from the whole head, so nose, brows and chin cast their shadows. Pixels are
     those of the face's skin and of what else of the head is bare (:class:`SkinLikeness`): of a sun
     behind the person, the face itself sees nothing. Over-exposed ones count as lower bounds.
-    ``specular`` is the surface's reflection, None where its transport is not wanted.
+    ``specular`` is the surface's reflection, None where its transport is not wanted. ``grey``: the
+    picture has no colour.
     ``face_height_px`` is the height of the skin region after down-sampling (never up): beyond
     90 px estimates hardly change (thesis, 5.5.5.1), while memory grows: the transport takes
     4 * pixels * 2 * grid_height**2 bytes, 100 MB for 3,000 pixels and 64 rows, and that of the
@@ -115,6 +117,7 @@ def observe_face(
         transport=transport,
         gloss=gloss,
         clipped=over[used] if bool(over[used].any()) else None,
+        grey=grey,
     )
     return FaceView(image=image, camera=camera, surface=surface, used=used, observation=observation)
 

@@ -1,7 +1,5 @@
 """Photographs: strict reading, linear Rec.709 pixels, and camera metadata."""
 
-import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -10,41 +8,50 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
-from PIL import ExifTags, Image, ImageCms, ImageOps
+from PIL import Image, ImageCms, ImageOps
 from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.imaging.colour import Decode, decode_values, linear_to_srgb, tone_map
+from skylight.imaging.exif import CameraFacts, camera_facts
+from skylight.imaging.taken import Taken
 from skylight.io.bounded import file_bytes
 from skylight.io.hdr import SUFFIXES as HDR_SUFFIXES
 from skylight.io.hdr import read_linear
 from skylight.io.opened_picture import opened_picture
+from skylight.sphere.envmap import luminance
 
 SIDE_MIN = 32
 SIDE_MAX = 16_384
 GREY_CODES = 2  # channels closer than this everywhere carry no colour (JPEG rounds by 1)
-FULL_FRAME_DIAGONAL_MM = math.hypot(36.0, 24.0)
+GREY_MODES = ("L", "LA", "La", "I;16", "I;16B", "I;16L")  # Pillow's, of 8 and 16 bits
 _BLOCK_ROWS = 64
-_MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # EXIF 2.32, FocalPlaneResolutionUnit
 
 
 @dataclass(frozen=True, kw_only=True)
 class Photo:
-    """A colour photograph, upright as its EXIF orientation asks.
+    """A photograph, upright as its EXIF orientation asks.
 
     ``pixels``   linear Rec.709; 1 is the largest code value (.exr and .hdr: as stored).
     ``encoded``  the same picture as 8-bit sRGB, for detectors and for looking at.
     ``clipped``  where a channel reached its largest code value, so more light may have fallen.
-    ``focal_px`` focal length in pixels of this picture, or None where the file does not tell.
+    ``grey``     without colour: the three channels of ``pixels`` are equal.
+    ``focal_px`` focal length in pixels of this picture, ``flash`` whether it fired, ``taken``
+                 where and when; None where the file does not tell.
     """
 
     pixels: Float[Tensor, "h w 3"]
     encoded: UInt8[np.ndarray, "h w 3"]
     clipped: Bool[Tensor, "h w"]
+    grey: bool = False
     focal_px: float | None = None
+    flash: bool | None = None
+    taken: Taken | None = None
 
 
-def read_photo(path: str | Path, *, decode: Decode | None = None) -> Photo:
+def read_photo(
+    path: str | Path, *, decode: Decode | None = None, require_colour: bool = False
+) -> Photo:
     """A JPEG, PNG, TIFF (8 or 16 bit a channel), .exr or .hdr photograph.
 
     Parameters
@@ -53,6 +60,8 @@ def read_photo(path: str | Path, *, decode: Decode | None = None) -> Photo:
         How values encode light: "srgb" (default), "linear" (default for .exr and .hdr) or the
         exponent of a power law. An embedded colour profile other than sRGB is converted to sRGB
         where ``decode`` is left out or "srgb"; an explicit "linear" or exponent overrules it.
+    require_colour
+        Refuse grey pictures, for what colour is essential to.
 
     Transparency is ignored: hidden pixels keep the colour that the file stores for them. Of a
     phone's multi-picture JPEG (MPO) the first picture counts.
@@ -60,15 +69,21 @@ def read_photo(path: str | Path, *, decode: Decode | None = None) -> Photo:
     Raises
     ------
     InputError
-        No readable still colour picture from 32 to 16384 pixels a side and up to 134 megapixels:
-        missing, damaged, animated, CMYK, grey or black.
+        No readable still picture from 32 to 16384 pixels a side and up to 134 megapixels:
+        missing, damaged, animated, CMYK, black, of one bit a pixel, or grey against the wish.
     """
     path = Path(path)
     if path.suffix.lower() in HDR_SUFFIXES:
         photo = _from_linear_file(path, "linear" if decode is None else decode)
     else:
         photo = _from_picture(path, "srgb" if decode is None else decode)
-    _require_colour(path, photo.encoded)
+    if photo.encoded.max() <= GREY_CODES:
+        raise InputError(f"{path}: the picture is black; give a photo that shows a lit face")
+    if require_colour and photo.grey:
+        raise InputError(
+            f"{path}: the picture is grey (red, green and blue are equal everywhere) and tells "
+            "nothing about light's colour; give a colour photo"
+        )
     return photo
 
 
@@ -78,45 +93,16 @@ def photo_from_codes(codes: UInt8[np.ndarray, "h w 3"], *, decode: Decode | None
     Raises
     ------
     InputError
-        Codes of another type or shape, or a grey or black picture.
+        Codes of another type or shape, or a black picture.
     """
     if codes.dtype != np.uint8 or codes.ndim != 3 or codes.shape[2] != 3:
         raise InputError(
             f"a picture must be uint8 of shape (height, width, 3), got {codes.dtype} of "
             f"{codes.shape}; convert it, or make a Photo"
         )
-    if codes.size and _is_grey(codes):
-        raise InputError("the picture is grey or black: it tells nothing about light's colour")
-    return _photo(codes, "srgb" if decode is None else decode, _at_maximum(codes), None)
-
-
-def focal_length_px(exif: Image.Exif, width: int, height: int) -> float | None:
-    """Focal length in pixels of a ``width`` x ``height`` picture, from its EXIF data.
-
-    From the 35 mm equivalent, which compares diagonals (CIPA DCG-001-2018)::
-
-        f = f35 hypot(w, h) / hypot(36, 24)
-
-    else from the focal length and the sensor's pixels per unit length. None where neither is
-    there, or where the recorded picture size has another shape: the picture was cropped.
-    """
-    tags = exif.get_ifd(ExifTags.IFD.Exif)
-    recorded = _positive(tags, "ExifImageWidth"), _positive(tags, "ExifImageHeight")
-    full_long, long = max(width, height), max(width, height)
-    if recorded[0] and recorded[1]:
-        full_long = max(recorded[0], recorded[1])
-        aspect = full_long / min(recorded[0], recorded[1])
-        if abs(aspect / (long / min(width, height)) - 1) > 0.01:
-            return None
-    equivalent_mm = _positive(tags, "FocalLengthIn35mmFilm")
-    if equivalent_mm:
-        return equivalent_mm * math.hypot(width, height) / FULL_FRAME_DIAGONAL_MM
-    focal_mm = _positive(tags, "FocalLength")
-    per_unit = _positive(tags, "FocalPlaneXResolution")
-    unit_mm = _MM_PER_UNIT.get(tags.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))
-    if focal_mm and per_unit and unit_mm:
-        return focal_mm * per_unit / unit_mm * (long / full_long)
-    return None
+    if codes.size and codes.max() <= GREY_CODES:
+        raise InputError("the picture is black; give one that shows a lit face")
+    return _photo(codes, "srgb" if decode is None else decode, _at_maximum(codes), CameraFacts())
 
 
 def _from_linear_file(path: Path, decode: Decode) -> Photo:
@@ -127,19 +113,19 @@ def _from_linear_file(path: Path, decode: Decode) -> Photo:
     # cameras' colour conversion leaves small negative values: colours outside Rec.709
     pixels = decode_values(torch.from_numpy(stored).clamp(min=0), decode)
     clipped = torch.zeros(pixels.shape[:2], dtype=torch.bool)
-    return Photo(pixels=pixels, encoded=tone_map(pixels), clipped=clipped)
+    return _told(pixels, tone_map(pixels), clipped, CameraFacts())
 
 
 def _from_picture(path: Path, decode: Decode) -> Photo:
     with opened_picture(path) as image:
         _check_size(path, *image.size)
         _check_kind(path, image)
-        codes, clipped, focal_px = _decode_picture(path, image, decode)
-    return _photo(codes, decode, clipped, focal_px)
+        codes, clipped, facts = _decode_picture(path, image, decode)
+    return _photo(codes, decode, clipped, facts)
 
 
 def _photo(
-    codes: np.ndarray, decode: Decode, clipped: Bool[np.ndarray, "h w"], focal_px: float | None
+    codes: np.ndarray, decode: Decode, clipped: Bool[np.ndarray, "h w"], facts: CameraFacts
 ) -> Photo:
     """The picture that uint8 or uint16 codes (h,w,3) stand for, by a table of all codes."""
     largest = np.iinfo(codes.dtype).max
@@ -151,11 +137,27 @@ def _photo(
         rows = slice(start, start + _BLOCK_ROWS)
         np.take(linear.numpy(), codes[rows], out=pixels[rows], mode="clip")
         np.take(srgb, codes[rows], out=encoded[rows], mode="clip")
+    return _told(torch.from_numpy(pixels), encoded, torch.from_numpy(clipped), facts)
+
+
+def _told(
+    pixels: Float[Tensor, "h w 3"],
+    encoded: UInt8[np.ndarray, "h w 3"],
+    clipped: Bool[Tensor, "h w"],
+    facts: CameraFacts,
+) -> Photo:
+    """With what the camera told; rounding's traces of colour are taken out of a grey picture."""
+    grey = encoded.size > 0 and _is_grey(encoded)
+    if grey:
+        pixels = luminance(pixels)[..., None].repeat(1, 1, 3)
     return Photo(
-        pixels=torch.from_numpy(pixels),
+        pixels=pixels,
         encoded=encoded,
-        clipped=torch.from_numpy(clipped),
-        focal_px=focal_px,
+        clipped=clipped,
+        grey=grey,
+        focal_px=facts.focal_px,
+        flash=facts.flash,
+        taken=facts.taken,
     )
 
 
@@ -167,34 +169,24 @@ def _check_size(path: Path, width: int, height: int) -> None:
 
 
 def _check_kind(path: Path, image: Image.Image) -> None:
-    """Refuse, before decoding, what is no single RGB picture."""
+    """Refuse, before decoding, what is no single RGB or grey picture."""
     if getattr(image, "n_frames", 1) > 1 and image.format != "MPO":
         raise InputError(f"{path}: it holds several pictures; save one of them as JPEG or PNG")
-    if image.mode in ("1", "L", "LA", "La", "I", "F") or image.mode.startswith("I;"):
+    if image.mode == "1":
         raise InputError(
-            f"{path}: a grey picture tells nothing about light's colour; give a colour photo"
+            f"{path}: it has one bit a pixel, black or white, and no shades; give a photo"
         )
-    if image.mode not in ("RGB", "RGBA", "RGBa", "RGBX", "P", "PA"):
+    if image.mode not in ("RGB", "RGBA", "RGBa", "RGBX", "P", "PA", *GREY_MODES):
         raise InputError(f"{path}: its colours are {image.mode}; convert it to RGB (sRGB)")
-
-
-def _require_colour(path: Path, encoded: UInt8[np.ndarray, "h w 3"]) -> None:
-    if encoded.max() <= GREY_CODES:
-        raise InputError(f"{path}: the picture is black; give a photo that shows a lit face")
-    if _is_grey(encoded):
-        raise InputError(
-            f"{path}: red, green and blue are equal everywhere, so the picture is grey and tells "
-            f"nothing about light's colour; give a colour photo"
-        )
 
 
 def _decode_picture(
     path: Path, image: Image.Image, decode: Decode
-) -> tuple[np.ndarray, Bool[np.ndarray, "h w"], float | None]:
-    """(codes (h,w,3) uint8 or uint16, clipped, focal_px), upright and in sRGB's primaries."""
+) -> tuple[np.ndarray, Bool[np.ndarray, "h w"], CameraFacts]:
+    """(codes (h,w,3) uint8 or uint16, clipped, the camera's), upright and in sRGB's primaries."""
     # Pillow cuts 16-bit colour down to 8; its plan of decoding, empty once done, tells
     is_deep = ";16" in str(getattr(image, "tile", ""))
-    focal_px = focal_length_px(image.getexif(), *image.size)
+    facts = camera_facts(image.getexif(), *image.size)
     to_srgb = _profile_to_srgb(path, image) if decode == "srgb" else None
     if is_deep:
         if to_srgb is not None:
@@ -208,14 +200,15 @@ def _decode_picture(
         if bgr is None:
             raise InputError(f"{path}: damaged or cut short; export it again")
         codes = np.ascontiguousarray(bgr[..., ::-1])
-        return codes, _at_maximum(codes), focal_px
-    upright = ImageOps.exif_transpose(image).convert("RGB")
-    codes = np.array(upright)
+        return codes, _at_maximum(codes), facts
+    upright = ImageOps.exif_transpose(image)
+    upright = upright.convert("RGB" if to_srgb is None else to_srgb.input_mode)
+    codes = np.array(upright.convert("RGB"))
     clipped = _at_maximum(codes)
     if to_srgb is not None:
         codes = np.array(ImageCms.applyTransform(upright, to_srgb))
         clipped |= _at_maximum(codes)  # colours too saturated for sRGB are cut there
-    return codes, clipped, focal_px
+    return codes, clipped, facts
 
 
 def _is_grey(codes: UInt8[np.ndarray, "h w 3"]) -> bool:
@@ -238,23 +231,17 @@ def _profile_to_srgb(path: Path, image: Image.Image) -> ImageCms.ImageCmsTransfo
     profile = image.info.get("icc_profile")
     if not profile:
         return None
+    # bytes 16 to 19 of a profile name its colour space (ICC.1:2022, 7.2.8)
+    mode = "L" if image.mode in GREY_MODES and profile[16:20] == b"GRAY" else "RGB"
     try:
         transform = ImageCms.buildTransform(
-            BytesIO(profile), ImageCms.createProfile("sRGB"), "RGB", "RGB"
+            BytesIO(profile), ImageCms.createProfile("sRGB"), mode, "RGB"
         )
     except (ImageCms.PyCMSError, OSError) as error:
         raise InputError(f"{path}: its colour profile cannot be read; save as sRGB") from error
     steps = np.linspace(0, 255, 9).astype(np.uint8)
-    lattice = Image.fromarray(np.stack(np.meshgrid(steps, steps, steps), -1).reshape(9, 81, 3))
+    codes = np.stack(np.meshgrid(steps, steps, steps), -1).reshape(9, 81, 3)
+    lattice = Image.fromarray(codes).convert(mode)
     converted = np.asarray(ImageCms.applyTransform(lattice, transform), dtype=int)
-    change = np.abs(converted - np.asarray(lattice, dtype=int)).max()
+    change = np.abs(converted - np.asarray(lattice.convert("RGB"), dtype=int)).max()
     return transform if change > 3 else None
-
-
-def _positive(tags: Mapping[int, object], name: str) -> float | None:
-    """The number of that EXIF tag, or None where it is missing, zero or no number."""
-    try:
-        value = float(tags.get(ExifTags.Base[name], 0))  # type: ignore[arg-type]
-    except (TypeError, ValueError, ZeroDivisionError):
-        return None
-    return value if math.isfinite(value) and value > 0 else None

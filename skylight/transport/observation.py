@@ -25,6 +25,8 @@ class Observation:
 
     ``clipped`` (m,) tells where ``pixels`` are lower bounds, because the picture is over-exposed
     there; None where it is nowhere.
+
+    ``grey``: the picture has no colour, and its three equal channels are luminance.
     """
 
     pixels: Float[Tensor, "m 3"]
@@ -33,6 +35,7 @@ class Observation:
     transport: TransportMatrix
     gloss: TransportMatrix | None = None
     clipped: Bool[Tensor, " m"] | None = None
+    grey: bool = False
 
     def __post_init__(self) -> None:
         count = len(self.pixels)
@@ -67,7 +70,8 @@ class Observation:
         def moved(transport: TransportMatrix) -> TransportMatrix:
             return replace(transport, matrix=transport.matrix.to(device))
 
-        return Observation(
+        return replace(
+            self,
             pixels=self.pixels.to(device),
             weights=self.weights.to(device),
             places=self.places.to(device),
@@ -132,7 +136,8 @@ class Observation:
         over = None if self.clipped is None else blocks % 2 == 1
         places = cell.new_zeros(len(blocks), 2)
         places[index] = cell[kept]
-        return Observation(
+        return replace(
+            self,
             pixels=pixels,
             weights=total,
             places=places,

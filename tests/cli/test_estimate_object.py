@@ -163,6 +163,7 @@ class TestFailures:
             (text("m.png", "none"), {"--mask": "m.png"}, "no picture"),
             (None, {"--mask": "none.png"}, "none.png: No such file"),
             (picture("p.png", SATURATED), {"photo": "p.png"}, "over-exposed"),
+            (picture("p.png", SATURATED[..., 1]), {"photo": "p.png"}, "give a colour photo"),
             (exr_with_nan, {"photo": "nan.exr"}, "NaN"),
             (None, {"mesh": "none.ply"}, "no such mesh"),
             (text("m.ply", "ply?"), {"mesh": "m.ply"}, "m.ply"),

@@ -31,6 +31,9 @@ def saved(path: Path, picture: np.ndarray | Image.Image, **options: object) -> P
     return path
 
 
+GREY = colours()[..., 0]
+
+
 def exif(**tags: object) -> Image.Exif:
     """EXIF with the camera's tags in their own directory, as cameras write them."""
     data = Image.Exif()
@@ -96,9 +99,79 @@ def test_codes_give_the_photo_of_their_file(tmp_path: Path) -> None:
         assert photo.focal_px is None
 
 
-def test_codes_without_colour_are_refused() -> None:
-    with pytest.raises(InputError, match="grey or black"):
-        photo_from_codes(np.full((48, 64, 3), 90, np.uint8))
+def test_black_codes_are_refused() -> None:
+    with pytest.raises(InputError, match="black"):
+        photo_from_codes(np.full((48, 64, 3), 1, np.uint8))
+
+
+# ---- grey pictures
+
+
+def _grey16(path: Path) -> None:
+    cv2.imwrite(str(path), GREY.astype(np.uint16) * 257)
+
+
+GREY_FILES = {
+    "grey.png": lambda p: saved(p, GREY),
+    "grey.tif": lambda p: saved(p, GREY),
+    "alpha.png": lambda p: saved(p, Image.fromarray(GREY).convert("LA")),
+    "grey16.png": _grey16,
+    "grey16.tif": _grey16,
+    "three.png": lambda p: saved(p, np.repeat(GREY[..., None], 3, -1)),
+    "palette.png": lambda p: saved(p, Image.fromarray(GREY).convert("P")),
+}
+
+
+@pytest.mark.parametrize("name", GREY_FILES)
+def test_grey_pictures_have_three_equal_channels(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    GREY_FILES[name](path)
+    photo = read_photo(path)
+    assert photo.grey
+    np.testing.assert_array_equal(photo.encoded, np.repeat(GREY[..., None], 3, -1))
+    value = GREY[:, 1:] / 255
+    light = np.where(value > 0.04045, ((value + 0.055) / 1.055) ** 2.4, value / 12.92)
+    for channel in photo.pixels[:, 1:].unbind(2):
+        np.testing.assert_allclose(channel, light, rtol=2e-6)
+    with pytest.raises(InputError, match="grey"):
+        read_photo(path, require_colour=True)
+
+
+def test_roundings_trace_of_colour_is_taken_out() -> None:
+    codes = np.repeat(GREY[..., None], 3, -1)
+    codes[..., 0] = np.minimum(codes[..., 0], 253) + 1
+    photo = photo_from_codes(codes)
+    assert photo.grey
+    assert torch.equal(photo.pixels[..., 0], photo.pixels[..., 2])
+    # the luminance stays: a step of one code in red
+    plain = photo_from_codes(np.repeat(GREY[..., None], 3, -1)).pixels
+    difference = (photo.pixels - plain)[GREY < 253]
+    assert (difference > 0).all()
+    assert float(difference.max()) < 0.01
+    assert not photo_from_codes(colours()).grey
+
+
+def test_a_grey_profile_is_converted(tmp_path: Path) -> None:
+    """Luminance as it is (a gamma of 1) becomes sRGB, as the profile asks."""
+    path = saved(tmp_path / "g.png", GREY, icc_profile=_linear_grey_profile())
+    photo = read_photo(path)
+    assert photo.grey
+    bright = GREY > 60
+    np.testing.assert_allclose(photo.pixels[..., 0][bright], GREY[bright] / 255, atol=0.012)
+
+
+def _linear_grey_profile() -> bytes:
+    """ICC.1:2001-04, the least that a monochrome input profile has."""
+    curve = b"curv" + bytes(8)  # no entries: a gamma of 1
+    white = b"XYZ " + bytes(4) + struct.pack(">3i", 63190, 65536, 54061)
+    text = b"desc" + bytes(4) + struct.pack(">I", 2) + b"g\0" + bytes(8 + 3 + 67)
+    parts, at, table = [text, white, curve], 128 + 4 + 12 * 3, b""
+    for name, part in zip((b"desc", b"wtpt", b"kTRC"), parts, strict=True):
+        table += name + struct.pack(">II", at, len(part))
+        at += len(part)
+    header = struct.pack(">I4sI4s4s4s", at, b"lcms", 0x02100000, b"mntr", b"GRAY", b"XYZ ")
+    header += bytes(12) + b"acsp" + bytes(28) + struct.pack(">3i", 63190, 65536, 54061)
+    return header.ljust(128, b"\0") + struct.pack(">I", 3) + table + b"".join(parts)
 
 
 def test_other_encodings(tmp_path: Path) -> None:
@@ -264,7 +337,6 @@ def _huge(path: Path) -> None:
     path.write_bytes(data)
 
 
-GREY = colours()[..., 0]
 BAD = {
     "missing.jpg": (lambda p: None, "No such file"),
     "folder.jpg": (Path.mkdir, "directory"),
@@ -282,10 +354,9 @@ BAD = {
     "thin.png": (lambda p: saved(p, colours(8, 64)), "64x8"),
     "long.png": (lambda p: saved(p, colours(32, 16_385)), "16385x32"),
     "huge.png": (_huge, "too large|60000x60000"),
-    "grey.jpg": (lambda p: saved(p, GREY), "grey"),
-    "grey16.png": (lambda p: cv2.imwrite(str(p), GREY.astype(np.uint16) * 257), "grey"),
-    "bitmap.png": (lambda p: Image.fromarray(GREY).convert("1").save(p), "grey"),
-    "colourless.jpg": (lambda p: saved(p, np.repeat(GREY[..., None], 3, -1)), "equal everywhere"),
+    "float.tif": (lambda p: Image.fromarray(GREY.astype(np.float32)).save(p), "colours are F"),
+    "bitmap.png": (lambda p: Image.fromarray(GREY).convert("1").save(p), "one bit a pixel"),
+    "dark.png": (lambda p: saved(p, np.zeros((48, 64), np.uint8)), "black"),
     "black.jpg": (lambda p: saved(p, np.zeros((48, 64, 3), np.uint8)), "black"),
 }
 

@@ -141,7 +141,7 @@ def _proposal(data: Path, capture: FaceCapture) -> Proposal:
     """Measure, draw, remember."""
     named = capture_hash(data, capture)
     probe = read_probe(data, capture)
-    photo = read_photo(data / capture.photo)
+    photo = read_photo(data / capture.photo, require_colour=True)
     view = _view(photo, str(data / capture.photo))
     curve = azimuth_curve(view.observation, probe)
     proposal = Proposal(

@@ -12,7 +12,7 @@ from skylight.app.cameras.calibration import exif_exposures, exposure_times
 from skylight.cameras.frames import read_picture
 from skylight.cameras.response import Response, load_response
 from skylight.errors import InputError
-from skylight.imaging.photo import focal_length_px
+from skylight.imaging.exif import focal_length_px
 from skylight.io.hdr import SUFFIXES as HDR_SUFFIXES
 from skylight.io.hdr import read_linear
 from skylight.io.opened_picture import opened_picture

@@ -166,6 +166,7 @@ def estimate_photo(
                     fit,
                     grid_height=problem.grid_height,
                     specular=SKIN_GLOSS if problem.uses_gloss else None,
+                    grey=photos[one.photo].grey,
                     workers=workers or os.cpu_count() or 1,
                     progress=told,
                 )
@@ -196,7 +197,12 @@ def estimate_photo(
         for one in seen
         if one.face.score < 0
     ]
-    advice = (*found_light.advice, *unsure, *(f"left out: {reason}" for reason in left_out))
+    advice = (
+        *found_light.advice,
+        *unsure,
+        *_advice_of_photos(photos, names, {face.photo for face in seen}),
+        *(f"left out: {reason}" for reason in left_out),
+    )
     # the problem counts only the photographs that it was given
     lights = tuple(
         replace(light, photo=one.photo) for light, one in zip(found_light.faces, seen, strict=True)
@@ -219,6 +225,19 @@ def as_photo(image: Image, decode: Decode | None) -> Photo:
     if decode is not None:
         raise InputError("decode is for files and 8-bit codes: a Photo is decoded already")
     return image
+
+
+def _advice_of_photos(
+    photos: Sequence[Photo], names: Sequence[str], used: set[int]
+) -> Iterator[str]:
+    """What to know of the light in the photographs that were used."""
+    for number in sorted(used):
+        photo = photos[number]
+        of = f"{names[number]}: " if len(photos) > 1 else ""
+        if photo.grey:
+            yield f"{of}grey picture: the colour of the light is the priors'"
+        if photo.flash:
+            yield f"{of}the flash fired: part of the light comes from the camera"
 
 
 def _name(image: Image, number: int, count: int) -> str:

@@ -70,7 +70,7 @@ class CapturedFaces:
     def measure(self, item: str, picture: Path) -> Item:
         capture = self._captures()[item]
         truth = true_light(self.data, capture)
-        photo = read_photo(self.data / item)
+        photo = read_photo(self.data / item, require_colour=True)
         fit, view = observe_largest(photo, str(self.data / item))
         found = {m: self.options.estimate(view.observation, m) for m in self.methods}
         environments = {m: estimate.environment for m, estimate in found.items()}

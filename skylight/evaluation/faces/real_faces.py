@@ -48,7 +48,7 @@ class RealFaces:
 
     def measure(self, item: str, picture: Path) -> Item:
         entry = _read_index(self.data)[item]
-        photo = read_photo(self.data / item)
+        photo = read_photo(self.data / item, require_colour=True)
         seconds: dict[str, float] = {}
         fit, view = observe_largest(photo, item, seconds)
         with stage(seconds, OURS):

@@ -50,9 +50,10 @@ class HarmonicProblem:
     """SH coefficients from all faces under one light: give it each face, then solve.
 
     Surface reflection is left out, in the posterior too: highlights count as outliers. Keeps
-    each observation's transport on :data:`ROWS` rows, without its gloss. Everything is computed on
-    the device of ``albedo_modes``, where the model and the prior have to be; the estimate is on
-    the CPU.
+    each observation's transport on :data:`ROWS` rows, without its gloss. Where one of the pictures
+    is grey all are taken for grey: the light is neutral, and luminance alone is fitted. Everything
+    is computed on the device of ``albedo_modes``, where the model and the prior have to be; the
+    estimate is on the CPU.
     """
 
     grid_height = ROWS  # of the observations that it needs
@@ -114,11 +115,15 @@ class HarmonicProblem:
         """
         if not self._faces:
             raise InputError("there is no observation to estimate light from; give at least one")
-        model, faces = self.model, self._faces
+        model = self.model
+        if self._grey:
+            self._faces = [replace(face, pixels=_grey(face.pixels)) for face in self._faces]
+        faces = self._faces
         fit = self._fit()
         albedos, exposures = self._split(fit.colour.cpu(), fit.mean.cpu())
         albedos = albedos.to(fit.product.device)
-        coefficients = (fit.product / albedos[0]).float()
+        seen = _grey(albedos) if self._grey else albedos
+        coefficients = (fit.product / seen[0]).float()
         with torch.no_grad():
             radiance = model(coefficients.reshape(1, -1))[0]
         layout = model.grid.layout
@@ -126,14 +131,14 @@ class HarmonicProblem:
         environment = EnvironmentMap(radiance=radiance.reshape(*layout, 3).float().cpu())
         coarse = environment.resize(ROWS).flat.to(radiance.device)
         lights = []
-        for face, photo, albedo in zip(faces, self._photos, albedos.float(), strict=True):
-            rendered = exposures[photo] * albedo * (face.transport.matrix @ coarse)
+        for k, (face, photo) in enumerate(zip(faces, self._photos, strict=True)):
+            rendered = exposures[photo] * seen[k].float() * (face.transport.matrix @ coarse)
             lights.append(
                 FaceLight(
                     photo=photo,
                     exposure=exposures[photo],
                     white_balance=torch.ones(3),  # the light is free in colour, and takes it
-                    albedo=albedo.cpu(),
+                    albedo=albedos[k].float().cpu(),
                     gloss=0.0,
                     rendered=rendered.cpu(),
                     residual=residual(rendered, face.pixels, face.clipped),
@@ -166,6 +171,10 @@ class HarmonicProblem:
             advice=advice(tuple(lights)),
             stats={"evaluations": fit.rounds, "nonfinite": 0},
         )
+
+    @property
+    def _grey(self) -> bool:
+        return any(face.grey for face in self._faces)
 
     def _fit(self) -> "_Fit":
         # float64: rounding in the reweighting does not reach the float32 of the result
@@ -234,7 +243,7 @@ class HarmonicProblem:
             for mode in modes:
                 # albedos up to the exposure of each photograph; exactly the mode for its face
                 albedos = colour / colour[lead] * mode
-                chroma = torch.log(mean / albedos[0])
+                chroma = torch.log(mean / (_grey(albedos[0]) if self._grey else albedos[0]))
                 cost = 0.5 * float(((chroma - chroma.mean()) ** 2).sum()) / DAYLIGHT_CHROMA**2
                 exposures = [1.0]
                 for mine in rows[1:]:
@@ -258,6 +267,11 @@ class HarmonicProblem:
     def _nll(self, albedos: Float[Tensor, "f 3"]) -> float:
         """-ln p of all albedos together."""
         return -float(self.albedo_prior.log_prob(albedos.log().float()).sum())
+
+
+def _grey(colours: Float[Tensor, "*s 3"]) -> Float[Tensor, "*s 3"]:
+    """Their luminance in all three channels."""
+    return luminance(colours)[..., None].expand_as(colours)
 
 
 def _gaps(

@@ -19,6 +19,7 @@ from skylight.inverse.scale import GLOSS_SPREAD, bayes_scale, gloss_nll, scale_n
 from skylight.models.base import LightModel, Prior, without_azimuth
 from skylight.models.ground import LambertianGround, ground_prior
 from skylight.models.prior import GaussianMixture
+from skylight.sphere.envmap import luminance
 from skylight.transport.diffuse import SkyTransport
 from skylight.transport.observation import Observation
 
@@ -60,7 +61,7 @@ class FaceTerm:
     a problem's photographs from 0: faces of one share its exposure. ``level`` (p,) is the face's
     mean luminance in the target's units, which deviations are relative to: a dark face in the shade
     says as much about light as a bright one. Where ``clipped``, the target is a lower bound: what
-    is brighter deviates by nothing.
+    is brighter deviates by nothing. Of a ``grey`` picture luminance alone is compared.
 
     Batches of shading have the ``problem`` of each row, in ascending order; None where there is
     but one.
@@ -73,6 +74,7 @@ class FaceTerm:
     level: Float[Tensor, " p"]
     photo: int = 0
     clipped: Bool[Tensor, "p m"] | None = None
+    grey: bool = False
 
     @staticmethod
     def of(observation: Observation) -> "FaceTerm":
@@ -85,6 +87,7 @@ class FaceTerm:
             gloss=None if gloss is None else SkyTransport.of(gloss),
             level=observation.pixels.new_ones(1),
             clipped=None if clipped is None else clipped[None],
+            grey=observation.grey,
         )
 
     @staticmethod
@@ -94,8 +97,13 @@ class FaceTerm:
         if not others:
             return first
         glosses = [term.gloss for term in terms if term.gloss is not None]
-        if len(glosses) not in (0, len(terms)) or any(term.photo != first.photo for term in others):
-            raise ValueError("faces of several problems must all have gloss or none, and one photo")
+        if len(glosses) not in (0, len(terms)) or any(
+            (term.photo, term.grey) != (first.photo, first.grey) for term in others
+        ):
+            raise ValueError(
+                "faces of several problems must all have gloss or none, all colour or none, "
+                "and one photo"
+            )
         clipped = [
             torch.zeros_like(term.share[..., 0], dtype=torch.bool)
             if term.clipped is None
@@ -110,6 +118,7 @@ class FaceTerm:
             level=torch.cat([term.level for term in terms]),
             photo=first.photo,
             clipped=_padded(clipped) if any(bool(one.any()) for one in clipped) else None,
+            grey=first.grey,
         )
 
     @property
@@ -117,12 +126,16 @@ class FaceTerm:
         """``share`` where the target is more than a bound."""
         return self.share if self.clipped is None else self.share * ~self.clipped[..., None]
 
+    def seen(self, shading: Float[Tensor, "*b m 3"]) -> Float[Tensor, "*b m 3"]:
+        """What the picture shows of a shading: of a grey one, luminance in all channels."""
+        return luminance(shading)[..., None].expand_as(shading) if self.grey else shading
+
     def deviation(
         self, shading: Float[Tensor, "b m 3"], problem: Int[Tensor, " b"] | None = None
     ) -> Float[Tensor, "b m 3"]:
         """How far the face is from this shading, in its own level."""
         level = _of(self.level, problem)[:, None, None]
-        deviation = (shading - _of(self.target, problem)) / level
+        deviation = (self.seen(shading) - _of(self.target, problem)) / level
         if self.clipped is None:
             return deviation
         clipped = _of(self.clipped, problem)[..., None]

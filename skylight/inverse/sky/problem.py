@@ -92,11 +92,11 @@ def solve_together(
 ) -> list[Estimate]:
     """The light of each problem, as :meth:`SkyProblem.solve` finds it but for rounding.
 
-    Problems of one shape, with as many faces in the same photographs and all with gloss or none,
-    are solved as one batch; numbers of pixels may differ. What a problem holds is copied level by
-    level, padded to the most pixels: beside the 165 MB of a face of 3,700 pixels with gloss that
-    is up to 120 MB, 9 GB for a batch of 32 such faces, and 1.3 GB for the autoencoder's gradients
-    with respect to ten starts of each.
+    Problems of one shape, with as many faces in the same photographs, all with gloss or none and
+    all grey or none, are solved as one batch; numbers of pixels may differ. What a problem holds
+    is copied level by level, padded to the most pixels: beside the 165 MB of a face of 3,700
+    pixels with gloss that is up to 120 MB, 9 GB for a batch of 32 such faces, and 1.3 GB for the
+    autoencoder's gradients with respect to ten starts of each.
 
     Raises
     ------

@@ -224,7 +224,8 @@ def _estimate(
     parts, scales = ends.parts, faces.scales()
     lights = []
     for k, (face, term) in enumerate(zip(faces, faces.terms(level), strict=True)):
-        shading = ends.shadings[k][p, : term.target.shape[1]]  # others may have more pixels
+        # others may have more pixels
+        shading = term.seen(ends.shadings[k][p, : term.target.shape[1]])
         clipped = None if term.clipped is None else term.clipped[0]
         lights.append(
             FaceLight(

@@ -95,7 +95,9 @@ def _photo_start(
     for number, mode in enumerate(albedo_modes):
         # the sky need not be rendered again: shading is linear in exposure and albedo
         shading = first.diffuse * mode + first.glossy
-        exposure = best_exposure(shading, first.face.target, first.face.exact_share)
+        exposure = best_exposure(
+            first.face.seen(shading), first.face.target, first.face.exact_share
+        )
         scale = exposure[:, None, None]
         loss = first.face.data_term(shading * scale, w) + nll[number]
         albedo = [mode.expand(count, 3)]

@@ -20,13 +20,15 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def first_run(face_captures, tmp_path_factory):
-    """A copy of the captures after the first step: (folder, proposals); three rows are bad."""
+    """A copy of the captures after the first step: (folder, proposals); some rows are bad."""
     folder = tmp_path_factory.mktemp("calibrated") / "faces"
     shutil.copytree(face_captures.folder, folder)
     noise = np.random.default_rng(1).integers(0, 255, (64, 64, 3)).astype(np.uint8)
     write_png(folder / "noise.png", noise)
+    write_png(folder / "grey.png", noise[..., :1].repeat(3, -1))
     with (folder / CAPTURES_NAME).open("a") as stream:
         stream.write("Eve,noise.png,day/ada.exr,,1,\n")
+        stream.write("Gus,grey.png,day/ada.exr,,1,\n")
         stream.write(f"Dan,day/ada.exr,{PHOTO},,1,\n")  # a picture where light is wanted
         stream.write("Fay,day/bob.exr,day/bob.exr,30,1,\n")  # has its azimuth
     proposals, problems = propose(folder)
@@ -51,6 +53,7 @@ def test_captures_that_cannot_be_used_do_not_stop_the_others(first_run):
     _, proposals, problems = first_run
     assert set(proposals) == {PHOTO, MIRRORED}
     assert "no face found" in problems["noise.png"]
+    assert "give a colour photo" in problems["grey.png"]
     assert "use .exr or .hdr" in problems["day/ada.exr"]
 
 

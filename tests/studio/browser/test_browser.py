@@ -204,9 +204,9 @@ def test_files_that_are_no_use(new_page: MakePage, portrait: Path, tmp_path: Pat
     choose_photo(page, tmp_path / "wide.png")
     line.get_by_text("million pixels").wait_for()
 
-    Image.fromarray(camera()).convert("RGB").save(tmp_path / "grey.png")
-    choose_photo(page, tmp_path / "grey.png")
-    line.get_by_text("give a colour photo").wait_for()
+    Image.fromarray(camera()).convert("1").save(tmp_path / "bits.png")
+    choose_photo(page, tmp_path / "bits.png")
+    line.get_by_text("one bit a pixel").wait_for()
 
     Image.fromarray(coffee()).save(tmp_path / "empty.png")
     choose_photo(page, tmp_path / "empty.png")

@@ -1,0 +1,27 @@
+"""A rendered person under a clear sky whose sun is known."""
+
+from functools import lru_cache
+
+import torch
+
+from skylight.faces.synthetic import SyntheticFace, render_face
+from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.frame import direction_from_angles
+from skylight.sphere.grid import DirectionGrid
+
+SKY, SUN = torch.tensor([0.105, 0.15, 0.24]), torch.tensor([2.2, 2.0, 1.7])
+
+
+def direction(azimuth_deg: float, zenith_deg: float) -> torch.Tensor:
+    angles = torch.tensor([azimuth_deg, zenith_deg], dtype=torch.float64).deg2rad()
+    return direction_from_angles(*angles)
+
+
+@lru_cache(maxsize=4)
+def sunny_face(azimuth_deg: float, zenith_deg: float, *, seed: int = 3) -> SyntheticFace:
+    """Even blue sky and a sun three degrees wide at that place in the camera's frame."""
+    grid = DirectionGrid.sky(32)
+    lobe = torch.exp(400 * (grid.directions @ direction(azimuth_deg, zenith_deg) - 1))
+    lobe = (lobe / (lobe @ grid.solid_angles)).float()
+    sky = EnvironmentMap(radiance=(SKY + lobe[:, None] * SUN).reshape(32, 128, 3))
+    return render_face(sky, torch.full((3,), 0.2), seed=seed, azimuth_rad=0.0)
