@@ -13,7 +13,8 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 SIDE = 128  # of its pictures
-_LEAST_SCORE, _MOST_OVERLAP = 0.5, 0.3
+LEAST_SCORE = 0.5  # of a face in the picture itself
+_MOST_OVERLAP = 0.3
 _MARGIN = 1.5  # the landmark network's square over the face's box
 
 
@@ -72,7 +73,9 @@ def _anchors() -> Float[ndarray, "896 2"]:
 
 
 def decode(
-    regressors: Float[ndarray, "896 16"], logits: Float[ndarray, "896"]
+    regressors: Float[ndarray, "896 16"],
+    logits: Float[ndarray, "896"],
+    least_score: float = LEAST_SCORE,
 ) -> tuple[Float[ndarray, " n"], Float[ndarray, "n 8 2"]]:
     """(scores, candidates) of what may be faces, each as 8 points (x, y) from 0 to 1.
 
@@ -81,7 +84,7 @@ def decode(
     view and, sizes apart, from the anchor on.
     """
     score = 1 / (1 + np.exp(-logits.astype(np.float64).clip(-100, 100)))
-    sure = score >= _LEAST_SCORE
+    sure = score >= least_score
     raw = regressors[sure].astype(np.float64).reshape(-1, 8, 2) / SIDE
     points = raw + _anchors()[sure][:, None]
     half = raw[:, 1] / 2

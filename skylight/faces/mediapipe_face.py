@@ -3,28 +3,44 @@
 BlazeFace (Bazarevsky et al. 2019) finds faces in a square of the picture; the landmark network
 (Kartynnik et al. 2019, Grishchenko et al. 2020) sees each face in an upright square of its own.
 What stands around them, anchors, suppression and squares, follows MediaPipe's graphs
-(``mediapipe/tasks/cc/vision/face_landmarker``), with two additions: BlazeFace looks at parts of the
-picture too, for small faces, and the landmark network looks twice, the second time at the square
-that its own landmarks ask for, as MediaPipe does from frame to frame.
+(``mediapipe/tasks/cc/vision/face_landmarker``), with these additions: BlazeFace looks at parts of
+the picture too, for small faces, and at it brightened, turned and continued beyond its borders
+where it sees none (:mod:`skylight.faces.looks`); and the landmark network looks again at the square
+that its own landmarks ask for, as MediaPipe does from frame to frame, several times.
 """
 
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from skylight.errors import AssetError
-from skylight.faces.blazeface import SIDE, Square, decode, suppress, upright, views
+from skylight.faces.blazeface import (
+    LEAST_SCORE,
+    SIDE,
+    Square,
+    decode,
+    suppress,
+    upright,
+    views,
+)
 from skylight.faces.landmarks import DetectedFace
+from skylight.faces.looks import Look, looks
 from skylight.faces.networks import network
 
 POINTS = 478
 _LEAST_PRESENCE, _WEAKEST_SHARE = 0.5, 0.9
+_FAINTEST_GLANCE = 0.1  # at BlazeFace's own square
+# 14 environment maps without people stay below one or the other, whatever the look
+_SURE_PRESENCE, _SURE_SCATTER = 0.9, 0.016
+_LEAST_INSIDE = 0.6  # part of the landmarks within the picture; else it is a mirror image's face
 _RIGHT_EYE, _LEFT_EYE = 33, 263  # outer corners among the 478
-_LOOKS = 2
+# (side, shift of the centre in sides, turn) against the square that the landmarks ask for
+_GLANCES = ((1.0, 0.0, 0.0), (1.08, 0.02, 0.05), (0.94, -0.02, -0.05))
 # The one of the 478 points that stands for each of iBUG's 68: of those that MediaPipe's own
 # outlines name (face oval, brows, eyes, lips), the one nearest on rendered people.
 IBUG = (
@@ -51,14 +67,28 @@ class MediaPipeLandmarker:
         ]
 
     def faces(self, image: UInt8[ndarray, "h w 3"]) -> list[tuple[Float[ndarray, "478 2"], float]]:
-        """(pixels (x, y) of the 478 points, probability of a face) of all faces, largest first."""
+        """(pixels (x, y) of the 478 points, probability of a face) of all faces, largest first.
+
+        Points may lie outside the picture, where a face is cut by its border.
+        """
+        for look in looks(image):
+            if found := self._faces(look):
+                return found
+        return []
+
+    def _faces(self, look: Look) -> list[tuple[Float[ndarray, "478 2"], float]]:
+        height, width = look.picture.shape[:2]
         read = []
-        for square in self.find(image):
-            for _ in range(_LOOKS):
-                points, presence = self.read(image, square)
-                square = _square_of_landmarks(points)
-            if presence >= _LEAST_PRESENCE:
-                read.append((points, presence))
+        for square in self.find(look.shown, look.least_score):
+            points, presence = self.glance(look.picture, look.in_picture(square))
+            if presence < _FAINTEST_GLANCE:
+                continue
+            seen = self.read(look.picture, _square_of_landmarks(points))
+            inside = ((seen.points > 0) & (seen.points < [width, height])).all(1).mean()
+            if seen.presence < _LEAST_PRESENCE or inside < _LEAST_INSIDE:
+                continue
+            if seen.sure or not look.last_resort:
+                read.append((seen.points, seen.presence))
         # cloth and leaves reach two thirds of a real face's probability; a lone weak face is kept
         strongest = max((presence for _, presence in read), default=0.0)
         read = [face for face in read if face[1] >= _WEAKEST_SHARE * strongest]
@@ -69,14 +99,16 @@ class MediaPipeLandmarker:
             if not any(_part_of(points, larger) for larger, _ in read[:i])
         ]
 
-    def find(self, image: UInt8[ndarray, "h w 3"]) -> list[Square]:
+    def find(
+        self, image: UInt8[ndarray, "h w 3"], least_score: float = LEAST_SCORE
+    ) -> list[Square]:
         """Upright squares around the faces that BlazeFace sees, the surest first."""
         scores, candidates = [], []
         whole, *parts = views(*image.shape[:2])
         for square in (whole, *parts):
             seen = square.cut(image, SIDE, cv2.BORDER_CONSTANT)
             regressors, logits = self._detector.run(seen / np.float32(127.5) - 1)[:2]
-            score, found = decode(regressors.reshape(-1, 16), logits.ravel())
+            score, found = decode(regressors.reshape(-1, 16), logits.ravel(), least_score)
             # a face that a part of the picture cuts is whole in another
             inside = (square is whole) | ((found[:, :2] > 0) & (found[:, :2] < 1)).all((1, 2))
             scores.append(score[inside])
@@ -86,14 +118,61 @@ class MediaPipeLandmarker:
             for candidate in suppress(np.concatenate(scores), np.concatenate(candidates))
         ]
 
-    def read(
-        self, image: UInt8[ndarray, "h w 3"], square: Square
+    def read(self, image: UInt8[ndarray, "h w 3"], square: Square) -> "Reading":
+        """The face in ``square``, read in slightly different squares and their mirror images.
+
+        The mean of six readings scatters a quarter less than one, over lamps that light a still
+        face one by one.
+        """
+        points, presences = [], []
+        for scale, shift, turn_rad in _GLANCES:
+            other = Square(
+                centre=square.centre + shift * square.side,
+                side=scale * square.side,
+                angle_rad=square.angle_rad + turn_rad,
+            )
+            for mirror in (False, True):
+                seen, presence = self.glance(image, other, mirror=mirror)
+                points.append(seen)
+                presences.append(presence)
+        mean = np.mean(points, axis=0)
+        apart = np.median(np.linalg.norm(points - mean, axis=2))
+        return Reading(
+            points=mean,
+            presence=float(np.mean(presences)),
+            scatter=float(apart / np.ptp(mean, axis=0).max()),
+        )
+
+    def glance(
+        self, image: UInt8[ndarray, "h w 3"], square: Square, *, mirror: bool = False
     ) -> tuple[Float[ndarray, "478 2"], float]:
         """Pixels (x, y) of the 478 points of the face in ``square``; the probability of a face."""
         seen = square.cut(image, self._landmarks.side, cv2.BORDER_REPLICATE)
+        if mirror:
+            seen = seen[:, ::-1]
         points, logit = self._landmarks.run(seen / np.float32(255))[:2]
         points = points.reshape(POINTS, 3)[:, :2].astype(np.float64) / self._landmarks.side
+        if mirror:
+            points = np.array([1, 0]) + points[_mirrored_points()] * [-1, 1]
         return square.to_picture(points), float(1 / (1 + np.exp(-logit.item())))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """The mean of several readings of one face: ``points`` (478,2), pixels (x, y).
+
+    ``presence`` is the probability of a face, ``scatter`` the points' median distance from their
+    mean, over the face's extent.
+    """
+
+    points: Float[ndarray, "478 2"]
+    presence: float
+    scatter: float
+
+    @property
+    def sure(self) -> bool:
+        """Whether it is a face beyond what a wall or a cave reaches now and then."""
+        return self.presence >= _SURE_PRESENCE and self.scatter < _SURE_SCATTER
 
 
 def _square_of_candidate(candidate: Float[ndarray, "8 2"]) -> Square:
@@ -124,6 +203,17 @@ def eye_axes(points: Float[ndarray, "478 2"]) -> Float[ndarray, "2 2"]:
     """Rows: from the right eye's outer corner to the left's, and as far at right angles down."""
     x, y = points[_LEFT_EYE] - points[_RIGHT_EYE]
     return np.array([[x, y], [-y, x]])
+
+
+@cache
+def _mirrored_points() -> Int[ndarray, "478"]:
+    """Which point of a mirror image is which (``tools/build_mirrored_points.py``)."""
+    source = files("skylight.faces") / "data" / "mirrored_points.npy"
+    try:
+        with source.open("rb") as stream:
+            return np.load(stream).astype(np.int64)
+    except (OSError, ValueError) as error:
+        raise AssetError(f"{source} cannot be read ({error}); reinstall skylight") from error
 
 
 @cache

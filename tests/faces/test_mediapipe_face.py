@@ -50,6 +50,10 @@ def reference(shared_data):
     return picture, made.reshape(478, 3)[:, :2].astype(np.float64)
 
 
+def upright_around(points):
+    return upright(np.stack([points.min(0), points.max(0)]), points[33], points[263])
+
+
 class TestBlazeFace:
     # anchors: row by row, 2 in each of 16 x 16 cells, then 6 in each of 8 x 8
     @pytest.mark.parametrize(
@@ -196,6 +200,52 @@ class TestLandmarker:
         off = np.linalg.norm((face.points - [400, 300]) * 2 - found[0].points, axis=1)
         assert off.mean() < 0.06 * found[0].eye_distance_px
 
+    def test_a_face_that_fills_the_picture_is_found_once(self, landmarker, found):
+        (whole,) = found
+        left, top = np.round(whole.points[17:].min(0) - 12).astype(int)
+        right, bottom = np.round(whole.points[17:].max(0) + 12).astype(int)
+        (face,) = landmarker.detect(np.ascontiguousarray(astronaut()[top:bottom, left:right]))
+        off = np.linalg.norm(face.points - (whole.points - np.array([left, top])), axis=1)
+        assert off[17:].mean() < 0.04 * whole.eye_distance_px
+
+    def test_a_face_in_the_dark_is_found(self, landmarker, found):
+        light = (astronaut() / 255) ** 2.2 * 0.005
+        noise = np.random.default_rng(0).normal(0, 0.0005, light.shape)
+        dark = ((light + noise).clip(0, 1) ** (1 / 2.2) * 255).round().astype(np.uint8)
+        (face,) = landmarker.detect(dark)
+        off = np.linalg.norm(face.points - found[0].points, axis=1) / found[0].eye_distance_px
+        assert off[17:].mean() < 0.05
+
+    @pytest.mark.parametrize("quarter_turns", [1, 3])
+    def test_a_face_on_its_side_is_found(self, landmarker, found, quarter_turns):
+        picture = np.rot90(astronaut(), -quarter_turns)
+        (face,) = landmarker.detect(np.ascontiguousarray(picture))
+        turn = np.array([[0.0, -1.0], [1.0, 0.0]])
+        turn = np.linalg.matrix_power(turn, quarter_turns)
+        expected = (found[0].points - 256) @ turn.T + 256
+        off = np.linalg.norm(face.points - expected, axis=1) / found[0].eye_distance_px
+        assert off[17:].mean() < 0.04
+
+    def test_a_mirror_image_has_mirrored_landmarks(self, landmarker):
+        ((_, presence),) = landmarker.faces(astronaut())
+        square = landmarker.find(astronaut())[0]
+        plain, _ = landmarker.glance(astronaut(), square)
+        again, mirror_presence = landmarker.glance(astronaut(), square, mirror=True)
+        off = np.linalg.norm(again - plain, axis=1) / np.linalg.norm(eye_axes(plain)[0])
+        # a point taken for its neighbour is 0.05 off and more
+        assert off.max() < 0.06
+        assert np.median(off) < 0.02
+        assert min(presence, mirror_presence) > 0.9
+
+    def test_a_face_is_sure_and_a_wall_is_not(self, landmarker):
+        square = landmarker.find(astronaut())[0]
+        points, _ = landmarker.glance(astronaut(), square)
+        assert landmarker.read(astronaut(), upright_around(points)).sure
+        bricks = np.kron(
+            np.random.default_rng(0).integers(0, 256, (16, 16, 3)), np.ones((32, 32, 1))
+        ).astype(np.uint8)
+        assert not landmarker.read(bricks, square).sure
+
     @pytest.mark.parametrize("shape", [(1, 1, 3), (40, 300, 3), (480, 640, 3)])
     def test_no_face_in_nothing(self, landmarker, shape):
         noise = np.random.default_rng(1).integers(0, 256, shape, dtype=np.uint8)
@@ -209,7 +259,7 @@ class TestLandmarker:
         """
         picture, expected = reference
         whole = Square(centre=np.array([128.0, 128.0]), side=256.0, angle_rad=0.0)
-        points, presence = landmarker.read(picture, whole)
+        points, presence = landmarker.glance(picture, whole)
         gap = np.abs(points - expected)
         assert gap.max() < 1.1
         assert gap.mean() < 0.25
