@@ -14,7 +14,7 @@ from skylight.work.device import Device
 # Parsing must not import torch, so the choices stand here again; a test compares the two.
 Light = Literal["autoencoder", "sunsky", "sh9", "sh25"]
 ObjectLight = Literal["ani", "iso", "vmf", "sh9", "sh25", "sh49"]
-Landmarks = Literal["dlib", "mediapipe"]
+Landmarks = Literal["mediapipe", "dlib"]
 Head = Literal["fitted", "deformed"]
 Decoding = tyro.conf.create_mutex_group(required=False)
 
@@ -32,7 +32,7 @@ def estimate(
     out: Path | None = None,
     gamma: Annotated[float | None, Decoding] = None,
     linear: Annotated[bool, Decoding] = False,
-    landmarks: Landmarks = "dlib",
+    landmarks: Landmarks = "mediapipe",
     workers: int = 0,
     cluster: str | None = None,
     retry_failed: bool = False,
@@ -71,7 +71,7 @@ def estimate(
         out: Folder for the results; by default PHOTO's name with _light, in the current folder.
         gamma: The picture's values are light to the power of 1/GAMMA, instead of sRGB.
         linear: The picture's values are proportional to light, instead of sRGB.
-        landmarks: What finds the face: dlib, or MediaPipe's landmarker, free for commercial use.
+        landmarks: What finds the face: MediaPipe's landmarker, or dlib's, an extra for research.
         workers: Of a folder: processes that work at the same time; 0 for one per core. Each takes
             up to 1.6 GB.
         cluster: Of a folder: a dask scheduler's address, whose workers do it instead.

@@ -1,4 +1,4 @@
-"""dlib's face detector and its 68 landmarks (research use)."""
+"""dlib's face detector and its 68 landmarks (research use), with the extra ``dlib``."""
 
 import importlib
 import importlib.metadata
@@ -10,12 +10,13 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from skylight.errors import AssetError
+from skylight.errors import AssetError, DependencyError
 from skylight.faces.landmarks import DetectedFace
 
 WEAKEST_SHARE = 0.15
 WEAKEST_SCORE = -0.3  # of dlib's detector, whose faces have 0 and more
 _PREDICTOR = "face_recognition_models/models/shape_predictor_68_face_landmarks.dat"
+_INSTALL = "dlib's landmarks (for research only) are an extra: pip install 'skylight[dlib]'"
 _DETECTION_SIDE_PX = 800  # dlib's detector finds faces of 80 px and more; larger costs only time
 
 
@@ -23,10 +24,20 @@ class DlibLandmarker:
     """dlib's frontal detector with the 68-point regression trees of Kazemi & Sullivan (2014).
 
     The thesis' own landmarks; the trees' training data exclude commercial use.
+
+    Raises
+    ------
+    DependencyError
+        The extra is not installed.
+    AssetError
+        Its model is missing.
     """
 
     def __init__(self) -> None:
-        self._dlib: Any = importlib.import_module("dlib")  # without type stubs
+        try:
+            self._dlib: Any = importlib.import_module("dlib")  # without type stubs
+        except ImportError as error:
+            raise DependencyError(_INSTALL) from error
         self._detector = self._dlib.get_frontal_face_detector()
         self._predictor = self._dlib.shape_predictor(str(predictor_path()))
         self._one_at_a_time = threading.Lock()  # the detector keeps its picture's features
@@ -62,10 +73,7 @@ def predictor_path() -> Path:
     try:
         package = importlib.metadata.distribution("face_recognition_models")
     except importlib.metadata.PackageNotFoundError as error:
-        raise AssetError(
-            "the package face_recognition_models (dlib's landmark model) is missing: "
-            "pip install face_recognition_models"
-        ) from error
+        raise DependencyError(_INSTALL) from error
     path = Path(str(package.locate_file(_PREDICTOR)))
     if not path.is_file():
         raise AssetError(f"{path}: dlib's landmark model is missing; reinstall its package")

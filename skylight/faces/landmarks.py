@@ -8,7 +8,7 @@ from jaxtyping import Float, UInt8
 
 from skylight.errors import InputError
 
-LandmarkerName = Literal["dlib", "mediapipe"]
+LandmarkerName = Literal["mediapipe", "dlib"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -87,16 +87,18 @@ def fit_visible(
 
 
 @cache
-def choose_landmarker(name: LandmarkerName = "dlib") -> FaceLandmarker:
+def choose_landmarker(name: LandmarkerName = "mediapipe") -> FaceLandmarker:
     """What finds faces, one a process: its models are loaded once.
 
     Raises
     ------
     InputError
         No such landmarker.
+    DependencyError
+        dlib's is an extra that is not installed.
     """
     if name == "mediapipe":
         return MediaPipeLandmarker()
     if name != "dlib":
-        raise InputError(f"{name!r} is no landmarker; choose dlib or mediapipe")
+        raise InputError(f"{name!r} is no landmarker; choose mediapipe or dlib")
     return DlibLandmarker()

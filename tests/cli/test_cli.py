@@ -93,7 +93,7 @@ class TestResults:
         assert len(told["params"]) == 27
         (face,) = told["faces"]
         assert face["source"] == told["sources"][0]
-        assert face["landmarker"] == "dlib"
+        assert face["landmarker"] == "mediapipe"
         assert face["landmark_score"] > 0
         assert "onnxruntime" in told["versions"]
         assert 0 < min(face["albedo"]) < max(face["albedo"]) < 1

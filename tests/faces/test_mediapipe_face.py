@@ -165,8 +165,11 @@ class TestLandmarker:
         (face,) = found
         assert face.landmarker == "mediapipe"
         assert face.score > 0.9
+
+    def test_dlib_sees_her_alike(self, found):
+        pytest.importorskip("dlib", reason="the extra dlib is not installed")
         other = DlibLandmarker().detect(astronaut())[0]
-        off = np.linalg.norm(face.points - other.points, axis=1) / other.eye_distance_px
+        off = np.linalg.norm(found[0].points - other.points, axis=1) / other.eye_distance_px
         assert off[17:].mean() < 0.05
 
     @pytest.mark.parametrize("turns", [1, 2])
@@ -266,6 +269,7 @@ class TestLandmarker:
         assert presence == pytest.approx(1 / (1 + np.exp(-4.4648)), abs=1e-3)
 
     def test_rendered_people_are_read_better_than_by_dlib(self, landmarker):
+        pytest.importorskip("dlib", reason="the extra dlib is not installed")
         light = np.full((8, 16, 3), 0.3, np.float32)
         light[2, 5] = 20
         sky = EnvironmentMap(radiance=torch.from_numpy(light))

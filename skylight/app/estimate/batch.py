@@ -45,7 +45,7 @@ class BatchSettings:
     face: WhichFaces = 1
     head: HeadName = "fitted"
     decode: Decode | None = None
-    landmarks: LandmarkerName = "dlib"
+    landmarks: LandmarkerName = "mediapipe"
     device: str = "auto"
 
     def __post_init__(self) -> None:

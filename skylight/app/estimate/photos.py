@@ -45,7 +45,7 @@ def estimate(
     head: HeadName = "fitted",
     decode: Decode | None = None,
     device: str = "auto",
-    landmarks: LandmarkerName | FaceLandmarker = "dlib",
+    landmarks: LandmarkerName | FaceLandmarker = "mediapipe",
     progress: StageProgress | None = None,
 ) -> Estimate:
     """The light in which a face was photographed, or several.
@@ -77,7 +77,7 @@ def estimate(
     device
         Where the light is optimised: "cpu", "cuda", or "auto" for CUDA where it is.
     landmarks
-        What finds the face: "dlib", "mediapipe" (free for commercial use), or a
+        What finds the face: "mediapipe", "dlib" (for research only, an extra), or a
         :class:`~skylight.faces.landmarks.FaceLandmarker` of your own.
     progress
         Called with the name of a stage and the share of it that is done.
@@ -118,7 +118,7 @@ def estimate_photo(
     head: HeadName = "fitted",
     decode: Decode | None = None,
     device: str = "auto",
-    landmarks: LandmarkerName | FaceLandmarker = "dlib",
+    landmarks: LandmarkerName | FaceLandmarker = "mediapipe",
     names: Sequence[str] | None = None,
     workers: int | None = None,
     progress: StageProgress | None = None,

@@ -47,7 +47,7 @@ SHOWN, SHEET_WIDTH = 10, 2500  # faces of Fig. 5.6, in two columns
 
 @dataclass(frozen=True, kw_only=True)
 class SyntheticFaces:
-    """Rendered people (of the folder ``data``, or rendered here), heads from dlib's landmarks.
+    """Rendered people (of the folder ``data``, or rendered here), heads from their landmarks.
 
     ``ablation`` adds what the autoencoder makes of the true head, and of the fitted one with the
     true albedo and from the true light: three times the time.
