@@ -1,7 +1,8 @@
 """Networks of MediaPipe from TensorFlow Lite to ONNX, so that onnxruntime runs them.
 
     pip install tflite onnx ai-edge-litert
-    python tools/convert_networks.py face_landmarker.task --out skylight/faces/data
+    python tools/convert_networks.py face_landmarker.task hair_segmenter.tflite \\
+        --out skylight/faces/data
 
 Takes ``.tflite`` files and ``.task`` files, which are zips of them; of the face landmarker's, the
 detector and the landmarks. Weights keep their precision (float16 ones are cast as the network is

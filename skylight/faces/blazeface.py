@@ -9,7 +9,7 @@ from functools import cache
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Float32, Real
 from numpy import ndarray
 
 SIDE = 128  # of its pictures
@@ -37,8 +37,8 @@ class Square:
         return self.centre + (points - 0.5) @ self.axes.T
 
     def cut(
-        self, image: UInt8[ndarray, "h w 3"], side: int, border: int
-    ) -> UInt8[ndarray, "{side} {side} 3"]:
+        self, image: Real[ndarray, "h w 3"], side: int, border: int
+    ) -> Real[ndarray, "{side} {side} 3"]:
         """What it shows of a picture, ``side`` pixels a side; ``border`` is one of OpenCV's."""
         finer = max(1, round(self.side / side))  # then averaged: bilinear samples alone alias
         step = self.axes / (side * finer)
@@ -48,6 +48,15 @@ class Square:
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         shown = cv2.warpAffine(image, matrix, size, flags=flags, borderMode=border)
         return cv2.resize(shown, (side, side), interpolation=cv2.INTER_AREA)
+
+    def paste(
+        self, shown: Float32[ndarray, "side side"], height: int, width: int
+    ) -> Float32[ndarray, "{height} {width}"]:
+        """A picture of 0 but for what the square shows, as :meth:`cut` cuts it out."""
+        step = self.axes / len(shown)
+        first = self.to_picture(np.zeros(2)) + step @ [0.5, 0.5] - 0.5
+        matrix = np.column_stack([step, first])
+        return cv2.warpAffine(shown, matrix, (width, height), flags=cv2.INTER_LINEAR)
 
 
 def upright(

@@ -41,13 +41,13 @@ class Network:
         """Rows and columns of the picture."""
         return self._input.shape[1]
 
-    def run(self, picture: Float32[ndarray, "s s 3"]) -> list[ndarray]:
-        """All outputs for one picture, in the model's order."""
+    def run(self, picture: Float32[ndarray, "s s c"]) -> list[ndarray]:
+        """All outputs for one picture of as many channels as it takes, in the model's order."""
         outputs = self._session.run(None, {self._input.name: picture[None]})
         return [np.asarray(output) for output in outputs]
 
 
 @cache
 def network(name: str) -> Network:
-    """``face_detector`` or ``face_landmarks``, loaded once a process."""
+    """``face_detector``, ``face_landmarks`` or ``hair_segmenter``, loaded once a process."""
     return Network(name)

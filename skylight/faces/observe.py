@@ -9,9 +9,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from skylight.errors import InputError
+from skylight.faces.blazeface import Square
 from skylight.faces.fit import FaceFit
 from skylight.faces.model import HeadModel, Region
-from skylight.faces.skin_mask import SkinLikeness
+from skylight.faces.segmentation.hair import hair_probability
+from skylight.faces.segmentation.skin_mask import SkinLikeness
 from skylight.sphere.envmap import luminance
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.camera import Camera
@@ -31,6 +33,10 @@ DARK_SHARE = 0.01
 STRANGE_COLOUR = 3.5
 # Where more than this part was over-exposed, the light is known to have been at least so bright.
 CLIPPED_SHARE = 0.02
+# Where hair is likelier than this, there is no skin,
+HAIR_SHARE = 0.5
+# of hair looked for in a square of so many times the height of the face.
+HAIR_SQUARE = 2.0
 FEWEST_PIXELS = 60
 # The rest of the head tells where a sun behind the face stands, where it is bare: parts, and how
 # dark against the face their skin may be. What is above a hairline is lit from the sky.
@@ -79,14 +85,24 @@ def observe_face(
     gloss as much.
     """
     vertices, faces = torch.from_numpy(fit.vertices), torch.from_numpy(model.faces.copy())
-    image, camera, clipped_share = _cut_out(picture, clipped, model, fit, face_height_px)
+    hair = hair_probability(picture, _around_head(model, fit))
+    image, camera, (clipped_share, hair_share) = _cut_out(
+        picture, [clipped.float().numpy(), hair], model, fit, face_height_px
+    )
     raycaster = Raycaster(vertices, faces)
     surface = rasterize(camera, vertices, faces, raycaster)
     view = -torch.nn.functional.normalize(surface.positions, dim=1)
     facing = (surface.normals * view).sum(1)
     rows, columns = surface.pixels.unbind(1)
     over = clipped_share[rows, columns] > CLIPPED_SHARE
-    on_skin = _bare_skin(image, clipped_share > CLIPPED_SHARE, surface, facing, model)
+    on_skin = _bare_skin(
+        image,
+        clipped_share > CLIPPED_SHARE,
+        hair_share > HAIR_SHARE,
+        surface,
+        facing,
+        model,
+    )
     seen = image[rows, columns]
     if not bool(on_skin.any()):
         raise InputError("the face is turned away: no skin of it faces the camera")
@@ -124,12 +140,12 @@ def observe_face(
 
 def _cut_out(
     picture: Float[Tensor, "h w 3"],
-    clipped: Bool[Tensor, "h w"],
+    maps: list[Float[np.ndarray, "h w"]],
     model: HeadModel,
     fit: FaceFit,
     face_height_px: int,
-) -> tuple[Float[Tensor, "h2 w2 3"], Camera, Float[Tensor, "h2 w2"]]:
-    """The head's part of the picture, area-averaged, its camera, and the share clipped."""
+) -> tuple[Float[Tensor, "h2 w2 3"], Camera, list[Float[Tensor, "h2 w2"]]]:
+    """The head's part of the picture, area-averaged, its camera, and so the ``maps``."""
     camera = fit.camera
     image = camera.project(torch.from_numpy(fit.vertices)).numpy()
     skin = image[model.regions == Region.FACE]
@@ -143,9 +159,13 @@ def _cut_out(
     window = (slice(low[1], high[1]), slice(low[0], high[0]))
     area = (int(size[0]), int(size[1]))
     part = np.ascontiguousarray(picture[window].numpy())
-    over = np.ascontiguousarray(clipped[window].numpy().astype(np.float32))
     small = cv2.resize(part, area, interpolation=cv2.INTER_AREA)
-    share = cv2.resize(over, area, interpolation=cv2.INTER_AREA)
+    shares = [
+        torch.from_numpy(
+            cv2.resize(np.ascontiguousarray(each[window]), area, interpolation=cv2.INTER_AREA)
+        )
+        for each in maps
+    ]
     ratio = size / (high - low)
     cut = Camera(
         focal_px=camera.focal_px * float(ratio.mean()),
@@ -156,23 +176,35 @@ def _cut_out(
             float((camera.center_px[1] - low[1]) * ratio[1]),
         ),
     )
-    return torch.from_numpy(small), cut, torch.from_numpy(share)
+    return torch.from_numpy(small), cut, shares
+
+
+def _around_head(model: HeadModel, fit: FaceFit) -> Square:
+    """The square in which hair is looked for: about the face, and upright with it."""
+    skin = fit.camera.project(torch.from_numpy(fit.vertices[model.regions == Region.FACE])).numpy()
+    right, up = fit.rotation[:2, 0]  # where the head's own left points to: +X right, +Y up
+    return Square(
+        centre=(skin.min(0) + skin.max(0)) / 2,
+        side=float(HAIR_SQUARE * np.ptp(skin, axis=0).max()),
+        angle_rad=float(np.arctan2(-up, right)),
+    )
 
 
 def _bare_skin(
     image: Float[Tensor, "h w 3"],
     clipped: Bool[Tensor, "h w"],
+    hair: Bool[Tensor, "h w"],
     surface: GBuffer,
     facing: Float[Tensor, " m"],
     model: HeadModel,
 ) -> Bool[Tensor, " m"]:
-    """The surface's pixels that show skin, on the face and wherever else the head is bare.
+    """The surface's pixels that show skin, on the face and wherever else the head is bare of hair.
 
     Their eight neighbours show the same part: borders mix with what lies beside. Over-exposed
     skin has lost its colour, so on the face it needs none, and elsewhere it is skin where what
     is not over-exposed beside it is.
     """
-    linear, white = image.numpy(), clipped.numpy()
+    linear, white, bald = image.numpy(), clipped.numpy(), ~hair.numpy()
 
     def mask(regions: list[Region], *, whole: bool) -> Bool[np.ndarray, "h w"]:
         corners = np.isin(model.regions, regions)[model.faces]
@@ -183,10 +215,10 @@ def _bare_skin(
             drawn = cv2.erode(drawn, np.ones((3, 3), np.uint8), borderValue=0)
         return drawn > 0
 
-    face = mask([Region.FACE], whole=True)
+    face = mask([Region.FACE], whole=True) & bald
     if not (face & ~white).any():
         return torch.from_numpy(face)[surface.pixels[:, 0], surface.pixels[:, 1]]
-    head = mask([Region.FACE, *BARE_PARTS], whole=False)
+    head = mask([Region.FACE, *BARE_PARTS], whole=False) & bald
     likeness = SkinLikeness.of(linear, face, white)
     skin = face & (white | (likeness.colour_distance < STRANGE_COLOUR))
     for region, darkest in BARE_PARTS.items():

@@ -126,6 +126,14 @@ class TestSquare:
         whole = Square(centre=np.array([32.0, 32.0]), side=64.0, angle_rad=0.0)
         np.testing.assert_array_equal(whole.cut(picture, 64, cv2.BORDER_CONSTANT), picture)
 
+    def test_what_is_pasted_is_what_was_cut(self):
+        y, x = np.indices((400, 600)) / 50.0
+        picture = (np.sin(x)[..., None] * np.cos(y)[..., None] * [1, 1, 1]).astype(np.float32)
+        pasted = SHOWN.paste(SHOWN.cut(picture, 240, cv2.BORDER_CONSTANT)[..., 0].copy(), 400, 600)
+        inside = SHOWN.paste(np.ones((240, 240), np.float32), 400, 600)
+        assert inside.sum() == pytest.approx(SHOWN.side**2, rel=0.01)
+        np.testing.assert_allclose(pasted[inside == 1], picture[..., 0][inside == 1], atol=0.005)
+
     def test_eyes_are_level_in_it(self):
         box = np.array([[10.0, 20.0], [50.0, 70.0]])
         right, left = np.array([20.0, 40.0]), np.array([40.0, 50.0])

@@ -9,16 +9,17 @@ from skylight.faces.networks import Network, network
 
 
 @pytest.mark.parametrize(
-    ("name", "side", "sizes"),
+    ("name", "side", "channels", "sizes"),
     [
-        ("face_detector", 128, [896 * 16, 896]),
-        ("face_landmarks", 256, [478 * 3, 1, 1]),
+        ("face_detector", 128, 3, [896 * 16, 896]),
+        ("face_landmarks", 256, 3, [478 * 3, 1, 1]),
+        ("hair_segmenter", 512, 4, [512 * 512 * 2]),
     ],
 )
-def test_what_goes_in_and_out(name, side, sizes):
+def test_what_goes_in_and_out(name, side, channels, sizes):
     made = network(name)
     assert made.side == side
-    picture = np.random.default_rng(0).random((side, side, 3), dtype=np.float32)
+    picture = np.random.default_rng(0).random((side, side, channels), dtype=np.float32)
     outputs = made.run(picture)
     assert [output.size for output in outputs] == sizes
     assert all(np.isfinite(output).all() for output in outputs)

@@ -8,6 +8,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from skylight.errors import InputError
+from skylight.faces import observe
 from skylight.faces.model import HeadModel, Region
 from skylight.faces.observe import BARE_PARTS, GRAZING_COSINE, observe_face
 from skylight.faces.synthetic import render_face
@@ -166,6 +167,34 @@ def test_over_exposed_pixels_are_lower_bounds(head, person, view):
     assert float((~lost.clipped).float().mean()) > 0.25
     with pytest.raises(InputError, match="0 usable pixels"):
         observed(head, person, clipped=torch.ones_like(clipped))
+
+
+def test_hair_is_left_out(head, person, view, monkeypatch):
+    points = person.truth.camera.project(view.surface.positions[view.used])
+    middle = int(points[:, 0].mean())
+
+    def left_of_middle(picture, square):
+        probability = np.zeros(picture.shape[:2], np.float32)
+        probability[:, :middle] = 1
+        return probability
+
+    monkeypatch.setattr(observe, "hair_probability", left_of_middle)
+    half = observed(head, person)
+    left = person.truth.camera.project(half.surface.positions[half.used])
+    assert float(left[:, 0].min()) > middle - 1
+    assert 0.2 < len(left) / len(points) < 0.8
+
+
+def test_hair_is_looked_for_around_the_upright_head(head, person):
+    square = observe._around_head(head, person.truth)
+    at = person.truth.camera.project(torch.from_numpy(person.truth.vertices)).numpy()
+    inside = np.linalg.solve(square.axes, (at - square.centre).T)
+    face = inside[:, head.regions == Region.FACE]
+    assert np.abs(face).max() < 0.3  # the face's half of the square is its middle
+    assert np.abs(face).max() > 0.2
+    eyes = inside[:, head.regions == Region.EYEBALL]
+    left, right = eyes[:, eyes[0] > 0].mean(1), eyes[:, eyes[0] < 0].mean(1)
+    assert abs(left[1] - right[1]) < 0.02  # level
 
 
 def test_dark_pixels_are_left_out(head, person, view):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skylight.faces.skin_mask import SkinLikeness, colour_distance, roughness
+from skylight.faces.segmentation.skin_mask import SkinLikeness, colour_distance, roughness
 
 SKIN = np.array([0.4, 0.25, 0.18])
 SIZE = 40
