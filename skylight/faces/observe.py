@@ -14,6 +14,7 @@ from skylight.faces.fit import FaceFit
 from skylight.faces.model import HeadModel, Region
 from skylight.faces.segmentation.hair import hair_probability
 from skylight.faces.segmentation.skin_mask import SkinLikeness
+from skylight.faces.skin import pigment_modes
 from skylight.sphere.envmap import luminance
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.camera import Camera
@@ -134,8 +135,15 @@ def observe_face(
         gloss=gloss,
         clipped=over[used] if bool(over[used].any()) else None,
         grey=grey,
+        modes=_modes(surface, used, model),
     )
     return FaceView(image=image, camera=camera, surface=surface, used=used, observation=observation)
+
+
+def _modes(surface: GBuffer, used: Bool[Tensor, " m"], model: HeadModel) -> Float[Tensor, "u k"]:
+    """How pigments may vary at the used pixels: the modes of their triangles' corners."""
+    corners = torch.from_numpy(pigment_modes()[model.faces[surface.faces[used].numpy()]])
+    return (corners * surface.barycentric[used][..., None]).sum(1).float()
 
 
 def _cut_out(

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from skylight.faces.fit import FaceFit
 from skylight.faces.model import HeadModel, Region
+from skylight.faces.paint import paint
 from skylight.faces.skin import SkinPrior
 from skylight.imaging.colour import linear_to_srgb, srgb_to_linear
 from skylight.models.ground import LambertianGround
@@ -21,13 +22,6 @@ from skylight.transport.gbuffer import rasterize
 from skylight.transport.raycast import Raycaster
 from skylight.transport.render import FINE_HEIGHT, Specular, render_diffuse
 
-# Where skin is not skin: factors on the albedo of the cheeks, linear RGB (nominal).
-_REGION_TINT: dict[Region, tuple[float, float, float]] = {
-    Region.LIPS: (0.8, 0.55, 0.6),
-    Region.BROW: (0.25, 0.22, 0.2),
-    Region.MOUTH: (0.35, 0.2, 0.2),
-}
-_SCLERA, _IRIS = (0.62, 0.6, 0.57), (0.05, 0.035, 0.025)
 BACKGROUND = 0.18  # mid-grey wall behind the head, in units of the exposed picture
 
 
@@ -61,9 +55,9 @@ def render_face(
     """A random person under a sky turned by a random azimuth (or the given one).
 
     Geometry, expression, pose (yaw 15, pitch 8, roll 5 degrees, standard deviations), focal
-    length, skin albedo with smooth variations of about 6 %, a glossy lobe, sensor noise of
-    0.5 % and 8-bit sRGB all follow from ``seed``. The light has 64 x 128 pixels, sampled far
-    finer than the transport of an estimate where it is bright (``light_rows``).
+    length, skin albedo and how it varies with melanin and blood (:func:`paint`), a glossy lobe,
+    sensor noise of 0.5 % and 8-bit sRGB all follow from ``seed``. The light has 64 x 128 pixels,
+    sampled far finer than the transport of an estimate where it is bright (``light_rows``).
     """
     rng = np.random.default_rng(seed)
     model = HeadModel.load()
@@ -85,7 +79,7 @@ def render_face(
     raycaster = Raycaster(mesh, faces)
     surface = rasterize(camera, mesh, faces, raycaster)
     skin = SkinPrior.load().sample(1, torch.Generator().manual_seed(seed))[0].clamp(0.001, 0.9)
-    painted = torch.from_numpy(_paint(model, skin.numpy(), rng))
+    painted = torch.from_numpy(paint(skin.numpy(), rng))
     albedo = (painted[faces[surface.faces]] * surface.barycentric[..., None]).sum(1)
     radiance = render_diffuse(
         surface,
@@ -121,19 +115,3 @@ def render_face(
             converged=True,
         ),
     )
-
-
-def _paint(
-    model: HeadModel, skin: Float[ndarray, "3"], rng: np.random.Generator
-) -> Float[ndarray, "n 3"]:
-    """Albedo per vertex: skin with smooth variation, lips, brows, eyes."""
-    waves = rng.normal(0, 90, (24, 3))  # 1/m: blotches of some centimetres
-    phase = rng.uniform(0, 2 * math.pi, 24)
-    blotches = np.cos(model.mean @ waves.T + phase).sum(1) * math.sqrt(2 / 24)
-    painted = skin * np.exp(0.06 * blotches)[:, None]
-    for region, tint in _REGION_TINT.items():
-        painted[model.regions == region] *= np.array(tint)
-    eyes = np.flatnonzero(model.regions == Region.EYEBALL)
-    front = model.mean[eyes, 2] > np.quantile(model.mean[eyes, 2], 0.8)
-    painted[eyes] = np.where(front[:, None], np.array(_IRIS), np.array(_SCLERA))
-    return painted.clip(0.001, 0.95)

@@ -15,7 +15,10 @@ UNEXPLAINED = 0.25  # a face whose residual is larger cannot be trusted
 
 @dataclass(frozen=True, kw_only=True)
 class FaceLight:
-    """What a face does with the light: it sees ``albedo * T l + gloss * G l`` with l exposed.
+    """What a face does with the light: ``white_balance * (pixel_albedo * T l + gloss * G l)``.
+
+    l is the light exposed, and ``pixel_albedo`` (m,3) varies about ``albedo``, its geometric mean
+    over the skin of the face, with melanin and blood; it is ``albedo`` for what is no face.
 
     ``photo`` is the number of its photograph among all that were given, from 0, and ``exposure``
     that photograph's, as are the gains ``white_balance``, of product 1, by which it shows each
@@ -28,6 +31,7 @@ class FaceLight:
     exposure: float
     white_balance: Float[Tensor, "3"]
     albedo: Float[Tensor, "3"]
+    pixel_albedo: Float[Tensor, "m 3"]
     gloss: float
     rendered: Float[Tensor, "m 3"]
     residual: float

@@ -126,16 +126,17 @@ class SkyTransport(nn.Module):
         self,
         sky: Float[Tensor, "b n 3"],
         ground: Float[Tensor, "b 3"],
-        albedo: Float[Tensor, "b 3"],
+        albedo: Float[Tensor, "b 3"] | Float[Tensor, "b m 3"],
         scene: Int[Tensor, " b"] | None = None,
     ) -> Float[Tensor, "b m 3"]:
-        """rho (T l) (Eq. 5.2) for a batch of lights, one albedo per light.
+        """rho (T l) (Eq. 5.2) for a batch of lights, with one albedo per light or per point.
 
         ``scene`` is the one that each light falls on, in ascending order; None where there is
         but one.
         """
         radiance = torch.cat([sky, ground[:, None]], dim=1)
-        return albedo[:, None] * shade_scenes(self.folded, radiance, scene)
+        per_point = albedo if albedo.dim() == 3 else albedo[:, None]
+        return per_point * shade_scenes(self.folded, radiance, scene)
 
 
 def shade_scenes(

@@ -23,6 +23,9 @@ class Observation:
     ``places`` (m,2) are the pixels' (row, column) in their picture: the image pyramid merges
     neighbours by them.
 
+    ``modes`` (m,k) are smooth fields over the surface by which its albedo may vary (see
+    :func:`skylight.faces.skin.pigment_modes`), or None for what is of one albedo.
+
     ``clipped`` (m,) tells where ``pixels`` are lower bounds, because the picture is over-exposed
     there; None where it is nowhere.
 
@@ -36,6 +39,7 @@ class Observation:
     gloss: TransportMatrix | None = None
     clipped: Bool[Tensor, " m"] | None = None
     grey: bool = False
+    modes: Float[Tensor, "m k"] | None = None
 
     def __post_init__(self) -> None:
         count = len(self.pixels)
@@ -51,6 +55,8 @@ class Observation:
             raise ValueError(f"places ({len(self.places)}) must match pixels ({count})")
         if self.clipped is not None and len(self.clipped) != count:
             raise ValueError(f"clipped ({len(self.clipped)}) must match pixels ({count})")
+        if self.modes is not None and len(self.modes) != count:
+            raise ValueError(f"modes ({len(self.modes)}) must match pixels ({count})")
         if self.gloss is not None and self.gloss.matrix.shape != self.transport.matrix.shape:
             raise ValueError("gloss must have the shape of the transport")
 
@@ -78,6 +84,7 @@ class Observation:
             transport=moved(self.transport),
             gloss=None if self.gloss is None else moved(self.gloss),
             clipped=None if self.clipped is None else self.clipped.to(device),
+            modes=None if self.modes is None else self.modes.to(device),
         )
 
     def scaled(self, factor: float) -> "Observation":
@@ -110,9 +117,9 @@ class Observation:
     def coarser(self, level: int) -> "Observation":
         """The observation at 1 / 2^level of the picture's resolution; level 0 is itself.
 
-        Pixels and transport rows are weighted means over blocks, which commutes with shading:
-        it is linear in T. A block's weight is the sum of its pixels' weights. Clipped pixels make
-        blocks of their own.
+        Pixels, modes and transport rows are weighted means over blocks, which commutes with
+        shading: it is linear in T, and modes are smooth. A block's weight is the sum of its pixels'
+        weights. Clipped pixels make blocks of their own.
         """
         if level == 0:
             return self
@@ -125,23 +132,24 @@ class Observation:
         weight = self.weights[kept]
         total = weight.new_zeros(len(blocks)).index_add_(0, index, weight)
         share = (weight / total[index])[:, None]
-        pixels = self.pixels.new_zeros(len(blocks), 3)
-        pixels.index_add_(0, index, share * self.pixels[kept])
+
+        def means(rows: Float[Tensor, "m c"]) -> Float[Tensor, "b c"]:
+            sums = rows.new_zeros(len(blocks), rows.shape[1])
+            return sums.index_add_(0, index, share * rows[kept])
 
         def merged(transport: TransportMatrix) -> TransportMatrix:
-            rows = transport.matrix.new_zeros(len(blocks), len(transport.grid))
-            rows.index_add_(0, index, share * transport.matrix[kept])
-            return TransportMatrix(matrix=rows, grid=transport.grid)
+            return TransportMatrix(matrix=means(transport.matrix), grid=transport.grid)
 
         over = None if self.clipped is None else blocks % 2 == 1
         places = cell.new_zeros(len(blocks), 2)
         places[index] = cell[kept]
         return replace(
             self,
-            pixels=pixels,
+            pixels=means(self.pixels),
             weights=total,
             places=places,
             transport=merged(self.transport),
             gloss=None if self.gloss is None else merged(self.gloss),
             clipped=over,
+            modes=None if self.modes is None else means(self.modes),
         )

@@ -151,11 +151,12 @@ def test_pictures_are_scaled_down_to_the_working_height(head, person):
 def test_over_exposed_pixels_are_lower_bounds(head, person, view):
     points = person.truth.camera.project(view.surface.positions[view.used])
     middle = int(points[:, 0].mean())
-    clipped = person.clipped.clone()
+    clipped = torch.zeros_like(person.clipped)
     clipped[:, :middle] = True
     half = observed(head, person, clipped=clipped)
     points = person.truth.camera.project(half.surface.positions[half.used])
     bound = half.observation.clipped
+    assert bound is not None
     assert bool(bound[points[:, 0] < middle - 1].all())
     assert not bool(bound[points[:, 0] > middle + 1].any())
     assert len(bound) >= len(view.observation.pixels)
@@ -163,6 +164,7 @@ def test_over_exposed_pixels_are_lower_bounds(head, person, view):
     white = person.picture.clone()
     white[:, :middle] = 1.0
     lost = observed(head, person, picture=white, clipped=clipped).observation
+    assert lost.clipped is not None
     assert float(lost.clipped.float().mean()) > 0.25
     assert float((~lost.clipped).float().mean()) > 0.25
     with pytest.raises(InputError, match="0 usable pixels"):

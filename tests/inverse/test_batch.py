@@ -181,7 +181,12 @@ def test_an_objective_of_several_problems_is_that_of_each(seen: list[Observation
     """Values and slopes in float64, whatever of the problems' points are asked for."""
     faces = [FaceTerm.of(double(seen[k])) for k in (0, 1, 3)]
     faces[1] = replace(faces[1], level=torch.tensor([0.5]).double())
-    model, weights = SunSky().double(), ObjectiveWeights()
+    generator = torch.Generator().manual_seed(5)
+    faces = [
+        replace(face, modes=torch.randn(1, face.target.shape[1], 3, generator=generator).double())
+        for face in faces
+    ]
+    model, weights = SunSky().double(), ObjectiveWeights(pigment_spread=1.0)
 
     def objective(face: FaceTerm) -> SkyObjective:
         return SkyObjective([face], model, SUNSKY_PRIOR, ALBEDO_PRIOR, weights)
@@ -195,6 +200,7 @@ def test_an_objective_of_several_problems_is_that_of_each(seen: list[Observation
         torch.linspace(0.7, 1.4, 4).double()[:, None],
         MODES[:4, None].double(),
         torch.full((4, 3), 0.2).double(),
+        pigments=0.1 * torch.randn(4, 1, 2, 3, generator=generator).double(),
     ).requires_grad_(True)
     (slope,) = torch.autograd.grad(together(free, problem).sum(), free)
     for row, p in enumerate(problem.tolist()):

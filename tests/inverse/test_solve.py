@@ -9,11 +9,12 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.faces.skin import SkinPrior
+from skylight.faces.skin import MELANIN_COLOUR, SkinPrior
 from skylight.inverse.estimate import estimate_light
 from skylight.inverse.harmonic.problem import HarmonicProblem
 from skylight.inverse.result import residual
 from skylight.inverse.scale import bayes_scale, scale_nll, tone_prior
+from skylight.inverse.sky.objective import ObjectiveWeights
 from skylight.inverse.sky.problem import SkyProblem
 from skylight.inverse.sky.solver import Round, SolverOptions
 from skylight.models.bundle import load_bundle
@@ -130,6 +131,39 @@ def test_sun_albedo_gloss_and_light_come_back(sun):
     np.testing.assert_allclose(relit, truth, rtol=0.3)
     assert found.faces[0].residual < 0.04  # below the noise that the objective expects
     assert found.advice == ()
+
+
+def darker_below(azimuth, zenith):
+    """A ball out of doors whose lower half has more melanin: 15 % less green."""
+    seen, world = watched(azimuth, zenith)
+    _, normals = ball_normals()
+    below = 0.5 - 0.5 * np.tanh(normals[:, 1] / 0.3)
+    kept = np.exp(math.log(0.85) * below[:, None] * MELANIN_COLOUR)
+    less = (1 - kept) * ALBEDO / math.pi * world.irradiance(normals)
+    # fields that bend, as those of faces; the planted one is none of them
+    x, y = normals[:, 0], normals[:, 1]
+    modes = np.stack([y, x, y**2 - y**4, x * y, x**2, y**3], 1)
+    modes = torch.from_numpy(modes - modes.mean(0)).float()
+    darker = seen.pixels - EXPOSURE * torch.from_numpy(less).float()
+    return replace(seen, pixels=darker, modes=modes), world
+
+
+@pytest.mark.parametrize("sun", [(-110.0, 60.0), (170.0, 60.0), (150.0, 70.0)])
+def test_a_darker_lower_half_is_no_higher_sun(sun):
+    """Of even skin it is shading; minimised to the end, since neither path there is short."""
+    seen, world = darker_below(*sun)
+    errors = []
+    for spread in (0.0, 1.0):
+        found = solved(
+            seen,
+            rounds=rounds(10, 40, 40, 60),
+            tolerance=1e-6,
+            weights=ObjectiveWeights(pigment_spread=spread),
+        )
+        height = math.asin(float(found.sun_direction[1])) - math.asin(world.sun[1])
+        errors.append(math.degrees(abs(height)))
+    assert errors[0] > 0.5
+    assert errors[1] < 0.5 * errors[0]
 
 
 def test_an_estimate_is_in_itself_consistent(first):

@@ -10,10 +10,11 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from skylight.evaluation.rendered_faces.options import RenderOptions
-from skylight.evaluation.rendered_faces.skin import CLUSTERS, Paint, field, paint
+from skylight.evaluation.rendered_faces.skin import CLUSTERS, Paint, paint
 from skylight.evaluation.rendered_faces.smooth_head import SmoothHead, normals_of
 from skylight.faces.fit import FaceFit
 from skylight.faces.model import HeadModel, Region
+from skylight.faces.paint import field
 from skylight.transport.camera import Camera
 from skylight.transport.gbuffer import rasterize
 from skylight.transport.raycast import Raycaster

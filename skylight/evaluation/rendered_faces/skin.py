@@ -15,6 +15,7 @@ from scipy.spatial import KDTree
 from skylight.errors import AssetError
 from skylight.evaluation.rendered_faces.smooth_head import SmoothHead
 from skylight.faces.model import HeadModel, Region
+from skylight.faces.paint import field, spots
 
 CLUSTERS = 6
 # Volume fraction of melanosomes in the epidermis of the lightest and the darkest cluster; those
@@ -114,22 +115,6 @@ def paint(cluster: int, rng: np.random.Generator) -> Paint:
     forehead = spots(where, marks[27] + [0, 0.045, 0.01], 0.03)
     rough -= rng.uniform(0, 0.1) * np.maximum(nose, forehead) + 0.08 * lips
     return Paint(albedo=albedo.clip(0.003, 0.9), roughness=rough.clip(0.25, 0.7), hair=hair)
-
-
-def field(
-    points: Float[ndarray, "m 3"], patch_m: float, rng: np.random.Generator
-) -> Float[ndarray, " m"]:
-    """A smooth random field of variance 1: 32 waves whose lengths are about 2 ``patch_m``."""
-    waves = rng.normal(0, math.pi / patch_m / math.sqrt(3), (32, 3))
-    phase = rng.uniform(0, 2 * math.pi, 32)
-    return np.cos(points @ waves.T + phase).sum(1) * math.sqrt(2 / 32)
-
-
-def spots(
-    points: Float[ndarray, "m 3"], centre: Float[ndarray, "3"], width_m: float
-) -> Float[ndarray, " m"]:
-    """A Gaussian of height 1 about ``centre``."""
-    return np.exp(-((points - centre) ** 2).sum(1) / (2 * width_m**2))
 
 
 def freckles(

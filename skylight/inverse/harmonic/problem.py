@@ -139,6 +139,7 @@ class HarmonicProblem:
                     exposure=exposures[photo],
                     white_balance=torch.ones(3),  # the light is free in colour, and takes it
                     albedo=albedos[k].float().cpu(),
+                    pixel_albedo=albedos[k].float().cpu().expand(len(rendered), -1),
                     gloss=0.0,
                     rendered=rendered.cpu(),
                     residual=residual(rendered, face.pixels, face.clipped),

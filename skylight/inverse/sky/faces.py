@@ -50,9 +50,12 @@ class SkyFaces(list[SkyFace]):
     """The faces under one sky, in the order in which they were added."""
 
     @property
-    def shape(self) -> tuple[tuple[int, bool, bool], ...]:
+    def shape(self) -> tuple[tuple[int, bool, bool, bool], ...]:
         """What problems have in common that can be solved together."""
-        return tuple((one.photo, one.scanned.gloss is None, one.scanned.grey) for one in self)
+        return tuple(
+            (one.photo, one.scanned.gloss is None, one.scanned.modes is None, one.scanned.grey)
+            for one in self
+        )
 
     def scales(self) -> list[float]:
         """The mean luminance of each photograph's faces."""

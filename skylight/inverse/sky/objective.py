@@ -15,12 +15,13 @@ from torch import Tensor
 from torch.nn.functional import pad
 from torch.nn.utils.rnn import pad_sequence
 
+from skylight.faces.skin import PIGMENT_COLOURS, PIGMENT_SPREADS
 from skylight.inverse.scale import GLOSS_SPREAD, bayes_scale, gloss_nll, scale_nll, tone_prior
 from skylight.models.base import LightModel, Prior, without_azimuth
 from skylight.models.ground import LambertianGround, ground_prior
 from skylight.models.prior import GaussianMixture
 from skylight.sphere.envmap import luminance
-from skylight.transport.diffuse import SkyTransport
+from skylight.transport.diffuse import SkyTransport, shade_scenes
 from skylight.transport.observation import Observation
 
 CHARBONNIER_EPSILON = 1e-6
@@ -42,6 +43,8 @@ class ObjectiveWeights:
 
     ``white_balance_spread`` is the standard deviation of the log of red and of blue against green
     that a camera leaves in a picture of something grey; 0 trusts its white balance.
+    ``pigment_spread`` multiplies :data:`skylight.faces.skin.PIGMENT_SPREADS`, by which skin
+    varies over a face; 0 gives a face one albedo.
     """
 
     noise: float = 0.06
@@ -50,6 +53,7 @@ class ObjectiveWeights:
     albedo_prior: float = 1.0
     ground_prior: float = 1.0
     white_balance_spread: float = WHITE_BALANCE_SPREAD
+    pigment_spread: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,8 +64,10 @@ class FaceTerm:
     channels, with sum 1/3 (0 beyond a face's own pixels, where others have more); ``photo`` counts
     a problem's photographs from 0: faces of one share its exposure. ``level`` (p,) is the face's
     mean luminance in the target's units, which deviations are relative to: a dark face in the shade
-    says as much about light as a bright one. Where ``clipped``, the target is a lower bound: what
-    is brighter deviates by nothing. Of a ``grey`` picture luminance alone is compared.
+    says as much about light as a bright one. ``modes`` (p,m,k) are those of
+    :mod:`skylight.faces.skin`, None for things of one albedo. Where ``clipped``, the target is
+    a lower bound: what is brighter deviates by nothing. Of a ``grey`` picture luminance alone is
+    compared.
 
     Batches of shading have the ``problem`` of each row, in ascending order; None where there is
     but one.
@@ -75,6 +81,7 @@ class FaceTerm:
     photo: int = 0
     clipped: Bool[Tensor, "p m"] | None = None
     grey: bool = False
+    modes: Float[Tensor, "p m k"] | None = None
 
     @staticmethod
     def of(observation: Observation) -> "FaceTerm":
@@ -88,6 +95,7 @@ class FaceTerm:
             level=observation.pixels.new_ones(1),
             clipped=None if clipped is None else clipped[None],
             grey=observation.grey,
+            modes=None if observation.modes is None else observation.modes[None],
         )
 
     @staticmethod
@@ -97,12 +105,15 @@ class FaceTerm:
         if not others:
             return first
         glosses = [term.gloss for term in terms if term.gloss is not None]
-        if len(glosses) not in (0, len(terms)) or any(
-            (term.photo, term.grey) != (first.photo, first.grey) for term in others
+        modes = [term.modes for term in terms if term.modes is not None]
+        if (
+            len(glosses) not in (0, len(terms))
+            or len(modes) not in (0, len(terms))
+            or any((term.photo, term.grey) != (first.photo, first.grey) for term in others)
         ):
             raise ValueError(
-                "faces of several problems must all have gloss or none, all colour or none, "
-                "and one photo"
+                "faces of several problems must all have gloss or none, all modes or none, all "
+                "colour or none, and one photo"
             )
         clipped = [
             torch.zeros_like(term.share[..., 0], dtype=torch.bool)
@@ -119,6 +130,7 @@ class FaceTerm:
             photo=first.photo,
             clipped=_padded(clipped) if any(bool(one.any()) for one in clipped) else None,
             grey=first.grey,
+            modes=_padded(modes) if modes else None,
         )
 
     @property
@@ -166,7 +178,8 @@ def _padded(parts: Sequence[Shaped[Tensor, "1 _ *s"]]) -> Shaped[Tensor, "p m *s
 class Unpacked:
     """The physical meaning of a batch of free parameters: n photographs of f faces in all.
 
-    ``balance`` is the log of each photograph's red and blue gain against green.
+    ``balance`` is the log of each photograph's red and blue gain against green, ``pigments`` what
+    each face has of either pigment along k modes, in log green.
     """
 
     light: Float[Tensor, "b p"]
@@ -175,6 +188,7 @@ class Unpacked:
     gloss: Float[Tensor, "b f"]
     albedo: Float[Tensor, "b f 3"]
     ground_albedo: Float[Tensor, "b 3"]
+    pigments: Float[Tensor, "b f 2 k"]
 
 
 def charbonnier(x: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
@@ -193,14 +207,18 @@ class SkyObjective:
     sum_c log g_c = 0, which are what its camera's white balance is wrong by. Cameras take away
     part of what colours the light: without gains a low sun has to be warm, so skin turns blue.
 
+    And the albedo of a face varies with its melanin and blood, as smooth fields that
+    :mod:`skylight.faces.skin` has: rho of pixel p is a prod_i exp(-d_i sum_k Phi_pk u_ik), with
+    u_ik normal. Of one albedo, redder cheeks and a darker jaw would be shading.
+
     ``albedo_prior`` is a density over *log* albedo: over albedo itself it would be the same
     distribution, but its maximum would lean towards dark skin.
 
     Free parameters of one problem: those of the light model, for each photograph a log exposure
-    and its two log gains against green, for each face log gloss and the logits of skin albedo, then
-    the logits of ground albedo, so that 0 < albedo < 1 always holds. Targets are scaled beforehand
-    to a mean luminance of 1 in each photograph, which makes the loss's epsilon mean the same for
-    every picture.
+    and its two log gains against green, for each face log gloss, the logits of skin albedo
+    and its pigments, then the logits of ground albedo, so that 0 < albedo < 1 always holds. Targets
+    are scaled beforehand to a mean luminance of 1 in each photograph, which makes the loss's
+    epsilon mean the same for every picture.
     """
 
     def __init__(
@@ -218,13 +236,25 @@ class SkyObjective:
         self.albedo_prior = albedo_prior
         self.tone_prior = tone_prior(albedo_prior)
         self.weights = weights
+        counts = {face.modes.shape[-1] for face in faces if face.modes is not None}
+        self.mode_count = max(counts, default=0) if weights.pigment_spread > 0 else 0
         device = self.faces[0].target.device
         self.ground = LambertianGround(model.grid.layout[0]).to(device)  # type: ignore[index]
         self.ground_prior = ground_prior().to(device)
+        self.pigment_colours = torch.tensor(PIGMENT_COLOURS).to(self.faces[0].target)
+        spreads = weights.pigment_spread * torch.tensor(PIGMENT_SPREADS)
+        self.pigment_spreads = spreads.to(self.faces[0].target)[:, None]
 
     @property
     def size(self) -> int:
-        return self.model.parameter_count + 3 + 3 * self.photo_count + 4 * len(self.faces)
+        return sum(self._sizes)
+
+    @property
+    def _sizes(self) -> tuple[int, int, int, int]:
+        """Of the light, the photographs, the faces and the ground."""
+        per_face = 4 + 2 * self.mode_count
+        faces, photos = per_face * len(self.faces), 3 * self.photo_count
+        return self.model.parameter_count, photos, faces, 3
 
     def faces_of(self, photo: int) -> list[int]:
         """Which faces are of that photograph."""
@@ -238,12 +268,17 @@ class SkyObjective:
         albedo: Float[Tensor, "b f 3"],
         ground_albedo: Float[Tensor, "b 3"],
         balance: Float[Tensor, "b n 2"] | None = None,
+        pigments: Float[Tensor, "b f 2 k"] | None = None,
     ) -> Float[Tensor, "b q"]:
-        """Free parameters of physical ones; the white balance is right where none is given."""
+        """Free parameters of physical ones; without a cast, and of even skin, by default."""
         if balance is None:
             balance = exposure.new_zeros(*exposure.shape, 2)
+        if pigments is None:
+            pigments = gloss.new_zeros(*gloss.shape, 2, self.mode_count)
         camera = torch.cat([exposure.log()[..., None], balance], 2)
-        skin = torch.cat([gloss.log()[..., None], torch.logit(albedo, eps=1e-4)], 2)
+        skin = torch.cat(
+            [gloss.log()[..., None], torch.logit(albedo, eps=1e-4), pigments.flatten(2)], 2
+        )
         return torch.cat(
             [
                 self.model.to_free(light),
@@ -254,18 +289,31 @@ class SkyObjective:
             1,
         )
 
+    def uneven(self, free: Float[Tensor, "b _"]) -> Float[Tensor, "b q"]:
+        """Free parameters as they are, or of the same objective with even skin: without pigments.
+
+        Both mean the same.
+        """
+        missing = (self.size - free.shape[1]) // len(self.faces)
+        light, photos, faces, ground = self._sizes
+        even = faces - missing * len(self.faces)
+        parts = free.split((light, photos, even, ground), 1)
+        skin = pad(parts[2].unflatten(1, (len(self.faces), -1)), (0, missing)).flatten(1)
+        return torch.cat([*parts[:2], skin, parts[3]], 1)
+
     def unpack(self, free: Float[Tensor, "b q"]) -> Unpacked:
-        sizes = (self.model.parameter_count, 3 * self.photo_count, 4 * len(self.faces), 3)
-        light, camera, skin, ground_albedo = free.split(sizes, 1)
-        camera, skin = camera.unflatten(1, (-1, 3)), skin.unflatten(1, (-1, 4))
+        light, camera, skin, ground_albedo = free.split(self._sizes, 1)
+        camera = camera.unflatten(1, (-1, 3))
+        skin = skin.unflatten(1, (len(self.faces), -1))
         return Unpacked(
             light=self.model.from_free(light),
             # beyond e^+-20 a line search has gone astray; exp must not overflow on its way back
             exposure=camera[..., 0].clamp(-20, 20).exp(),
             balance=camera[..., 1:],
             gloss=skin[..., 0].clamp(-20, 5).exp(),
-            albedo=torch.sigmoid(skin[..., 1:]),
+            albedo=torch.sigmoid(skin[..., 1:4]),
             ground_albedo=torch.sigmoid(ground_albedo),
+            pigments=skin[..., 4:].unflatten(2, (2, self.mode_count)),
         )
 
     def white_balance(self, parts: Unpacked) -> Float[Tensor, "b n 3"]:
@@ -274,6 +322,16 @@ class SkyObjective:
             return torch.ones_like(parts.albedo[:, :1]).expand(-1, self.photo_count, -1)
         log_gains = pad(parts.balance.clamp(-5, 5), (0, 1))[..., [0, 2, 1]]  # green in the middle
         return (log_gains - log_gains.mean(2, keepdim=True)).exp()
+
+    def albedo(
+        self, parts: Unpacked, k: int, problem: Int[Tensor, " b"] | None = None
+    ) -> Float[Tensor, "b m 3"]:
+        """That of face ``k`` at each pixel."""
+        even, modes = parts.albedo[:, k, None], self.faces[k].modes
+        if modes is None or self.mode_count == 0:
+            return even.expand(-1, self.faces[k].target.shape[1], -1)
+        amounts = shade_scenes(modes, parts.pigments[:, k].transpose(1, 2), problem)
+        return even * torch.exp(-(amounts.clamp(-5, 5) @ self.pigment_colours))
 
     def shading(
         self, parts: Unpacked, problem: Int[Tensor, " b"] | None = None
@@ -286,7 +344,7 @@ class SkyObjective:
         shadings = []
         for k, face in enumerate(self.faces):
             sky, ground = skies[face.photo], grounds[face.photo]
-            shading = face.transport(sky, ground, parts.albedo[:, k], problem)
+            shading = face.transport(sky, ground, self.albedo(parts, k, problem), problem)
             if face.gloss is not None:
                 gloss = parts.gloss[:, k, None].expand(-1, 3)
                 shading = shading + face.gloss(sky, ground, gloss, problem)
@@ -310,6 +368,7 @@ class SkyObjective:
             "ground_prior": -w.ground_prior * self.ground_prior.log_prob(parts.ground_albedo.log()),
             "gloss_prior": (0.5 * (parts.gloss.log() / GLOSS_SPREAD) ** 2).sum(1),
             "white_balance_prior": self._white_balance_nll(parts),
+            "pigment_prior": 0.5 * (parts.pigments / self.pigment_spreads).square().sum((1, 2, 3)),
         }
 
     def _white_balance_nll(self, parts: Unpacked) -> Float[Tensor, " b"]:
@@ -336,7 +395,15 @@ class SkyObjective:
             exposure[:, photo] /= scale
             gloss[:, mine] *= scale[:, None]
             albedo[:, mine] *= scale[:, None, None]
-        return self.pack(parts.light, exposure, gloss, albedo, parts.ground_albedo, parts.balance)
+        return self.pack(
+            parts.light,
+            exposure,
+            gloss,
+            albedo,
+            parts.ground_albedo,
+            parts.balance,
+            parts.pigments,
+        )
 
     def __call__(
         self, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None

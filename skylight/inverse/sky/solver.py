@@ -1,7 +1,7 @@
 """Eq. 5.8 minimised from many starts, coarse to fine, for several skies as one batch."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TypeVar
 
@@ -27,11 +27,15 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True)
 class Round:
-    """So many of the best ``starts``, minimised on ``level`` (0 is the finest) of the pyramid."""
+    """So many of the best ``starts``, minimised on ``level`` (0 is the finest) of the pyramid.
+
+    With ``even_skin`` each face has one albedo, whatever the weights say.
+    """
 
     level: int
     starts: int
     iterations: int
+    even_skin: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,13 +43,14 @@ class SolverOptions:
     """Effort of the optimisation: directions taken from the scan, then rounds, coarse to fine.
 
     Many starts matter: from three, faces lit from behind ended in minima up to 50 nats above those
-    that ten find.
+    that ten find. The coarsest level, on which suns compete, has even skin: pigments that settle
+    beside a sun that is wrong excuse it.
     """
 
     scan_candidates: int = 10
     rounds: tuple[Round, ...] = (
-        Round(level=3, starts=10, iterations=10),
-        Round(level=3, starts=4, iterations=15),
+        Round(level=3, starts=10, iterations=10, even_skin=True),
+        Round(level=3, starts=4, iterations=15, even_skin=True),
         Round(level=2, starts=2, iterations=12),
         Round(level=1, starts=1, iterations=10),
         Round(level=0, starts=1, iterations=10),
@@ -95,12 +100,12 @@ class SkySolver:
             self._starts(faces, scan.candidates)
             for faces, scan in zip(problems, scans, strict=True)
         ]
-        level, objective = -1, None
+        before, objective = None, None
         for number, effort in enumerate(rounds, start=1):
-            if objective is None or effort.level != level:
+            stage = effort.level, effort.even_skin
+            if objective is None or stage != before:
                 objective = None  # of many faces, one level at a time is much memory
-                level = effort.level
-                objective = self._objective(problems, level)
+                before, objective = stage, self._objective(problems, effort)
             points = self._round(objective, points, effort)
             if progress is not None:
                 progress(number / len(rounds))
@@ -108,23 +113,24 @@ class SkySolver:
         ends = _Ends.of(objective, points)
         evidence = _per_problem(face_evidence(observed, every), problems)
         return [
-            _estimate(ends, p, faces, level, scan, sun_evidence(each))
+            _estimate(ends, p, faces, rounds[-1].level, scan, sun_evidence(each))
             for p, (faces, scan, each) in enumerate(zip(problems, scans, evidence, strict=True))
         ]
 
-    def _objective(self, problems: Sequence[SkyFaces], level: int) -> SkyObjective:
-        """Of all problems on a level; of one, without a copy of its transport."""
-        faces = zip(*(one.terms(level) for one in problems), strict=True)
+    def _objective(self, problems: Sequence[SkyFaces], effort: Round) -> SkyObjective:
+        """Of all problems on a round's level; of one, without a copy of its transport."""
+        faces = zip(*(one.terms(effort.level) for one in problems), strict=True)
+        weights = self.options.weights
         return SkyObjective(
             [FaceTerm.together(terms) for terms in faces],
             self.model,
             self.light_prior,
             self.albedo_prior,
-            self.options.weights,
+            replace(weights, pigment_spread=0.0) if effort.even_skin else weights,
         )
 
     def _starts(self, faces: SkyFaces, directions: Float[Tensor, "d 3"]) -> "_Points":
-        objective = self._objective([faces], self.options.rounds[0].level)
+        objective = self._objective([faces], self.options.rounds[0])
         free, scores = choose_starts(objective, directions, self.albedo_modes)
         return _Points(free=free, scores=scores, converged=torch.zeros_like(scores) > 0)
 
@@ -132,7 +138,8 @@ class SkySolver:
         self, objective: SkyObjective, points: "Sequence[_Points]", effort: Round
     ) -> "list[_Points]":
         """The best of each problem's points, minimised as one batch."""
-        starts = [one.free[one.scores.argsort()[: effort.starts]] for one in points]
+        best = [one.free[one.scores.argsort()[: effort.starts]] for one in points]
+        starts = [objective.uneven(free) for free in best]
         sizes = [len(start) for start in starts]
         problem = torch.cat([torch.full((n,), p) for p, n in enumerate(sizes)]).to(starts[0].device)
         result = minimise(
@@ -184,6 +191,7 @@ class _Ends:
     objective: SkyObjective
     parts: Unpacked
     white_balance: Float[Tensor, "p k 3"]
+    albedos: list[Float[Tensor, "p _ 3"]]
     shadings: list[Float[Tensor, "p _ 3"]]
     sky: Float[Tensor, "p n 3"]
     terms: dict[str, Float[Tensor, " p"]]
@@ -209,6 +217,7 @@ class _Ends:
             objective=objective,
             parts=parts,
             white_balance=objective.white_balance(parts),
+            albedos=[objective.albedo(parts, k, problem) for k in range(len(objective.faces))],
             shadings=objective.shading(parts, problem),
             sky=objective.model(parts.light),
             terms=objective.terms(free, problem),
@@ -233,6 +242,7 @@ def _estimate(
                 exposure=float(parts.exposure[p, face.photo]) * scales[face.photo],
                 white_balance=ends.white_balance[p, face.photo].cpu(),
                 albedo=parts.albedo[p, k].cpu(),
+                pixel_albedo=ends.albedos[k][p, : len(shading)].cpu(),
                 gloss=float(parts.gloss[p, k]),
                 rendered=(shading * scales[face.photo]).cpu(),
                 residual=residual(shading, term.target[0], clipped),
