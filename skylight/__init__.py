@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from skylight.csc.dictionary import FilterBank
     from skylight.errors import SkylightError
     from skylight.imaging.photo import Photo, read_photo
+    from skylight.imaging.taken import Taken
     from skylight.inverse.estimate import estimate_each, estimate_light
     from skylight.inverse.result import Estimate
     from skylight.io.files import read_environment_map, write_environment_map
@@ -41,6 +42,7 @@ _HOME = {
     "SkylightError": "skylight.errors",
     "SphericalSparseCoder": "skylight.csc.coder",
     "SunSky": "skylight.models.sunsky",
+    "Taken": "skylight.imaging.taken",
     "TransportMatrix": "skylight.transport.matrix",
     "VoxelProbe": "skylight.probes.voxel.probe",
     "estimate": "skylight.app.estimate.photos",
@@ -66,6 +68,7 @@ __all__ = [
     "SkylightError",
     "SphericalSparseCoder",
     "SunSky",
+    "Taken",
     "TransportMatrix",
     "VoxelProbe",
     "__version__",

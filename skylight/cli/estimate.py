@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
+from skylight.cli.taken import taken_by_hand
 from skylight.cli.workers import who_works
 from skylight.errors import InputError, SkylightError
 from skylight.work.device import Device
@@ -33,6 +34,11 @@ def estimate(
     gamma: Annotated[float | None, Decoding] = None,
     linear: Annotated[bool, Decoding] = False,
     landmarks: Landmarks = "mediapipe",
+    time: str | None = None,
+    place: str | None = None,
+    heading: float | None = None,
+    ignore_exif_sun: bool = False,
+    keep_place: bool = False,
     workers: int = 0,
     cluster: str | None = None,
     retry_failed: bool = False,
@@ -72,6 +78,12 @@ def estimate(
         gamma: The picture's values are light to the power of 1/GAMMA, instead of sRGB.
         linear: The picture's values are proportional to light, instead of sRGB.
         landmarks: What finds the face: MediaPipe's landmarker, or dlib's, an extra for research.
+        time: When the (first) picture was taken, as 2024-06-01T14:30+02:00, instead of what its
+            EXIF data tell. With the place it tells the sun's height.
+        place: Where, as LAT,LON: degrees north and east (south and west are negative).
+        heading: Where the camera looked: degrees clockwise from true north.
+        ignore_exif_sun: Do not use time, place and heading of the EXIF data.
+        keep_place: Write time, place and heading into estimate.json; they are left out else.
         workers: Of a folder: processes that work at the same time; 0 for one per core. Each takes
             up to 1.6 GB.
         cluster: Of a folder: a dask scheduler's address, whose workers do it instead.
@@ -81,7 +93,13 @@ def estimate(
         raise InputError(f"--face {face} and --faces all contradict each other: leave one out")
     which = "all" if faces == "all" else 1 if face is None else face
     decode = "linear" if linear else gamma
+    taken = taken_by_hand(time, place, heading)
     if photo.is_dir():
+        if taken is not None:
+            raise InputError(
+                f"{photo} is a folder, whose pictures were not all taken at one time and place: "
+                "--time, --place and --heading are for a picture"
+            )
         if more or shared_light:
             raise InputError(
                 f"{photo} is a folder, whose pictures are estimated one by one: name the pictures "
@@ -100,6 +118,8 @@ def estimate(
             head=head,
             decode=decode,
             landmarks=landmarks,
+            ignore_exif_sun=ignore_exif_sun,
+            keep_place=keep_place,
         )
         return
     for option, given in (
@@ -138,11 +158,13 @@ def estimate(
             head=head,
             device=device,
             landmarks=landmarker,
+            taken=taken,
+            ignore_exif_sun=ignore_exif_sun,
             names=[str(path) for path in paths],
             progress=progress,
         )
         progress("writing the results", 0.0)
-        write_results(folder, result)
+        write_results(folder, result, keep_place=keep_place)
     for advice in result.estimate.advice:
         print(f"skylight: take care: {advice}", file=sys.stderr)
     print(summary(result))

@@ -1,6 +1,6 @@
 """Where and when a photograph was taken, and where its camera looked."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 
 from skylight.errors import InputError
@@ -59,3 +59,20 @@ class Taken:
     def is_nothing(self) -> bool:
         """Nothing is known, not even of something that cannot be."""
         return (self.time, self.latitude_deg, self.heading_deg) == (None,) * 3 and not self.notes
+
+    def overruled_by(self, other: "Taken") -> "Taken":
+        """``other``, and this where it knows nothing; place and heading go with what is theirs."""
+        known = replace(self, notes=(*self.notes, *other.notes))
+        if other.time is not None:
+            known = replace(known, time=other.time)
+        if other.latitude_deg is not None:
+            known = replace(
+                known, latitude_deg=other.latitude_deg, longitude_deg=other.longitude_deg
+            )
+        if other.heading_deg is not None:
+            known = replace(
+                known,
+                heading_deg=other.heading_deg,
+                heading_error_deg=other.heading_error_deg,
+            )
+        return known

@@ -12,6 +12,7 @@ from skylight.inverse.harmonic.problem import HarmonicProblem
 from skylight.inverse.result import Estimate
 from skylight.inverse.sky.problem import SkyProblem, solve_together
 from skylight.inverse.sky.solver import SolverOptions
+from skylight.inverse.sun_prior import SunPrior
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.bundle import LightBundle, load_bundle
 from skylight.models.harmonic import HarmonicLight
@@ -63,6 +64,7 @@ def estimate_light(
     model: Model | None = None,
     photos: Sequence[int] | None = None,
     options: SolverOptions | None = None,
+    sun_prior: SunPrior | None = None,
     device: str = "auto",
     progress: Progress | None = None,
 ) -> Estimate:
@@ -84,6 +86,9 @@ def estimate_light(
         one photograph share its exposure.
     options
         Effort of the optimisation; harmonics have none.
+    sun_prior
+        What time, place and heading tell of the sun, by
+        :func:`skylight.inverse.sun_prior.sun_prior`.
     device
         "cpu", "cuda", or "auto" for CUDA where it is. Transport is moved there once. The estimate
         is on the CPU.
@@ -102,7 +107,7 @@ def estimate_light(
             "photos has the number of each observation's photograph, counted from 0 without gaps; "
             f"for {len(observations)} observations got {list(photos)}"
         )
-    problem = light_problem(light, model=model, options=options, device=device)
+    problem = light_problem(light, model=model, options=options, sun_prior=sun_prior, device=device)
     for observation, photo in zip(observations, photos, strict=True):
         problem.add(observation, photo)
     return problem.solve(progress)
@@ -150,6 +155,7 @@ def light_problem(
     *,
     model: Model | None = None,
     options: SolverOptions | None = None,
+    sun_prior: SunPrior | None = None,
     device: str = "auto",
 ) -> LightProblem[Estimate]:
     """The problem that :func:`estimate_light` solves, to be given one observation at a time.
@@ -157,7 +163,10 @@ def light_problem(
     An observation can be let go once it is added: of several faces, only one at a time need be
     held with its full transport.
     """
-    return light_problems(1, light, model=model, options=options, device=device)[0]
+    priors = [sun_prior]
+    return light_problems(1, light, model=model, options=options, sun_priors=priors, device=device)[
+        0
+    ]
 
 
 def light_problems(
@@ -166,9 +175,11 @@ def light_problems(
     *,
     model: Model | None = None,
     options: SolverOptions | None = None,
+    sun_priors: Sequence[SunPrior | None] | None = None,
     device: str = "auto",
 ) -> Sequence[LightProblem[Estimate]]:
-    """So many of :func:`light_problem`, each with a light of its own."""
+    """So many of :func:`light_problem`, each with a light and, where given, a prior of its own."""
+    sun_priors = sun_priors or [None] * count
     check_light_name(light)
     if model is not None:
         check_is_trained(light)
@@ -176,7 +187,7 @@ def light_problems(
     modes, prior = SkinPrior.load().means.float().to(where), albedo_prior().to(where)
     if light == "sh9" or light == "sh25":
         harmonics = HarmonicLight(2 if light == "sh9" else 4).to(where)
-        return [HarmonicProblem(harmonics, prior, modes) for _ in range(count)]
+        return [HarmonicProblem(harmonics, prior, modes, one) for one in sun_priors]
     bundle = (
         model
         if isinstance(model, LightBundle)
@@ -187,7 +198,7 @@ def light_problems(
     else:
         sky, over = SunSky(), copy.deepcopy(bundle.sunsky_prior)
     first = SkyProblem(sky.to(where), over.to(where), prior, modes, options)
-    return [first.another() for _ in range(count)]
+    return [first.another(one) for one in sun_priors]
 
 
 def smooth_autoencoder(bundle: LightBundle) -> AutoencoderLight:

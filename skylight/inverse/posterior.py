@@ -16,6 +16,11 @@ estimates are outliers. As a density over the hemisphere, ::
 
     p(d) ~ (V * L)(d) (1 + h V_s(d) / V_s(s))^k.
 
+Where clock and place tell of the sun (:mod:`skylight.inverse.sun_prior`), p is multiplied by their
+density q. Whether they can be right is asked of the faces alone, without the optimised sun, which
+q has drawn: a share f of q is uniform, for clocks and compasses that are wrong, and they are wrong
+with a probability of ``f / 2 pi`` over ``int (V * L) q``.
+
 **No sun.** Where the best sun lowers m by little against ambient light alone, no sun is seen.
 
 **Exposure and albedo.** A picture fixes their product, and the prior over skin, its hue as
@@ -40,6 +45,7 @@ from torch import Tensor
 
 from skylight.inverse.scale import GLOSS_SPREAD
 from skylight.inverse.scan import FaceScan, scan_faces
+from skylight.inverse.sun_prior import FLOOR, SunPrior
 from skylight.models.base import Prior
 from skylight.sphere.envmap import luminance
 from skylight.sphere.grid import DirectionGrid
@@ -51,9 +57,11 @@ Verdict = Literal[
     "ambiguous: several directions",
     "ambiguous: wide region",
     "overcast: no sun",
+    "doubtful: the face and the clock disagree",
     "unreliable: the face is not explained",
 ]
 SHARE = 0.9
+DOUBT = 0.5  # clocks that are more likely wrong than right
 ROWS = 32  # of the upper hemisphere: 2.8 degrees, half the scan's cells
 REWEIGHTINGS = 2
 MAIN_PART = 0.8  # of the region: less in its likeliest part means several
@@ -115,7 +123,8 @@ class SunPosterior:
     1; it supposes that there is a sun. ``region`` is the smallest set of directions with 90 % of
     it, ``parts`` its connected parts, likeliest first. ``sun_gain`` is by how much of the face's
     mean the best sun lowers the deviation. The intervals (90 %) are those of
-    :attr:`Estimate.exposure` and of a common factor on :attr:`Estimate.albedo`.
+    :attr:`Estimate.exposure` and of a common factor on :attr:`Estimate.albedo`. ``clock_wrong`` is
+    how likely the picture's time, place or heading are wrong, None where they told nothing.
     """
 
     grid: DirectionGrid
@@ -126,6 +135,7 @@ class SunPosterior:
     exposure_interval: tuple[float, float]
     albedo_scale_interval: tuple[float, float]
     verdict: Verdict
+    clock_wrong: float | None = None
 
     @property
     def region_sr(self) -> float:
@@ -186,11 +196,12 @@ def sun_density(
     evidence: SunEvidence,
     estimate: Float[Tensor, "3"] | None,
     model: PosteriorConstants = FITTED,
+    sun_prior: SunPrior | None = None,
 ) -> Float[Tensor, " n"]:
     """p of the module's text at the directions of ``DirectionGrid.sky(32)``, per sr.
 
     ``evidence`` is about ``DirectionGrid.sky(16)``, the scan's; ``estimate`` is the optimised sun,
-    or None where there is none.
+    and ``sun_prior`` what clock and place tell; None where there is none.
     """
     cells, fine = DirectionGrid.sky(ROWS // 2), DirectionGrid.sky(ROWS)
     nats = (evidence.deviations - evidence.deviations.min()) / model.temperature
@@ -198,7 +209,27 @@ def sun_density(
     if estimate is not None:
         lobe = _lobes(fine, estimate[None], model.estimate_rad)[:, 0]
         density = density * (1 + model.estimate_height * lobe) ** model.estimate_weight
+    if sun_prior is not None:
+        density = density * sun_prior.log_density(fine.directions).exp()
     return density / (density @ fine.solid_angles)
+
+
+def clock_wrong(
+    evidence: SunEvidence, sun_prior: SunPrior, model: PosteriorConstants = FITTED
+) -> float:
+    """How likely clock, place or compass are wrong, by the module's text."""
+    fine = DirectionGrid.sky(ROWS)
+    mass = sun_density(evidence, None, model) * fine.solid_angles
+    right = (1 - FLOOR) * float(mass @ sun_prior.clock_log_density(fine.directions).exp())
+    wrong = FLOOR / (2 * math.pi)
+    return wrong / (wrong + right)
+
+
+def credible(evidence: SunEvidence, sun_prior: SunPrior | None) -> SunPrior | None:
+    """``sun_prior`` unless the faces contradict it."""
+    if sun_prior is None or clock_wrong(evidence, sun_prior) > DOUBT:
+        return None
+    return sun_prior
 
 
 @lru_cache(maxsize=1)
@@ -253,13 +284,14 @@ def sun_posterior(
     gloss: float | None,
     albedo_prior: Prior,
     model: PosteriorConstants = FITTED,
+    sun_prior: SunPrior | None = None,
 ) -> SunPosterior:
     """The posterior with its verdict; ``explained``: the faces look alike in the light found.
 
     ``exposure``, ``albedo`` and ``gloss`` (None where the model has none) are a face's own.
     """
     grid = DirectionGrid.sky(ROWS)
-    density = sun_density(evidence, estimate, model)
+    density = sun_density(evidence, estimate, model, sun_prior)
     region = smallest_region(density, grid.solid_angles)
     share = float(grid.solid_angles[region].sum()) / (2 * math.pi)
     split = split_density(albedo, gloss, albedo_prior)
@@ -273,6 +305,7 @@ def sun_posterior(
         exposure_interval=(low * exposure, high * exposure),
         albedo_scale_interval=interval(*split, model.albedo_spread),
         verdict="reliable",
+        clock_wrong=None if sun_prior is None else clock_wrong(evidence, sun_prior, model),
     )
     return replace(posterior, verdict=_verdict(posterior, explained, model))
 
@@ -283,6 +316,8 @@ def _verdict(posterior: SunPosterior, explained: bool, model: PosteriorConstants
         return "unreliable: the face is not explained"
     if posterior.sun_gain < model.sun_gain:
         return "overcast: no sun"
+    if posterior.clock_wrong is not None and posterior.clock_wrong > DOUBT:
+        return "doubtful: the face and the clock disagree"
     mass = posterior.density * posterior.grid.solid_angles
     ahead = float(mass[posterior.grid.directions[:, 2] < 0].sum())
     if posterior.region_radius_rad > model.wide_rad and ahead > 0.5:

@@ -21,6 +21,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import pad
 
+from skylight.inverse.sun_prior import SunPrior
 from skylight.sphere.envmap import luminance
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.matrix import TransportMatrix
@@ -29,6 +30,7 @@ from skylight.transport.observation import Observation
 SCAN_HEIGHT = 32
 LOBES = 20
 RAISES = 3
+LIKELY = 4  # candidates where clock and place tell of the sun
 SETTLED = 1e-3  # of the largest part; the best residuals are then right to 2 in 1,000
 
 
@@ -38,8 +40,9 @@ class SunScan:
 
     ``residuals`` (n,) are sqrt(min / sum w y^2) for each of ``directions`` (n,3), the root mean
     square where there are several faces; ``candidates`` (k,3) the best in order, each 12 degrees
-    or more from the better ones (not necessarily local minima), ``strengths`` (k,) the share of
-    the diffuse shading that the sun explains in each, a mean over the faces.
+    or more from the better ones (not necessarily local minima), and then the best of those that
+    are likely beforehand; ``strengths`` (k,) the share of the diffuse shading that the sun
+    explains in each, a mean over the faces.
     """
 
     directions: Float[Tensor, "n 3"]
@@ -49,18 +52,27 @@ class SunScan:
 
     @staticmethod
     def of(
-        faces: "Sequence[FaceScan]", *, candidates: int = 4, separation_deg: float = 12.0
+        faces: "Sequence[FaceScan]",
+        *,
+        candidates: int = 4,
+        separation_deg: float = 12.0,
+        sun_prior: SunPrior | None = None,
     ) -> "SunScan":
         """What the scans of faces under one light tell together, on the CPU.
 
-        The faces may have any albedos and exposures. Candidates are ``separation_deg`` apart.
+        The faces may have any albedos and exposures. Candidates are ``separation_deg`` apart;
+        up to :data:`LIKELY` more are where ``sun_prior`` says that the sun may stand.
         """
         energy = torch.stack([face.unexplained for face in faces]).mean(0)
         strength = torch.stack([face.strengths for face in faces]).mean(0)
         residuals = energy.sqrt().cpu()
         grid = DirectionGrid.latlong(SCAN_HEIGHT)
         directions = grid.directions[: len(grid) // 2]
-        chosen = _best_apart(directions, residuals, candidates, math.radians(separation_deg))
+        apart = math.radians(separation_deg)
+        chosen = _best_apart(directions, residuals, candidates, apart)
+        if sun_prior is not None:
+            elsewhere = torch.where(sun_prior.likely(directions), residuals, torch.inf)
+            chosen = _best_apart(directions, elsewhere, len(chosen) + LIKELY, apart, chosen)
         return SunScan(
             directions=directions,
             residuals=residuals,
@@ -293,11 +305,18 @@ def _ambient_lobes(grid: DirectionGrid) -> Float[Tensor, "n k"]:
 
 
 def _best_apart(
-    directions: Float[Tensor, "n 3"], values: Float[Tensor, " n"], count: int, separation: float
+    directions: Float[Tensor, "n 3"],
+    values: Float[Tensor, " n"],
+    count: int,
+    separation: float,
+    before: Sequence[int] = (),
 ) -> list[int]:
-    """Smallest values first, each at least ``separation`` (radians) from those before it."""
-    chosen: list[int] = []
-    for i in values.argsort().tolist():
+    """``before`` and then the smallest finite values, ``count`` in all.
+
+    Each is at least ``separation`` (radians) from those before it.
+    """
+    chosen = list(before)
+    for i in values.argsort()[: int(values.isfinite().sum())].tolist():
         if all(float(directions[i] @ directions[j]) < math.cos(separation) for j in chosen):
             chosen.append(i)
         if len(chosen) == count:

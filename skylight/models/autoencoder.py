@@ -307,6 +307,14 @@ class AutoencoderLight(nn.Module):
             turned = turned + head.lobe(z[:, -COORDINATES:], azimuth, self.sun_spread_rad)
         return turned.reshape(*params.shape[:-1], len(self.grid), 3)
 
+    def sun_direction(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch 3"] | None:
+        """That of the sun's lobe; None of a network without."""
+        head = self.network.sun_head
+        if head is None:
+            return None
+        z, azimuth = params[..., :LATENT].reshape(-1, LATENT), params[..., LATENT].reshape(-1)
+        return head.direction(z[:, -COORDINATES:], azimuth).reshape(*params.shape[:-1], 3)
+
     def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """Whitened latents; the azimuth as it is."""
         centred = (params[..., :LATENT] - self.latent_mean).reshape(-1, LATENT)

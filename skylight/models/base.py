@@ -28,7 +28,8 @@ class LightModel(Protocol):
     leave it out (see :func:`without_azimuth`), since no azimuth is likelier than another.
     ``starts`` gives parameters ``(s, p)`` to start an optimisation from, and
     ``starts_towards`` such whose sun stands in the given directions ``(d, 3)``,
-    ``(d, k, p)``: k candidates per direction.
+    ``(d, k, p)``: k candidates per direction. ``sun_direction`` is where parameters say that the
+    sun stands, differentiable, or None for a model without a sun of its own.
     """
 
     name: str
@@ -50,6 +51,10 @@ class LightModel(Protocol):
     def starts(self) -> Float[Tensor, "s p"]: ...
 
     def starts_towards(self, directions: Float[Tensor, "d 3"]) -> Float[Tensor, "d k p"]: ...
+
+    def sun_direction(
+        self, params: Float[Tensor, "*batch p"]
+    ) -> Float[Tensor, "*batch 3"] | None: ...
 
 
 @runtime_checkable

@@ -44,6 +44,9 @@ class HarmonicLight(nn.Module):
         """``max(0, sum_k Y_k(w) c_k)``."""
         return self.linear_radiance(params).clamp(min=0)
 
+    def sun_direction(self, params: Float[Tensor, "*batch p"]) -> None:
+        return None
+
     def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         return params
 

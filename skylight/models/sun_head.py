@@ -71,6 +71,12 @@ class SunHead(nn.Module):
         radiance = (exponent - total).exp()[..., None] * energy[:, None]
         return radiance.reshape(-1, self.height, 4 * self.height, 3)
 
+    def direction(
+        self, coordinates: Float[Tensor, "b 5"], azimuth_rad: Float[Tensor, " b"]
+    ) -> Float[Tensor, "b 3"]:
+        """Of the suns at those azimuths."""
+        return direction_from_angles(azimuth_rad, _parameters(coordinates)[0])
+
     def split(
         self, skies: Float[Tensor, "b h w 3"]
     ) -> tuple[Float[Tensor, "b 5"], Float[Tensor, "b h w 3"]]:

@@ -126,6 +126,9 @@ class SunSky(nn.Module):
         total = torch.logsumexp(exponent + self.log_solid_angle.to(sun), dim=-1, keepdim=True)
         return torch.exp(exponent[..., : len(self.grid)] - total)
 
+    def sun_direction(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch 3"]:
+        return direction_from_angles(params[..., 6], params[..., 7])
+
     def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """log of the colours, azimuth as it is, logit of the zenith, log-logit of t and kappa.
 

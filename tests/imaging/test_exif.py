@@ -1,6 +1,6 @@
 """Where, when and whether with a flash: photographs with EXIF data that Pillow writes."""
 
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
@@ -154,3 +154,28 @@ def test_facts_by_hand_are_checked(facts: dict, what: str) -> None:
     with pytest.raises(InputError, match=what) as error:
         Taken(**facts)
     assert "\n" not in str(error.value)
+
+
+def test_what_is_said_by_hand_overrules() -> None:
+    zone = timezone(timedelta(hours=2))
+    recorded = Taken(
+        time=datetime(2024, 6, 1),
+        latitude_deg=1.0,
+        longitude_deg=2.0,
+        heading_deg=3.0,
+        heading_error_deg=20.0,
+        notes=("a note",),
+    )
+    hand = Taken(time=datetime(2023, 1, 1, tzinfo=zone), latitude_deg=8.0, longitude_deg=9.0)
+    both = recorded.overruled_by(hand)
+    assert both == Taken(
+        time=hand.time,
+        latitude_deg=8.0,
+        longitude_deg=9.0,
+        heading_deg=3.0,
+        heading_error_deg=20.0,
+        notes=("a note",),
+    )
+    turned = recorded.overruled_by(Taken(heading_deg=90.0))
+    assert (turned.heading_deg, turned.heading_error_deg) == (90.0, 10.0)
+    assert turned.time == recorded.time

@@ -42,7 +42,7 @@ def evidence_of(*suns, kappa=60.0, gain=0.5):
     return SunEvidence(deviations=deviations, gain=gain)
 
 
-def posterior_of(evidence, estimate=None, *, explained=True):
+def posterior_of(evidence, estimate=None, *, explained=True, sun_prior=None):
     return sun_posterior(
         evidence,
         estimate,
@@ -51,6 +51,7 @@ def posterior_of(evidence, estimate=None, *, explained=True):
         albedo=MEAN.exp(),
         gloss=None,
         albedo_prior=SKIN,
+        sun_prior=sun_prior,
     )
 
 

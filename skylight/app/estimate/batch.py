@@ -38,7 +38,10 @@ SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", *HDR_SUFFIXES})
 
 @dataclass(frozen=True, kw_only=True)
 class BatchSettings:
-    """What every estimate of a batch depends on besides its photo; as in ``skylight.estimate``."""
+    """What every estimate of a batch depends on besides its photo; as in ``skylight.estimate``.
+
+    With ``keep_place`` results tell time, place and heading.
+    """
 
     light: LightName = "autoencoder"
     model: Path | None = None
@@ -46,6 +49,8 @@ class BatchSettings:
     head: HeadName = "fitted"
     decode: Decode | None = None
     landmarks: LandmarkerName = "mediapipe"
+    ignore_exif_sun: bool = False
+    keep_place: bool = False
     device: str = "auto"
 
     def __post_init__(self) -> None:
@@ -215,10 +220,11 @@ def _estimate_into(out: Path, path: Path, source: str, settings: BatchSettings) 
             head=settings.head,
             device=settings.device,
             landmarks=choose_landmarker(settings.landmarks),
+            ignore_exif_sun=settings.ignore_exif_sun,
             names=[source],
             workers=1,
         )
-        write_results(folder, result)
+        write_results(folder, result, keep_place=settings.keep_place)
         return json.loads((folder / "estimate.json").read_text(encoding="utf-8"))
 
 

@@ -26,9 +26,11 @@ from skylight.faces.photographs import (
 )
 from skylight.imaging.colour import Decode
 from skylight.imaging.photo import Photo, photo_from_codes, read_photo
+from skylight.imaging.taken import Taken
 from skylight.inverse.estimate import Model, light_problem
 from skylight.inverse.result import Estimate
-from skylight.models.names import LightName
+from skylight.inverse.sun_prior import sun_prior
+from skylight.models.names import LightName, check_light_name
 from skylight.work.progress import Progress, StageProgress
 
 STAGES = ("finding the face", "fitting the head", "tracing light", "estimating the light")
@@ -46,6 +48,8 @@ def estimate(
     decode: Decode | None = None,
     device: str = "auto",
     landmarks: LandmarkerName | FaceLandmarker = "mediapipe",
+    taken: Taken | None = None,
+    ignore_exif_sun: bool = False,
     progress: StageProgress | None = None,
 ) -> Estimate:
     """The light in which a face was photographed, or several.
@@ -79,6 +83,11 @@ def estimate(
     landmarks
         What finds the face: "mediapipe", "dlib" (for research only, an extra), or a
         :class:`~skylight.faces.landmarks.FaceLandmarker` of your own.
+    taken
+        When and where the first picture was taken, and where its camera looked: what they tell
+        of the sun counts. They overrule what its EXIF data say.
+    ignore_exif_sun
+        Leave the time, place and heading of its EXIF data unused.
     progress
         Called with the name of a stage and the share of it that is done.
 
@@ -105,6 +114,8 @@ def estimate(
         decode=decode,
         device=device,
         landmarks=landmarks,
+        taken=taken,
+        ignore_exif_sun=ignore_exif_sun,
         progress=progress,
     ).estimate
 
@@ -119,6 +130,8 @@ def estimate_photo(
     decode: Decode | None = None,
     device: str = "auto",
     landmarks: LandmarkerName | FaceLandmarker = "mediapipe",
+    taken: Taken | None = None,
+    ignore_exif_sun: bool = False,
     names: Sequence[str] | None = None,
     workers: int | None = None,
     progress: StageProgress | None = None,
@@ -134,10 +147,13 @@ def estimate_photo(
     """
     if isinstance(landmarks, str):
         landmarks = choose_landmarker(landmarks)
-    problem = light_problem(light, model=model, device=device)
+    check_light_name(light)
     images = (image, *more)
     photos = tuple(as_photo(one, decode) for one in images)
     names = tuple(names or (_name(one, k, len(images)) for k, one in enumerate(images, start=1)))
+    known = _known_of(photos[0], taken, ignore_exif_sun=ignore_exif_sun)
+    prior, of_sun = sun_prior(known)
+    problem = light_problem(light, model=model, sun_prior=prior, device=device)
     seconds: dict[str, float] = {}
     heads = HeadModel.load()
     with _stage(STAGES[0], seconds, progress) as tell:
@@ -201,6 +217,9 @@ def estimate_photo(
         *found_light.advice,
         *unsure,
         *_advice_of_photos(photos, names, {face.photo for face in seen}),
+        *(f"{names[0]}: {note}" for note in known.notes),
+        *of_sun,
+        *_unused(taken, known),
         *(f"left out: {reason}" for reason in left_out),
     )
     # the problem counts only the photographs that it was given
@@ -212,6 +231,7 @@ def estimate_photo(
         photos=photos,
         names=names,
         seen=tuple(seen),
+        taken=known,
         seconds=seconds,
     )
 
@@ -225,6 +245,19 @@ def as_photo(image: Image, decode: Decode | None) -> Photo:
     if decode is not None:
         raise InputError("decode is for files and 8-bit codes: a Photo is decoded already")
     return image
+
+
+def _known_of(photo: Photo, by_hand: Taken | None, *, ignore_exif_sun: bool) -> Taken:
+    """Time, place and heading of a photograph: by hand, else from its EXIF data."""
+    recorded = Taken() if ignore_exif_sun or photo.taken is None else photo.taken
+    return recorded if by_hand is None else recorded.overruled_by(by_hand)
+
+
+def _unused(by_hand: Taken | None, known: Taken) -> Iterator[str]:
+    """Only time and place together tell of the sun; that EXIF data have but one is no news."""
+    for name, value in (("time", known.time), ("place", known.latitude_deg)):
+        if by_hand is not None and value is None:
+            yield f"without the picture's {name}, what was given tells nothing of the sun"
 
 
 def _advice_of_photos(

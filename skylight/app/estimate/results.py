@@ -16,15 +16,16 @@ from skylight.io.files import write_environment_map, write_json
 MESHES = re.compile(r"mesh(_[1-9][0-9]*)?\.obj")  # the files of :func:`mesh_names`
 
 
-def write_results(folder: Path, result: PhotoEstimate) -> None:
+def write_results(folder: Path, result: PhotoEstimate, *, keep_place: bool = False) -> None:
     """probe.exr, probe.hdr, posterior.exr, mesh.obj, estimate.json and report.png of one estimate.
 
-    Several faces have a mesh each, mesh_1.obj and so on, in the order of estimate.json.
+    Several faces have a mesh each, mesh_1.obj and so on, in the order of estimate.json. Time,
+    place and heading are private, and stand in estimate.json only with ``keep_place``.
     """
     write_environment_map(folder / "probe.exr", result.estimate.environment)
     write_environment_map(folder / "probe.hdr", result.estimate.environment)
     write_environment_map(folder / "posterior.exr", posterior_map(result.estimate.posterior))
-    write_json(folder / "estimate.json", describe(result))
+    write_json(folder / "estimate.json", describe(result, keep_place=keep_place))
     for name, seen in zip(mesh_names(result), result.seen, strict=True):
         write_mesh(folder / name, seen.fit)
     first, *more = result.names

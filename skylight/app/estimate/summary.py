@@ -11,12 +11,13 @@ from skylight.app.estimate.uncertainty import (
     named_angles,
     sure_of_the_sun,
 )
+from skylight.imaging.taken import Taken
 from skylight.inverse.result import FaceLight
 
 PACKAGES = ("skylight", "torch", "numpy", "scipy", "dlib-bin", "onnxruntime", "embreex")
 
 
-def describe(result: PhotoEstimate) -> dict[str, object]:
+def describe(result: PhotoEstimate, *, keep_place: bool) -> dict[str, object]:
     """What estimate.json holds; ``skylight relight --latent`` reads the autoencoder's."""
     estimate = result.estimate
     return {
@@ -41,6 +42,16 @@ def describe(result: PhotoEstimate) -> dict[str, object]:
         "seconds": result.seconds,
         "versions": _versions(),
         "seed": None,  # no step of an estimate draws random numbers
+        **({"taken": _describe_taken(result.taken)} if keep_place else {}),
+    }
+
+
+def _describe_taken(taken: Taken) -> dict[str, object]:
+    return {
+        "time": None if taken.time is None else taken.time.isoformat(),
+        "latitude_deg": taken.latitude_deg,
+        "longitude_deg": taken.longitude_deg,
+        "heading_deg": taken.heading_deg,
     }
 
 

@@ -6,6 +6,7 @@ from skylight.faces.fit import FaceFit
 from skylight.faces.landmarks import DetectedFace
 from skylight.faces.observe import FaceView
 from skylight.imaging.photo import Photo
+from skylight.imaging.taken import Taken
 from skylight.inverse.result import Estimate
 
 
@@ -32,12 +33,14 @@ class PhotoEstimate:
 
     ``photos`` and their ``names`` are all that were given; ``seen`` holds the faces of
     ``estimate.faces``, in their order; ``face``, ``fit`` and ``view`` are the first one's.
+    ``taken`` is what was known of time, place and heading, which results do not repeat.
     """
 
     estimate: Estimate
     photos: tuple[Photo, ...]
     names: tuple[str, ...]
     seen: tuple[SeenFace, ...]
+    taken: Taken
     seconds: dict[str, float] = field(default_factory=dict)
 
     @property

@@ -32,6 +32,7 @@ def describe_posterior(posterior: SunPosterior) -> dict[str, object]:
             if part.share >= 0.01
         ],
         "sun_gain": posterior.sun_gain,
+        "clock_wrong": posterior.clock_wrong,
         "exposure_interval": list(posterior.exposure_interval),
         "albedo_scale_interval": list(posterior.albedo_scale_interval),
     }

@@ -105,3 +105,6 @@ class OneStart:
 
     def starts_towards(self, directions: Float[Tensor, "d 3"]) -> Float[Tensor, "d 1 p"]:
         return self.parameters.expand(len(directions), 1, -1)
+
+    def sun_direction(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b 3"] | None:
+        return self.model.sun_direction(params)

@@ -14,6 +14,7 @@ from skylight.inverse.result import UNEXPLAINED, Estimate, FaceLight, advice, re
 from skylight.inverse.scale import bayes_scale, scale_nll, tone_prior
 from skylight.inverse.scan import SCAN_HEIGHT, scan_faces
 from skylight.inverse.sky.objective import ObjectiveWeights, charbonnier, data_term
+from skylight.inverse.sun_prior import SunPrior
 from skylight.models.harmonic import HarmonicLight, solve_linear
 from skylight.models.prior import GaussianMixture
 from skylight.sphere import harmonics
@@ -64,8 +65,10 @@ class HarmonicProblem:
         model: HarmonicLight,
         albedo_prior: GaussianMixture,
         albedo_modes: Float[Tensor, "k 3"],
+        sun_prior: SunPrior | None = None,
     ) -> None:
         self.model = model
+        self.sun_prior = sun_prior
         basis = harmonics.evaluate(DirectionGrid.latlong(ROWS).directions, model.degree)
         self.basis = basis.to(albedo_modes.device)
         self.albedo_prior = albedo_prior
@@ -158,6 +161,7 @@ class HarmonicProblem:
             albedo=lights[0].albedo,
             gloss=None,
             albedo_prior=self.tone_prior,
+            sun_prior=self.sun_prior,
         )
         return Estimate(
             light=model.name,

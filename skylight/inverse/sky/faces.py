@@ -8,6 +8,7 @@ import torch
 
 from skylight.inverse.scan import SCAN_HEIGHT
 from skylight.inverse.sky.objective import FaceTerm
+from skylight.inverse.sun_prior import SunPrior
 from skylight.transport.observation import Observation
 
 
@@ -47,7 +48,14 @@ class SkyFace:
 
 
 class SkyFaces(list[SkyFace]):
-    """The faces under one sky, in the order in which they were added."""
+    """The faces under one sky, in the order in which they were added.
+
+    ``sun_prior`` is what clock and place tell of their sun, or None.
+    """
+
+    def __init__(self, sun_prior: SunPrior | None = None) -> None:
+        super().__init__()
+        self.sun_prior = sun_prior
 
     @property
     def shape(self) -> tuple[tuple[int, bool, bool, bool], ...]:

@@ -17,6 +17,7 @@ from torch.nn.utils.rnn import pad_sequence
 
 from skylight.faces.skin import PIGMENT_COLOURS, PIGMENT_SPREADS
 from skylight.inverse.scale import GLOSS_SPREAD, bayes_scale, gloss_nll, scale_nll, tone_prior
+from skylight.inverse.sun_prior import SunPrior
 from skylight.models.base import LightModel, Prior, without_azimuth
 from skylight.models.ground import LambertianGround, ground_prior
 from skylight.models.prior import GaussianMixture
@@ -45,6 +46,11 @@ class ObjectiveWeights:
     that a camera leaves in a picture of something grey; 0 trusts its white balance.
     ``pigment_spread`` multiplies :data:`skylight.faces.skin.PIGMENT_SPREADS`, by which skin
     varies over a face; 0 gives a face one albedo.
+
+    ``sun_prior`` weighs what clock and place tell of the sun against the face as the posterior
+    does, whose temperature (:class:`~skylight.inverse.posterior.PosteriorConstants`) was fitted to
+    known suns: ``independent / noise`` times that. Heads are fitted wrongly all over, so what a
+    face says of the sun's place is not as sure as so many independent pixels would make it.
     """
 
     noise: float = 0.06
@@ -54,6 +60,7 @@ class ObjectiveWeights:
     ground_prior: float = 1.0
     white_balance_spread: float = WHITE_BALANCE_SPREAD
     pigment_spread: float = 0.0
+    sun_prior: float = 137.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,8 +235,10 @@ class SkyObjective:
         light_prior: Prior,
         albedo_prior: GaussianMixture,
         weights: ObjectiveWeights,
+        sun_priors: Sequence[SunPrior | None] = (),
     ) -> None:
         self.faces = tuple(faces)
+        self.sun_priors = tuple(sun_priors)
         self.photo_count = 1 + max(face.photo for face in faces)
         self.model = model
         self.light_prior = light_prior
@@ -361,6 +370,7 @@ class SkyObjective:
         shadings = self.shading(parts, problem)
         data = [f.data_term(s, w, problem) for f, s in zip(self.faces, shadings, strict=True)]
         skin = self.albedo_prior.log_prob(parts.albedo.log().flatten(0, 1))
+        sun = self.sun_nll(parts.light, problem)
         return {
             "data": torch.stack(data).sum(0),
             "light_prior": -w.light_prior * self.light_prior.log_prob(light),
@@ -369,7 +379,25 @@ class SkyObjective:
             "gloss_prior": (0.5 * (parts.gloss.log() / GLOSS_SPREAD) ** 2).sum(1),
             "white_balance_prior": self._white_balance_nll(parts),
             "pigment_prior": 0.5 * (parts.pigments / self.pigment_spreads).square().sum((1, 2, 3)),
+            **({} if sun is None else {"sun_prior": sun}),
         }
+
+    def sun_nll(
+        self, light: Float[Tensor, "b p"], problem: Int[Tensor, " b"] | None = None
+    ) -> Float[Tensor, " b"] | None:
+        """How unlikely the sun's direction is by clock and place, in nats, weighted.
+
+        None where they tell no problem of it, or the model has no sun.
+        """
+        sun = self.model.sun_direction(light)
+        if sun is None or not any(self.sun_priors):
+            return None
+        nll = light.new_zeros(len(light))
+        for number, prior in enumerate(self.sun_priors):
+            if prior is not None:
+                own = -self.weights.sun_prior * prior.log_density(sun)
+                nll = own if problem is None else torch.where(problem == number, own, nll)
+        return nll
 
     def _white_balance_nll(self, parts: Unpacked) -> Float[Tensor, " b"]:
         spread = self.weights.white_balance_spread or 1.0  # of gains that do not count

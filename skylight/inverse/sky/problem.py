@@ -11,6 +11,7 @@ from skylight.errors import InputError
 from skylight.inverse.result import Estimate
 from skylight.inverse.sky.faces import SkyFace, SkyFaces
 from skylight.inverse.sky.solver import SkySolver, SolverOptions
+from skylight.inverse.sun_prior import SunPrior
 from skylight.models.base import LightModel, Prior
 from skylight.models.prior import GaussianMixture
 from skylight.transport.observation import Observation
@@ -38,6 +39,7 @@ class SkyProblem:
         albedo_prior: GaussianMixture,
         albedo_modes: Float[Tensor, "k 3"],
         options: SolverOptions | None = None,
+        sun_prior: SunPrior | None = None,
     ) -> None:
         self.solver = SkySolver(
             model=model,
@@ -46,12 +48,15 @@ class SkyProblem:
             albedo_modes=albedo_modes,
             options=options or SolverOptions(),
         )
-        self.faces = SkyFaces()
+        self.faces = SkyFaces(sun_prior)
 
-    def another(self) -> "SkyProblem":
-        """An empty problem with the same model, priors and options, to be solved with this one."""
+    def another(self, sun_prior: SunPrior | None = None) -> "SkyProblem":
+        """An empty problem with the same model, priors and options, to be solved with this one.
+
+        What clock and place tell of the sun is its own.
+        """
         problem = copy(self)
-        problem.faces = SkyFaces()
+        problem.faces = SkyFaces(sun_prior)
         return problem
 
     @property

@@ -11,12 +11,19 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.inverse.lbfgs import minimise
-from skylight.inverse.posterior import SunEvidence, face_evidence, sun_evidence, sun_posterior
+from skylight.inverse.posterior import (
+    SunEvidence,
+    credible,
+    face_evidence,
+    sun_evidence,
+    sun_posterior,
+)
 from skylight.inverse.result import UNEXPLAINED, Estimate, FaceLight, Status, advice, residual
 from skylight.inverse.scan import SunScan, scan_faces
 from skylight.inverse.sky.faces import SkyFaces
 from skylight.inverse.sky.objective import FaceTerm, ObjectiveWeights, SkyObjective, Unpacked
 from skylight.inverse.sky.starts import choose_starts
+from skylight.inverse.sun_prior import SunPrior
 from skylight.models.base import LightModel, Prior
 from skylight.models.prior import GaussianMixture
 from skylight.sphere.envmap import EnvironmentMap
@@ -83,6 +90,9 @@ class SkySolver:
         every finer level; the best end point wins. In each round the starts of all problems are
         one batch, and a problem's end does not depend on the others but for rounding.
 
+        What clock and place tell of the sun counts unless the faces contradict it
+        (:func:`~skylight.inverse.posterior.credible`): else a wrong clock would draw the sun.
+
         Raises
         ------
         InputError
@@ -92,32 +102,40 @@ class SkySolver:
             raise InputError("there is no observation to estimate light from; give at least one")
         rounds, observed = self.options.rounds, [face.scanned for one in problems for face in one]
         every = scan_faces(observed)
+        evidence = [
+            sun_evidence(each) for each in _per_problem(face_evidence(observed, every), problems)
+        ]
+        priors = [
+            credible(each, problem.sun_prior)
+            for each, problem in zip(evidence, problems, strict=True)
+        ]
         scans = [
-            SunScan.of(faces, candidates=self.options.scan_candidates)
-            for faces in _per_problem(every, problems)
+            SunScan.of(faces, candidates=self.options.scan_candidates, sun_prior=prior)
+            for faces, prior in zip(_per_problem(every, problems), priors, strict=True)
         ]
         points = [
-            self._starts(faces, scan.candidates)
-            for faces, scan in zip(problems, scans, strict=True)
+            self._starts(faces, prior, scan.candidates)
+            for faces, prior, scan in zip(problems, priors, scans, strict=True)
         ]
         before, objective = None, None
         for number, effort in enumerate(rounds, start=1):
             stage = effort.level, effort.even_skin
             if objective is None or stage != before:
                 objective = None  # of many faces, one level at a time is much memory
-                before, objective = stage, self._objective(problems, effort)
+                before, objective = stage, self._objective(problems, priors, effort)
             points = self._round(objective, points, effort)
             if progress is not None:
                 progress(number / len(rounds))
         assert objective is not None
         ends = _Ends.of(objective, points)
-        evidence = _per_problem(face_evidence(observed, every), problems)
         return [
-            _estimate(ends, p, faces, rounds[-1].level, scan, sun_evidence(each))
+            _estimate(ends, p, faces, rounds[-1].level, scan, each)
             for p, (faces, scan, each) in enumerate(zip(problems, scans, evidence, strict=True))
         ]
 
-    def _objective(self, problems: Sequence[SkyFaces], effort: Round) -> SkyObjective:
+    def _objective(
+        self, problems: Sequence[SkyFaces], priors: Sequence[SunPrior | None], effort: Round
+    ) -> SkyObjective:
         """Of all problems on a round's level; of one, without a copy of its transport."""
         faces = zip(*(one.terms(effort.level) for one in problems), strict=True)
         weights = self.options.weights
@@ -127,10 +145,13 @@ class SkySolver:
             self.light_prior,
             self.albedo_prior,
             replace(weights, pigment_spread=0.0) if effort.even_skin else weights,
+            priors,
         )
 
-    def _starts(self, faces: SkyFaces, directions: Float[Tensor, "d 3"]) -> "_Points":
-        objective = self._objective([faces], self.options.rounds[0])
+    def _starts(
+        self, faces: SkyFaces, prior: SunPrior | None, directions: Float[Tensor, "d 3"]
+    ) -> "_Points":
+        objective = self._objective([faces], [prior], self.options.rounds[0])
         free, scores = choose_starts(objective, directions, self.albedo_modes)
         return _Points(free=free, scores=scores, converged=torch.zeros_like(scores) > 0)
 
@@ -262,6 +283,7 @@ def _estimate(
         albedo=lights[0].albedo,
         gloss=None if faces[0].scanned.gloss is None else lights[0].gloss,
         albedo_prior=ends.objective.tone_prior,
+        sun_prior=faces.sun_prior,
     )
     return Estimate(
         light=ends.objective.model.name,

@@ -20,7 +20,8 @@ def choose_starts(
     """Packed starts and their scores, each with its best exposures and albedo modes.
 
     The best of the model's candidates for each of the scan's directions, and its centroids.
-    The score is data and albedo prior alone: how likely a sky is counts from the first step on.
+    The score is data and the priors of albedo and the sun's place alone: how likely a sky is counts
+    from the first step on.
     """
     model = objective.model
     towards = model.starts_towards(directions).flatten(0, 1).to(albedo_modes)
@@ -34,7 +35,9 @@ def choose_starts(
     ground_albedo = torch.full_like(light[:, :3], START_GROUND)
     ground = objective.ground(sky, ground_albedo)
     ones = torch.ones_like(ground_albedo)
-    losses = light.new_zeros(len(light))
+    losses = objective.sun_nll(light)
+    if losses is None:
+        losses = light.new_zeros(len(light))
     exposures = light.new_ones(len(light), objective.photo_count)
     albedos = light.new_ones(len(light), len(objective.faces), 3)
     for photo in range(objective.photo_count):
@@ -49,7 +52,7 @@ def choose_starts(
             shaded.append(_Shaded(face=face, diffuse=diffuse, glossy=glossy))
         start = _photo_start(objective, shaded, albedo_modes)
         exposures[:, photo], albedos[:, mine] = start.exposure, start.albedo
-        losses += start.loss
+        losses = losses + start.loss
     gloss = light.new_ones(len(light), len(objective.faces))
     packed = objective.pack(light, exposures, gloss, albedos, ground_albedo)
     # one sky for each direction: many starts are to look in many directions
