@@ -1,16 +1,19 @@
-"""Mean and covariance of the errors of a landmark detector.
+"""Errors of landmarks on rendered people, which the fit of a head takes them to have.
 
-    python tools/measure_landmarks.py --out skylight/faces/data/mediapipe_landmarks.npz
-    python tools/measure_landmarks.py --landmarker dlib --out skylight/faces/data/dlib_landmarks.npz
+    python tools/measure_landmarks.py --people DIR --out skylight/faces/data/mediapipe_landmarks.npz
+    python tools/measure_landmarks.py --people DIR --landmarker dlib --out dlib_landmarks.npz
     python tools/measure_landmarks.py --compare 40
 
-Renders random people under simulated training skies, detects their landmarks, and compares them
-with the projected landmarks of the true heads (the jaw's on the silhouette). The errors are large
-along the jaw and the brows and strongly correlated, and the fit needs to know it: with dlib's
-second moment instead of independent errors, the head's pose comes out a sixth better on held-out
-people. MediaPipe's points are not defined as iBUG's are: their mean error is stored too, to be
-taken off. ``--compare`` sets both landmarkers beside each other on other people, or on the
-path-traced faces in ``--faces``.
+People (``tools/landmark_people.py``, kept in DIR) of all tones under lamps and skies of all kinds
+have their landmarks detected, and compared with where those lie on the true heads. Errors are
+strongly correlated, and they follow the light: with their second moment instead of independent
+errors, the pose of held-out people is a third better.
+
+MediaPipe's mesh: S = U U^T + diag over its fitted points, U the leading 120 modes; its mean error
+is left in S, since what rendered heads and real people disagree about is not to be corrected by
+rendered ones. iBUG's 68 points, as MediaPipe's stand for them: their mean error, to be taken off.
+dlib's 68: S, shrunk by 30 % towards independence. ``--compare`` sets both landmarkers beside each
+other on other people, or on the path-traced faces in ``--faces``.
 """
 
 import argparse
@@ -26,20 +29,17 @@ from skylight.evaluation.faces.face_light import pose_error_deg
 from skylight.evaluation.faces.known_faces import synthetic_face
 from skylight.evaluation.rendered_faces.files import read_rendered_face, rendered_faces
 from skylight.faces.dlib_landmarks import DlibLandmarker
-from skylight.faces.fit import FaceFit, FitProblem, fit_face
-from skylight.faces.landmarks import DetectedFace, FaceLandmarker
+from skylight.faces.fit import FaceFit, camera_project, fit_face, landmarks_of
+from skylight.faces.landmarks import FaceLandmarker
 from skylight.faces.mediapipe_face import IBUG, MediaPipeLandmarker, eye_axes
 from skylight.faces.model import HeadModel
-from skylight.faces.synthetic import render_face
 from skylight.io.atomic import atomic_path
-from skylight.skies.simulated import simulated_skies
+from tools.landmark_people import Pictured, people
 
-SKIES = 40
-FIRST_SKY_SEED = 9_000_000  # beyond those that evaluations draw their skies from
-FIRST_PERSON_SEED = 1_000_000
 HELD_OUT_SEED, SEEDS_APART = 3_000_000, 1000  # of people to compare on
 OUTLIER = 0.12  # median error, in eye distances, of a detection that is no detection
-# Part of what is measured is the renderer's: bald people with painted brows. Correlations are
+MODES, MESH_FLOOR = 120, 0.004
+# Part of what is measured is the renderer's: painted brows, a cap of hair. dlib's correlations are
 # shrunk towards independence, and every landmark gets 1 % of its own.
 SHRINKAGE, FLOOR = 0.3, 0.01
 INNER = slice(17, 68)
@@ -50,7 +50,8 @@ Truth = tuple[UInt8[ndarray, "h w 3"], Float[ndarray, "68 2"], FaceFit]  # pictu
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--landmarker", choices=("mediapipe", "dlib"), default="mediapipe")
-    parser.add_argument("--people", type=int, default=400)
+    parser.add_argument("--people", type=Path, help="where the rendered people are kept")
+    parser.add_argument("--count", type=int, default=1200)
     task = parser.add_mutually_exclusive_group(required=True)
     task.add_argument("--out", type=Path, help="measure, and write the errors there")
     task.add_argument("--compare", type=int, metavar="N", help="dlib with MediaPipe on N faces")
@@ -62,43 +63,79 @@ def main() -> None:
         faces = traced(arguments.faces, count) if arguments.faces else held_out(count)
         compare({"dlib": DlibLandmarker(), "mediapipe": MediaPipeLandmarker()}, faces)
         return
-    faces = people(arguments.people)
-    if arguments.landmarker == "dlib":
-        errors, mean = dlib_errors(DlibLandmarker(), faces), np.zeros((68, 2))
-    else:
-        errors, mean = mediapipe_errors(MediaPipeLandmarker(), faces)
-    kept = errors[_plausible(errors)].reshape(-1, 136)
-    print(f"{len(errors)} of {arguments.people} people found, {len(kept)} used")
-    moment = kept.T @ kept / len(kept)
-    moment = (
-        (1 - SHRINKAGE) * moment + SHRINKAGE * np.diag(np.diag(moment)) + FLOOR**2 * np.eye(136)
-    )
+    if arguments.people is None:
+        parser.error("--out needs --people FOLDER")
+    measured = mediapipe_errors if arguments.landmarker == "mediapipe" else dlib_errors
+    arrays = measured(people(arguments.people, arguments.count))
+    print(f"{int(arrays['people'])} of {arguments.count} people used")
     with atomic_path(arguments.out) as path, path.open("wb") as stream:
-        np.savez_compressed(
-            stream,
-            second_moment=moment.astype(np.float32),
-            mean_error=mean.astype(np.float32),  # what is taken off first
-            people=np.asarray(len(kept), dtype=np.int64),
-        )
+        np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
 
 
-def people(count: int) -> Iterator[Truth]:
-    """Random people under skies of all kinds."""
-    # 8 rows of light, 32 where it is bright, are enough to make landmarks err as they do
-    skies = [sky.resize(4) for _, sky in simulated_skies(SKIES, first_seed=FIRST_SKY_SEED)]
-    ground = torch.tensor([0.14, 0.13, 0.12])
-    for i in range(count):
-        face = render_face(skies[i % SKIES], ground, seed=FIRST_PERSON_SEED + i, light_rows=32)
-        yield face.encoded, FitProblem.landmarks_of(HeadModel.load(), face.truth), face.truth
-        if (i + 1) % 20 == 0:
-            print(f"{i + 1} of {count} people", flush=True)
+def mediapipe_errors(faces: Iterable[Pictured]) -> dict[str, ndarray]:
+    """Modes, variances of their own, iBUG's mean error in units of ``eye_axes``."""
+    landmarker, model = MediaPipeLandmarker(), HeadModel.load()
+    mesh, ibug = [], []
+    for face in faces:
+        for seen in landmarker.faces(face.encoded)[:1]:
+            points = seen.points
+            head = face.truth
+            shape = model.vertices(head.identity, head.expression)
+            on_head = np.einsum("qc,qcd->qd", model.mesh_bary, shape[model.faces[model.mesh_faces]])
+            true = camera_project(head.camera, on_head @ head.rotation.T + head.translation)
+            axes = eye_axes(points)
+            mesh.append((points[model.mesh_points] - true) / np.linalg.norm(axes[0]))
+            gap = points[list(IBUG)] - landmarks_of(model, head)
+            ibug.append(gap @ np.linalg.inv(axes))
+    errors = np.array(mesh)
+    kept = _plausible(errors)
+    modes, own = low_rank(errors[kept].reshape(int(kept.sum()), -1), MODES)
+    return {
+        "modes": modes.astype(np.float32),
+        "own": (own + MESH_FLOOR**2).astype(np.float32),
+        "mean_error": np.array(ibug)[kept].mean(0).astype(np.float32),
+        "people": np.asarray(kept.sum(), dtype=np.int64),
+    }
+
+
+def low_rank(
+    errors: Float[ndarray, "n q"], rank: int
+) -> tuple[Float[ndarray, "q r"], Float[ndarray, " q"]]:
+    """U, d so that U U^T + diag(d) is about E^T E / n, and equal to it on the diagonal."""
+    moment = errors.T @ errors / len(errors)
+    values, vectors = np.linalg.eigh(moment)
+    modes = vectors[:, -rank:] * np.sqrt(values[-rank:].clip(0))
+    return modes, (np.diag(moment) - (modes**2).sum(1)).clip(0)
+
+
+def dlib_errors(faces: Iterable[Pictured]) -> dict[str, ndarray]:
+    """The second moment, in squared eye distances."""
+    landmarker, model = DlibLandmarker(), HeadModel.load()
+    errors = np.array(
+        [
+            (seen.points - landmarks_of(model, face.truth)) / seen.eye_distance_px
+            for face in faces
+            for seen in landmarker.detect(face.encoded)[:1]
+        ]
+    )
+    kept = errors[_plausible(errors)].reshape(-1, 136)
+    moment = kept.T @ kept / len(kept)
+    shrunk = (1 - SHRINKAGE) * moment + SHRINKAGE * np.diag(np.diag(moment))
+    return {
+        "second_moment": (shrunk + FLOOR**2 * np.eye(136)).astype(np.float32),
+        "people": np.asarray(len(kept), dtype=np.int64),
+    }
+
+
+def _plausible(errors: Float[ndarray, "n p 2"]) -> Bool[ndarray, " n"]:
+    return np.median(np.linalg.norm(errors, axis=2), axis=1) < OUTLIER
 
 
 def held_out(count: int) -> Iterator[Truth]:
     """People in the sun as those of ``skylight evaluate``, but others."""
     for i in range(count):
         face = synthetic_face(HELD_OUT_SEED + SEEDS_APART * i, 256)
-        yield face.encoded, FitProblem.landmarks_of(HeadModel.load(), face.truth), face.truth
+        yield face.encoded, landmarks_of(HeadModel.load(), face.truth), face.truth
 
 
 def traced(directory: Path, count: int) -> Iterator[Truth]:
@@ -106,43 +143,6 @@ def traced(directory: Path, count: int) -> Iterator[Truth]:
     for folder in rendered_faces(directory)[:count]:
         face = read_rendered_face(folder)
         yield face.encoded, face.landmarks, face.truth
-
-
-def dlib_errors(landmarker: DlibLandmarker, faces: Iterable[Truth]) -> Float[ndarray, "n 68 2"]:
-    """Errors in eye distances, of the people found."""
-    errors = []
-    for picture, truth, _ in faces:
-        errors += [_in_eyes(found, truth) for found in landmarker.detect(picture)[:1]]
-    return np.array(errors)
-
-
-def mediapipe_errors(
-    landmarker: MediaPipeLandmarker, faces: Iterable[Truth]
-) -> tuple[Float[ndarray, "n 68 2"], Float[ndarray, "68 2"]]:
-    """(errors in eye distances once the mean is off, the mean in units of ``eye_axes``)."""
-    read = [
-        (points, truth)
-        for picture, truth, _ in faces
-        for points, _ in landmarker.faces(picture)[:1]
-    ]
-    gaps = np.array(
-        [(points[list(IBUG)] - truth) @ np.linalg.inv(eye_axes(points)) for points, truth in read]
-    )
-    mean = gaps[_plausible(gaps)].mean(0)
-    corrected = [points[list(IBUG)] - mean @ eye_axes(points) for points, _ in read]
-    errors = [
-        _in_eyes(DetectedFace(points=points, score=1.0), truth)
-        for points, (_, truth) in zip(corrected, read, strict=True)
-    ]
-    return np.array(errors), mean
-
-
-def _in_eyes(face: DetectedFace, truth: Float[ndarray, "68 2"]) -> Float[ndarray, "68 2"]:
-    return (face.points - truth) / face.eye_distance_px
-
-
-def _plausible(errors: Float[ndarray, "n 68 2"]) -> Bool[ndarray, " n"]:
-    return np.median(np.linalg.norm(errors, axis=2), axis=1) < OUTLIER
 
 
 def compare(landmarkers: dict[str, FaceLandmarker], faces: Iterable[Truth]) -> None:

@@ -60,7 +60,7 @@ class DlibLandmarker:
             shape = self._predictor(np.ascontiguousarray(image), whole)
             # dlib's integers name pixel centres
             points = np.array([(p.x + 0.5, p.y + 0.5) for p in shape.parts()], dtype=np.float64)
-            faces.append(DetectedFace(points=points, score=float(score), landmarker="dlib"))
+            faces.append(DetectedFace(points=points, score=float(score)))
         # folds of cloth score a tenth of a real face beside them; a lone weak face is kept
         strongest = max((f.score for f in faces), default=0.0)
         weakest = WEAKEST_SHARE * strongest if strongest > 0 else strongest

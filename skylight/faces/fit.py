@@ -2,27 +2,22 @@
 
 Minimised over pose (R, t), focal length f, identity a and expression b::
 
-    e^T S^-1 e + |a|^2 + |b|^2 / s^2 + (log f - log f_0)^2 / sigma_f^2
+    e^T S^-1 e + |a - a_0|^2 + |b|^2 / s^2 + (log f - log f_0)^2 / sigma_f^2
 
-where e holds project(R X_i(a, b) + t; f) - x_i of all landmarks in units of the eye distance, with
-X_i on the head for the 51 inner landmarks; those of the jaw slide along the head to the silhouette.
-S is the second moment of the detector's errors, measured on rendered people
-(``tools/measure_landmarks.py``): detectors err together along jaw and brows, and treating their
-landmarks as independent turns that into errors of pose.
+where e holds project(R X_i(a, b) + t; f) - x_i of all detected points, S is the second moment of
+their errors (:mod:`skylight.faces.correspondence`), and a_0 the average face.
 """
 
 from dataclasses import dataclass
-from functools import cache
-from importlib.resources import files
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
-from skylight.errors import AssetError
-from skylight.faces.landmarks import DetectedFace, LandmarkerName
+from skylight.faces.correspondence import Correspondence, correspondence, slid_landmarks
+from skylight.faces.landmarks import DetectedFace
 from skylight.faces.model import HeadModel
 from skylight.transport.camera import Camera
 
@@ -33,10 +28,6 @@ FOCAL_GUESS = 1.9
 FOCAL_GUESS_SIGMA = 0.3
 FOCAL_EXIF_SIGMA = 0.05
 _JAW = np.arange(17)
-_ERRORS: dict[LandmarkerName, str] = {
-    "dlib": "dlib_landmarks.npz",
-    "mediapipe": "mediapipe_landmarks.npz",
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +73,7 @@ def fit_face(
     turned its normals enough to raise the median sun error of rendered faces from 6.4 to 8.3
     degrees (11 faces). Switch it on with a landmarker that deserves it.
     """
-    problem = FitProblem(model, face, width, height, focal_px)
+    problem = FitProblem(model, correspondence(model, face), width, height, focal_px)
     # a turned head has local minima: start from three yaws and keep the best
     starts = [problem.start(yaw) for yaw in np.radians([-30.0, 0.0, 30.0])]
     posed = [problem.minimise(s, iterations=15, pose_only=True) for s in starts]
@@ -90,13 +81,12 @@ def fit_face(
     state, _, converged = problem.minimise(best, iterations=60, pose_only=False)
     camera = problem.camera(state)
     shape = model.vertices(state.identity, state.expression)
-    points, _ = problem.points(state)
-    placed = points @ state.rotation.T + state.translation
-    gap = face.points - camera_project(camera, placed)
+    marks = _placed_landmarks(model, state)
+    gap = face.points - camera_project(camera, marks)
     error = float(np.linalg.norm(gap, axis=1).mean() / face.eye_distance_px)
     if meet_landmarks:
         # in the picture plane at each landmark's depth; sliding jaw points stay where they are
-        depth = -placed[:, 2:]
+        depth = -marks[:, 2:]
         shift = np.concatenate([gap[:, :1], -gap[:, 1:], np.zeros_like(depth)], 1)
         shift = shift * depth / camera.focal_px
         shift[_JAW] = 0
@@ -111,6 +101,19 @@ def fit_face(
         landmark_error=error,
         converged=converged,
     )
+
+
+def landmarks_of(model: HeadModel, fit: FaceFit) -> Float[ndarray, "68 2"]:
+    """Where a head's landmarks lie in the picture, the jaw's on the silhouette."""
+    return camera_project(fit.camera, _placed_landmarks(model, fit))
+
+
+def _placed_landmarks(model: HeadModel, head: "FaceFit | FitState") -> Float[ndarray, "68 3"]:
+    """In the camera's frame."""
+    points, _ = slid_landmarks(
+        model, head.rotation, head.translation, head.identity, head.expression
+    )
+    return points @ head.rotation.T + head.translation
 
 
 def camera_project(camera: Camera, points: Float[ndarray, "n 3"]) -> Float[ndarray, "n 2"]:
@@ -150,54 +153,38 @@ class FitProblem:
     def __init__(
         self,
         model: HeadModel,
-        face: DetectedFace,
+        seen: Correspondence,
         width: int,
         height: int,
         focal_px: float | None,
     ) -> None:
-        self.target = face.points
-        self.eye_distance = face.eye_distance_px
+        self.seen = seen
         self.size = width, height
-        self.basis = model.landmark_basis()
-        self.contour = model.contour_basis()
-        self.identities = self.basis[1].shape[2]
+        self.average = model.average
+        self.identities, self.expressions = (part.shape[2] for part in seen.basis[1:])
         known = focal_px is not None
         self.log_focal0 = np.log(focal_px if known else FOCAL_GUESS * max(width, height))
         self.focal_sigma = FOCAL_EXIF_SIGMA if known else FOCAL_GUESS_SIGMA
-        self.whiten = _whitening(face.landmarker) / self.eye_distance
-
-    @staticmethod
-    def landmarks_of(model: HeadModel, fit: FaceFit) -> Float[ndarray, "68 2"]:
-        """Where a head's landmarks lie in the picture, the jaw's on the silhouette."""
-        pixels = camera_project(fit.camera, model.landmarks(fit.vertices))
-        face = DetectedFace(points=pixels, score=0.0)
-        problem = FitProblem(model, face, fit.camera.width, fit.camera.height, None)
-        state = FitState(
-            rotation=fit.rotation,
-            translation=fit.translation,
-            log_focal=float(np.log(fit.camera.focal_px)),
-            identity=fit.identity,
-            expression=fit.expression,
-        )
-        points, _ = problem.points(state)
-        return camera_project(fit.camera, points @ fit.rotation.T + fit.translation)
 
     def start(self, yaw: float) -> FitState:
-        """Mean face at the depth that the outer eye corners tell, rolled like them."""
-        mean = self.basis[0]
-        left, right = self.target[36], self.target[45]
-        roll = np.arctan2(-(right - left)[1], (right - left)[0])
+        """The average face at the depth that the outer eye corners tell, rolled like them."""
+        zero = np.zeros(self.expressions)
+        points, _ = self.seen.points(np.eye(3), -np.eye(3)[2], self.average, zero)
+        first, second = self.seen.eyes
+        right, left = self.seen.target[first], self.seen.target[second]
+        roll = np.arctan2(-(left - right)[1], (left - right)[0])
         rotation = Rotation.from_euler("zy", [roll, yaw]).as_matrix()
         focal = np.exp(self.log_focal0)
-        depth = focal * np.linalg.norm(mean[45] - mean[36]) * np.cos(yaw) / self.eye_distance
-        middle = self.target[17:].mean(0) - np.array(self.size) / 2
+        apart = np.linalg.norm(points[second] - points[first]) * np.cos(yaw)
+        depth = focal * apart / np.linalg.norm(left - right)
+        middle = (left + right) / 2 - np.array(self.size) / 2
         centre = np.array([middle[0], -middle[1], -focal]) * depth / focal
         return FitState(
             rotation=rotation,
-            translation=centre - rotation @ mean[17:].mean(0),
+            translation=centre - rotation @ (points[first] + points[second]) / 2,
             log_focal=float(self.log_focal0),
-            identity=np.zeros(self.identities),
-            expression=np.zeros(self.basis[2].shape[2]),
+            identity=self.average,
+            expression=zero,
         )
 
     def camera(self, state: FitState) -> Camera:
@@ -209,46 +196,27 @@ class FitProblem:
             center_px=(width / 2, height / 2),
         )
 
-    def points(self, state: FitState) -> tuple[Float[ndarray, "68 3"], Float[ndarray, "68 3 p"]]:
-        """Landmarks in the head's frame, the jaw's slid to the silhouette, and d/d(a, b)."""
-        mean, identity, expression = self.basis
-        points = mean + identity @ state.identity + expression @ state.expression
-        jacobian = np.concatenate([identity, expression], 2)
-        chosen = self._silhouette(state, points)
-        mean, identity, expression = (part[_JAW, chosen] for part in self.contour)
-        points[_JAW] = mean + identity @ state.identity + expression @ state.expression
-        jacobian[_JAW] = np.concatenate([identity, expression], 2)
-        return points, jacobian
+    def _points(self, state: FitState) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n 3 p"]]:
+        pose = state.rotation, state.translation
+        return self.seen.points(*pose, state.identity, state.expression)
 
-    def _silhouette(self, state: FitState, points: Float[ndarray, "68 3"]) -> Int[ndarray, " 17"]:
-        """Of each jaw row, the candidate that lies outermost in the picture."""
-        mean, identity, expression = self.contour
-        candidates = mean + identity @ state.identity + expression @ state.expression
-        camera = self.camera(state)
-        rows, count = candidates.shape[:2]
-        placed = candidates.reshape(-1, 3) @ state.rotation.T + state.translation
-        image = camera_project(camera, placed).reshape(rows, count, 2)
-        inner = camera_project(camera, points[27:36] @ state.rotation.T + state.translation)
-        outward = image[:, 0] - inner.mean(0)
-        outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-        return np.einsum("rcd,rd->rc", image, outward).argmax(1)
-
-    def residuals(self, state: FitState) -> tuple[Float[ndarray, "136"], Float[ndarray, "136 p"]]:
+    def residuals(self, state: FitState) -> tuple[Float[ndarray, " q"], Float[ndarray, "q p"]]:
         """S^-1/2 e and its Jacobian by the step of :meth:`FitState.stepped`."""
-        points, shape_jacobian = self.points(state)
+        points, shape_jacobian = self._points(state)
         rotated = points @ state.rotation.T
         placed = rotated + state.translation
         focal = np.exp(state.log_focal)
         depth = -placed[:, 2]
         x, y = placed[:, 0], placed[:, 1]
-        gap = camera_project(self.camera(state), placed) - self.target
+        gap = camera_project(self.camera(state), placed) - self.seen.target
         # d(u, v) / d(placed): u = f x / depth, v = -f y / depth
-        projection = np.zeros((68, 2, 3))
+        count = len(points)
+        projection = np.zeros((count, 2, 3))
         projection[:, 0, 0] = focal / depth
         projection[:, 0, 2] = focal * x / depth**2
         projection[:, 1, 1] = -focal / depth
         projection[:, 1, 2] = -focal * y / depth**2
-        by_point = np.zeros((68, 3, 7 + shape_jacobian.shape[2]))
+        by_point = np.zeros((count, 3, 7 + shape_jacobian.shape[2]))
         # d(exp(w) q) / dw = -[q]x
         by_point[:, 0, 1], by_point[:, 0, 2] = rotated[:, 2], -rotated[:, 1]
         by_point[:, 1, 0], by_point[:, 1, 2] = -rotated[:, 2], rotated[:, 0]
@@ -258,7 +226,8 @@ class FitProblem:
         by_point[:, :, 7:] = np.einsum("ij,ljp->lip", state.rotation, shape_jacobian)
         jacobian = np.einsum("luc,lcp->lup", projection, by_point)
         jacobian[:, 0, 6], jacobian[:, 1, 6] = focal * x / depth, -focal * y / depth
-        return self.whiten @ gap.ravel(), self.whiten @ jacobian.reshape(136, -1)
+        whiten = self.seen.whiten
+        return whiten @ gap.ravel(), whiten @ jacobian.reshape(2 * count, -1)
 
     def prior(self, state: FitState) -> tuple[Float[ndarray, " p"], Float[ndarray, " p"]]:
         """Residuals of the priors and their (diagonal) Jacobian; none on the pose."""
@@ -266,7 +235,7 @@ class FitProblem:
             [
                 np.zeros(6),
                 [(state.log_focal - self.log_focal0) / self.focal_sigma],
-                state.identity,
+                state.identity - self.average,
                 state.expression / EXPRESSION_SCALE,
             ]
         )
@@ -282,9 +251,10 @@ class FitProblem:
 
     def cost(self, state: FitState) -> float:
         """The objective at the top of this file."""
-        points, _ = self.points(state)
+        points, _ = self._points(state)
         placed = points @ state.rotation.T + state.translation
-        gap = self.whiten @ (camera_project(self.camera(state), placed) - self.target).ravel()
+        gap = camera_project(self.camera(state), placed) - self.seen.target
+        gap = self.seen.whiten @ gap.ravel()
         return float((gap**2).sum() + (self.prior(state)[0] ** 2).sum())
 
     def minimise(
@@ -318,17 +288,3 @@ class FitProblem:
             if gain < 1e-6 * (1 + cost):
                 return state, cost, True
         return state, cost, False
-
-
-@cache
-def _whitening(landmarker: LandmarkerName) -> Float[ndarray, "136 136"]:
-    """W with W^T W = S^-1, S in squared eye distances."""
-    source = files("skylight.faces") / "data" / _ERRORS[landmarker]
-    try:
-        with source.open("rb") as stream, np.load(stream) as stored:
-            moment = stored["second_moment"].astype(np.float64)
-        return np.linalg.cholesky(np.linalg.inv(moment)).T
-    except (OSError, KeyError, ValueError, np.linalg.LinAlgError) as error:
-        raise AssetError(
-            f"{source}: the landmark errors cannot be read ({error}); reinstall skylight"
-        ) from error

@@ -15,14 +15,14 @@ LandmarkerName = Literal["mediapipe", "dlib"]
 class DetectedFace:
     """``points`` (68,2) in iBUG's order, (x, y) pixels with pixel centres at +0.5.
 
-    ``score`` is the detector's; below 0 it is a guess where nothing better was seen.
-
-    ``landmarker`` names the landmarker whose measured errors the fit takes the points to have.
+    ``score`` is the detector's; below 0 it is a guess where nothing better was seen. ``readings``
+    are several of MediaPipe's 478 points, from the same face seen a little differently: where they
+    are given the head is fitted to them, else to ``points`` with the errors that dlib's have.
     """
 
     points: Float[np.ndarray, "68 2"]
     score: float
-    landmarker: LandmarkerName = "dlib"
+    readings: Float[np.ndarray, "r 478 2"] | None = None
 
     @property
     def size_px(self) -> float:

@@ -39,8 +39,13 @@ _FAINTEST_GLANCE = 0.1  # at BlazeFace's own square
 _SURE_PRESENCE, _SURE_SCATTER = 0.9, 0.016
 _LEAST_INSIDE = 0.6  # part of the landmarks within the picture; else it is a mirror image's face
 _RIGHT_EYE, _LEFT_EYE = 33, 263  # outer corners among the 478
-# (side, shift of the centre in sides, turn) against the square that the landmarks ask for
-_GLANCES = ((1.0, 0.0, 0.0), (1.08, 0.02, 0.05), (0.94, -0.02, -0.05))
+# (side, shift of the centre in sides, turn) against the square that the landmarks ask for, and what
+# is shown beyond the picture's border: the network leans on it where a face is cut
+_GLANCES = (
+    (1.0, 0.0, 0.0, cv2.BORDER_REPLICATE),
+    (1.08, 0.02, 0.05, cv2.BORDER_CONSTANT),
+    (0.94, -0.02, -0.05, cv2.BORDER_REPLICATE),
+)
 # The one of the 478 points that stands for each of iBUG's 68: of those that MediaPipe's own
 # outlines name (face oval, brows, eyes, lips), the one nearest on rendered people.
 IBUG = (
@@ -62,12 +67,16 @@ class MediaPipeLandmarker:
 
     def detect(self, image: UInt8[ndarray, "h w 3"]) -> list[DetectedFace]:
         return [
-            DetectedFace(points=to_ibug(points), score=presence, landmarker="mediapipe")
-            for points, presence in self.faces(image)
+            DetectedFace(
+                points=to_ibug(face.points),
+                score=face.presence,
+                readings=face.readings,
+            )
+            for face in self.faces(image)
         ]
 
-    def faces(self, image: UInt8[ndarray, "h w 3"]) -> list[tuple[Float[ndarray, "478 2"], float]]:
-        """(pixels (x, y) of the 478 points, probability of a face) of all faces, largest first.
+    def faces(self, image: UInt8[ndarray, "h w 3"]) -> "list[Reading]":
+        """All faces, the largest first.
 
         Points may lie outside the picture, where a face is cut by its border.
         """
@@ -76,9 +85,9 @@ class MediaPipeLandmarker:
                 return found
         return []
 
-    def _faces(self, look: Look) -> list[tuple[Float[ndarray, "478 2"], float]]:
+    def _faces(self, look: Look) -> "list[Reading]":
         height, width = look.picture.shape[:2]
-        read = []
+        read: list[Reading] = []
         for square in self.find(look.shown, look.least_score):
             points, presence = self.glance(look.picture, look.in_picture(square))
             if presence < _FAINTEST_GLANCE:
@@ -88,15 +97,15 @@ class MediaPipeLandmarker:
             if seen.presence < _LEAST_PRESENCE or inside < _LEAST_INSIDE:
                 continue
             if seen.sure or not look.last_resort:
-                read.append((seen.points, seen.presence))
+                read.append(seen)
         # cloth and leaves reach two thirds of a real face's probability; a lone weak face is kept
-        strongest = max((presence for _, presence in read), default=0.0)
-        read = [face for face in read if face[1] >= _WEAKEST_SHARE * strongest]
-        read.sort(key=lambda face: -np.linalg.norm(np.ptp(face[0], axis=0)))
+        strongest = max((face.presence for face in read), default=0.0)
+        read = [face for face in read if face.presence >= _WEAKEST_SHARE * strongest]
+        read.sort(key=lambda face: -np.linalg.norm(np.ptp(face.points, axis=0)))
         return [
-            (points, presence)
-            for i, (points, presence) in enumerate(read)
-            if not any(_part_of(points, larger) for larger, _ in read[:i])
+            face
+            for i, face in enumerate(read)
+            if not any(_part_of(face.points, larger.points) for larger in read[:i])
         ]
 
     def find(
@@ -125,29 +134,28 @@ class MediaPipeLandmarker:
         face one by one.
         """
         points, presences = [], []
-        for scale, shift, turn_rad in _GLANCES:
+        for scale, shift, turn_rad, border in _GLANCES:
             other = Square(
                 centre=square.centre + shift * square.side,
                 side=scale * square.side,
                 angle_rad=square.angle_rad + turn_rad,
             )
             for mirror in (False, True):
-                seen, presence = self.glance(image, other, mirror=mirror)
+                seen, presence = self.glance(image, other, border, mirror=mirror)
                 points.append(seen)
                 presences.append(presence)
-        mean = np.mean(points, axis=0)
-        apart = np.median(np.linalg.norm(points - mean, axis=2))
-        return Reading(
-            points=mean,
-            presence=float(np.mean(presences)),
-            scatter=float(apart / np.ptp(mean, axis=0).max()),
-        )
+        return Reading(readings=np.array(points), presence=float(np.mean(presences)))
 
     def glance(
-        self, image: UInt8[ndarray, "h w 3"], square: Square, *, mirror: bool = False
+        self,
+        image: UInt8[ndarray, "h w 3"],
+        square: Square,
+        border: int = cv2.BORDER_REPLICATE,
+        *,
+        mirror: bool = False,
     ) -> tuple[Float[ndarray, "478 2"], float]:
         """Pixels (x, y) of the 478 points of the face in ``square``; the probability of a face."""
-        seen = square.cut(image, self._landmarks.side, cv2.BORDER_REPLICATE)
+        seen = square.cut(image, self._landmarks.side, border)
         if mirror:
             seen = seen[:, ::-1]
         points, logit = self._landmarks.run(seen / np.float32(255))[:2]
@@ -159,15 +167,21 @@ class MediaPipeLandmarker:
 
 @dataclass(frozen=True, kw_only=True)
 class Reading:
-    """The mean of several readings of one face: ``points`` (478,2), pixels (x, y).
+    """Several ``readings`` of one face, pixels (x, y); ``presence``: probability of a face."""
 
-    ``presence`` is the probability of a face, ``scatter`` the points' median distance from their
-    mean, over the face's extent.
-    """
-
-    points: Float[ndarray, "478 2"]
+    readings: Float[ndarray, "r 478 2"]
     presence: float
-    scatter: float
+
+    @property
+    def points(self) -> Float[ndarray, "478 2"]:
+        """Their mean."""
+        return self.readings.mean(0)
+
+    @property
+    def scatter(self) -> float:
+        """The points' median distance from their mean, over the face's extent."""
+        apart = np.median(np.linalg.norm(self.readings - self.points, axis=2))
+        return float(apart / np.ptp(self.points, axis=0).max())
 
     @property
     def sure(self) -> bool:

@@ -5,8 +5,10 @@ along +Z, +X is the person's left, which is right in a picture of the face. Shap
 
     vertices = mean + identity_basis a + expression_basis b
 
-with coefficients scaled so that a standard normal ``a`` is a plausible adult. The bases come from
-MakeHuman's CC0 targets (``tools/build_head.py`` builds the file, NOTICE tells the licences).
+with coefficients scaled so that ``a`` less the average face's is standard normal for plausible
+adults. The bases come from MakeHuman's CC0 targets (``tools/build_head.py``); which of their faces
+is the average one, and where MediaPipe's mesh lies on it, from MediaPipe's canonical face
+(``tools/register_face_mesh.py``). NOTICE tells the licences.
 """
 
 from __future__ import annotations
@@ -55,6 +57,11 @@ class HeadModel:
     # face to the back: the landmark seen is about the one outermost in the picture.
     contour_faces: Int[ndarray, "17 c"]
     contour_bary: Float[ndarray, "17 c 3"]
+    average: Float[ndarray, " k"]  # identity of the average face
+    # Of MediaPipe's 478 points those that are fitted, and where they lie.
+    mesh_points: Int[ndarray, " q"]
+    mesh_faces: Int[ndarray, " q"]
+    mesh_bary: Float[ndarray, "q 3"]
     # Bounded biharmonic weights of the landmarks (n, 68); what a row lacks to one holds still.
     weights: csr_matrix
 
@@ -85,6 +92,10 @@ class HeadModel:
                     "landmark_bary": stored["landmark_bary"].astype(np.float64),
                     "contour_faces": stored["contour_faces"].astype(np.int64),
                     "contour_bary": stored["contour_bary"].astype(np.float64),
+                    "average": stored["average"].astype(np.float64),
+                    "mesh_points": stored["mesh_points"].astype(np.int64),
+                    "mesh_faces": stored["mesh_faces"].astype(np.int64),
+                    "mesh_bary": stored["mesh_bary"].astype(np.float64),
                 }
                 names = tuple(str(name) for name in stored["expression_names"])
         except (OSError, KeyError, ValueError) as error:
@@ -125,11 +136,26 @@ class HeadModel:
         """Mean, identity and expression basis of the jaw landmarks' sliding candidates."""
         return self._contour_basis
 
+    def mesh_basis(
+        self,
+    ) -> tuple[Float[ndarray, "q 3"], Float[ndarray, "q 3 k"], Float[ndarray, "q 3 e"]]:
+        """Mean, identity and expression basis of the fitted points of MediaPipe's mesh."""
+        return self._mesh_basis
+
     @cached_property
     def _landmark_basis(self) -> tuple[ndarray, ndarray, ndarray]:
-        corner = self.faces[self.landmark_faces]
+        return self._basis_at(self.landmark_faces, self.landmark_bary)
+
+    @cached_property
+    def _mesh_basis(self) -> tuple[ndarray, ndarray, ndarray]:
+        return self._basis_at(self.mesh_faces, self.mesh_bary)
+
+    def _basis_at(
+        self, faces: Int[ndarray, " n"], bary: Float[ndarray, "n 3"]
+    ) -> tuple[ndarray, ndarray, ndarray]:
+        corner = self.faces[faces]
         mean, identity, expression = (
-            np.einsum("lc,lc...->l...", self.landmark_bary, array[corner])
+            np.einsum("lc,lc...->l...", bary, array[corner])
             for array in (self.mean, self.identity_basis, self.expression_basis)
         )
         return mean, identity, expression
@@ -158,14 +184,14 @@ class HeadModel:
     ) -> tuple[Float[ndarray, " k"], Float[ndarray, " e"]]:
         """Coefficients of a random plausible person.
 
-        Identity is standard normal. Expression units only contract, so theirs are half-normal with
-        most of them idle (each is active with probability 0.3); the two sides of the face mostly
-        act together, and a face is quiet or lively as a whole.
+        Identity is standard normal about the average face. Expression units only contract, so
+        theirs are half-normal with most of them idle (each is active with probability 0.3); the two
+        sides of the face mostly act together, and a face is quiet or lively as a whole.
         """
         if isinstance(generator, torch.Generator):
             seed = torch.randint(2**62, (), generator=generator, dtype=torch.int64)
             generator = np.random.default_rng(int(seed))
-        identity = generator.standard_normal(self.identity_basis.shape[2])
+        identity = self.average + generator.standard_normal(len(self.average))
         pairs = [name.replace("-left-", "-right-") for name in self.expression_names]
         units = sorted(set(pairs))
         active = generator.random(len(units)) < 0.3

@@ -13,7 +13,7 @@ from skylight.evaluation.rendered_faces.people import person, seen_parts
 from skylight.evaluation.rendered_faces.photograph import compose, exposure_for, photograph
 from skylight.evaluation.rendered_faces.scene_light import scene_light
 from skylight.evaluation.rendered_faces.trace import trace
-from skylight.faces.fit import FitProblem
+from skylight.faces.fit import landmarks_of
 from skylight.faces.model import HeadModel
 from skylight.faces.synthetic import SyntheticFace
 from skylight.imaging.colour import srgb_to_linear
@@ -71,7 +71,7 @@ def render(number: int, options: RenderOptions) -> RenderedFace:
         ground_albedo=light.ground_albedo,
         truth=who.truth,
         linear=torch.from_numpy(linear),
-        landmarks=FitProblem.landmarks_of(HeadModel.load(), who.truth),
+        landmarks=landmarks_of(HeadModel.load(), who.truth),
         hair=parts.hair,
         cluster=who.cluster,
         number=number,
