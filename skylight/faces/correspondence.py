@@ -19,8 +19,8 @@ from skylight.faces.model import HeadModel
 
 Basis = tuple[ndarray, ndarray, ndarray]  # mean (n,3), identity (n,3,k), expression (n,3,e)
 _JAW = np.arange(17)
-_EYES = 36, 45  # outer corners, the person's right first: iBUG's
-_MESH_EYES = 33, 263  # and MediaPipe's
+_EYES: tuple[int, int] = (36, 45)  # outer corners, the person's right first: iBUG's
+_MESH_EYES: tuple[int, int] = (33, 263)  # and MediaPipe's
 
 
 @runtime_checkable
