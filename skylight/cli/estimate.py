@@ -61,8 +61,8 @@ def estimate(
     code is 0 unless all failed.
 
     Args:
-        photo: Picture of a face: JPEG, PNG, TIFF, EXR or Radiance HDR; or a folder of such. Of a
-            grey one the colour of the light is only what is usual.
+        photo: Picture of a face: JPEG, PNG, TIFF, EXR, Radiance HDR or RAW; or a folder of such.
+            Of a grey one the colour of the light is only what is usual.
         more: Further pictures in the same light; only with --shared-light.
         shared_light: All pictures were taken in one light by cameras that looked the same way.
         light: Light model: learnt skies, Preetham's sky with a sun, or spherical harmonics with

@@ -14,6 +14,8 @@ from torch import Tensor
 from skylight.errors import InputError
 from skylight.imaging.colour import Decode, decode_values, linear_to_srgb, tone_map
 from skylight.imaging.exif import CameraFacts, camera_facts
+from skylight.imaging.raw import SUFFIXES as RAW_SUFFIXES
+from skylight.imaging.raw import develop, raw_exif
 from skylight.imaging.taken import Taken
 from skylight.io.bounded import file_bytes
 from skylight.io.hdr import SUFFIXES as HDR_SUFFIXES
@@ -52,7 +54,7 @@ class Photo:
 def read_photo(
     path: str | Path, *, decode: Decode | None = None, require_colour: bool = False
 ) -> Photo:
-    """A JPEG, PNG, TIFF (8 or 16 bit a channel), .exr or .hdr photograph.
+    """A JPEG, PNG, TIFF (8 or 16 bit a channel), .exr, .hdr or RAW (.dng, ...) photograph.
 
     Parameters
     ----------
@@ -68,12 +70,16 @@ def read_photo(
 
     Raises
     ------
+    DependencyError
+        A RAW file without rawpy, which the extra ``raw`` installs.
     InputError
         No readable still picture from 32 to 16384 pixels a side and up to 134 megapixels:
         missing, damaged, animated, CMYK, black, of one bit a pixel, or grey against the wish.
     """
     path = Path(path)
-    if path.suffix.lower() in HDR_SUFFIXES:
+    if path.suffix.lower() in RAW_SUFFIXES:
+        photo = _from_raw(path, decode)
+    elif path.suffix.lower() in HDR_SUFFIXES:
         photo = _from_linear_file(path, "linear" if decode is None else decode)
     else:
         photo = _from_picture(path, "srgb" if decode is None else decode)
@@ -114,6 +120,18 @@ def _from_linear_file(path: Path, decode: Decode) -> Photo:
     pixels = decode_values(torch.from_numpy(stored).clamp(min=0), decode)
     clipped = torch.zeros(pixels.shape[:2], dtype=torch.bool)
     return _told(pixels, tone_map(pixels), clipped, CameraFacts())
+
+
+def _from_raw(path: Path, decode: Decode | None) -> Photo:
+    if decode not in (None, "linear"):
+        raise InputError(f"{path}: RAW files hold linear light; leave its encoding out")
+    codes, clipped = develop(path)
+    height, width = codes.shape[:2]
+    _check_size(path, width, height)
+    pixels = torch.from_numpy(codes.astype(np.float32) / np.float32(65535))
+    facts = camera_facts(raw_exif(path), width, height)
+    # a RAW file is exposed for its highlights, so what detectors see is brightened
+    return _told(pixels, tone_map(pixels), torch.from_numpy(clipped), facts)
 
 
 def _from_picture(path: Path, decode: Decode) -> Photo:

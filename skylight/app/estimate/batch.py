@@ -19,11 +19,12 @@ from skylight.app.estimate.manifest import (
 )
 from skylight.app.estimate.photos import estimate_photo
 from skylight.app.estimate.results import MESHES, write_results
-from skylight.errors import InputError, SkylightError
+from skylight.errors import DependencyError, InputError, SkylightError
 from skylight.faces.landmarks import LandmarkerName
 from skylight.faces.photographs import HeadName, WhichFaces, choose_landmarker
 from skylight.imaging.colour import Decode
 from skylight.imaging.photo import read_photo
+from skylight.imaging.raw import SUFFIXES as RAW_SUFFIXES
 from skylight.io.hdr import SUFFIXES as HDR_SUFFIXES
 from skylight.io.listing import visible_files
 from skylight.models.bundle import load_bundle
@@ -33,7 +34,7 @@ from skylight.work.results_folder import results_folder
 from skylight.work.resumable import Workers, claimed, settle, share_work
 
 SETTINGS = "settings.json"
-SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", *HDR_SUFFIXES})
+SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", *HDR_SUFFIXES, *RAW_SUFFIXES})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,7 +183,7 @@ def estimate_one(
     sha256, told, error = _photo_hash(path), None, ""
     try:
         told = _estimate_into(out / folder_name(source), path, source, settings)
-    except InputError as fault:
+    except (InputError, DependencyError) as fault:
         error = str(fault).replace(str(path), source)
     except SkylightError:
         raise

@@ -208,7 +208,7 @@ class TestFailures:
     def test_a_full_disk_ends_the_run_and_is_no_photos_fault(
         self, one_photo: tuple[Path, Path], here: list[str], monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        def full(*_: object) -> None:
+        def full(*_: object, **__: object) -> None:
             raise OutputError("cannot write probe.exr: No space left on device")
 
         monkeypatch.setattr(batch, "write_results", full)
@@ -221,7 +221,7 @@ class TestFailures:
     def test_a_programming_error_is_the_photos_line(
         self, one_photo: tuple[Path, Path], here: list[str], monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        def broken(*_: object) -> None:
+        def broken(*_: object, **__: object) -> None:
             raise ValueError("no\nsecond line")
 
         monkeypatch.setattr(batch, "write_results", broken)
