@@ -1,6 +1,6 @@
 """The observation of a fitted face: pixels, weights and transport."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -13,6 +13,7 @@ from skylight.faces.blazeface import Square
 from skylight.faces.fit import FaceFit
 from skylight.faces.model import HeadModel, Region
 from skylight.faces.segmentation.hair import hair_probability
+from skylight.faces.segmentation.skin_inliers import inlier_probability
 from skylight.faces.segmentation.skin_mask import SkinLikeness
 from skylight.faces.skin import pigment_modes
 from skylight.sphere.envmap import luminance
@@ -20,7 +21,7 @@ from skylight.sphere.grid import DirectionGrid
 from skylight.transport.camera import Camera
 from skylight.transport.gbuffer import GBuffer, rasterize
 from skylight.transport.gloss import glossy_transport
-from skylight.transport.matrix import diffuse_transport
+from skylight.transport.matrix import TransportMatrix, diffuse_transport
 from skylight.transport.observation import Observation
 from skylight.transport.raycast import Raycaster
 from skylight.transport.render import Specular
@@ -30,8 +31,8 @@ from skylight.work.progress import Progress
 GRAZING_COSINE = 0.25
 # those darker than this part of the face's 90th percentile (nostrils, black),
 DARK_SHARE = 0.01
-# and those of another colour than most of the face (glasses, beards, strands of hair), in spreads.
-STRANGE_COLOUR = 3.5
+# and those that no light on skin explains (glasses, beards, strands of hair), by this probability.
+LEAST_INLIER = 0.5
 # Where more than this part was over-exposed, the light is known to have been at least so bright.
 CLIPPED_SHARE = 0.02
 # Where hair is likelier than this, there is no skin,
@@ -77,9 +78,10 @@ def observe_face(
 
     Visibility comes from the whole head, so nose, brows and chin cast their shadows. Pixels are
     those of the face's skin and of what else of the head is bare (:class:`SkinLikeness`): of a sun
-    behind the person, the face itself sees nothing. Over-exposed ones count as lower bounds.
-    ``specular`` is the surface's reflection, None where its transport is not wanted. ``grey``: the
-    picture has no colour.
+    behind the person, the face itself sees nothing. What no light on skin explains is left out,
+    and the rest is weighted by how likely it is skin (:func:`inlier_probability`). Over-exposed
+    ones count as lower bounds. ``specular`` is the surface's reflection, None where its transport
+    is not wanted. ``grey``: the picture has no colour.
     ``face_height_px`` is the height of the skin region after down-sampling (never up): beyond
     90 px estimates hardly change (thesis, 5.5.5.1), while memory grows: the transport takes
     4 * pixels * 2 * grid_height**2 bytes, 100 MB for 3,000 pixels and 64 rows, and that of the
@@ -109,11 +111,7 @@ def observe_face(
         raise InputError("the face is turned away: no skin of it faces the camera")
     bright = torch.quantile(luminance(seen[on_skin]), 0.9)
     used = on_skin & (luminance(seen) > DARK_SHARE * bright)
-    if int((used & ~over).sum()) < FEWEST_PIXELS:
-        raise InputError(
-            f"only {int((used & ~over).sum())} usable pixels on the face ({int(on_skin.sum())} of "
-            "skin): it is too small, over-exposed, too dark or turned away"
-        )
+    _require_enough(used & ~over, on_skin)
     transport = diffuse_transport(
         surface.origins[used],
         surface.normals[used],
@@ -127,7 +125,7 @@ def observe_face(
     if specular is not None:
         gloss = glossy_transport(transport, surface.normals[used], view[used], specular)
     # pixels seen at a slant cover more skin each and lie less surely: weight by the cosine
-    observation = Observation(
+    all_of_it = Observation(
         pixels=seen[used],
         weights=facing[used].float(),
         places=surface.pixels[used],
@@ -137,7 +135,40 @@ def observe_face(
         grey=grey,
         modes=_modes(surface, used, model),
     )
+    inlier = inlier_probability(all_of_it)
+    kept = inlier > LEAST_INLIER
+    _require_enough(kept & ~over[used], on_skin)
+    observation = _skin_of(all_of_it, inlier, kept)
+    used[used.clone()] = kept
     return FaceView(image=image, camera=camera, surface=surface, used=used, observation=observation)
+
+
+def _require_enough(usable: Bool[Tensor, " k"], on_skin: Bool[Tensor, " m"]) -> None:
+    if int(usable.sum()) < FEWEST_PIXELS:
+        raise InputError(
+            f"only {int(usable.sum())} usable pixels on the face ({int(on_skin.sum())} of "
+            "skin): it is too small, over-exposed, too dark or turned away"
+        )
+
+
+def _skin_of(
+    seen: Observation, inlier: Float[Tensor, " m"], kept: Bool[Tensor, " m"]
+) -> Observation:
+    """The ``kept`` pixels, weighted by how likely each is skin too."""
+
+    def rows(transport: TransportMatrix) -> TransportMatrix:
+        return replace(transport, matrix=transport.matrix[kept])
+
+    return replace(
+        seen,
+        pixels=seen.pixels[kept],
+        weights=(seen.weights * inlier)[kept],
+        places=seen.places[kept],
+        transport=rows(seen.transport),
+        gloss=None if seen.gloss is None else rows(seen.gloss),
+        clipped=None if seen.clipped is None else seen.clipped[kept],
+        modes=None if seen.modes is None else seen.modes[kept],
+    )
 
 
 def _modes(surface: GBuffer, used: Bool[Tensor, " m"], model: HeadModel) -> Float[Tensor, "u k"]:
@@ -208,9 +239,8 @@ def _bare_skin(
 ) -> Bool[Tensor, " m"]:
     """The surface's pixels that show skin, on the face and wherever else the head is bare of hair.
 
-    Their eight neighbours show the same part: borders mix with what lies beside. Over-exposed
-    skin has lost its colour, so on the face it needs none, and elsewhere it is skin where what
-    is not over-exposed beside it is.
+    Their eight neighbours show the same part: borders mix with what lies beside. Elsewhere than on
+    the face, over-exposed skin is skin where what is not over-exposed beside it is.
     """
     linear, white, bald = image.numpy(), clipped.numpy(), ~hair.numpy()
 
@@ -228,7 +258,7 @@ def _bare_skin(
         return torch.from_numpy(face)[surface.pixels[:, 0], surface.pixels[:, 1]]
     head = mask([Region.FACE, *BARE_PARTS], whole=False) & bald
     likeness = SkinLikeness.of(linear, face, white)
-    skin = face & (white | (likeness.colour_distance < STRANGE_COLOUR))
+    skin = face.copy()
     for region, darkest in BARE_PARTS.items():
         skin |= likeness.bare(head, mask([region], whole=True), darkest)
     return torch.from_numpy(skin)[surface.pixels[:, 0], surface.pixels[:, 1]]

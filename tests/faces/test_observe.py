@@ -73,7 +73,7 @@ def test_a_bare_scalp_is_used_and_hair_on_it_is_not(head, person, view):
         corners = head.regions[head.faces[seen.surface.faces[seen.used].numpy()]]
         return float((corners[:, 0] == Region.SCALP).mean())
 
-    assert share(view) > 0.05
+    assert share(view) > 0.03  # the hair segmenter takes some of a rendered scalp for hair
     vertices = torch.from_numpy(person.truth.vertices)
     scalp = person.truth.camera.project(vertices[torch.from_numpy(head.regions == Region.SCALP)])
     columns, rows = scalp.floor().long().clamp(0, SIZE - 1).unbind(1)
@@ -95,7 +95,10 @@ def test_an_observation_is_the_cut_picture_at_the_used_points(view):
     torch.testing.assert_close(observation.pixels, view.image[rows, columns])
     seen_from = -torch.nn.functional.normalize(view.surface.positions[view.used], dim=1)
     cosine = (view.surface.normals[view.used] * seen_from).sum(1)
-    torch.testing.assert_close(observation.weights, cosine.float())
+    skin = observation.weights / cosine.float()  # how likely each pixel is
+    assert float(skin.max()) < 1 + 1e-5
+    assert float(skin.min()) > 0.49
+    assert float(skin.median()) > 0.99
     assert (cosine > GRAZING_COSINE).all()
     assert len(rows) > 500
 
@@ -169,6 +172,26 @@ def test_over_exposed_pixels_are_lower_bounds(head, person, view):
     assert float((~lost.clipped).float().mean()) > 0.25
     with pytest.raises(InputError, match="0 usable pixels"):
         observed(head, person, clipped=torch.ones_like(clipped))
+
+
+def test_sunglasses_are_left_out(head, person, view):
+    at = person.truth.camera.project(torch.from_numpy(person.truth.vertices)).numpy()
+    eyes = at[head.regions == Region.EYEBALL]
+    (left, top), (right, bottom) = (eyes.min(0) - 3).astype(int), (eyes.max(0) + 4).astype(int)
+    picture = person.picture.clone()
+    picture[top:bottom, left:right] *= 0.1
+    there = observed(head, person, picture=picture)
+
+    def behind(seen):
+        rows, columns = (
+            person.truth.camera.project(seen.surface.positions[seen.used]).flip(1).unbind(1)
+        )
+        inside = (rows > top + 1) & (rows < bottom - 1)
+        return int((inside & (columns > left + 1) & (columns < right - 1)).sum())
+
+    assert behind(there) < 0.1 * behind(view)
+    others = len(there.observation.pixels) - behind(there)
+    assert others > 0.9 * (len(view.observation.pixels) - behind(view)) - (right - left) * 4
 
 
 def test_hair_is_left_out(head, person, view, monkeypatch):
