@@ -65,7 +65,7 @@ def _describe_face(seen: SeenFace, light: FaceLight, source: str) -> dict[str, o
         "exposure": light.exposure,
         "white_balance": light.white_balance.tolist(),
         "residual": light.residual,
-        "landmarker": seen.face.landmarker,
+        "landmarker": "dlib" if seen.face.readings is None else "mediapipe",
         "landmark_score": seen.face.score,
         "landmark_error": fit.landmark_error,
         "landmark_error_px": fit.landmark_error * eye_distance_px,
