@@ -2,8 +2,9 @@
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
@@ -25,8 +26,12 @@ from skylight.evaluation.harness.pictures import beside, strip
 from skylight.evaluation.harness.run import Check, Item
 from skylight.evaluation.harness.tables import Rows
 from skylight.faces.fit import FaceFit
+from skylight.faces.model import HeadModel
+from skylight.faces.observe import FaceView, observe_face
+from skylight.faces.photographs import choose_landmarker, fit_visible
 from skylight.imaging.colour import linear_to_srgb
 from skylight.imaging.photo import Photo, photo_from_codes
+from skylight.inverse.result import Estimate
 from skylight.io.files import write_png
 from skylight.models.names import LightName
 from skylight.sphere.frame import angle_between
@@ -48,10 +53,15 @@ class Lamps:
     The vector is in the camera's frame (-Z ahead, +X right, +Y up). A file's name begins with the
     person's, up to the first ``_``; each person is taken to keep one pose, facing the camera.
     Angles are of lamps that are not behind the face (z >= 0). ``every`` n-th photograph only.
+
+    ``ablation`` adds rows with the white balance trusted (``_balanced``), with skin that varies
+    over the face (``_varying_skin``), on heads fitted to the 68 points of the mesh instead
+    (``_68_points``) and, where it is installed, to dlib's (``_dlib``): five times the time.
     """
 
     data: Path
     every: int = 1
+    ablation: bool = False
     seed: int = 0  # nothing is drawn
     options: EstimateOptions = EstimateOptions()
     name: str = "lamps"
@@ -60,7 +70,8 @@ class Lamps:
         _read_index(self.data)
 
     def config(self) -> dict[str, object]:
-        return {"data": str(self.data.resolve())} | self.options.config()
+        config: dict[str, object] = {"data": str(self.data.resolve()), "ablation": self.ablation}
+        return config | self.options.config()
 
     def items(self) -> list[str]:
         return sorted(_read_index(self.data))[:: self.every]
@@ -69,8 +80,9 @@ class Lamps:
         lamp = torch.tensor(_read_index(self.data)[item], dtype=torch.float64)
         facts: dict[str, object] = {"person": item.partition("_")[0], "found": False}
         seconds: dict[str, float] = {}
+        photo = read_lamp_photo(self.data / item)
         try:
-            fit, view = observe_largest(read_lamp_photo(self.data / item), item, seconds)
+            fit, view = observe_largest(photo, item, seconds)
         except InputError as error:
             facts["found"] = "no face found" not in str(error)
             problem = NOT_FOUND if not facts["found"] else str(error)
@@ -88,11 +100,38 @@ class Lamps:
             "seconds": seconds,
             **pose_deg(fit),
         }
-        metrics = {}
-        if float(lamp[2]) >= 0:
-            errors = lamp_errors(estimate.sun_direction.double(), lamp)
-            metrics[OURS] = errors | coverage(estimate.posterior, lamp)
+        if float(lamp[2]) < 0:
+            return Item(name=item, metrics={}, facts=facts)
+        estimates = {OURS: estimate} | (self._ablation(photo, view) if self.ablation else {})
+        metrics = {
+            name: lamp_errors(one.sun_direction.double(), lamp) | coverage(one.posterior, lamp)
+            for name, one in estimates.items()
+        }
         return Item(name=item, metrics=metrics, facts=facts)
+
+    def _ablation(self, photo: Photo, view: FaceView) -> dict[str, Estimate]:
+        solver, weights = self.options.solver, self.options.solver.weights
+        others = {
+            "_balanced": replace(weights, white_balance_spread=0.0),
+            "_varying_skin": replace(weights, pigment_spread=1.0),
+        }
+        rows = {}
+        for name, other in others.items():
+            options = replace(self.options, solver=replace(solver, weights=other))
+            rows[OURS + name] = options.estimate(view.observation, OURS)
+        (face, *_) = choose_landmarker().detect(photo.encoded)
+        heads = {"_68_points": replace(face, readings=None)}
+        if find_spec("dlib") is not None:
+            for found in choose_landmarker("dlib").detect(photo.encoded)[:1]:
+                heads["_dlib"] = found
+        for name, head in heads.items():
+            try:
+                fit = fit_visible(HeadModel.load(), photo, head, name)
+                seen = observe_face(photo.pixels, photo.clipped, HeadModel.load(), fit)
+            except InputError:  # such a head sees no skin: the row has fewer faces
+                continue
+            rows[OURS + name] = self.options.estimate(seen.observation, OURS)
+        return rows
 
     def checks(self, rows: Rows, items: list[Item]) -> dict[str, Check]:
         found = float(np.mean([bool(item.facts.get("found")) for item in items]))

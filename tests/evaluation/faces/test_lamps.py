@@ -12,6 +12,8 @@ from skylight.errors import InputError
 from skylight.evaluation.faces import lamps
 from skylight.evaluation.faces.lamps import Lamps, read_lamp_photo
 from skylight.evaluation.harness.run import Item
+from skylight.faces.synthetic import render_face
+from skylight.sphere.envmap import EnvironmentMap
 
 
 def index(folder, content):
@@ -82,3 +84,23 @@ def test_pitch_is_judged_within_and_over_people():
     worst = checks["largest median pitch of a person"]
     assert worst.value == pytest.approx(9)
     assert not worst.ok
+
+
+@pytest.mark.slow
+def test_every_part_left_out_has_a_row(tmp_path):
+    light = np.full((8, 16, 3), 0.05, np.float32)
+    light[2, 0] = 20  # behind the camera, to the right
+    sky = EnvironmentMap(radiance=torch.from_numpy(light))
+    person = render_face(sky, torch.tensor([0.1, 0.1, 0.1]), seed=3, azimuth_rad=0.0, light_rows=8)
+    grey = (255 * person.picture[..., 1] / person.picture[..., 1].max()).byte().numpy()
+    cv2.imwrite(str(tmp_path / "a_1.png"), grey)
+    lamp = person.environment.brightest_direction()
+    index(tmp_path, {"a_1.png": lamp.tolist()})
+    lamps._read_index.cache_clear()
+    evaluation = Lamps(data=tmp_path, ablation=True)
+    item = evaluation.measure("a_1.png", tmp_path / "picture.png")
+    names = {"autoencoder" + name for name in ("", "_balanced", "_varying_skin", "_68_points")}
+    assert names <= set(item.metrics)
+    assert item.metrics["autoencoder"]["angle_deg"] < 15
+    others = [item.metrics[name]["angle_deg"] for name in names]
+    assert len(set(others)) > 2  # what is left out matters
