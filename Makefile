@@ -1,5 +1,5 @@
 # Every target sets itself up: a fresh clone needs only make and Python 3.11 or newer (with venv).
-#   make demo     a rendered face with its true light, and a photograph; results in out/demo
+#   make demo     a rendered face with its true light, and two photographs; results in out/demo
 #   make test     the tests that take no longer than minutes together; tells how many it leaves out
 #   make test-all all tests: also fuzzing by the thousand, kills, clusters and slow pages
 #   make lint     style, types, and which module may import which

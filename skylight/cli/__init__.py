@@ -76,12 +76,13 @@ def main(arguments: list[str] | None = None) -> int:
 
 @app.command
 def demo(out: Path = Path("skylight_demo")) -> None:
-    """Show what skylight does, without any data: two estimates.
+    """Show what skylight does, without any data: three estimates.
 
     Takes one to two minutes on two cores.
 
     The first is of a rendered face in a simulated light that is known, so the estimate is scored;
-    the second of a photograph of an astronaut that comes with scikit-image.
+    the second of a photograph of an astronaut that comes with scikit-image, in a studio's flat
+    light; the third fails, and says so: a man in profile, whose ear is taken for a face.
 
     Args:
         out: Folder for the results.
@@ -96,6 +97,7 @@ def demo(out: Path = Path("skylight_demo")) -> None:
         print(f"    {name:<14} {value:8.3f}")
     print(f"{shown.synthetic / 'report.png'}: that estimate step by step")
     print(f"{shown.photograph / 'report.png'}: the light of a real photograph")
+    print(f"{shown.failure / 'report.png'}: a photograph that tells nothing, and is called that")
 
 
 @app.command

@@ -1,8 +1,9 @@
-"""A demonstration without data: a rendered face with known illumination, and a photograph."""
+"""A demonstration without data: a rendered face in known light, and two photographs."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
 from jaxtyping import UInt8
 from numpy import ndarray
@@ -32,16 +33,23 @@ GROUND_ALBEDO = (0.22, 0.21, 0.18)
 
 @dataclass(frozen=True, kw_only=True)
 class Demonstration:
-    """Folders of the two estimates, and the first one's scores against the truth."""
+    """Folders of the estimates, and the first one's scores against the truth.
+
+    ``failure`` is of a man behind a camera, seen from the side: an ear is taken for his face, and
+    the verdict says that nothing of it is to be trusted.
+    """
 
     synthetic: Path
     photograph: Path
+    failure: Path
     scores: dict[str, float]
 
 
 def demonstrate(out: Path, progress: StageProgress) -> Demonstration:
-    """Estimate both pictures into subfolders of ``out``."""
-    synthetic, photograph = out / "synthetic", out / "astronaut"
+    """Estimate the three pictures into subfolders of ``out``."""
+    from skimage.data import astronaut, camera
+
+    synthetic, photograph, failure = out / "synthetic", out / "astronaut", out / "cameraman"
     with results_folder(synthetic) as folder:
         progress("rendering a face", 0.0)
         (_, sky), *_ = simulated_skies(1, first_seed=SKY_SEED, lowest_transmittance=0.8)
@@ -57,13 +65,15 @@ def demonstrate(out: Path, progress: StageProgress) -> Demonstration:
         scores = score(result.estimate.environment, truth.environment)
         write_json(folder / "scores.json", scores)
         write_comparison(folder / "comparison.png", truth, result, scores)
-    with results_folder(photograph) as folder:
-        from skimage.data import astronaut
-
-        picture = astronaut()
-        write_png(folder / "photo.png", picture)
-        _estimate(folder, picture, "astronaut (NASA)", progress)
-    return Demonstration(synthetic=synthetic, photograph=photograph, scores=scores)
+    man = np.repeat(camera()[..., None], 3, axis=2)
+    for path, picture, title in (
+        (photograph, astronaut(), "astronaut (NASA)"),
+        (failure, man, "cameraman (Lav Varshney)"),
+    ):
+        with results_folder(path) as folder:
+            write_png(folder / "photo.png", picture)
+            _estimate(folder, picture, title, progress)
+    return Demonstration(synthetic=synthetic, photograph=photograph, failure=failure, scores=scores)
 
 
 def score(estimated: EnvironmentMap, true: EnvironmentMap) -> dict[str, float]:
