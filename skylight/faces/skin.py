@@ -4,14 +4,13 @@ A picture fixes only the product of albedo and light. The prior says which albed
 measured reflectance spectra (``tools/build_skin_prior.py`` tells how), and so which share of that
 product is light.
 
-One albedo does not make a face: cheeks, nose and chin are redder, the forehead is darker than the
-jaw (K. Choi, "Facial skin color variability in Korean women", AIC Congress 2017; all seven sites of
-157 people differ). The log of the amount of either pigment is a Gaussian process over the mean
+One albedo does not make a face: cheeks, nose and chin are redder, foreheads and jaws differ. The
+log of the amount of either pigment is a Gaussian process over the mean
 head, so that a skin point p of a person with albedo a has ::
 
     log rho_p = log a - sum_i s_i d_i sum_k Phi_pk z_ik,    z_ik ~ N(0, 1),
 
-with d_i the colour of pigment i and Phi the leading Karhunen-Loeve modes of the kernel
+with d_i the colour of pigment i and Phi the leading Karhunen-Loeve modes of the kernel ::
 
     k(x, y) ~ k_0(x, y) + c k_0(x, mirrored y),    k_0 = exp(-|x - y|^2 / (2 l^2)),
 
@@ -41,9 +40,8 @@ from skylight.models.prior import GaussianMixture
 MELANIN_COLOUR = (0.77, 1.0, 1.37)
 BLOOD_COLOUR = (0.38, 1.0, 0.79)
 PIGMENT_COLOURS = (MELANIN_COLOUR, BLOOD_COLOUR)
-# Standard deviations s over a face, in log green. Sites of a face differ by some 3 units of L* and
-# of a*; at L* 60 three units of L* are 12 % of luminance, and blood that adds 3 to a* takes 8 % off
-# green. Choices of that size.
+# Standard deviations s over a face, in log green. Choices, not measured: 3 units of L* and of a*
+# (at L* 60 three units of L* are 12 % of luminance; blood that adds 3 to a* takes 8 % off green).
 PIGMENT_SPREADS = (0.10, 0.08)
 CORRELATION_M = 0.035  # l: cheeks, nose, forehead, chin are fields of such a size. A choice.
 SYMMETRY = 0.8  # c, a choice

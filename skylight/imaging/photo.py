@@ -38,8 +38,9 @@ class Photo:
     ``encoded``  the same picture as 8-bit sRGB, for detectors and for looking at.
     ``clipped``  where a channel reached its largest code value, so more light may have fallen.
     ``grey``     without colour: the three channels of ``pixels`` are equal.
-    ``focal_px`` focal length in pixels of this picture, ``flash`` whether it fired, ``taken``
-                 where and when; None where the file does not tell.
+    ``focal_px`` focal length in pixels of this picture, None where the file does not tell.
+    ``flash``    whether it fired, None where the file does not tell.
+    ``taken``    where and when, as far as the file tells.
     """
 
     pixels: Float[Tensor, "h w 3"]
