@@ -34,7 +34,8 @@ ROUNDS, STEPS, SMOOTHINGS = 6, 40, 10
 # Gloss against shading, 1 / albedo where skin shines as modelled: of light and of dark, oily skin.
 LEAST_GLOSS, MOST_GLOSS = 1.5, 15.0
 # By how much the ln of a ratio of channels may change: as shading grows by a factor of e (a low
-# sun ten times as bright as blue sky is 2.5 times as red), between matt skin and a highlight, and over a face that turns by a radian.
+# sun ten times as bright as blue sky is 2.5 times as red), between matt skin and a highlight, and
+# over a face that turns by a radian.
 MOST_TINT = (0.4, 1.0, 0.5, 0.5, 0.5)
 RIDGE = 1e-3
 
