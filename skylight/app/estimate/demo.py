@@ -26,7 +26,7 @@ from skylight.work.results_folder import results_folder
 
 # A day with a seed for evaluation, which no model was trained on, with the sun out; and a turn
 # that puts the sun to the left behind the camera, where it lights the face from the side.
-SKY_SEED, FACE_SEED, PHOTO_SIZE = 5000, 2, 320
+SKY_SEED, FACE_SEED, PHOTO_SIZE = 5001, 4, 320
 SUN_TURN_RAD = -2.2
 GROUND_ALBEDO = (0.22, 0.21, 0.18)
 
