@@ -24,6 +24,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import KDTree
 
+from skylight.faces.landmarks import MESH_EYES
 from skylight.faces.mediapipe_face import IBUG
 from skylight.io.atomic import atomic_path
 
@@ -31,7 +32,7 @@ HEAD = Path(__file__).resolve().parents[1] / "skylight/faces/data/head.npz"
 PLANE_M, LANDMARK_M = 0.0015, 0.004
 ROUNDS, STEP = 40, 0.5
 INNER = np.arange(17, 68)
-KEPT = np.union1d(np.arange(0, 468, 2), [33, 263])
+KEPT = np.union1d(np.arange(0, 468, 2), MESH_EYES)
 SURFACE = (0, 1, 3, 4, 5, 6, 7, 8)  # values of Region: all but the inside of the mouth
 _LATTICE = np.array([(i, j, 8 - i - j) for i in range(9) for j in range(9 - i)]) / 8
 

@@ -8,7 +8,7 @@ where e holds project(R X_i(a, b) + t; f) - x_i of all detected points, S is the
 their errors (:mod:`skylight.faces.correspondence`), and a_0 the average face.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -16,7 +16,13 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
-from skylight.faces.correspondence import Correspondence, correspondence, slid_landmarks
+from skylight.faces.correspondence import (
+    JAW,
+    Correspondence,
+    PosedHead,
+    correspondence,
+    slid_landmarks,
+)
 from skylight.faces.landmarks import DetectedFace
 from skylight.faces.model import HeadModel
 from skylight.transport.camera import Camera
@@ -27,7 +33,6 @@ EXPRESSION_SCALE = 0.7
 FOCAL_GUESS = 1.9
 FOCAL_GUESS_SIGMA = 0.3
 FOCAL_EXIF_SIGMA = 0.05
-_JAW = np.arange(17)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +94,7 @@ def fit_face(
         depth = -marks[:, 2:]
         shift = np.concatenate([gap[:, :1], -gap[:, 1:], np.zeros_like(depth)], 1)
         shift = shift * depth / camera.focal_px
-        shift[_JAW] = 0
+        shift[JAW] = 0
         shape = model.deform(shape, shift @ state.rotation)
     return FaceFit(
         camera=camera,
@@ -108,11 +113,9 @@ def landmarks_of(model: HeadModel, fit: FaceFit) -> Float[ndarray, "68 2"]:
     return camera_project(fit.camera, _placed_landmarks(model, fit))
 
 
-def _placed_landmarks(model: HeadModel, head: "FaceFit | FitState") -> Float[ndarray, "68 3"]:
+def _placed_landmarks(model: HeadModel, head: PosedHead) -> Float[ndarray, "68 3"]:
     """In the camera's frame."""
-    points, _ = slid_landmarks(
-        model, head.rotation, head.translation, head.identity, head.expression
-    )
+    points, _ = slid_landmarks(model, head)
     return points @ head.rotation.T + head.translation
 
 
@@ -168,8 +171,14 @@ class FitProblem:
 
     def start(self, yaw: float) -> FitState:
         """The average face at the depth that the outer eye corners tell, rolled like them."""
-        zero = np.zeros(self.expressions)
-        points, _ = self.seen.points(np.eye(3), -np.eye(3)[2], self.average, zero)
+        ahead = FitState(
+            rotation=np.eye(3),
+            translation=np.array([0.0, 0.0, -1.0]),
+            log_focal=float(self.log_focal0),
+            identity=self.average,
+            expression=np.zeros(self.expressions),
+        )
+        points, _ = self.seen.points(ahead)
         first, second = self.seen.eyes
         right, left = self.seen.target[first], self.seen.target[second]
         roll = np.arctan2(-(left - right)[1], (left - right)[0])
@@ -179,13 +188,8 @@ class FitProblem:
         depth = focal * apart / np.linalg.norm(left - right)
         middle = (left + right) / 2 - np.array(self.size) / 2
         centre = np.array([middle[0], -middle[1], -focal]) * depth / focal
-        return FitState(
-            rotation=rotation,
-            translation=centre - rotation @ (points[first] + points[second]) / 2,
-            log_focal=float(self.log_focal0),
-            identity=self.average,
-            expression=zero,
-        )
+        place = centre - rotation @ (points[first] + points[second]) / 2
+        return replace(ahead, rotation=rotation, translation=place)
 
     def camera(self, state: FitState) -> Camera:
         width, height = self.size
@@ -196,13 +200,9 @@ class FitProblem:
             center_px=(width / 2, height / 2),
         )
 
-    def _points(self, state: FitState) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n 3 p"]]:
-        pose = state.rotation, state.translation
-        return self.seen.points(*pose, state.identity, state.expression)
-
     def residuals(self, state: FitState) -> tuple[Float[ndarray, " q"], Float[ndarray, "q p"]]:
         """S^-1/2 e and its Jacobian by the step of :meth:`FitState.stepped`."""
-        points, shape_jacobian = self._points(state)
+        points, shape_jacobian = self.seen.points(state)
         rotated = points @ state.rotation.T
         placed = rotated + state.translation
         focal = np.exp(state.log_focal)
@@ -251,7 +251,7 @@ class FitProblem:
 
     def cost(self, state: FitState) -> float:
         """The objective at the top of this file."""
-        points, _ = self._points(state)
+        points, _ = self.seen.points(state)
         placed = points @ state.rotation.T + state.translation
         gap = camera_project(self.camera(state), placed) - self.seen.target
         gap = self.seen.whiten @ gap.ravel()

@@ -1,14 +1,19 @@
 """Detection of faces and their 68 landmarks, with an interface for other detectors."""
 
 from dataclasses import dataclass
+from importlib.resources import files
 from typing import Literal, Protocol, runtime_checkable
+from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from skylight.errors import InputError
+from skylight.errors import AssetError, InputError
 
 LandmarkerName = Literal["mediapipe", "dlib"]
+# Outer corners of the eyes, the person's right first: of iBUG's 68 points, and of MediaPipe's 478.
+EYES: tuple[int, int] = (36, 45)
+MESH_EYES: tuple[int, int] = (33, 263)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +37,8 @@ class DetectedFace:
     @property
     def eye_distance_px(self) -> float:
         """Between the outer corners of the eyes: what landmark errors are measured against."""
-        return float(np.linalg.norm(self.points[45] - self.points[36]))
+        right, left = EYES
+        return float(np.linalg.norm(self.points[left] - self.points[right]))
 
 
 @runtime_checkable
@@ -57,3 +63,21 @@ def choose_face(faces: list[DetectedFace], number: int, source: str) -> Detected
             f"choose --face 1 to {len(faces)}"
         )
     return faces[number - 1]
+
+
+def landmark_errors(landmarker: LandmarkerName) -> dict[str, np.ndarray]:
+    """Arrays of what a landmarker errs by on rendered people (``tools/measure_landmarks.py``).
+
+    Raises
+    ------
+    AssetError
+        The file is missing or damaged.
+    """
+    source = files("skylight.faces") / "data" / f"{landmarker}_landmarks.npz"
+    try:
+        with source.open("rb") as stream, np.load(stream) as stored:
+            return {name: stored[name].astype(np.float64) for name in stored}
+    except (OSError, KeyError, ValueError, BadZipFile) as error:
+        raise AssetError(
+            f"{source}: the landmark errors cannot be read ({error}); reinstall skylight"
+        ) from error

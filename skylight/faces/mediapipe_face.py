@@ -28,7 +28,7 @@ from skylight.faces.blazeface import (
     upright,
     views,
 )
-from skylight.faces.landmarks import DetectedFace
+from skylight.faces.landmarks import MESH_EYES, DetectedFace, landmark_errors
 from skylight.faces.looks import Look, looks
 from skylight.faces.networks import network
 
@@ -38,7 +38,6 @@ _FAINTEST_GLANCE = 0.1  # at BlazeFace's own square
 # 14 environment maps without people stay below one or the other, whatever the look
 _SURE_PRESENCE, _SURE_SCATTER = 0.9, 0.016
 _LEAST_INSIDE = 0.6  # part of the landmarks within the picture; else it is a mirror image's face
-_RIGHT_EYE, _LEFT_EYE = 33, 263  # outer corners among the 478
 # (side, shift of the centre in sides, turn) against the square that the landmarks ask for, and what
 # is shown beyond the picture's border: the network leans on it where a face is cut
 _GLANCES = (
@@ -195,7 +194,8 @@ def _square_of_candidate(candidate: Float[ndarray, "8 2"]) -> Square:
 
 def _square_of_landmarks(points: Float[ndarray, "478 2"]) -> Square:
     box = np.stack([points.min(0), points.max(0)])
-    return upright(box, points[_RIGHT_EYE], points[_LEFT_EYE])
+    right, left = MESH_EYES
+    return upright(box, points[right], points[left])
 
 
 def _part_of(points: Float[ndarray, "478 2"], larger: Float[ndarray, "478 2"]) -> bool:
@@ -215,7 +215,8 @@ def to_ibug(points: Float[ndarray, "478 2"]) -> Float[ndarray, "68 2"]:
 
 def eye_axes(points: Float[ndarray, "478 2"]) -> Float[ndarray, "2 2"]:
     """Rows: from the right eye's outer corner to the left's, and as far at right angles down."""
-    x, y = points[_LEFT_EYE] - points[_RIGHT_EYE]
+    right, left = MESH_EYES
+    x, y = points[left] - points[right]
     return np.array([[x, y], [-y, x]])
 
 
@@ -232,10 +233,5 @@ def _mirrored_points() -> Int[ndarray, "478"]:
 
 @cache
 def _mean_errors() -> Float[ndarray, "68 2"]:
-    """In units of :func:`eye_axes` (``tools/measure_landmarks.py``)."""
-    source = files("skylight.faces") / "data" / "mediapipe_landmarks.npz"
-    try:
-        with source.open("rb") as stream, np.load(stream) as stored:
-            return stored["mean_error"].astype(np.float64)
-    except (OSError, KeyError, ValueError) as error:
-        raise AssetError(f"{source} cannot be read ({error}); reinstall skylight") from error
+    """In units of :func:`eye_axes`."""
+    return landmark_errors("mediapipe")["mean_error"]

@@ -1,5 +1,7 @@
 """The points of MediaPipe's mesh on the head, and what fits to them give."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -134,17 +136,11 @@ def test_points_that_move_between_readings_lose_weight(head):
 def test_jaw_landmarks_lie_on_the_silhouette(head):
     truth = person(head, 2)
     seen = SlidingLandmarks(head, np.zeros((68, 2)) + np.arange(68)[:, None])
-    points, jacobian = seen.points(
-        truth.rotation, truth.translation, truth.identity, truth.expression
-    )
+    points, jacobian = seen.points(truth)
     rows = head.contour(head.vertices(truth.identity, truth.expression))
     for k in range(17):
         assert np.abs(rows[k] - points[k]).sum(1).min() < 1e-12
     step = 1e-3
-    more, _ = seen.points(
-        truth.rotation,
-        truth.translation,
-        truth.identity + step * np.eye(len(truth.identity))[3],
-        truth.expression,
-    )
+    identity = truth.identity + step * np.eye(len(truth.identity))[3]
+    more, _ = seen.points(replace(truth, identity=identity))
     np.testing.assert_allclose((more - points)[17:] / step, jacobian[17:, :, 3], atol=1e-9)

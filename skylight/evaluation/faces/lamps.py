@@ -1,6 +1,5 @@
 """Illumination from photographs of faces under one lamp of known direction."""
 
-import json
 import math
 from dataclasses import dataclass, replace
 from functools import cache
@@ -22,6 +21,7 @@ from skylight.evaluation.faces.face_light import (
     stage,
 )
 from skylight.evaluation.faces.options import EstimateOptions
+from skylight.evaluation.harness.data_folder import read_index
 from skylight.evaluation.harness.pictures import beside, strip
 from skylight.evaluation.harness.run import Check, Item
 from skylight.evaluation.harness.tables import Rows
@@ -34,7 +34,7 @@ from skylight.imaging.photo import Photo, photo_from_codes
 from skylight.inverse.result import Estimate
 from skylight.io.files import write_png
 from skylight.models.names import LightName
-from skylight.sphere.frame import angle_between
+from skylight.sphere.frame import angle_between, angles_from_direction
 
 OURS: LightName = "autoencoder"
 INDEX = "lamps.json"
@@ -196,16 +196,14 @@ def lamp_errors(found: Float[Tensor, "3"], lamp: Float[Tensor, "3"]) -> dict[str
 
     Azimuth is to the right of the camera's back, where light from behind the camera has 0.
     """
-    turn = _azimuth_rad(found) - _azimuth_rad(lamp)
+    azimuth, zenith = angles_from_direction(torch.stack([found, lamp]))
+    # the frame's azimuths grow to the right of ahead, so to the left of the back
+    turn = float(azimuth[1] - azimuth[0])
     return {
         "angle_deg": math.degrees(float(angle_between(found, lamp))),
-        "elevation_deg": math.degrees(math.asin(float(found[1])) - math.asin(float(lamp[1]))),
+        "elevation_deg": math.degrees(float(zenith[1] - zenith[0])),
         "azimuth_deg": math.degrees(math.remainder(turn, 2 * math.pi)),
     }
-
-
-def _azimuth_rad(direction: Float[Tensor, "3"]) -> float:
-    return math.atan2(float(direction[0]), float(direction[2]))
 
 
 def read_lamp_photo(path: Path) -> Photo:
@@ -225,12 +223,7 @@ def tinted(grey: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w 3"]:
 @cache
 def _read_index(data: Path) -> dict[str, list[float]]:
     path = data / INDEX
-    try:
-        index = json.loads(path.read_text())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except ValueError as error:
-        raise InputError(f"{path}: not JSON ({error})") from error
+    index = read_index(path)
     if not isinstance(index, dict) or not index:
         raise InputError(f'{path}: expected {{"photo.png": [x, y, z], ...}}')
     for name, vector in index.items():

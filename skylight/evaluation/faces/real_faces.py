@@ -1,6 +1,5 @@
 """Illumination from photographs of people, checked by notes on the side of the light."""
 
-import json
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -11,6 +10,7 @@ from skylight.errors import InputError
 from skylight.evaluation.faces.face_light import observe_largest, seen_and_rendered, stage
 from skylight.evaluation.faces.notes import side_of_light
 from skylight.evaluation.faces.options import EstimateOptions
+from skylight.evaluation.harness.data_folder import read_index
 from skylight.evaluation.harness.pictures import beside, strip
 from skylight.evaluation.harness.run import Check, Item
 from skylight.imaging.photo import read_photo
@@ -102,12 +102,7 @@ class RealFaces:
 @cache
 def _read_index(data: Path) -> dict[str, dict]:
     path = data / INDEX
-    try:
-        index = json.loads(path.read_text())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except ValueError as error:
-        raise InputError(f"{path}: not JSON ({error})") from error
+    index = read_index(path)
     if not isinstance(index, dict) or not all(isinstance(e, dict) for e in index.values()):
         raise InputError(f'{path}: expected {{"photo.jpg": {{"light": ..., "desc": ...}}, ...}}')
     if not index:

@@ -1,9 +1,11 @@
-"""Light probes and meshes in the data folder of an evaluation."""
+"""Light probes, meshes and lists of photographs in the data folder of an evaluation."""
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from skylight.errors import InputError
+from skylight.io.bounded import json_content
 from skylight.io.collection import INDEX_NAME
 from skylight.io.listing import visible_files
 from skylight.transport.mesh import MESH_SUFFIXES
@@ -46,3 +48,19 @@ def mesh_files(data: Path, usual: Sequence[str]) -> list[Path]:
     raise InputError(
         f"{data}: no mesh in its folder meshes; put one or more there ({', '.join(MESH_SUFFIXES)})"
     )
+
+
+def read_index(path: Path) -> Any:
+    """What a JSON file about a folder's photographs holds.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or is not JSON.
+    """
+    try:
+        return json_content(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    except ValueError as error:
+        raise InputError(f"{path}: not JSON ({error})") from error
