@@ -4,8 +4,8 @@
 
 Rendered people under simulated skies with a visible sun, their heads fitted to landmarks; seeds lie
 apart from the evaluation's. Each face takes some 25 s and is kept in --cache, so a second run
-starts where the first one ended. The temperature and the estimate's lobe are those that make the
-true suns likeliest (the mean of log p over the faces). Two halves of the faces are fitted each for
+starts where the first one ended. The temperature, the kernel and the estimate's lobe are those that
+make the true suns likeliest (the mean of log p over the faces). Two halves of the faces are fitted each for
 the other: the first two lines printed tell of faces that their fit has not seen.
 """
 
@@ -40,6 +40,7 @@ from skylight.sphere.grid import DirectionGrid
 FIRST_SEED, APART, SIZE = 45_000_000, 1000, 256
 GRID = DirectionGrid.sky(ROWS)
 TEMPERATURES = (0.012, 0.017, 0.022, 0.027, 0.033, 0.04, 0.05)
+KERNELS_DEG = (1.5, 3.0, 4.5)
 LOBES_DEG, HEIGHTS, WEIGHTS = (4.0, 8.0, 12.0), (3.0, 10.0, 30.0), (0.25, 0.5, 0.75)
 Case = tuple[SunEvidence, torch.Tensor, int]  # evidence, the estimate's sun, the true sun's cell
 
@@ -75,11 +76,14 @@ def fitted(cases: list[Case]) -> PosteriorConstants:
         replace(
             FITTED,
             temperature=t,
+            kernel_rad=math.radians(kernel),
             estimate_rad=math.radians(lobe),
             estimate_height=h,
             estimate_weight=k,
         )
-        for t, lobe, h, k in itertools.product(TEMPERATURES, LOBES_DEG, HEIGHTS, WEIGHTS)
+        for kernel, t, lobe, h, k in itertools.product(
+            KERNELS_DEG, TEMPERATURES, LOBES_DEG, HEIGHTS, WEIGHTS
+        )
     ]
     return max(models, key=lambda model: log_score(cases, model))
 
@@ -93,9 +97,10 @@ def report(name: str, model: PosteriorConstants, cases: list[Case]) -> None:
         radii.append(math.degrees(math.acos(1 - share)))
     radii.sort()
     print(
-        f"{name}: t {model.temperature}, lobe {math.degrees(model.estimate_rad):.0f} deg, height "
-        f"{model.estimate_height:.0f}, weight {model.estimate_weight}: {sum(inside)} of "
-        f"{len(inside)} suns in the region, median radius {radii[len(radii) // 2]:.1f} deg"
+        f"{name}: t {model.temperature}, kernel {math.degrees(model.kernel_rad):.1f} deg, "
+        f"lobe {math.degrees(model.estimate_rad):.0f} deg, height {model.estimate_height:.0f}, "
+        f"weight {model.estimate_weight}: {sum(inside)} of {len(inside)} "
+        f"suns in the region, median radius {radii[len(radii) // 2]:.1f} deg"
     )
 
 

@@ -28,10 +28,10 @@ from numpy import ndarray
 from skylight.evaluation.faces.face_light import pose_error_deg
 from skylight.evaluation.faces.known_faces import synthetic_face
 from skylight.evaluation.rendered_faces.files import read_rendered_face, rendered_faces
-from skylight.faces.dlib_landmarks import DlibLandmarker
+from skylight.faces.detection.dlib_landmarks import DlibLandmarker
+from skylight.faces.detection.mediapipe_face import IBUG, MediaPipeLandmarker, eye_axes
 from skylight.faces.fit import FaceFit, camera_project, fit_face, landmarks_of
 from skylight.faces.landmarks import FaceLandmarker
-from skylight.faces.mediapipe_face import IBUG, MediaPipeLandmarker, eye_axes
 from skylight.faces.model import HeadModel
 from skylight.io.atomic import atomic_path
 from tools.landmark_people import Pictured, people

@@ -24,8 +24,8 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import KDTree
 
+from skylight.faces.detection.mediapipe_face import IBUG
 from skylight.faces.landmarks import MESH_EYES
-from skylight.faces.mediapipe_face import IBUG
 from skylight.io.atomic import atomic_path
 
 HEAD = Path(__file__).resolve().parents[1] / "skylight/faces/data/head.npz"

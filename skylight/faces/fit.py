@@ -33,6 +33,7 @@ EXPRESSION_SCALE = 0.7
 FOCAL_GUESS = 1.9
 FOCAL_GUESS_SIGMA = 0.3
 FOCAL_EXIF_SIGMA = 0.05
+FIRST_OF_SHAPE = 7  # of a step: after rotation, translation and focal length
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +42,10 @@ class FaceFit:
 
     ``landmark_error`` is the mean distance of the landmarks to their detections, as a fraction
     of the distance of the outer eye corners, before the last smooth deformation.
+
+    ``covariance`` is that of rotation (from the left), translation x and y in metres and z as its
+    logarithm, log focal length, identity and expression, (J^T J + P)^-1 with the Jacobian J of the
+    errors and the priors P; None where the head is known.
     """
 
     camera: Camera
@@ -51,6 +56,7 @@ class FaceFit:
     vertices: Float[ndarray, "n 3"]
     landmark_error: float
     converged: bool
+    covariance: Float[ndarray, "p p"] | None = None
 
     @property
     def facing_angle_rad(self) -> float:
@@ -105,6 +111,7 @@ def fit_face(
         vertices=shape @ state.rotation.T + state.translation,
         landmark_error=error,
         converged=converged,
+        covariance=problem.covariance(state),
     )
 
 
@@ -145,8 +152,8 @@ class FitState:
                 ]
             ),
             log_focal=self.log_focal + step[6],
-            identity=self.identity + step[7 : 7 + identities],
-            expression=self.expression + step[7 + identities :],
+            identity=self.identity + step[FIRST_OF_SHAPE : FIRST_OF_SHAPE + identities],
+            expression=self.expression + step[FIRST_OF_SHAPE + identities :],
         )
 
 
@@ -216,14 +223,14 @@ class FitProblem:
         projection[:, 0, 2] = focal * x / depth**2
         projection[:, 1, 1] = -focal / depth
         projection[:, 1, 2] = -focal * y / depth**2
-        by_point = np.zeros((count, 3, 7 + shape_jacobian.shape[2]))
+        by_point = np.zeros((count, 3, FIRST_OF_SHAPE + shape_jacobian.shape[2]))
         # d(exp(w) q) / dw = -[q]x
         by_point[:, 0, 1], by_point[:, 0, 2] = rotated[:, 2], -rotated[:, 1]
         by_point[:, 1, 0], by_point[:, 1, 2] = -rotated[:, 2], rotated[:, 0]
         by_point[:, 2, 0], by_point[:, 2, 1] = rotated[:, 1], -rotated[:, 0]
         by_point[:, 0, 3] = by_point[:, 1, 4] = 1
         by_point[:, 2, 5] = state.translation[2]
-        by_point[:, :, 7:] = np.einsum("ij,ljp->lip", state.rotation, shape_jacobian)
+        by_point[:, :, FIRST_OF_SHAPE:] = np.einsum("ij,ljp->lip", state.rotation, shape_jacobian)
         jacobian = np.einsum("luc,lcp->lup", projection, by_point)
         jacobian[:, 0, 6], jacobian[:, 1, 6] = focal * x / depth, -focal * y / depth
         whiten = self.seen.whiten
@@ -257,6 +264,12 @@ class FitProblem:
         gap = self.seen.whiten @ gap.ravel()
         return float((gap**2).sum() + (self.prior(state)[0] ** 2).sum())
 
+    def covariance(self, state: FitState) -> Float[ndarray, "p p"]:
+        """Of :meth:`FitState.stepped`'s step, by Laplace's approximation at a minimum."""
+        _, jacobian = self.residuals(state)
+        _, slope = self.prior(state)
+        return np.linalg.inv(jacobian.T @ jacobian + np.diag(slope**2))
+
     def minimise(
         self, state: FitState, *, iterations: int, pose_only: bool
     ) -> tuple[FitState, float, bool]:
@@ -264,7 +277,8 @@ class FitProblem:
 
         Converged: the last step gained less than 1e-6 relative, or no step gains anything.
         """
-        free = 6 if pose_only else 7 + self.identities + len(state.expression)
+        count = FIRST_OF_SHAPE + self.identities + len(state.expression)
+        free = 6 if pose_only else count
         damping, cost = 1e-2, self.cost(state)
         for _ in range(iterations):
             gap, jacobian = self.residuals(state)
@@ -274,7 +288,7 @@ class FitProblem:
             hessian, gradient = hessian[:free, :free], gradient[:free]
             while True:
                 damped = hessian + damping * np.diag(np.diag(hessian) + 1e-9)
-                step = np.zeros(7 + self.identities + len(state.expression))
+                step = np.zeros(count)
                 step[:free] = -np.linalg.solve(damped, gradient)
                 trial = state.stepped(step, self.identities)
                 trial_cost = self.cost(trial)

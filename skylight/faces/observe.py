@@ -9,9 +9,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.faces.blazeface import Square
+from skylight.faces.detection.blazeface import Square
 from skylight.faces.fit import FaceFit
 from skylight.faces.model import HeadModel, Region
+from skylight.faces.normal_errors import normal_error_modes
 from skylight.faces.segmentation.hair import hair_probability
 from skylight.faces.segmentation.skin_inliers import inlier_probability
 from skylight.faces.segmentation.skin_mask import SkinLikeness
@@ -20,8 +21,9 @@ from skylight.sphere.envmap import luminance
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.camera import Camera
 from skylight.transport.gbuffer import GBuffer, rasterize
-from skylight.transport.gloss import glossy_transport
+from skylight.transport.gloss import camera_lamp, glossy_transport
 from skylight.transport.matrix import TransportMatrix, diffuse_transport
+from skylight.transport.normal_modes import NormalModes
 from skylight.transport.observation import Observation
 from skylight.transport.raycast import Raycaster
 from skylight.transport.render import Specular
@@ -40,6 +42,7 @@ HAIR_SHARE = 0.5
 # of hair looked for in a square of so many times the height of the face.
 HAIR_SQUARE = 2.0
 FEWEST_PIXELS = 60
+NORMAL_ROWS = 32  # of the light that normal errors are seen in: cells of 5.6 degrees
 # The rest of the head tells where a sun behind the face stands, where it is bare: parts, and how
 # dark against the face their skin may be. What is above a hairline is lit from the sky.
 BARE_PARTS = {Region.EAR: 0.3, Region.NECK: 0.25, Region.SCALP: 0.7}
@@ -84,8 +87,8 @@ def observe_face(
     is not wanted. ``grey``: the picture has no colour.
     ``face_height_px`` is the height of the skin region after down-sampling (never up): beyond
     90 px estimates hardly change (thesis, 5.5.5.1), while memory grows: the transport takes
-    4 * pixels * 2 * grid_height**2 bytes, 100 MB for 3,000 pixels and 64 rows, and that of the
-    gloss as much.
+    4 * pixels * 2 * grid_height**2 bytes, 100 MB for 3,000 pixels and 64 rows, that of the
+    gloss as much, and what normals may be wrong by a quarter of it.
     """
     vertices, faces = torch.from_numpy(fit.vertices), torch.from_numpy(model.faces.copy())
     hair = hair_probability(picture, _around_head(model, fit))
@@ -134,6 +137,8 @@ def observe_face(
         clipped=over[used] if bool(over[used].any()) else None,
         grey=grey,
         modes=_modes(surface, used, model),
+        normal_modes=_normal_modes(surface, used, model, fit, transport),
+        camera_lamp=camera_lamp(surface.normals[used], view[used], specular).float(),
     )
     inlier = inlier_probability(all_of_it)
     kept = inlier > LEAST_INLIER
@@ -168,6 +173,8 @@ def _skin_of(
         gloss=None if seen.gloss is None else rows(seen.gloss),
         clipped=None if seen.clipped is None else seen.clipped[kept],
         modes=None if seen.modes is None else seen.modes[kept],
+        normal_modes=None if seen.normal_modes is None else seen.normal_modes.rows(kept),
+        camera_lamp=None if seen.camera_lamp is None else seen.camera_lamp[kept],
     )
 
 
@@ -175,6 +182,20 @@ def _modes(surface: GBuffer, used: Bool[Tensor, " m"], model: HeadModel) -> Floa
     """How pigments may vary at the used pixels: the modes of their triangles' corners."""
     corners = torch.from_numpy(pigment_modes()[model.faces[surface.faces[used].numpy()]])
     return (corners * surface.barycentric[used][..., None]).sum(1).float()
+
+
+def _normal_modes(
+    surface: GBuffer,
+    used: Bool[Tensor, " m"],
+    model: HeadModel,
+    fit: FaceFit,
+    transport: TransportMatrix,
+) -> NormalModes | None:
+    """How the used pixels' normals may be wrong; None where the head is known."""
+    modes = normal_error_modes(model, fit, surface, used)
+    if modes is None:
+        return None
+    return NormalModes.of(transport, surface.normals[used], modes, NORMAL_ROWS)
 
 
 def _cut_out(

@@ -7,7 +7,8 @@ from functools import cache
 from typing import Literal
 
 from skylight.errors import InputError
-from skylight.faces.dlib_landmarks import DlibLandmarker
+from skylight.faces.detection.dlib_landmarks import DlibLandmarker
+from skylight.faces.detection.mediapipe_face import MediaPipeLandmarker
 from skylight.faces.fit import FaceFit, fit_face
 from skylight.faces.landmarks import (
     DetectedFace,
@@ -15,7 +16,6 @@ from skylight.faces.landmarks import (
     LandmarkerName,
     choose_face,
 )
-from skylight.faces.mediapipe_face import MediaPipeLandmarker
 from skylight.faces.model import HeadModel
 from skylight.imaging.photo import Photo
 from skylight.work.progress import Progress

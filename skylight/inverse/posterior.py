@@ -9,8 +9,8 @@ As in the objective, an explanation is unlikely by its deviation, in units of a 
     L(d) ~ exp(-m(d) / t),
 
 for several faces under one light with the sum of their m(d). No direction of the upper hemisphere
-is preferred beforehand. Fitted heads are turned wrongly by about three degrees, and their light
-with them, so L is spread by a von Mises-Fisher kernel V. The optimisation knows more than the scan,
+is preferred beforehand. What heads are wrong by beyond the errors that the scan knows turns their
+light too, so L is spread by a von Mises-Fisher kernel V. The optimisation knows more than the scan,
 namely which skies there are; its sun s enters as a lobe about it plus a constant, since some
 estimates are outliers. As a density over the hemisphere, ::
 
@@ -22,14 +22,14 @@ q has drawn: a share f of q is uniform, for clocks and compasses that are wrong,
 with a probability of ``f / 2 pi`` over ``int (V * L) q``.
 
 **No sun.** Where the best sun lowers m by little against ambient light alone, no sun is seen.
+Where a lamp at the camera lowers it by as much as the best sun, it may have been a flash.
 
 **Exposure and albedo.** A picture fixes their product, and the prior over skin, its hue as
 uncertain as the light's, says how it may be split: see :func:`split_density`.
 
-Of :class:`PosteriorConstants`, ``temperature``, ``estimate_rad``, ``estimate_height`` and
-``estimate_weight`` were fitted to rendered faces: ``tools/calibrate_posterior.py``. The others were
-tuned by hand on development faces: ``kernel_rad``, the error of fitted heads' poses,
-``sun_gain``, ``wide_rad`` and the ``..._spread``.
+Of :class:`PosteriorConstants`, ``temperature``, ``kernel_rad``, ``estimate_rad``,
+``estimate_height`` and ``estimate_weight`` were fitted to rendered faces:
+``tools/calibrate_posterior.py``. The others were tuned by hand on development faces: ``sun_gain``, ``wide_rad`` and the ``..._spread``.
 """
 
 import math
@@ -57,6 +57,7 @@ Verdict = Literal[
     "ambiguous: several directions",
     "ambiguous: wide region",
     "overcast: no sun",
+    "doubtful: a lamp at the camera",
     "doubtful: the face and the clock disagree",
     "unreliable: the face is not explained",
 ]
@@ -66,6 +67,7 @@ ROWS = 32  # of the upper hemisphere: 2.8 degrees, half the scan's cells
 REWEIGHTINGS = 2
 MAIN_PART = 0.8  # of the region: less in its likeliest part means several
 LEAST_DEVIATION = 0.05  # of the face's mean: smaller ones do not count more
+CAMERA_SHARE = 0.97  # of a sun's gain: a sun at the horizon ahead differs from a flash by as much
 _NEIGHBOURS_RAD = math.radians(4.5)  # a cell's diagonal is 4 degrees
 
 
@@ -81,10 +83,10 @@ class PosteriorConstants:
     of any strength.
     """
 
-    temperature: float = 0.033
-    kernel_rad: float = math.radians(3.0)
-    estimate_rad: float = math.radians(8.0)
-    estimate_height: float = 10.0
+    temperature: float = 0.05
+    kernel_rad: float = math.radians(4.5)
+    estimate_rad: float = math.radians(4.0)
+    estimate_height: float = 30.0
     estimate_weight: float = 0.75
     sun_gain: float = 0.085
     wide_rad: float = math.radians(20.0)
@@ -100,11 +102,13 @@ FITTED = PosteriorConstants()
 class SunEvidence:
     """Evidence of the faces for the sun: m(d) of the module's text (n,), summed over the faces.
 
-    ``gain``: by how much the best sun lowers the deviation of a face, against no sun at all.
+    ``gain``: by how much the best sun lowers the deviation of a face, against no sun at all;
+    ``camera_gain``: by how much a lamp at the camera does.
     """
 
     deviations: Float[Tensor, " n"]
     gain: float
+    camera_gain: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,17 +154,25 @@ class SunPosterior:
 
 @dataclass(frozen=True, kw_only=True)
 class FaceEvidence:
-    """Evidence of one face: its share of m(d), and its deviation without any sun."""
+    """Evidence of one face: its share of m(d).
+
+    ``unlit`` and ``camera_lit`` are its deviations without any sun, and with the camera's lamp.
+    """
 
     deviations: Float[Tensor, " n"]
     unlit: float
+    camera_lit: float
 
 
 def sun_evidence(faces: Sequence[FaceEvidence]) -> SunEvidence:
     """That of all faces under one light."""
     total = torch.stack([face.deviations for face in faces]).sum(0).cpu()
-    gain = (math.fsum(face.unlit for face in faces) - float(total.min())) / len(faces)
-    return SunEvidence(deviations=total, gain=gain)
+    unlit = math.fsum(face.unlit for face in faces)
+    return SunEvidence(
+        deviations=total,
+        gain=(unlit - float(total.min())) / len(faces),
+        camera_gain=(unlit - math.fsum(face.camera_lit for face in faces)) / len(faces),
+    )
 
 
 def face_evidence(
@@ -187,7 +199,11 @@ def face_evidence(
         for weight, level, mean in zip(robust, seen, means, strict=True)
     ]
     return [
-        FaceEvidence(deviations=scan.unexplained * energy, unlit=scan.unlit * float(energy))
+        FaceEvidence(
+            deviations=scan.unexplained * energy,
+            unlit=scan.unlit * float(energy),
+            camera_lit=scan.camera_lit * float(energy),
+        )
         for scan, energy in zip(scans, energies, strict=True)
     ]
 
@@ -307,15 +323,20 @@ def sun_posterior(
         verdict="reliable",
         clock_wrong=None if sun_prior is None else clock_wrong(evidence, sun_prior, model),
     )
-    return replace(posterior, verdict=_verdict(posterior, explained, model))
+    by_camera = evidence.camera_gain > CAMERA_SHARE * evidence.gain
+    return replace(posterior, verdict=_verdict(posterior, explained, by_camera, model))
 
 
-def _verdict(posterior: SunPosterior, explained: bool, model: PosteriorConstants) -> Verdict:
+def _verdict(
+    posterior: SunPosterior, explained: bool, by_camera: bool, model: PosteriorConstants
+) -> Verdict:
     """The first reason for doubt, if there is one."""
     if not explained:
         return "unreliable: the face is not explained"
     if posterior.sun_gain < model.sun_gain:
         return "overcast: no sun"
+    if by_camera:
+        return "doubtful: a lamp at the camera"
     if posterior.clock_wrong is not None and posterior.clock_wrong > DOUBT:
         return "doubtful: the face and the clock disagree"
     mass = posterior.density * posterior.grid.solid_angles

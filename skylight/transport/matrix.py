@@ -50,6 +50,20 @@ class TransportMatrix:
         sky, ground = self.matrix.chunk(2, dim=1)
         return torch.cat([sky, ground.sum(1, keepdim=True)], dim=1)
 
+    def on_rows(self, rows: int) -> "TransportMatrix":
+        """That of light on a lat-long grid of fewer rows: columns summed over blocks.
+
+        A direction of the coarse grid sends the same radiance from all fine pixels in it.
+        """
+        layout = self.grid.layout
+        if layout is not None and layout[0] == rows:
+            return self
+        if layout is None or layout[0] % rows:
+            raise ValueError(f"the transport's grid {layout} must be a multiple of {rows} rows")
+        block = layout[0] // rows
+        cells = self.matrix.unflatten(1, (rows, block, -1, block)).sum((2, 4))
+        return TransportMatrix(matrix=cells.flatten(1), grid=DirectionGrid.latlong(rows))
+
     def project(self, basis: Float[Tensor, "n k"]) -> Float[Tensor, "m k"]:
         """Transport of lights written in a basis, l = basis @ coefficients."""
         return self.matrix @ basis.to(self.matrix)

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.sphere.envmap import luminance
-from skylight.sphere.grid import DirectionGrid
 from skylight.transport.matrix import TransportMatrix
+from skylight.transport.normal_modes import NormalModes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +26,12 @@ class Observation:
     ``modes`` (m,k) are smooth fields over the surface by which its albedo may vary (see
     :func:`skylight.faces.skin.pigment_modes`), or None for what is of one albedo.
 
+    ``normal_modes`` are how the points' normals may be wrong, or None where they are known. They
+    have a grid of their own.
+
+    ``camera_lamp`` is shading by a lamp at the camera and its reflection (see
+    :func:`skylight.transport.gloss.camera_lamp`), or None where it is not asked for.
+
     ``clipped`` (m,) tells where ``pixels`` are lower bounds, because the picture is over-exposed
     there; None where it is nowhere.
 
@@ -40,6 +46,8 @@ class Observation:
     clipped: Bool[Tensor, " m"] | None = None
     grey: bool = False
     modes: Float[Tensor, "m k"] | None = None
+    normal_modes: NormalModes | None = None
+    camera_lamp: Float[Tensor, "m 2"] | None = None
 
     def __post_init__(self) -> None:
         count = len(self.pixels)
@@ -57,6 +65,10 @@ class Observation:
             raise ValueError(f"clipped ({len(self.clipped)}) must match pixels ({count})")
         if self.modes is not None and len(self.modes) != count:
             raise ValueError(f"modes ({len(self.modes)}) must match pixels ({count})")
+        if self.camera_lamp is not None and len(self.camera_lamp) != count:
+            raise ValueError(f"camera_lamp ({len(self.camera_lamp)}) must match pixels ({count})")
+        if self.normal_modes is not None and len(self.normal_modes) != count:
+            raise ValueError(f"normal_modes ({len(self.normal_modes)}) must match pixels ({count})")
         if self.gloss is not None and self.gloss.matrix.shape != self.transport.matrix.shape:
             raise ValueError("gloss must have the shape of the transport")
 
@@ -85,6 +97,8 @@ class Observation:
             gloss=None if self.gloss is None else moved(self.gloss),
             clipped=None if self.clipped is None else self.clipped.to(device),
             modes=None if self.modes is None else self.modes.to(device),
+            normal_modes=None if self.normal_modes is None else self.normal_modes.to(device),
+            camera_lamp=None if self.camera_lamp is None else self.camera_lamp.to(device),
         )
 
     def scaled(self, factor: float) -> "Observation":
@@ -92,34 +106,22 @@ class Observation:
         return replace(self, pixels=self.pixels * factor)
 
     def on_rows(self, rows: int) -> "Observation":
-        """The same for light on a lat-long grid of fewer rows: T summed over blocks of columns.
+        """The same for light on a lat-long grid of fewer rows.
 
-        A direction of the coarse grid sends the same radiance from all fine pixels in it.
+        See :meth:`TransportMatrix.on_rows`.
         """
-        here = self.transport.grid.layout
-        if here is not None and here[0] == rows:
-            return self
-
-        def summed(transport: TransportMatrix) -> TransportMatrix:
-            layout = transport.grid.layout
-            if layout is None or layout[0] % rows:
-                raise ValueError(f"the transport's grid {layout} must be a multiple of {rows} rows")
-            block = layout[0] // rows
-            cells = transport.matrix.unflatten(1, (rows, block, -1, block)).sum((2, 4))
-            return TransportMatrix(matrix=cells.flatten(1), grid=DirectionGrid.latlong(rows))
-
         return replace(
             self,
-            transport=summed(self.transport),
-            gloss=None if self.gloss is None else summed(self.gloss),
+            transport=self.transport.on_rows(rows),
+            gloss=None if self.gloss is None else self.gloss.on_rows(rows),
         )
 
     def coarser(self, level: int) -> "Observation":
         """The observation at 1 / 2^level of the picture's resolution; level 0 is itself.
 
         Pixels, modes and transport rows are weighted means over blocks, which commutes with
-        shading: it is linear in T, and modes are smooth. A block's weight is the sum of its pixels'
-        weights. Clipped pixels make blocks of their own.
+        shading: it is linear in T, and modes are smooth, those of normals too. A block's weight is
+        the sum of its pixels' weights. Clipped pixels make blocks of their own.
         """
         if level == 0:
             return self
@@ -140,6 +142,10 @@ class Observation:
         def merged(transport: TransportMatrix) -> TransportMatrix:
             return TransportMatrix(matrix=means(transport.matrix), grid=transport.grid)
 
+        normal_modes = self.normal_modes
+        if normal_modes is not None:
+            bent = means(normal_modes.modes.flatten(1)).unflatten(1, (3, -1))
+            normal_modes = replace(normal_modes, modes=bent, visible=means(normal_modes.visible))
         over = None if self.clipped is None else blocks % 2 == 1
         places = cell.new_zeros(len(blocks), 2)
         places[index] = cell[kept]
@@ -152,4 +158,6 @@ class Observation:
             gloss=None if self.gloss is None else merged(self.gloss),
             clipped=over,
             modes=None if self.modes is None else means(self.modes),
+            normal_modes=normal_modes,
+            camera_lamp=None if self.camera_lamp is None else means(self.camera_lamp),
         )

@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from skylight.faces.correspondence import MeshPoints, SlidingLandmarks, _mesh_moment
+from skylight.faces.detection.mediapipe_face import IBUG, POINTS
 from skylight.faces.fit import FaceFit, camera_project, fit_face
 from skylight.faces.landmarks import DetectedFace
-from skylight.faces.mediapipe_face import IBUG, POINTS
 from skylight.faces.model import HeadModel
 from skylight.transport.camera import Camera
 

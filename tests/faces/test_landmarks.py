@@ -9,10 +9,10 @@ import pytest
 from skimage.data import astronaut
 
 from skylight.errors import AssetError, DependencyError, InputError
-from skylight.faces import dlib_landmarks
-from skylight.faces.dlib_landmarks import DlibLandmarker, predictor_path
+from skylight.faces.detection import dlib_landmarks
+from skylight.faces.detection.dlib_landmarks import DlibLandmarker, predictor_path
+from skylight.faces.detection.mediapipe_face import MediaPipeLandmarker
 from skylight.faces.landmarks import DetectedFace, FaceLandmarker, choose_face
-from skylight.faces.mediapipe_face import MediaPipeLandmarker
 from skylight.faces.photographs import choose_landmarker
 
 

@@ -55,8 +55,9 @@ class Lamps:
     Angles are of lamps that are not behind the face (z >= 0). ``every`` n-th photograph only.
 
     ``ablation`` adds rows with the white balance trusted (``_balanced``), with skin that varies
-    over the face (``_varying_skin``), on heads fitted to the 68 points of the mesh instead
-    (``_68_points``) and, where it is installed, to dlib's (``_dlib``): five times the time.
+    over the face (``_varying_skin``), with the fitted head's normals trusted
+    (``_trusted_normals``), on heads fitted to the 68 points of the mesh instead
+    (``_68_points``) and, where it is installed, to dlib's (``_dlib``): six times the time.
     """
 
     data: Path
@@ -119,6 +120,8 @@ class Lamps:
         for name, other in others.items():
             options = replace(self.options, solver=replace(solver, weights=other))
             rows[OURS + name] = options.estimate(view.observation, OURS)
+        trusted = replace(view.observation, normal_modes=None)
+        rows[OURS + "_trusted_normals"] = self.options.estimate(trusted, OURS)
         (face, *_) = choose_landmarker().detect(photo.encoded)
         heads = {"_68_points": replace(face, readings=None)}
         if find_spec("dlib") is not None:

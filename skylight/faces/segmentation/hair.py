@@ -7,8 +7,8 @@ from jaxtyping import Float
 from numpy import ndarray
 from torch import Tensor
 
-from skylight.faces.blazeface import Square
-from skylight.faces.networks import network
+from skylight.faces.detection.blazeface import Square
+from skylight.faces.detection.networks import network
 from skylight.imaging.colour import tone_map
 
 

@@ -58,10 +58,16 @@ class SkyFaces(list[SkyFace]):
         self.sun_prior = sun_prior
 
     @property
-    def shape(self) -> tuple[tuple[int, bool, bool, bool], ...]:
+    def shape(self) -> tuple[tuple[int, bool, bool, bool, bool], ...]:
         """What problems have in common that can be solved together."""
         return tuple(
-            (one.photo, one.scanned.gloss is None, one.scanned.modes is None, one.scanned.grey)
+            (
+                one.photo,
+                one.scanned.gloss is None,
+                one.scanned.modes is None,
+                one.scanned.normal_modes is None,
+                one.scanned.grey,
+            )
             for one in self
         )
 

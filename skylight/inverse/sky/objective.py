@@ -23,6 +23,7 @@ from skylight.models.ground import LambertianGround, ground_prior
 from skylight.models.prior import GaussianMixture
 from skylight.sphere.envmap import luminance
 from skylight.transport.diffuse import SkyTransport, shade_scenes
+from skylight.transport.normal_modes import SkyNormalModes
 from skylight.transport.observation import Observation
 
 CHARBONNIER_EPSILON = 1e-6
@@ -31,6 +32,11 @@ CHARBONNIER_EPSILON = 1e-6
 # experiments", IEEE Trans. Image Processing 20(9); Cheng, Prasad & Brown 2014, JOSA A 31(5)). White
 # turns by 2/3 of this spread, rms: 3.8 degrees.
 WHITE_BALANCE_SPREAD = 0.1
+
+
+# A free parameter of 1 is so many standard deviations of a turn: without, a turn's slope is so much
+# less than those of light and exposure that quasi-Newton steps do not reach it.
+TURN_STEP = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +53,10 @@ class ObjectiveWeights:
     ``pigment_spread`` multiplies :data:`skylight.faces.skin.PIGMENT_SPREADS`, by which skin
     varies over a face; 0 gives a face one albedo.
 
+    ``normal_spread`` multiplies the standard deviations of a head's normal errors
+    (:mod:`skylight.faces.normal_errors`); 0 trusts the fitted head. It is less than 1 for the
+    reason that follows: against data that count for too much, priors must too.
+
     ``sun_prior`` weighs what clock and place tell of the sun against the face as the posterior
     does, whose temperature (:class:`~skylight.inverse.posterior.PosteriorConstants`) was fitted to
     known suns: ``independent / noise`` times that. Heads are fitted wrongly all over, so what a
@@ -60,7 +70,8 @@ class ObjectiveWeights:
     ground_prior: float = 1.0
     white_balance_spread: float = WHITE_BALANCE_SPREAD
     pigment_spread: float = 0.0
-    sun_prior: float = 137.0
+    normal_spread: float = 0.7
+    sun_prior: float = 208.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +83,8 @@ class FaceTerm:
     a problem's photographs from 0: faces of one share its exposure. ``level`` (p,) is the face's
     mean luminance in the target's units, which deviations are relative to: a dark face in the shade
     says as much about light as a bright one. ``modes`` (p,m,k) are those of
-    :mod:`skylight.faces.skin`, None for things of one albedo. Where ``clipped``, the target is
+    :mod:`skylight.faces.skin`, None for things of one albedo; ``normals`` how normals may be wrong,
+    None where they are known. Where ``clipped``, the target is
     a lower bound: what is brighter deviates by nothing. Of a ``grey`` picture luminance alone is
     compared.
 
@@ -89,11 +101,13 @@ class FaceTerm:
     clipped: Bool[Tensor, "p m"] | None = None
     grey: bool = False
     modes: Float[Tensor, "p m k"] | None = None
+    normals: SkyNormalModes | None = None
 
     @staticmethod
     def of(observation: Observation) -> "FaceTerm":
         """The only face of a photograph whose mean luminance is 1, in one problem."""
         gloss, clipped = observation.gloss, observation.clipped
+        normals = observation.normal_modes
         return FaceTerm(
             target=observation.pixels[None],
             share=(observation.weights / observation.weights.sum())[None, :, None] / 3,
@@ -103,6 +117,7 @@ class FaceTerm:
             clipped=None if clipped is None else clipped[None],
             grey=observation.grey,
             modes=None if observation.modes is None else observation.modes[None],
+            normals=None if normals is None else SkyNormalModes.of(normals),
         )
 
     @staticmethod
@@ -113,14 +128,13 @@ class FaceTerm:
             return first
         glosses = [term.gloss for term in terms if term.gloss is not None]
         modes = [term.modes for term in terms if term.modes is not None]
-        if (
-            len(glosses) not in (0, len(terms))
-            or len(modes) not in (0, len(terms))
-            or any((term.photo, term.grey) != (first.photo, first.grey) for term in others)
+        normals = [term.normals for term in terms if term.normals is not None]
+        if any(len(each) not in (0, len(terms)) for each in (glosses, modes, normals)) or any(
+            (term.photo, term.grey) != (first.photo, first.grey) for term in others
         ):
             raise ValueError(
                 "faces of several problems must all have gloss or none, all modes or none, all "
-                "colour or none, and one photo"
+                "normals' errors or none, all colour or none, and one photo"
             )
         clipped = [
             torch.zeros_like(term.share[..., 0], dtype=torch.bool)
@@ -138,6 +152,14 @@ class FaceTerm:
             clipped=_padded(clipped) if any(bool(one.any()) for one in clipped) else None,
             grey=first.grey,
             modes=_padded(modes) if modes else None,
+            normals=None
+            if not normals
+            else SkyNormalModes(
+                _padded([one.modes for one in normals]),
+                _padded([one.visible for one in normals]),
+                _padded([one.ground for one in normals]),
+                normals[0].rows,
+            ),
         )
 
     @property
@@ -186,7 +208,8 @@ class Unpacked:
     """The physical meaning of a batch of free parameters: n photographs of f faces in all.
 
     ``balance`` is the log of each photograph's red and blue gain against green, ``pigments`` what
-    each face has of either pigment along k modes, in log green.
+    each face has of either pigment along k modes, in log green; ``turns`` by how much each face's
+    normals are wrong along j modes, in their standard deviations.
     """
 
     light: Float[Tensor, "b p"]
@@ -196,6 +219,7 @@ class Unpacked:
     albedo: Float[Tensor, "b f 3"]
     ground_albedo: Float[Tensor, "b 3"]
     pigments: Float[Tensor, "b f 2 k"]
+    turns: Float[Tensor, "b f j"]
 
 
 def charbonnier(x: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
@@ -218,14 +242,18 @@ class SkyObjective:
     :mod:`skylight.faces.skin` has: rho of pixel p is a prod_i exp(-d_i sum_k Phi_pk u_ik), with
     u_ik normal. Of one albedo, redder cheeks and a darker jaw would be shading.
 
+    And the head is not known: its normals may be turned along the modes that
+    :mod:`skylight.faces.normal_errors` has, by normal amounts. Trusted, flat cheeks of a fitted
+    head turn the sun, and more than one direction looks certain.
+
     ``albedo_prior`` is a density over *log* albedo: over albedo itself it would be the same
     distribution, but its maximum would lean towards dark skin.
 
     Free parameters of one problem: those of the light model, for each photograph a log exposure
-    and its two log gains against green, for each face log gloss, the logits of skin albedo
-    and its pigments, then the logits of ground albedo, so that 0 < albedo < 1 always holds. Targets
-    are scaled beforehand to a mean luminance of 1 in each photograph, which makes the loss's
-    epsilon mean the same for every picture.
+    and its two log gains against green, for each face log gloss, the logits of skin albedo,
+    its turns and its pigments, then the logits of ground albedo, so that 0 < albedo < 1 always
+    holds. Targets are scaled beforehand to a mean luminance of 1 in each photograph, which makes
+    the loss's epsilon mean the same for every picture.
     """
 
     def __init__(
@@ -247,6 +275,8 @@ class SkyObjective:
         self.weights = weights
         counts = {face.modes.shape[-1] for face in faces if face.modes is not None}
         self.mode_count = max(counts, default=0) if weights.pigment_spread > 0 else 0
+        turned = {face.normals.modes.shape[-1] for face in faces if face.normals is not None}
+        self.turn_count = max(turned, default=0) if weights.normal_spread > 0 else 0
         device = self.faces[0].target.device
         self.ground = LambertianGround(model.grid.layout[0]).to(device)  # type: ignore[index]
         self.ground_prior = ground_prior().to(device)
@@ -261,7 +291,7 @@ class SkyObjective:
     @property
     def _sizes(self) -> tuple[int, int, int, int]:
         """Of the light, the photographs, the faces and the ground."""
-        per_face = 4 + 2 * self.mode_count
+        per_face = 4 + self.turn_count + 2 * self.mode_count
         faces, photos = per_face * len(self.faces), 3 * self.photo_count
         return self.model.parameter_count, photos, faces, 3
 
@@ -278,15 +308,27 @@ class SkyObjective:
         ground_albedo: Float[Tensor, "b 3"],
         balance: Float[Tensor, "b n 2"] | None = None,
         pigments: Float[Tensor, "b f 2 k"] | None = None,
+        turns: Float[Tensor, "b f j"] | None = None,
     ) -> Float[Tensor, "b q"]:
-        """Free parameters of physical ones; without a cast, and of even skin, by default."""
+        """Free parameters of physical ones.
+
+        By default without a cast, of even skin, and of the normals that were fitted.
+        """
         if balance is None:
             balance = exposure.new_zeros(*exposure.shape, 2)
         if pigments is None:
             pigments = gloss.new_zeros(*gloss.shape, 2, self.mode_count)
+        if turns is None:
+            turns = gloss.new_zeros(*gloss.shape, self.turn_count)
         camera = torch.cat([exposure.log()[..., None], balance], 2)
         skin = torch.cat(
-            [gloss.log()[..., None], torch.logit(albedo, eps=1e-4), pigments.flatten(2)], 2
+            [
+                gloss.log()[..., None],
+                torch.logit(albedo, eps=1e-4),
+                turns / TURN_STEP,
+                pigments.flatten(2),
+            ],
+            2,
         )
         return torch.cat(
             [
@@ -322,7 +364,8 @@ class SkyObjective:
             gloss=skin[..., 0].clamp(-20, 5).exp(),
             albedo=torch.sigmoid(skin[..., 1:4]),
             ground_albedo=torch.sigmoid(ground_albedo),
-            pigments=skin[..., 4:].unflatten(2, (2, self.mode_count)),
+            turns=TURN_STEP * skin[..., 4 : 4 + self.turn_count],
+            pigments=skin[..., 4 + self.turn_count :].unflatten(2, (2, self.mode_count)),
         )
 
     def white_balance(self, parts: Unpacked) -> Float[Tensor, "b n 3"]:
@@ -345,7 +388,10 @@ class SkyObjective:
     def shading(
         self, parts: Unpacked, problem: Int[Tensor, " b"] | None = None
     ) -> list[Float[Tensor, "b _ 3"]]:
-        """Each face's rho T l + gloss G l with its photograph's exposure and gains in l."""
+        """Each face's rho T l + gloss G l with its photograph's exposure and gains in l.
+
+        Where its normals may be wrong, T l has what they add, and is 0 where that is less.
+        """
         radiance = self.model(parts.light)
         exposure = parts.exposure[..., None] * self.white_balance(parts)
         skies = [radiance * e[:, None] for e in exposure.unbind(1)]
@@ -353,7 +399,12 @@ class SkyObjective:
         shadings = []
         for k, face in enumerate(self.faces):
             sky, ground = skies[face.photo], grounds[face.photo]
-            shading = face.transport(sky, ground, self.albedo(parts, k, problem), problem)
+            albedo = self.albedo(parts, k, problem)
+            shading = face.transport(sky, ground, albedo, problem)
+            if face.normals is not None and self.turn_count:
+                turns = self.weights.normal_spread * parts.turns[:, k]
+                added = face.normals(sky, ground, turns, problem)
+                shading = (shading + albedo * added).clamp(min=0)
             if face.gloss is not None:
                 gloss = parts.gloss[:, k, None].expand(-1, 3)
                 shading = shading + face.gloss(sky, ground, gloss, problem)
@@ -379,6 +430,7 @@ class SkyObjective:
             "gloss_prior": (0.5 * (parts.gloss.log() / GLOSS_SPREAD) ** 2).sum(1),
             "white_balance_prior": self._white_balance_nll(parts),
             "pigment_prior": 0.5 * (parts.pigments / self.pigment_spreads).square().sum((1, 2, 3)),
+            "normal_prior": 0.5 * parts.turns.square().sum((1, 2)),
             **({} if sun is None else {"sun_prior": sun}),
         }
 
@@ -431,6 +483,7 @@ class SkyObjective:
             parts.ground_albedo,
             parts.balance,
             parts.pigments,
+            parts.turns,
         )
 
     def __call__(

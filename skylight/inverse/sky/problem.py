@@ -23,7 +23,7 @@ class SkyProblem:
 
     The faces of one photograph share its exposure. Of an observation's transport only the
     sky's half is kept, folded with the ground: with the pyramid 0.7 times as much memory as
-    the observation's own, 165 MB for a face of 3,700 pixels seen on 64 rows with gloss. Let go
+    the observation's own, 185 MB for a face of 3,700 pixels seen on 64 rows with gloss. Let go
     of each observation once it is added, and eight such faces fit in 2.5 GB.
 
     Everything is computed on the device of ``albedo_modes``, where ``model`` and the priors have
@@ -99,7 +99,7 @@ def solve_together(
 
     Problems of one shape, with as many faces in the same photographs, all with gloss or none and
     all grey or none, are solved as one batch; numbers of pixels may differ. What a problem holds
-    is copied level by level, padded to the most pixels: beside the 165 MB of a face of 3,700
+    is copied level by level, padded to the most pixels: beside the 185 MB of a face of 3,700
     pixels with gloss that is up to 120 MB, 9 GB for a batch of 32 such faces, and 1.3 GB for the
     autoencoder's gradients with respect to ten starts of each.
 

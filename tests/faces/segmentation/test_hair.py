@@ -5,7 +5,7 @@ import pytest
 import torch
 from skimage.data import astronaut
 
-from skylight.faces.blazeface import Square
+from skylight.faces.detection.blazeface import Square
 from skylight.faces.segmentation.hair import hair_probability
 from skylight.imaging.colour import srgb_to_linear
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from skimage.data import astronaut
 
-from skylight.faces.blazeface import Square
-from skylight.faces.looks import brightened, looks, mirrored, turned
+from skylight.faces.detection.blazeface import Square
+from skylight.faces.detection.looks import brightened, looks, mirrored, turned
 
 MIDDLE = Square(centre=np.array([230.0, 120.0]), side=90.0, angle_rad=0.3)
 

@@ -5,8 +5,8 @@ BlazeFace (Bazarevsky et al. 2019) finds faces in a square of the picture; the l
 What stands around them, anchors, suppression and squares, follows MediaPipe's graphs
 (``mediapipe/tasks/cc/vision/face_landmarker``), with these additions: BlazeFace looks at parts of
 the picture too, for small faces, and at it brightened, turned and continued beyond its borders
-where it sees none (:mod:`skylight.faces.looks`); and the landmark network looks again at the square
-that its own landmarks ask for, as MediaPipe does from frame to frame, several times.
+where it sees none (:mod:`skylight.faces.detection.looks`); and the landmark network looks again at
+the square that its own landmarks ask for, as MediaPipe does from frame to frame, several times.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from skylight.errors import AssetError
-from skylight.faces.blazeface import (
+from skylight.faces.detection.blazeface import (
     LEAST_SCORE,
     SIDE,
     Square,
@@ -28,9 +28,9 @@ from skylight.faces.blazeface import (
     upright,
     views,
 )
+from skylight.faces.detection.looks import Look, looks
+from skylight.faces.detection.networks import network
 from skylight.faces.landmarks import MESH_EYES, DetectedFace, landmark_errors
-from skylight.faces.looks import Look, looks
-from skylight.faces.networks import network
 
 POINTS = 478
 _LEAST_PRESENCE, _WEAKEST_SHARE = 0.5, 0.9

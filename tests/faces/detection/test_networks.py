@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from skylight.errors import AssetError
-from skylight.faces import networks
-from skylight.faces.networks import Network, network
+from skylight.faces.detection import networks
+from skylight.faces.detection.networks import Network, network
 
 
 @pytest.mark.parametrize(

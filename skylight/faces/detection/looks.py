@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from skylight.faces.blazeface import LEAST_SCORE, Square
+from skylight.faces.detection.blazeface import LEAST_SCORE, Square
 
 Picture = UInt8[ndarray, "h w 3"]
 Shown = UInt8[ndarray, "h2 w2 3"]

@@ -6,16 +6,16 @@ import pytest
 import torch
 from skimage.data import astronaut
 
-from skylight.faces.blazeface import Square, decode, suppress, upright, views
-from skylight.faces.dlib_landmarks import DlibLandmarker
-from skylight.faces.fit import landmarks_of
-from skylight.faces.landmarks import FaceLandmarker
-from skylight.faces.mediapipe_face import (
+from skylight.faces.detection.blazeface import Square, decode, suppress, upright, views
+from skylight.faces.detection.dlib_landmarks import DlibLandmarker
+from skylight.faces.detection.mediapipe_face import (
     IBUG,
     MediaPipeLandmarker,
     eye_axes,
     to_ibug,
 )
+from skylight.faces.fit import landmarks_of
+from skylight.faces.landmarks import FaceLandmarker
 from skylight.faces.model import HeadModel
 from skylight.faces.synthetic import render_face
 from skylight.sphere.envmap import EnvironmentMap
