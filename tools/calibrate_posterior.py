@@ -5,8 +5,8 @@
 Rendered people under simulated skies with a visible sun, their heads fitted to landmarks; seeds lie
 apart from the evaluation's. Each face takes some 25 s and is kept in --cache, so a second run
 starts where the first one ended. The temperature, the kernel and the estimate's lobe are those that
-make the true suns likeliest (the mean of log p over the faces). Two halves of the faces are fitted each for
-the other: the first two lines printed tell of faces that their fit has not seen.
+make the true suns likeliest (the mean of log p over the faces). Two halves of the faces are fitted
+each for the other: the first two lines printed tell of faces that their fit has not seen.
 """
 
 import argparse

@@ -29,7 +29,8 @@ uncertain as the light's, says how it may be split: see :func:`split_density`.
 
 Of :class:`PosteriorConstants`, ``temperature``, ``kernel_rad``, ``estimate_rad``,
 ``estimate_height`` and ``estimate_weight`` were fitted to rendered faces:
-``tools/calibrate_posterior.py``. The others were tuned by hand on development faces: ``sun_gain``, ``wide_rad`` and the ``..._spread``.
+``tools/calibrate_posterior.py``. The others were tuned by hand on development faces:
+``sun_gain``, ``wide_rad`` and the ``..._spread``.
 """
 
 import math
