@@ -88,6 +88,7 @@ def demo(out: Path = Path("skylight_demo")) -> None:
         out: Folder for the results.
     """
     from skylight.app.estimate.demo import demonstrate
+    from skylight.app.estimate.examples import EXAMPLES
     from skylight.app.progress import stage_bar
 
     with stage_bar() as progress:
@@ -96,8 +97,8 @@ def demo(out: Path = Path("skylight_demo")) -> None:
     for name, value in shown.scores.items():
         print(f"    {name:<14} {value:8.3f}")
     print(f"{shown.synthetic / 'report.png'}: that estimate step by step")
-    print(f"{shown.photograph / 'report.png'}: the light of a real photograph")
-    print(f"{shown.failure / 'report.png'}: a photograph that tells nothing, and is called that")
+    for folder, example in zip(shown.photographs, EXAMPLES, strict=True):
+        print(f"{folder / 'report.png'}: {example.expected}")
 
 
 @app.command

@@ -13,6 +13,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.types import ASGIApp
 
 from skylight import __version__
+from skylight.studio.example_routes import examples
 from skylight.studio.guard import Guard
 from skylight.studio.job_routes import jobs
 from skylight.studio.limits import Limits
@@ -38,7 +39,7 @@ def make_application(studio: Studio, *, host: str) -> ASGIApp:
     app.add_exception_handler(HTTPException, answer_refusal)
     app.add_exception_handler(RequestValidationError, _answer_invalid)
     app.add_exception_handler(Exception, answer_failure)
-    for router in (uploads, jobs, pages):
+    for router in (uploads, examples, jobs, pages):
         app.include_router(router)
     return Guard(app, host, studio.limits.upload_bytes)
 

@@ -23,6 +23,13 @@ export interface About {
   lights: { name: string; title: string }[];
   dictionaries: { name: string; title: string }[];
 }
+/** A photograph to try; `expected` says whether its light is found. */
+export interface Example {
+  name: string;
+  description: string;
+  expected: string;
+  credit: string;
+}
 export interface JobFile {
   name: string;
   size: number;
@@ -124,6 +131,13 @@ export const uploadPhoto = (file: File, signal?: AbortSignal): Promise<Photo> =>
 export const uploadMap = (file: File, signal?: AbortSignal): Promise<LightMap> =>
   upload("/api/maps", file, signal);
 export const previewUrl = (photo: string): string => `/api/photos/${photo}/preview.jpg`;
+
+export const examples = (): Promise<Example[]> => getJson("/api/examples");
+export const exampleUrl = (name: string): string => `/api/examples/${name}.png`;
+/** An example as a file, as if it had been chosen. */
+export async function exampleFile(name: string): Promise<File> {
+  return new File([await getBytes(exampleUrl(name))], `${name}.png`, { type: "image/png" });
+}
 
 /** Starts a job and returns its id. */
 export async function startJob(request: { kind: string; [key: string]: unknown }): Promise<string> {

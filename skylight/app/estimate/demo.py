@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
 from jaxtyping import UInt8
 from numpy import ndarray
 
+from skylight.app.estimate.examples import EXAMPLES
 from skylight.app.estimate.photos import estimate_photo
 from skylight.app.estimate.results import write_results
 from skylight.app.estimate.types import PhotoEstimate
@@ -35,21 +35,17 @@ GROUND_ALBEDO = (0.22, 0.21, 0.18)
 class Demonstration:
     """Folders of the estimates, and the first one's scores against the truth.
 
-    ``failure`` is of a man behind a camera, seen from the side: an ear is taken for his face, and
-    the verdict says that nothing of it is to be trusted.
+    ``photographs`` are of ``EXAMPLES``, in that order.
     """
 
     synthetic: Path
-    photograph: Path
-    failure: Path
+    photographs: tuple[Path, ...]
     scores: dict[str, float]
 
 
 def demonstrate(out: Path, progress: StageProgress) -> Demonstration:
-    """Estimate the three pictures into subfolders of ``out``."""
-    from skimage.data import astronaut, camera
-
-    synthetic, photograph, failure = out / "synthetic", out / "astronaut", out / "cameraman"
+    """Estimate the rendered face and the examples into subfolders of ``out``."""
+    synthetic = out / "synthetic"
     with results_folder(synthetic) as folder:
         progress("rendering a face", 0.0)
         (_, sky), *_ = simulated_skies(1, first_seed=SKY_SEED, lowest_transmittance=0.8)
@@ -65,15 +61,18 @@ def demonstrate(out: Path, progress: StageProgress) -> Demonstration:
         scores = score(result.estimate.environment, truth.environment)
         write_json(folder / "scores.json", scores)
         write_comparison(folder / "comparison.png", truth, result, scores)
-    man = np.repeat(camera()[..., None], 3, axis=2)
-    for path, picture, title in (
-        (photograph, astronaut(), "astronaut (NASA)"),
-        (failure, man, "cameraman (Lav Varshney)"),
-    ):
-        with results_folder(path) as folder:
-            write_png(folder / "photo.png", picture)
-            _estimate(folder, picture, title, progress)
-    return Demonstration(synthetic=synthetic, photograph=photograph, failure=failure, scores=scores)
+    photographs = estimate_examples(out, progress)
+    return Demonstration(synthetic=synthetic, photographs=photographs, scores=scores)
+
+
+def estimate_examples(out: Path, progress: StageProgress) -> tuple[Path, ...]:
+    """Estimate ``EXAMPLES``, each into the subfolder of its name; those folders."""
+    for example in EXAMPLES:
+        with results_folder(out / example.name) as folder:
+            codes = example.codes()
+            write_png(folder / "photo.png", codes)
+            _estimate(folder, codes, f"{example.name} ({example.author})", progress)
+    return tuple(out / example.name for example in EXAMPLES)
 
 
 def score(estimated: EnvironmentMap, true: EnvironmentMap) -> dict[str, float]:

@@ -1,5 +1,6 @@
 import { about, forgetJob, uploadPhoto, type EstimateResult, type Photo } from "../api";
 import { compositePanel, type CompositePanel } from "../face/composite/panel";
+import { exampleRow } from "../face/example_row";
 import "../face/face.css";
 import { faceChooser, type FaceChooser } from "../face/face_chooser";
 import { lightChoice } from "../face/light_choice";
@@ -29,7 +30,7 @@ function build(): HTMLElement {
   let shown: { leave: () => void } | null = null;
   let asking: AbortController | null = null;
 
-  const take = async (file: File): Promise<void> => {
+  const take = async (chosen: File | Promise<File>): Promise<void> => {
     asking?.abort();
     const mine = (asking = new AbortController());
     alert.clear();
@@ -37,7 +38,7 @@ function build(): HTMLElement {
     said.textContent = "Looking for faces";
     busy.hidden = false;
     try {
-      const photo = await uploadPhoto(file, mine.signal);
+      const photo = await uploadPhoto(await chosen, mine.signal);
       if (mine.signal.aborted) return;
       const count = photo.faces.length;
       said.textContent = `${count} ${count === 1 ? "face" : "faces"} found`;
@@ -71,6 +72,8 @@ function build(): HTMLElement {
   about().then(({ limits: { upload_mb, megapixels } }) => {
     limits.textContent = `Up to ${upload_mb} MB and ${megapixels} megapixels. It stays on the machine that runs the studio.`;
   }, alert.show);
+  const tries = el("div", {});
+  exampleRow((file) => void take(file)).then((row) => tries.append(row), alert.show);
   const busy = el("p", { class: "muted", "aria-hidden": "true" }, "Looking for faces …");
   busy.hidden = true;
   return el(
@@ -87,6 +90,7 @@ function build(): HTMLElement {
       ),
     ),
     drop.element,
+    tries,
     busy,
     alert.element,
     said,

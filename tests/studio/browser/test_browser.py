@@ -101,6 +101,7 @@ def test_from_a_dropped_photo_to_a_downloaded_map(
     new_page: MakePage, studio_address: str, portrait: Path, tmp_path: Path, pictures: Path
 ) -> None:
     page = new_page(color_scheme="light", accept_downloads=True)
+    page.wait_for_load_state("networkidle")  # the examples are in
     picture(page, pictures / "studio_start.png")
     drop(page, portrait)
     page.get_by_role("button", name="The face").wait_for()
@@ -162,6 +163,22 @@ def test_from_a_dropped_photo_to_a_downloaded_map(
     page.get_by_role("heading", level=1, name="Sparse codes").wait_for()
     page.goto(f"{studio_address}/#/face")
     assert page.locator(".result").count() == 2
+
+
+def test_an_example_is_taken_as_a_chosen_file_is(new_page: MakePage) -> None:
+    page = new_page()
+    row = page.get_by_role("region", name="Try one of these")
+    row.get_by_role(
+        "button", name=re.compile("behind a camera.* Fails, and says so: .*CC0")
+    ).focus()
+    with page.expect_response("**/api/photos?name=cameraman.png") as answered:
+        page.keyboard.press("Enter")
+    taken = answered.value.json()
+    assert (taken["width"], taken["height"], len(taken["faces"])) == (*camera().shape, 1)
+    page.get_by_role("img", name="Your photo, cameraman.png").wait_for()
+    row.get_by_role("button", name=re.compile("astronaut.* Works: .*NASA")).click()
+    page.get_by_role("img", name="Your photo, astronaut.png").wait_for()
+    assert page.get_by_role("button", name="Find the light").is_enabled()
 
 
 @pytest.mark.slow

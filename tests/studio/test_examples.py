@@ -1,0 +1,36 @@
+"""The photographs to try: which there are, and the files of them."""
+
+from io import BytesIO
+
+import httpx
+import numpy as np
+import pytest
+from PIL import Image
+
+from skylight.app.estimate.examples import EXAMPLES
+
+
+def test_they_are_those_of_the_demonstration(client: httpx.Client) -> None:
+    told = client.get("/api/examples").json()
+    assert [each["name"] for each in told] == [example.name for example in EXAMPLES]
+    assert [each["expected"] for each in told] == [example.expected for example in EXAMPLES]
+    for each, example in zip(told, EXAMPLES, strict=True):
+        assert each["credit"] == f"{example.author}, {example.licence}"
+        answer = client.get(f"/api/examples/{each['name']}.png")
+        assert answer.headers["content-type"] == "image/png"
+        with Image.open(BytesIO(answer.content), formats=["PNG"]) as picture:
+            assert np.array_equal(np.asarray(picture), example.codes())
+
+
+@pytest.mark.parametrize("name", ["nobody", "Astronaut", "astronaut.png", "..", "%0a"])
+def test_an_unknown_one_is_not_found(client: httpx.Client, name: str) -> None:
+    answer = client.get(f"/api/examples/{name}.png")
+    assert answer.status_code == 404
+    line = "there is no such example; choose one of astronaut, cameraman"
+    assert answer.json() == {"error": line}
+
+
+def test_they_are_only_read(client: httpx.Client) -> None:
+    for method in ("POST", "PUT", "DELETE"):
+        answer = client.request(method, "/api/examples/astronaut.png")
+        assert (answer.status_code, answer.json()) == (405, {"error": "Method Not Allowed"})
