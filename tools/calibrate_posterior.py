@@ -40,8 +40,8 @@ from skylight.sphere.grid import DirectionGrid
 FIRST_SEED, APART, SIZE = 45_000_000, 1000, 256
 GRID = DirectionGrid.sky(ROWS)
 TEMPERATURES = (0.012, 0.017, 0.022, 0.027, 0.033, 0.04, 0.05)
-KERNELS_DEG = (1.5, 3.0, 4.5)
-LOBES_DEG, HEIGHTS, WEIGHTS = (4.0, 8.0, 12.0), (3.0, 10.0, 30.0), (0.25, 0.5, 0.75)
+KERNELS_DEG = (3.0, 4.5, 6.0, 7.5)
+LOBES_DEG, HEIGHTS, WEIGHTS = (4.0, 8.0, 12.0), (3.0, 10.0, 30.0), (0.5, 0.75, 1.0, 1.25)
 Case = tuple[SunEvidence, torch.Tensor, int]  # evidence, the estimate's sun, the true sun's cell
 
 

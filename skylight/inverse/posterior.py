@@ -84,11 +84,11 @@ class PosteriorConstants:
     of any strength.
     """
 
-    temperature: float = 0.05
-    kernel_rad: float = math.radians(4.5)
-    estimate_rad: float = math.radians(4.0)
+    temperature: float = 0.027
+    kernel_rad: float = math.radians(6.0)
+    estimate_rad: float = math.radians(8.0)
     estimate_height: float = 30.0
-    estimate_weight: float = 0.75
+    estimate_weight: float = 1.25
     sun_gain: float = 0.085
     wide_rad: float = math.radians(20.0)
     exposure_spread: float = 0.25

@@ -333,7 +333,8 @@ def test_how_likely_the_clock_is_wrong_by_hand() -> None:
     """A face that says nothing leaves what was thought before."""
     flat = replace(evidence_of(FRONT), deviations=torch.zeros(1024, dtype=torch.float64))
     found = told(flat, about(0.0, 45.0))
-    assert found.clock_wrong == pytest.approx(FLOOR, rel=0.02)
+    # but for the kernel, which spreads a little of it below the horizon
+    assert found.clock_wrong == pytest.approx(FLOOR, rel=0.05)
 
 
 # ---- a rendered face

@@ -71,7 +71,7 @@ class ObjectiveWeights:
     white_balance_spread: float = WHITE_BALANCE_SPREAD
     pigment_spread: float = 0.0
     normal_spread: float = 0.7
-    sun_prior: float = 208.0
+    sun_prior: float = 112.0
 
 
 @dataclass(frozen=True, kw_only=True)
