@@ -15,7 +15,7 @@ CALLS = {
 }  # fmt: skip
 # numpy's default refuses pickles; these read the package's own files or its own caches
 OWN_ARRAYS = {
-    "evaluation/rendered_faces/skin.py", "faces/landmarks.py", "faces/mediapipe_face.py",
+    "evaluation/rendered_faces/skin.py", "faces/landmarks.py", "faces/detection/mediapipe_face.py",
     "faces/model.py", "training/data.py",
 }  # fmt: skip
 

@@ -99,7 +99,8 @@ def test_every_part_left_out_has_a_row(tmp_path):
     lamps._read_index.cache_clear()
     evaluation = Lamps(data=tmp_path, ablation=True)
     item = evaluation.measure("a_1.png", tmp_path / "picture.png")
-    names = {"autoencoder" + name for name in ("", "_balanced", "_varying_skin", "_68_points")}
+    parts = ("_balanced", "_varying_skin", "_trusted_normals", "_68_points")
+    names = {"autoencoder" + name for name in ("", *parts)}
     assert names <= set(item.metrics)
     assert item.metrics["autoencoder"]["angle_deg"] < 15
     others = [item.metrics[name]["angle_deg"] for name in names]
