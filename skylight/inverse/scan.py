@@ -41,8 +41,9 @@ SCAN_HEIGHT = 32
 LOBES = 20
 RAISES = 3
 LIKELY = 4  # candidates where clock and place tell of the sun
-# c: u counts as if pixels deviated by 0.2 of the mean and 250 of them were independent, which the
-# sun of rendered people depends on little (3.5 times as much or as little moves no median by 0.5).
+# c: u counts as if pixels deviated by 0.2 of the mean and 250 of them were independent. The mean
+# error of the scan's sun on rendered people depends on it little: 11.0 to 11.3 degrees from a
+# deviation of 0.1 to one of 0.7 (11.2 with normals trusted); the median prefers 0.2 and less.
 NORMAL_COST = 0.2**2 / 250
 NORMAL_ROUNDS = 2
 _BLOCK = 128  # directions at a time, where each has a matrix of pixels x modes
@@ -164,16 +165,16 @@ class _SunProblem:
             lamp = torch.zeros(len(root), 2).to(root)
         lamp = _unit(lamp.double() * root[:, None])
 
-        def suns(transport: TransportMatrix, group: int) -> Float[Tensor, "m n_2"]:
+        def suns(every: Float[Tensor, "m n"], group: int) -> Float[Tensor, "m n_2"]:
             """One problem for each direction, one without a sun, and one with the camera's lamp."""
-            above = pad(_unit(columns(transport)[:, :upper]), (0, 1))
+            above = pad(_unit(every[:, :upper]), (0, 1))
             return torch.cat([above, lamp[:, group, None]], 1)
 
         matt = columns(coarse.transport)
         lobes = _ambient_lobes(grid).to(root)
-        groups = [suns(coarse.transport, 0)]
+        groups = [suns(matt, 0)]
         if coarse.gloss is not None:
-            groups.append(suns(coarse.gloss, 1))
+            groups.append(suns(columns(coarse.gloss), 1))
         clipped = torch.zeros_like(root, dtype=torch.bool)
         if observation.clipped is not None:
             clipped = observation.clipped

@@ -133,14 +133,6 @@ def test_what_is_left_is_that_of_all_unknowns_together(bumps, monkeypatch):
     assert left < 0.02
 
 
-@pytest.fixture
-def double():
-    """Everything in float64, so that slopes can be compared with differences."""
-    torch.set_default_dtype(torch.float64)
-    yield
-    torch.set_default_dtype(torch.float32)
-
-
 def turned():
     seen = observation()
     generator = torch.Generator().manual_seed(4)

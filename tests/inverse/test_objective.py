@@ -27,12 +27,7 @@ MODEL = SunSky(height=ROWS)
 WEIGHTS = ObjectiveWeights()
 
 
-@pytest.fixture(autouse=True)
-def double():
-    """Everything in float64, so that slopes can be compared with differences."""
-    torch.set_default_dtype(torch.float64)
-    yield
-    torch.set_default_dtype(torch.float32)
+pytestmark = pytest.mark.usefixtures("double")
 
 
 def normal(size):

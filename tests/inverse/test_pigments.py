@@ -12,12 +12,7 @@ from tests.inverse.test_objective import MODEL, normal, observation, parameters
 K = 4
 
 
-@pytest.fixture(autouse=True)
-def double():
-    """Everything in float64, so that slopes can be compared with differences."""
-    torch.set_default_dtype(torch.float64)
-    yield
-    torch.set_default_dtype(torch.float32)
+pytestmark = pytest.mark.usefixtures("double")
 
 
 def varied():
