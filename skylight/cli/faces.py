@@ -21,6 +21,7 @@ def render_faces(
     per_scene: int = 1,
     hair: bool = False,
     sunny: bool = False,
+    maps: Path | None = None,
     workers: int = 0,
     cluster: str | None = None,
 ) -> None:
@@ -39,6 +40,8 @@ def render_faces(
         per_scene: So many faces in a row share sky, ground, camera direction and exposure.
         hair: Give heads a cap of hair that casts shadow and hides the scalp.
         sunny: Only skies whose sun is visible.
+        maps: Folder of lat-long maps (.exr, .hdr): scene i is lit by map i modulo their count, in
+            the order of their names, turned about the vertical at random, instead of by a sky.
         workers: Processes that work at the same time; 0 for one per core.
         cluster: A dask scheduler's address, whose workers do it instead.
     """
@@ -51,9 +54,12 @@ def render_faces(
     ):
         if value < least:
             raise InputError(f"--{name} must be {least} or more, got {value}")
+    if sunny and maps is not None:
+        raise InputError("--sunny chooses among simulated skies: leave it out with --maps")
     who = who_works(workers, cluster, out)
     from skylight.app.progress import stage_bar, with_time_left
     from skylight.evaluation.rendered_faces.batch import render_folder
+    from skylight.evaluation.rendered_faces.map_folder import MapFolder
     from skylight.evaluation.rendered_faces.options import RenderOptions
 
     options = RenderOptions(
@@ -63,6 +69,7 @@ def render_faces(
         per_scene=per_scene,
         hair=hair,
         sunny=sunny,
+        maps=None if maps is None else MapFolder.read(maps),
     )
     with stage_bar() as progress:
         made = render_folder(

@@ -32,6 +32,7 @@ class SyntheticFace:
     ``encoded`` is the 8-bit sRGB picture a camera would deliver; ``picture`` its values decoded
     again (so quantised and clipped), ``clipped`` where a channel is at 255. ``environment`` is
     the light in the units of ``picture``; ``truth`` is the true geometry as a fit.
+    ``ground_albedo`` is that below a sky, None where the light is no sky over a ground.
     """
 
     encoded: UInt8[ndarray, "h w 3"]
@@ -39,7 +40,7 @@ class SyntheticFace:
     clipped: Bool[Tensor, "h w"]
     environment: EnvironmentMap
     albedo: Float[Tensor, "3"]
-    ground_albedo: Float[Tensor, "3"]
+    ground_albedo: Float[Tensor, "3"] | None
     truth: FaceFit
 
 

@@ -105,9 +105,10 @@ def synthetic_face(seed: int, size: int) -> SyntheticFace:
 
 
 def read_face(folder: Path) -> KnownFace:
-    """A face that ``skylight faces render`` wrote."""
+    """A face that ``skylight faces render`` wrote; a map that it was given shows no sun."""
     face = read_rendered_face(folder)
-    visible = face.sun_transmittance >= LOWEST_TRANSMITTANCE
+    through = face.sun_transmittance
+    visible = through is not None and through >= LOWEST_TRANSMITTANCE
     return _known(face, sun_visible=visible, tone=face.cluster)
 
 

@@ -3,7 +3,6 @@
 import os
 import shutil
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from uuid import uuid4
 
@@ -39,7 +38,7 @@ def render_folder(
     """
     mitsuba_variant()  # refuses at once where it is not installed
     with claimed(out):
-        settle(out / "options.json", asdict(options))
+        settle(out / "options.json", options.settings())
         missing = [n for n in range(count) if not (out / folder_name(n)).exists()]
         done = count - len(missing)
         if progress:

@@ -1,12 +1,14 @@
 """Rendered faces on disk: a folder each."""
 
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from skylight.errors import InputError
+from skylight.evaluation.rendered_faces.map_folder import TurnedMap
 from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.evaluation.rendered_faces.render import RenderedFace
 from skylight.faces.fit import FaceFit
@@ -19,7 +21,7 @@ from skylight.io.files import (
     write_json,
     write_png,
 )
-from skylight.io.hdr import read_linear, write_exr
+from skylight.io.hdr import HALF_MAX, read_linear, write_exr
 from skylight.io.opened_picture import opened_picture
 from skylight.transport.camera import Camera
 
@@ -53,8 +55,9 @@ def write_rendered_face(folder: Path, face: RenderedFace, options: RenderOptions
     """
     write_png(folder / "picture.png", face.encoded)
     write_png(folder / "hair.png", np.repeat(face.hair[..., None], 3, 2).astype(np.uint8) * 255)
+    fits = float(face.linear.max()) <= HALF_MAX  # a lamp behind somebody may not
     with atomic_path(folder / "picture.exr") as temporary:
-        write_exr(temporary, face.linear.numpy(), half=True, header={})
+        write_exr(temporary, face.linear.numpy(), half=fits, header={})
     write_environment_map(folder / "probe.exr", face.environment)
     arrays = {name: getattr(face.truth, name) for name in _ARRAYS}
     with atomic_path(folder / "mesh.npz") as temporary:
@@ -66,10 +69,11 @@ def write_rendered_face(folder: Path, face: RenderedFace, options: RenderOptions
         | {
             "camera": {"focal_px": camera.focal_px, "center_px": list(camera.center_px)},
             "albedo": face.albedo.tolist(),
-            "ground_albedo": face.ground_albedo.tolist(),
-            "sun_direction": face.sun_direction.tolist(),
-            "options": asdict(options),
-        },
+            "ground_albedo": _listed(face.ground_albedo),
+            "sun_direction": _listed(face.sun_direction),
+            "options": options.settings(),
+        }
+        | _map_facts(face.turned_map),
     )
 
 
@@ -93,8 +97,9 @@ def read_rendered_face(folder: Path) -> RenderedFace:
             center_px=tuple(facts["camera"]["center_px"]),
         )
         plain = {name: facts[name] for name in _FACTS}
-        albedo, ground = torch.tensor(facts["albedo"]), torch.tensor(facts["ground_albedo"])
-        sun = torch.tensor(facts["sun_direction"], dtype=torch.float64)
+        albedo, ground = torch.tensor(facts["albedo"]), _vector(facts["ground_albedo"])
+        sun = _vector(facts["sun_direction"], torch.float64)
+        turned_map = _turned_map(facts)
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise InputError(f"{folder}: no complete rendered face ({error})") from error
     codes = torch.from_numpy(encoded)
@@ -111,5 +116,29 @@ def read_rendered_face(folder: Path) -> RenderedFace:
         landmarks=landmarks,
         hair=hair,
         sun_direction=sun,
+        turned_map=turned_map,
         **plain,
+    )
+
+
+def _listed(vector: Float[Tensor, "3"] | None) -> list[float] | None:
+    return None if vector is None else vector.tolist()
+
+
+def _vector(listed: list[float] | None, dtype: torch.dtype = torch.float32) -> Tensor | None:
+    return None if listed is None else torch.tensor(listed, dtype=dtype)
+
+
+def _map_facts(turned: TurnedMap | None) -> dict[str, object]:
+    if turned is None:
+        return dict.fromkeys(("map", "category", "turn_deg"))
+    return {"map": turned.file, "category": turned.category, "turn_deg": turned.turn_deg}
+
+
+def _turned_map(facts: dict) -> TurnedMap | None:
+    """None also for faces written before there were maps, whose facts do not mention any."""
+    if facts.get("map") is None:
+        return None
+    return TurnedMap(
+        file=facts["map"], category=facts["category"], turn_deg=float(facts["turn_deg"])
     )

@@ -1,6 +1,8 @@
 """Options of rendered faces."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
+
+from skylight.evaluation.rendered_faces.map_folder import MapFolder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -9,7 +11,8 @@ class RenderOptions:
 
     Face i belongs to scene i // ``per_scene``: one sky, ground, camera and exposure. ``hair`` puts
     a cap on every head. Test days are of all kinds, as the thesis scores them (5.5.1); ``sunny``
-    keeps those whose sun is visible.
+    keeps those whose sun is visible. With ``maps``, scene i is lit by map i modulo their count,
+    turned about the vertical by a random angle, in place of a simulated sky.
     """
 
     size: int = 288
@@ -18,3 +21,12 @@ class RenderOptions:
     per_scene: int = 1
     hair: bool = False
     sunny: bool = False
+    maps: MapFolder | None = None
+
+    def settings(self) -> dict[str, object]:
+        """What faces depend on, for files: maps by their content, wherever they lie."""
+        settings = asdict(replace(self, maps=None))
+        del settings["maps"]
+        if self.maps is not None:
+            settings["maps"] = {"count": len(self.maps.files), "sha256": self.maps.sha256}
+        return settings

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 from torch import Tensor
 
+from skylight.evaluation.rendered_faces.map_folder import TurnedMap
 from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.evaluation.rendered_faces.people import person, seen_parts
 from skylight.evaluation.rendered_faces.photograph import compose, exposure_for, photograph
@@ -27,8 +28,9 @@ class RenderedFace(SyntheticFace):
     ``albedo`` is the mean diffuse albedo of the bare skin in the picture and ``linear`` the picture
     before noise and quantisation. ``landmarks`` are the true 68 points (x, y; the jaw's on the
     silhouette), ``cluster`` the tone from 0, light, to 5, dark, ``sun_direction`` a unit vector in
-    the camera's frame, ``hair`` the pixels that the cap covers. ``exposure`` turned the sky's units
-    into the picture's.
+    the camera's frame, ``hair`` the pixels that the cap covers. ``exposure`` turned the light's
+    units into the picture's. Under a given map, which ``turned_map`` names, what tells of sky, sun
+    and ground is None.
     """
 
     linear: Float[Tensor, "h w 3"]
@@ -37,10 +39,11 @@ class RenderedFace(SyntheticFace):
     cluster: int
     number: int
     scene: int
-    sky_seed: int
-    sun_direction: Float[Tensor, "3"]
-    sun_transmittance: float
+    sky_seed: int | None
+    sun_direction: Float[Tensor, "3"] | None
+    sun_transmittance: float | None
     exposure: float
+    turned_map: TurnedMap | None = None
 
 
 def render(number: int, options: RenderOptions) -> RenderedFace:
@@ -80,4 +83,5 @@ def render(number: int, options: RenderOptions) -> RenderedFace:
         sun_direction=light.sun,
         sun_transmittance=light.transmittance,
         exposure=exposure,
+        turned_map=light.turned_map,
     )
