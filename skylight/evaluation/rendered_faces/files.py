@@ -131,7 +131,7 @@ def _vector(listed: list[float] | None, dtype: torch.dtype = torch.float32) -> T
 
 def _map_facts(turned: TurnedMap | None) -> dict[str, object]:
     if turned is None:
-        return dict.fromkeys(("map", "category", "turn_deg"))
+        return {"map": None, "category": None, "turn_deg": None}
     return {"map": turned.file, "category": turned.category, "turn_deg": turned.turn_deg}
 
 

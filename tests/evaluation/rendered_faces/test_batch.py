@@ -12,13 +12,17 @@ pytest.importorskip("mitsuba", reason="mitsuba is not installed")
 
 from skylight.cli import main
 from skylight.errors import InputError, OutputError
+from skylight.evaluation.faces.known_faces import read_face
 from skylight.evaluation.rendered_faces import batch
 from skylight.evaluation.rendered_faces.batch import render_folder
 from skylight.evaluation.rendered_faces.files import read_rendered_face, rendered_faces
+from skylight.evaluation.rendered_faces.map_folder import MapFolder, TurnedMap
 from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.faces.fit import camera_project
 from skylight.faces.model import HeadModel
+from skylight.io.files import write_environment_map
 from skylight.skies.simulated import EVALUATION_SEEDS
+from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import angle_between
 
 TINY = RenderOptions(size=40, samples=4, seed=1, per_scene=2, hair=True)
@@ -52,6 +56,10 @@ def test_the_truth_fits_together(folder: Path) -> None:
     points = camera_project(truth.camera, model.landmarks(truth.vertices))
     np.testing.assert_allclose(face.landmarks[17:], points[17:], atol=1e-6)
     assert face.environment.layout == (64, 128)
+    assert face.turned_map is None
+    assert face.sky_seed is not None
+    assert face.sun_direction is not None
+    assert face.ground_albedo is not None
     brightest = face.environment.brightest_direction()
     assert float(torch.rad2deg(angle_between(face.sun_direction, brightest))) < 4
     assert face.sky_seed >= EVALUATION_SEEDS
@@ -64,6 +72,44 @@ def test_the_truth_fits_together(folder: Path) -> None:
     seen = face.linear.clamp(0, 1)
     assert float((seen - face.picture).abs().median()) < 0.02
     assert 0.02 < face.hair.mean() < 0.4
+
+
+def test_a_lamp_to_one_side_lights_that_side(tmp_path: Path) -> None:
+    """Under a map that is turned so that its lamp, straight ahead, goes where the facts say."""
+    maps = tmp_path / "maps"
+    maps.mkdir()
+    radiance = torch.full((64, 128, 3), 0.02)
+    radiance[28:32, 62:66] = 100.0
+    write_environment_map(maps / "lamp.exr", EnvironmentMap(radiance=radiance))
+    options = RenderOptions(size=40, samples=4, maps=MapFolder.read(maps))
+    out = tmp_path / "faces"
+    assert render_folder(out, 1, options) == 1
+    assert render_folder(out, 1, options) == 0
+    face = read_rendered_face(out / "face0000")
+    turned = face.turned_map
+    assert turned is not None
+    assert turned == TurnedMap(file="lamp.exr", category=None, turn_deg=turned.turn_deg)
+    assert face.sky_seed is face.sun_transmittance is face.sun_direction is None
+    assert face.ground_albedo is None
+    assert not read_face(out / "face0000").sun_visible
+    azimuth = np.radians(turned.turn_deg)
+    lamp = face.environment.brightest_direction().double()
+    there = torch.tensor([np.sin(azimuth), 0.0, -np.cos(azimuth)])
+    assert float(torch.rad2deg(angle_between(lamp, there))) < 10  # it stands 8 degrees high
+    # whichever side that is, skin on it is brighter
+    assert abs(np.sin(azimuth)) > 0.3
+    columns = face.linear[10:30, :].mean((0, 2))
+    right, left = float(columns[21:28].mean()), float(columns[12:19].mean())
+    assert (right > 1.2 * left) if np.sin(azimuth) > 0 else (left > 1.2 * right)
+
+
+def test_faces_from_before_there_were_maps_are_read(folder: Path, tmp_path: Path) -> None:
+    face = shutil.copytree(folder / "face0000", tmp_path / "face0000")
+    facts = json.loads((face / "face.json").read_text())
+    for name in ("map", "category", "turn_deg"):
+        assert facts.pop(name) is None
+    (face / "face.json").write_text(json.dumps(facts))
+    assert read_rendered_face(face).turned_map is None
 
 
 def test_a_second_run_makes_only_what_is_missing_and_the_same(folder: Path, tmp_path: Path) -> None:
