@@ -16,6 +16,7 @@ from skylight.evaluation.codes.lit_object import MESH
 from skylight.evaluation.codes.sparse_coding import SparseCoding
 from skylight.evaluation.codes.sparse_inverse import SparseInverse
 from skylight.evaluation.codes.transport_compression import TransportCompression
+from skylight.evaluation.faces.any_light import AnyLight
 from skylight.evaluation.faces.captured_faces import CapturedFaces
 from skylight.evaluation.faces.face_sensitivity import SIZES, FaceSensitivity
 from skylight.evaluation.faces.known_faces import FaceSource
@@ -54,6 +55,11 @@ def _synthetic_faces(quick: bool, data: Path | None) -> Evaluation:
 def _shared_light(quick: bool, data: Path | None) -> Evaluation:
     needed = "faces in scenes of four, made by 'skylight faces render --per-scene 4'"
     return SharedLight(data=_data("shared-light", data, needed), scenes=8 if quick else None)
+
+
+def _any_light(quick: bool, data: Path | None) -> Evaluation:
+    needed = "faces under given maps, made by 'skylight faces render --maps DIR'"
+    return AnyLight(data=_data("any-light", data, needed), count=12 if quick else None)
 
 
 def _face_sensitivity(quick: bool, data: Path | None) -> Evaluation:
@@ -145,6 +151,7 @@ EVALUATIONS: dict[str, Callable[[bool, Path | None], Evaluation]] = {
     "voxel-probe": _voxel_probe,
     "partition-probe": _partition_probe,
     "shared-light": _shared_light,
+    "any-light": _any_light,
     "face-sensitivity": _face_sensitivity,
 }
 
@@ -187,7 +194,13 @@ def evaluate(
 def _with_options(name: str, evaluation: Evaluation, options: EstimateOptions) -> Evaluation:
     if isinstance(
         evaluation,
-        SyntheticFaces | SharedLight | CapturedFaces | RealFaces | Lamps | FaceSensitivity,
+        SyntheticFaces
+        | SharedLight
+        | AnyLight
+        | CapturedFaces
+        | RealFaces
+        | Lamps
+        | FaceSensitivity,
     ):
         choose_device(options.device)
         return replace(evaluation, options=options)

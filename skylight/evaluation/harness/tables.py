@@ -24,6 +24,8 @@ LABELS = {
     "sun_dw_mae": "Sun-dω MAE (l)",
     "sun_dw_mae_fixed": "Sun-dω MAE (l), at the true sun",
     "sun_angle_deg": "Sun-ang (l), deg",
+    "main_lamp_deg": "angle to the main lamp, deg",
+    "lamps_found": "lamps found, of those with a fifth of the light",
     "pose_deg": "pose error, deg",
     "in_region": "true sun in the 90 % region",
     "region_sr": "90 % region of the sun, sr",

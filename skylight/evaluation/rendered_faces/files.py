@@ -121,6 +121,17 @@ def read_rendered_face(folder: Path) -> RenderedFace:
     )
 
 
+def read_turned_map(folder: Path) -> TurnedMap | None:
+    """Which given map lights a face, from its facts alone; None where a simulated sky does.
+
+    Raises :class:`InputError` for facts that cannot be read.
+    """
+    try:
+        return _turned_map(json_content(folder / "face.json"))
+    except (OSError, KeyError, ValueError, TypeError, AttributeError) as error:
+        raise InputError(f"{folder}: no facts of a rendered face ({error})") from error
+
+
 def _listed(vector: Float[Tensor, "3"] | None) -> list[float] | None:
     return None if vector is None else vector.tolist()
 
