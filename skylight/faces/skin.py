@@ -83,6 +83,14 @@ class SkinPrior:
         """One albedo per component within (0, 1), heaviest component first: where to start."""
         return self.log_albedo.means.exp().clamp(1e-3, 1 - 1e-3)
 
+    @property
+    def mean(self) -> Float[Tensor, " c"]:
+        """The mean albedo, sum_k w_k exp(mu_k + diag(S_k) / 2) with S_k the covariances."""
+        mixture = self.log_albedo
+        factors = mixture.precision_factors
+        variances = torch.linalg.inv(factors @ factors.mT).diagonal(dim1=1, dim2=2)
+        return mixture.weights @ (mixture.means + variances / 2).exp()
+
     def log_prob(self, albedo: Float[Tensor, "b 3"]) -> Float[Tensor, " b"]:
         """ln p(a) = ln p_log(ln a) - sum_c ln a_c, normalised over all positive albedos.
 

@@ -86,6 +86,11 @@ def test_sampling_repeats(prior: SkinPrior) -> None:
     assert torch.equal(first, second)
 
 
+def test_mean_is_that_of_samples(prior: SkinPrior, samples: Tensor) -> None:
+    error = samples.std(0) / len(samples) ** 0.5
+    assert (((samples.mean(0) - prior.mean) / error).abs() < 4).all()
+
+
 def test_means_are_albedos_and_likely(prior: SkinPrior, samples: Tensor) -> None:
     assert ((prior.means > 0) & (prior.means < 1)).all()
     assert (prior.log_prob(prior.means) > prior.log_prob(samples).quantile(0.1)).all()

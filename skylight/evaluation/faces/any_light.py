@@ -156,14 +156,12 @@ def grey_light(observation: Observation) -> EnvironmentMap:
     """Constant grey light that explains a face's mean luminance by the skin prior's mean albedo.
 
     Its radiance is ``mean_p Y(pixel_p) / (Y(a) mean_p sum_w T_pw)``, with the observation's
-    weights, Y luminance and a the geometric mean of the prior.
+    weights, Y luminance and a the prior's mean.
     """
-    mixture = SkinPrior.load().log_albedo
-    albedo = (mixture.weights @ mixture.means).exp()
     weights = observation.weights.double() / observation.weights.double().sum()
     seen = weights @ luminance(observation.pixels).double()
     shading = weights @ observation.transport.matrix.double().sum(1)
-    level = seen / (luminance(albedo) * shading)
+    level = seen / (luminance(SkinPrior.load().mean) * shading)
     return EnvironmentMap(radiance=level.float().expand(ROWS, 2 * ROWS, 3).contiguous())
 
 

@@ -141,8 +141,7 @@ def test_the_grey_light_explains_the_mean_of_the_prior_skin() -> None:
     grid = DirectionGrid.latlong(8)
     generator = torch.Generator().manual_seed(0)
     matrix = torch.rand(5, len(grid), generator=generator)
-    mixture = SkinPrior.load().log_albedo
-    albedo = (mixture.weights @ mixture.means).exp().float()
+    albedo = SkinPrior.load().mean.float()
     shading = matrix @ torch.full((len(grid), 3), 0.7)
     observation = Observation(
         pixels=albedo * shading,
