@@ -31,16 +31,24 @@ class Solid:
     uv: Float[np.ndarray, "n 2"] | None = None
 
 
-class IndependentScene:
-    """Solids under a distant light; ``radiance`` renders linear light."""
+@dataclass(frozen=True, kw_only=True)
+class SphereLamp:
+    """A sphere that emits ``radiance`` evenly, in the units of the solids."""
 
-    def __init__(self, solids: Sequence[Solid], environment: EnvironmentMap) -> None:
+    centre: Float[np.ndarray, "3"]
+    radius: float
+    radiance: float
+
+
+class IndependentScene:
+    """Solids under a distant light or a lamp; ``radiance`` renders linear light."""
+
+    def __init__(self, solids: Sequence[Solid], light: EnvironmentMap | SphereLamp) -> None:
         mi = mitsuba_variant()
-        sky = convert_latlong(environment.radiance, "skylight", "mitsuba").float().contiguous()
         content: dict[str, object] = {
             "type": "scene",
             "integrator": {"type": "path", "max_depth": DEPTH},
-            "sky": {"type": "envmap", "bitmap": mi.Bitmap(sky.numpy())},
+            "light": _lamp(light) if isinstance(light, SphereLamp) else _sky(mi, light),
         }
         for number, solid in enumerate(solids):
             content[f"solid{number}"] = _mesh(mi, solid)
@@ -107,6 +115,20 @@ def _to_world(
     out[:3, :3] = np.stack([-right, up, -back], 1)
     out[:3, 3] = -rotation.T @ translation
     return out
+
+
+def _sky(mi, environment: EnvironmentMap) -> dict[str, object]:
+    sky = convert_latlong(environment.radiance, "skylight", "mitsuba").float().contiguous()
+    return {"type": "envmap", "bitmap": mi.Bitmap(sky.numpy())}
+
+
+def _lamp(lamp: SphereLamp) -> dict[str, object]:
+    return {
+        "type": "sphere",
+        "center": lamp.centre.tolist(),
+        "radius": lamp.radius,
+        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": lamp.radiance}},
+    }
 
 
 def _mesh(mi, solid: Solid):

@@ -13,7 +13,12 @@ from skylight.transport.raycast import Raycaster
 
 pytest.importorskip("mitsuba", reason="mitsuba is not installed")
 
-from skylight.evaluation.rendered_faces.independent_render import IndependentScene, Solid, as_photo
+from skylight.evaluation.rendered_faces.independent_render import (
+    IndependentScene,
+    Solid,
+    SphereLamp,
+    as_photo,
+)
 
 CAMERA = Camera(focal_px=120.0, width=64, height=48, center_px=(29.0, 27.0))
 
@@ -38,6 +43,23 @@ def test_a_cube_in_a_white_world_has_its_albedo_where_our_rays_meet_it() -> None
     assert (ours != theirs).sum() < 0.1 * ours.sum() ** 0.5 * 12  # along the outline
     np.testing.assert_allclose(picture[ours & theirs].mean(), 0.5, atol=0.02)
     np.testing.assert_allclose(np.median(picture[~ours]), 1.0, atol=1e-3)
+
+
+def test_a_sphere_lamp_lights_as_its_distance_says() -> None:
+    """E = pi L (r / d)^2 where it stands overhead, so albedo L (r / d)^2 leaves a small square."""
+    square = Solid(
+        vertices=0.01 * np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]),
+        triangles=np.array([[0, 1, 2], [0, 2, 3]]),
+        albedo=0.5,
+    )
+    pose = looking_at(vector(0.0, 0.02, 0.02), vector(0, 0, 0))
+    for distance, radius in ((1.0, 0.1), (3.0, 0.5)):
+        lamp = SphereLamp(centre=np.array([0, 0, distance]), radius=radius, radiance=40.0)
+        picture = IndependentScene([square], lamp).radiance(
+            CAMERA, pose.rotation.numpy(), pose.translation.numpy(), samples=64
+        )
+        expected = 0.5 * 40 * (radius / distance) ** 2
+        np.testing.assert_allclose(picture[22:32, 24:34].mean(), expected, rtol=0.01)
 
 
 def test_row_0_of_paint_is_at_v_1() -> None:
