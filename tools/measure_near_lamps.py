@@ -63,7 +63,7 @@ def relative_error(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="the cost of distant light where lamps are near")
     parser.add_argument("--people", type=int, default=6)
     parser.add_argument("--samples", type=int, default=256)
     options = parser.parse_args()
