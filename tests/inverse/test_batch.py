@@ -9,9 +9,11 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.inverse.estimate import estimate_each, estimate_light, light_problems
+from skylight.inverse.objective.face_term import FaceTerm
+from skylight.inverse.objective.light_objective import LightObjective
+from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.result import Estimate
 from skylight.inverse.scan import nnls, scan_faces
-from skylight.inverse.sky.objective import FaceTerm, ObjectiveWeights, SkyObjective
 from skylight.inverse.sky.problem import SkyProblem, solve_together
 from skylight.inverse.sky.solver import Round, SkySolver, SolverOptions
 from skylight.models.names import LightName
@@ -188,8 +190,8 @@ def test_an_objective_of_several_problems_is_that_of_each(seen: list[Observation
     ]
     model, weights = SunSky().double(), ObjectiveWeights(pigment_spread=1.0)
 
-    def objective(face: FaceTerm) -> SkyObjective:
-        return SkyObjective([face], model, SUNSKY_PRIOR, ALBEDO_PRIOR, weights)
+    def objective(face: FaceTerm) -> LightObjective:
+        return LightObjective([face], model, SUNSKY_PRIOR, ALBEDO_PRIOR, weights)
 
     problem = torch.tensor([0, 0, 0, 2])  # none of the second
     light = model.starts().double()[[0, 4, 8, 11]]

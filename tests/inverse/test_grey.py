@@ -6,7 +6,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from skylight.inverse.sky.objective import FaceTerm, ObjectiveWeights
+from skylight.inverse.objective.face_term import FaceTerm
+from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.sky.problem import SkyProblem
 from skylight.inverse.sky.solver import Round, SolverOptions
 from skylight.models.sunsky import SunSky

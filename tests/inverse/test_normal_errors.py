@@ -7,8 +7,10 @@ import torch
 from torch.nn.functional import normalize
 
 from skylight.inverse import scan
+from skylight.inverse.objective.face_term import FaceTerm
+from skylight.inverse.objective.light_objective import LightObjective
+from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.scan import SCAN_HEIGHT, SunScan, scan_faces
-from skylight.inverse.sky.objective import FaceTerm, ObjectiveWeights, SkyObjective
 from skylight.transport.matrix import TransportMatrix
 from skylight.transport.normal_modes import NormalModes
 from skylight.transport.observation import Observation
@@ -146,7 +148,7 @@ def turned():
 
 def objective(seen, normal_spread=0.5):
     weights = ObjectiveWeights(normal_spread=normal_spread)
-    return SkyObjective([FaceTerm.of(seen)], MODEL, normal(9), normal(3), weights)
+    return LightObjective([FaceTerm.of(seen)], MODEL, normal(9), normal(3), weights)
 
 
 def turns(count=5):

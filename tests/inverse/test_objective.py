@@ -7,13 +7,10 @@ import pytest
 import torch
 
 from skylight.inverse.lbfgs import minimise
-from skylight.inverse.sky.objective import (
-    WHITE_BALANCE_SPREAD,
-    FaceTerm,
-    ObjectiveWeights,
-    SkyObjective,
-    best_exposure,
-)
+from skylight.inverse.objective.face_term import FaceTerm
+from skylight.inverse.objective.light_objective import LightObjective
+from skylight.inverse.objective.starts import best_exposure
+from skylight.inverse.objective.weights import WHITE_BALANCE_SPREAD, ObjectiveWeights
 from skylight.models.prior import GaussianMixture
 from skylight.models.sunsky import SunSky
 from skylight.sphere.grid import DirectionGrid
@@ -58,7 +55,7 @@ def observation(*, gloss=True):
 
 
 def objective(seen):
-    return SkyObjective([FaceTerm.of(seen)], MODEL, normal(9), normal(3), WEIGHTS)
+    return LightObjective([FaceTerm.of(seen)], MODEL, normal(9), normal(3), WEIGHTS)
 
 
 def parameters(count=5, seed=2):
@@ -142,7 +139,7 @@ def test_ground_and_gloss_are_drawn_to_the_usual():
 
 def test_a_white_balance_that_is_trusted_has_no_gains():
     seen, trusting = observation(), replace(WEIGHTS, white_balance_spread=0.0)
-    whole = SkyObjective([FaceTerm.of(seen)], MODEL, normal(9), normal(3), trusting)
+    whole = LightObjective([FaceTerm.of(seen)], MODEL, normal(9), normal(3), trusting)
     light, exposure, gloss, albedo, ground, balance = parameters()
     told = whole.pack(light, exposure, gloss, albedo, ground, balance)
     silent = whole.pack(light, exposure, gloss, albedo, ground)
@@ -167,12 +164,12 @@ def test_a_cast_is_shared_out_between_camera_and_skin_by_their_variances(skin_sp
     mean, spread = albedo[:, 0].log(), torch.eye(3)[None] / skin_spread
     skin = GaussianMixture(torch.ones(1), mean, spread)
     seen = observation(gloss=False)
-    known = SkyObjective([FaceTerm.of(seen)], MODEL, normal(9), skin, WEIGHTS)
+    known = LightObjective([FaceTerm.of(seen)], MODEL, normal(9), skin, WEIGHTS)
     free = known.pack(light, exposure, gloss, albedo, ground)
     cast = torch.tensor([0.08, -0.1])
     factors = torch.tensor([cast[0], 0.0, cast[1]]).exp()
     pixels = known.shading(known.unpack(free))[0][0].detach() * factors
-    whole = SkyObjective(
+    whole = LightObjective(
         [FaceTerm.of(replace(seen, pixels=pixels))], MODEL, normal(9), skin, WEIGHTS
     )
     held = MODEL.parameter_count
@@ -282,7 +279,7 @@ def tones(weights, means, spread):
 
 def scaled_albedo(prior, albedo):
     """What the choice of scale makes of an albedo; the picture stays."""
-    whole = SkyObjective([FaceTerm.of(observation())], MODEL, normal(9), prior, WEIGHTS)
+    whole = LightObjective([FaceTerm.of(observation())], MODEL, normal(9), prior, WEIGHTS)
     light, exposure, gloss, _, ground, balance = parameters(count=1)
     albedo = torch.tensor(albedo).expand(1, 1, 3)
     free = whole.pack(light, exposure, gloss, albedo, ground, balance)

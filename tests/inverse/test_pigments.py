@@ -6,7 +6,9 @@ import pytest
 import torch
 
 from skylight.faces.skin import PIGMENT_COLOURS, PIGMENT_SPREADS
-from skylight.inverse.sky.objective import FaceTerm, ObjectiveWeights, SkyObjective
+from skylight.inverse.objective.face_term import FaceTerm
+from skylight.inverse.objective.light_objective import LightObjective
+from skylight.inverse.objective.weights import ObjectiveWeights
 from tests.inverse.test_objective import MODEL, normal, observation, parameters
 
 K = 4
@@ -24,7 +26,7 @@ def varied():
 
 def objective(seen, pigment_spread=1.0):
     weights = ObjectiveWeights(pigment_spread=pigment_spread)
-    return SkyObjective([FaceTerm.of(seen)], MODEL, normal(9), normal(3), weights)
+    return LightObjective([FaceTerm.of(seen)], MODEL, normal(9), normal(3), weights)
 
 
 def pigments(count=5):

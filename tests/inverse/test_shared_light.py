@@ -9,8 +9,10 @@ import torch
 
 from skylight.faces.skin import SkinPrior
 from skylight.inverse.harmonic.problem import HarmonicProblem
+from skylight.inverse.objective.face_term import FaceTerm
+from skylight.inverse.objective.light_objective import LightObjective
+from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.scan import SunScan, scan_faces
-from skylight.inverse.sky.objective import FaceTerm, ObjectiveWeights, SkyObjective
 from skylight.inverse.sky.problem import SkyProblem
 from skylight.inverse.sky.solver import Round, SolverOptions
 from skylight.models.bundle import load_bundle
@@ -72,7 +74,7 @@ def sunny() -> torch.Tensor:
 
 def lit(blank: Observation, albedo: torch.Tensor, exposure: float) -> Observation:
     """The half ball in the sunny sky over the ground."""
-    objective = SkyObjective(
+    objective = LightObjective(
         [FaceTerm.of(blank)], SunSky(), SUNSKY_PRIOR, ALBEDO_PRIOR, ObjectiveWeights()
     )
     free = objective.pack(
@@ -97,8 +99,8 @@ def test_each_face_adds_its_data_and_its_priors() -> None:
     terms = [replace(FaceTerm.of(one), level=torch.tensor([0.5 + k])) for k, one in enumerate(seen)]
     model, weights = SunSky(), ObjectiveWeights()
 
-    def objective(*faces: FaceTerm) -> SkyObjective:
-        return SkyObjective(faces, model, SUNSKY_PRIOR, ALBEDO_PRIOR, weights)
+    def objective(*faces: FaceTerm) -> LightObjective:
+        return LightObjective(faces, model, SUNSKY_PRIOR, ALBEDO_PRIOR, weights)
 
     exposure, gloss = torch.tensor([[0.7, 1.9]]), torch.tensor([[0.6, 1.4]])
     albedo = MODES[None, 1:3]

@@ -12,9 +12,9 @@ from skylight.errors import InputError
 from skylight.faces.skin import MELANIN_COLOUR, SkinPrior
 from skylight.inverse.estimate import estimate_light
 from skylight.inverse.harmonic.problem import HarmonicProblem
+from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.result import residual
 from skylight.inverse.scale import bayes_scale, scale_nll, tone_prior
-from skylight.inverse.sky.objective import ObjectiveWeights
 from skylight.inverse.sky.problem import SkyProblem
 from skylight.inverse.sky.solver import Round, SolverOptions
 from skylight.models.bundle import load_bundle

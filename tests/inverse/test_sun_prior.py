@@ -15,9 +15,11 @@ from skylight.faces.model import HeadModel
 from skylight.faces.observe import observe_face
 from skylight.imaging.taken import Taken
 from skylight.inverse.estimate import estimate_light
+from skylight.inverse.objective.face_term import FaceTerm
+from skylight.inverse.objective.light_objective import LightObjective
+from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.posterior import FITTED
 from skylight.inverse.scan import LIKELY, SunScan, scan_faces
-from skylight.inverse.sky.objective import FaceTerm, ObjectiveWeights, SkyObjective
 from skylight.inverse.sun_prior import (
     FLOOR,
     TILT_RAD,
@@ -256,8 +258,8 @@ def test_the_objective_counts_the_suns_place() -> None:
     seen = replace(half_ball(), gloss=None)
     faces = [FaceTerm.of(seen), FaceTerm.of(seen)]
     model, weights = SunSky(), ObjectiveWeights()
-    plain = SkyObjective(faces[:1], model, normal(9), normal(3), weights)
-    told = SkyObjective(faces[:1], model, normal(9), normal(3), weights, [prior])
+    plain = LightObjective(faces[:1], model, normal(9), normal(3), weights)
+    told = LightObjective(faces[:1], model, normal(9), normal(3), weights, [prior])
     given = tuple(one.float() for one in parameters())
     free = plain.pack(*given)
     assert "sun_prior" not in plain.terms(free)
@@ -265,7 +267,7 @@ def test_the_objective_counts_the_suns_place() -> None:
     torch.testing.assert_close(told.terms(free)["sun_prior"], expected)
     torch.testing.assert_close(told(free) - plain(free), expected, rtol=1e-3, atol=1e-2)
     # of several problems each has its own, or none
-    both = SkyObjective(
+    both = LightObjective(
         [FaceTerm.together(faces)], model, normal(9), normal(3), weights, [None, prior]
     )
     problem = torch.tensor([0, 0, 1, 1, 1])

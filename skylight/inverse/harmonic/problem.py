@@ -9,11 +9,12 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.inverse.harmonic.nonnegative import nonnegative_harmonics
+from skylight.inverse.objective.face_term import charbonnier, data_term
+from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.posterior import face_evidence, sun_evidence, sun_posterior
 from skylight.inverse.result import UNEXPLAINED, Estimate, FaceLight, advice, residual
 from skylight.inverse.scale import bayes_scale, scale_nll, tone_prior
 from skylight.inverse.scan import SCAN_HEIGHT, scan_faces
-from skylight.inverse.sky.objective import ObjectiveWeights, charbonnier, data_term
 from skylight.inverse.sun_prior import SunPrior
 from skylight.models.harmonic import HarmonicLight, solve_linear
 from skylight.models.prior import GaussianMixture

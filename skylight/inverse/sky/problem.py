@@ -8,8 +8,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
+from skylight.inverse.objective.lit_faces import LitFaces, ScannedFace
 from skylight.inverse.result import Estimate
-from skylight.inverse.sky.faces import SkyFace, SkyFaces
 from skylight.inverse.sky.solver import SkySolver, SolverOptions
 from skylight.inverse.sun_prior import SunPrior
 from skylight.models.base import LightModel, Prior
@@ -48,7 +48,7 @@ class SkyProblem:
             albedo_modes=albedo_modes,
             options=options or SolverOptions(),
         )
-        self.faces = SkyFaces(sun_prior)
+        self.faces = LitFaces(sun_prior)
 
     def another(self, sun_prior: SunPrior | None = None) -> "SkyProblem":
         """An empty problem with the same model, priors and options, to be solved with this one.
@@ -56,7 +56,7 @@ class SkyProblem:
         What clock and place tell of the sun is its own.
         """
         problem = copy(self)
-        problem.faces = SkyFaces(sun_prior)
+        problem.faces = LitFaces(sun_prior)
         return problem
 
     @property
@@ -79,7 +79,7 @@ class SkyProblem:
             raise ValueError(f"a sky needs transport of {self.grid_height} rows, got {layout}")
         levels = sorted({one.level for one in self.solver.options.rounds})
         device = self.solver.albedo_modes.device
-        self.faces.append(SkyFace.of(observation, photo, levels, device))
+        self.faces.append(ScannedFace.of(observation, photo, levels, device))
 
     def solve(self, progress: Progress | None = None) -> Estimate:
         """Minimise Eq. 5.8 from the best of many starts, as :meth:`SkySolver.solve` does.

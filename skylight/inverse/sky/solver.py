@@ -11,6 +11,11 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.inverse.lbfgs import minimise
+from skylight.inverse.objective.face_term import FaceTerm
+from skylight.inverse.objective.light_objective import LightObjective, Unpacked
+from skylight.inverse.objective.lit_faces import LitFaces
+from skylight.inverse.objective.starts import choose_starts
+from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.posterior import (
     SunEvidence,
     credible,
@@ -20,9 +25,6 @@ from skylight.inverse.posterior import (
 )
 from skylight.inverse.result import UNEXPLAINED, Estimate, FaceLight, Status, advice, residual
 from skylight.inverse.scan import SunScan, scan_faces
-from skylight.inverse.sky.faces import SkyFaces
-from skylight.inverse.sky.objective import FaceTerm, ObjectiveWeights, SkyObjective, Unpacked
-from skylight.inverse.sky.starts import choose_starts
 from skylight.inverse.sun_prior import SunPrior
 from skylight.models.base import LightModel, Prior
 from skylight.models.prior import GaussianMixture
@@ -80,9 +82,9 @@ class SkySolver:
     options: SolverOptions
 
     def solve(
-        self, problems: Sequence[SkyFaces], progress: Progress | None = None
+        self, problems: Sequence[LitFaces], progress: Progress | None = None
     ) -> list[Estimate]:
-        """The sky of each problem; all have one :attr:`SkyFaces.shape`.
+        """The sky of each problem; all have one :attr:`LitFaces.shape`.
 
         Starts: the directions of the linear scan, each with the model's candidates, and the
         mixture's centroids turned to the best of them; each with the albedo modes that explain
@@ -134,12 +136,12 @@ class SkySolver:
         ]
 
     def _objective(
-        self, problems: Sequence[SkyFaces], priors: Sequence[SunPrior | None], effort: Round
-    ) -> SkyObjective:
+        self, problems: Sequence[LitFaces], priors: Sequence[SunPrior | None], effort: Round
+    ) -> LightObjective:
         """Of all problems on a round's level; of one, without a copy of its transport."""
         faces = zip(*(one.terms(effort.level) for one in problems), strict=True)
         weights = self.options.weights
-        return SkyObjective(
+        return LightObjective(
             [FaceTerm.together(terms) for terms in faces],
             self.model,
             self.light_prior,
@@ -149,14 +151,14 @@ class SkySolver:
         )
 
     def _starts(
-        self, faces: SkyFaces, prior: SunPrior | None, directions: Float[Tensor, "d 3"]
+        self, faces: LitFaces, prior: SunPrior | None, directions: Float[Tensor, "d 3"]
     ) -> "_Points":
         objective = self._objective([faces], [prior], self.options.rounds[0])
         free, scores = choose_starts(objective, directions, self.albedo_modes)
         return _Points(free=free, scores=scores, converged=torch.zeros_like(scores) > 0)
 
     def _round(
-        self, objective: SkyObjective, points: "Sequence[_Points]", effort: Round
+        self, objective: LightObjective, points: "Sequence[_Points]", effort: Round
     ) -> "list[_Points]":
         """The best of each problem's points, minimised as one batch."""
         best = [one.free[one.scores.argsort()[: effort.starts]] for one in points]
@@ -209,7 +211,7 @@ class _Points:
 class _Ends:
     """The best point of each of p problems, and what it means."""
 
-    objective: SkyObjective
+    objective: LightObjective
     parts: Unpacked
     white_balance: Float[Tensor, "p k 3"]
     albedos: list[Float[Tensor, "p _ 3"]]
@@ -221,7 +223,7 @@ class _Ends:
 
     @staticmethod
     @torch.no_grad()
-    def of(objective: SkyObjective, points: Sequence[_Points]) -> "_Ends":
+    def of(objective: LightObjective, points: Sequence[_Points]) -> "_Ends":
         best = [int(one.scores.argmin()) for one in points]
         free = torch.stack([one.free[i] for one, i in zip(points, best, strict=True)])
         problem = torch.arange(len(points)).to(free.device)
@@ -248,7 +250,7 @@ class _Ends:
 
 
 def _estimate(
-    ends: _Ends, p: int, faces: SkyFaces, level: int, scan: SunScan, evidence: SunEvidence
+    ends: _Ends, p: int, faces: LitFaces, level: int, scan: SunScan, evidence: SunEvidence
 ) -> Estimate:
     """The answer to problem ``p``, in its photographs' units and on the CPU."""
     parts, scales = ends.parts, faces.scales()
@@ -304,7 +306,7 @@ def _estimate(
     )
 
 
-def _per_problem(every: Sequence[T], problems: Sequence[SkyFaces]) -> list[list[T]]:
+def _per_problem(every: Sequence[T], problems: Sequence[LitFaces]) -> list[list[T]]:
     """What there is for each face, by problem."""
     rest = iter(every)
     return [list(islice(rest, len(faces))) for faces in problems]

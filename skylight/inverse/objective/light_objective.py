@@ -5,202 +5,27 @@ shape (as many faces in the same photographs, all with gloss or none) share one 
 points of all of them are evaluated as one batch.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import pad
-from torch.nn.utils.rnn import pad_sequence
 
 from skylight.faces.skin import PIGMENT_COLOURS, PIGMENT_SPREADS
+from skylight.inverse.objective.face_term import FaceTerm
+from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.scale import GLOSS_SPREAD, bayes_scale, gloss_nll, scale_nll, tone_prior
 from skylight.inverse.sun_prior import SunPrior
 from skylight.models.base import LightModel, Prior, without_azimuth
 from skylight.models.ground import LambertianGround, ground_prior
 from skylight.models.prior import GaussianMixture
-from skylight.sphere.envmap import luminance
-from skylight.transport.diffuse import SkyTransport, shade_scenes
-from skylight.transport.normal_modes import SkyNormalModes
-from skylight.transport.observation import Observation
-
-CHARBONNIER_EPSILON = 1e-6
-# Automatic white balance misses the light's colour by 2 to 5 degrees in the mean, as the angle
-# between colours (Gijsenij, Gevers & van de Weijer 2011, "Computational color constancy: survey and
-# experiments", IEEE Trans. Image Processing 20(9); Cheng, Prasad & Brown 2014, JOSA A 31(5)). White
-# turns by 2/3 of this spread, rms: 3.8 degrees.
-WHITE_BALANCE_SPREAD = 0.1
-
+from skylight.transport.diffuse import shade_scenes
 
 # A free parameter of 1 is so many standard deviations of a turn: without, a turn's slope is so much
 # less than those of light and exposure that quasi-Newton steps do not reach it.
 TURN_STEP = 10.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class ObjectiveWeights:
-    """How much the parts count. All parts are negative log-likelihoods, in nats.
-
-    ``noise`` is the expected mean deviation of a pixel from the model, relative to the face's
-    mean radiance: not sensor noise, but freckles, gloss and wrong geometry. Neighbouring pixels
-    deviate together, so a face's pixels count as ``independent`` observations, whatever their
-    number; those of several faces add up.
-
-    ``white_balance_spread`` is the standard deviation of the log of red and of blue against green
-    that a camera leaves in a picture of something grey; 0 trusts its white balance.
-    ``pigment_spread`` multiplies :data:`skylight.faces.skin.PIGMENT_SPREADS`, by which skin
-    varies over a face; 0 gives a face one albedo.
-
-    ``normal_spread`` multiplies the standard deviations of a head's normal errors
-    (:mod:`skylight.faces.normal_errors`); 0 trusts the fitted head. It is less than 1 for the
-    reason that follows: against data that count for too much, priors must too.
-
-    ``sun_prior`` weighs what clock and place tell of the sun against the face as the posterior
-    does, whose temperature (:class:`~skylight.inverse.posterior.PosteriorConstants`) was fitted to
-    known suns: ``independent / noise`` times that. Heads are fitted wrongly all over, so what a
-    face says of the sun's place is not as sure as so many independent pixels would make it.
-    """
-
-    noise: float = 0.06
-    independent: float = 250.0
-    light_prior: float = 1.0
-    albedo_prior: float = 1.0
-    ground_prior: float = 1.0
-    white_balance_spread: float = WHITE_BALANCE_SPREAD
-    pigment_spread: float = 0.0
-    normal_spread: float = 0.7
-    sun_prior: float = 112.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class FaceTerm:
-    """One face of each of p problems as the objective sees it.
-
-    ``target`` (p,m,3) the pixels; ``share`` (p,m,1) each pixel's weight over all pixels and
-    channels, with sum 1/3 (0 beyond a face's own pixels, where others have more); ``photo`` counts
-    a problem's photographs from 0: faces of one share its exposure. ``level`` (p,) is the face's
-    mean luminance in the target's units, which deviations are relative to: a dark face in the shade
-    says as much about light as a bright one. ``modes`` (p,m,k) are those of
-    :mod:`skylight.faces.skin`, None for things of one albedo; ``normals`` how normals may be wrong,
-    None where they are known. Where ``clipped``, the target is
-    a lower bound: what is brighter deviates by nothing. Of a ``grey`` picture luminance alone is
-    compared.
-
-    Batches of shading have the ``problem`` of each row, in ascending order; None where there is
-    but one.
-    """
-
-    target: Float[Tensor, "p m 3"]
-    share: Float[Tensor, "p m 1"]
-    transport: SkyTransport
-    gloss: SkyTransport | None
-    level: Float[Tensor, " p"]
-    photo: int = 0
-    clipped: Bool[Tensor, "p m"] | None = None
-    grey: bool = False
-    modes: Float[Tensor, "p m k"] | None = None
-    normals: SkyNormalModes | None = None
-
-    @staticmethod
-    def of(observation: Observation) -> "FaceTerm":
-        """The only face of a photograph whose mean luminance is 1, in one problem."""
-        gloss, clipped = observation.gloss, observation.clipped
-        normals = observation.normal_modes
-        return FaceTerm(
-            target=observation.pixels[None],
-            share=(observation.weights / observation.weights.sum())[None, :, None] / 3,
-            transport=SkyTransport.of(observation.transport),
-            gloss=None if gloss is None else SkyTransport.of(gloss),
-            level=observation.pixels.new_ones(1),
-            clipped=None if clipped is None else clipped[None],
-            grey=observation.grey,
-            modes=None if observation.modes is None else observation.modes[None],
-            normals=None if normals is None else SkyNormalModes.of(normals),
-        )
-
-    @staticmethod
-    def together(terms: "Sequence[FaceTerm]") -> "FaceTerm":
-        """The faces of as many problems; of one, without a copy."""
-        first, *others = terms
-        if not others:
-            return first
-        glosses = [term.gloss for term in terms if term.gloss is not None]
-        modes = [term.modes for term in terms if term.modes is not None]
-        normals = [term.normals for term in terms if term.normals is not None]
-        if any(len(each) not in (0, len(terms)) for each in (glosses, modes, normals)) or any(
-            (term.photo, term.grey) != (first.photo, first.grey) for term in others
-        ):
-            raise ValueError(
-                "faces of several problems must all have gloss or none, all modes or none, all "
-                "normals' errors or none, all colour or none, and one photo"
-            )
-        clipped = [
-            torch.zeros_like(term.share[..., 0], dtype=torch.bool)
-            if term.clipped is None
-            else term.clipped
-            for term in terms
-        ]
-        return FaceTerm(
-            target=_padded([term.target for term in terms]),
-            share=_padded([term.share for term in terms]),
-            transport=SkyTransport(_padded([term.transport.folded for term in terms])),
-            gloss=SkyTransport(_padded([one.folded for one in glosses])) if glosses else None,
-            level=torch.cat([term.level for term in terms]),
-            photo=first.photo,
-            clipped=_padded(clipped) if any(bool(one.any()) for one in clipped) else None,
-            grey=first.grey,
-            modes=_padded(modes) if modes else None,
-            normals=None
-            if not normals
-            else SkyNormalModes(
-                _padded([one.modes for one in normals]),
-                _padded([one.visible for one in normals]),
-                _padded([one.ground for one in normals]),
-                normals[0].rows,
-            ),
-        )
-
-    @property
-    def exact_share(self) -> Float[Tensor, "p m 1"]:
-        """``share`` where the target is more than a bound."""
-        return self.share if self.clipped is None else self.share * ~self.clipped[..., None]
-
-    def seen(self, shading: Float[Tensor, "*b m 3"]) -> Float[Tensor, "*b m 3"]:
-        """What the picture shows of a shading: of a grey one, luminance in all channels."""
-        return luminance(shading)[..., None].expand_as(shading) if self.grey else shading
-
-    def deviation(
-        self, shading: Float[Tensor, "b m 3"], problem: Int[Tensor, " b"] | None = None
-    ) -> Float[Tensor, "b m 3"]:
-        """How far the face is from this shading, in its own level."""
-        level = _of(self.level, problem)[:, None, None]
-        deviation = (self.seen(shading) - _of(self.target, problem)) / level
-        if self.clipped is None:
-            return deviation
-        clipped = _of(self.clipped, problem)[..., None]
-        return torch.where(clipped, deviation.clamp(max=0), deviation)
-
-    def data_term(
-        self,
-        shading: Float[Tensor, "b m 3"],
-        weights: ObjectiveWeights,
-        problem: Int[Tensor, " b"] | None = None,
-    ) -> Float[Tensor, " b"]:
-        """How unlikely the face is under this shading, in nats."""
-        return data_term(self.deviation(shading, problem), _of(self.share, problem), weights)
-
-
-def _of(x: Shaped[Tensor, "p *s"], problem: Int[Tensor, " b"] | None) -> Shaped[Tensor, "_ *s"]:
-    """Each row's own; what there is but one of is left to broadcast."""
-    assert problem is not None or len(x) == 1
-    return x if len(x) == 1 else x[problem]
-
-
-def _padded(parts: Sequence[Shaped[Tensor, "1 _ *s"]]) -> Shaped[Tensor, "p m *s"]:
-    """With zeros after the end of the shorter ones."""
-    return pad_sequence([part[0] for part in parts], batch_first=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,12 +47,7 @@ class Unpacked:
     turns: Float[Tensor, "b f j"]
 
 
-def charbonnier(x: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
-    """``sqrt(x^2 + 1e-6)``: smooth, convex, close to ``|x|``."""
-    return torch.sqrt(x * x + CHARBONNIER_EPSILON)
-
-
-class SkyObjective:
+class LightObjective:
     """Eq. 5.8 for a model of the sky over a Lambertian ground, summed over the faces it lights.
 
     Beyond the thesis, a share of surface reflection: shading is rho T l + gloss G l, with one
@@ -491,23 +311,3 @@ class SkyObjective:
     ) -> Float[Tensor, " b"]:
         """Of points in ascending order of their problems; None where there is but one."""
         return torch.stack(list(self.terms(free, problem).values())).sum(0)
-
-
-def data_term(
-    residual: Float[Tensor, "*b m 3"], share: Float[Tensor, "*#b m 1"], weights: ObjectiveWeights
-) -> Float[Tensor, "*b"]:
-    """How unlikely a residual is, in nats: its mean Charbonnier over the expected deviation.
-
-    ``share`` holds each pixel's weight over all pixels and channels; it sums to 1/3.
-    """
-    mean = (charbonnier(residual) * share).sum((-2, -1))
-    return weights.independent / weights.noise * mean
-
-
-def best_exposure(
-    shading: Float[Tensor, "b m 3"], target: Float[Tensor, "1 m 3"], share: Float[Tensor, "1 m 1"]
-) -> Float[Tensor, " b"]:
-    """The exposure that makes the weighted mean of the shading that of the picture."""
-    return ((target * share).sum() / (shading * share).sum((1, 2)).clamp(min=1e-12)).clamp(
-        min=math.exp(-19), max=math.exp(19)
-    )

@@ -1,19 +1,21 @@
 """Where to start: lights towards the sun's candidates, with exposures and albedos that fit."""
 
+import math
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.inverse.sky.objective import FaceTerm, SkyObjective, best_exposure
+from skylight.inverse.objective.face_term import FaceTerm
+from skylight.inverse.objective.light_objective import LightObjective
 
 START_GROUND = 0.2  # thesis, B.1
 
 
 @torch.no_grad()
 def choose_starts(
-    objective: SkyObjective,
+    objective: LightObjective,
     directions: Float[Tensor, "d 3"],
     albedo_modes: Float[Tensor, "k 3"],
 ) -> tuple[Float[Tensor, "s q"], Float[Tensor, " s"]]:
@@ -80,7 +82,7 @@ class _PhotoStart:
 
 
 def _photo_start(
-    objective: SkyObjective, shaded: list[_Shaded], albedo_modes: Float[Tensor, "k 3"]
+    objective: LightObjective, shaded: list[_Shaded], albedo_modes: Float[Tensor, "k 3"]
 ) -> _PhotoStart:
     """The best exposure and modes: any mode for the first face, which sets the exposure.
 
@@ -118,3 +120,12 @@ def _photo_start(
             albedo=torch.where(better[:, None, None], torch.stack(albedo, 1), best.albedo),
         )
     return best
+
+
+def best_exposure(
+    shading: Float[Tensor, "b m 3"], target: Float[Tensor, "1 m 3"], share: Float[Tensor, "1 m 1"]
+) -> Float[Tensor, " b"]:
+    """The exposure that makes the weighted mean of the shading that of the picture."""
+    return ((target * share).sum() / (shading * share).sum((1, 2)).clamp(min=1e-12)).clamp(
+        min=math.exp(-19), max=math.exp(19)
+    )

@@ -6,14 +6,14 @@ from statistics import fmean
 
 import torch
 
+from skylight.inverse.objective.face_term import FaceTerm
 from skylight.inverse.scan import SCAN_HEIGHT
-from skylight.inverse.sky.objective import FaceTerm
 from skylight.inverse.sun_prior import SunPrior
 from skylight.transport.observation import Observation
 
 
 @dataclass(frozen=True, kw_only=True)
-class SkyFace:
+class ScannedFace:
     """What a sky needs of an observation: the pyramid's levels, and what the scan reads.
 
     Both are scaled to a mean luminance of 1 from ``mean``, in the photograph's units.
@@ -27,7 +27,7 @@ class SkyFace:
     @staticmethod
     def of(
         observation: Observation, photo: int, levels: Sequence[int], device: torch.device
-    ) -> "SkyFace":
+    ) -> "ScannedFace":
         """With those ``levels`` of the pyramid, on that device.
 
         Raises
@@ -39,7 +39,7 @@ class SkyFace:
         pyramid = [observation.to(device).scaled(1 / mean)]
         while len(pyramid) <= max(1, *levels):
             pyramid.append(pyramid[-1].coarser(1))
-        return SkyFace(
+        return ScannedFace(
             photo=photo,
             pyramid={level: FaceTerm.of(pyramid[level]) for level in levels},
             scanned=pyramid[1].on_rows(SCAN_HEIGHT),
@@ -47,7 +47,7 @@ class SkyFace:
         )
 
 
-class SkyFaces(list[SkyFace]):
+class LitFaces(list[ScannedFace]):
     """The faces under one sky, in the order in which they were added.
 
     ``sun_prior`` is what clock and place tell of their sun, or None.

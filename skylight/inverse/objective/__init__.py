@@ -1,0 +1,1 @@
+"""The objective of inverse lighting (thesis, Eq. 5.8), for any light model."""
