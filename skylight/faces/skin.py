@@ -87,8 +87,7 @@ class SkinPrior:
     def mean(self) -> Float[Tensor, " c"]:
         """The mean albedo, sum_k w_k exp(mu_k + diag(S_k) / 2) with S_k the covariances."""
         mixture = self.log_albedo
-        factors = mixture.precision_factors
-        variances = torch.linalg.inv(factors @ factors.mT).diagonal(dim1=1, dim2=2)
+        variances = mixture.covariances.diagonal(dim1=1, dim2=2)
         return mixture.weights @ (mixture.means + variances / 2).exp()
 
     def log_prob(self, albedo: Float[Tensor, "b 3"]) -> Float[Tensor, " b"]:

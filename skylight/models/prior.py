@@ -75,10 +75,15 @@ class GaussianMixture(nn.Module):
         offset = torch.linalg.solve_triangular(factors, noise[..., None], upper=False)
         return means + offset[..., 0]
 
+    @property
+    def covariances(self) -> Float[Tensor, "k p p"]:
+        """Of the components: (B_k B_k^T)^-1."""
+        return torch.linalg.inv(self.precision_factors @ self.precision_factors.mT)
+
     def widened(self, covariance: Float[Tensor, "p p"]) -> "GaussianMixture":
         """The density of x + e with e from N(0, ``covariance``), which may be semi-definite."""
-        precision = self.precision_factors @ self.precision_factors.mT
-        wider = torch.linalg.inv(torch.linalg.inv(precision) + covariance.to(precision))
+        own = self.covariances
+        wider = torch.linalg.inv(own + covariance.to(own))
         # the upper factor B of B B^T is Cholesky's lower one of the reversed matrix
         factors = torch.linalg.cholesky(wider.flip(1, 2)).flip(1, 2)
         return GaussianMixture(self.weights, self.means, factors.triu())

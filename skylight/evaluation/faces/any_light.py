@@ -145,10 +145,8 @@ class AnyLight:
             name = f"maps whose {', '.join(metrics)} is below that of {' and '.join(others)}"
             checks[name] = Check.at_least(share, BETTER_SHARE)
         if "in_region" in ours:
-            share, (low, high) = ours["in_region"]["mean"], COVERED
-            checks["main lamp in the 90 % region"] = Check(
-                value=share, goal=f"{low:g} to {high:g}", ok=low <= share <= high
-            )
+            share = ours["in_region"]["mean"]
+            checks["main lamp in the 90 % region"] = Check.within(share, *COVERED)
         return checks
 
 

@@ -147,10 +147,8 @@ class Lamps:
             for what in ("elevation", "azimuth"):
                 bias = abs(ours[f"{what}_deg"]["median"])
                 checks[f"bias of {what}"] = Check.at_most(bias, BIAS_DEG)
-            covered, (low, high) = ours["in_region"]["mean"], COVERED
-            checks["lamp in the 90 % region"] = Check(
-                value=covered, goal=f"{low:g} to {high:g}", ok=low <= covered <= high
-            )
+            covered = ours["in_region"]["mean"]
+            checks["lamp in the 90 % region"] = Check.within(covered, *COVERED)
         trusted = [
             item.metrics[OURS]["angle_deg"]
             for item in items

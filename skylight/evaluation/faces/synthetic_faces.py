@@ -129,10 +129,7 @@ class SyntheticFaces:
                     checks[f"{OURS} {statistic} {metric}"] = Check.at_most(value, goal)
         if "in_region" in ours:
             share = ours["in_region"]["mean"]
-            low, high = COVERED
-            checks["true sun in the 90 % region"] = Check(
-                value=share, goal=f"{low:g} to {high:g}", ok=low <= share <= high
-            )
+            checks["true sun in the 90 % region"] = Check.within(share, *COVERED)
         ratio = worst_tone(items)
         if ratio is not None:
             name = "mean sun angle, worst cluster of skin tones over the best"

@@ -41,6 +41,10 @@ class Check:
         return Check(value=value, goal=f">= {limit:g}", ok=value >= limit)
 
     @staticmethod
+    def within(value: float, low: float, high: float) -> "Check":
+        return Check(value=value, goal=f"{low:g} to {high:g}", ok=low <= value <= high)
+
+    @staticmethod
     def below(value: float, limit: float, whose: str) -> "Check":
         return Check(value=value, goal=f"< {limit:.4g} ({whose})", ok=value < limit)
 
