@@ -1,1 +1,1 @@
-"""The objective of inverse lighting (thesis, Eq. 5.8), for any light model."""
+"""The objective of inverse lighting (thesis, Eq. 5.8): its faces, weights and starts."""
