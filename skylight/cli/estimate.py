@@ -13,7 +13,7 @@ from skylight.errors import InputError, SkylightError
 from skylight.work.device import Device
 
 # Parsing must not import torch, so the choices stand here again; a test compares the two.
-Light = Literal["autoencoder", "sunsky", "sh9", "sh25"]
+Light = Literal["auto", "autoencoder", "sunsky", "lamps", "sh9", "sh25"]
 ObjectLight = Literal["ani", "iso", "vmf", "sh9", "sh25", "sh49"]
 Landmarks = Literal["mediapipe", "dlib"]
 Head = Literal["fitted", "deformed"]
@@ -65,10 +65,11 @@ def estimate(
             Of a grey one the colour of the light is only what is usual.
         more: Further pictures in the same light; only with --shared-light.
         shared_light: All pictures were taken in one light by cameras that looked the same way.
-        light: Light model: learnt skies, Preetham's sky with a sun, or spherical harmonics with
-            9 or 25 coefficients.
+        light: Light model: learnt skies, Preetham's sky with a sun, lamps in ambient light (rooms,
+            studios, streets at night), spherical harmonics with 9 or 25 coefficients; or auto, the
+            likelier of learnt skies and lamps.
         model: Folder of a trained model of your own instead of the one that comes with skylight,
-            for --light autoencoder or sunsky.
+            for --light auto, autoencoder or sunsky.
         face: Which face of each picture, counted from 1, the largest; 1 unless said otherwise.
         faces: One face of each picture, or all.
         head: The morphable model's head as fitted to the landmarks, or deformed to meet them (only

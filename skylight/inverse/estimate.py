@@ -3,12 +3,15 @@
 import copy
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol, TypeVar, runtime_checkable
 
 from skylight.errors import InputError
 from skylight.faces.skin import SkinPrior
+from skylight.inverse.auto import AutoProblem
 from skylight.inverse.harmonic.problem import HarmonicProblem
+from skylight.inverse.lamps.problem import LampsProblem
 from skylight.inverse.result import Estimate
 from skylight.inverse.sky.problem import SkyProblem, solve_together
 from skylight.inverse.sky.solver import SolverOptions
@@ -16,7 +19,7 @@ from skylight.inverse.sun_prior import SunPrior
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.bundle import LightBundle, load_bundle
 from skylight.models.harmonic import HarmonicLight
-from skylight.models.names import LightName, check_is_trained, check_light_name, is_trained
+from skylight.models.names import LightName, check_is_trained, check_light_name
 from skylight.models.prior import GaussianMixture
 from skylight.models.sunsky import SunSky
 from skylight.transport.observation import Observation
@@ -76,8 +79,9 @@ def estimate_light(
         Pixels, weights and transport of each face; :func:`skylight.faces.observe.observe_face`
         makes them.
     light
-        "autoencoder" (learnt skies), "sunsky" (Preetham's sky and a sun), "sh9" or "sh25"
-        (spherical harmonics up to degree 2 or 4).
+        "auto" (the likelier of "autoencoder" and "lamps"), "autoencoder" (learnt skies), "sunsky"
+        (Preetham's sky and a sun), "lamps" (up to three in ambient light, on the whole sphere),
+        "sh9" or "sh25" (spherical harmonics up to degree 2 or 4).
     model
         A trained model of your own, or its folder, in place of the one that comes with skylight:
         the network of "autoencoder", or the prior of "sunsky".
@@ -85,7 +89,7 @@ def estimate_light(
         The photograph of each observation, counted from 0; by default all are of one. Faces of
         one photograph share its exposure.
     options
-        Effort of the optimisation; harmonics have none.
+        Effort of the optimisation of skies; lamps have their own, harmonics none.
     sun_prior
         What time, place and heading tell of the sun, by
         :func:`skylight.inverse.sun_prior.sun_prior`.
@@ -134,7 +138,7 @@ def estimate_each(
     InputError
         As :func:`estimate_light`, for all where it is wrong with one.
     """
-    if choose_device(device).type != "cpu" and is_trained(light):
+    if choose_device(device).type != "cpu" and light in ("autoencoder", "sunsky"):
         many = light_problems(len(observations), light, model=model, options=options, device=device)
         skies = [problem for problem in many if isinstance(problem, SkyProblem)]
         for problem, observation in zip(skies, observations, strict=True):
@@ -188,17 +192,24 @@ def light_problems(
     if light == "sh9" or light == "sh25":
         harmonics = HarmonicLight(2 if light == "sh9" else 4).to(where)
         return [HarmonicProblem(harmonics, prior, modes, one) for one in sun_priors]
+    if light == "lamps":
+        return [LampsProblem(prior, modes) for _ in sun_priors]
     bundle = (
         model
         if isinstance(model, LightBundle)
         else load_bundle(None if model is None else Path(model))
     )
-    if light == "autoencoder":
+    if light != "sunsky":
         sky, over = smooth_autoencoder(bundle), bundle.prior()
     else:
         sky, over = SunSky(), copy.deepcopy(bundle.sunsky_prior)
+    if light == "auto":
+        options = replace(options or SolverOptions(), evidence=True)
     first = SkyProblem(sky.to(where), over.to(where), prior, modes, options)
-    return [first.another(one) for one in sun_priors]
+    skies = [first.another(one) for one in sun_priors]
+    if light == "auto":
+        return [AutoProblem(sky, LampsProblem(prior, modes)) for sky in skies]
+    return skies
 
 
 def smooth_autoencoder(bundle: LightBundle) -> AutoencoderLight:

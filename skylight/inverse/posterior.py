@@ -58,18 +58,20 @@ Verdict = Literal[
     "ambiguous: several directions",
     "ambiguous: wide region",
     "overcast: no sun",
+    "even: no lamp",
     "doubtful: a lamp at the camera",
     "doubtful: the face and the clock disagree",
     "unreliable: the face is not explained",
 ]
 SHARE = 0.9
 DOUBT = 0.5  # clocks that are more likely wrong than right
-ROWS = 32  # of the upper hemisphere: 2.8 degrees, half the scan's cells
+# of the upper hemisphere: 2.8 degrees, half the scan's cells; of the sphere: 5.6, the scan's own
+ROWS = 32
 REWEIGHTINGS = 2
 MAIN_PART = 0.8  # of the region: less in its likeliest part means several
 LEAST_DEVIATION = 0.05  # of the face's mean: smaller ones do not count more
 CAMERA_SHARE = 0.97  # of the best sun's gain: one at the horizon ahead looks like a flash
-_NEIGHBOURS_RAD = math.radians(4.5)  # a cell's diagonal is 4 degrees
+_NEIGHBOURS = 1.6  # cells, whose diagonal is 1.4 of their height
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,10 +126,10 @@ class RegionPart:
 class SunPosterior:
     """Where the sun may be, and how well exposure and albedo are known.
 
-    ``density`` (n,) per sr over the directions of ``grid``, the upper hemisphere, integrates to
-    1; it supposes that there is a sun. ``region`` is the smallest set of directions with 90 % of
-    it, ``parts`` its connected parts, likeliest first. ``sun_gain`` is by how much of the face's
-    mean the best sun lowers the deviation. The intervals (90 %) are those of
+    ``density`` (n,) per sr over the directions of ``grid``, the upper hemisphere (of lamps the
+    sphere), integrates to 1; it supposes that there is a sun. ``region`` is the smallest set of
+    directions with 90 % of it, ``parts`` its connected parts, likeliest first. ``sun_gain`` is by
+    how much of the face's mean the best sun lowers the deviation. The intervals (90 %) are those of
     :attr:`Estimate.exposure` and of a common factor on :attr:`Estimate.albedo`. ``clock_wrong`` is
     how likely the picture's time, place or heading are wrong, None where they told nothing.
     """
@@ -143,6 +145,11 @@ class SunPosterior:
     clock_wrong: float | None = None
 
     @property
+    def is_seen(self) -> bool:
+        """Whether a sun, or a lamp, is seen at all."""
+        return self.verdict not in ("overcast: no sun", "even: no lamp")
+
+    @property
     def region_sr(self) -> float:
         """Solid angle of the region."""
         return float(self.grid.solid_angles[self.region].sum())
@@ -150,7 +157,7 @@ class SunPosterior:
     @property
     def region_radius_rad(self) -> float:
         """Radius r of the cap as large as the region: 2 pi (1 - cos r)."""
-        return math.acos(1 - min(self.region_sr / (2 * math.pi), 1.0))
+        return math.acos(1 - min(self.region_sr / (2 * math.pi), 2.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,9 +184,12 @@ def sun_evidence(faces: Sequence[FaceEvidence]) -> SunEvidence:
 
 
 def face_evidence(
-    observations: Sequence[Observation], scans: Sequence[FaceScan]
+    observations: Sequence[Observation], scans: Sequence[FaceScan], *, sphere: bool = False
 ) -> list[FaceEvidence]:
-    """Robust scans of faces, under one light or several, from their ordinary scans."""
+    """Robust scans of faces, under one light or several, from their ordinary scans.
+
+    Over the directions that these have: the upper hemisphere's or the whole ``sphere``'s.
+    """
     weights = [one.weights.double() / one.weights.double().sum() for one in observations]
     seen = [luminance(one.pixels).double() for one in observations]
     means = [weight @ level for weight, level in zip(weights, seen, strict=True)]
@@ -193,7 +203,8 @@ def face_evidence(
             [
                 replace(one, weights=weight.float())
                 for one, weight in zip(observations, robust, strict=True)
-            ]
+            ],
+            sphere=sphere,
         )
     energies = [
         weight @ (level / mean).square()
@@ -215,20 +226,34 @@ def sun_density(
     model: PosteriorConstants = FITTED,
     sun_prior: SunPrior | None = None,
 ) -> Float[Tensor, " n"]:
-    """p of the module's text at the directions of ``DirectionGrid.sky(32)``, per sr.
+    """p of the module's text at the directions of the :func:`density_grid`, per sr.
 
-    ``evidence`` is about ``DirectionGrid.sky(16)``, the scan's; ``estimate`` is the optimised sun,
-    and ``sun_prior`` what clock and place tell; None where there is none.
+    ``evidence`` is about the scan's directions; ``estimate`` is the optimised sun, and
+    ``sun_prior`` what clock and place tell; None where there is none.
     """
-    cells, fine = DirectionGrid.sky(ROWS // 2), DirectionGrid.sky(ROWS)
+    cells, fine = _scan_grid(evidence), density_grid(evidence)
     nats = (evidence.deviations - evidence.deviations.min()) / model.temperature
-    density = _kernel(model.kernel_rad) @ (torch.exp(-nats) * cells.solid_angles)
+    spread = _kernel(model.kernel_rad, fine.is_sphere)
+    density = spread @ (torch.exp(-nats) * cells.solid_angles)
     if estimate is not None:
         lobe = _lobes(fine, estimate[None], model.estimate_rad)[:, 0]
         density = density * (1 + model.estimate_height * lobe) ** model.estimate_weight
     if sun_prior is not None:
         density = density * sun_prior.log_density(fine.directions).exp()
     return density / (density @ fine.solid_angles)
+
+
+def _scan_grid(evidence: SunEvidence) -> DirectionGrid:
+    """Its directions: 32 rows of the sphere, or the upper half of them."""
+    sky = DirectionGrid.sky(ROWS // 2)
+    return sky if len(evidence.deviations) == len(sky) else DirectionGrid.latlong(ROWS)
+
+
+def density_grid(evidence: SunEvidence) -> DirectionGrid:
+    """Where the density is told: on 32 rows of what the scan covered."""
+    return (
+        DirectionGrid.latlong(ROWS) if _scan_grid(evidence).is_sphere else DirectionGrid.sky(ROWS)
+    )
 
 
 def clock_wrong(
@@ -249,9 +274,12 @@ def credible(evidence: SunEvidence, sun_prior: SunPrior | None) -> SunPrior | No
     return sun_prior
 
 
-@lru_cache(maxsize=1)
-def _kernel(spread_rad: float) -> Float[Tensor, "n k"]:
+@lru_cache(maxsize=2)
+def _kernel(spread_rad: float, sphere: bool) -> Float[Tensor, "n k"]:
     """Lobes about the scan's cells at the density's directions."""
+    if sphere:
+        cells = DirectionGrid.latlong(ROWS)
+        return _lobes(cells, cells.directions, spread_rad)
     return _lobes(DirectionGrid.sky(ROWS), DirectionGrid.sky(ROWS // 2).directions, spread_rad)
 
 
@@ -278,10 +306,12 @@ def smallest_region(
 def region_parts(
     grid: DirectionGrid, density: Float[Tensor, " n"], region: Bool[Tensor, " n"]
 ) -> tuple[RegionPart, ...]:
-    """The connected parts of a region of ``DirectionGrid.sky(32)``, likeliest first."""
+    """The connected parts of a region of a lat-long grid, likeliest first."""
+    assert grid.layout is not None
+    height = 2 * math.pi / grid.layout[1]  # of a row, as of a column at the horizon
     directions = grid.directions[region]
     mass = (density * grid.solid_angles)[region]
-    near = directions @ directions.T > math.cos(_NEIGHBOURS_RAD)
+    near = directions @ directions.T > math.cos(_NEIGHBOURS * height)
     count, labels = connected_components(near.numpy(), directed=False)
     parts = []
     for label in range(count):
@@ -307,10 +337,10 @@ def sun_posterior(
 
     ``exposure``, ``albedo`` and ``gloss`` (None where the model has none) are a face's own.
     """
-    grid = DirectionGrid.sky(ROWS)
+    grid = density_grid(evidence)
     density = sun_density(evidence, estimate, model, sun_prior)
     region = smallest_region(density, grid.solid_angles)
-    share = float(grid.solid_angles[region].sum()) / (2 * math.pi)
+    share = float(grid.solid_angles[region].sum() / grid.solid_angles.sum())
     split = split_density(albedo, gloss, albedo_prior)
     low, high = interval(-split[0], split[1], model.exposure_spread + model.unseen_spread * share)
     posterior = SunPosterior(
@@ -335,7 +365,7 @@ def _verdict(
     if not explained:
         return "unreliable: the face is not explained"
     if posterior.sun_gain < model.sun_gain:
-        return "overcast: no sun"
+        return "even: no lamp" if posterior.grid.is_sphere else "overcast: no sun"
     if by_camera:
         return "doubtful: a lamp at the camera"
     if posterior.clock_wrong is not None and posterior.clock_wrong > DOUBT:

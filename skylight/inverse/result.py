@@ -10,6 +10,15 @@ from skylight.inverse.posterior import SunPosterior
 from skylight.sphere.envmap import EnvironmentMap, luminance
 
 Status = Literal["converged", "iteration limit", "recovered from a non-finite step"]
+Scene = Literal[
+    "open sky, sun",
+    "open sky, overcast",
+    "no open sky, even light",
+    "no open sky, flash",
+    "no open sky, one lamp",
+    "no open sky, two lamps",
+    "no open sky, three lamps",
+]
 UNEXPLAINED = 0.25  # a face whose residual is larger cannot be trusted
 
 
@@ -38,6 +47,32 @@ class FaceLight:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Lamp:
+    """A lamp that was found: unit ``direction``, and ``irradiance`` of a surface that faces it.
+
+    In the environment map's units. Its light comes from about ``spread_rad`` per axis about the
+    direction (a von Mises-Fisher lobe).
+    """
+
+    direction: Float[Tensor, "3"]
+    irradiance: Float[Tensor, "3"]
+    spread_rad: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """Why an estimate is of its light model, where several competed.
+
+    ``scene`` in words, ``probability`` that the model is the right one of those, and the
+    ``log_evidence`` of each (nats).
+    """
+
+    scene: Scene
+    probability: float
+    log_evidence: dict[str, float]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Estimate:
     """The light of a picture, in its camera's frame and its own radiance units.
 
@@ -46,7 +81,11 @@ class Estimate:
     ``params`` those of the light model. ``status`` is "converged" where the optimisation ended
     at a minimum, else how it ended (``stats["nonfinite"]`` counts steps taken back in either
     case), and ``advice`` says what to do where the result should not be trusted (empty where
-    it can). ``posterior`` says how sure the sun, exposure and albedo are.
+    it can). ``posterior`` says how sure the sun, exposure and albedo are. ``lamps`` are those of a
+    light model that has lamps, the strongest first; ``sun_direction`` is then where that stands.
+    ``log_evidence`` (nats) is how likely the faces are under the light model, to be compared with
+    that of others for the same faces; None where it was not asked for. ``choice`` says what
+    competed, where light was "auto".
 
     Of several photographs the map has the first used one's units: a face of another sees it times
     the ratio of the two exposures. ``exposure``, ``white_balance``, ``albedo`` and ``rendered`` are
@@ -65,6 +104,9 @@ class Estimate:
     status: Status
     advice: tuple[str, ...]
     stats: dict[str, float | int]
+    lamps: tuple[Lamp, ...] = ()
+    log_evidence: float | None = None
+    choice: Choice | None = None
 
     @property
     def exposure(self) -> float:

@@ -82,13 +82,12 @@ class SunScan:
         energy = torch.stack([face.unexplained for face in faces]).mean(0)
         strength = torch.stack([face.strengths for face in faces]).mean(0)
         residuals = energy.sqrt().cpu()
-        grid = DirectionGrid.latlong(SCAN_HEIGHT)
-        directions = grid.directions[: len(grid) // 2]
+        directions = DirectionGrid.latlong(SCAN_HEIGHT).directions[: len(residuals)]
         apart = math.radians(separation_deg)
-        chosen = _best_apart(directions, residuals, candidates, apart)
+        chosen = best_apart(directions, residuals, candidates, apart)
         if sun_prior is not None:
             elsewhere = torch.where(sun_prior.likely(directions), residuals, torch.inf)
-            chosen = _best_apart(directions, elsewhere, len(chosen) + LIKELY, apart, chosen)
+            chosen = best_apart(directions, elsewhere, len(chosen) + LIKELY, apart, chosen)
         return SunScan(
             directions=directions,
             residuals=residuals,
@@ -115,11 +114,12 @@ class FaceScan:
 
 
 def scan_faces(
-    observations: Sequence[Observation], *, at_once: int | None = None
+    observations: Sequence[Observation], *, sphere: bool = False, at_once: int | None = None
 ) -> list[FaceScan]:
     """Explain each face by a sun in each direction, and by ambient light alone.
 
-    Directions are the 1,024 of the upper half of a 32 x 64 grid. Each face is solved on the device
+    Directions are the 1,024 of the upper half of a 32 x 64 grid, or all of it with ``sphere``. Each
+    face is solved on the device
     of its observation, ``at_once`` faces together; its scan is the same but for rounding. By
     default one on the CPU, whose cache holds the unknowns of one (4 MB; eight at once take a
     third longer), and all on other devices, which are idle otherwise.
@@ -129,7 +129,7 @@ def scan_faces(
         at_once = 1 if on_cpu else len(observations)
     scans: list[FaceScan] = []
     for begin in range(0, len(observations), at_once):
-        problems = [_SunProblem.of(one) for one in observations[begin : begin + at_once]]
+        problems = [_SunProblem.of(one, sphere) for one in observations[begin : begin + at_once]]
         scans += [explained.scan() for explained in _explain(problems)]
     return scans
 
@@ -151,11 +151,11 @@ class _SunProblem:
     normals: "_NormalErrors | None"
 
     @staticmethod
-    def of(observation: Observation) -> "_SunProblem":
+    def of(observation: Observation, sphere: bool) -> "_SunProblem":
         root = observation.weights.double().sqrt()
         coarse = observation.on_rows(SCAN_HEIGHT)
         grid = coarse.transport.grid
-        upper = len(grid) // 2
+        sources = len(grid) if sphere else len(grid) // 2
 
         def columns(transport: TransportMatrix) -> Float[Tensor, "m n"]:
             return transport.matrix.double() * root[:, None]
@@ -167,8 +167,8 @@ class _SunProblem:
 
         def suns(every: Float[Tensor, "m n"], group: int) -> Float[Tensor, "m n_2"]:
             """One problem for each direction, one without a sun, and one with the camera's lamp."""
-            above = pad(_unit(every[:, :upper]), (0, 1))
-            return torch.cat([above, lamp[:, group, None]], 1)
+            each = pad(_unit(every[:, :sources]), (0, 1))
+            return torch.cat([each, lamp[:, group, None]], 1)
 
         matt = columns(coarse.transport)
         lobes = _ambient_lobes(grid).to(root)
@@ -184,7 +184,7 @@ class _SunProblem:
             y=luminance(observation.pixels).double() * root,
             root=root,
             clipped=clipped,
-            normals=_NormalErrors.of(observation, matt, lobes),
+            normals=_NormalErrors.of(observation, matt, lobes, sources),
         )
 
     @property
@@ -231,7 +231,10 @@ class _NormalErrors:
 
     @staticmethod
     def of(
-        observation: Observation, matt: Float[Tensor, "m n2"], lobes: Float[Tensor, "n2 j"]
+        observation: Observation,
+        matt: Float[Tensor, "m n2"],
+        lobes: Float[Tensor, "n2 j"],
+        sources: int,
     ) -> "_NormalErrors | None":
         """None where normals are known."""
         errors = observation.normal_modes
@@ -240,12 +243,11 @@ class _NormalErrors:
         if errors.grid.layout != DirectionGrid.latlong(SCAN_HEIGHT).layout:
             raise ValueError(f"normal errors need {SCAN_HEIGHT} rows, got {errors.grid.layout}")
         directions = errors.grid.directions.to(errors.visible)
-        upper = len(directions) // 2
         weights = observation.weights
         visible = errors.visible * weights.sqrt()[:, None]
         ambient = torch.stack([(visible * axis) @ lobes.to(visible) for axis in directions.T], 2)
         norms = (matt @ lobes).norm(dim=0).clamp(min=1e-12).to(visible)
-        suns = visible[:, :upper] / matt[:, :upper].norm(dim=0).clamp(min=1e-12).to(visible)
+        suns = visible[:, :sources] / matt[:, :sources].norm(dim=0).clamp(min=1e-12).to(visible)
         level = weights @ luminance(observation.pixels)
         towards = directions.new_tensor([[0.0, 0.0, 1.0]])  # the camera
         lamp = torch.zeros_like(weights)
@@ -255,7 +257,7 @@ class _NormalErrors:
         return _NormalErrors(
             modes=errors.modes,
             suns=torch.cat([pad(suns, (0, 1)), lamp[:, None]], 1).T.contiguous(),
-            directions=torch.cat([directions[:upper], towards.expand(2, -1)]),
+            directions=torch.cat([directions[:sources], towards.expand(2, -1)]),
             ambient=ambient.transpose(0, 1) / norms[:, None, None],
             cost=NORMAL_COST * float(level**2 / weights.sum()),
         )
@@ -434,7 +436,7 @@ def _ambient_lobes(grid: DirectionGrid) -> Float[Tensor, "n k"]:
     return ((1 + grid.directions @ centres.T) / 2) ** 3
 
 
-def _best_apart(
+def best_apart(
     directions: Float[Tensor, "n 3"],
     values: Float[Tensor, " n"],
     count: int,

@@ -206,7 +206,6 @@ class FoldedDecoder:
     def __call__(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
         first, *phases, output = self.layers
         x = functional.relu(functional.linear(z, *first)).reshape(-1, 64, 2, 8)
-        x = x.contiguous(memory_format=torch.channels_last)
         for kernel, bias in phases:
             reach = kernel.shape[2] // 2
             x = functional.pad(x, (reach, reach, 0, 0), mode="circular")

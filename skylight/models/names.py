@@ -4,7 +4,7 @@ from typing import Literal, get_args
 
 from skylight.errors import InputError
 
-LightName = Literal["autoencoder", "sunsky", "sh9", "sh25"]
+LightName = Literal["auto", "autoencoder", "sunsky", "lamps", "sh9", "sh25"]
 LIGHT_NAMES: tuple[LightName, ...] = get_args(LightName)
 
 
@@ -17,7 +17,7 @@ def check_light_name(name: str) -> LightName:
 
 def is_trained(light: LightName) -> bool:
     """Whether a light model's folder has anything for this light: a network, or a prior."""
-    return light in ("autoencoder", "sunsky")
+    return light in ("auto", "autoencoder", "sunsky")
 
 
 def check_is_trained(light: LightName) -> None:

@@ -35,6 +35,11 @@ class DirectionGrid:
     def __len__(self) -> int:
         return self.solid_angles.shape[0]
 
+    @property
+    def is_sphere(self) -> bool:
+        """Whether the layout is that of the whole sphere, not of the upper hemisphere."""
+        return self.layout is not None and self.layout[1] == 2 * self.layout[0]
+
     @staticmethod
     def latlong(height: int, width: int | None = None) -> "DirectionGrid":
         """Pixel centres of a lat-long image: (h, 2h) the sphere (default), (h, 4h) the sky."""

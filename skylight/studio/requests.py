@@ -7,8 +7,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 # The server does not import torch, so these choices stand here again; a test compares.
 LIGHTS = {
+    "auto": "Open sky or lamps, whichever is likelier",
     "autoencoder": "Learnt skies",
     "sunsky": "Preetham's sky and a sun",
+    "lamps": "Lamps in ambient light",
     "sh9": "Spherical harmonics, 9 coefficients",
     "sh25": "Spherical harmonics, 25 coefficients",
 }
@@ -31,7 +33,7 @@ class EstimateRequest(_Request):
     kind: Literal["estimate"]
     photo: Token
     face: Annotated[int, Field(ge=1, le=1000)] | Literal["all"] = 1
-    light: Literal["autoencoder", "sunsky", "sh9", "sh25"] = "autoencoder"
+    light: Literal["auto", "autoencoder", "sunsky", "lamps", "sh9", "sh25"] = "autoencoder"
 
 
 class _LitRequest(_Request):

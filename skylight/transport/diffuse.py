@@ -107,8 +107,9 @@ class DiffuseTransport(nn.Module):
 class SkyTransport(nn.Module):
     """Shading from skies above grounds of uniform radiance; differentiable in both and in albedo.
 
-    Half as many columns as the full sphere: all directions below the horizon are one. ``folded``
-    (p,m,n) are the matrices of p scenes; where one has fewer points, its last rows are zeros.
+    Half as many columns as the full sphere: all directions below the horizon are one, the last.
+    ``folded`` (p,m,n) are the matrices of p scenes; where one has fewer points, its last rows are
+    zeros. For light that is no sky but the whole sphere's, the last column is 0.
     """
 
     folded: Tensor
@@ -118,9 +119,10 @@ class SkyTransport(nn.Module):
         self.register_buffer("folded", folded)
 
     @staticmethod
-    def of(transport: TransportMatrix) -> "SkyTransport":
-        """That of one scene."""
-        return SkyTransport(transport.fold_ground()[None])
+    def of(transport: TransportMatrix, *, sphere: bool = False) -> "SkyTransport":
+        """That of one scene; for light of the whole ``sphere``, or of skies above grounds."""
+        folded = functional.pad(transport.matrix, (0, 1)) if sphere else transport.fold_ground()
+        return SkyTransport(folded[None])
 
     def forward(
         self,
@@ -134,9 +136,17 @@ class SkyTransport(nn.Module):
         ``scene`` is the one that each light falls on, in ascending order; None where there is
         but one.
         """
-        radiance = torch.cat([sky, ground[:, None]], dim=1)
         per_point = albedo if albedo.dim() == 3 else albedo[:, None]
-        return per_point * shade_scenes(self.folded, radiance, scene)
+        return per_point * self.white(sky, ground, scene)
+
+    def white(
+        self,
+        sky: Float[Tensor, "b n 3"],
+        ground: Float[Tensor, "b 3"],
+        scene: Int[Tensor, " b"] | None = None,
+    ) -> Float[Tensor, "b m 3"]:
+        """T l: the same for an albedo of 1."""
+        return shade_scenes(self.folded, torch.cat([sky, ground[:, None]], dim=1), scene)
 
 
 def shade_scenes(

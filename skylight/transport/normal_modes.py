@@ -74,9 +74,9 @@ class NormalModes:
 class SkyNormalModes(torch.nn.Module):
     """The same of p scenes under skies above grounds of uniform radiance.
 
-    ``visible`` (p,m,n) is of the sky's directions w, on ``rows`` of the upper hemisphere,
-    ``ground`` (p,m,3) the light vector of a ground of radiance 1. Where a scene has fewer points,
-    its last rows are zeros.
+    ``visible`` (p,m,n) is of the sky's directions w, on ``rows`` of the upper hemisphere or of the
+    whole sphere, ``ground`` (p,m,3) the light vector of a ground of radiance 1. Where a scene has
+    fewer points, its last rows are zeros.
     """
 
     modes: Tensor
@@ -96,15 +96,20 @@ class SkyNormalModes(torch.nn.Module):
         self.register_buffer("modes", modes)
         self.register_buffer("visible", visible)
         self.register_buffer("ground", ground)
-        grid = DirectionGrid.latlong(2 * rows)
-        self.register_buffer("directions", grid.directions[: visible.shape[2]].to(visible))
+        grid = DirectionGrid.latlong(rows, visible.shape[2] // rows)
+        self.register_buffer("directions", grid.directions.to(visible))
 
     @staticmethod
-    def of(one: NormalModes) -> "SkyNormalModes":
-        """That of one scene."""
+    def of(one: NormalModes, *, sphere: bool = False) -> "SkyNormalModes":
+        """That of one scene; for light of the whole ``sphere``, or of skies above grounds."""
+        assert one.grid.layout is not None
+        if sphere:
+            none = one.visible.new_zeros(len(one), 3)
+            return SkyNormalModes(
+                one.modes[None], one.visible[None], none[None], one.grid.layout[0]
+            )
         sky, ground = one.visible.chunk(2, dim=1)
         below = one.grid.directions[sky.shape[1] :].to(ground)
-        assert one.grid.layout is not None
         return SkyNormalModes(
             one.modes[None],
             sky.contiguous()[None],
@@ -124,13 +129,48 @@ class SkyNormalModes(torch.nn.Module):
         ``sky`` may be on finer rows: F is then that of its means over blocks. ``scene`` is the one
         that each light falls on, in ascending order; None where there is but one.
         """
-        count, points = len(sky), self.visible.shape[1]
-        block = round((sky.shape[1] / self.visible.shape[2]) ** 0.5)
-        blocks = sky.reshape(count, self.rows, block, -1, block, 3)
-        means = blocks.mean((2, 4)).reshape(count, -1, 1, 3)
-        radiance = (means * self.directions[:, :, None]).flatten(2)
+        vector = self.light_vector(sky, ground, scene)
+        turned = shade_scenes(self.modes.flatten(1, 2), amounts[..., None], scene)
+        return (turned.reshape(*vector.shape[:3], 1) * vector).sum(2)
+
+    def light_vector(
+        self,
+        sky: Float[Tensor, "b n 3"],
+        ground: Float[Tensor, "b 3"],
+        scene: Int[Tensor, " b"] | None = None,
+    ) -> Float[Tensor, "b m 3 c"]:
+        """F of each colour."""
+        radiance = (self._means(sky)[:, :, None] * self.directions[:, :, None]).flatten(2)
         vector = shade_scenes(self.visible, radiance, scene).unflatten(2, (3, 3))
         below = self.ground if scene is None or len(self.ground) == 1 else self.ground[scene]
-        vector = vector + below[..., None] * ground[:, None, None]
-        turned = shade_scenes(self.modes.flatten(1, 2), amounts[..., None], scene)
-        return (turned.reshape(count, points, 3, 1) * vector).sum(2)
+        return vector + below[..., None] * ground[:, None, None]
+
+    def turned(
+        self,
+        skies: Float[Tensor, "b s n 3"],
+        grounds: Float[Tensor, "b s 3"],
+        amounts: Float[Tensor, "b k"],
+        scene: Int[Tensor, " b"] | None = None,
+    ) -> Float[Tensor, "b s m 3"]:
+        """What :meth:`forward` gives for s lights at each of b amounts.
+
+        With ``<sum_k u_k M_pk, w>`` in the matrix that takes a third of the products.
+        """
+        which = slice(None) if scene is None else scene
+        turned = torch.einsum(
+            "bmdk,bk->bmd", self.modes[which].expand(len(amounts), -1, -1, -1), amounts
+        )
+        matrix = self.visible[which] * (turned @ self.directions.T)
+        means = self._means(skies.flatten(0, 1)).unflatten(0, skies.shape[:2])
+        rows = means.transpose(2, 3).flatten(1, 2)  # (b, 3 s, n)
+        shading = (rows @ matrix.mT).unflatten(1, (-1, 3)).transpose(2, 3)
+        below = (turned * self.ground[which]).sum(2)
+        return shading + below[:, None, :, None] * grounds[:, :, None]
+
+    def _means(self, sky: Float[Tensor, "b n 3"]) -> Float[Tensor, "b _ 3"]:
+        """Of blocks of directions, as coarse as ``visible``."""
+        block = round((sky.shape[1] / self.visible.shape[2]) ** 0.5)
+        if block == 1:
+            return sky
+        blocks = sky.reshape(len(sky), self.rows, block, -1, block, 3)
+        return blocks.mean((2, 4)).flatten(1, 2)

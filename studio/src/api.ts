@@ -51,7 +51,11 @@ export interface Angles {
 /** estimate.json, as far as the page reads it, and where the camera and the faces are. */
 export interface EstimateResult {
   light: string;
+  /** What the light is, where open sky and lamps competed. */
+  choice: { scene: string; probability: number } | null;
   sun: Angles;
+  /** The strongest first; empty for models without lamps. */
+  lamps: ({ irradiance: [number, number, number]; spread_deg: number } & Angles)[];
   posterior: {
     verdict: string;
     share: number;

@@ -9,13 +9,14 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.inverse.estimate import estimate_each, estimate_light, light_problems
+from skylight.inverse.objective.descent import Round
 from skylight.inverse.objective.face_term import FaceTerm
 from skylight.inverse.objective.light_objective import LightObjective
 from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.result import Estimate
 from skylight.inverse.scan import nnls, scan_faces
 from skylight.inverse.sky.problem import SkyProblem, solve_together
-from skylight.inverse.sky.solver import Round, SkySolver, SolverOptions
+from skylight.inverse.sky.solver import SkySolver, SolverOptions
 from skylight.models.names import LightName
 from skylight.models.sunsky import SunSky
 from skylight.sphere.envmap import luminance

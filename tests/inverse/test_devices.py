@@ -10,9 +10,10 @@ from skylight.inverse.estimate import estimate_each, estimate_light, light_probl
 from skylight.inverse.object import problem as of_object
 from skylight.inverse.object.problem import ObjectLight, ObjectLightName, estimate_object_light
 from skylight.inverse.object.view import ObjectMaterial
+from skylight.inverse.objective.descent import Round
 from skylight.inverse.result import Estimate
 from skylight.inverse.sky.problem import SkyProblem, solve_together
-from skylight.inverse.sky.solver import Round, SolverOptions
+from skylight.inverse.sky.solver import SolverOptions
 from skylight.transport.render import Specular
 from tests.inverse.checked_device import DEVICE, CheckedDevice
 from tests.inverse.test_solve import SUNS, harmonic_ball, observed, watched

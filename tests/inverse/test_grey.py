@@ -6,10 +6,11 @@ from dataclasses import replace
 import pytest
 import torch
 
+from skylight.inverse.objective.descent import Round
 from skylight.inverse.objective.face_term import FaceTerm
 from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.sky.problem import SkyProblem
-from skylight.inverse.sky.solver import Round, SolverOptions
+from skylight.inverse.sky.solver import SolverOptions
 from skylight.models.sunsky import SunSky
 from skylight.sphere.envmap import luminance
 from tests.inverse.test_solve import (

@@ -9,12 +9,13 @@ import torch
 
 from skylight.faces.skin import SkinPrior
 from skylight.inverse.harmonic.problem import HarmonicProblem
+from skylight.inverse.objective.descent import Round
 from skylight.inverse.objective.face_term import FaceTerm
 from skylight.inverse.objective.light_objective import LightObjective
 from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.scan import SunScan, scan_faces
 from skylight.inverse.sky.problem import SkyProblem
-from skylight.inverse.sky.solver import Round, SolverOptions
+from skylight.inverse.sky.solver import SolverOptions
 from skylight.models.bundle import load_bundle
 from skylight.models.harmonic import HarmonicLight
 from skylight.models.sunsky import SunSky

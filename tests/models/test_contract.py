@@ -15,6 +15,7 @@ from skylight.models.base import LightModel
 from skylight.models.bundle import load_bundle
 from skylight.models.gaussians import GaussianLobes
 from skylight.models.harmonic import HarmonicLight
+from skylight.models.lamps import LampsLight
 from skylight.models.sunsky import SunSky
 from skylight.sphere.envmap import luminance
 from skylight.sphere.frame import direction_from_angles
@@ -28,6 +29,7 @@ CASES: dict[str, Callable[[], nn.Module]] = {
     "autoencoder": lambda: load_bundle().light(),
     "autoencoder, blurred sun": lambda: load_bundle().light(sun_spread_rad=0.025),
     "sunsky": lambda: SunSky(16),
+    "lamps": lambda: LampsLight(2, 16),
     "sh9": lambda: HarmonicLight(2, 32),
     "sh25": lambda: HarmonicLight(4, 32),
 }

@@ -17,6 +17,7 @@ from skylight import __version__
 from skylight.errors import InputError
 from skylight.studio import static_files
 from skylight.studio.guard import is_own
+from skylight.studio.requests import LIGHTS
 from skylight.studio.server import serve
 from tests.studio.conftest import JOBS, MEGAPIXELS, UPLOAD_MB, Served, start
 
@@ -25,7 +26,7 @@ def test_it_says_what_it_takes(client: httpx.Client) -> None:
     about = client.get("/api/about").json()
     assert about["version"] == __version__
     assert about["limits"] == {"upload_mb": UPLOAD_MB, "megapixels": MEGAPIXELS, "jobs": JOBS}
-    assert [light["name"] for light in about["lights"]] == ["autoencoder", "sunsky", "sh9", "sh25"]
+    assert [light["name"] for light in about["lights"]] == list(LIGHTS)
 
 
 def test_the_page_is_sent_again_only_where_it_changed(client: httpx.Client) -> None:

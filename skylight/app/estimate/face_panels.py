@@ -21,6 +21,7 @@ RESIDUAL_LIMIT = 0.5
 LIGHTS = {
     "autoencoder": "light model: learnt skies (autoencoder)",
     "sunsky": "light model: sun and Preetham sky",
+    "lamps": "light model: lamps in ambient light",
     "sh9": "light model: 9 spherical harmonics",
     "sh25": "light model: 25 spherical harmonics",
 }

@@ -64,7 +64,8 @@ def estimate(
         A picture's path, its 8-bit codes (h, w, 3), or a :class:`~skylight.imaging.photo.Photo`.
         Several pictures share their light.
     light
-        The light model: "autoencoder" (learnt skies), "sunsky" (Preetham's sky and a sun), "sh9"
+        The light model: "auto" (the likelier of "autoencoder" and "lamps"), "autoencoder" (learnt
+        skies), "sunsky" (Preetham's sky and a sun), "lamps" (up to three in ambient light), "sh9"
         or "sh25" (spherical harmonics up to degree 2 or 4).
     model
         A trained model of your own, or its folder, in place of the one that comes with skylight:

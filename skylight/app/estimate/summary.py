@@ -2,6 +2,7 @@
 
 import math
 import platform
+from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 
 from skylight.app.estimate.types import PhotoEstimate, SeenFace
@@ -12,7 +13,7 @@ from skylight.app.estimate.uncertainty import (
     sure_of_the_sun,
 )
 from skylight.imaging.taken import Taken
-from skylight.inverse.result import FaceLight
+from skylight.inverse.result import Estimate, FaceLight
 
 PACKAGES = ("skylight", "torch", "numpy", "scipy", "dlib-bin", "onnxruntime", "embreex")
 
@@ -25,7 +26,16 @@ def describe(result: PhotoEstimate, *, keep_place: bool) -> dict[str, object]:
         "light": estimate.light,
         "frame": "the camera looks along -Z, the centre of the map; +X is the picture's right, "
         "+Y up; azimuth from -Z towards +X, zenith from +Y; linear Rec.709",
+        "choice": None if estimate.choice is None else asdict(estimate.choice),
         "sun": named_angles(estimate.sun_direction),
+        "lamps": [
+            named_angles(lamp.direction)
+            | {
+                "irradiance": lamp.irradiance.tolist(),
+                "spread_deg": math.degrees(lamp.spread_rad),
+            }
+            for lamp in estimate.lamps
+        ],
         "posterior": describe_posterior(estimate.posterior),
         "ground_albedo": estimate.ground_albedo.tolist(),
         "params": estimate.params.tolist(),
@@ -98,6 +108,14 @@ def _versions() -> dict[str, str | None]:
     return found
 
 
+def _scene(estimate: Estimate) -> list[str]:
+    """What light it is, where that was to be found out."""
+    if estimate.choice is None:
+        return []
+    sure = round(100 * estimate.choice.probability)
+    return [f"{'light':<12}{estimate.choice.scene} ({sure} % sure, as '{estimate.light}')"]
+
+
 def summary(result: PhotoEstimate) -> str:
     """A few lines for the terminal."""
     estimate = result.estimate
@@ -106,9 +124,10 @@ def summary(result: PhotoEstimate) -> str:
     labels = ["face"] if count == 1 else [f"face {n}" for n in range(1, count + 1)]
     return "\n".join(
         [
+            *_scene(estimate),
             f"brightest   azimuth {azimuth_deg:+.0f}°, zenith {zenith_deg:.0f}° "
             f"({where(azimuth_deg, zenith_deg)})",
-            f"sun         {sure_of_the_sun(estimate.posterior)}",
+            f"{'lamp' if estimate.lamps else 'sun':<12}{sure_of_the_sun(estimate.posterior)}",
             f"verdict     {estimate.posterior.verdict}",
             *(
                 f"{label:<12}re-rendered to within {100 * face.residual:.0f} % on average"

@@ -68,8 +68,9 @@ def named_angles(direction: Float[Tensor, "3"]) -> dict[str, float]:
 
 def sure_of_the_sun(posterior: SunPosterior) -> str:
     """The 90 % region in words."""
-    if posterior.verdict == "overcast: no sun":
-        return "none seen: overcast, or hidden behind the head"
+    if not posterior.is_seen:
+        sky = not posterior.grid.is_sphere
+        return f"none seen: {'overcast' if sky else 'even light'}, or hidden behind the head"
     size = f"a circle of {math.degrees(posterior.region_radius_rad):.0f}° radius"
     parts = sum(part.share > 0.1 * SHARE for part in posterior.parts)
     place = size if parts < 2 else f"{parts} areas, together as large as {size}"
@@ -80,22 +81,26 @@ def sure_of_the_sun(posterior: SunPosterior) -> str:
 def probe_title(posterior: SunPosterior) -> str:
     """What stands over a picture of the light."""
     title = f"Light around the camera: {posterior.verdict}"
-    if posterior.verdict == "overcast: no sun":
+    if not posterior.is_seen:
         return title
-    return f"{title} (yellow: the sun's {100 * SHARE:.0f} % region)"
+    whose = "main lamp's" if posterior.grid.is_sphere else "sun's"
+    return f"{title} (yellow: the {whose} {100 * SHARE:.0f} % region)"
 
 
 def posterior_map(posterior: SunPosterior) -> EnvironmentMap:
-    """The density per sr as a grey lat-long map, 0 below the horizon."""
+    """The density per sr as a grey lat-long map of 64 rows; of a sun 0 below the horizon."""
     assert posterior.grid.layout is not None
-    upper = posterior.density.reshape(posterior.grid.layout).float()
-    grey = torch.cat([upper, torch.zeros_like(upper)])
+    density = posterior.density.reshape(posterior.grid.layout).float()
+    if posterior.grid.is_sphere:
+        grey = density.repeat_interleave(2, 0).repeat_interleave(2, 1)
+    else:
+        grey = torch.cat([density, torch.zeros_like(density)])
     return EnvironmentMap(radiance=grey[..., None].repeat(1, 1, 3))
 
 
 def draw_region(axes: "Axes", posterior: SunPosterior) -> None:
     """The region's contour on a full lat-long picture of 64 rows; none where no sun is seen."""
-    if posterior.verdict == "overcast: no sun":
+    if not posterior.is_seen:
         return
     density = posterior_map(posterior).radiance[..., 0].numpy()
     level = edge_density(posterior)

@@ -18,6 +18,24 @@ CHARBONNIER_EPSILON = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
+class Transported:
+    """A face in lights, for an exposure, albedo and gloss of 1.
+
+    ``diffuse`` T l, what wrong normals add to it (``turned``; None where they are known), and what
+    its surface reflects (``glossy``; None where it is matt).
+    """
+
+    diffuse: Float[Tensor, "b m 3"]
+    turned: Float[Tensor, "b m 3"] | None = None
+    glossy: Float[Tensor, "b m 3"] | None = None
+
+    @property
+    def matt(self) -> Float[Tensor, "b m 3"]:
+        """Never negative, whatever the normals."""
+        return self.diffuse if self.turned is None else (self.diffuse + self.turned).clamp(min=0)
+
+
+@dataclass(frozen=True, kw_only=True)
 class FaceTerm:
     """One face of each of p problems as the objective sees it.
 
@@ -47,20 +65,23 @@ class FaceTerm:
     normals: SkyNormalModes | None = None
 
     @staticmethod
-    def of(observation: Observation) -> "FaceTerm":
-        """The only face of a photograph whose mean luminance is 1, in one problem."""
+    def of(observation: Observation, *, sphere: bool = False) -> "FaceTerm":
+        """The only face of a photograph whose mean luminance is 1, in one problem.
+
+        For light of the whole ``sphere``, or of skies above grounds.
+        """
         gloss, clipped = observation.gloss, observation.clipped
         normals = observation.normal_modes
         return FaceTerm(
             target=observation.pixels[None],
             share=(observation.weights / observation.weights.sum())[None, :, None] / 3,
-            transport=SkyTransport.of(observation.transport),
-            gloss=None if gloss is None else SkyTransport.of(gloss),
+            transport=SkyTransport.of(observation.transport, sphere=sphere),
+            gloss=None if gloss is None else SkyTransport.of(gloss, sphere=sphere),
             level=observation.pixels.new_ones(1),
             clipped=None if clipped is None else clipped[None],
             grey=observation.grey,
             modes=None if observation.modes is None else observation.modes[None],
-            normals=None if normals is None else SkyNormalModes.of(normals),
+            normals=None if normals is None else SkyNormalModes.of(normals, sphere=sphere),
         )
 
     @staticmethod
@@ -105,6 +126,23 @@ class FaceTerm:
             ),
         )
 
+    def transported(
+        self,
+        sky: Float[Tensor, "b n 3"],
+        ground: Float[Tensor, "b 3"],
+        turns: Float[Tensor, "b k"] | None,
+        problem: Int[Tensor, " b"] | None = None,
+    ) -> Transported:
+        """This face in lights; its normals turned by so much, None where they are trusted."""
+        turned, glossy = None, None
+        if self.normals is not None and turns is not None:
+            turned = self.normals(sky, ground, turns, problem)
+        if self.gloss is not None:
+            glossy = self.gloss.white(sky, ground, problem)
+        return Transported(
+            diffuse=self.transport.white(sky, ground, problem), turned=turned, glossy=glossy
+        )
+
     @property
     def exact_share(self) -> Float[Tensor, "p m 1"]:
         """``share`` where the target is more than a bound."""
@@ -118,11 +156,11 @@ class FaceTerm:
         self, shading: Float[Tensor, "b m 3"], problem: Int[Tensor, " b"] | None = None
     ) -> Float[Tensor, "b m 3"]:
         """How far the face is from this shading, in its own level."""
-        level = _of(self.level, problem)[:, None, None]
-        deviation = (self.seen(shading) - _of(self.target, problem)) / level
+        level = of_problem(self.level, problem)[:, None, None]
+        deviation = (self.seen(shading) - of_problem(self.target, problem)) / level
         if self.clipped is None:
             return deviation
-        clipped = _of(self.clipped, problem)[..., None]
+        clipped = of_problem(self.clipped, problem)[..., None]
         return torch.where(clipped, deviation.clamp(max=0), deviation)
 
     def data_term(
@@ -132,10 +170,12 @@ class FaceTerm:
         problem: Int[Tensor, " b"] | None = None,
     ) -> Float[Tensor, " b"]:
         """How unlikely the face is under this shading, in nats."""
-        return data_term(self.deviation(shading, problem), _of(self.share, problem), weights)
+        return data_term(self.deviation(shading, problem), of_problem(self.share, problem), weights)
 
 
-def _of(x: Shaped[Tensor, "p *s"], problem: Int[Tensor, " b"] | None) -> Shaped[Tensor, "_ *s"]:
+def of_problem(
+    x: Shaped[Tensor, "p *s"], problem: Int[Tensor, " b"] | None
+) -> Shaped[Tensor, "_ *s"]:
     """Each row's own; what there is but one of is left to broadcast."""
     assert problem is not None or len(x) == 1
     return x if len(x) == 1 else x[problem]

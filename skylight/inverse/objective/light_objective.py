@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from skylight.faces.skin import PIGMENT_COLOURS, PIGMENT_SPREADS
-from skylight.inverse.objective.face_term import FaceTerm
+from skylight.inverse.objective.face_term import FaceTerm, Transported, of_problem
 from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.scale import GLOSS_SPREAD, bayes_scale, gloss_nll, scale_nll, tone_prior
 from skylight.inverse.sun_prior import SunPrior
@@ -42,7 +42,7 @@ class Unpacked:
     balance: Float[Tensor, "b n 2"]
     gloss: Float[Tensor, "b f"]
     albedo: Float[Tensor, "b f 3"]
-    ground_albedo: Float[Tensor, "b 3"]
+    ground_albedo: Float[Tensor, "b g"]
     pigments: Float[Tensor, "b f 2 k"]
     turns: Float[Tensor, "b f j"]
 
@@ -72,8 +72,9 @@ class LightObjective:
     Free parameters of one problem: those of the light model, for each photograph a log exposure
     and its two log gains against green, for each face log gloss, the logits of skin albedo,
     its turns and its pigments, then the logits of ground albedo, so that 0 < albedo < 1 always
-    holds. Targets are scaled beforehand to a mean luminance of 1 in each photograph, which makes
-    the loss's epsilon mean the same for every picture.
+    holds. A model of the whole sphere has no ground. Targets are scaled beforehand to a mean
+    luminance of 1 in each photograph, which makes the loss's epsilon mean the same for every
+    picture.
     """
 
     def __init__(
@@ -98,7 +99,9 @@ class LightObjective:
         turned = {face.normals.modes.shape[-1] for face in faces if face.normals is not None}
         self.turn_count = max(turned, default=0) if weights.normal_spread > 0 else 0
         device = self.faces[0].target.device
-        self.ground = LambertianGround(model.grid.layout[0]).to(device)  # type: ignore[index]
+        self.ground: LambertianGround | None = None
+        if not model.grid.is_sphere:
+            self.ground = LambertianGround(model.grid.layout[0]).to(device)  # type: ignore[index]
         self.ground_prior = ground_prior().to(device)
         self.pigment_colours = torch.tensor(PIGMENT_COLOURS).to(self.faces[0].target)
         spreads = weights.pigment_spread * torch.tensor(PIGMENT_SPREADS)
@@ -106,14 +109,14 @@ class LightObjective:
 
     @property
     def size(self) -> int:
-        return sum(self._sizes)
+        return sum(self.sizes)
 
     @property
-    def _sizes(self) -> tuple[int, int, int, int]:
+    def sizes(self) -> tuple[int, int, int, int]:
         """Of the light, the photographs, the faces and the ground."""
         per_face = 4 + self.turn_count + 2 * self.mode_count
         faces, photos = per_face * len(self.faces), 3 * self.photo_count
-        return self.model.parameter_count, photos, faces, 3
+        return self.model.parameter_count, photos, faces, 0 if self.ground is None else 3
 
     def faces_of(self, photo: int) -> list[int]:
         """Which faces are of that photograph."""
@@ -125,7 +128,7 @@ class LightObjective:
         exposure: Float[Tensor, "b n"],
         gloss: Float[Tensor, "b f"],
         albedo: Float[Tensor, "b f 3"],
-        ground_albedo: Float[Tensor, "b 3"],
+        ground_albedo: Float[Tensor, "b g"],
         balance: Float[Tensor, "b n 2"] | None = None,
         pigments: Float[Tensor, "b f 2 k"] | None = None,
         turns: Float[Tensor, "b f j"] | None = None,
@@ -166,14 +169,14 @@ class LightObjective:
         Both mean the same.
         """
         missing = (self.size - free.shape[1]) // len(self.faces)
-        light, photos, faces, ground = self._sizes
+        light, photos, faces, ground = self.sizes
         even = faces - missing * len(self.faces)
         parts = free.split((light, photos, even, ground), 1)
         skin = pad(parts[2].unflatten(1, (len(self.faces), -1)), (0, missing)).flatten(1)
         return torch.cat([*parts[:2], skin, parts[3]], 1)
 
     def unpack(self, free: Float[Tensor, "b q"]) -> Unpacked:
-        light, camera, skin, ground_albedo = free.split(self._sizes, 1)
+        light, camera, skin, ground_albedo = free.split(self.sizes, 1)
         camera = camera.unflatten(1, (-1, 3))
         skin = skin.unflatten(1, (len(self.faces), -1))
         return Unpacked(
@@ -208,51 +211,87 @@ class LightObjective:
     def shading(
         self, parts: Unpacked, problem: Int[Tensor, " b"] | None = None
     ) -> list[Float[Tensor, "b _ 3"]]:
-        """Each face's rho T l + gloss G l with its photograph's exposure and gains in l.
+        """Each face's rho T l + gloss G l times its photograph's exposure and gains.
 
         Where its normals may be wrong, T l has what they add, and is 0 where that is less.
         """
-        radiance = self.model(parts.light)
-        exposure = parts.exposure[..., None] * self.white_balance(parts)
-        skies = [radiance * e[:, None] for e in exposure.unbind(1)]
-        grounds = [self.ground(sky, parts.ground_albedo) for sky in skies]
-        shadings = []
-        for k, face in enumerate(self.faces):
-            sky, ground = skies[face.photo], grounds[face.photo]
-            albedo = self.albedo(parts, k, problem)
-            shading = face.transport(sky, ground, albedo, problem)
-            if face.normals is not None and self.turn_count:
-                turns = self.weights.normal_spread * parts.turns[:, k]
-                added = face.normals(sky, ground, turns, problem)
-                shading = (shading + albedo * added).clamp(min=0)
-            if face.gloss is not None:
-                gloss = parts.gloss[:, k, None].expand(-1, 3)
-                shading = shading + face.gloss(sky, ground, gloss, problem)
-            shadings.append(shading)
-        return shadings
+        sky, ground = self.radiance(parts)
+        return [
+            self.reflected(
+                parts, k, face.transported(sky, ground, self.turns(parts, k), problem), problem
+            )
+            for k, face in enumerate(self.faces)
+        ]
+
+    def radiance(self, parts: Unpacked) -> tuple[Float[Tensor, "b n 3"], Float[Tensor, "b 3"]]:
+        """Of the sky, or of the whole sphere, and of the ground, for an exposure of 1."""
+        sky = self.model(parts.light)
+        return sky, self.ground_radiance(sky, parts.ground_albedo)
+
+    def turns(self, parts: Unpacked, k: int) -> Float[Tensor, "b j"] | None:
+        """What face ``k`` is turned by along its modes; None where normals are trusted."""
+        return self.weights.normal_spread * parts.turns[:, k] if self.turn_count else None
+
+    def reflected(
+        self,
+        parts: Unpacked,
+        k: int,
+        light: Transported,
+        problem: Int[Tensor, " b"] | None = None,
+    ) -> Float[Tensor, "b m 3"]:
+        """The shading of face ``k`` in that light."""
+        photo = self.faces[k].photo
+        shading = self.albedo(parts, k, problem) * light.matt
+        if light.glossy is not None:
+            shading = shading + parts.gloss[:, k, None, None] * light.glossy
+        gains = parts.exposure[:, photo, None] * self.white_balance(parts)[:, photo]
+        return gains[:, None] * shading
+
+    def ground_radiance(
+        self, sky: Float[Tensor, "b n 3"], albedo: Float[Tensor, "b g"]
+    ) -> Float[Tensor, "b 3"]:
+        """What the ground reflects of the sky; 0 where the model has all that is below."""
+        return sky.new_zeros(len(sky), 3) if self.ground is None else self.ground(sky, albedo)
 
     def terms(
         self, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None
     ) -> dict[str, Float[Tensor, " b"]]:
         """Each part of the objective, weighted and summed over faces; they add up to it."""
-        parts = self.unpack(free)
-        light = without_azimuth(self.model, free[:, : self.model.parameter_count])
-        w = self.weights
+        parts, w = self.unpack(free), self.weights
         shadings = self.shading(parts, problem)
         data = [f.data_term(s, w, problem) for f, s in zip(self.faces, shadings, strict=True)]
+        return {"data": torch.stack(data).sum(0), **self.priors(free, problem)}
+
+    def priors(
+        self, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None
+    ) -> dict[str, Float[Tensor, " b"]]:
+        """All parts but the data."""
+        parts, w = self.unpack(free), self.weights
+        light = without_azimuth(self.model, free[:, : self.model.parameter_count])
         skin = self.albedo_prior.log_prob(parts.albedo.log().flatten(0, 1))
         sun = self.sun_nll(parts.light, problem)
         return {
-            "data": torch.stack(data).sum(0),
             "light_prior": -w.light_prior * self.light_prior.log_prob(light),
             "albedo_prior": -w.albedo_prior * skin.unflatten(0, (-1, len(self.faces))).sum(1),
-            "ground_prior": -w.ground_prior * self.ground_prior.log_prob(parts.ground_albedo.log()),
+            **self._ground_nll(parts),
             "gloss_prior": (0.5 * (parts.gloss.log() / GLOSS_SPREAD) ** 2).sum(1),
             "white_balance_prior": self._white_balance_nll(parts),
             "pigment_prior": 0.5 * (parts.pigments / self.pigment_spreads).square().sum((1, 2, 3)),
             "normal_prior": 0.5 * parts.turns.square().sum((1, 2)),
             **({} if sun is None else {"sun_prior": sun}),
         }
+
+    def prior(
+        self, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None
+    ) -> Float[Tensor, " b"]:
+        """The sum of :meth:`priors`."""
+        return torch.stack(list(self.priors(free, problem).values())).sum(0)
+
+    def deviation_weights(self, problem: Int[Tensor, " b"] | None = None) -> Float[Tensor, "#b m"]:
+        """What the Charbonnier of each pixel and channel of all faces counts, nats."""
+        shares = [of_problem(face.share, problem).expand(-1, -1, 3) for face in self.faces]
+        each = torch.cat([share.flatten(1) for share in shares], 1)
+        return self.weights.independent / self.weights.noise * each
 
     def sun_nll(
         self, light: Float[Tensor, "b p"], problem: Int[Tensor, " b"] | None = None
@@ -270,6 +309,12 @@ class LightObjective:
                 own = -self.weights.sun_prior * prior.log_density(sun)
                 nll = own if problem is None else torch.where(problem == number, own, nll)
         return nll
+
+    def _ground_nll(self, parts: Unpacked) -> dict[str, Float[Tensor, " b"]]:
+        if self.ground is None:
+            return {}
+        nll = -self.ground_prior.log_prob(parts.ground_albedo.log())
+        return {"ground_prior": self.weights.ground_prior * nll}
 
     def _white_balance_nll(self, parts: Unpacked) -> Float[Tensor, " b"]:
         spread = self.weights.white_balance_spread or 1.0  # of gains that do not count

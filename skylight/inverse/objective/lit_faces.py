@@ -14,7 +14,7 @@ from skylight.transport.observation import Observation
 
 @dataclass(frozen=True, kw_only=True)
 class ScannedFace:
-    """What a sky needs of an observation: the pyramid's levels, and what the scan reads.
+    """What a solver needs of an observation: the pyramid's levels, and what the scan reads.
 
     Both are scaled to a mean luminance of 1 from ``mean``, in the photograph's units.
     """
@@ -26,9 +26,14 @@ class ScannedFace:
 
     @staticmethod
     def of(
-        observation: Observation, photo: int, levels: Sequence[int], device: torch.device
+        observation: Observation,
+        photo: int,
+        levels: Sequence[int],
+        device: torch.device,
+        *,
+        sphere: bool = False,
     ) -> "ScannedFace":
-        """With those ``levels`` of the pyramid, on that device.
+        """With those ``levels`` of the pyramid, on that device; for skies or the whole sphere.
 
         Raises
         ------
@@ -41,7 +46,7 @@ class ScannedFace:
             pyramid.append(pyramid[-1].coarser(1))
         return ScannedFace(
             photo=photo,
-            pyramid={level: FaceTerm.of(pyramid[level]) for level in levels},
+            pyramid={level: FaceTerm.of(pyramid[level], sphere=sphere) for level in levels},
             scanned=pyramid[1].on_rows(SCAN_HEIGHT),
             mean=mean,
         )

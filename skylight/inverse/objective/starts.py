@@ -34,9 +34,9 @@ def choose_starts(
         centroids[:, i] = towards[0, i]
     light = torch.cat([towards, centroids])
     sky = model(light)
-    ground_albedo = torch.full_like(light[:, :3], START_GROUND)
-    ground = objective.ground(sky, ground_albedo)
-    ones = torch.ones_like(ground_albedo)
+    ground_albedo = light.new_full((len(light), 0 if model.grid.is_sphere else 3), START_GROUND)
+    ground = objective.ground_radiance(sky, ground_albedo)
+    ones = light.new_ones(len(light), 3)
     losses = objective.sun_nll(light)
     if losses is None:
         losses = light.new_zeros(len(light))

@@ -6,13 +6,14 @@ from itertools import islice
 from typing import TypeVar
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.inverse.lbfgs import minimise
+from skylight.inverse.objective.answer import Ends, face_lights
+from skylight.inverse.objective.descent import Points, Round, descend
 from skylight.inverse.objective.face_term import FaceTerm
-from skylight.inverse.objective.light_objective import LightObjective, Unpacked
+from skylight.inverse.objective.light_objective import LightObjective
 from skylight.inverse.objective.lit_faces import LitFaces
 from skylight.inverse.objective.starts import choose_starts
 from skylight.inverse.objective.weights import ObjectiveWeights
@@ -23,7 +24,7 @@ from skylight.inverse.posterior import (
     sun_evidence,
     sun_posterior,
 )
-from skylight.inverse.result import UNEXPLAINED, Estimate, FaceLight, Status, advice, residual
+from skylight.inverse.result import UNEXPLAINED, Estimate, advice
 from skylight.inverse.scan import SunScan, scan_faces
 from skylight.inverse.sun_prior import SunPrior
 from skylight.models.base import LightModel, Prior
@@ -35,25 +36,16 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Round:
-    """So many of the best ``starts``, minimised on ``level`` (0 is the finest) of the pyramid.
-
-    With ``even_skin`` each face has one albedo, whatever the weights say.
-    """
-
-    level: int
-    starts: int
-    iterations: int
-    even_skin: bool = False
-
-
-@dataclass(frozen=True, kw_only=True)
 class SolverOptions:
     """Effort of the optimisation: directions taken from the scan, then rounds, coarse to fine.
 
     Many starts matter: from three, faces lit from behind ended in minima up to 50 nats above those
     that ten find. The coarsest level, on which suns compete, has even skin: pigments that settle
-    beside a sun that is wrong excuse it.
+    beside a sun that is wrong excuse it. The last rounds take Gauss-Newton steps: twenty of L-BFGS
+    ended up to 100 nats above where these do, with suns that were not yet where the face has them.
+
+    With ``evidence`` the estimate tells how likely the faces are under the model, which takes as
+    many derivatives of the sky as that has parameters.
     """
 
     scan_candidates: int = 10
@@ -61,11 +53,12 @@ class SolverOptions:
         Round(level=3, starts=10, iterations=10, even_skin=True),
         Round(level=3, starts=4, iterations=15, even_skin=True),
         Round(level=2, starts=2, iterations=12),
-        Round(level=1, starts=1, iterations=10),
-        Round(level=0, starts=1, iterations=10),
+        Round(level=1, starts=1, iterations=5, newton=True),
+        Round(level=0, starts=1, iterations=3, newton=True),
     )
     tolerance: float = 1e-4
     weights: ObjectiveWeights = ObjectiveWeights()
+    evidence: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,11 +118,11 @@ class SkySolver:
             if objective is None or stage != before:
                 objective = None  # of many faces, one level at a time is much memory
                 before, objective = stage, self._objective(problems, priors, effort)
-            points = self._round(objective, points, effort)
+            points = descend(objective, points, effort, self.options.tolerance)
             if progress is not None:
                 progress(number / len(rounds))
         assert objective is not None
-        ends = _Ends.of(objective, points)
+        ends = Ends.of(objective, points, evidence=self.options.evidence)
         return [
             _estimate(ends, p, faces, rounds[-1].level, scan, each)
             for p, (faces, scan, each) in enumerate(zip(problems, scans, evidence, strict=True))
@@ -152,129 +145,24 @@ class SkySolver:
 
     def _starts(
         self, faces: LitFaces, prior: SunPrior | None, directions: Float[Tensor, "d 3"]
-    ) -> "_Points":
+    ) -> Points:
         objective = self._objective([faces], [prior], self.options.rounds[0])
         free, scores = choose_starts(objective, directions, self.albedo_modes)
-        return _Points(free=free, scores=scores, converged=torch.zeros_like(scores) > 0)
-
-    def _round(
-        self, objective: LightObjective, points: "Sequence[_Points]", effort: Round
-    ) -> "list[_Points]":
-        """The best of each problem's points, minimised as one batch."""
-        best = [one.free[one.scores.argsort()[: effort.starts]] for one in points]
-        starts = [objective.uneven(free) for free in best]
-        sizes = [len(start) for start in starts]
-        problem = torch.cat([torch.full((n,), p) for p, n in enumerate(sizes)]).to(starts[0].device)
-        result = minimise(
-            lambda x, rows: objective(x, problem[rows]),
-            torch.cat(starts),
-            iterations=effort.iterations,
-            tolerance=self.options.tolerance,
-        )
-        # in the tone to answer with, so that hue and light settle to it
-        free = objective.at_bayes_scale(result.x)
-        with torch.no_grad():
-            scores = objective(free, problem)
-        ends = zip(
-            points,
-            free.split(sizes),
-            scores.split(sizes),
-            result.converged.split(sizes),
-            result.evaluations.split(sizes),
-            result.nonfinite.split(sizes),
-            strict=True,
-        )
-        return [
-            _Points(
-                free=free,
-                scores=scores,
-                converged=converged,
-                evaluations=before.evaluations + int(evaluations.sum()),
-                nonfinite=before.nonfinite + int(nonfinite.sum()),
-            )
-            for before, free, scores, converged, evaluations, nonfinite in ends
-        ]
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Points:
-    """Points of one problem, where rounds start and end, and what led there."""
-
-    free: Float[Tensor, "s q"]
-    scores: Float[Tensor, " s"]
-    converged: Bool[Tensor, " s"]
-    evaluations: int = 0
-    nonfinite: int = 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Ends:
-    """The best point of each of p problems, and what it means."""
-
-    objective: LightObjective
-    parts: Unpacked
-    white_balance: Float[Tensor, "p k 3"]
-    albedos: list[Float[Tensor, "p _ 3"]]
-    shadings: list[Float[Tensor, "p _ 3"]]
-    sky: Float[Tensor, "p n 3"]
-    terms: dict[str, Float[Tensor, " p"]]
-    status: list[Status]
-    stats: list[dict[str, float | int]]
-
-    @staticmethod
-    @torch.no_grad()
-    def of(objective: LightObjective, points: Sequence[_Points]) -> "_Ends":
-        best = [int(one.scores.argmin()) for one in points]
-        free = torch.stack([one.free[i] for one, i in zip(points, best, strict=True)])
-        problem = torch.arange(len(points)).to(free.device)
-        parts = objective.unpack(free)
-        status: list[Status] = []
-        for one, i in zip(points, best, strict=True):
-            if bool(one.converged[i]):
-                status.append("converged")
-            else:
-                status.append(
-                    "recovered from a non-finite step" if one.nonfinite else "iteration limit"
-                )
-        return _Ends(
-            objective=objective,
-            parts=parts,
-            white_balance=objective.white_balance(parts),
-            albedos=[objective.albedo(parts, k, problem) for k in range(len(objective.faces))],
-            shadings=objective.shading(parts, problem),
-            sky=objective.model(parts.light),
-            terms=objective.terms(free, problem),
-            status=status,
-            stats=[{"evaluations": one.evaluations, "nonfinite": one.nonfinite} for one in points],
-        )
+        return Points(free=free, scores=scores, converged=torch.zeros_like(scores) > 0)
 
 
 def _estimate(
-    ends: _Ends, p: int, faces: LitFaces, level: int, scan: SunScan, evidence: SunEvidence
+    ends: Ends, p: int, faces: LitFaces, level: int, scan: SunScan, evidence: SunEvidence
 ) -> Estimate:
     """The answer to problem ``p``, in its photographs' units and on the CPU."""
-    parts, scales = ends.parts, faces.scales()
-    lights = []
-    for k, (face, term) in enumerate(zip(faces, faces.terms(level), strict=True)):
-        # others may have more pixels
-        shading = term.seen(ends.shadings[k][p, : term.target.shape[1]])
-        clipped = None if term.clipped is None else term.clipped[0]
-        lights.append(
-            FaceLight(
-                photo=face.photo,
-                exposure=float(parts.exposure[p, face.photo]) * scales[face.photo],
-                white_balance=ends.white_balance[p, face.photo].cpu(),
-                albedo=parts.albedo[p, k].cpu(),
-                pixel_albedo=ends.albedos[k][p, : len(shading)].cpu(),
-                gloss=float(parts.gloss[p, k]),
-                rendered=(shading * scales[face.photo]).cpu(),
-                residual=residual(shading, term.target[0], clipped),
-            )
-        )
-    sky = ends.sky[p] * (parts.exposure[p, 0] * scales[0])
-    layout = ends.objective.model.grid.layout
+    parts, model, ground = ends.parts, ends.objective.model, ends.objective.ground
+    lights = face_lights(ends, p, faces, level)
+    with torch.no_grad():
+        sky = model(parts.light[p, None])[0] * lights[0].exposure
+    layout = model.grid.layout
     assert layout is not None
-    full = ends.objective.ground.append(sky, parts.ground_albedo[p]).cpu()
+    assert ground is not None
+    full = ground.append(sky, parts.ground_albedo[p]).cpu()
     environment = EnvironmentMap(radiance=full.reshape(2 * layout[0], layout[1], 3))
     sun = environment.brightest_direction()
     posterior = sun_posterior(
@@ -288,21 +176,22 @@ def _estimate(
         sun_prior=faces.sun_prior,
     )
     return Estimate(
-        light=ends.objective.model.name,
+        light=model.name,
         environment=environment,
         params=parts.light[p].cpu(),
         ground_albedo=parts.ground_albedo[p].cpu(),
         sun_direction=sun,
         posterior=posterior,
-        faces=tuple(lights),
+        faces=lights,
         terms={name: float(values[p]) for name, values in ends.terms.items()},
         status=ends.status[p],
-        advice=advice(tuple(lights)),
+        advice=advice(lights),
         stats={
             **ends.stats[p],
             "scan_residual": float(scan.residuals.min()),
             "sun_strength": float(scan.strengths[0]),
         },
+        log_evidence=None if ends.log_evidence is None else float(ends.log_evidence[p]),
     )
 
 

@@ -4,8 +4,10 @@ import { el, freshId } from "../shared/dom";
 
 /** What each light model assumes, for people who choose one. */
 const HINTS: Record<string, string> = {
+  auto: "Decides by itself; takes twice as long.",
   autoencoder: "Best for daylight outdoors.",
   sunsky: "A clear sky and a sun, few parameters.",
+  lamps: "Rooms, studios, streets at night: up to three lamps.",
   sh9: "Quick and soft; assumes nothing, indoors too.",
   sh25: "Soft, with more detail; assumes nothing.",
 };

@@ -14,7 +14,7 @@ export interface ResultCard {
   setExposure: (factor: number) => void;
 }
 
-const NO_SUN = "overcast: no sun";
+const UNSEEN = ["overcast: no sun", "even: no lamp"];
 
 /** One estimate: its light as panorama and balls, where the sun may stand, numbers, files. */
 export async function resultCard(title: string, job: Job<EstimateResult>): Promise<ResultCard> {
@@ -24,7 +24,7 @@ export async function resultCard(title: string, job: Job<EstimateResult>): Promi
     loadRadianceMap(fileUrl(job.job, "posterior.exr")),
   ]);
   const { sun } = result;
-  const sees = result.posterior.verdict !== NO_SUN;
+  const sees = !UNSEEN.includes(result.posterior.verdict);
   const posterior = sees ? posteriorOf(density, result.posterior.region_edge_per_sr) : null;
 
   const words = inWords(sun.azimuth_deg, sun.zenith_deg);
@@ -35,6 +35,9 @@ export async function resultCard(title: string, job: Job<EstimateResult>): Promi
   const pieces = posterior ? outline(posterior) : [];
   view.setOverlay((context, width, height) => {
     if (posterior) drawOutline(context, posterior, pieces, width, height);
+    for (const lamp of result.lamps.slice(1)) {
+      markDirection(context, fromAngles(lamp.azimuth_deg, lamp.zenith_deg), width, height, "#ffffff");
+    }
     markDirection(context, towardsSun, width, height, sees ? "#ffd23f" : "#ffffff");
   });
   view.setMap(map);
@@ -44,7 +47,7 @@ export async function resultCard(title: string, job: Job<EstimateResult>): Promi
   shown.element.append(ball.element);
 
   const legend = sees
-    ? `Middle: where the camera looks. Ring: the sun as found. Line: where it stands with about ${Math.round(100 * result.posterior.share)} % certainty.`
+    ? `Middle: where the camera looks. Ring: the ${result.lamps.length > 0 ? "main lamp" : "sun"} as found${result.lamps.length > 1 ? ", white the others" : ""}. Line: where it stands with about ${Math.round(100 * result.posterior.share)} % certainty.`
     : "Middle: where the camera looks. Ring: the brightest place; no sun was seen.";
   const element = el(
     "article",
@@ -82,11 +85,15 @@ function numbers(result: EstimateResult, words: string, sees: boolean): HTMLElem
   const sure = `${Math.round(100 * posterior.share)} % within a circle of ${degrees(posterior.region_radius_deg)} radius`;
   const all = Object.values(seconds).reduce((sum, one) => sum + one, 0);
   const lines: [string, string][] = [
+    ...(result.choice
+      ? ([["Light", `${sentence(result.choice.scene)}, ${Math.round(100 * result.choice.probability)} % sure`]] as [string, string][])
+      : []),
     ["Verdict", sentence(posterior.verdict)],
-    [sees ? "Sun" : "Brightest", sentence(words)],
+    [sees ? (result.lamps.length > 0 ? "Main lamp" : "Sun") : "Brightest", sentence(words)],
     ["Azimuth", `${degrees(Math.abs(sun.azimuth_deg))} to the ${sun.azimuth_deg < 0 ? "left" : "right"} of the camera's view`],
     ["Zenith angle", `${degrees(sun.zenith_deg)}, that is ${degrees(Math.abs(elevation))} ${elevation < 0 ? "below" : "above"} the horizon`],
     ...(sees ? ([["How sure", sure]] as [string, string][]) : []),
+    ...result.lamps.map((lamp, i) => [`Lamp ${i + 1}`, lampInWords(lamp)] as [string, string]),
     ...faces.map(
       (face, i) =>
         [
@@ -97,6 +104,12 @@ function numbers(result: EstimateResult, words: string, sees: boolean): HTMLElem
     ["Time", `${Math.round(all)} s`],
   ];
   return el("dl", { class: "numbers" }, ...lines.flatMap(([term, value]) => [el("dt", {}, term), el("dd", {}, value)]));
+}
+
+/** Where a lamp stands, what a surface that faces it receives, and its half width. */
+function lampInWords({ azimuth_deg, zenith_deg, irradiance, spread_deg }: EstimateResult["lamps"][number]): string {
+  const [red, green, blue] = irradiance.map((value) => value.toPrecision(2));
+  return `${inWords(azimuth_deg, zenith_deg)}; irradiance ${red}, ${green}, ${blue} (RGB); spread ${Math.round(spread_deg)}°`;
 }
 
 const sentence = (line: string): string => line.charAt(0).toUpperCase() + line.slice(1);

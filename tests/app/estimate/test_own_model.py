@@ -16,7 +16,8 @@ from skylight.evaluation.main import EVALUATIONS
 from skylight.faces.fit import camera_project
 from skylight.faces.model import HeadModel
 from skylight.inverse.estimate import estimate_light
-from skylight.inverse.sky.solver import Round, SolverOptions
+from skylight.inverse.objective.descent import Round
+from skylight.inverse.sky.solver import SolverOptions
 from tests.evaluation.harness.test_run import Counting
 from tests.inverse.test_solve import SUNS, watched
 

@@ -27,7 +27,9 @@ def answers(radiance: torch.Tensor, folder: Path) -> "Callable[[Route], None]":
     write_environment_map(folder / "posterior.exr", EnvironmentMap(radiance=peak))
     result = {
         "light": "autoencoder",
+        "choice": None,
         "sun": {"azimuth_deg": 90.0, "zenith_deg": 50.0},
+        "lamps": [],
         "posterior": {
             "verdict": "sun",
             "share": 0.9,

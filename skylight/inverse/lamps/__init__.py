@@ -1,0 +1,1 @@
+"""Illumination by lamps in smooth ambient light, on the whole sphere."""

@@ -1,0 +1,77 @@
+"""Skies and lamps compete: balls whose light is known, and the words for what was chosen."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from skylight.errors import InputError
+from skylight.inverse.auto import TEMPERATURE, choose, scene_of
+from skylight.inverse.estimate import estimate_light, light_problem, smooth_autoencoder
+from skylight.inverse.result import Lamp
+from skylight.models.bundle import load_bundle
+from skylight.models.ground import LambertianGround
+from tests.inverse.test_lamps import lit_ball
+from tests.inverse.test_solve import MODES, ball_normals, observed
+
+
+def under_a_learnt_sky():
+    """A ball of skin under a sky that the decoder makes, with its sun on the camera's side."""
+    model = smooth_autoencoder(load_bundle())
+    sun = torch.nn.functional.normalize(torch.tensor([[0.6, 0.5, 0.7]], dtype=torch.float64))
+    with torch.no_grad():
+        sky = model(model.starts_towards(sun)[0, :1])
+        light = LambertianGround(32).append(sky, torch.full((1, 3), 0.12))[0].double()
+    blank = observed(np.zeros((len(ball_normals()[0]), 3)))
+    assert blank.gloss is not None
+    gloss = blank.gloss.matrix.double() @ light
+    return observed((MODES[0].double() * (blank.transport.matrix.double() @ light) + gloss).numpy())
+
+
+@pytest.fixture(scope="module")
+def from_below():
+    return estimate_light(lit_ball(((0.6, -0.6, 0.6), 3.0)), "auto")
+
+
+def test_light_from_below_is_no_sky(from_below):
+    assert from_below.light == "lamps"
+    assert from_below.choice.scene == "no open sky, one lamp"
+    assert from_below.choice.probability > 0.95
+    evidence = from_below.choice.log_evidence
+    assert evidence["lamps"] > evidence["autoencoder"] + 3 * TEMPERATURE
+
+
+def test_a_sky_is_a_sky():
+    found = estimate_light(under_a_learnt_sky(), "auto")
+    assert found.light == "autoencoder"
+    assert found.choice.scene == "open sky, sun"
+    assert found.choice.probability > 0.6
+
+
+def test_the_likeliest_is_chosen_and_as_sure_as_the_gap_says(from_below):
+    other = replace(from_below, light="autoencoder", log_evidence=-5.0)
+    one = replace(from_below, log_evidence=-5.0 + TEMPERATURE)
+    for rivals in ([one, other], [other, one]):
+        found = choose(rivals)
+        assert found.light == "lamps"
+        assert found.choice.probability == pytest.approx(torch.tensor(1.0).sigmoid().item())
+    with pytest.raises(ValueError, match="have evidence"):
+        choose([one, replace(other, log_evidence=None)])
+
+
+@pytest.mark.parametrize(
+    ("direction", "scene"),
+    [((0, 0.1, 1), "flash"), ((0, 0.5, 1), "one lamp"), ((0, 0, -1), "one lamp")],
+)
+def test_a_lamp_at_the_camera_is_a_flash(from_below, direction, scene):
+    towards = torch.nn.functional.normalize(torch.tensor(direction, dtype=torch.float64), dim=0)
+    lamp = Lamp(direction=towards, irradiance=torch.ones(3), spread_rad=0.1)
+    assert scene_of(replace(from_below, lamps=(lamp,))) == f"no open sky, {scene}"
+    two = replace(from_below, lamps=(lamp, lamp))
+    assert scene_of(two) == "no open sky, two lamps"
+
+
+def test_without_observations():
+    with pytest.raises(InputError, match="no observation"):
+        light_problem("auto").solve()

@@ -1,0 +1,83 @@
+"""Laplace's approximation of the evidence against importance sampling of the integral itself."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from skylight.inverse.objective.descent import Points, Round, descend
+from skylight.inverse.objective.evidence import log_evidence
+from skylight.inverse.objective.face_term import FaceTerm
+from skylight.inverse.objective.light_objective import LightObjective
+from skylight.inverse.objective.weights import ObjectiveWeights
+from skylight.models.lamps import AMBIENT_PARAMETERS, LampsLight, LampsPrior
+from tests.inverse.test_objective import ROWS, normal, observation
+
+pytestmark = pytest.mark.usefixtures("double")
+DEGREES_OF_FREEDOM = 8.0
+
+
+def under_a_lamp(noise):
+    """(objective, its minimum) of pixels in the light of one lamp, with noise."""
+    model, seen = LampsLight(1, 2 * ROWS), observation()
+
+    def objective(pixels):
+        term = FaceTerm.of(replace(seen, pixels=pixels), sphere=True)
+        return LightObjective([term], model, LampsPrior(1), normal(3), ObjectiveWeights())
+
+    generator = torch.Generator().manual_seed(5)
+    known = objective(seen.pixels)
+    truth = 0.3 * torch.randn(1, known.size, generator=generator)
+    truth[:, AMBIENT_PARAMETERS : AMBIENT_PARAMETERS + 3] = torch.tensor([0.5, 0.5, 0.7])
+    pixels = known.shading(known.unpack(truth))[0][0]
+    pixels = pixels * (1 + noise * torch.randn(pixels.shape, generator=generator))
+    noisy = objective(pixels)
+    start = Points(free=truth, scores=noisy(truth), converged=torch.tensor([False]))
+    (end,) = descend(noisy, [start], Round(level=0, starts=1, iterations=60, newton=True), 1e-9)
+    return noisy, end.free
+
+
+def sampled(objective, minimum, count=30_000):
+    """log int exp(-f), by draws from Student's t about the minimum, as wide as f is there."""
+    size = objective.size
+    slope = torch.func.hessian(lambda x: objective(x[None])[0])(minimum[0])
+    values, vectors = torch.linalg.eigh(slope)
+    values = values.clamp(min=1.0)
+    generator = torch.Generator().manual_seed(0)
+    normal_draws = torch.randn(count, size, generator=generator)
+    squares = torch.randn(count, int(DEGREES_OF_FREEDOM), generator=generator).square().sum(1)
+    draws = normal_draws * (DEGREES_OF_FREEDOM / squares).sqrt()[:, None]
+    points = minimum + draws @ (vectors / values.sqrt()).T
+    half = (DEGREES_OF_FREEDOM + size) / 2
+    log_density = (
+        math.lgamma(half)
+        - math.lgamma(DEGREES_OF_FREEDOM / 2)
+        - size / 2 * math.log(DEGREES_OF_FREEDOM * math.pi)
+        + 0.5 * values.log().sum()
+        - half * torch.log1p(draws.square().sum(1) / DEGREES_OF_FREEDOM)
+    )
+    with torch.no_grad():
+        losses = torch.cat([objective(block) for block in points.split(3_000)])
+    return float((-losses - log_density).logsumexp(0)) - math.log(count)
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.06])
+def test_it_is_the_integral_over_all_unknowns(noise):
+    objective, minimum = under_a_lamp(noise)
+    assert float(log_evidence(objective, minimum)) == pytest.approx(
+        sampled(objective, minimum), abs=7
+    )
+
+
+def test_more_unknowns_than_the_pixels_tell_of_cost():
+    """A lamp more, of next to no energy, changes no pixel: its prior's volume is lost."""
+    objective, minimum = under_a_lamp(0.02)
+    lamp = torch.tensor([[0.0, 1.0, 0.5, -5.0, 0.0, 0.0, 0.0]])
+    light, rest = minimum.tensor_split([objective.model.parameter_count], 1)
+    (face,) = objective.faces
+    two = LightObjective(
+        [face], LampsLight(2, 2 * ROWS), LampsPrior(2), objective.albedo_prior, objective.weights
+    )
+    more = torch.cat([light, lamp, rest], 1)
+    assert float(log_evidence(two, more)) < float(log_evidence(objective, minimum)) - 5

@@ -1,0 +1,98 @@
+"""The Jacobian of the faces' deviations: that of the whole objective, differentiated forward."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch.func import jvp
+
+from skylight.inverse.objective.face_term import FaceTerm
+from skylight.inverse.objective.light_objective import LightObjective
+from skylight.inverse.objective.linearised import deviations, jacobian
+from skylight.inverse.objective.weights import ObjectiveWeights
+from skylight.models.lamps import LampsLight, LampsPrior
+from skylight.transport.normal_modes import NormalModes
+from tests.inverse.test_objective import MODEL, ROWS, normal, observation
+
+pytestmark = pytest.mark.usefixtures("double")
+WEIGHTS = ObjectiveWeights(pigment_spread=1.0, normal_spread=0.5)
+
+
+def first(transport, points):
+    return replace(transport, matrix=transport.matrix[:points])
+
+
+def face(*, pixels=64, gloss=True, turned=True, uneven=True, clipped=False, grey=False):
+    seen = observation(gloss=gloss)
+    seen = replace(
+        seen,
+        pixels=seen.pixels[:pixels],
+        weights=seen.weights[:pixels],
+        places=seen.places[:pixels],
+        transport=first(seen.transport, pixels),
+        gloss=None if seen.gloss is None else first(seen.gloss, pixels),
+    )
+    generator = torch.Generator().manual_seed(4)
+    count = len(seen.pixels)
+    if turned:
+        normals = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=1)
+        modes = 0.3 * torch.randn(count, 3, 5, generator=generator)
+        errors = NormalModes.of(seen.transport, normals, modes, ROWS)
+        seen = replace(seen, normal_modes=errors)
+    if uneven:
+        seen = replace(seen, modes=0.4 * torch.randn(count, 4, generator=generator))
+    if clipped:
+        seen = replace(seen, clipped=seen.pixels.mean(1) > 0.7)
+    return replace(seen, grey=grey)
+
+
+def check(objective, problem=None):
+    free = 0.5 * torch.randn(4, objective.size, generator=torch.Generator().manual_seed(3))
+    found = jacobian(objective, free, problem)
+    for column in range(objective.size):
+        along = torch.zeros_like(free)
+        along[:, column] = 1
+        _, expected = jvp(lambda x: deviations(objective, x, problem), (free,), (along,))
+        torch.testing.assert_close(found[:, :, column], expected)
+    return found
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        {},
+        {"gloss": False, "turned": False, "uneven": False},
+        {"clipped": True},
+        {"grey": True, "uneven": False},
+    ],
+)
+def test_under_a_sky(kind):
+    seen = FaceTerm.of(face(**kind))
+    objective = LightObjective([seen], MODEL, normal(9), normal(3), WEIGHTS)
+    found = check(objective)
+    assert bool((found.abs().amax((0, 1)) > 0)[-3:].all())  # the ground's albedo
+
+
+def test_under_lamps_on_the_whole_sphere():
+    model = LampsLight(2, 2 * ROWS)
+    seen = FaceTerm.of(face(), sphere=True)
+    check(LightObjective([seen], model, LampsPrior(2), normal(3), WEIGHTS))
+
+
+def test_of_two_faces_in_two_photographs():
+    """Each face's exposure is its photograph's."""
+    first, second = face(), face(clipped=True)
+    faces = [FaceTerm.of(first), replace(FaceTerm.of(second), photo=1)]
+    objective = LightObjective(faces, MODEL, normal(9), normal(3), WEIGHTS)
+    found = check(objective)
+    pixels = found.shape[1] // 2
+    exposures = MODEL.parameter_count, MODEL.parameter_count + 3
+    assert float(found[:, pixels:, exposures[0]].abs().max()) == 0
+    assert float(found[:, :pixels, exposures[1]].abs().max()) == 0
+
+
+def test_of_faces_in_two_problems():
+    one, other = face(), face(pixels=40, clipped=True)
+    terms = FaceTerm.together([FaceTerm.of(one), FaceTerm.of(other)])
+    objective = LightObjective([terms], MODEL, normal(9), normal(3), WEIGHTS)
+    check(objective, torch.tensor([0, 0, 0, 1]))
