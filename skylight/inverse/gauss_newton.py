@@ -20,8 +20,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from skylight.inverse.charbonnier import charbonnier
 from skylight.inverse.lbfgs import Minimum
-from skylight.inverse.objective.face_term import charbonnier
 
 # Of points (b,p), and of which starts they are (b,)
 Residuals = Callable[[Tensor, Tensor], Tensor]  # (b,m)

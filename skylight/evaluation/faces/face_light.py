@@ -4,7 +4,7 @@ import math
 import resource
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -23,10 +23,12 @@ from skylight.faces.observe import FaceView, observe_face
 from skylight.faces.photographs import choose_landmarker, fit_visible
 from skylight.imaging.colour import tone_map
 from skylight.imaging.photo import Photo
+from skylight.inverse.auto import RIVALS, choose
 from skylight.inverse.posterior import SunPosterior
 from skylight.inverse.result import Estimate
 from skylight.models.names import LightName
 from skylight.sphere.envmap import EnvironmentMap, luminance
+from skylight.transport.observation import Observation
 
 NOT_FOUND = "no face found by the landmark detector"
 METHODS: tuple[LightName, ...] = ("sh9", "sh25", "sunsky", "autoencoder")
@@ -73,17 +75,44 @@ def light_of(
         observe = partial(observe_face, face_height_px=face_height_px)
     with stage(seconds, "transport"):
         view = observe(face.picture, face.clipped, HeadModel.load(), fit)
-    estimates, metrics = {}, {}
+    cpu_seconds: dict[str, float] = {}
+    estimates = light_by_method(view.observation, methods, seconds, options, cpu_seconds)
+    metrics = {
+        method: face_score(estimate.environment, face)
+        | {
+            "seconds": seconds[method],
+            "cpu_seconds": cpu_seconds[method],
+            "transport_seconds": seconds["transport"],
+        }
+        for method, estimate in estimates.items()
+    }
+    return LitFace(view=view, estimates=estimates, metrics=metrics)
+
+
+def light_by_method(
+    observation: Observation,
+    methods: Sequence[LightName],
+    seconds: dict[str, float],
+    options: EstimateOptions,
+    cpu_seconds: dict[str, float] | None = None,
+) -> dict[str, Estimate]:
+    """The light of a face by every method; ``seconds`` are told what each took, under its name.
+
+    "auto" chooses from those of :data:`~skylight.inverse.auto.RIVALS`, which come before it.
+    """
+    if "auto" in methods:
+        options = options.with_evidence()
+    estimates: dict[str, Estimate] = {}
     for method in methods:
         cpu_start = time.process_time()
         with stage(seconds, method):
-            estimates[method] = options.estimate(view.observation, method)
-        metrics[method] = face_score(estimates[method].environment, face) | {
-            "seconds": seconds[method],
-            "cpu_seconds": time.process_time() - cpu_start,
-            "transport_seconds": seconds["transport"],
-        }
-    return LitFace(view=view, estimates=estimates, metrics=metrics)
+            if method == "auto":
+                estimates[method] = choose([estimates[rival] for rival in RIVALS])
+            else:
+                estimates[method] = options.estimate(observation, method)
+        if cpu_seconds is not None:
+            cpu_seconds[method] = time.process_time() - cpu_start
+    return estimates
 
 
 def observe_largest(

@@ -16,9 +16,9 @@ from skylight.errors import InputError
 from skylight.evaluation.faces.face_light import (
     NOT_FOUND,
     coverage,
+    light_by_method,
     observe_largest,
     seen_and_rendered,
-    stage,
 )
 from skylight.evaluation.faces.options import EstimateOptions
 from skylight.evaluation.harness.data_folder import read_index
@@ -37,9 +37,11 @@ from skylight.models.names import LightName
 from skylight.sphere.frame import angle_between, angles_from_direction
 
 OURS: LightName = "autoencoder"
+METHODS: tuple[LightName, ...] = (OURS, "lamps", "auto")
 INDEX = "lamps.json"
 # linear; usual skin under white light, since the photographs are grey
 SKIN_TINT = (1.0, 0.66, 0.51)
+BY_LAMPS_DEG, CHOSEN = 5.0, 0.9  # median angle; photographs that are taken for lamps' light
 FOUND, MEDIAN_DEG, MEAN_DEG, BIAS_DEG = 0.97, 6.0, 9.0, 2.0
 TRUSTED_DEG, TRUSTED_SHARE = 10.0, 0.85
 COVERED = 0.85, 0.95
@@ -88,14 +90,16 @@ class Lamps:
             facts["found"] = "no face found" not in str(error)
             problem = NOT_FOUND if not facts["found"] else str(error)
             return Item(name=item, metrics={}, facts=facts, problem=problem)
-        with stage(seconds, OURS):
-            estimate = self.options.estimate(view.observation, OURS)
+        estimates = light_by_method(view.observation, METHODS, seconds, self.options)
+        estimate = estimates[OURS]
         shown = seen_and_rendered(view, estimate.rendered)
-        environments = {OURS: estimate.environment}
+        environments = {name: one.environment for name, one in estimates.items()}
         write_png(picture, beside(shown, strip(None, environments), item))
         facts |= {
             "found": True,
             "verdict": estimate.posterior.verdict,
+            "verdicts": {name: one.posterior.verdict for name, one in estimates.items()},
+            "chosen": estimates["auto"].light,
             "residual": estimate.faces[0].residual,
             "landmark_error": fit.landmark_error,
             "seconds": seconds,
@@ -103,7 +107,8 @@ class Lamps:
         }
         if float(lamp[2]) < 0:
             return Item(name=item, metrics={}, facts=facts)
-        estimates = {OURS: estimate} | (self._ablation(photo, view) if self.ablation else {})
+        if self.ablation:
+            estimates |= self._ablation(photo, view)
         metrics = {
             name: lamp_errors(one.sun_direction.double(), lamp) | coverage(one.posterior, lamp)
             for name, one in estimates.items()
@@ -149,6 +154,15 @@ class Lamps:
                 checks[f"bias of {what}"] = Check.at_most(bias, BIAS_DEG)
             covered = ours["in_region"]["mean"]
             checks["lamp in the 90 % region"] = Check.within(covered, *COVERED)
+        for name in ("lamps", "auto"):
+            if name in rows:
+                angle = rows[name]["angle_deg"]["median"]
+                checks[f"median angle of {name}"] = Check.at_most(angle, BY_LAMPS_DEG)
+        chosen = [item.facts["chosen"] == "lamps" for item in items if "chosen" in item.facts]
+        if chosen:
+            checks["photographs for which lamps are chosen"] = Check.at_least(
+                float(np.mean(chosen)), CHOSEN
+            )
         trusted = [
             item.metrics[OURS]["angle_deg"]
             for item in items

@@ -1,7 +1,7 @@
 """With which trained model, effort and device the light of faces is estimated."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from skylight.evaluation.harness.trained_model import trained_model
@@ -33,6 +33,10 @@ class EstimateOptions:
         if self.solver != _DEFAULT:
             config["solver"] = asdict(self.solver)
         return config
+
+    def with_evidence(self) -> "EstimateOptions":
+        """The same, so that skies can compete with lamps."""
+        return replace(self, solver=replace(self.solver, evidence=True))
 
     def estimate(
         self, observations: Observation | Sequence[Observation], light: LightName

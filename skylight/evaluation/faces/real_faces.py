@@ -7,7 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from skylight.errors import InputError
-from skylight.evaluation.faces.face_light import observe_largest, seen_and_rendered, stage
+from skylight.evaluation.faces.face_light import (
+    light_by_method,
+    observe_largest,
+    seen_and_rendered,
+)
 from skylight.evaluation.faces.notes import side_of_light
 from skylight.evaluation.faces.options import EstimateOptions
 from skylight.evaluation.harness.data_folder import read_index
@@ -18,7 +22,7 @@ from skylight.io.files import write_png
 from skylight.models.names import LightName
 
 OURS: LightName = "autoencoder"
-LINEAR: tuple[LightName, ...] = ("sh9", "sh25")
+METHODS: tuple[LightName, ...] = (OURS, "lamps", "auto", "sh9", "sh25")
 INDEX = "index.json"
 BEHIND = "sun-back"  # the class of photographs with the sun behind the head
 
@@ -51,11 +55,9 @@ class RealFaces:
         photo = read_photo(self.data / item, require_colour=True)
         seconds: dict[str, float] = {}
         fit, view = observe_largest(photo, item, seconds)
-        with stage(seconds, OURS):
-            ours = self.options.estimate(view.observation, OURS)
-        # two more lights at no cost, with the same transport: do the sides depend on the model?
-        others = {method: self.options.estimate(view.observation, method) for method in LINEAR}
-        estimates = {OURS: ours} | others
+        # with the same transport: do the sides depend on the model?
+        estimates = light_by_method(view.observation, METHODS, seconds, self.options)
+        ours = estimates[OURS]
         environments = {m: e.environment for m, e in estimates.items()}
         face = seen_and_rendered(view, ours.rendered)
         write_png(picture, beside(face, strip(None, environments), item))
@@ -72,7 +74,8 @@ class RealFaces:
             }
             if side is not None:
                 metrics[method]["right_side"] = float((across > 0) == (side == "right"))
-        metrics[OURS]["seconds"] = sum(seconds.values())
+        others = sum(seconds[method] for method in METHODS if method != OURS)
+        metrics[OURS]["seconds"] = sum(seconds.values()) - others
         facts: dict[str, object] = {
             "light": entry.get("light"),
             "note": note,
@@ -81,6 +84,8 @@ class RealFaces:
             "facing_deg": float(np.degrees(fit.facing_angle_rad)),
             "landmark_error": fit.landmark_error,
             "seconds": seconds,
+            "verdicts": {name: one.posterior.verdict for name, one in estimates.items()},
+            "chosen": estimates["auto"].light,
             "advice": list(ours.advice),
         }
         return Item(name=item, metrics=metrics, facts=facts)

@@ -27,8 +27,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from skylight.inverse.charbonnier import charbonnier
 from skylight.inverse.lbfgs import Objective, minimise
-from skylight.inverse.objective.face_term import charbonnier
 from skylight.models.autoencoder import HEIGHT, AutoencoderLight
 from skylight.models.ground import LambertianGround
 from skylight.models.harmonic import HarmonicLight, solve_linear

@@ -8,8 +8,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
+from skylight.inverse.charbonnier import charbonnier
 from skylight.inverse.harmonic.nonnegative import nonnegative_harmonics
-from skylight.inverse.objective.face_term import charbonnier, data_term
+from skylight.inverse.objective.face_term import data_term
 from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.posterior import face_evidence, sun_evidence, sun_posterior
 from skylight.inverse.result import UNEXPLAINED, Estimate, FaceLight, advice, residual

@@ -6,8 +6,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from skylight.inverse.charbonnier import charbonnier
 from skylight.inverse.gauss_newton import prior_shape
-from skylight.inverse.objective.face_term import charbonnier
 from skylight.inverse.objective.light_objective import LightObjective
 from skylight.inverse.objective.linearised import deviations, jacobian
 

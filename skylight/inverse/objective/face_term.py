@@ -8,13 +8,12 @@ from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
+from skylight.inverse.charbonnier import charbonnier
 from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.sphere.envmap import luminance
 from skylight.transport.diffuse import SkyTransport
 from skylight.transport.normal_modes import SkyNormalModes
 from skylight.transport.observation import Observation
-
-CHARBONNIER_EPSILON = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,11 +183,6 @@ def of_problem(
 def _padded(parts: Sequence[Shaped[Tensor, "1 _ *s"]]) -> Shaped[Tensor, "p m *s"]:
     """With zeros after the end of the shorter ones."""
     return pad_sequence([part[0] for part in parts], batch_first=True)
-
-
-def charbonnier(x: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
-    """``sqrt(x^2 + 1e-6)``: smooth, convex, close to ``|x|``."""
-    return torch.sqrt(x * x + CHARBONNIER_EPSILON)
 
 
 def data_term(

@@ -17,6 +17,7 @@ from skylight.evaluation.faces.any_light import (
     OURS,
     AnyLight,
     grey_light,
+    lamp_directions,
     lamp_scores,
     main_lamp_coverage,
     share_of_maps_better,
@@ -32,6 +33,7 @@ from skylight.evaluation.rendered_faces.render import RenderedFace
 from skylight.evaluation.scores.main_lamps import MapLamp, find_lamps
 from skylight.faces.skin import SkinPrior
 from skylight.inverse.posterior import SunPosterior
+from skylight.inverse.result import Lamp
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.matrix import TransportMatrix
@@ -56,6 +58,22 @@ def room(*lamps: tuple[float, float], elevation_deg: float = 10.0) -> Environmen
         light[disc] += share / grid.solid_angles[disc].sum()
     fine = EnvironmentMap(radiance=light.float().reshape(256, 512, 1).repeat(1, 1, 3))
     return fine.resize(64)
+
+
+def estimate_of(light: EnvironmentMap) -> SimpleNamespace:
+    return SimpleNamespace(
+        light="autoencoder",
+        environment=light,
+        lamps=(),
+        log_evidence=-100.0,
+        posterior=posterior_at(0),
+        faces=(SimpleNamespace(residual=0.1),),
+    )
+
+
+def peaks(light: EnvironmentMap) -> list[torch.Tensor]:
+    """The lamps of an estimate without any of its own."""
+    return lamp_directions((), light)
 
 
 def rendered_folder(out: Path, maps: list[TurnedMap | None], light: EnvironmentMap) -> Path:
@@ -104,12 +122,14 @@ def posterior_at(cell: int) -> SunPosterior:
 
 def test_the_main_lamp_is_asked_for_where_it_holds_enough_of_the_light() -> None:
     truth = find_lamps(room((0, 0.5), (90, 0.25)))
-    assert lamp_scores(room((12, 0.6)), truth)["main_lamp_deg"] == pytest.approx(11.8, abs=0.2)
+    assert lamp_scores(peaks(room((12, 0.6))), truth)["main_lamp_deg"] == pytest.approx(
+        11.8, abs=0.2
+    )
     # the larger lamp of an estimate is the main one, however small it is
     faint = room((90, 0.02), (-40, 0.03))
-    assert lamp_scores(faint, truth)["main_lamp_deg"] == pytest.approx(40, abs=1)
-    assert lamp_scores(room(), truth)["main_lamp_deg"] == 90
-    assert "main_lamp_deg" not in lamp_scores(room((0, 0.5)), find_lamps(room((0, 0.35))))
+    assert lamp_scores(peaks(faint), truth)["main_lamp_deg"] == pytest.approx(40, abs=1)
+    assert lamp_scores(peaks(room()), truth)["main_lamp_deg"] == 90
+    assert "main_lamp_deg" not in lamp_scores(peaks(room((0, 0.5))), find_lamps(room((0, 0.35))))
 
 
 def test_lamps_with_a_fifth_of_the_light_are_to_be_found_near_where_they_are() -> None:
@@ -118,10 +138,20 @@ def test_lamps_with_a_fifth_of_the_light_are_to_be_found_near_where_they_are() -
         (room((0, 0.3), (90, 0.25)), 1.0),
         (room((15, 0.3), (150, 0.3)), 0.5),  # the one at 90 is 60 degrees off
         (room((25, 0.3), (180, 0.3)), 0.0),  # the one at 180 is too small to count
-        (room((0, 0.03), (90, 0.03)), 0.0),  # and so are these, of an estimate
+        (room((0, 0.03), (90, 0.03)), 0.5),  # and so is one of these: the main one always counts
     ):
-        assert lamp_scores(estimate, truth)["lamps_found"] == found
-    assert lamp_scores(room(), find_lamps(room((0, 0.15)))) == {}
+        assert lamp_scores(peaks(estimate), truth)["lamps_found"] == found
+    assert lamp_scores(peaks(room()), find_lamps(room((0, 0.15)))) == {}
+
+
+def test_lamps_that_an_estimate_lists_are_its_lamps() -> None:
+    """Not the peaks of its map, of which its ambient light may have some."""
+    lamps = tuple(
+        Lamp(direction=direction(azimuth), irradiance=torch.full((3,), e), spread_rad=0.1)
+        for azimuth, e in ((100, 2.0), (-60, 1.0))
+    )
+    found = lamp_directions(lamps, room((0, 0.9)))
+    assert all(torch.equal(one, lamp.direction) for one, lamp in zip(found, lamps, strict=True))
 
 
 def test_coverage_is_asked_for_where_the_posterior_has_the_main_lamp() -> None:
@@ -161,11 +191,7 @@ def estimated(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def light_of(face, fit, methods, seconds, *, options):
         turned = room((40, 0.5))
-        estimate = SimpleNamespace(
-            environment=turned,
-            posterior=posterior_at(0),
-            faces=(SimpleNamespace(residual=0.1),),
-        )
+        estimate = estimate_of(turned)
         grid = DirectionGrid.latlong(8)
         observation = Observation(
             pixels=torch.full((3, 3), 0.2),
@@ -190,8 +216,8 @@ def test_a_face_under_a_map_from_end_to_end(tmp_path: Path) -> None:
     path = evaluate("any-light", quick=True, data=data, out=tmp_path / "out", workers=1)
     results = json.loads(path.read_text())
     assert results["problems"] == {}
-    assert list(results["rows"]) == ["sh25", "autoencoder", GREY]
-    for method in ("sh25", "autoencoder"):
+    assert list(results["rows"]) == ["sh25", "autoencoder", "lamps", "auto", GREY]
+    for method in ("sh25", "autoencoder", "lamps", "auto"):
         row = results["rows"][method]
         # azimuth at an elevation of 10 degrees
         assert row["main_lamp_deg"]["mean"] == pytest.approx(9.85, abs=0.2)
@@ -201,6 +227,7 @@ def test_a_face_under_a_map_from_end_to_end(tmp_path: Path) -> None:
     assert results["rows"][GREY]["main_lamp_deg"]["mean"] == 90
     assert results["rows"][GREY]["lamps_found"]["mean"] == 0
     facts = results["items"]["face0000"]
+    assert facts["chosen"] == "autoencoder"
     assert (facts["map"], facts["turn_deg"], facts["category"]) == ("lamp.exr", 30, "indoor")
     assert facts["lamps"] == pytest.approx([0.5], abs=0.02)
     assert "category" not in results["items"]["face0001"]
@@ -229,10 +256,10 @@ def item(number: int, file: str, **metrics: tuple[float, float]) -> Item:
 
 def test_methods_are_compared_by_the_mean_over_each_maps_faces() -> None:
     items = [
-        item(0, "a", lamps=(1.0, 1.0), sh25=(2.0, 2.0), grey=(2.0, 2.0)),
-        item(1, "a", lamps=(3.0, 1.0), sh25=(2.5, 2.0), grey=(2.5, 2.0)),  # better in the mean
-        item(2, "b", lamps=(1.0, 1.0), sh25=(2.0, 2.0), grey=(0.5, 2.0)),  # grey is better
-        item(3, "c", lamps=(1.0, 3.0), sh25=(2.0, 2.0), grey=(2.0, 4.0)),  # sh25 in all but mae
+        item(0, "a", auto=(1.0, 1.0), sh25=(2.0, 2.0), grey=(2.0, 2.0)),
+        item(1, "a", auto=(3.0, 1.0), sh25=(2.5, 2.0), grey=(2.5, 2.0)),  # better in the mean
+        item(2, "b", auto=(1.0, 1.0), sh25=(2.0, 2.0), grey=(0.5, 2.0)),  # grey is better
+        item(3, "c", auto=(1.0, 3.0), sh25=(2.0, 2.0), grey=(2.0, 4.0)),  # sh25 in all but mae
         Item(name="4", metrics={}, facts={"map": "d"}, problem="no face"),
     ]
     others = ["sh25", "grey"]
@@ -241,19 +268,20 @@ def test_methods_are_compared_by_the_mean_over_each_maps_faces() -> None:
     assert share_of_maps_better(items, others, ("mae", "rmse")) == pytest.approx(1 / 3)
 
 
-def test_goals_are_those_of_lamps(tmp_path: Path) -> None:
+def test_goals_are_those_of_auto(tmp_path: Path) -> None:
     data = rendered_folder(tmp_path / "faces", [LAMP], room())
     evaluation = AnyLight(data=data)
     others = {"sh25": (2.0, 2.0), "autoencoder": (2.0, 2.0), "grey": (2.0, 2.0)}
     assert evaluation.checks(summarise([item(0, "a", **others)]), []) == {}
     for own, ok in ((1.0, True), (2.5, False)):
-        items = [item(i, "a", lamps=(own, own), **others) for i in range(3)]
+        items = [item(i, "a", auto=(own, own), **others) for i in range(3)]
         for one, (angle, part) in zip(items, ((5.0, 1.0), (6.0, 1.0), (90.0, 0.2)), strict=True):
             worse = 1 if ok else 3
             extra = {"main_lamp_deg": angle * worse, "lamps_found": part / worse}
             one.metrics[OURS].update(extra)
+            one.facts["chosen"] = "lamps" if ok else "autoencoder"
         checks = evaluation.checks(summarise(items), items)
-        assert len(checks) == 2 + 2 + 4
+        assert len(checks) == 2 + 2 + 4 + 1
         assert {check.ok for check in checks.values()} == {ok}
     for share, met in ((1.0, False), (0.9, True), (0.8, False)):
         rows = summarise(items)
