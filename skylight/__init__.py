@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from skylight.io.files import read_environment_map, write_environment_map
     from skylight.models.autoencoder import AutoencoderLight
     from skylight.models.harmonic import HarmonicLight
+    from skylight.models.lamps import LampsLight
     from skylight.models.sunsky import SunSky
     from skylight.probes.partitions.probe import PartitionProbe
     from skylight.probes.voxel.probe import VoxelProbe
@@ -36,6 +37,7 @@ _HOME = {
     "Estimate": "skylight.inverse.result",
     "FilterBank": "skylight.csc.dictionary",
     "HarmonicLight": "skylight.models.harmonic",
+    "LampsLight": "skylight.models.lamps",
     "PartitionProbe": "skylight.probes.partitions.probe",
     "Photo": "skylight.imaging.photo",
     "PhotoEstimate": "skylight.app.estimate.types",
@@ -62,6 +64,7 @@ __all__ = [
     "Estimate",
     "FilterBank",
     "HarmonicLight",
+    "LampsLight",
     "PartitionProbe",
     "Photo",
     "PhotoEstimate",

@@ -12,6 +12,7 @@ from skylight.faces.skin import SkinPrior
 from skylight.inverse.auto import AutoProblem
 from skylight.inverse.harmonic.problem import HarmonicProblem
 from skylight.inverse.lamps.problem import LampsProblem
+from skylight.inverse.lamps.solver import LampsOptions
 from skylight.inverse.result import Estimate
 from skylight.inverse.sky.problem import SkyProblem, solve_together
 from skylight.inverse.sky.solver import SolverOptions
@@ -89,7 +90,8 @@ def estimate_light(
         The photograph of each observation, counted from 0; by default all are of one. Faces of
         one photograph share its exposure.
     options
-        Effort of the optimisation of skies; lamps have their own, harmonics none.
+        Effort of the optimisation of skies, and weights of the objective; lamps have efforts of
+        their own, harmonics none.
     sun_prior
         What time, place and heading tell of the sun, by
         :func:`skylight.inverse.sun_prior.sun_prior`.
@@ -193,7 +195,8 @@ def light_problems(
         harmonics = HarmonicLight(2 if light == "sh9" else 4).to(where)
         return [HarmonicProblem(harmonics, prior, modes, one) for one in sun_priors]
     if light == "lamps":
-        return [LampsProblem(prior, modes) for _ in sun_priors]
+        same = LampsOptions() if options is None else LampsOptions(weights=options.weights)
+        return [LampsProblem(prior, modes, same) for _ in sun_priors]
     bundle = (
         model
         if isinstance(model, LightBundle)
@@ -203,12 +206,14 @@ def light_problems(
         sky, over = smooth_autoencoder(bundle), bundle.prior()
     else:
         sky, over = SunSky(), copy.deepcopy(bundle.sunsky_prior)
+    options = options or SolverOptions()
     if light == "auto":
-        options = replace(options or SolverOptions(), evidence=True)
+        options = replace(options, evidence=True)
     first = SkyProblem(sky.to(where), over.to(where), prior, modes, options)
     skies = [first.another(one) for one in sun_priors]
     if light == "auto":
-        return [AutoProblem(sky, LampsProblem(prior, modes)) for sky in skies]
+        same = LampsOptions(weights=options.weights)
+        return [AutoProblem(sky, LampsProblem(prior, modes, same)) for sky in skies]
     return skies
 
 

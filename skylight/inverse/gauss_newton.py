@@ -45,7 +45,8 @@ def minimise_robust(
     """The best point from each start; never worse than the start.
 
     ``tolerance`` is relative to the loss: a start is finished once an accepted step lowers it by
-    less. Each iteration takes one Jacobian, of all starts as one batch.
+    less. Each accepted step takes one Jacobian, of all starts as one batch. Steps to where the loss
+    is not finite are rejected; a start where it is not has an infinite loss.
     """
     x = x0.clone()
     count = len(x)
@@ -57,6 +58,10 @@ def minimise_robust(
 
     r = residuals(x, every)
     loss = loss_of(x, every, r)
+    loss = torch.where(loss.isfinite(), loss, torch.inf)
+    slopes = x.new_zeros(x.shape, dtype=torch.float64)
+    hessians = x.new_zeros((*x.shape, x.shape[1]), dtype=torch.float64)
+    moved = torch.ones(count, dtype=torch.bool, device=x.device)  # since these were computed
     damping = x.new_full((count,), FIRST_DAMPING)
     moving = torch.ones(count, dtype=torch.bool, device=x.device)
     used, rejected = torch.zeros(count, dtype=torch.long), torch.zeros(count, dtype=torch.long)
@@ -64,25 +69,33 @@ def minimise_robust(
         which = moving.nonzero()[:, 0]
         if len(which) == 0:
             break
-        at = x[which]
-        slope, hessian = prior_shape(prior, at, which)
-        change = jacobian(at, which)
-        curved = change * (weights[which] / charbonnier(r[which]))[:, :, None]
-        slope = slope.double() + torch.einsum("bmp,bm->bp", curved, r[which]).double()
-        hessian = hessian.double() + torch.einsum("bmp,bmq->bpq", change, curved).double()
+        new = which[moved[which]]
+        if len(new):
+            slope, hessian = prior_shape(prior, x[new], new)
+            change = jacobian(x[new], new)
+            curved = change * (weights[new] / charbonnier(r[new]))[:, :, None]
+            slopes[new] = slope.double() + torch.einsum("bmp,bm->bp", curved, r[new]).double()
+            data = torch.einsum("bmp,bmq->bpq", change, curved).double()
+            hessians[new] = hessian.double() + data
+            # a start where nothing is finite stays where it is
+            usable = slopes[new].isfinite().all(1) & hessians[new].isfinite().all(2).all(1)
+            moved[new], moving[new] = False, usable
+            which = which[moving[which]]
+        at, slope, hessian = x[which], slopes[which], hessians[which]
         diagonal = hessian.diagonal(dim1=1, dim2=2).clamp(min=1e-6)
         damped = hessian + torch.diag_embed(damping[which, None].double() * diagonal)
         step = torch.linalg.solve(damped, slope[..., None])[..., 0].to(x)
         trial = at - step
-        new = residuals(trial, which)
-        value = loss_of(trial, which, new)
+        tried = residuals(trial, which)
+        value = loss_of(trial, which, tried)
         better = value < loss[which]
         used[which.cpu()] += 1
         rejected[which.cpu()] += (~value.isfinite()).long().cpu()
         settled = better & (loss[which] - value <= tolerance * loss[which].abs())
         damping[which] *= torch.where(better, LESS, MORE)
         good = which[better]
-        x[good], r[good], loss[good] = trial[better], new[better], value[better]
+        x[good], r[good], loss[good] = trial[better], tried[better], value[better]
+        moved[good] = True
         moving[which] = ~(settled | (damping[which] > 1e8))
     return Minimum(
         x=x,
@@ -110,6 +123,6 @@ def prior_shape(
     around = torch.cat([x[:, None] + steps, x[:, None] - steps], 1).flatten(0, 1)
     rows_around = rows.repeat_interleave(2 * size)
     ahead, behind = slope_of(around, rows_around).unflatten(0, (count, 2 * size)).chunk(2, 1)
-    hessian = (ahead - behind) / (2 * _STEP)
+    hessian = ((ahead - behind) / (2 * _STEP)).nan_to_num(posinf=0.0, neginf=0.0)
     values, vectors = torch.linalg.eigh(0.5 * (hessian + hessian.mT))
     return slope_of(x, rows), vectors @ (values.clamp(min=0)[..., None] * vectors.mT)

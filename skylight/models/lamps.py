@@ -25,7 +25,7 @@ AMBIENT_PARAMETERS, LAMP_PARAMETERS = 16, 7
 # Standard deviations over the sphere of the fields of log luminance of degree 1 and 2, and by how
 # much ceilings are brighter than floors: e^(2 x 0.3) with reflectances of 0.7 and 0.2 and lamps on
 # either side.
-AMBIENT_SPREADS = 0.6, 0.4
+AMBIENT_SPREADS = 0.35, 0.35
 UPWARD = 0.3
 # Of the log of red and of blue against green: all ambient light, and its field of degree 1. A
 # camera has balanced most of it.
@@ -34,6 +34,9 @@ LAMP_CHROMA = 0.2  # of a lamp against the ambient light's mean: tungsten beside
 # Medians and standard deviations of log e_k and log s_k: a bulb seen from across a room is a
 # degree wide, a window or a softbox 20
 LAMP_ENERGY, LAMP_ENERGY_SPREAD = 0.3, 1.0
+# Of e_k: a lamp with six sevenths of all light. One behind the head that only grazes it may have
+# any energy, as far as the face tells.
+MOST_ENERGY = 6.0
 LAMP_WIDTH_RAD, LAMP_WIDTH_SPREAD = math.radians(8.0), 0.7
 WIDTH_BOUNDS_RAD = math.radians(3.0), math.radians(40.0)  # half a cell of 32 rows; a wall
 LAMP_HEIGHT = 1.0  # p(d) ~ e^(h d_y): lamps above are e^2 times as likely as below
@@ -60,7 +63,7 @@ class LampsLight(nn.Module):
         8:16   log of its red, then of its blue against green, degrees 0 and 1
         then for each lamp
         0:3    direction, of any length but 0
-        3, 4   log energy, log width
+        3, 4   log energy (of 1 / (1 / e - 1 / 6): e stays below 6), log width
         5, 6   log of its red and of its blue against green
 
     """
@@ -125,10 +128,20 @@ class LampsLight(nn.Module):
         widths = LAMP_WIDTH_RAD * (LAMP_WIDTH_SPREAD * rest[..., 1]).exp()
         return Lamps(
             directions=nn.functional.normalize(each[..., :3], dim=-1),
-            energies=LAMP_ENERGY * (LAMP_ENERGY_SPREAD * rest[..., 0]).exp(),
+            energies=1
+            / (1 / MOST_ENERGY + (-LAMP_ENERGY_SPREAD * rest[..., 0]).exp() / LAMP_ENERGY),
             widths_rad=widths.clamp(*WIDTH_BOUNDS_RAD),
             colours=colours / luminance(colours)[..., None],
         )
+
+    @staticmethod
+    def facing(widths_rad: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
+        """Irradiance of a surface that faces a lamp of energy 1: the mean of max(cos, 0) over g.
+
+        ``(k - 1 + e^-k) / (k (1 - e^-2k))`` with ``k = 1 / s^2``.
+        """
+        sharpness = widths_rad**-2
+        return (sharpness - 1 + (-sharpness).exp()) / (sharpness * -torch.expm1(-2 * sharpness))
 
     def lobes(self, lamps: Lamps) -> Float[Tensor, "*batch k n"]:
         """g of each lamp, with an energy of exactly 1 over the grid's cells."""

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.inverse.auto import TEMPERATURE, choose, scene_of
+from skylight.inverse.auto import LEAD, TEMPERATURE, choose, scene_of
 from skylight.inverse.estimate import estimate_light, light_problem, smooth_autoencoder
 from skylight.inverse.result import Lamp
 from skylight.models.bundle import load_bundle
@@ -51,7 +51,7 @@ def test_a_sky_is_a_sky():
 
 def test_the_likeliest_is_chosen_and_as_sure_as_the_gap_says(from_below):
     other = replace(from_below, light="autoencoder", log_evidence=-5.0)
-    one = replace(from_below, log_evidence=-5.0 + TEMPERATURE)
+    one = replace(from_below, log_evidence=-5.0 + LEAD + TEMPERATURE)
     for rivals in ([one, other], [other, one]):
         found = choose(rivals)
         assert found.light == "lamps"

@@ -84,3 +84,12 @@ def test_the_prior_is_a_density_that_its_draws_have():
 def test_a_negative_number_of_lamps_is_refused():
     with pytest.raises(ValueError, match="-1 lamps: give 0 or more"):
         LampsLight(-1)
+
+
+@pytest.mark.parametrize("width_deg", [3, 8, 20, 40])
+def test_irradiance_of_a_surface_that_faces_a_lamp(width_deg):
+    width = torch.tensor(math.radians(width_deg), dtype=torch.float64)
+    cosine = torch.linspace(-1, 1, 400_001, dtype=torch.float64)
+    lobe = torch.exp((cosine - 1) / width**2)
+    expected = (lobe * cosine.clamp(min=0)).sum() / lobe.sum()
+    torch.testing.assert_close(LampsLight.facing(width), expected, rtol=1e-4, atol=0)

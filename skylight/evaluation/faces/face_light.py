@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from skylight.errors import InputError
 from skylight.evaluation.faces.known_faces import KnownFace
 from skylight.evaluation.faces.options import EstimateOptions
 from skylight.evaluation.scores.relit_scene import score
@@ -107,11 +108,17 @@ def light_by_method(
         cpu_start = time.process_time()
         with stage(seconds, method):
             if method == "auto":
+                if not {*RIVALS} <= {*estimates}:
+                    raise InputError(f"auto chooses from {' and '.join(RIVALS)}: name them first")
                 estimates[method] = choose([estimates[rival] for rival in RIVALS])
             else:
                 estimates[method] = options.estimate(observation, method)
         if cpu_seconds is not None:
             cpu_seconds[method] = time.process_time() - cpu_start
+    if "auto" in methods:  # which takes what its rivals take
+        for told in (seconds, cpu_seconds):
+            if told is not None:
+                told["auto"] = sum(told[rival] for rival in RIVALS)
     return estimates
 
 

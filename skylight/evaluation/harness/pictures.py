@@ -21,6 +21,8 @@ NAMES = {
     "sh9": "SH, 9 coefficients",
     "sh25": "SH, 25 coefficients",
     "sunsky": "Sun + Sky",
+    "lamps": "lamps",
+    "auto": "sky or lamps",
     "autoencoder_feedforward": "autoencoder, fed",
     "autoencoder": "autoencoder, fitted",
 }

@@ -16,8 +16,8 @@ from skylight.work.progress import Progress
 class LampsProblem:
     """Eq. 5.8 for all faces under one light that is no sky: give it each face, then solve.
 
-    Light is on :data:`~skylight.inverse.scan.SCAN_HEIGHT` rows of the sphere: half as much memory
-    as a sky has, 90 MB for a face of 3,700 pixels with gloss.
+    Light is on :data:`~skylight.inverse.scan.SCAN_HEIGHT` rows of the sphere: two thirds of the
+    memory that a sky has, 130 MB for a face of 3,700 pixels with gloss.
     """
 
     grid_height = SCAN_HEIGHT

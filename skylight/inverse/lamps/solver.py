@@ -169,10 +169,11 @@ def _estimate(
         radiance = LampsLight(model.count, MAP_ROWS)(params) * exposure
         found = model.cpu().lamps(params)
     environment = EnvironmentMap(radiance=radiance.reshape(MAP_ROWS, 2 * MAP_ROWS, 3))
+    received = 4 * math.pi * exposure * found.energies * LampsLight.facing(found.widths_rad)
     every = [
         Lamp(
             direction=found.directions[k].double(),
-            irradiance=4 * math.pi * exposure * found.energies[k] * found.colours[k],
+            irradiance=received[k] * found.colours[k],
             spread_rad=float(found.widths_rad[k]),
         )
         for k in range(model.count)

@@ -12,6 +12,8 @@ from torch.func import jvp, vmap
 from skylight.inverse.objective.face_term import FaceTerm, Transported, of_problem
 from skylight.inverse.objective.light_objective import TURN_STEP, LightObjective
 
+_MOST_CHANGES = 512  # of the light at a time: a decoder has 1 MB of activations for each
+
 
 def deviations(
     objective: LightObjective, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None
@@ -42,7 +44,8 @@ def jacobian(
         change: tuple[Tensor, Tensor] = jvp(radiance, (free,), (axis.expand(count, -1),))[1]
         return change
 
-    skies, grounds = (change.transpose(0, 1) for change in vmap(radiance_along)(axes[lit]))
+    mapped = vmap(radiance_along, chunk_size=max(1, _MOST_CHANGES // count))
+    skies, grounds = (change.transpose(0, 1) for change in mapped(axes[lit]))
     parts = objective.unpack(free)
     blocks = []
     for k, face in enumerate(objective.faces):

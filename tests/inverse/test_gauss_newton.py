@@ -1,0 +1,114 @@
+"""Gauss-Newton steps: known minima, starts that never get worse, batches like single starts."""
+
+import pytest
+import torch
+
+from skylight.inverse.charbonnier import charbonnier
+from skylight.inverse.gauss_newton import minimise_robust, prior_shape
+
+pytestmark = pytest.mark.usefixtures("double")
+
+
+def linear(seed=1, points=40, unknowns=5):
+    generator = torch.Generator().manual_seed(seed)
+    matrix = torch.randn(points, unknowns, generator=generator)
+    return matrix, matrix @ torch.randn(unknowns, generator=generator)
+
+
+def minimise_linear(matrix, right, x0, prior=None, **options):
+    prior = prior or (lambda x, _: 0 * x.sum(1))
+    return minimise_robust(
+        lambda x, _: x @ matrix.T - right,
+        lambda x, _: matrix.expand(len(x), -1, -1),
+        torch.ones(1, len(matrix)),
+        prior,
+        x0,
+        **{"iterations": 60, "tolerance": 1e-14} | options,
+    )
+
+
+def test_what_is_exact_is_found_in_spite_of_outliers():
+    """A tenth of the equations wrong: the minimum of absolute deviations is the other's answer."""
+    matrix, right = linear()
+    answer = torch.linalg.lstsq(matrix, right[:, None]).solution[:, 0]
+    right[::10] += 3
+    found = minimise_linear(matrix, right, torch.zeros(1, 5))
+    torch.testing.assert_close(found.x[0], answer, atol=2e-3, rtol=0)
+
+
+def test_the_end_is_a_minimum_of_the_whole():
+    matrix, right = linear()
+    right = right + torch.linspace(-1, 1, len(right)) ** 3
+
+    def prior(x, _):
+        return 0.5 * (x - 0.3).square().sum(1) + (x[:, 0] ** 4)
+
+    options = {"iterations": 500, "tolerance": 0.0}  # near kinks its steps are short
+    found = minimise_linear(matrix, right, torch.ones(1, 5), prior, **options).x.requires_grad_()
+    loss = charbonnier(found @ matrix.T - right).sum() + prior(found, None).sum()
+    (slope,) = torch.autograd.grad(loss, found)
+    assert float(slope.abs().max()) < 1e-3
+
+
+def curved(x, _=None):
+    """Rosenbrock's residuals."""
+    return torch.stack([10 * (x[:, 1] - x[:, 0] ** 2), 1 - x[:, 0]], 1)
+
+
+def curved_jacobian(x, _):
+    zero = torch.zeros_like(x[:, 0])
+    rows = [[-20 * x[:, 0], zero + 10], [zero - 1, zero]]
+    return torch.stack([torch.stack(row, 1) for row in rows], 1)
+
+
+def test_a_batch_is_as_its_starts_alone_and_never_worse():
+    starts = torch.tensor([[-1.2, 1.0], [0.0, 0.0], [3.0, -4.0]])
+    options = {"iterations": 25, "tolerance": 1e-12}
+    weights, prior = torch.ones(1, 2), lambda x, _: 0 * x.sum(1)
+    every = minimise_robust(curved, curved_jacobian, weights, prior, starts, **options)
+    for k, start in enumerate(starts):
+        alone = minimise_robust(curved, curved_jacobian, weights, prior, start[None], **options)
+        torch.testing.assert_close(every.x[k], alone.x[0])
+        assert float(every.loss[k]) < float(charbonnier(curved(start[None])).sum())
+    few = minimise_robust(curved, curved_jacobian, weights, prior, starts, iterations=2)
+    assert bool((few.loss <= charbonnier(curved(starts)).sum(1)).all())
+    assert not bool(few.converged.all())
+
+
+def test_starts_have_weights_and_priors_of_their_own():
+    matrix, right = linear(unknowns=1)
+    weights = torch.zeros(2, len(matrix))
+    weights[0] = 1
+    target = torch.tensor([0.0, 7.0])
+    found = minimise_robust(
+        lambda x, _: x @ matrix.T - right,
+        lambda x, _: matrix.expand(len(x), -1, -1),
+        weights,
+        lambda x, rows: 1e-6 * (x[:, 0] - target[rows]).square(),
+        torch.ones(2, 1),
+        iterations=50,
+        tolerance=1e-14,
+    )
+    expected = torch.linalg.lstsq(matrix, right[:, None]).solution[0, 0]
+    torch.testing.assert_close(found.x[:, 0], torch.stack([expected, target[1]]), atol=1e-3, rtol=0)
+
+
+def test_a_start_that_is_not_finite_harms_no_other():
+    matrix, right = linear()
+    starts = torch.zeros(3, 5)
+    starts[1] = torch.nan
+    found = minimise_linear(matrix, right, starts)
+    alone = minimise_linear(matrix, right, starts[:1])
+    assert float(found.loss[1]) == torch.inf
+    torch.testing.assert_close(found.x[[0, 2]], alone.x.expand(2, -1))
+    assert int(found.loss.argmin()) != 1
+
+
+def test_the_priors_hessian_has_no_negative_curvature():
+    """x^2 - y^2: the curvature of y counts as 0, the slope is whole."""
+    at = torch.tensor([[0.5, 2.0]])
+    slope, hessian = prior_shape(lambda x, _: x[:, 0] ** 2 - x[:, 1] ** 2, at, torch.tensor([0]))
+    torch.testing.assert_close(slope, torch.tensor([[1.0, -4.0]]))
+    torch.testing.assert_close(
+        hessian, torch.diag(torch.tensor([2.0, 0.0]))[None], atol=1e-6, rtol=0
+    )
