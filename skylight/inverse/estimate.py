@@ -194,9 +194,10 @@ def light_problems(
     if light == "sh9" or light == "sh25":
         harmonics = HarmonicLight(2 if light == "sh9" else 4).to(where)
         return [HarmonicProblem(harmonics, prior, modes, one) for one in sun_priors]
+    options = options or SolverOptions()
+    lamps = LampsOptions(weights=options.weights)
     if light == "lamps":
-        same = LampsOptions() if options is None else LampsOptions(weights=options.weights)
-        return [LampsProblem(prior, modes, same) for _ in sun_priors]
+        return [LampsProblem(prior, modes, lamps) for _ in sun_priors]
     bundle = (
         model
         if isinstance(model, LightBundle)
@@ -206,14 +207,12 @@ def light_problems(
         sky, over = smooth_autoencoder(bundle), bundle.prior()
     else:
         sky, over = SunSky(), copy.deepcopy(bundle.sunsky_prior)
-    options = options or SolverOptions()
     if light == "auto":
         options = replace(options, evidence=True)
     first = SkyProblem(sky.to(where), over.to(where), prior, modes, options)
     skies = [first.another(one) for one in sun_priors]
     if light == "auto":
-        same = LampsOptions(weights=options.weights)
-        return [AutoProblem(sky, LampsProblem(prior, modes, same)) for sky in skies]
+        return [AutoProblem(sky, LampsProblem(prior, modes, lamps)) for sky in skies]
     return skies
 
 

@@ -67,8 +67,6 @@ def minimise_robust(
     used, rejected = torch.zeros(count, dtype=torch.long), torch.zeros(count, dtype=torch.long)
     for _ in range(iterations):
         which = moving.nonzero()[:, 0]
-        if len(which) == 0:
-            break
         new = which[moved[which]]
         if len(new):
             slope, hessian = prior_shape(prior, x[new], new)
@@ -81,6 +79,8 @@ def minimise_robust(
             usable = slopes[new].isfinite().all(1) & hessians[new].isfinite().all(2).all(1)
             moved[new], moving[new] = False, usable
             which = which[moving[which]]
+        if len(which) == 0:
+            break
         at, slope, hessian = x[which], slopes[which], hessians[which]
         diagonal = hessian.diagonal(dim1=1, dim2=2).clamp(min=1e-6)
         damped = hessian + torch.diag_embed(damping[which, None].double() * diagonal)

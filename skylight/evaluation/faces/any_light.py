@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -15,6 +16,7 @@ from skylight.evaluation.faces.face_light import (
     coverage,
     face_score,
     fitted_head,
+    lamps_chosen,
     light_of,
     peak_mib,
     pose_error_deg,
@@ -30,6 +32,7 @@ from skylight.faces.skin import SkinPrior
 from skylight.inverse.posterior import SunPosterior
 from skylight.inverse.result import Lamp
 from skylight.io.files import write_png
+from skylight.models.lamps import LampsLight
 from skylight.models.names import LightName
 from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.sphere.frame import angle_between
@@ -44,7 +47,6 @@ NO_LAMP_DEG = 90.0  # the mean over random directions
 _ON_GRID_RAD = math.radians(3)  # half the diagonal of a cell of the posterior is 2 degrees
 MEDIAN_DEG, MEAN_FOUND, SI_RMSE_RATIO, BETTER_SHARE = 12.0, 0.70, 0.6, 0.9
 COVERED = 0.85, 0.95
-CHOSEN = 0.90
 COMPARED = ("mae", "rmse", "full_dw_mae")
 
 
@@ -56,10 +58,10 @@ class AnyLight:
     lighting (:func:`grey_light`). Beside the scores of :func:`face_score`:
 
     * ``main_lamp_deg``, where the truth's main lamp holds more than 40 % of the light
-      (:func:`find_lamps`): the angle between it and the estimate's (:func:`lamp_directions`); an
-      estimate without any (constant light) counts 90 degrees.
+      (:func:`find_lamps`): the angle between it and the estimate's (:func:`lamps_of`), however
+      small that one's share is; an estimate without any (constant light) counts 90 degrees.
     * ``lamps_found``, where the truth has lamps of more than 20 %: the part of these with a lamp
-      of the estimate within 20 degrees.
+      of more than 5 % of the estimate within 20 degrees.
     * ``in_region`` and ``region_sr``, as ``main_lamp_deg`` where the posterior's directions
       include the truth's main lamp.
     """
@@ -111,7 +113,7 @@ class AnyLight:
         metrics = found.metrics | {GREY: face_score(environments[GREY], face)}
         metrics[GREY] |= lamp_scores([], lamps)
         for name, estimate in found.estimates.items():
-            own = lamp_directions(estimate.lamps, estimate.environment)
+            own = lamps_of(estimate.lamps, estimate.environment)
             metrics[name] |= lamp_scores(own, lamps)
             metrics[name] |= main_lamp_coverage(estimate.posterior, lamps)
         if OURS in found.estimates:
@@ -150,10 +152,7 @@ class AnyLight:
             share = share_of_maps_better(items, others, metrics)
             name = f"maps whose {', '.join(metrics)} is below that of {' and '.join(others)}"
             checks[name] = Check.at_least(share, BETTER_SHARE)
-        chosen = [item.facts["chosen"] == "lamps" for item in items if "chosen" in item.facts]
-        if chosen:
-            share = float(np.mean(chosen))
-            checks["faces for which lamps are chosen"] = Check.at_least(share, CHOSEN)
+        checks |= lamps_chosen(items)
         if "in_region" in ours:
             share = ours["in_region"]["mean"]
             checks["main lamp in the 90 % region"] = Check.within(share, *COVERED)
@@ -173,31 +172,34 @@ def grey_light(observation: Observation) -> EnvironmentMap:
     return EnvironmentMap(radiance=level.float().expand(ROWS, 2 * ROWS, 3).contiguous())
 
 
-def lamp_directions(
-    lamps: tuple[Lamp, ...], environment: EnvironmentMap
-) -> list[Float[Tensor, "3"]]:
-    """An estimate's own lamps, the strongest first; of a model without, those of its map.
+def lamps_of(lamps: tuple[Lamp, ...], environment: EnvironmentMap) -> list[MapLamp]:
+    """An estimate's own lamps, the strongest first; of a model without, those of its map."""
+    if not lamps:
+        return find_lamps(environment, least_share=0.0)
+    total = float(luminance(environment.flat).double() @ environment.grid.solid_angles)
+    shares = [
+        float(luminance(lamp.irradiance) / LampsLight.facing(torch.tensor(lamp.spread_rad))) / total
+        for lamp in lamps
+    ]
+    return [
+        MapLamp(direction=lamp.direction, share=share)
+        for lamp, share in zip(lamps, shares, strict=True)
+    ]
 
-    Of these only the first counts where it holds less than 5 % of the light.
-    """
-    if lamps:
-        return [lamp.direction for lamp in lamps]
-    peaks = find_lamps(environment, least_share=0.0)
-    return [one.direction for n, one in enumerate(peaks) if n == 0 or one.share > LEAST_SHARE]
 
-
-def lamp_scores(found: list[Float[Tensor, "3"]], truth: list[MapLamp]) -> dict[str, float]:
+def lamp_scores(found: list[MapLamp], truth: list[MapLamp]) -> dict[str, float]:
     """``main_lamp_deg`` and ``lamps_found``, each where the truth has lamps to ask for.
 
-    ``found`` are directions, that of the main lamp first.
+    ``found`` are an estimate's, the main one first.
     """
     scores: dict[str, float] = {}
     main = main_lamp(truth)
     if main is not None:
-        scores["main_lamp_deg"] = _degrees(found[0], main) if found else NO_LAMP_DEG
+        scores["main_lamp_deg"] = _degrees(found[0].direction, main) if found else NO_LAMP_DEG
     large = [lamp.direction for lamp in truth if lamp.share > LARGE_SHARE]
     if large:
-        near = [any(_degrees(one, lamp) <= NEAR_DEG for one in found) for lamp in large]
+        seen = [lamp.direction for lamp in found if lamp.share > LEAST_SHARE]
+        near = [any(_degrees(one, lamp) <= NEAR_DEG for one in seen) for lamp in large]
         scores["lamps_found"] = float(np.mean(near))
     return scores
 

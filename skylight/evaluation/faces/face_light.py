@@ -16,6 +16,7 @@ from torch import Tensor
 from skylight.errors import InputError
 from skylight.evaluation.faces.known_faces import KnownFace
 from skylight.evaluation.faces.options import EstimateOptions
+from skylight.evaluation.harness.run import Check, Item
 from skylight.evaluation.scores.relit_scene import score
 from skylight.faces.fit import FaceFit, fit_face
 from skylight.faces.landmarks import choose_face
@@ -32,6 +33,7 @@ from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.transport.observation import Observation
 
 NOT_FOUND = "no face found by the landmark detector"
+CHOSEN = 0.9  # of rooms and lamps, by "auto"
 METHODS: tuple[LightName, ...] = ("sh9", "sh25", "sunsky", "autoencoder")
 
 
@@ -101,25 +103,32 @@ def light_by_method(
 
     "auto" chooses from those of :data:`~skylight.inverse.auto.RIVALS`, which come before it.
     """
+    cpu_seconds = {} if cpu_seconds is None else cpu_seconds
     if "auto" in methods:
         options = options.with_evidence()
     estimates: dict[str, Estimate] = {}
     for method in methods:
+        if method == "auto":  # which takes what its rivals take
+            if not {*RIVALS} <= {*estimates}:
+                raise InputError(f"auto chooses from {' and '.join(RIVALS)}: name them first")
+            estimates[method] = choose([estimates[rival] for rival in RIVALS])
+            for told in (seconds, cpu_seconds):
+                told[method] = sum(told[rival] for rival in RIVALS)
+            continue
         cpu_start = time.process_time()
         with stage(seconds, method):
-            if method == "auto":
-                if not {*RIVALS} <= {*estimates}:
-                    raise InputError(f"auto chooses from {' and '.join(RIVALS)}: name them first")
-                estimates[method] = choose([estimates[rival] for rival in RIVALS])
-            else:
-                estimates[method] = options.estimate(observation, method)
-        if cpu_seconds is not None:
-            cpu_seconds[method] = time.process_time() - cpu_start
-    if "auto" in methods:  # which takes what its rivals take
-        for told in (seconds, cpu_seconds):
-            if told is not None:
-                told["auto"] = sum(told[rival] for rival in RIVALS)
+            estimates[method] = options.estimate(observation, method)
+        cpu_seconds[method] = time.process_time() - cpu_start
     return estimates
+
+
+def lamps_chosen(items: list[Item]) -> dict[str, Check]:
+    """For which part of the items "auto" chose lamps; none where it was not asked."""
+    chosen = [item.facts["chosen"] == "lamps" for item in items if "chosen" in item.facts]
+    if not chosen:
+        return {}
+    share = float(np.mean(chosen))
+    return {"faces for which lamps are chosen": Check.at_least(share, CHOSEN)}
 
 
 def observe_largest(

@@ -16,6 +16,7 @@ from skylight.errors import InputError
 from skylight.evaluation.faces.face_light import (
     NOT_FOUND,
     coverage,
+    lamps_chosen,
     light_by_method,
     observe_largest,
     seen_and_rendered,
@@ -41,7 +42,7 @@ METHODS: tuple[LightName, ...] = (OURS, "lamps", "auto")
 INDEX = "lamps.json"
 # linear; usual skin under white light, since the photographs are grey
 SKIN_TINT = (1.0, 0.66, 0.51)
-BY_LAMPS_DEG, CHOSEN = 5.0, 0.9  # median angle; photographs that are taken for lamps' light
+BY_LAMPS_DEG = 5.0  # median angle
 FOUND, MEDIAN_DEG, MEAN_DEG, BIAS_DEG = 0.97, 6.0, 9.0, 2.0
 TRUSTED_DEG, TRUSTED_SHARE = 10.0, 0.85
 COVERED = 0.85, 0.95
@@ -158,11 +159,7 @@ class Lamps:
             if name in rows:
                 angle = rows[name]["angle_deg"]["median"]
                 checks[f"median angle of {name}"] = Check.at_most(angle, BY_LAMPS_DEG)
-        chosen = [item.facts["chosen"] == "lamps" for item in items if "chosen" in item.facts]
-        if chosen:
-            checks["photographs for which lamps are chosen"] = Check.at_least(
-                float(np.mean(chosen)), CHOSEN
-            )
+        checks |= lamps_chosen(items)
         trusted = [
             item.metrics[OURS]["angle_deg"]
             for item in items

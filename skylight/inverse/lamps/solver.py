@@ -1,6 +1,7 @@
 """Eq. 5.8 for lamps in ambient light, as many lamps as the picture tells of."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -84,29 +85,38 @@ class LampsSolver:
         scan = SunScan.of(every, candidates=options.scan_candidates)
         evidence = sun_evidence(face_evidence(observed, every, sphere=True))
         objective = self._objective(faces, 1, options.first[0])
-        points = _points(*choose_starts(objective, scan.candidates, self.albedo_modes))
-        for effort in options.first:
-            objective = self._objective(faces, 1, effort)
-            (points,) = descend(objective, [points], effort, options.tolerance)
+        points = Points.starting(*choose_starts(objective, scan.candidates, self.albedo_modes))
+        objective, points = self._descend(faces, 1, points, options.first)
         best, count, evidence_of_count = points, 1, _evidence(objective, points)
         for more in range(2, MOST_LAMPS + 1):
             starts = _with_one_more(objective, points, options.candidates)
             objective = self._objective(faces, more, options.further[0])
             with torch.no_grad():
-                points = _points(starts, objective(starts))
-            for effort in options.further:
-                (points,) = descend(objective, [points], effort, options.tolerance)
+                points = Points.starting(starts, objective(starts))
+            objective, points = self._descend(faces, more, points, options.further)
             now = _evidence(objective, points)
             if now < evidence_of_count + LEAST_GAIN:
                 break
             best, count, evidence_of_count = points, more, now
-        for number, effort in enumerate(options.last, start=1):
-            objective = self._objective(faces, count, effort)
-            (best,) = descend(objective, [best], effort, options.tolerance)
-            if progress is not None:
-                progress(number / len(options.last))
+        objective, best = self._descend(faces, count, best, options.last, progress)
         ends = Ends.of(objective, [best], evidence=True)
         return _estimate(ends, faces, options.last[-1].level, scan, evidence)
+
+    def _descend(
+        self,
+        faces: LitFaces,
+        count: int,
+        points: Points,
+        rounds: Sequence[Round],
+        progress: Progress | None = None,
+    ) -> tuple[LightObjective, Points]:
+        """The last round's objective, and its points."""
+        for number, effort in enumerate(rounds, start=1):
+            objective = self._objective(faces, count, effort)
+            (points,) = descend(objective, [points], effort, self.options.tolerance)
+            if progress is not None:
+                progress(number / len(rounds))
+        return objective, points
 
     def _objective(self, faces: LitFaces, count: int, effort: Round) -> LightObjective:
         weights = self.options.weights
@@ -121,10 +131,6 @@ class LampsSolver:
 
 def _evidence(objective: LightObjective, points: Points) -> float:
     return float(log_evidence(objective, points.free[points.scores.argmin(), None]))
-
-
-def _points(free: Float[Tensor, "s q"], scores: Float[Tensor, " s"]) -> Points:
-    return Points(free=free, scores=scores, converged=torch.zeros_like(scores) > 0)
 
 
 @torch.no_grad()

@@ -39,6 +39,11 @@ class Points:
     evaluations: int = 0
     nonfinite: int = 0
 
+    @staticmethod
+    def starting(free: Float[Tensor, "s q"], scores: Float[Tensor, " s"]) -> "Points":
+        """Where nothing has been minimised yet."""
+        return Points(free=free, scores=scores, converged=torch.zeros_like(scores) > 0)
+
 
 def descend(
     objective: LightObjective, points: Sequence[Points], effort: Round, tolerance: float

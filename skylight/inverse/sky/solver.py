@@ -147,8 +147,7 @@ class SkySolver:
         self, faces: LitFaces, prior: SunPrior | None, directions: Float[Tensor, "d 3"]
     ) -> Points:
         objective = self._objective([faces], [prior], self.options.rounds[0])
-        free, scores = choose_starts(objective, directions, self.albedo_modes)
-        return Points(free=free, scores=scores, converged=torch.zeros_like(scores) > 0)
+        return Points.starting(*choose_starts(objective, directions, self.albedo_modes))
 
 
 def _estimate(

@@ -17,8 +17,8 @@ from skylight.evaluation.faces.any_light import (
     OURS,
     AnyLight,
     grey_light,
-    lamp_directions,
     lamp_scores,
+    lamps_of,
     main_lamp_coverage,
     share_of_maps_better,
 )
@@ -71,9 +71,9 @@ def estimate_of(light: EnvironmentMap) -> SimpleNamespace:
     )
 
 
-def peaks(light: EnvironmentMap) -> list[torch.Tensor]:
+def peaks(light: EnvironmentMap) -> list[MapLamp]:
     """The lamps of an estimate without any of its own."""
-    return lamp_directions((), light)
+    return lamps_of((), light)
 
 
 def rendered_folder(out: Path, maps: list[TurnedMap | None], light: EnvironmentMap) -> Path:
@@ -138,7 +138,7 @@ def test_lamps_with_a_fifth_of_the_light_are_to_be_found_near_where_they_are() -
         (room((0, 0.3), (90, 0.25)), 1.0),
         (room((15, 0.3), (150, 0.3)), 0.5),  # the one at 90 is 60 degrees off
         (room((25, 0.3), (180, 0.3)), 0.0),  # the one at 180 is too small to count
-        (room((0, 0.03), (90, 0.03)), 0.5),  # and so is one of these: the main one always counts
+        (room((0, 0.03), (90, 0.03)), 0.0),  # and so are these, of an estimate
     ):
         assert lamp_scores(peaks(estimate), truth)["lamps_found"] == found
     assert lamp_scores(peaks(room()), find_lamps(room((0, 0.15)))) == {}
@@ -150,8 +150,12 @@ def test_lamps_that_an_estimate_lists_are_its_lamps() -> None:
         Lamp(direction=direction(azimuth), irradiance=torch.full((3,), e), spread_rad=0.1)
         for azimuth, e in ((100, 2.0), (-60, 1.0))
     )
-    found = lamp_directions(lamps, room((0, 0.9)))
-    assert all(torch.equal(one, lamp.direction) for one, lamp in zip(found, lamps, strict=True))
+    light = room((0, 0.9))
+    found = lamps_of(lamps, light)
+    for one, lamp in zip(found, lamps, strict=True):
+        assert torch.equal(one.direction, lamp.direction)
+    # of light whose integral is 1; a lobe of 0.1 rad lights what faces it by 1 % less than a point
+    assert [one.share for one in found] == pytest.approx([2.0 / 0.99, 1.0 / 0.99], rel=1e-3)
 
 
 def test_coverage_is_asked_for_where_the_posterior_has_the_main_lamp() -> None:
