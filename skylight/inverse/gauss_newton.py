@@ -12,6 +12,14 @@ Geman & Reynolds 1992), of curvature 1 / rho(r), so a step has the Hessian ::
 with Q that of q, its negative eigenvalues cut off, plus lambda times its own diagonal (Marquardt
 1963). Descents along gradients alone take hundreds of steps where a residual is nearly linear and
 its unknowns stand for one another, as ambient light and wide lamps do.
+
+With ``broyden``, J is that of the start; each accepted step dx, of change dr, corrects it by the
+least that explains the step (Broyden 1965), ::
+
+    J <- J + (dr - J dx) dx^T / |dx|^2,
+
+and J is computed anew once a step with a corrected one is rejected: derivatives of a decoder take
+several times as long as the rest of a step. Else J is computed after every accepted step.
 """
 
 from collections.abc import Callable
@@ -41,12 +49,13 @@ def minimise_robust(
     *,
     iterations: int,
     tolerance: float = 1e-5,
+    broyden: bool = False,
 ) -> Minimum:
     """The best point from each start; never worse than the start.
 
     ``tolerance`` is relative to the loss: a start is finished once an accepted step lowers it by
-    less. Each accepted step takes one Jacobian, of all starts as one batch. Steps to where the loss
-    is not finite are rejected; a start where it is not has an infinite loss.
+    less. Steps to where the loss is not finite are rejected; a start where it is not has an
+    infinite loss. The Jacobian of every start is held.
     """
     x = x0.clone()
     count = len(x)
@@ -59,21 +68,27 @@ def minimise_robust(
     r = residuals(x, every)
     loss = loss_of(x, every, r)
     loss = torch.where(loss.isfinite(), loss, torch.inf)
+    change = x.new_zeros(count, r.shape[1], x.shape[1])
     slopes = x.new_zeros(x.shape, dtype=torch.float64)
     hessians = x.new_zeros((*x.shape, x.shape[1]), dtype=torch.float64)
-    moved = torch.ones(count, dtype=torch.bool, device=x.device)  # since these were computed
+    stale = torch.ones(count, dtype=torch.bool, device=x.device)  # change is of no use
+    moved = stale.clone()  # since slope and Hessian were computed
+    corrected = ~stale  # change is not the Jacobian itself
+    moving = stale.clone()
     damping = x.new_full((count,), FIRST_DAMPING)
-    moving = torch.ones(count, dtype=torch.bool, device=x.device)
     used, rejected = torch.zeros(count, dtype=torch.long), torch.zeros(count, dtype=torch.long)
     for _ in range(iterations):
         which = moving.nonzero()[:, 0]
+        new = which[stale[which]]
+        if len(new):
+            change[new] = jacobian(x[new], new)
+            stale[new] = corrected[new] = False
         new = which[moved[which]]
         if len(new):
             slope, hessian = prior_shape(prior, x[new], new)
-            change = jacobian(x[new], new)
-            curved = change * (weights[new] / charbonnier(r[new]))[:, :, None]
+            curved = change[new] * (weights[new] / charbonnier(r[new]))[:, :, None]
             slopes[new] = slope.double() + torch.einsum("bmp,bm->bp", curved, r[new]).double()
-            data = torch.einsum("bmp,bmq->bpq", change, curved).double()
+            data = torch.einsum("bmp,bmq->bpq", change[new], curved).double()
             hessians[new] = hessian.double() + data
             # a start where nothing is finite stays where it is
             usable = slopes[new].isfinite().all(1) & hessians[new].isfinite().all(2).all(1)
@@ -84,8 +99,8 @@ def minimise_robust(
         at, slope, hessian = x[which], slopes[which], hessians[which]
         diagonal = hessian.diagonal(dim1=1, dim2=2).clamp(min=1e-6)
         damped = hessian + torch.diag_embed(damping[which, None].double() * diagonal)
-        step = torch.linalg.solve(damped, slope[..., None])[..., 0].to(x)
-        trial = at - step
+        step = -torch.linalg.solve(damped, slope[..., None])[..., 0].to(x)
+        trial = at + step
         tried = residuals(trial, which)
         value = loss_of(trial, which, tried)
         better = value < loss[which]
@@ -93,7 +108,16 @@ def minimise_robust(
         rejected[which.cpu()] += (~value.isfinite()).long().cpu()
         settled = better & (loss[which] - value <= tolerance * loss[which].abs())
         damping[which] *= torch.where(better, LESS, MORE)
-        good = which[better]
+        good, bad = which[better], which[~better]
+        if broyden:
+            dx, dr = step[better], tried[better] - r[good]
+            missed = dr - (change[good] @ dx[:, :, None])[:, :, 0]
+            along = dx / dx.square().sum(1, keepdim=True).clamp(min=1e-30)
+            change[good] += missed[:, :, None] * along[:, None]
+            corrected[good] = True
+            stale[bad] = moved[bad] = corrected[bad]
+        else:
+            stale[good] = True
         x[good], r[good], loss[good] = trial[better], tried[better], value[better]
         moved[good] = True
         moving[which] = ~(settled | (damping[which] > 1e8))

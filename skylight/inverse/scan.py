@@ -24,13 +24,14 @@ Energies relative to the face's own add up: each face counts alike, as in the ob
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import pad
 
+from skylight.inverse.least_squares import nnls
 from skylight.inverse.sun_prior import SunPrior
 from skylight.sphere.envmap import luminance
 from skylight.sphere.grid import DirectionGrid
@@ -46,8 +47,7 @@ LIKELY = 4  # candidates where clock and place tell of the sun
 # deviation of 0.1 to one of 0.7 (11.2 with normals trusted); the median prefers 0.2 and less.
 NORMAL_COST = 0.2**2 / 250
 NORMAL_ROUNDS = 2
-_BLOCK = 128  # directions at a time, where each has a matrix of pixels x modes
-SETTLED = 1e-3  # of the largest part; the best residuals are then right to 2 in 1,000
+_BLOCK = 32  # directions at a time on a CPU, whose cache holds so many of pixels x modes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,6 +204,16 @@ class _SunProblem:
         ambient = (self.ambient.T @ self.y).expand(self.suns.shape[2], -1)
         return torch.cat([torch.einsum("gmn,m->ng", self.suns, self.y), ambient], 1)
 
+    def raised_to(
+        self, x: Float[Tensor, "n k"], added: Float[Tensor, "n m"] | None = None
+    ) -> Float[Tensor, "n m"]:
+        """y of each direction where lower bounds are what x, and what is added to it, explains."""
+        g = len(self.suns)
+        shaded = torch.einsum("gmn,ng->nm", self.suns, x[:, :g]) + x[:, g:] @ self.ambient.T
+        if added is not None:
+            shaded = shaded + added
+        return torch.where(self.clipped, torch.maximum(self.y, shaded), self.y)
+
     def raised(self, x: Float[Tensor, "n k"]) -> tuple[Float[Tensor, "n k"], Float[Tensor, " n"]]:
         """What y adds to the right side and to y^2 where it is raised to what x explains."""
         g, high = len(self.suns), self.clipped
@@ -218,15 +228,15 @@ class _SunProblem:
 class _NormalErrors:
     """What turned normals add, in units of :class:`_SunProblem`.
 
-    ``modes`` (m,3,k); ``suns`` (n,m) and ``ambient`` (j,m,3) are the light vectors of its suns
+    ``modes`` (3,k,m); ``suns`` (n,m) and ``ambient`` (3,j,m) are the light vectors of its suns
     (along ``directions``) and its ambient light; ``cost`` is that of u^2. In single precision:
     normals are not known better.
     """
 
-    modes: Float[Tensor, "m 3 k"]
+    modes: Float[Tensor, "3 k m"]
     suns: Float[Tensor, "n m"]
     directions: Float[Tensor, "n 3"]
-    ambient: Float[Tensor, "j m 3"]
+    ambient: Float[Tensor, "3 j m"]
     cost: float
 
     @staticmethod
@@ -245,7 +255,7 @@ class _NormalErrors:
         directions = errors.grid.directions.to(errors.visible)
         weights = observation.weights
         visible = errors.visible * weights.sqrt()[:, None]
-        ambient = torch.stack([(visible * axis) @ lobes.to(visible) for axis in directions.T], 2)
+        ambient = torch.stack([lobes.to(visible).T @ (visible * a).T for a in directions.T])
         norms = (matt @ lobes).norm(dim=0).clamp(min=1e-12).to(visible)
         suns = visible[:, :sources] / matt[:, :sources].norm(dim=0).clamp(min=1e-12).to(visible)
         level = weights @ luminance(observation.pixels)
@@ -255,54 +265,61 @@ class _NormalErrors:
             matt_lamp = observation.camera_lamp[:, 0] * weights.sqrt()
             lamp = weights.sqrt() / matt_lamp.norm().clamp(min=1e-12)
         return _NormalErrors(
-            modes=errors.modes,
+            modes=errors.modes.permute(1, 2, 0).contiguous(),
             suns=torch.cat([pad(suns, (0, 1)), lamp[:, None]], 1).T.contiguous(),
             directions=torch.cat([directions[:sources], towards.expand(2, -1)]),
-            ambient=ambient.transpose(0, 1) / norms[:, None, None],
+            ambient=ambient / norms[:, None],
             cost=NORMAL_COST * float(level**2 / weights.sum()),
         )
 
-    def added(self, x: Float[Tensor, "b q"], rows: slice, suns: int) -> Float[Tensor, "b m k"]:
+    def added(self, x: Float[Tensor, "b q"], rows: slice, suns: int) -> Float[Tensor, "b k m"]:
         """<M_pk, F_p> in the light x of some directions, whose first is the matt sun's."""
-        count = len(x)
-        vector = (x[:, suns:] @ self.ambient.flatten(1)).reshape(count, -1, 3)
         strength = x[:, :1] * self.suns[rows]
-        vector = vector + strength[:, :, None] * self.directions[rows, None]
-        return torch.einsum("bmc,mck->bmk", vector, self.modes)
+        total = x.new_zeros(len(x), self.modes.shape[1], len(self.modes[0, 0]))
+        for axis, modes in enumerate(self.modes):
+            vector = x[:, suns:] @ self.ambient[axis]
+            vector = vector + strength * self.directions[rows, axis, None]
+            total.addcmul_(vector[:, None], modes)
+        return total
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Explained:
     """Solutions: ``x`` (n,k) the suns' parts and the ambient ones, ``squared`` what is left.
 
-    ``added`` (n,m) is what turned normals add to the shading; ``squared`` has their cost too.
+    ``added`` (m,) is what turned normals add to the shading in the best direction; ``squared`` has
+    their cost too.
     """
 
     problem: _SunProblem
     x: Float[Tensor, "n k"]
     squared: Float[Tensor, " n"]
-    added: Float[Tensor, "n m"] | None = None
+    added: Float[Tensor, " m"] | None = None
+
+    @property
+    def best(self) -> int:
+        """The direction of a sun that leaves least."""
+        return int(self.squared[:-2].argmin())
 
     def scan(self) -> FaceScan:
         one = self.problem
         energy = float(one.y @ one.y)
         unexplained = self.squared.clamp(min=0) / energy
-        best = int(unexplained[:-2].argmin())
         return FaceScan(
             unexplained=unexplained[:-2],
             unlit=float(unexplained[-2]),
             camera_lit=float(unexplained[-1]),
             strengths=(self.x[:, 0] * (one.suns[0].sum(0) / one.y.sum()))[:-2],
-            deviations=self.deviations(best) / one.root.clamp(min=1e-12),
+            deviations=self.deviations() / one.root.clamp(min=1e-12),
         )
 
-    def deviations(self, direction: int) -> Float[Tensor, " m"]:
-        """Seen less explained; none where a bound is kept."""
+    def deviations(self) -> Float[Tensor, " m"]:
+        """Seen less best explained; none where a bound is kept."""
         one, g = self.problem, len(self.problem.suns)
-        shaded = one.suns[:, :, direction].T @ self.x[direction, :g]
-        left = one.y - shaded - one.ambient @ self.x[direction, g:]
+        shaded = one.suns[:, :, self.best].T @ self.x[self.best, :g]
+        left = one.y - shaded - one.ambient @ self.x[self.best, g:]
         if self.added is not None:
-            left = left - self.added[direction]
+            left = left - self.added
         return torch.where(one.clipped, left.clamp(min=0), left)
 
 
@@ -321,12 +338,16 @@ def _explain(problems: Sequence[_SunProblem]) -> list[_Explained]:
     level = torch.stack(
         [(one.y @ one.y).expand(len(r)) for one, r in zip(problems, rights, strict=True)]
     )
-    x = nnls(gram, right, tolerance=SETTLED)
+    # with a sun what is ambient is about as without
+    unlit = nnls(gram[:, -2], right[:, -2])
+    start = unlit[:, None].repeat(1, right.shape[1], 1)
+    start[:, :, 0] = 1
+    x = _solved(gram, right, start)
     bounded = [p for p, one in enumerate(problems) if bool(one.clipped.any())]
     raised, raised_level = right.clone(), level.clone()
     for raises in range(RAISES + 1 if bounded else 0):
         if raises:
-            x[bounded] = nnls(gram[bounded], raised[bounded], start=x[bounded], tolerance=SETTLED)
+            x[bounded] = _solved(gram[bounded], raised[bounded], x[bounded])
         for p in bounded:
             more, energy = problems[p].raised(x[p, :, : problems[p].unknowns])
             raised[p, :, : problems[p].unknowns] = rights[p] + more
@@ -340,6 +361,13 @@ def _explain(problems: Sequence[_SunProblem]) -> list[_Explained]:
     return explained
 
 
+def _solved(
+    gram: Float[Tensor, "p n k k"], right: Float[Tensor, "p n k"], start: Float[Tensor, "p n k"]
+) -> Float[Tensor, "p n k"]:
+    flat = gram.flatten(0, 1), right.flatten(0, 1)
+    return nnls(*flat, start=start.flatten(0, 1)).reshape(right.shape)
+
+
 def _turned(explained: _Explained) -> _Explained:
     """The same with normals that may be wrong, if they may.
 
@@ -349,80 +377,55 @@ def _turned(explained: _Explained) -> _Explained:
     one, errors = explained.problem, explained.problem.normals
     if errors is None:
         return explained
-    g, seen, parts = len(one.suns), one.y.to(errors.modes), []
-    suns, ambient = one.suns.to(seen).permute(2, 1, 0).contiguous(), one.ambient.to(seen)
-    for begin in range(0, len(explained.x), _BLOCK):
-        rows = slice(begin, begin + _BLOCK)
-        x = explained.x[rows].to(seen)
-        basis = torch.cat([suns[rows], ambient.expand(len(x), -1, -1)], 2)
-        added, squared = torch.zeros_like(seen).expand(len(x), -1), x.new_zeros(len(x))
-        for _ in range(NORMAL_ROUNDS):
-            y = seen.expand(len(x), -1)
-            if bool(one.clipped.any()):
-                shaded = (basis @ x[:, :, None])[:, :, 0] + added
-                y = torch.where(one.clipped, torch.maximum(y, shaded), y)
-            turned = errors.added(x, rows, g)
-            inner = turned.transpose(1, 2) @ turned
-            inner = inner + errors.cost * torch.eye(inner.shape[1]).to(inner)
-            both = torch.cat([basis, y[:, :, None]], 2)
-            across = turned.transpose(1, 2) @ both
-            solved = torch.linalg.solve(inner, across)
-            whole = both.transpose(1, 2) @ both - across.transpose(1, 2) @ solved
-            gram, right = whole[:, :-1, :-1], whole[:, :-1, -1]
-            x = nnls(gram[None], right[None], start=x[None], tolerance=SETTLED)[0]
-            along = (x[:, None] @ gram @ x[:, :, None])[:, 0, 0]
-            squared = whole[:, -1, -1] - 2 * (right * x).sum(1) + along
-            amounts = solved[:, :, -1:] - solved[:, :, :-1] @ x[:, :, None]
-            added = (turned @ amounts)[:, :, 0]
-        parts.append((x, squared, added))
-    x, squared, added = (torch.cat(part).to(one.y) for part in zip(*parts, strict=True))
-    return _Explained(problem=one, x=x, squared=squared, added=added)
+    seen = one.y.to(errors.modes)
+    count, bounded = len(explained.x), bool(one.clipped.any())
+    block = _BLOCK if seen.device.type == "cpu" else count
+    rows = [slice(begin, begin + block) for begin in range(0, count, block)]
+    single = replace(one, suns=one.suns.to(seen), ambient=one.ambient.to(seen), y=seen)
+    gram = one.gram().to(seen)
+    x, y = explained.x.to(seen), seen.expand(count, -1)
+    if bounded:
+        y = single.raised_to(x)
+    for _ in range(NORMAL_ROUNDS):
+        parts = [_without_turns(single, gram[some], x[some], y[some], some) for some in rows]
+        small, right, level, solved = (torch.cat(part) for part in zip(*parts, strict=True))
+        before, x = x, nnls(small, right, start=x)
+        amounts = solved[:, :, -1:] - solved[:, :, :-1] @ x[:, :, None]
+        along = (x[:, None] @ small @ x[:, :, None])[:, 0, 0]
+        squared = level - 2 * (right * x).sum(1) + along
+
+        def added(some: slice, x: Tensor = before, amounts: Tensor = amounts) -> Tensor:
+            turned = errors.added(x[some], some, len(one.suns))
+            return (amounts[some].transpose(1, 2) @ turned)[:, 0]
+
+        if bounded:
+            y = single.raised_to(x, torch.cat([added(some) for some in rows]))
+    found = _Explained(problem=one, x=x.to(one.y), squared=squared.to(one.y))
+    return replace(found, added=added(slice(found.best, found.best + 1))[0].to(one.y))
 
 
-def nnls(
-    gram: Float[Tensor, "p b k k"],
-    right: Float[Tensor, "p b k"],
-    *,
-    start: Float[Tensor, "p b k"] | None = None,
-    sweeps: int = 150,
-    tolerance: float = 1e-9,
-) -> Float[Tensor, "p b k"]:
-    """min_{x >= 0} x^T G x / 2 - r^T x for p sets of b small problems, by coordinate descent.
-
-    Franc, Hlavac & Navara (2005): each sweep sets every unknown to its own minimum in turn;
-    the objective never rises, and stops falling at the solution (G positive semi-definite with
-    a positive diagonal; unknowns whose row and right side are zero keep their start). A set ends
-    early once a sweep moves nothing in it by more than ``tolerance``, relative to its largest
-    unknown, so its solution does not depend on the others.
-    """
-    # one unknown of all problems at a time, together in memory
-    x = (torch.zeros_like(right) if start is None else start).permute(2, 0, 1)
-    x = x.clone(memory_format=torch.contiguous_format)
-    columns = gram.permute(3, 2, 0, 1).contiguous()
-    slope = torch.einsum("kjpb,kpb->jpb", columns, x) - right.permute(2, 0, 1)
-    inverse = 1 / gram.diagonal(dim1=2, dim2=3).clamp(min=1e-30).permute(2, 0, 1).contiguous()
-    solution = torch.empty_like(x)
-    moving = torch.arange(len(gram), device=x.device)
-    for _ in range(sweeps):
-        before = x.clone()
-        for value, steep, scale, column in zip(x, slope, inverse, columns, strict=True):
-            new = torch.addcmul(value, steep, scale, value=-1).clamp_(min=0)
-            slope.addcmul_(new - value, column)
-            value.copy_(new)
-        settled = (x - before).abs().amax((0, 2)) <= tolerance * x.abs().amax((0, 2))
-        if bool(settled.any()):
-            solution[:, moving[settled]] = x[:, settled]
-            moving, x, slope, inverse, columns = (
-                moving[~settled],
-                x[:, ~settled],
-                slope[:, ~settled],
-                inverse[:, ~settled],
-                columns[:, :, ~settled],
-            )
-            if len(moving) == 0:
-                break
-    solution[:, moving] = x
-    return solution.permute(1, 2, 0)
+def _without_turns(
+    one: _SunProblem,
+    gram: Float[Tensor, "b k k"],
+    x: Float[Tensor, "b k"],
+    y: Float[Tensor, "b m"],
+    rows: slice,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The problem without u, which is at its best: X^T X, X^T y, y^T y, and what tells that u."""
+    assert one.normals is not None
+    turned = one.normals.added(x, rows, len(one.suns))
+    inner = turned @ turned.transpose(1, 2)
+    inner = inner + one.normals.cost * torch.eye(inner.shape[1]).to(inner)
+    suns = one.suns[:, :, rows].permute(2, 1, 0)
+    both = torch.cat([suns, y[:, :, None]], 2)
+    across = torch.cat(
+        [turned @ both[:, :, :-1], turned @ one.ambient, turned @ both[:, :, -1:]], 2
+    )
+    solved = torch.linalg.solve(inner, across)
+    less = across.transpose(1, 2) @ solved
+    right = torch.cat([(y[:, None] @ suns)[:, 0], y @ one.ambient], 1)
+    level = y.square().sum(1) - less[:, -1, -1]
+    return gram - less[:, :-1, :-1], right - less[:, :-1, -1], level, solved
 
 
 def _unit(columns: Float[Tensor, "m n"]) -> Float[Tensor, "m n"]:

@@ -14,7 +14,7 @@ from skylight.inverse.objective.face_term import FaceTerm
 from skylight.inverse.objective.light_objective import LightObjective
 from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.result import Estimate
-from skylight.inverse.scan import nnls, scan_faces
+from skylight.inverse.scan import scan_faces
 from skylight.inverse.sky.problem import SkyProblem, solve_together
 from skylight.inverse.sky.solver import SkySolver, SolverOptions
 from skylight.models.names import LightName
@@ -221,20 +221,6 @@ def test_scans_do_not_depend_on_how_many_are_made_at_once(seen: list[Observation
         torch.testing.assert_close(one.strengths, other.strengths, rtol=1e-9, atol=1e-12)
         torch.testing.assert_close(one.deviations, other.deviations, rtol=1e-9, atol=1e-12)
         assert one.unlit == pytest.approx(other.unlit, rel=1e-9)
-
-
-def test_a_set_of_least_squares_problems_ends_by_itself() -> None:
-    """A set that settles in the first sweep (a diagonal) and one that takes many."""
-    generator = torch.Generator().manual_seed(3)
-    matrix = torch.rand(2, 12, 6, generator=generator, dtype=torch.float64)
-    slow = matrix.mT @ matrix
-    gram = torch.stack([torch.eye(6).double().expand(2, 6, 6), slow])
-    right = torch.rand(2, 2, 6, generator=generator, dtype=torch.float64)
-    found = nnls(gram, right, tolerance=1e-3)
-    torch.testing.assert_close(found[0], right[0])
-    alone = nnls(gram[1:], right[1:], tolerance=1e-3)[0]
-    assert torch.equal(found[1], alone)
-    assert not torch.allclose(alone, nnls(gram[1:], right[1:], sweeps=1)[0])
 
 
 def test_what_cannot_be_solved_together_is_refused(seen: list[Observation]) -> None:

@@ -34,7 +34,9 @@ def under_a_lamp(noise):
     pixels = pixels * (1 + noise * torch.randn(pixels.shape, generator=generator))
     noisy = objective(pixels)
     start = Points(free=truth, scores=noisy(truth), converged=torch.tensor([False]))
-    (end,) = descend(noisy, [start], Round(level=0, starts=1, iterations=60, newton=True), 1e-9)
+    (end,) = descend(
+        noisy, [start], Round(level=0, starts=1, iterations=60, steps="gauss-newton"), 1e-9
+    )
     return noisy, end.free
 
 

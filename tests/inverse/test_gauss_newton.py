@@ -75,6 +75,39 @@ def test_a_batch_is_as_its_starts_alone_and_never_worse():
     assert not bool(few.converged.all())
 
 
+def test_broydens_updates_find_the_same_minimum_with_fewer_jacobians():
+    """Logistic curves through points, from where they are near: the Jacobian changes little."""
+    times = torch.linspace(-3, 3, 25)
+    truth = torch.tensor([1.3, 0.4, 2.0])
+
+    def curve(x):
+        return x[:, 2:] * torch.sigmoid(x[:, :1] * (times - x[:, 1:2]))
+
+    seen = curve(truth[None]) + 0.05 * torch.sin(40 * times)
+    ends, counts = [], []
+    for broyden in (False, True):
+        counts.append(0)
+
+        def jacobian(x, _):
+            counts[-1] += 1
+            return torch.func.vmap(torch.func.jacfwd(lambda one: curve(one[None])[0]))(x)
+
+        ends.append(
+            minimise_robust(
+                lambda x, _: curve(x) - seen,
+                jacobian,
+                torch.ones(1, len(times)),
+                lambda x, _: 0 * x.sum(1),
+                truth[None] + torch.tensor([[0.3, -0.3, 0.4]]),
+                iterations=200,
+                tolerance=1e-12,
+                broyden=broyden,
+            )
+        )
+    assert counts[1] < 0.5 * counts[0]
+    torch.testing.assert_close(ends[1].x, ends[0].x, atol=1e-3, rtol=0)
+
+
 def test_starts_have_weights_and_priors_of_their_own():
     matrix, right = linear(unknowns=1)
     weights = torch.zeros(2, len(matrix))

@@ -3,12 +3,10 @@
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
-from scipy.optimize import nnls as scipy_nnls
 
-from skylight.inverse.scan import SunScan, nnls, scan_faces
+from skylight.inverse.scan import SunScan, scan_faces
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.camera import Camera
 from skylight.transport.gbuffer import rasterize
@@ -70,34 +68,6 @@ def scanned(observation, **options):
 
 def degrees_between(a, b):
     return math.degrees(math.acos(min(1.0, float(a @ b))))
-
-
-@pytest.mark.parametrize("positive", [True, False], ids=["alike", "unlike"])
-def test_non_negative_least_squares_as_solved_by_an_active_set_method(positive):
-    rng = np.random.default_rng(5)
-    matrices = rng.random((30, 40, 9)) if positive else rng.normal(size=(30, 40, 9))
-    wanted = rng.normal(size=(30, 40)) + positive
-    gram = torch.from_numpy(np.einsum("bij,bik->bjk", matrices, matrices))
-    right = torch.from_numpy(np.einsum("bij,bi->bj", matrices, wanted))
-    gram, right = gram[None], right[None]
-    found = nnls(gram, right, sweeps=2000)
-    truth = np.stack([scipy_nnls(a, y)[0] for a, y in zip(matrices, wanted, strict=True)])[None]
-    assert (found >= 0).all()
-    assert (truth == 0).any()  # the constraint matters
-    kept = found.clone()
-    again = nnls(gram, right, start=found, sweeps=1)
-    np.testing.assert_allclose(again.numpy(), truth, atol=1e-6)
-    nnls(gram, 2 * right, start=found, sweeps=1)
-    assert torch.equal(found, kept)  # a start is only read
-    np.testing.assert_allclose(found.numpy(), truth, atol=1e-6)
-
-
-def test_non_negative_least_squares_that_are_unconstrained_at_heart():
-    rng = np.random.default_rng(6)
-    matrix, truth = rng.random((40, 5)), np.array([1.0, 2.0, 0.5, 3.0, 1.5])
-    gram = torch.from_numpy(matrix.T @ matrix)[None, None]
-    found = nnls(gram, torch.from_numpy(matrix.T @ matrix @ truth)[None, None], sweeps=5000)
-    np.testing.assert_allclose(found[0, 0].numpy(), truth, atol=1e-6)
 
 
 @pytest.mark.parametrize("sun", SUNS)

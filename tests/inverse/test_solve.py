@@ -159,8 +159,8 @@ def test_a_darker_lower_half_is_no_higher_sun(sun):
             seen,
             rounds=(
                 *rounds(10, 40),
-                Round(level=1, starts=1, iterations=20, newton=True),
-                Round(level=0, starts=1, iterations=30, newton=True),
+                Round(level=1, starts=1, iterations=20, steps="gauss-newton"),
+                Round(level=0, starts=1, iterations=30, steps="gauss-newton"),
             ),
             tolerance=1e-8,
             weights=ObjectiveWeights(pigment_spread=spread),

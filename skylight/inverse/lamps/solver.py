@@ -44,16 +44,16 @@ class LampsOptions:
 
     scan_candidates: int = 10
     first: tuple[Round, ...] = (
-        Round(level=3, starts=10, iterations=6, even_skin=True, newton=True),
-        Round(level=2, starts=3, iterations=8, even_skin=True, newton=True),
+        Round(level=3, starts=10, iterations=6, even_skin=True, steps="gauss-newton"),
+        Round(level=2, starts=3, iterations=8, even_skin=True, steps="gauss-newton"),
     )
     candidates: int = 4
     further: tuple[Round, ...] = (
-        Round(level=2, starts=4, iterations=10, even_skin=True, newton=True),
+        Round(level=2, starts=4, iterations=10, even_skin=True, steps="gauss-newton"),
     )
     last: tuple[Round, ...] = (
-        Round(level=1, starts=1, iterations=8, newton=True),
-        Round(level=0, starts=1, iterations=5, newton=True),
+        Round(level=1, starts=1, iterations=8, steps="gauss-newton"),
+        Round(level=0, starts=1, iterations=5, steps="gauss-newton"),
     )
     tolerance: float = 1e-4
     weights: ObjectiveWeights = ObjectiveWeights()

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float
@@ -17,16 +18,17 @@ from skylight.inverse.objective.linearised import deviations, jacobian
 class Round:
     """So many of the best ``starts``, minimised on ``level`` (0 is the finest) of the pyramid.
 
-    With ``even_skin`` each face has one albedo, whatever the weights say. ``newton`` steps are
-    those of Gauss and Newton, which take as many derivatives as the light has parameters; others
-    are of L-BFGS, of many starts at little cost.
+    With ``even_skin`` each face has one albedo, whatever the weights say. ``steps`` of Gauss and
+    Newton take as many derivatives of the light as that has parameters, those with Broyden's
+    updates about as many in all, which serves near a minimum; those of L-BFGS cost little, for
+    many starts.
     """
 
     level: int
     starts: int
     iterations: int
     even_skin: bool = False
-    newton: bool = False
+    steps: Literal["l-bfgs", "gauss-newton", "broyden"] = "l-bfgs"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +55,7 @@ def descend(
     starts = [objective.uneven(free) for free in best]
     sizes = [len(start) for start in starts]
     problem = torch.cat([torch.full((n,), p) for p, n in enumerate(sizes)]).to(starts[0].device)
-    if effort.newton:
+    if effort.steps != "l-bfgs":
         result = minimise_robust(
             lambda x, rows: deviations(objective, x, problem[rows]),
             lambda x, rows: jacobian(objective, x, problem[rows]),
@@ -62,6 +64,7 @@ def descend(
             torch.cat(starts),
             iterations=effort.iterations,
             tolerance=tolerance,
+            broyden=effort.steps == "broyden",
         )
     else:
         result = minimise(

@@ -50,11 +50,11 @@ class SolverOptions:
 
     scan_candidates: int = 10
     rounds: tuple[Round, ...] = (
-        Round(level=3, starts=10, iterations=10, even_skin=True),
-        Round(level=3, starts=4, iterations=15, even_skin=True),
+        Round(level=3, starts=10, iterations=6, even_skin=True),
+        Round(level=3, starts=4, iterations=10, even_skin=True),
         Round(level=2, starts=2, iterations=12),
-        Round(level=1, starts=1, iterations=5, newton=True),
-        Round(level=0, starts=1, iterations=3, newton=True),
+        Round(level=1, starts=1, iterations=8, steps="broyden"),
+        Round(level=0, starts=1, iterations=4, steps="broyden"),
     )
     tolerance: float = 1e-4
     weights: ObjectiveWeights = ObjectiveWeights()

@@ -1,0 +1,62 @@
+"""Non-negative least squares of many small problems at once, exactly."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+_PATIENCE = 3  # exchanges that make no progress before one unknown at a time is exchanged
+_MOST = 1000  # of pivots, never reached: Murty's rule ends
+
+
+def nnls(
+    gram: Float[Tensor, "b k k"],
+    right: Float[Tensor, "b k"],
+    *,
+    start: Float[Tensor, "b k"] | None = None,
+) -> Float[Tensor, "b k"]:
+    """argmin_{x >= 0} x^T G x / 2 - r^T x of b problems, by block principal pivoting.
+
+    Unknowns are free or zero. The free ones are those of the unconstrained problem, and all that
+    are wrong (free and negative, or zero with a negative slope) change sides, until none is; where
+    that cycles, only the last one does (Murty's rule), which ends: Kim & Park, "Fast nonnegative
+    matrix factorization: an active-set-like method and comparisons", SIAM J. Sci. Comput. 33(6),
+    2011. What is positive in ``start`` is free at first; near starts take few pivots.
+
+    G may be singular: 1e-10 of its diagonal (1e-6 in single precision) is added to it. Unknowns
+    whose row and right side are zero are 0. Computed in double precision.
+    """
+    ridge = 1e-10 if gram.dtype == torch.float64 else 1e-6
+    count, size = right.shape
+    whole, wanted = gram.double(), right.double()
+    diagonal = whole.diagonal(dim1=1, dim2=2)
+    whole = whole + torch.diag_embed(ridge * diagonal + (diagonal <= 0))
+    limit = 1e-9 * wanted.abs().amax(1, keepdim=True)
+    free = torch.zeros_like(wanted) > 0 if start is None else start > 0
+    order = torch.arange(size, device=right.device)
+    fewest = torch.full((count,), size + 1, device=right.device)
+    patience = torch.full_like(fewest, _PATIENCE)
+    solution = torch.zeros_like(wanted)
+    rows = torch.arange(count, device=right.device)  # of what is not solved yet
+    for _ in range(_MOST):
+        chosen = free.double()
+        system = whole * chosen[:, :, None] * chosen[:, None]
+        system.diagonal(dim1=1, dim2=2).add_(1 - chosen)
+        x = torch.linalg.solve(system, (wanted * chosen)[..., None])
+        slope = (whole @ x)[..., 0] - wanted
+        x = x[..., 0]
+        wrong = torch.where(free, x * diagonal < -limit, slope < -limit)
+        amount = wrong.sum(1)
+        solution[rows] = x.clamp(min=0)
+        left = amount > 0
+        if not bool(left.any()):
+            break
+        progress = amount < fewest
+        patience = torch.where(progress, _PATIENCE, patience - 1)
+        fewest = torch.minimum(fewest, amount)
+        last = order == torch.where(wrong, order, -1).amax(1, keepdim=True)
+        exchanged = torch.where((patience >= 0)[:, None], wrong, last)
+        free, whole, wanted, diagonal, limit, fewest, patience, rows = (
+            each[left]
+            for each in (free ^ exchanged, whole, wanted, diagonal, limit, fewest, patience, rows)
+        )
+    return solution.to(right)

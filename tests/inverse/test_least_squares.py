@@ -1,0 +1,72 @@
+"""Non-negative least squares: an active-set method of another's, singular and single problems."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import nnls as scipy_nnls
+
+from skylight.inverse.least_squares import nnls
+
+
+def problems(seed, *, positive=True, count=30, equations=40, unknowns=9):
+    rng = np.random.default_rng(seed)
+    shape = count, equations, unknowns
+    matrices = rng.random(shape) if positive else rng.normal(size=shape)
+    wanted = rng.normal(size=shape[:2]) + positive
+    gram = torch.from_numpy(np.einsum("bij,bik->bjk", matrices, matrices))
+    right = torch.from_numpy(np.einsum("bij,bi->bj", matrices, wanted))
+    answers = [scipy_nnls(a, y)[0] for a, y in zip(matrices, wanted, strict=True)]
+    return gram, right, torch.from_numpy(np.stack(answers))
+
+
+def objective(gram, right, x):
+    return 0.5 * torch.einsum("bi,bij,bj->b", x, gram, x) - (right * x).sum(1)
+
+
+@pytest.mark.parametrize("positive", [True, False], ids=["alike", "unlike"])
+def test_as_solved_by_an_active_set_method(positive):
+    gram, right, truth = problems(5, positive=positive)
+    found = nnls(gram, right)
+    assert (found >= 0).all()
+    assert (truth == 0).any()  # the constraint matters
+    torch.testing.assert_close(found, truth, atol=1e-7, rtol=0)
+
+
+def test_the_start_does_not_matter_and_is_only_read():
+    gram, right, truth = problems(7)
+    for start in (truth, 1 - (truth > 0).double(), torch.ones_like(truth)):
+        kept = start.clone()
+        found = nnls(gram, right, start=start)
+        torch.testing.assert_close(found, truth, atol=1e-7, rtol=0)
+        assert torch.equal(start, kept)
+
+
+def test_each_problem_is_solved_as_alone():
+    gram, right, _ = problems(8, positive=False)
+    found = nnls(gram, right)
+    for k in range(len(gram)):
+        alone = nnls(gram[k, None], right[k, None])
+        torch.testing.assert_close(found[k, None], alone, atol=1e-12, rtol=0)
+
+
+def test_more_unknowns_than_equations_are_explained_as_well():
+    gram, right, truth = problems(9, equations=12, unknowns=30)
+    best = objective(gram, right, truth)
+    torch.testing.assert_close(
+        objective(gram, right, nnls(gram, right)), best, atol=1e-6, rtol=1e-7
+    )
+    single = nnls(gram.float(), right.float())
+    assert single.dtype == torch.float32
+    torch.testing.assert_close(objective(gram, right, single.double()), best, atol=1e-4, rtol=1e-4)
+
+
+def test_what_is_missing_is_nothing():
+    """Unknowns whose row and right side are zero."""
+    gram, right, truth = problems(10)
+    for missing in (gram[:, 3], gram[:, :, 3], right[:, 3]):
+        missing.zero_()
+    found = nnls(gram, right, start=torch.ones_like(truth))
+    assert bool((found[:, 3] == 0).all())
+    rest = [k for k in range(9) if k != 3]
+    alone = nnls(gram[:, rest][:, :, rest], right[:, rest])
+    torch.testing.assert_close(found[:, rest], alone)
