@@ -25,7 +25,7 @@ AMBIENT_PARAMETERS, LAMP_PARAMETERS = 16, 7
 # Standard deviations over the sphere of the fields of log luminance of degree 1 and 2, and by how
 # much ceilings are brighter than floors: e^(2 x 0.3) with reflectances of 0.7 and 0.2 and lamps on
 # either side.
-AMBIENT_SPREADS = 0.35, 0.35
+AMBIENT_SPREADS = 0.15, 0.15
 UPWARD = 0.3
 # Of the log of red and of blue against green: all ambient light, and its field of degree 1. A
 # camera has balanced most of it.
@@ -33,10 +33,10 @@ AMBIENT_CHROMA, AMBIENT_CHROMA_FIELD = 0.2, 0.15
 LAMP_CHROMA = 0.2  # of a lamp against the ambient light's mean: tungsten beside daylight has 0.5
 # Medians and standard deviations of log e_k and log s_k: a bulb seen from across a room is a
 # degree wide, a window or a softbox 20
-LAMP_ENERGY, LAMP_ENERGY_SPREAD = 0.3, 1.0
-# Of e_k: a lamp with six sevenths of all light. One behind the head that only grazes it may have
+LAMP_ENERGY, LAMP_ENERGY_SPREAD = 0.5, 1.2
+# Of e_k: a lamp with ten elevenths of all light. One behind the head that only grazes it may have
 # any energy, as far as the face tells.
-MOST_ENERGY = 6.0
+MOST_ENERGY = 10.0
 LAMP_WIDTH_RAD, LAMP_WIDTH_SPREAD = math.radians(8.0), 0.7
 WIDTH_BOUNDS_RAD = math.radians(3.0), math.radians(40.0)  # half a cell of 32 rows; a wall
 LAMP_HEIGHT = 1.0  # p(d) ~ e^(h d_y): lamps above are e^2 times as likely as below
@@ -63,7 +63,7 @@ class LampsLight(nn.Module):
         8:16   log of its red, then of its blue against green, degrees 0 and 1
         then for each lamp
         0:3    direction, of any length but 0
-        3, 4   log energy (of 1 / (1 / e - 1 / 6): e stays below 6), log width
+        3, 4   log energy (of 1 / (1 / e - 1 / 10): e stays below 10), log width
         5, 6   log of its red and of its blue against green
 
     """
@@ -164,7 +164,20 @@ class LampsLight(nn.Module):
         each = params[..., AMBIENT_PARAMETERS:].unflatten(-1, (self.count, LAMP_PARAMETERS))
         each[..., :3] = directions.to(params)[:, None, None]
         together = math.log(max(self.count, 1)) / LAMP_ENERGY_SPREAD
-        each[..., 3] = params.new_tensor([-1.0, -1.0, 0.2, 0.2])[:, None] - together
+        each[..., 3] = params.new_tensor([-1.2, -1.2, -0.3, -0.3])[:, None] - together
+        each[..., 4] = params.new_tensor([0.0, 1.3, 0.0, 1.3])[:, None]
+        return params.to(torch.get_default_dtype())
+
+    def starts_at(
+        self, directions: Float[Tensor, "s k 3"], energies: Float[Tensor, "s k"]
+    ) -> Float[Tensor, "s c p"]:
+        """Lamps there, of those energies or half of them, narrow and wide."""
+        params = self.log_solid_angle.new_zeros(len(directions), 4, self.parameter_count)
+        each = params[..., AMBIENT_PARAMETERS:].unflatten(-1, (self.count, LAMP_PARAMETERS))
+        each[..., :3] = directions.to(params)[:, None]
+        half = torch.stack([energies, energies, energies / 2, energies / 2], 1).to(params)
+        below = 1 / half.clamp(max=0.9 * MOST_ENERGY) - 1 / MOST_ENERGY
+        each[..., 3] = -(LAMP_ENERGY * below).log() / LAMP_ENERGY_SPREAD
         each[..., 4] = params.new_tensor([0.0, 1.3, 0.0, 1.3])[:, None]
         return params.to(torch.get_default_dtype())
 

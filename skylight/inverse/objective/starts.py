@@ -16,17 +16,18 @@ START_GROUND = 0.2  # thesis, B.1
 @torch.no_grad()
 def choose_starts(
     objective: LightObjective,
-    directions: Float[Tensor, "d 3"],
+    towards: Float[Tensor, "d c p"],
     albedo_modes: Float[Tensor, "k 3"],
 ) -> tuple[Float[Tensor, "s q"], Float[Tensor, " s"]]:
     """Packed starts and their scores, each with its best exposures and albedo modes.
 
-    The best of the model's candidates for each of the scan's directions, and its centroids.
+    The best of the c candidates for each of d directions (what the model has ``starts_towards``
+    those of a scan), and the model's centroids.
     The score is data and the priors of albedo and the sun's place alone: how likely a sky is counts
     from the first step on.
     """
     model = objective.model
-    towards = model.starts_towards(directions).flatten(0, 1).to(albedo_modes)
+    count, towards = len(towards), towards.flatten(0, 1).to(albedo_modes)
     centroids = model.starts().to(albedo_modes)
     if model.azimuth_index is not None:
         i = model.azimuth_index
@@ -58,9 +59,9 @@ def choose_starts(
     gloss = light.new_ones(len(light), len(objective.faces))
     packed = objective.pack(light, exposures, gloss, albedos, ground_albedo)
     # one sky for each direction: many starts are to look in many directions
-    each = losses[: len(towards)].unflatten(0, (len(directions), -1)).min(1)
+    each = losses[: len(towards)].unflatten(0, (count, -1)).min(1)
     every = torch.arange(len(light), device=light.device)
-    first = every[: len(directions)] * (len(towards) // len(directions))
+    first = every[:count] * (len(towards) // count)
     kept = torch.cat([first + each.indices, every[len(towards) :]])
     return packed[kept], losses[kept]
 

@@ -147,7 +147,8 @@ class SkySolver:
         self, faces: LitFaces, prior: SunPrior | None, directions: Float[Tensor, "d 3"]
     ) -> Points:
         objective = self._objective([faces], [prior], self.options.rounds[0])
-        return Points.starting(*choose_starts(objective, directions, self.albedo_modes))
+        towards = self.model.starts_towards(directions)
+        return Points.starting(*choose_starts(objective, towards, self.albedo_modes))
 
 
 def _estimate(
