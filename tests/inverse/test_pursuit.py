@@ -6,8 +6,8 @@ from itertools import combinations
 import torch
 from scipy.optimize import nnls as scipy_nnls
 
+from skylight.inverse.lamps.number import least_gain
 from skylight.inverse.lamps.pursuit import ROWS, Pursuit
-from skylight.inverse.lamps.solver import least_gain
 from skylight.sphere.envmap import luminance
 from tests.inverse.test_lamps import lit_ball
 

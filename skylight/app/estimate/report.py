@@ -20,7 +20,8 @@ from skylight.app.estimate.face_panels import (
 )
 from skylight.app.estimate.summary import where
 from skylight.app.estimate.types import PhotoEstimate
-from skylight.app.estimate.uncertainty import angles_deg, draw_region, probe_title
+from skylight.app.estimate.uncertainty import draw_region, probe_title
+from skylight.app.figures.angles import angles_deg
 from skylight.app.figures.exposure import srgb_codes, white_of
 from skylight.app.figures.panels import show, show_probe, write_numbers
 from skylight.app.figures.relit import SCENE_GRID, SCENE_HEIGHT, relit

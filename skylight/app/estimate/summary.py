@@ -6,12 +6,8 @@ from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 
 from skylight.app.estimate.types import PhotoEstimate, SeenFace
-from skylight.app.estimate.uncertainty import (
-    angles_deg,
-    describe_posterior,
-    named_angles,
-    sure_of_the_sun,
-)
+from skylight.app.estimate.uncertainty import describe_posterior, sure_of_the_sun
+from skylight.app.figures.angles import angles_deg, describe_lamps, named_angles
 from skylight.imaging.taken import Taken
 from skylight.inverse.result import Estimate, FaceLight
 
@@ -28,14 +24,7 @@ def describe(result: PhotoEstimate, *, keep_place: bool) -> dict[str, object]:
         "+Y up; azimuth from -Z towards +X, zenith from +Y; linear Rec.709",
         "choice": None if estimate.choice is None else asdict(estimate.choice),
         "sun": named_angles(estimate.sun_direction),
-        "lamps": [
-            named_angles(lamp.direction)
-            | {
-                "irradiance": lamp.irradiance.tolist(),
-                "spread_deg": math.degrees(lamp.spread_rad),
-            }
-            for lamp in estimate.lamps
-        ],
+        "lamps": describe_lamps(estimate.lamps),
         "posterior": describe_posterior(estimate.posterior),
         "ground_albedo": estimate.ground_albedo.tolist(),
         "params": estimate.params.tolist(),

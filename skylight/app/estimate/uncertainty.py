@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skylight.app.figures.angles import named_angles
 from skylight.inverse.posterior import SHARE, SunPosterior
 from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.frame import angles_from_direction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,17 +53,6 @@ def edge_density(posterior: SunPosterior) -> float:
         return abs(float(mass[posterior.density >= level].sum()) - SHARE)
 
     return float(min(0.98 * least, 1.02 * least, key=away))
-
-
-def angles_deg(direction: Float[Tensor, "3"]) -> tuple[float, float]:
-    """(azimuth, zenith) of a direction, degrees."""
-    azimuth, zenith = angles_from_direction(direction)
-    return math.degrees(float(azimuth)), math.degrees(float(zenith))
-
-
-def named_angles(direction: Float[Tensor, "3"]) -> dict[str, float]:
-    """:func:`angles_deg` as estimate.json has them."""
-    return dict(zip(("azimuth_deg", "zenith_deg"), angles_deg(direction), strict=True))
 
 
 def sure_of_the_sun(posterior: SunPosterior) -> str:

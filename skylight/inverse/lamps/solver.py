@@ -1,6 +1,5 @@
 """Eq. 5.8 for lamps in ambient light, as many lamps as the picture tells of."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -8,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skylight.inverse.lamps.number import MAP_ROWS, Fitted, as_many_as_pay, in_pictures_units
 from skylight.inverse.lamps.pursuit import Pursuit
 from skylight.inverse.objective.answer import Ends, face_lights
 from skylight.inverse.objective.descent import Points, Round, descend
@@ -17,18 +17,11 @@ from skylight.inverse.objective.lit_faces import LitFaces
 from skylight.inverse.objective.starts import choose_starts
 from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.posterior import SunEvidence, face_evidence, sun_evidence, sun_posterior
-from skylight.inverse.result import UNEXPLAINED, Estimate, Lamp, advice
+from skylight.inverse.result import UNEXPLAINED, Estimate, advice
 from skylight.inverse.scan import SunScan, scan_faces
 from skylight.models.lamps import LampsLight, LampsPrior
 from skylight.models.prior import GaussianMixture
-from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.work.progress import Progress
-
-MOST_LAMPS = 3
-# Nats of evidence, see least_gain: set by hand, by 16 photographs under one lamp each (of which two
-# lamps made up to 78 nats more, 44 degrees apart) and 14 rendered faces in rooms.
-LEAST_GAIN, LEAST_GAIN_OF_NEAR = 10.0, 90.0
-MAP_ROWS = 64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,36 +66,39 @@ class LampsSolver:
         (:class:`~skylight.inverse.lamps.pursuit.Pursuit`), one lamp also from the directions of the
         scan over the sphere. Numbers compete on a coarse level by
         :func:`~skylight.inverse.objective.evidence.log_evidence`: one more is to bring
-        :func:`least_gain`.
+        :func:`~skylight.inverse.lamps.number.least_gain`.
         """
         options, observed = self.options, [face.scanned for face in faces]
         every = scan_faces(observed, sphere=True)
         scan = SunScan.of(every, candidates=options.scan_candidates)
         evidence = sun_evidence(face_evidence(observed, every, sphere=True))
         pursuit = Pursuit(observed)
-        best, count, evidence_of_count = None, 0, -math.inf
-        for more in range(1, MOST_LAMPS + 1):
-            if more > 1:
+
+        def fitted(count: int) -> Fitted[Points]:
+            if count > 1:
                 pursuit.grow()
             sets = pursuit.best(options.sets)
-            objective = self._objective(faces, more, options.coarse[0])
+            objective = self._objective(faces, count, options.coarse[0])
             assert isinstance(objective.model, LampsLight)
             towards = objective.model.starts_at(sets.directions, sets.energies)
-            if more == 1:
+            if count == 1:
                 scanned = objective.model.starts_towards(scan.candidates)
                 towards = torch.cat([towards, scanned.to(towards)])
             points = Points.starting(*choose_starts(objective, towards, self.albedo_modes))
-            objective, points = self._descend(faces, more, points, options.coarse)
+            objective, points = self._descend(faces, count, points, options.coarse)
             end = points.free[points.scores.argmin(), None]
-            now = float(log_evidence(objective, end))
             assert isinstance(objective.model, LampsLight)
-            lamps = objective.model.lamps(objective.unpack(end).light)
-            if best is not None and now < evidence_of_count + least_gain(lamps.directions[0]):
-                break
-            best, count, evidence_of_count = points, more, now
-        assert best is not None  # one lamp has evidence, if any picture has
-        objective, best = self._descend(faces, count, best, options.fine, progress)
-        ends = Ends.of(objective, [best], evidence=True)
+            return Fitted(
+                point=points,
+                directions=objective.model.lamps(objective.unpack(end).light).directions[0],
+                log_evidence=float(log_evidence(objective, end)),
+            )
+
+        best = as_many_as_pay(fitted, fewest=1)
+        objective, points = self._descend(
+            faces, len(best.directions), best.point, options.fine, progress
+        )
+        ends = Ends.of(objective, [points], evidence=True)
         return _estimate(ends, faces, options.fine[-1].level, scan, evidence)
 
     def _descend(
@@ -132,22 +128,6 @@ class LampsSolver:
         )
 
 
-def _evidence(objective: LightObjective, points: Points) -> float:
-    return float(log_evidence(objective, points.free[points.scores.argmin(), None]))
-
-
-def least_gain(directions: Float[Tensor, "k 3"]) -> float:
-    """What the last of k lamps is to bring: with the least angle a between two, in nats::
-
-        10 + 90 ((1 + cos a) / 2)^2
-
-    What heads are wrong by is not as independent as the objective takes it to be: a lamp in two
-    lights the face as one would light another's.
-    """
-    apart = directions @ directions.T - 2 * torch.eye(len(directions)).to(directions)
-    return LEAST_GAIN + LEAST_GAIN_OF_NEAR * float(((1 + apart.max()) / 2).square())
-
-
 def _estimate(
     ends: Ends, faces: LitFaces, level: int, scan: SunScan, evidence: SunEvidence
 ) -> Estimate:
@@ -158,20 +138,7 @@ def _estimate(
     params = ends.parts.light[0].cpu()
     lights = face_lights(ends, 0, faces, level)
     exposure = lights[0].exposure
-    with torch.no_grad():
-        radiance = LampsLight(model.count, MAP_ROWS)(params) * exposure
-        found = model.cpu().lamps(params)
-    environment = EnvironmentMap(radiance=radiance.reshape(MAP_ROWS, 2 * MAP_ROWS, 3))
-    received = 4 * math.pi * exposure * found.energies * LampsLight.facing(found.widths_rad)
-    every = [
-        Lamp(
-            direction=found.directions[k].double(),
-            irradiance=received[k] * found.colours[k],
-            spread_rad=float(found.widths_rad[k]),
-        )
-        for k in range(model.count)
-    ]
-    lamps = tuple(sorted(every, key=lambda lamp: -float(luminance(lamp.irradiance))))
+    environment, lamps = in_pictures_units(model.count, params, exposure)
     ground = environment.radiance[MAP_ROWS // 2 :].reshape(-1, 3).mean(0)
     down = environment.upper().irradiance(torch.tensor([0.0, 1.0, 0.0])) / torch.pi
     posterior = sun_posterior(
