@@ -14,7 +14,7 @@ from skylight.work.device import Device
 
 # Parsing must not import torch, so the choices stand here again; a test compares the two.
 Light = Literal["auto", "autoencoder", "sunsky", "lamps", "sh9", "sh25"]
-ObjectLight = Literal["ani", "iso", "vmf", "sh9", "sh25", "sh49"]
+ObjectLight = Literal["ani", "iso", "vmf", "sh9", "sh25", "sh49", "lamps"]
 Landmarks = Literal["mediapipe", "dlib"]
 Head = Literal["fitted", "deformed"]
 Decoding = tyro.conf.create_mutex_group(required=False)
@@ -236,7 +236,7 @@ def estimate_object(
         camera: JSON with fov_deg (vertical) or focal_px, and either position, look_at and up (in
             the mesh's world) or world_from_camera (4 x 4; the camera looks along -Z, +Y is up).
         light: Sparse code of anisotropic Gaussians (ani), isotropic ones (iso) or equal lobes
-            (vmf), or 9, 25 or 49 spherical harmonics.
+            (vmf), 9, 25 or 49 spherical harmonics, or lamps in ambient light (up to three).
         activations: Most activations of a sparse code.
         mask: Picture of the photo's size, white where the object shows and black elsewhere.
         albedo: Reflectance of the object as R,G,B; by default it is taken to be grey and counts

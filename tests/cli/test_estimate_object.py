@@ -1,6 +1,7 @@
 """The command `skylight estimate-object`: files in, files out, one line where it fails."""
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import get_args
@@ -27,11 +28,15 @@ from tests.cli.test_cli import one_line
 CAMERA = {"fov_deg": 36, "position": [3, 1.2, -2.6], "look_at": [0, 0, 0]}
 RESULTS = {"probe.exr", "probe.hdr", "estimate.json", "comparison.png"}
 SIZE = 56
+LAMP = (0.8, 0.6, 0.0)  # 53 degrees from +Y towards +X
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A mesh, its camera, and its picture in light from +X above, linear and as PNG."""
+    """A mesh, its camera, and its picture in light from +X above, linear and as PNG.
+
+    In lamp.exr a lamp lights it too.
+    """
     folder = tmp_path_factory.mktemp("object")
     mesh = trimesh.util.concatenate(
         [
@@ -54,8 +59,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         torch.ones(SIZE, SIZE, 3),
     )
     background = torch.tensor([0.1, 0.2, 0.4]).expand(SIZE, SIZE, 3)
-    pixels = view.surface.image(view.shade(light, torch.arange(len(view.surface))), background)
+    every = torch.arange(len(view.surface))
+    pixels = view.surface.image(view.shade(light, every), background)
     write_exr(folder / "photo.exr", pixels.numpy(), half=False, header={})
+    lobe = 30 * torch.exp(50 * (grid.directions @ torch.tensor(LAMP).double() - 1)).reshape(64, 128)
+    lit = EnvironmentMap(radiance=light.radiance + lobe[..., None].float())
+    by_lamp = view.surface.image(view.shade(lit, every), background)
+    write_exr(folder / "lamp.exr", by_lamp.numpy(), half=False, header={})
     codes = (255 * linear_to_srgb(pixels.clamp(0, 1))).round().to(torch.uint8).numpy()
     Image.fromarray(codes).save(folder / "photo.png")
     Image.fromarray(np.full((SIZE, SIZE), 255, np.uint8)).save(folder / "mask.png")
@@ -125,6 +135,25 @@ class TestResults:
             "roughness": 0.5,
             "reflectance": 0.04,
         }
+
+    def test_lamps(self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        """Told as a face's are."""
+        out = tmp_path / "out"
+        assert main(arguments(folder, out, "--light", "lamps", photo="lamp.exr")) == 0
+        assert {path.name for path in out.iterdir()} == RESULTS
+        said = capsys.readouterr().out
+        assert "lamp        azimuth +90°, zenith 53°\n" in said
+        assert "light       one lamp in ambient light" in said
+        told = json.loads((out / "estimate.json").read_text())
+        assert told["light"] == "lamps"
+        assert "coefficients" not in told
+        (lamp,) = told["lamps"]
+        assert lamp.keys() == {"azimuth_deg", "zenith_deg", "irradiance", "spread_deg"}
+        assert lamp["azimuth_deg"] == pytest.approx(90, abs=1)
+        assert lamp["zenith_deg"] == pytest.approx(53.1, abs=1)
+        assert lamp["spread_deg"] == pytest.approx(math.degrees(50**-0.5), abs=1)
+        # of a surface that faces it: 30 int exp(50 (cos - 1)) cos dw
+        assert lamp["irradiance"] == pytest.approx([30 * 2 * math.pi * 49 / 50**2] * 3, rel=0.05)
 
     def test_choices_are_those_of_the_library(self) -> None:
         assert get_args(ObjectLight) == get_args(ObjectLightName)

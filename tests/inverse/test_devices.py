@@ -99,7 +99,7 @@ def test_no_operation_on_a_known_object_mixes_devices(monkeypatch: pytest.Monkey
     assert found.residual == expected.residual
 
 
-@pytest.mark.parametrize("light", ["sh9", "vmf"])
+@pytest.mark.parametrize("light", ["sh9", "vmf", "lamps"])
 def test_a_device_gives_the_cpus_light_of_a_known_object(
     light: ObjectLightName, device: torch.device
 ) -> None:
@@ -108,7 +108,7 @@ def test_a_device_gives_the_cpus_light_of_a_known_object(
     white = expected.environment.radiance.max()
     error = (found.environment.radiance - expected.environment.radiance).abs().max()
     assert float(error / white) < 0.01
-    assert found.rendered.device.type == found.coefficients.device.type == "cpu"
+    assert found.environment.radiance.device.type == found.rendered.device.type == "cpu"
 
 
 def test_the_checked_device_refuses_to_mix() -> None:

@@ -393,7 +393,7 @@ class TestRefused:
         with pytest.raises(InputError, match="1 or more"):
             estimate_object_light(front.observation, "vmf", material=CORAL, activations=0)
 
-    @pytest.mark.parametrize("light", ["sh9", "vmf"])
+    @pytest.mark.parametrize("light", ["sh9", "vmf", "lamps"])
     def test_nothing_added(self, light: str) -> None:
         with pytest.raises(InputError, match="no observation"):
             KnownObjectProblem(light).solve()

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from skylight import __version__
+from skylight.app.figures.angles import angles_deg, describe_lamps
 from skylight.app.figures.exposure import white_of
 from skylight.app.figures.panels import show, show_probe, write_numbers
 from skylight.app.figures.style import INK, MUTED, STYLE, save
@@ -32,6 +33,7 @@ from skylight.work.device import Device
 from skylight.work.progress import StageProgress
 
 REFLECTANCE = 0.04  # of plastics and varnish at normal incidence: index of refraction 1.5
+_COUNTS = "no lamp", "one lamp", "two lamps", "three lamps"
 _SHOWN_PIXELS = 20_000
 _DIFFERENCE_GAIN = 4.0
 _T = TypeVar("_T")
@@ -159,6 +161,7 @@ def describe_object(result: KnownObjectEstimate, *, mesh: str, photo: str) -> di
         "residual": light.residual,
         "linear_residual": light.linear_residual,
         "clamped_share": light.clamped_share,
+        "lamps": describe_lamps(light.lamps),
         "advice": list(light.advice),
         "pixels_used": len(view.observation.pixels),
         "pixels_on_mesh": len(view.surface),
@@ -178,8 +181,9 @@ def describe_object(result: KnownObjectEstimate, *, mesh: str, photo: str) -> di
         "version": __version__,
         "seed": 0,  # draws which pixels are used
     }
-    if light.code is None:
+    if light.coefficients is not None and light.code is None:
         content["coefficients"] = light.coefficients.tolist()
+    if light.code is None:
         return content
     code, bank = light.code, light.dictionary
     assert bank is not None
@@ -208,22 +212,34 @@ def summarise_object(result: KnownObjectEstimate) -> str:
     """A few lines for the terminal."""
     light = result.light
     azimuth_deg, zenith_deg = brightest_deg(light.environment)
-    kind = light.light if light.code is None else f"{len(light.code)} activations of {light.light}"
+    lamps = _lamps_deg(light)
     return "\n".join(
         [
             f"brightest   azimuth {azimuth_deg:+.0f}°, zenith {zenith_deg:.0f}° (mesh's world)",
+            *(f"lamp        azimuth {a:+.0f}°, zenith {z:.0f}°" for a, z in lamps),
             f"object      re-rendered to within {100 * light.residual:.1f} %",
-            f"light       {kind}, {100 * light.clamped_share:.1f} % cut off below zero",
+            f"light       {_kind(light)}, {100 * light.clamped_share:.1f} % cut off below zero",
             f"took        {sum(result.seconds.values()):.0f} s",
         ]
     )
 
 
+def _kind(light: ObjectLight) -> str:
+    """What the light is made of."""
+    if light.light == "lamps":
+        return f"{_COUNTS[len(light.lamps)]} in ambient light"
+    return light.light if light.code is None else f"{len(light.code)} activations of {light.light}"
+
+
+def _lamps_deg(light: ObjectLight) -> list[tuple[float, float]]:
+    """(azimuth, zenith) of each."""
+    return [angles_deg(lamp.direction) for lamp in light.lamps]
+
+
 def brightest_deg(environment: EnvironmentMap) -> tuple[float, float]:
     """(azimuth, zenith) of the map's brightest pixel, above or below the horizon, degrees."""
     at = luminance(environment.flat).argmax()
-    azimuth, zenith = angles_from_direction(environment.grid.directions[at])
-    return float(torch.rad2deg(azimuth)), float(torch.rad2deg(zenith))
+    return angles_deg(environment.grid.directions[at])
 
 
 def write_comparison(path: Path, result: KnownObjectEstimate, *, title: str) -> None:
@@ -287,10 +303,13 @@ def _rows(result: KnownObjectEstimate) -> list[tuple[str, str]]:
     light = result.light
     azimuth_deg, zenith_deg = brightest_deg(light.environment)
     return [
-        ("light", light.light),
-        *([] if light.code is None else [("activations", f"{len(light.code)}")]),
+        ("light", _kind(light)),
         ("brightest: azimuth, −Z to +X", f"{azimuth_deg:+.0f}°"),
         ("   zenith angle", f"{zenith_deg:.0f}°"),
+        *(
+            (f"lamp {k}: azimuth, zenith", f"{azimuth:+.0f}°, {zenith:.0f}°")
+            for k, (azimuth, zenith) in enumerate(_lamps_deg(light), start=1)
+        ),
         ("residual", f"{100 * light.residual:.1f} %"),
         ("cut off below zero", f"{100 * light.clamped_share:.1f} %"),
         ("pixels used", f"{len(result.view.observation.pixels)}"),

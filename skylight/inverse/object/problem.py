@@ -21,7 +21,9 @@ from skylight.csc.pursuit.quadratic import LinearObservation
 from skylight.csc.sub_dictionaries import rotated_atoms
 from skylight.errors import InputError
 from skylight.inverse.harmonic.nonnegative import nonnegative_harmonics
+from skylight.inverse.object.lamps import ObjectLamps, lamps_of_objects, thinned
 from skylight.inverse.object.view import GRID_HEIGHT, ObjectMaterial, shading
+from skylight.inverse.result import Lamp
 from skylight.sphere import harmonics
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.grid import DirectionGrid
@@ -30,7 +32,7 @@ from skylight.transport.observation import Observation
 from skylight.work.device import choose_device
 from skylight.work.progress import Progress
 
-ObjectLightName = Literal["ani", "iso", "vmf", "sh9", "sh25", "sh49"]
+ObjectLightName = Literal["ani", "iso", "vmf", "sh9", "sh25", "sh49", "lamps"]
 MAP_HEIGHT = 64
 LEAST_GAIN = 0.01  # of the squared error, by PATIENCE activations together
 PATIENCE = 3
@@ -48,18 +50,21 @@ class ObjectLight:
         ``int max(0, -L) / int |L|``, over all colours.
     ``coefficients``
         (k,3), before clamping: of :func:`skylight.sphere.harmonics.evaluate`, or, where ``code``
-        is given, of :func:`skylight.sphere.harmonics.evaluate_about_zenith`.
+        is given, of :func:`skylight.sphere.harmonics.evaluate_about_zenith`. None of lamps.
     ``rendered``
         (m,3), the observation's pixels under ``environment``; ``residual`` is their difference
         from those seen, root of weighted mean squares, relative to the pixels'. ``linear_residual``
         is the same before clamping.
     ``code``
         The activations; its ``relative_error`` is ``linear_residual``.
+    ``lamps``
+        Those of "lamps", the strongest first; ``log_evidence`` (nats) is how likely the picture is
+        under so many.
     """
 
     light: str
     environment: EnvironmentMap
-    coefficients: Float[Tensor, "k 3"]
+    coefficients: Float[Tensor, "k 3"] | None
     rendered: Float[Tensor, "m 3"]
     residual: float
     linear_residual: float
@@ -67,6 +72,8 @@ class ObjectLight:
     advice: tuple[str, ...]
     dictionary: FilterBank | None = None
     code: SparseCode | None = None
+    lamps: tuple[Lamp, ...] = ()
+    log_evidence: float | None = None
 
 
 def estimate_object_light(
@@ -88,10 +95,12 @@ def estimate_object_light(
     least error is taken.
     All colours share their activations; each colour's weights are then fitted to its own albedo,
     none below 0.
+    Lamps, none to three in smooth ambient light, minimise the robust error with a prior instead:
+    see :mod:`skylight.inverse.object.lamps`.
 
     Parameters
     ----------
-    light : spherical harmonics, a dictionary of the thesis, or a dictionary of one's own.
+    light : spherical harmonics, a dictionary of the thesis, a dictionary of one's own, or lamps.
     material : that with which the object was observed.
     device : "cpu", "cuda", or "auto" for CUDA where it is. Transport is moved there once. The light
         is on the CPU.
@@ -161,6 +170,10 @@ class KnownObjectProblem:
             raise InputError("there is no observation to estimate light from; give at least one")
         light, material, activations = self.light, self.material, self.activations
         observation = _together(self._observations)
+        if light == "lamps":
+            coarse = _together([thinned(one) for one in self._observations])
+            found = lamps_of_objects(observation, coarse, material, progress)
+            return _lamps_light(observation, found, material)
         bank, code = None, None
         if isinstance(light, FilterBank) or light == "ani" or light == "iso" or light == "vmf":
             bank = light if isinstance(light, FilterBank) else builtin(light)
@@ -177,8 +190,7 @@ class KnownObjectProblem:
         )
         share = DirectionGrid.latlong(MAP_HEIGHT).solid_angles[:, None]
         taken = float((share * (-radiance).clamp(min=0)).sum() / (share * radiance.abs()).sum())
-        coarse = environment.resize(GRID_HEIGHT).flat.to(self.device)
-        rendered = shading(observation.transport, observation.gloss, coarse, material)
+        rendered = _rendered(observation, environment, material)
         residual = _relative_error(observation, rendered)
         return ObjectLight(
             light=name,
@@ -192,6 +204,33 @@ class KnownObjectProblem:
             dictionary=bank,
             code=code,
         )
+
+
+def _lamps_light(
+    observation: Observation, found: ObjectLamps, material: ObjectMaterial
+) -> ObjectLight:
+    rendered = _rendered(observation, found.environment, material)
+    residual = _relative_error(observation, rendered)
+    return ObjectLight(
+        light="lamps",
+        environment=found.environment,
+        coefficients=None,
+        rendered=rendered.cpu(),
+        residual=residual,
+        linear_residual=residual,
+        clamped_share=0.0,
+        advice=_advice(residual),
+        lamps=found.lamps,
+        log_evidence=found.log_evidence,
+    )
+
+
+def _rendered(
+    observation: Observation, environment: EnvironmentMap, material: ObjectMaterial
+) -> Float[Tensor, "m 3"]:
+    """What the observation's pixels are in this light."""
+    coarse = environment.resize(GRID_HEIGHT).flat.to(observation.pixels)
+    return shading(observation.transport, observation.gloss, coarse, material)
 
 
 def _together(observations: list[Observation]) -> Observation:

@@ -13,6 +13,7 @@ from torch.nn.functional import normalize
 from skylight.errors import InputError
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.grid import DirectionGrid
+from skylight.transport.diffuse import shade
 from skylight.transport.gbuffer import GBuffer, rasterize
 from skylight.transport.gloss import glossy_transport
 from skylight.transport.matrix import TransportMatrix, diffuse_transport
@@ -279,9 +280,9 @@ def _transport(
 def shading(
     matt: TransportMatrix,
     gloss: TransportMatrix | None,
-    light: Float[Tensor, "n 3"],
+    light: Float[Tensor, "*b n 3"],
     material: ObjectMaterial,
-) -> Float[Tensor, "m 3"]:
+) -> Float[Tensor, "*b m 3"]:
     """albedo T l + share G l."""
-    shading = light.new_tensor(material.albedo) * (matt.matrix @ light)
-    return shading if gloss is None else shading + material.share * (gloss.matrix @ light)
+    shading = torch.tensor(material.albedo).to(light) * shade(matt.matrix, light)
+    return shading if gloss is None else shading + material.share * shade(gloss.matrix, light)
