@@ -29,8 +29,13 @@ def export_light(
     harmonics and cube map. gltf: light.glb with EXT_lights_image_based. usd: light.usda, a
     DomeLight. mitsuba: scene.xml. blender: load_light.py, which loads the .hdr beside it.
 
+    Given an estimate's folder, the lamps that it lists (of --light lamps, or auto) become lights
+    to move and switch, beside the rest of its map: DirectionalLight, KHR_lights_punctual,
+    DistantLight, directional emitters, suns. sh and ar have all light in one.
+
     Args:
-        probe: .exr or .hdr lat-long map of the sphere, or of the sky.
+        probe: .exr or .hdr lat-long map of the sphere, or of the sky; or the folder that skylight
+            estimate wrote, or its estimate.json.
         out: Folder for the files.
         as_: One target or more.
         from_convention: Which program's way of turning lat-long maps the probe has.
@@ -43,6 +48,8 @@ def export_light(
         probe, out, as_, convention=from_convention, harmonics=sh_convention, face=face
     )
     print(f"written into {out}: {', '.join(exported.files)}")
+    if exported.lamps:
+        print(f"lamps that are lights of their own, not in the map: {exported.lamps}")
     if exported.cut > 0.001:
         print(
             f"skylight: take care: reflections of light.glb lack {100 * exported.cut:.1f} % of the "

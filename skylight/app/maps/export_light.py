@@ -7,8 +7,9 @@ from typing import Literal
 
 import torch
 
+from skylight.app.maps.estimated_light import read_light
 from skylight.errors import InputError
-from skylight.io.files import read_environment_map
+from skylight.relight.lamp_lights import without_lamps
 from skylight.relight.light_files.augmented_reality import write_augmented_reality
 from skylight.relight.light_files.blender import write_blender
 from skylight.relight.light_files.gltf import write_gltf
@@ -23,14 +24,19 @@ from skylight.sphere.harmonic_conventions import HarmonicConvention
 from skylight.work.results_folder import results_folder
 
 LightTarget = Literal["threejs", "sh", "ar", "gltf", "usd", "mitsuba", "blender"]
+WHOLE = {"sh", "ar"}  # targets that have no lights of an artist's own to move
 LARGEST_FACE = 2048
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportedLight:
-    """What was written; ``cut`` is the share of the light that light.glb's reflections lack."""
+    """What was written: ``cut`` is the share of the light that light.glb's reflections lack.
+
+    ``lamps`` is how many became lights of their own.
+    """
 
     files: list[str]
+    lamps: int
     cut: float
 
 
@@ -45,6 +51,9 @@ def export_light(
 ) -> ExportedLight:
     """Write the files of each target into the folder ``out``.
 
+    ``probe`` is a map, or an estimate's folder or estimate.json: its lamps are lights of their own
+    of all targets but "sh" and "ar", beside the rest of its map.
+
     ``face`` is the side of a cube map's faces, a power of two from 32; by default the largest that
     shows no more detail than the map's horizon, from 64 to 512. A sky alone gets a black lower
     half.
@@ -52,7 +61,7 @@ def export_light(
     Raises
     ------
     InputError
-        A map that cannot be read, no target, or a face size that cannot be.
+        A map or estimate that cannot be read, no target, or a face size that cannot be.
     """
     if not targets:
         raise InputError("name at least one target with --as")
@@ -61,30 +70,32 @@ def export_light(
             f"a cube map's faces are a power of two from {2 * LAST_SIZE} to {LARGEST_FACE} pixels "
             f"wide, not {face}"
         )
-    light = read_environment_map(probe, convention=convention)
+    light, lamps = read_light(probe, convention)
     if light.is_sky:
         light = light.with_ground(torch.zeros(3))
+    rest = without_lamps(light, lamps)
     size = face or default_face(light)
     written: list[str] = []
     cut = 0.0
     with results_folder(out) as folder:
         for target in dict.fromkeys(targets):
             if target == "threejs":
-                written += write_threejs(folder, light)
+                written += write_threejs(folder, rest, lamps)
             elif target == "sh":
                 written += write_harmonics(folder, light, harmonics)
             elif target == "ar":
                 written += write_augmented_reality(folder, light, size)
             elif target == "gltf":
-                files, cut = write_gltf(folder, light, size)
+                files, cut = write_gltf(folder, rest, size, lamps)
                 written += files
             elif target == "usd":
-                written += write_usd(folder, light)
+                written += write_usd(folder, rest, lamps)
             elif target == "mitsuba":
-                written += write_mitsuba(folder, light)
+                written += write_mitsuba(folder, rest, lamps)
             else:
-                written += write_blender(folder, light)
-    return ExportedLight(files=written, cut=cut)
+                written += write_blender(folder, rest, lamps)
+    separate = lamps if set(targets) - WHOLE else ()
+    return ExportedLight(files=written, lamps=len(separate), cut=cut)
 
 
 def default_face(light: EnvironmentMap) -> int:

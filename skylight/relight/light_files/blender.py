@@ -1,9 +1,12 @@
-"""Blender: the map as an .hdr, and a script that loads it as the world."""
+"""Blender: the map as an .hdr, and a script that loads it as the world, and lamps as suns."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
+from skylight.inverse.result import Lamp
 from skylight.io.atomic import atomic_path
 from skylight.io.files import write_environment_map
+from skylight.relight.lamp_lights import colour_and_strength, disc_diameter_rad
 from skylight.sphere.envmap import EnvironmentMap
 
 SCRIPT, TEXTURE = "load_light.py", "blender_light.hdr"
@@ -38,11 +41,40 @@ picture.projection = "EQUIRECTANGULAR"
 links.new(picture.outputs["Color"], background.inputs["Color"])
 links.new(background.outputs["Background"], output.inputs["Surface"])
 '''
+# Cycles divides a sun's energy by pi sin^2 of half its angle: however wide it is, its energy is
+# the irradiance of a surface that faces it, W / m^2. A sun shines along its -Z.
+_SUNS = """
+import mathutils
+
+# name, direction towards the lamp, linear colour, irradiance, angular diameter in radians
+LAMPS = [
+{lamps}]
+for name, towards, colour, energy, angle in LAMPS:
+    sun = bpy.data.lights.new(name, "SUN")
+    sun.color, sun.energy, sun.angle = colour, energy, angle
+    lamp = bpy.data.objects.new(name, sun)
+    lamp.rotation_euler = mathutils.Vector(towards).to_track_quat("Z", "Y").to_euler()
+    lamp.location = [5 * part for part in towards]  # where it is found; its light is parallel
+    bpy.context.scene.collection.objects.link(lamp)
+"""
 
 
-def write_blender(folder: Path, environment: EnvironmentMap) -> list[str]:
-    """load_light.py and blender_light.hdr."""
+def write_blender(
+    folder: Path, environment: EnvironmentMap, lamps: Sequence[Lamp] = ()
+) -> list[str]:
+    """load_light.py and blender_light.hdr; ``lamps`` beside the ``environment`` become suns."""
     write_environment_map(folder / TEXTURE, environment, convention="blender")
+    script = _SCRIPT
+    if lamps:
+        suns = [_sun(number, lamp) for number, lamp in enumerate(lamps, start=1)]
+        script += _SUNS.format(lamps="".join(suns))
     with atomic_path(folder / SCRIPT) as temporary:
-        temporary.write_text(_SCRIPT, encoding="utf-8")
+        temporary.write_text(script, encoding="utf-8")
     return [SCRIPT, TEXTURE]
+
+
+def _sun(number: int, lamp: Lamp) -> str:
+    x, y, z = lamp.direction.tolist()
+    colour, strength = colour_and_strength(lamp.irradiance)
+    sun = f"lamp {number}", (x, -z, y), tuple(colour), strength, disc_diameter_rad(lamp.spread_rad)
+    return f"    {sun},\n"

@@ -1,7 +1,11 @@
-"""glTF 2.0 with EXT_lights_image_based: prefiltered cube faces and harmonics of irradiance."""
+"""glTF 2.0 with EXT_lights_image_based: prefiltered cube faces and harmonics of irradiance.
+
+Lamps are directional lights of KHR_lights_punctual.
+"""
 
 import json
 import struct
+from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 
@@ -9,8 +13,10 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
+from skylight.inverse.result import Lamp
 from skylight.io.atomic import atomic_path
 from skylight.io.rgbd import LARGEST, encode_rgbd
+from skylight.relight.lamp_lights import colour_and_strength, quaternion_towards
 from skylight.relight.light_files.harmonics import rounded, second_degree
 from skylight.relight.prefilter import prefiltered_levels
 from skylight.sphere.cube_faces import FACES
@@ -21,7 +27,9 @@ LIGHT = "light.glb"
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942  # names of a .glb file's chunks
 
 
-def write_gltf(folder: Path, environment: EnvironmentMap, size: int) -> tuple[list[str], float]:
+def write_gltf(
+    folder: Path, environment: EnvironmentMap, size: int, lamps: Sequence[Lamp] = ()
+) -> tuple[list[str], float]:
     """light.glb: a scene without objects whose light this is; ``size`` is a power of two.
 
     And the share of the light that the cube map lacks, cut off at 255 where RGBD ends: reflections
@@ -33,6 +41,9 @@ def write_gltf(folder: Path, environment: EnvironmentMap, size: int) -> tuple[li
     The extension's text asks for OpenGL's faces, "each flipped about its vertical axis". It was
     written for Babylon.js, where glTF's (x, y, z) is (-x, y, z): the faces here are OpenGL's of
     the light mirrored in x, each flipped so, with +X and -X exchanged.
+
+    ``lamps`` beside the ``environment`` are nodes that shine along their -Z. Their intensity is
+    the irradiance of a surface that faces them: lux, were the map's radiance in cd / m^2.
     """
     mirrored = EnvironmentMap(radiance=environment.radiance.flip(1))
     levels = [level.cpu().numpy() for level in prefiltered_levels(mirrored, size)]
@@ -53,7 +64,7 @@ def write_gltf(folder: Path, environment: EnvironmentMap, size: int) -> tuple[li
         "specularImageSize": size,
         "specularImages": numbers,
     }
-    _write_glb(folder / LIGHT, light, pictures, names)
+    _write_glb(folder / LIGHT, light, pictures, names, lamps)
     return [LIGHT], float((whole - held) / max(whole, 1e-30))
 
 
@@ -63,7 +74,9 @@ def _png(codes: UInt8[np.ndarray, "h w 4"]) -> bytes:
     return buffer.getvalue()
 
 
-def _write_glb(path: Path, light: dict, pictures: list[bytes], names: list[str]) -> None:
+def _write_glb(
+    path: Path, light: dict, pictures: list[bytes], names: list[str], lamps: Sequence[Lamp]
+) -> None:
     """GLB container, glTF 2.0 specification, 4.4: every chunk fills up to four bytes."""
     views, binary = [], b""
     for picture in pictures:
@@ -83,6 +96,8 @@ def _write_glb(path: Path, light: dict, pictures: list[bytes], names: list[str])
         "bufferViews": views,
         "buffers": [{"byteLength": len(binary)}],
     }
+    if lamps:
+        _add_lamps(tree, lamps)
     text = json.dumps(tree, separators=(",", ":"), allow_nan=False).encode("utf-8")
     text += b" " * (-len(text) % 4)
     chunks = [struct.pack("<II", len(text), _JSON), text]
@@ -90,3 +105,20 @@ def _write_glb(path: Path, light: dict, pictures: list[bytes], names: list[str])
     length = 12 + sum(len(chunk) for chunk in chunks)
     with atomic_path(path) as temporary:
         temporary.write_bytes(b"".join([b"glTF", struct.pack("<II", 2, length), *chunks]))
+
+
+def _add_lamps(tree: dict, lamps: Sequence[Lamp]) -> None:
+    extension = "KHR_lights_punctual"
+    lights, nodes = [], []
+    for number, lamp in enumerate(lamps):
+        name = f"lamp {number + 1}"
+        colour, strength = colour_and_strength(lamp.irradiance)
+        lights.append({"name": name, "type": "directional", "color": colour, "intensity": strength})
+        rotation = quaternion_towards(lamp.direction)
+        nodes.append(
+            {"name": name, "rotation": rotation, "extensions": {extension: {"light": number}}}
+        )
+    tree["extensionsUsed"].append(extension)
+    tree["extensions"][extension] = {"lights": lights}
+    tree["nodes"] = nodes
+    tree["scenes"][0]["nodes"] = list(range(len(nodes)))

@@ -1,7 +1,9 @@
-"""Mitsuba 3: a scene of three balls lit by the map."""
+"""Mitsuba 3: a scene of three balls lit by the map and its lamps."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
+from skylight.inverse.result import Lamp
 from skylight.io.atomic import atomic_path
 from skylight.io.files import write_environment_map
 from skylight.sphere.envmap import EnvironmentMap
@@ -19,7 +21,7 @@ _SCENE = f"""<?xml version="1.0" encoding="utf-8"?>
     <emitter type="envmap" id="light">
         <string name="filename" value="{TEXTURE}"/>
     </emitter>
-
+LAMPS
     <integrator type="path">
         <integer name="max_depth" value="6"/>
     </integrator>
@@ -61,9 +63,28 @@ _SCENE = f"""<?xml version="1.0" encoding="utf-8"?>
 """
 
 
-def write_mitsuba(folder: Path, environment: EnvironmentMap) -> list[str]:
-    """scene.xml and mitsuba_light.exr, which lies beside it."""
+def write_mitsuba(
+    folder: Path, environment: EnvironmentMap, lamps: Sequence[Lamp] = ()
+) -> list[str]:
+    """scene.xml and mitsuba_light.exr, which lies beside it.
+
+    ``lamps`` beside the ``environment`` are directional emitters, which have no width.
+    """
     write_environment_map(folder / TEXTURE, environment, convention="mitsuba")
+    emitters = [_directional(number, lamp) for number, lamp in enumerate(lamps, start=1)]
+    scene = _SCENE.replace("LAMPS", "".join(emitters))
     with atomic_path(folder / SCENE) as temporary:
-        temporary.write_text(_SCENE, encoding="utf-8")
+        temporary.write_text(scene, encoding="utf-8")
     return [SCENE, TEXTURE]
+
+
+def _directional(number: int, lamp: Lamp) -> str:
+    """``direction`` is that of propagation, ``irradiance`` of a surface that faces the lamp."""
+    x, y, z = (-lamp.direction).tolist()
+    colour = ", ".join(f"{channel:.9g}" for channel in lamp.irradiance.tolist())
+    return f"""
+    <emitter type="directional" id="lamp_{number}">
+        <vector name="direction" x="{x:.9g}" y="{y:.9g}" z="{z:.9g}"/>
+        <rgb name="irradiance" value="{colour}"/>
+    </emitter>
+"""

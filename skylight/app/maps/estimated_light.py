@@ -1,0 +1,87 @@
+"""The map and the lamps of an estimate's results, or a map alone."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from skylight.errors import InputError
+from skylight.inverse.result import Lamp
+from skylight.io.bounded import json_content
+from skylight.io.files import read_environment_map
+from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.frame import Convention, direction_from_angles
+
+NUMBERS, MAP = "estimate.json", "probe.exr"
+# The disc of a lamp of 42 degrees is half of the sphere, the widest light that programs have.
+SPREADS_DEG = 0.01, 42.0
+
+
+def read_light(path: Path, convention: Convention) -> tuple[EnvironmentMap, tuple[Lamp, ...]]:
+    """A map's light without lamps; that of an estimate's folder or estimate.json with its lamps.
+
+    Raises
+    ------
+    InputError
+        A file is missing or damaged, or a map of an estimate is said to have another convention.
+    """
+    if not path.is_dir() and path.suffix.lower() != ".json":
+        return read_environment_map(path, convention=convention), ()
+    if convention != "skylight":
+        raise InputError(
+            f"{path}: an estimate's map is in skylight's convention, not {convention}'s: leave "
+            "--from-convention out"
+        )
+    numbers = path / NUMBERS if path.is_dir() else path
+    lamps = _lamps(numbers)
+    return read_environment_map(numbers.parent / MAP), lamps
+
+
+def _lamps(path: Path) -> tuple[Lamp, ...]:
+    try:
+        content = json_content(path)
+    except FileNotFoundError as error:
+        raise InputError(
+            f"{path}: there is no such file; give a lat-long map, or a folder that skylight "
+            "estimate wrote"
+        ) from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    except ValueError as error:
+        raise InputError(f"{path}: not JSON ({error})") from error
+    if not isinstance(content, dict) or "light" not in content:
+        raise InputError(f'{path}: these are not the numbers of an estimate: "light" is missing')
+    listed = content.get("lamps", [])
+    if not isinstance(listed, list):
+        raise InputError(f'{path}: "lamps" must be a list, got a {type(listed).__name__}')
+    return tuple(_lamp(path, number, entry) for number, entry in enumerate(listed, start=1))
+
+
+def _lamp(path: Path, number: int, entry: Any) -> Lamp:
+    low, high = SPREADS_DEG
+    try:
+        azimuth, zenith, spread = (
+            float(entry[name]) for name in ("azimuth_deg", "zenith_deg", "spread_deg")
+        )
+        red, green, blue = irradiance = [float(channel) for channel in entry["irradiance"]]
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise InputError(
+            f"{path}: lamp {number} needs azimuth_deg, zenith_deg, spread_deg and three numbers "
+            "of irradiance"
+        ) from None
+    if not all(map(math.isfinite, (azimuth, zenith))) or not low <= spread <= high:
+        raise InputError(
+            f"{path}: lamp {number} needs finite angles and a spread of {low} to {high} degrees, "
+            f"got azimuth {azimuth}, zenith {zenith}, spread {spread}"
+        )
+    if not all(0 <= channel < math.inf for channel in irradiance):
+        raise InputError(
+            f"{path}: lamp {number} needs a finite irradiance of 0 or more, got {irradiance}"
+        )
+    angles = torch.tensor([azimuth, zenith], dtype=torch.float64).deg2rad()
+    return Lamp(
+        direction=direction_from_angles(*angles),
+        irradiance=torch.tensor([red, green, blue], dtype=torch.float64),
+        spread_rad=math.radians(spread),
+    )
