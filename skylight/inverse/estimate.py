@@ -103,7 +103,7 @@ def estimate_light(
     ------
     InputError
         No observation, or one without a usable pixel; ``photos`` that do not count them; an
-        unknown light model; no such device.
+        unknown light model; lamps with a sun prior; no such device.
     """
     if isinstance(observations, Observation):
         observations = (observations,)
@@ -197,6 +197,8 @@ def light_problems(
     options = options or SolverOptions()
     lamps = LampsOptions(weights=options.weights)
     if light == "lamps":
+        if any(one is not None for one in sun_priors):
+            raise InputError("lamps are not the sun: leave sun_prior out, or choose another light")
         return [LampsProblem(prior, modes, lamps) for _ in sun_priors]
     bundle = (
         model

@@ -1,6 +1,7 @@
 """Lamps from pictures of a ball, whose light is known: one, two, and one below the horizon."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ import torch
 from skylight.errors import InputError
 from skylight.inverse.estimate import estimate_light
 from skylight.inverse.lamps.problem import LampsProblem
+from skylight.inverse.sun_prior import SunPart, SunPrior
+from skylight.sphere.envmap import luminance
 from skylight.sphere.frame import angle_between
 from skylight.sphere.grid import DirectionGrid
 from tests.inverse.test_solve import ALBEDO_PRIOR, MODES, ball_normals, observed
@@ -67,10 +70,66 @@ def test_the_lamps_energies_are_in_the_map():
     torch.testing.assert_close(cap - around, lamp.irradiance.double(), rtol=0.1, atol=0.05)
 
 
+def scaled(observation, factor):
+    return replace(observation, pixels=observation.pixels * factor)
+
+
+def test_two_photographs_of_one_room_tell_of_one_light():
+    """A ball in two exposures: the light is that of either, in the first one's units."""
+    direction = (0.7, 0.4, 0.6)
+    seen = lit_ball((direction, 3.0))
+    alone = estimate_light(seen, "lamps")
+    both = estimate_light([seen, scaled(seen, 4.0)], "lamps", photos=[0, 1])
+    assert off_deg(both.lamps[0], direction) < 4
+    one, other = both.faces
+    assert other.exposure / one.exposure == pytest.approx(4.0, rel=0.02)
+    torch.testing.assert_close(
+        both.lamps[0].irradiance.sum(), alone.lamps[0].irradiance.sum(), rtol=0.15, atol=0
+    )
+
+
+def test_the_unit_of_the_picture_is_that_of_the_light():
+    seen = lit_ball(((0.7, 0.4, 0.6), 3.0))
+    found, brighter = (estimate_light(scaled(seen, factor), "lamps") for factor in (1.0, 5.0))
+    torch.testing.assert_close(
+        brighter.lamps[0].irradiance, 5 * found.lamps[0].irradiance, rtol=1e-2, atol=1e-3
+    )
+
+
+def test_of_a_grey_picture_lamps_are_found_and_white():
+    direction = (0.7, 0.4, 0.6)
+    seen = lit_ball((direction, 3.0))
+    grey = luminance(seen.pixels)[:, None].expand(-1, 3)
+    found = estimate_light(replace(seen, pixels=grey, grey=True), "lamps")
+    assert off_deg(found.lamps[0], direction) < 4
+    irradiance = found.lamps[0].irradiance
+    torch.testing.assert_close(irradiance / irradiance[1], torch.ones(3), atol=0.1, rtol=0)
+
+
+def test_what_is_clipped_is_a_lower_bound():
+    """A fifth of the ball, round the brightest point, is clipped."""
+    direction = (0.5, 0.4, 0.75)
+    seen = lit_ball((direction, 3.0))
+    most = luminance(seen.pixels).quantile(0.8)
+    clipped = luminance(seen.pixels) > most
+    level = seen.pixels * (most / luminance(seen.pixels))[:, None]
+    cut = replace(seen, pixels=torch.where(clipped[:, None], level, seen.pixels), clipped=clipped)
+    found = estimate_light(cut, "lamps")
+    assert off_deg(found.lamps[0], direction) < 6
+    unaware = estimate_light(replace(cut, clipped=None), "lamps")
+    assert off_deg(found.lamps[0], direction) < off_deg(unaware.lamps[0], direction) + 1
+
+
 def test_even_light_has_no_lamp():
     found = estimate_light(lit_ball(), "lamps")
     assert found.posterior.verdict == "even: no lamp"
     assert not found.posterior.is_seen
+
+
+def test_lamps_do_not_follow_the_clock():
+    part = SunPart(share=1.0, zenith_rad=0.5, azimuth_rad=0.0, turn=0.0)
+    with pytest.raises(InputError, match="lamps are not the sun"):
+        estimate_light(lit_ball(), "lamps", sun_prior=SunPrior(parts=(part,)))
 
 
 def test_a_problem_without_faces_is_refused():

@@ -154,6 +154,8 @@ def estimate_photo(
     names = tuple(names or (_name(one, k, len(images)) for k, one in enumerate(images, start=1)))
     known = _known_of(photos[0], taken, ignore_exif_sun=ignore_exif_sun)
     prior, of_sun = sun_prior(known)
+    if prior is not None and light == "lamps":
+        prior, of_sun = None, ("lamps do not follow the clock: time and place were not used",)
     problem = light_problem(light, model=model, sun_prior=prior, device=device)
     seconds: dict[str, float] = {}
     heads = HeadModel.load()
