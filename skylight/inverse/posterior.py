@@ -21,7 +21,8 @@ density q. Whether they can be right is asked of the faces alone, without the op
 q has drawn: a share f of q is uniform, for clocks and compasses that are wrong, and they are wrong
 with a probability of ``f / 2 pi`` over ``int (V * L) q``.
 
-**No sun.** Where the best sun lowers m by little against ambient light alone, no sun is seen.
+**No sun.** Where the best sun lowers m by little against ambient light alone, no sun is seen;
+lamps are where the light found has some, since their number is chosen by its evidence.
 Where a lamp at the camera lowers it by as much as the best sun, it may have been a flash.
 
 **Exposure and albedo.** A picture fixes their product, and the prior over skin, its hue as
@@ -332,9 +333,12 @@ def sun_posterior(
     albedo_prior: Prior,
     model: PosteriorConstants = FITTED,
     sun_prior: SunPrior | None = None,
+    seen: bool | None = None,
 ) -> SunPosterior:
     """The posterior with its verdict; ``explained``: the faces look alike in the light found.
 
+    ``seen``: the light found has a lamp. By default a sun is seen where it lowers the deviation by
+    ``sun_gain`` of the constants.
     ``exposure``, ``albedo`` and ``gloss`` (None where the model has none) are a face's own.
     """
     grid = density_grid(evidence)
@@ -355,16 +359,22 @@ def sun_posterior(
         clock_wrong=None if sun_prior is None else clock_wrong(evidence, sun_prior, model),
     )
     by_camera = evidence.camera_gain > CAMERA_SHARE * evidence.gain
-    return replace(posterior, verdict=_verdict(posterior, explained, by_camera, model))
+    if seen is None:
+        seen = evidence.gain >= model.sun_gain
+    return replace(posterior, verdict=_verdict(posterior, explained, seen, by_camera, model))
 
 
 def _verdict(
-    posterior: SunPosterior, explained: bool, by_camera: bool, model: PosteriorConstants
+    posterior: SunPosterior,
+    explained: bool,
+    seen: bool,
+    by_camera: bool,
+    model: PosteriorConstants,
 ) -> Verdict:
     """The first reason for doubt, if there is one."""
     if not explained:
         return "unreliable: the face is not explained"
-    if posterior.sun_gain < model.sun_gain:
+    if not seen:
         return "even: no lamp" if posterior.grid.is_sphere else "overcast: no sun"
     if by_camera:
         return "doubtful: a lamp at the camera"

@@ -105,10 +105,21 @@ def _scene(estimate: Estimate) -> list[str]:
     return [f"{'light':<12}{estimate.choice.scene} ({sure} % sure, as '{estimate.light}')"]
 
 
+def _further_lamps(estimate: Estimate) -> list[str]:
+    """Where those are that are not the strongest."""
+    places = (angles_deg(lamp.direction) for lamp in estimate.lamps[1:])
+    return [
+        f"{'lamp':<12}another at azimuth {azimuth_deg:+.0f}°, zenith {zenith_deg:.0f}° "
+        f"({where(azimuth_deg, zenith_deg)})"
+        for azimuth_deg, zenith_deg in places
+    ]
+
+
 def summary(result: PhotoEstimate) -> str:
     """A few lines for the terminal."""
     estimate = result.estimate
     azimuth_deg, zenith_deg = angles_deg(estimate.sun_direction)
+    name = "lamp" if estimate.light == "lamps" else "sun"
     count = len(estimate.faces)
     labels = ["face"] if count == 1 else [f"face {n}" for n in range(1, count + 1)]
     return "\n".join(
@@ -116,7 +127,8 @@ def summary(result: PhotoEstimate) -> str:
             *_scene(estimate),
             f"brightest   azimuth {azimuth_deg:+.0f}°, zenith {zenith_deg:.0f}° "
             f"({where(azimuth_deg, zenith_deg)})",
-            f"{'lamp' if estimate.lamps else 'sun':<12}{sure_of_the_sun(estimate.posterior)}",
+            f"{name:<12}{sure_of_the_sun(estimate.posterior)}",
+            *_further_lamps(estimate),
             f"verdict     {estimate.posterior.verdict}",
             *(
                 f"{label:<12}re-rendered to within {100 * face.residual:.0f} % on average"

@@ -60,7 +60,7 @@ class LampsSolver:
     options: LampsOptions
 
     def solve(self, faces: LitFaces, progress: Progress | None = None) -> Estimate:
-        """One lamp in ambient light, then one more as long as that is likelier.
+        """Ambient light alone, then one lamp more as long as that is likelier.
 
         Each number of lamps starts from the sets that explain the face best
         (:class:`~skylight.inverse.lamps.pursuit.Pursuit`), one lamp also from the directions of the
@@ -75,15 +75,15 @@ class LampsSolver:
         pursuit = Pursuit(observed)
 
         def fitted(count: int) -> Fitted[Points]:
-            if count > 1:
-                pursuit.grow()
-            sets = pursuit.best(options.sets)
             objective = self._objective(faces, count, options.coarse[0])
             assert isinstance(objective.model, LampsLight)
-            towards = objective.model.starts_at(sets.directions, sets.energies)
-            if count == 1:
-                scanned = objective.model.starts_towards(scan.candidates)
-                towards = torch.cat([towards, scanned.to(towards)])
+            if count > 1:
+                pursuit.grow()
+            towards = objective.model.starts_towards(scan.candidates)  # of no lamp all are alike
+            if count > 0:
+                sets = pursuit.best(options.sets)
+                found = objective.model.starts_at(sets.directions, sets.energies)
+                towards = torch.cat([found, towards.to(found)]) if count == 1 else found
             points = Points.starting(*choose_starts(objective, towards, self.albedo_modes))
             objective, points = self._descend(faces, count, points, options.coarse)
             end = points.free[points.scores.argmin(), None]
@@ -94,7 +94,7 @@ class LampsSolver:
                 log_evidence=float(log_evidence(objective, end)),
             )
 
-        best = as_many_as_pay(fitted, fewest=1)
+        best = as_many_as_pay(fitted, fewest=0)
         objective, points = self._descend(
             faces, len(best.directions), best.point, options.fine, progress
         )
@@ -141,9 +141,11 @@ def _estimate(
     environment, lamps = in_pictures_units(model.count, params, exposure)
     ground = environment.radiance[MAP_ROWS // 2 :].reshape(-1, 3).mean(0)
     down = environment.upper().irradiance(torch.tensor([0.0, 1.0, 0.0])) / torch.pi
+    main = lamps[0].direction if lamps else None
     posterior = sun_posterior(
         evidence,
-        lamps[0].direction,
+        main,
+        seen=bool(lamps),
         explained=all(light.residual <= UNEXPLAINED for light in lights),
         exposure=exposure,
         albedo=lights[0].albedo,
@@ -155,7 +157,7 @@ def _estimate(
         environment=environment,
         params=params,
         ground_albedo=(ground / down.clamp(min=1e-12)).clamp(0, 1),
-        sun_direction=lamps[0].direction,
+        sun_direction=environment.brightest_direction() if main is None else main,
         posterior=posterior,
         faces=lights,
         terms={name: float(values[0]) for name, values in ends.terms.items()},
