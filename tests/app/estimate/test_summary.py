@@ -1,0 +1,50 @@
+"""The lines for the terminal: what light it is, and where its lamps are."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from skylight.app.estimate.summary import summary
+from skylight.app.estimate.types import PhotoEstimate
+from skylight.imaging.taken import Taken
+from skylight.inverse.auto import choose
+from skylight.inverse.estimate import estimate_light
+from skylight.inverse.result import Lamp
+from tests.inverse.test_lamps import lit_ball
+
+
+@pytest.fixture(scope="module")
+def found():
+    return estimate_light(lit_ball(((0.7, 0.4, 0.6), 3.0)), "lamps")
+
+
+def lines(estimate):
+    told = PhotoEstimate(estimate=estimate, photos=(), names=(), seen=(), taken=Taken())
+    return {line[:12].strip(): line[12:] for line in summary(told).split("\n")}
+
+
+def test_one_lamp_is_a_lamp(found):
+    told = lines(found)
+    assert "sun" not in told
+    assert "light" not in told
+    # (0.7, 0.4, 0.6) is to the right of the face and on the camera's side, behind the picture
+    assert told["brightest"].startswith("azimuth +131°, zenith 67°")
+    assert "another" not in told["lamp"]
+
+
+def test_every_lamp_is_named(found):
+    second = Lamp(
+        direction=torch.tensor([-1.0, 0.0, 0.0], dtype=torch.float64),
+        irradiance=0.1 * torch.ones(3),
+        spread_rad=0.1,
+    )
+    told = lines(replace(found, lamps=(*found.lamps, second)))
+    assert told["lamp"].startswith("another at azimuth -90°, zenith 90°")
+
+
+def test_what_was_chosen_comes_first(found):
+    sky = replace(found, light="autoencoder", lamps=(), log_evidence=found.log_evidence - 1000)
+    told = lines(choose([sky, found]))
+    assert told["light"] == "no open sky, one lamp (100 % sure, as 'lamps')"
+    assert next(iter(told)) == "light"
