@@ -1,11 +1,12 @@
-"""Non-negative least squares of many small problems at once, exactly."""
+"""Non-negative least squares of many small problems at once."""
 
 import torch
 from jaxtyping import Float
+from scipy.optimize import nnls as active_set
 from torch import Tensor
 
 _PATIENCE = 3  # exchanges that make no progress before one unknown at a time is exchanged
-_MOST = 1000  # of pivots, never reached: Murty's rule ends
+_MOST = 200  # pivots of all problems together; what is left then is solved one by one
 
 
 def nnls(
@@ -22,8 +23,11 @@ def nnls(
     matrix factorization: an active-set-like method and comparisons", SIAM J. Sci. Comput. 33(6),
     2011. What is positive in ``start`` is free at first; near starts take few pivots.
 
-    G may be singular: 1e-10 of its diagonal (1e-6 in single precision) is added to it. Unknowns
-    whose row and right side are zero are 0. Computed in double precision.
+    G may be singular: 1e-10 of its diagonal (1e-6 in single precision) is added to it. Its
+    diagonal should be of one order: a slope of less than 1e-9 of the largest ``|r|`` counts as 0.
+    Unknowns whose row and right side are zero are 0. Computed in double precision. Where columns
+    are nearly dependent Murty's rule may take very many pivots: problems that are left after 200
+    are solved by an active set method, one by one.
     """
     ridge = 1e-10 if gram.dtype == torch.float64 else 1e-6
     count, size = right.shape
@@ -59,4 +63,15 @@ def nnls(
             each[left]
             for each in (free ^ exchanged, whole, wanted, diagonal, limit, fewest, patience, rows)
         )
+    else:
+        for row, matrix, target in zip(rows.tolist(), whole, wanted, strict=True):
+            solution[row] = _by_active_set(matrix, target)
     return solution.to(right)
+
+
+def _by_active_set(gram: Float[Tensor, "k k"], right: Float[Tensor, " k"]) -> Float[Tensor, " k"]:
+    """Of one problem, as min |R x - y| with G = R^T R and R^T y = r."""
+    lower = torch.linalg.cholesky(gram)
+    y = torch.linalg.solve_triangular(lower, right[:, None], upper=False)[:, 0]
+    found, _ = active_set(lower.T.cpu().numpy(), y.cpu().numpy(), maxiter=100 * len(right))
+    return torch.from_numpy(found).to(right)

@@ -133,6 +133,7 @@ class SunPosterior:
     how much of the face's mean the best sun lowers the deviation. The intervals (90 %) are those of
     :attr:`Estimate.exposure` and of a common factor on :attr:`Estimate.albedo`. ``clock_wrong`` is
     how likely the picture's time, place or heading are wrong, None where they told nothing.
+    ``is_seen``: a sun, or a lamp, is seen at all.
     """
 
     grid: DirectionGrid
@@ -144,11 +145,7 @@ class SunPosterior:
     albedo_scale_interval: tuple[float, float]
     verdict: Verdict
     clock_wrong: float | None = None
-
-    @property
-    def is_seen(self) -> bool:
-        """Whether a sun, or a lamp, is seen at all."""
-        return self.verdict not in ("overcast: no sun", "even: no lamp")
+    is_seen: bool = True
 
     @property
     def region_sr(self) -> float:
@@ -357,24 +354,19 @@ def sun_posterior(
         albedo_scale_interval=interval(*split, model.albedo_spread),
         verdict="reliable",
         clock_wrong=None if sun_prior is None else clock_wrong(evidence, sun_prior, model),
+        is_seen=evidence.gain >= model.sun_gain if seen is None else seen,
     )
     by_camera = evidence.camera_gain > CAMERA_SHARE * evidence.gain
-    if seen is None:
-        seen = evidence.gain >= model.sun_gain
-    return replace(posterior, verdict=_verdict(posterior, explained, seen, by_camera, model))
+    return replace(posterior, verdict=_verdict(posterior, explained, by_camera, model))
 
 
 def _verdict(
-    posterior: SunPosterior,
-    explained: bool,
-    seen: bool,
-    by_camera: bool,
-    model: PosteriorConstants,
+    posterior: SunPosterior, explained: bool, by_camera: bool, model: PosteriorConstants
 ) -> Verdict:
     """The first reason for doubt, if there is one."""
     if not explained:
         return "unreliable: the face is not explained"
-    if not seen:
+    if not posterior.is_seen:
         return "even: no lamp" if posterior.grid.is_sphere else "overcast: no sun"
     if by_camera:
         return "doubtful: a lamp at the camera"

@@ -82,7 +82,8 @@ class Estimate:
     at a minimum, else how it ended (``stats["nonfinite"]`` counts steps taken back in either
     case), and ``advice`` says what to do where the result should not be trusted (empty where
     it can). ``posterior`` says how sure the sun, exposure and albedo are. ``lamps`` are those of a
-    light model that has lamps, the strongest first; ``sun_direction`` is then where that stands.
+    light model that has lamps, the strongest first; ``sun_direction`` is then where that stands,
+    or where the light is brightest if there is none.
     ``log_evidence`` (nats) is how likely the faces are under the light model, to be compared with
     that of others for the same faces; None where it was not asked for. ``choice`` says what
     competed, where light was "auto".

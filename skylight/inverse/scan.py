@@ -119,10 +119,9 @@ def scan_faces(
     """Explain each face by a sun in each direction, and by ambient light alone.
 
     Directions are the 1,024 of the upper half of a 32 x 64 grid, or all of it with ``sphere``. Each
-    face is solved on the device
-    of its observation, ``at_once`` faces together; its scan is the same but for rounding. By
-    default one on the CPU, whose cache holds the unknowns of one (4 MB; eight at once take a
-    third longer), and all on other devices, which are idle otherwise.
+    face is solved on the device of its observation, ``at_once`` faces together; its scan is the
+    same but for rounding. By default one on the CPU, whose cache holds the unknowns of one (4 MB),
+    and all on other devices, which are idle otherwise.
     """
     if at_once is None:
         on_cpu = observations[0].weights.device.type == "cpu"
@@ -386,7 +385,7 @@ def _turned(explained: _Explained) -> _Explained:
     x, y = explained.x.to(seen), seen.expand(count, -1)
     if bounded:
         y = single.raised_to(x)
-    for _ in range(NORMAL_ROUNDS):
+    for further in reversed(range(NORMAL_ROUNDS)):
         parts = [_without_turns(single, gram[some], x[some], y[some], some) for some in rows]
         small, right, level, solved = (torch.cat(part) for part in zip(*parts, strict=True))
         before, x = x, nnls(small, right, start=x)
@@ -398,7 +397,7 @@ def _turned(explained: _Explained) -> _Explained:
             turned = errors.added(x[some], some, len(one.suns))
             return (amounts[some].transpose(1, 2) @ turned)[:, 0]
 
-        if bounded:
+        if bounded and further:
             y = single.raised_to(x, torch.cat([added(some) for some in rows]))
     found = _Explained(problem=one, x=x.to(one.y), squared=squared.to(one.y))
     return replace(found, added=added(slice(found.best, found.best + 1))[0].to(one.y))

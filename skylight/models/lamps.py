@@ -154,24 +154,21 @@ class LampsLight(nn.Module):
         return None
 
     def starts(self) -> Float[Tensor, "s p"]:
-        """Lamps ahead, above, and of the median energy: one start."""
-        ahead = torch.tensor([[0.0, 1.0, 1.0]], dtype=torch.float64)
-        return self.starts_towards(ahead)[0, :1]
+        """Lamps above, on the camera's side, all round: one start."""
+        azimuth = 2 * math.pi * torch.arange(self.count, dtype=torch.float64) / max(self.count, 1)
+        around = torch.stack([azimuth.sin(), torch.ones_like(azimuth), azimuth.cos()], 1)
+        energies = torch.full((1, self.count), 0.3 / max(self.count, 1))
+        return self.starts_at(nn.functional.normalize(around, dim=1)[None], energies)[0, :1]
 
     def starts_towards(self, directions: Float[Tensor, "d 3"]) -> Float[Tensor, "d k p"]:
         """All lamps there: weak and strong ones, narrow and wide."""
-        params = self.log_solid_angle.new_zeros(len(directions), 4, self.parameter_count)
-        each = params[..., AMBIENT_PARAMETERS:].unflatten(-1, (self.count, LAMP_PARAMETERS))
-        each[..., :3] = directions.to(params)[:, None, None]
-        together = math.log(max(self.count, 1)) / LAMP_ENERGY_SPREAD
-        each[..., 3] = params.new_tensor([-1.2, -1.2, -0.3, -0.3])[:, None] - together
-        each[..., 4] = params.new_tensor([0.0, 1.3, 0.0, 1.3])[:, None]
-        return params.to(torch.get_default_dtype())
+        there = directions[:, None].expand(-1, self.count, -1)
+        return self.starts_at(there, torch.full(there.shape[:2], 0.35 / max(self.count, 1)))
 
     def starts_at(
         self, directions: Float[Tensor, "s k 3"], energies: Float[Tensor, "s k"]
     ) -> Float[Tensor, "s c p"]:
-        """Lamps there, of those energies or half of them, narrow and wide."""
+        """Lamps there, of those energies (above 0) or half of them, narrow and wide."""
         params = self.log_solid_angle.new_zeros(len(directions), 4, self.parameter_count)
         each = params[..., AMBIENT_PARAMETERS:].unflatten(-1, (self.count, LAMP_PARAMETERS))
         each[..., :3] = directions.to(params)[:, None]

@@ -72,6 +72,14 @@ def test_a_lamp_at_the_camera_is_a_flash(from_below, direction, scene):
     assert scene_of(two) == "no open sky, two lamps"
 
 
+def test_even_light_that_does_not_explain_the_face_has_no_lamp_either():
+    even = estimate_light(lit_ball(), "lamps")
+    verdict = "unreliable: the face is not explained"
+    unexplained = replace(even, posterior=replace(even.posterior, verdict=verdict))
+    assert even.lamps == ()
+    assert scene_of(unexplained) == "no open sky, even light"
+
+
 def test_without_observations():
     with pytest.raises(InputError, match="no observation"):
         light_problem("auto").solve()

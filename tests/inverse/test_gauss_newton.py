@@ -61,9 +61,10 @@ def curved_jacobian(x, _):
     return torch.stack([torch.stack(row, 1) for row in rows], 1)
 
 
-def test_a_batch_is_as_its_starts_alone_and_never_worse():
+@pytest.mark.parametrize("broyden", [False, True])
+def test_a_batch_is_as_its_starts_alone_and_never_worse(broyden):
     starts = torch.tensor([[-1.2, 1.0], [0.0, 0.0], [3.0, -4.0]])
-    options = {"iterations": 25, "tolerance": 1e-12}
+    options = {"iterations": 25, "tolerance": 1e-12, "broyden": broyden}
     weights, prior = torch.ones(1, 2), lambda x, _: 0 * x.sum(1)
     every = minimise_robust(curved, curved_jacobian, weights, prior, starts, **options)
     for k, start in enumerate(starts):

@@ -60,6 +60,21 @@ def test_more_unknowns_than_equations_are_explained_as_well():
     torch.testing.assert_close(objective(gram, right, single.double()), best, atol=1e-4, rtol=1e-4)
 
 
+@pytest.mark.parametrize("width", [0.4, 0.8])
+def test_columns_that_are_nearly_dependent(width):
+    """Broad lobes, on which pivoting goes round for very long."""
+    rng = np.random.default_rng(3)
+    at, centres = np.linspace(-1.5, 1.5, 200)[:, None], np.linspace(-1.5, 1.5, 22)
+    lobes = np.exp(-0.5 * ((at - centres) / width) ** 2)
+    lobes /= np.linalg.norm(lobes, axis=0)
+    wanted = rng.normal(size=(20, 200)) + 1
+    gram = torch.from_numpy(lobes.T @ lobes).expand(20, -1, -1)
+    right = torch.from_numpy(wanted @ lobes)
+    best = torch.from_numpy(np.stack([scipy_nnls(lobes, y)[0] for y in wanted]))
+    excess = objective(gram, right, nnls(gram, right)) - objective(gram, right, best)
+    assert float(excess.abs().max()) < 1e-6 * float((wanted**2).sum(1).min())
+
+
 def test_what_is_missing_is_nothing():
     """Unknowns whose row and right side are zero."""
     gram, right, truth = problems(10)

@@ -71,7 +71,7 @@ def test_sets_are_apart_and_have_no_lamp_twice():
 
 
 def test_faces_under_one_light_tell_together():
-    """Each in its own exposure, and the mean of what either leaves."""
+    """Each in its own exposure, and the sum of what either leaves."""
     seen = [lit_ball((ONE, 2.0), (TWO, 3.5)), lit_ball((ONE, 3.0))]
     both = Pursuit(seen)
     each = [Pursuit([one]).left for one in seen]

@@ -73,7 +73,8 @@ def export_light(
     light, lamps = read_light(probe, convention)
     if light.is_sky:
         light = light.with_ground(torch.zeros(3))
-    rest = without_lamps(light, lamps)
+    separate = lamps if set(targets) - WHOLE else ()
+    rest = without_lamps(light, separate)
     size = face or default_face(light)
     written: list[str] = []
     cut = 0.0
@@ -94,7 +95,6 @@ def export_light(
                 written += write_mitsuba(folder, rest, lamps)
             else:
                 written += write_blender(folder, rest, lamps)
-    separate = lamps if set(targets) - WHOLE else ()
     return ExportedLight(files=written, lamps=len(separate), cut=cut)
 
 

@@ -113,7 +113,7 @@ class AnyLight:
         metrics = found.metrics | {GREY: face_score(environments[GREY], face)}
         metrics[GREY] |= lamp_scores([], lamps)
         for name, estimate in found.estimates.items():
-            own = lamps_of(estimate.lamps, estimate.environment)
+            own = lamps_of(estimate.light, estimate.lamps, estimate.environment)
             metrics[name] |= lamp_scores(own, lamps)
             metrics[name] |= main_lamp_coverage(estimate.posterior, lamps)
         if OURS in found.estimates:
@@ -172,9 +172,9 @@ def grey_light(observation: Observation) -> EnvironmentMap:
     return EnvironmentMap(radiance=level.float().expand(ROWS, 2 * ROWS, 3).contiguous())
 
 
-def lamps_of(lamps: tuple[Lamp, ...], environment: EnvironmentMap) -> list[MapLamp]:
+def lamps_of(light: str, lamps: tuple[Lamp, ...], environment: EnvironmentMap) -> list[MapLamp]:
     """An estimate's own lamps, the strongest first; of a model without, those of its map."""
-    if not lamps:
+    if light != "lamps":
         return find_lamps(environment, least_share=0.0)
     total = float(luminance(environment.flat).double() @ environment.grid.solid_angles)
     shares = [

@@ -55,7 +55,8 @@ class Lamps:
 
     The vector is in the camera's frame (-Z ahead, +X right, +Y up). A file's name begins with the
     person's, up to the first ``_``; each person is taken to keep one pose, facing the camera.
-    Angles are of lamps that are not behind the face (z >= 0). ``every`` n-th photograph only.
+    Angles are of lamps that are not behind the face (z >= 0), to the estimate's strongest lamp or
+    sun, or where it has none to its brightest direction. ``every`` n-th photograph only.
 
     ``ablation`` adds rows with the white balance trusted (``_balanced``), with skin that varies
     over the face (``_varying_skin``), with the fitted head's normals trusted

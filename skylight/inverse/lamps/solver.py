@@ -28,8 +28,8 @@ from skylight.work.progress import Progress
 class LampsOptions:
     """Effort of the optimisation, as :class:`~skylight.inverse.sky.solver.SolverOptions`.
 
-    ``coarse`` are the rounds with one lamp, two and three, each from the best ``sets`` of so many,
-    and one from ``scan_candidates`` directions too; ``fine`` those with the number of lamps that
+    ``coarse`` are the rounds with no lamp to three, each from the best ``sets`` of so many, one
+    lamp from ``scan_candidates`` directions too; ``fine`` those with the number of lamps that
     was chosen.
     """
 
@@ -79,11 +79,13 @@ class LampsSolver:
             assert isinstance(objective.model, LampsLight)
             if count > 1:
                 pursuit.grow()
-            towards = objective.model.starts_towards(scan.candidates)  # of no lamp all are alike
+            towards = objective.model.starts()[:, None]
             if count > 0:
                 sets = pursuit.best(options.sets)
-                found = objective.model.starts_at(sets.directions, sets.energies)
-                towards = torch.cat([found, towards.to(found)]) if count == 1 else found
+                towards = objective.model.starts_at(sets.directions, sets.energies)
+            if count == 1:
+                scanned = objective.model.starts_towards(scan.candidates)
+                towards = torch.cat([towards, scanned.to(towards)])
             points = Points.starting(*choose_starts(objective, towards, self.albedo_modes))
             objective, points = self._descend(faces, count, points, options.coarse)
             end = points.free[points.scores.argmin(), None]

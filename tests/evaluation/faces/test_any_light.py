@@ -73,7 +73,7 @@ def estimate_of(light: EnvironmentMap) -> SimpleNamespace:
 
 def peaks(light: EnvironmentMap) -> list[MapLamp]:
     """The lamps of an estimate without any of its own."""
-    return lamps_of((), light)
+    return lamps_of("autoencoder", (), light)
 
 
 def rendered_folder(out: Path, maps: list[TurnedMap | None], light: EnvironmentMap) -> Path:
@@ -151,11 +151,13 @@ def test_lamps_that_an_estimate_lists_are_its_lamps() -> None:
         for azimuth, e in ((100, 2.0), (-60, 1.0))
     )
     light = room((0, 0.9))
-    found = lamps_of(lamps, light)
+    found = lamps_of("lamps", lamps, light)
     for one, lamp in zip(found, lamps, strict=True):
         assert torch.equal(one.direction, lamp.direction)
     # of light whose integral is 1; a lobe of 0.1 rad lights what faces it by 1 % less than a point
     assert [one.share for one in found] == pytest.approx([2.0 / 0.99, 1.0 / 0.99], rel=1e-3)
+    # it says that there are none, whatever its map has
+    assert lamps_of("lamps", (), light) == []
 
 
 def test_coverage_is_asked_for_where_the_posterior_has_the_main_lamp() -> None:
