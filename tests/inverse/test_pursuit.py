@@ -6,7 +6,6 @@ from itertools import combinations
 import torch
 from scipy.optimize import nnls as scipy_nnls
 
-from skylight.inverse.lamps.number import least_gain
 from skylight.inverse.lamps.pursuit import ROWS, Pursuit
 from skylight.sphere.envmap import luminance
 from tests.inverse.test_lamps import lit_ball
@@ -78,13 +77,3 @@ def test_faces_under_one_light_tell_together():
     torch.testing.assert_close(both.left, each[0] + each[1])
     brighter = Pursuit([seen[0].scaled(7.0), seen[1]])
     torch.testing.assert_close(brighter.left, both.left, atol=1e-9, rtol=1e-6)
-
-
-def test_lamps_that_are_near_have_to_bring_more():
-    apart = torch.eye(3)
-    assert least_gain(apart[:1]) < least_gain(apart[:2])
-    assert least_gain(apart[:2]) == 10 + 90 / 4
-    near = torch.stack([apart[0], unit((1.0, 0.3, 0.0)).float()])
-    assert 90 < least_gain(near) < 100
-    assert least_gain(torch.cat([near, apart[2:]])) == least_gain(near)
-    assert least_gain(torch.stack([apart[0], -apart[0]])) == 10

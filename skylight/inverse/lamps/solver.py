@@ -66,7 +66,7 @@ class LampsSolver:
         (:class:`~skylight.inverse.lamps.pursuit.Pursuit`), one lamp also from the directions of the
         scan over the sphere. Numbers compete on a coarse level by
         :func:`~skylight.inverse.objective.evidence.log_evidence`: one more is to bring
-        :func:`~skylight.inverse.lamps.number.least_gain`.
+        :data:`~skylight.inverse.lamps.number.LEAST_GAIN`.
         """
         options, observed = self.options, [face.scanned for face in faces]
         every = scan_faces(observed, sphere=True)
@@ -89,17 +89,12 @@ class LampsSolver:
             points = Points.starting(*choose_starts(objective, towards, self.albedo_modes))
             objective, points = self._descend(faces, count, points, options.coarse)
             end = points.free[points.scores.argmin(), None]
-            assert isinstance(objective.model, LampsLight)
             return Fitted(
-                point=points,
-                directions=objective.model.lamps(objective.unpack(end).light).directions[0],
-                log_evidence=float(log_evidence(objective, end)),
+                count=count, point=points, log_evidence=float(log_evidence(objective, end))
             )
 
         best = as_many_as_pay(fitted, fewest=0)
-        objective, points = self._descend(
-            faces, len(best.directions), best.point, options.fine, progress
-        )
+        objective, points = self._descend(faces, best.count, best.point, options.fine, progress)
         ends = Ends.of(objective, [points], evidence=True)
         return _estimate(ends, faces, options.fine[-1].level, scan, evidence)
 

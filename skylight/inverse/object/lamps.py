@@ -83,11 +83,10 @@ def lamps_of_objects(
         point, evidence = few.minimum(count, few.best_of_each(model, starts), COARSE_STEPS)
         if progress is not None:
             progress((count + 1) / (MOST_LAMPS + 2))
-        directions = model.lamps(point[0, :-3]).directions
-        return Fitted(point=point, directions=directions, log_evidence=evidence)
+        return Fitted(count=count, point=point, log_evidence=evidence)
 
     best = as_many_as_pay(fitted, fewest=0)
-    count = len(best.directions)
+    count = best.count
     point, evidence = whole.minimum(count, best.point, FINE_STEPS)
     params, exposure = point[0].cpu().split([point.shape[1] - 3, 3])
     environment, lamps = in_pictures_units(count, params, mean * exposure.exp())
