@@ -33,7 +33,9 @@ class FaceLight:
     that photograph's, as are the gains ``white_balance``, of product 1, by which it shows each
     channel too bright; ``rendered`` (m,3) its observation's pixels, in the photograph's radiance
     units; ``residual`` their mean deviation in luminance, relative to the face's mean. ``gloss``
-    is 0 where a model leaves surface reflection out.
+    is 0 where a model leaves surface reflection out. ``turns`` (j,) is what normals are turned by
+    along the observation's ``normal_modes``, with which T l is 0 at least; None where they are
+    trusted.
     """
 
     photo: int
@@ -44,6 +46,7 @@ class FaceLight:
     gloss: float
     rendered: Float[Tensor, "m 3"]
     residual: float
+    turns: Float[Tensor, " j"] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

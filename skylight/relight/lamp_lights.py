@@ -3,13 +3,12 @@
 import math
 from collections.abc import Sequence
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
+from skylight.inverse.lamps.relighting import lamps_radiance
 from skylight.inverse.result import Lamp
-from skylight.models.lamps import Lamps, LampsLight
 from skylight.sphere.envmap import EnvironmentMap
 
 # Of the lamps' energy. An estimate's map is ambient light, which is positive, plus its lamps' lobes
@@ -22,9 +21,8 @@ def without_lamps(environment: EnvironmentMap, lamps: Sequence[Lamp]) -> Environ
 
         rest(w) = max(L(w) - sum_k E_k / f(s_k) g(w; d_k, s_k), 0)
 
-    E_k is the irradiance of a surface that faces lamp k; g and f (a lobe of energy 1 over the
-    map's cells, and the irradiance of a surface that faces it) are
-    :meth:`skylight.models.lamps.LampsLight.lobes` and ``facing``, by which the map was made.
+    E_k is the irradiance of a surface that faces lamp k, and g and f are those by which the map was
+    made: see :mod:`skylight.inverse.lamps.relighting`.
 
     Raises
     ------
@@ -33,20 +31,11 @@ def without_lamps(environment: EnvironmentMap, lamps: Sequence[Lamp]) -> Environ
     """
     if not lamps:
         return environment
-    widths = torch.tensor([lamp.spread_rad for lamp in lamps], dtype=torch.float64)
-    received = torch.stack([lamp.irradiance.double() for lamp in lamps])
-    energies = received / LampsLight.facing(widths)[:, None]
-    lobes = LampsLight(len(lamps), environment.layout[0]).lobes(
-        Lamps(
-            directions=torch.stack([lamp.direction.double() for lamp in lamps]),
-            energies=torch.ones_like(widths),
-            widths_rad=widths,
-            colours=torch.ones_like(received),
-        )
-    )
-    rest = environment.flat.double() - torch.einsum("kn,kc->nc", lobes, energies)
-    clamped = float(environment.grid.solid_angles @ rest.clamp(max=0).abs().sum(1))
-    if clamped > MOST_CLAMPED * float(energies.sum()):
+    light = lamps_radiance(lamps, environment.layout[0])
+    rest = environment.flat.double() - light
+    solid_angles = environment.grid.solid_angles
+    clamped = float(solid_angles @ rest.clamp(max=0).abs().sum(1))
+    if clamped > MOST_CLAMPED * float(solid_angles @ light.sum(1)):
         raise InputError(
             "the map does not hold the light of the estimate's lamps: give the folder as "
             "skylight estimate wrote it, or its map alone"

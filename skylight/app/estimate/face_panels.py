@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from skylight.app.figures.style import ACCENT
@@ -48,10 +48,12 @@ def head_window(photo: Photo, face: DetectedFace) -> tuple[np.ndarray, np.ndarra
     return np.floor(low).astype(int), np.ceil(high).astype(int)
 
 
-def over_grey(view: FaceView, rendered: Float[Tensor, "m 3"]) -> Float[Tensor, "h w 3"]:
-    """The re-rendered face over its picture, dimmed and grey."""
-    picture = (0.35 * luminance(view.image))[..., None].repeat(1, 1, 3)
-    rows, columns = view.observation.places.unbind(1)
+def over_grey(
+    image: Float[Tensor, "h w 3"], places: Int[Tensor, "m 2"], rendered: Float[Tensor, "m 3"]
+) -> Float[Tensor, "h w 3"]:
+    """A re-rendered face at its places in its picture, which is dimmed and grey."""
+    picture = (0.35 * luminance(image))[..., None].repeat(1, 1, 3)
+    rows, columns = places.unbind(1)
     picture[rows, columns] = rendered.to(picture)
     return picture
 

@@ -107,7 +107,8 @@ def _faces(area: "SubFigure", result: PhotoEstimate) -> None:
         axes = [area.add_subplot(part) for part in cell]
         scale = white[seen.photo]
         show(axes[0], srgb_codes(seen.view.image, scale), f"{k + 1} as seen")
-        show(axes[1], srgb_codes(over_grey(seen.view, light.rendered), scale), "re-rendered")
+        pasted = over_grey(seen.view.image, seen.view.observation.places, light.rendered)
+        show(axes[1], srgb_codes(pasted, scale), "re-rendered")
         off = f"off by {100 * light.residual:.0f} %"
         show_residual(axes[2], seen.view, light.rendered, off)
 

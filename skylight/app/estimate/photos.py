@@ -29,12 +29,15 @@ from skylight.imaging.photo import Photo, photo_from_codes, read_photo
 from skylight.imaging.taken import Taken
 from skylight.inverse.estimate import Model, light_problem
 from skylight.inverse.result import Estimate
+from skylight.inverse.scan import SCAN_HEIGHT
 from skylight.inverse.sun_prior import sun_prior
 from skylight.models.names import LightName, check_light_name
 from skylight.work.progress import Progress, StageProgress
 
 STAGES = ("finding the face", "fitting the head", "tracing light", "estimating the light")
-KEPT_ROWS = 16  # of the transport of several faces, once the solver has taken what it needs
+# Of the transport of several faces, once the solver has taken what it needs: as many as lamps are
+# found on, so that the faces can be seen under other ones.
+KEPT_ROWS = SCAN_HEIGHT
 Image = str | Path | Photo | UInt8[np.ndarray, "h w 3"]
 
 
@@ -143,7 +146,7 @@ def estimate_photo(
     are the processes that trace light, one per core where None.
 
     Memory: for a sky, a face on 72 rows of pixels takes about 160 MB while its light is traced
-    (T and gloss of about 2,500 pixels and 8,192 directions) and 130 MB from then on, so eight
+    (T and gloss of about 2,500 pixels and 8,192 directions) and 160 MB from then on, so eight
     faces fit in 2.5 GB.
     """
     if isinstance(landmarks, str):

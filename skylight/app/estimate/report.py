@@ -65,7 +65,8 @@ def write_report(path: Path, result: PhotoEstimate, *, title: str) -> None:
         image = view.image
         rendered = estimate.faces[0].rendered
         show(axes[2], srgb_codes(image, white), "Face as seen")
-        show(axes[3], srgb_codes(over_grey(view, rendered), white), "Re-rendered in this light")
+        pasted = over_grey(view.image, view.observation.places, rendered)
+        show(axes[3], srgb_codes(pasted, white), "Re-rendered in this light")
         shown = show_residual(axes[4], view, rendered, "Render minus seen")
         _residual_bar(figure, axes[4], shown)
         found = rows[1].subgridspec(2, 3, width_ratios=(2.9, 0.93, 0.95), wspace=0.06, hspace=0.18)

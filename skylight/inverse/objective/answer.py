@@ -67,6 +67,7 @@ def face_lights(ends: Ends, p: int, faces: LitFaces, level: int) -> tuple[FaceLi
         # others may have more pixels
         shading = term.seen(ends.shadings[k][p, : term.target.shape[1]])
         clipped = None if term.clipped is None else term.clipped[0]
+        turns = None if term.normals is None else ends.objective.turns(parts, k)
         lights.append(
             FaceLight(
                 photo=face.photo,
@@ -77,6 +78,7 @@ def face_lights(ends: Ends, p: int, faces: LitFaces, level: int) -> tuple[FaceLi
                 gloss=float(parts.gloss[p, k]),
                 rendered=(shading * scales[face.photo]).cpu(),
                 residual=residual(shading, term.target[0], clipped),
+                turns=None if turns is None else turns[p].cpu(),
             )
         )
     return tuple(lights)

@@ -1,0 +1,90 @@
+"""The light and the shading of an estimate's lamps once they are moved and switched."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from skylight.inverse.estimate import estimate_light
+from skylight.inverse.lamps.number import MAP_ROWS
+from skylight.inverse.lamps.relighting import FaceTransport, LampLight, lamps_radiance
+from skylight.inverse.scan import SCAN_HEIGHT
+from skylight.models.lamps import LampsLight
+from skylight.sphere.envmap import luminance
+from skylight.transport.normal_modes import NormalModes
+from tests.inverse.test_lamps import lit_ball
+from tests.inverse.test_solve import ball_normals
+from tests.lamp_lit import EXPOSURE, ambient_of, lamp_lit, lamp_params
+
+
+def known_light() -> LampLight:
+    params = lamp_params()
+    _, lamps = lamp_lit(params)
+    return LampLight(ambient=params[:16], level=EXPOSURE, lamps=lamps)
+
+
+def test_an_edit_that_changes_nothing_gives_the_map() -> None:
+    true, _ = lamp_lit(lamp_params())
+    torch.testing.assert_close(
+        known_light().environment(MAP_ROWS).radiance, true.radiance, rtol=1e-4, atol=1e-6
+    )
+
+
+def test_without_lamps_there_is_the_ambient_light() -> None:
+    light = replace(known_light(), lamps=())
+    want = ambient_of(lamp_params())
+    torch.testing.assert_close(
+        light.environment(MAP_ROWS).radiance.double(), want.radiance, rtol=1e-6, atol=0
+    )
+    assert float(luminance(light.ambient_irradiance())) == pytest.approx(math.pi * EXPOSURE)
+    dark = replace(light, level=0.0)
+    assert not bool(dark.radiance(SCAN_HEIGHT).any())
+
+
+@pytest.mark.parametrize("to", [(0.0, 1.0, 0.0), (0.0, -0.2, 1.0), (-0.7, -0.7, 0.1)])
+def test_a_moved_lamp_keeps_its_irradiance(to: tuple[float, float, float]) -> None:
+    """What a surface that faces it receives, by quadrature over the map of it alone."""
+    lamp = known_light().lamps[0]
+    direction = torch.nn.functional.normalize(torch.tensor(to, dtype=torch.float64), dim=0)
+    radiance = lamps_radiance([replace(lamp, direction=direction)], 128)
+    grid = LampsLight(0, 128).grid
+    cosines = (grid.directions.double() @ direction).clamp(min=0)
+    received = (cosines * grid.solid_angles.double()) @ radiance
+    torch.testing.assert_close(received, lamp.irradiance.double(), rtol=2e-3, atol=0)
+
+
+@pytest.mark.parametrize("grey", [False, True])
+def test_an_edit_that_changes_nothing_gives_the_face(grey: bool) -> None:
+    """Of a ball of uncertain normals, and another exposure than the map's."""
+    seen = lit_ball(((0.7, 0.4, 0.6), 3.0))
+    normals = torch.as_tensor(ball_normals()[1])
+    turn = torch.stack([normals.roll(1, 1), normals.roll(2, 1)], 2).float() / 20
+    modes = NormalModes.of(seen.transport, normals.double(), turn, SCAN_HEIGHT)
+    seen = replace(seen, normal_modes=modes, grey=grey)
+    if grey:
+        seen = replace(seen, pixels=luminance(seen.pixels)[:, None].expand(-1, 3))
+    brighter = replace(seen, pixels=3 * seen.pixels)
+    found = estimate_light([seen, brighter], "lamps", photos=[0, 1])
+    assert found.lamps
+    light = LampLight.of(found)
+    torch.testing.assert_close(
+        light.environment(MAP_ROWS).radiance, found.environment.radiance, rtol=1e-4, atol=1e-6
+    )
+    for observation, face in zip((seen, brighter), found.faces, strict=True):
+        assert face.turns is not None
+        assert bool(face.turns.any())
+        transport = FaceTransport.of(observation, face, found.exposure)
+        rendered = transport.rendered(light)
+        torch.testing.assert_close(
+            rendered, face.rendered, rtol=1e-4, atol=1e-4 * float(face.rendered.mean())
+        )
+        # shading is linear in light: lamps one by one, and ambient light, add up where none clamps
+        parts = [replace(light, level=0.0, lamps=(lamp,)) for lamp in light.lamps]
+        parts.append(replace(light, lamps=()))
+        added = torch.stack([transport.rendered(part) for part in parts]).sum(0)
+        unclamped = (transport.matt @ light.radiance(SCAN_HEIGHT) > 0).all(1)
+        for part in parts:
+            unclamped &= (transport.matt @ part.radiance(SCAN_HEIGHT) >= 0).all(1)
+        assert bool(unclamped.any())
+        torch.testing.assert_close(added[unclamped], rendered[unclamped], rtol=1e-4, atol=1e-5)
