@@ -4,9 +4,9 @@ import json
 import zipfile
 from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
 
@@ -14,7 +14,7 @@ from skylight.io.atomic import atomic_path
 from skylight.models.names import is_trained
 from skylight.studio.jobs import Job
 from skylight.studio.refusals import Refused
-from skylight.studio.requests import CodeRequest, EstimateRequest, JobRequest
+from skylight.studio.requests import CodeRequest, EstimateRequest, JobRequest, LampsEdit
 from skylight.studio.state import Studio
 
 jobs = APIRouter(prefix="/api/jobs")
@@ -107,6 +107,27 @@ async def one_file(request: Request, token: str, name: str, download: bool = Fal
     if name not in files:
         raise Refused(404, "this job has no file of that name (yet)")
     return _file(files[name], name, download)
+
+
+@jobs.get("/{token}/lamps/{name}")
+async def under_edited_lamps(
+    request: Request,
+    token: str,
+    name: Literal["face.png", "probe.exr", "probe.hdr"],
+    edit: Annotated[LampsEdit, Query()],
+) -> Response:
+    """An estimate's faces or map under its lamps, moved and switched; nothing is kept of it."""
+    job = _job(request, token)
+    count = len((job.result or {}).get("lamps", []))
+    if count == 0:
+        raise Refused(409, "that job has no lamps to move; name an estimate that found some")
+    if not len(edit.azimuth_deg) == len(edit.zenith_deg) == len(edit.on) == count:
+        raise Refused(422, f"give azimuth_deg, zenith_deg and on for each lamp: there are {count}")
+    content = await _studio(request).under_edited_lamps(job, name, edit)
+    kind = "attachment" if edit.download else "inline"
+    headers = {"Content-Disposition": f'{kind}; filename="edited_{name}"'}
+    media = "image/png" if name.endswith(".png") else "application/octet-stream"
+    return Response(content, media_type=media, headers=headers)
 
 
 def _file(path: Path, name: str, download: bool) -> FileResponse:

@@ -1,4 +1,4 @@
-"""Strict validation of the JSON bodies of POST /api/jobs."""
+"""Strict validation of the JSON bodies of POST /api/jobs, and of edited lamps."""
 
 from typing import Annotated, Literal
 
@@ -68,6 +68,17 @@ class PartitionsRequest(_LitRequest):
     size_mm: Annotated[float, Field(gt=0, le=1000)] | None = None
 
 
+class LampsEdit(BaseModel):
+    """An estimate's lamps, in its order: where each is now, and whether it is on."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    azimuth_deg: list[Annotated[float, Field(ge=-360, le=360)]]
+    zenith_deg: list[Annotated[float, Field(ge=0, le=180)]]
+    on: list[bool]
+    ambient: bool
+    download: bool = False
+
+
 JobRequest = Annotated[
     EstimateRequest | CodeRequest | VoxelRequest | PartitionsRequest, Field(discriminator="kind")
 ]
@@ -79,5 +90,6 @@ def what_is_wrong(error: RequestValidationError) -> str:
     if first["type"] == "json_invalid":
         return "the request is no JSON"
     kinds = {"estimate", "code", "voxel", "partitions"}  # pydantic names the branch that it took
-    place = ".".join(str(part) for part in first["loc"] if part not in {"body", *kinds})
+    _, *inside = first["loc"]  # of the body, the query or the path
+    place = ".".join(str(part) for part in inside if part not in kinds)
     return f"{place or 'the request'}: {first['msg']}"

@@ -2,6 +2,7 @@
 
 import asyncio
 import re
+from base64 import b64decode
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from skylight.studio.jobs import Job, Jobs
 from skylight.studio.kept import Item, Kept
 from skylight.studio.limits import Limits
 from skylight.studio.refusals import Refused
+from skylight.studio.requests import LampsEdit
 from skylight.studio.worker_process import TaskFailed, TaskStopped, WorkerProcess
 
 HDR = (".exr", ".hdr")
@@ -86,6 +88,15 @@ class Studio:
             self._asked[question] = await self._read(question, {})
         return self._asked[question]
 
+    async def under_edited_lamps(self, job: Job, file: str, edit: LampsEdit) -> bytes:
+        """A file of an estimate that found so many lamps, under these as they are now."""
+        arguments = {
+            "folder": str(job.folder),
+            "file": file,
+            **edit.model_dump(exclude={"download"}),
+        }
+        return b64decode((await self._read("lamps", arguments))["content"])
+
     async def take_photo(self, request: Request, name: str) -> Upload:
         """A photograph from a request's body, with its preview and faces."""
         return await self._take(request, clean_name(name, "photo"), self.photos, "photo")
@@ -127,11 +138,17 @@ class Studio:
         except TaskFailed as error:
             raise Refused(422 if error.is_input else 500, str(error)) from error
         except TaskStopped as error:
-            line = f"{arguments.get('name', task)}: the process that read it died; try another file"
-            raise Refused(422 if arguments else 500, line) from error
+            if "name" not in arguments:
+                raise Refused(
+                    500, f"{task}: the process that worked on it died; try again"
+                ) from error
+            line = f"{arguments['name']}: the process that read it died; try another file"
+            raise Refused(422, line) from error
         except TimeoutError as error:
-            line = f"{arguments.get('name', task)}: reading it took too long; try a smaller file"
-            raise Refused(422 if arguments else 500, line) from error
+            if "name" not in arguments:
+                raise Refused(500, f"{task}: it took too long; try again") from error
+            line = f"{arguments['name']}: reading it took too long; try a smaller file"
+            raise Refused(422, line) from error
 
 
 async def _receive(request: Request, path: Path) -> None:

@@ -48,6 +48,16 @@ export interface Angles {
   azimuth_deg: number;
   zenith_deg: number;
 }
+/** `irradiance` is that of a surface that faces the lamp, RGB. */
+export interface MeasuredLamp extends Angles {
+  irradiance: [number, number, number];
+  spread_deg: number;
+}
+/** What surfaces receive of the ambient light on average, and the discs that are as wide as the lamps. */
+export interface LampFacts {
+  ambient_irradiance: [number, number, number];
+  diameters_deg: number[];
+}
 /** estimate.json, as far as the page reads it, and where the camera and the faces are. */
 export interface EstimateResult {
   light: string;
@@ -55,7 +65,9 @@ export interface EstimateResult {
   choice: { scene: string; probability: number } | null;
   sun: Angles;
   /** The strongest first; empty for models without lamps. */
-  lamps: ({ irradiance: [number, number, number]; spread_deg: number } & Angles)[];
+  lamps: MeasuredLamp[];
+  /** Where there are lamps. */
+  lamp_facts?: LampFacts;
   posterior: {
     verdict: string;
     share: number;
@@ -210,4 +222,14 @@ export function forgetJob(id: string): void {
 
 export const fileUrl = (job: string, name: string): string =>
   `/api/jobs/${job}/files/${encodeURIComponent(name)}`;
+/** A file of an estimate under its lamps as they are now; they are in its order. */
+export function lampsUrl(job: string, name: string, lamps: (Angles & { on: boolean })[], ambient: boolean): string {
+  const edit = new URLSearchParams({ ambient: String(ambient) });
+  for (const { azimuth_deg, zenith_deg, on } of lamps) {
+    edit.append("azimuth_deg", String(azimuth_deg));
+    edit.append("zenith_deg", String(zenith_deg));
+    edit.append("on", String(on));
+  }
+  return `/api/jobs/${job}/lamps/${name}?${edit}`;
+}
 export const zipUrl = (job: string): string => `/api/jobs/${job}/files.zip`;

@@ -8,6 +8,7 @@ from skylight.app.estimate.photos import estimate_photo
 from skylight.app.estimate.results import write_results
 from skylight.app.estimate.types import PhotoEstimate
 from skylight.models.names import LightName
+from skylight.studio.tasks.lamps import keep_lamps
 from skylight.studio.tasks.uploads import open_photo, preview_scale
 from skylight.work.progress import StageProgress
 
@@ -23,13 +24,18 @@ def estimate_light(
     *,
     tell: StageProgress,
 ) -> dict[str, Any]:
-    """estimate.json with the preview's camera and where the heads are; all files in ``folder``."""
+    """estimate.json with the preview's camera and where the heads are; all files in ``folder``.
+
+    With lamps also how wide these are, and the ambient light's irradiance.
+    """
     tell("reading the picture", 0.0)
     photo = open_photo(Path(path), name, pixels)
     result = estimate_photo(photo, names=[name], light=light, model=model, face=face, progress=tell)
     tell("writing the results", 0.0)
     write_results(Path(folder), result)
     described = json.loads((Path(folder) / "estimate.json").read_text(encoding="utf-8"))
+    if result.estimate.lamps:  # beside the folder, as the page offers all files in it
+        described["lamp_facts"] = keep_lamps(Path(folder).parent, result)
     return described | _seen(result, preview_scale(photo))
 
 

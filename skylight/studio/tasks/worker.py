@@ -30,6 +30,7 @@ _TASKS = {
     "photo": ("skylight.studio.tasks.uploads", "see_photo"),
     "map": ("skylight.studio.tasks.uploads", "see_map"),
     "estimate": ("skylight.studio.tasks.estimate", "estimate_light"),
+    "lamps": ("skylight.studio.tasks.lamps", "light_edited"),
     "code": ("skylight.studio.tasks.code", "code_light"),
     "voxel": ("skylight.studio.tasks.voxel", "make_voxel_probe"),
     "partitions": ("skylight.studio.tasks.partitions", "make_partition_probe"),

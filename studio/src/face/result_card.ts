@@ -5,6 +5,7 @@ import { downloads } from "../shared/downloads";
 import { fromAngles, inWords } from "../shared/frame";
 import { markDirection, panorama } from "../shared/panorama";
 import { loadRadianceMap, type RadianceMap } from "../shared/radiance_map";
+import { lampEditor } from "./lamp_editor";
 import { drawOutline, outline, posteriorOf } from "./posterior";
 import { posteriorBall } from "./posterior_ball";
 
@@ -46,6 +47,11 @@ export async function resultCard(title: string, job: Job<EstimateResult>): Promi
   const ball = posteriorBall(map, posterior, sun);
   shown.element.append(ball.element);
 
+  const showEdited = (edited: RadianceMap): void => {
+    view.setMap(edited);
+    shown.setMap(edited);
+  };
+
   const legend = sees
     ? `Middle: where the camera looks. Ring: the ${result.lamps.length > 0 ? "main lamp" : "sun"} as found${result.lamps.length > 1 ? ", white the others" : ""}. Line: where it stands with about ${Math.round(100 * result.posterior.share)} % certainty.`
     : "Middle: where the camera looks. Ring: the brightest place; no sun was seen.";
@@ -58,6 +64,7 @@ export async function resultCard(title: string, job: Job<EstimateResult>): Promi
       { class: "result-grid" },
       el("figure", { class: "result-map" }, view.element, el("figcaption", {}, legend)),
       shown.element,
+      ...(result.lamp_facts ? [lampEditor(job.job, result.lamps, result.lamp_facts, view.element, showEdited)] : []),
       numbers(result, words, sees),
       el(
         "div",

@@ -1,5 +1,5 @@
-import "./tables.css";
 import { el } from "../shared/dom";
+import "../shared/tables.css";
 
 /** A table that opens on demand; a row's first cell is its head. */
 export function valueTable(summary: string, heads: string[], rows: (string | Node)[][]): HTMLElement {

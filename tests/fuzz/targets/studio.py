@@ -44,6 +44,7 @@ def seeds() -> list[bytes]:
         b"GET /api/jobs/{job}/events\n",
         b"GET /api/jobs/{job}/files/probe.exr?download=1\n",
         b"GET /api/jobs/{job}/files.zip\n",
+        b"GET /api/jobs/{job}/lamps/face.png?azimuth_deg=9&zenith_deg=4&on=1&ambient=0\n",
         b"GET /api/photos/{photo}/preview.jpg Range=bytes=0-5\n",
         b"GET /api/about Origin=http://127.0.0.1\n",
         b"GET /assets/../index.html\n",

@@ -33,14 +33,14 @@ _USABLE = """() => [...document.querySelectorAll("a[href], button, select, input
     .filter((it) => it.checkVisibility() && !it.disabled && (it.type !== "radio" || it.checked))
     .length"""
 
-_NAMELESS = """() => [...document.querySelectorAll("canvas, img, select, input, button, a[href]")]
+NAMELESS = """() => [...document.querySelectorAll("canvas, img, select, input, button, a[href]")]
     .filter((it) => it.checkVisibility())
     .filter((it) => !(it.getAttribute("aria-label") || it.alt))
     .filter((it) => !(it.labels?.length || it.textContent.trim()))
     .map((it) => it.outerHTML)"""
 
 # the ratio of WCAG 2 between the colour of each piece of text and what lies behind it
-_CONTRASTS = """() => {
+CONTRASTS = """() => {
     const canvas = new OffscreenCanvas(1, 1).getContext("2d", { willReadFrequently: true });
     const rgba = (color) => {
         canvas.clearRect(0, 0, 1, 1);
@@ -120,7 +120,7 @@ def test_the_keyboard_is_enough(new_page: Callable[..., "Page"], tmp_path: Path)
         reached.add(tuple(page.evaluate(_FOCUSED)[:2]))
     for words in ("Choose a photo", "Your own model", "Exposure of the views", "Save this picture"):
         assert any(name.startswith(words) for _, name in reached), words
-    assert page.evaluate(_NAMELESS) == []
+    assert page.evaluate(NAMELESS) == []
 
 
 @pytest.mark.parametrize("width", [360, 700])
@@ -140,6 +140,6 @@ def test_text_stands_out(show: Callable[..., "Page"], scheme: Literal["light", "
     choose = page.locator("input[type=file][accept='.obj,.glb']")
     choose.set_input_files({"name": "x.obj", "mimeType": "", "buffer": b"# empty"})
     page.locator("[role=alert] .alert").wait_for()
-    contrasts = page.evaluate(_CONTRASTS)
+    contrasts = page.evaluate(CONTRASTS)
     assert len(contrasts) > 40
     assert [(ratio, text) for ratio, text in contrasts if ratio < 4.5] == []

@@ -1,0 +1,152 @@
+"""An estimate's faces and map under its lamps as a page has moved and switched them."""
+
+from base64 import b64encode
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+
+from skylight.app.estimate.face_panels import over_grey
+from skylight.app.estimate.types import PhotoEstimate
+from skylight.app.figures.exposure import srgb_codes, white_of
+from skylight.inverse.lamps.number import MAP_ROWS
+from skylight.inverse.lamps.relighting import FaceTransport, LampLight
+from skylight.inverse.result import Lamp
+from skylight.io.files import write_environment_map, write_png
+from skylight.io.tensors import read_tensors, write_tensors
+from skylight.relight.lamp_lights import disc_diameter_rad
+from skylight.sphere.frame import direction_from_angles
+from skylight.work.progress import StageProgress
+
+KEPT = "lamps.safetensors"
+FACES = "face.png"
+_IN_MEMORY = 2  # estimates: with a face of 2,500 pixels each takes 40 MB
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Face:
+    """A face and its picture, shown with the luminance ``white`` as white."""
+
+    transport: FaceTransport
+    image: Float[Tensor, "h w 3"]
+    places: Int[Tensor, "m 2"]
+    white: float
+
+    def panels(self, light: LampLight) -> list[UInt8[np.ndarray, "h w 3"]]:
+        """As it was seen, and under the light."""
+        rendered = over_grey(self.image, self.places, self.transport.rendered(light))
+        return [srgb_codes(picture, self.white) for picture in (self.image, rendered)]
+
+
+def keep_lamps(folder: Path, result: PhotoEstimate) -> dict[str, Any]:
+    """Write what :func:`light_edited` needs; what the page's table has beside estimate.json.
+
+    ``diameters_deg`` are those of discs that are as wide as the lamps.
+    """
+    light = LampLight.of(result.estimate)
+    tensors = {
+        "ambient": light.ambient,
+        "level": torch.tensor(light.level, dtype=torch.float64),
+        "directions": torch.stack([lamp.direction for lamp in light.lamps]),
+        "irradiances": torch.stack([lamp.irradiance for lamp in light.lamps]),
+        "spreads_rad": torch.tensor([lamp.spread_rad for lamp in light.lamps]).double(),
+    }
+    for number, (seen, face) in enumerate(zip(result.seen, result.estimate.faces, strict=True)):
+        observation = seen.view.observation
+        transport = FaceTransport.of(observation, face, light.level)
+        kept = {
+            "matt": transport.matt,
+            "pixel_albedo": transport.pixel_albedo,
+            "gains": transport.gains,
+            "grey": torch.tensor(transport.grey),
+            "image": seen.view.image,
+            "places": observation.places,
+            "white": torch.tensor(white_of(observation.pixels), dtype=torch.float64),
+        }
+        if transport.glossy is not None:
+            kept["glossy"] = transport.glossy
+        tensors |= {f"{number}.{name}": tensor for name, tensor in kept.items()}
+    write_tensors(folder / KEPT, tensors)
+    return {
+        "ambient_irradiance": light.ambient_irradiance().tolist(),
+        "diameters_deg": [
+            float(np.rad2deg(disc_diameter_rad(lamp.spread_rad))) for lamp in light.lamps
+        ],
+    }
+
+
+def light_edited(
+    folder: str,
+    file: str,
+    azimuth_deg: list[float],
+    zenith_deg: list[float],
+    on: list[bool],
+    ambient: bool,
+    *,
+    tell: StageProgress,
+) -> dict[str, Any]:
+    """The content of a file under edited lamps, base64: :data:`FACES`, or the map as .exr or .hdr.
+
+    Lamps keep their irradiance and width wherever they are moved.
+    """
+    tell("lighting the face", 0.0)
+    found, faces = _kept(folder)
+    angles = torch.tensor([azimuth_deg, zenith_deg], dtype=torch.float64).deg2rad().T
+    moved = tuple(
+        replace(lamp, direction=direction_from_angles(*towards))
+        for lamp, towards, is_on in zip(found.lamps, angles, on, strict=True)
+        if is_on
+    )
+    light = replace(found, lamps=moved, level=found.level if ambient else 0.0)
+    with TemporaryDirectory(dir=folder) as temporary:
+        path = Path(temporary) / file
+        if file == FACES:
+            seen_and_rendered = zip(*(face.panels(light) for face in faces), strict=True)
+            write_png(path, np.hstack([_column(panels) for panels in seen_and_rendered]))
+        else:
+            write_environment_map(path, light.environment(MAP_ROWS))
+        return {"content": b64encode(path.read_bytes()).decode()}
+
+
+@lru_cache(maxsize=_IN_MEMORY)
+def _kept(folder: str) -> tuple[LampLight, list[_Face]]:
+    """What :func:`keep_lamps` wrote; it does not change."""
+    tensors, _ = read_tensors(Path(folder) / KEPT)
+    rows = (tensors[name] for name in ("directions", "irradiances", "spreads_rad"))
+    lamps = tuple(
+        Lamp(direction=direction, irradiance=irradiance, spread_rad=float(spread_rad))
+        for direction, irradiance, spread_rad in zip(*rows, strict=True)
+    )
+    light = LampLight(ambient=tensors["ambient"], level=float(tensors["level"]), lamps=lamps)
+    faces: list[_Face] = []
+    while f"{len(faces)}.matt" in tensors:
+        start = f"{len(faces)}."
+        mine = {
+            name.removeprefix(start): tensor
+            for name, tensor in tensors.items()
+            if name.startswith(start)
+        }
+        transport = FaceTransport(
+            matt=mine["matt"],
+            glossy=mine.get("glossy"),
+            pixel_albedo=mine["pixel_albedo"],
+            gains=mine["gains"],
+            grey=bool(mine["grey"]),
+        )
+        image, places = mine["image"], mine["places"]
+        white = float(mine["white"])
+        faces.append(_Face(transport=transport, image=image, places=places, white=white))
+    return light, faces
+
+
+def _column(pictures: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> UInt8[np.ndarray, "h w 3"]:
+    """Below each other, black beside the narrower ones."""
+    width = max(picture.shape[1] for picture in pictures)
+    return np.vstack([np.pad(p, ((0, 0), (0, width - p.shape[1]), (0, 0))) for p in pictures])
