@@ -64,8 +64,8 @@ def nnls(
             for each in (free ^ exchanged, whole, wanted, diagonal, limit, fewest, patience, rows)
         )
     else:
-        for row, matrix, target in zip(rows.tolist(), whole, wanted, strict=True):
-            solution[row] = _by_active_set(matrix, target)
+        for row, matrix, target in zip(rows, whole, wanted, strict=True):
+            solution[int(row)] = _by_active_set(matrix, target)
     return solution.to(right)
 
 

@@ -38,6 +38,7 @@ def posterior_about(*angles_deg, kappa=100.0, floor=0.0, verdict: Verdict = "rel
         exposure_interval=(1.0, 3.0),
         albedo_scale_interval=(0.6, 1.7),
         verdict=verdict,
+        is_seen=verdict != "overcast: no sun",
     )
 
 
