@@ -356,7 +356,7 @@ def _explain(problems: Sequence[_SunProblem]) -> list[_Explained]:
         mine, k = x[p, :, : one.unknowns], one.unknowns
         along = torch.einsum("nj,njk,nk->n", mine, grams[p], mine)
         squared = raised_level[p] - 2 * (raised[p, :, :k] * mine).sum(1) + along
-        explained.append(_turned(_Explained(problem=one, x=mine, squared=squared)))
+        explained.append(_turned(_Explained(problem=one, x=mine, squared=squared), grams[p]))
     return explained
 
 
@@ -367,8 +367,8 @@ def _solved(
     return nnls(*flat, start=start.flatten(0, 1)).reshape(right.shape)
 
 
-def _turned(explained: _Explained) -> _Explained:
-    """The same with normals that may be wrong, if they may.
+def _turned(explained: _Explained, gram: Float[Tensor, "n k k"]) -> _Explained:
+    """The same with normals that may be wrong, if they may; ``gram`` is the problem's.
 
     With F from the x before, D = <M, F> and u = (D^T D + c I)^-1 D^T (y - X x) at its best, x is
     that of a small problem again, with X^T X less X^T D (D^T D + c I)^-1 D^T X.
@@ -381,7 +381,7 @@ def _turned(explained: _Explained) -> _Explained:
     block = _BLOCK if seen.device.type == "cpu" else count
     rows = [slice(begin, begin + block) for begin in range(0, count, block)]
     single = replace(one, suns=one.suns.to(seen), ambient=one.ambient.to(seen), y=seen)
-    gram = one.gram().to(seen)
+    gram = gram.to(seen)
     x, y = explained.x.to(seen), seen.expand(count, -1)
     if bounded:
         y = single.raised_to(x)
@@ -416,10 +416,7 @@ def _without_turns(
     inner = turned @ turned.transpose(1, 2)
     inner = inner + one.normals.cost * torch.eye(inner.shape[1]).to(inner)
     suns = one.suns[:, :, rows].permute(2, 1, 0)
-    both = torch.cat([suns, y[:, :, None]], 2)
-    across = torch.cat(
-        [turned @ both[:, :, :-1], turned @ one.ambient, turned @ both[:, :, -1:]], 2
-    )
+    across = torch.cat([turned @ suns, turned @ one.ambient, turned @ y[:, :, None]], 2)
     solved = torch.linalg.solve(inner, across)
     less = across.transpose(1, 2) @ solved
     right = torch.cat([(y[:, None] @ suns)[:, 0], y @ one.ambient], 1)

@@ -61,6 +61,16 @@ def lit(view: ObjectView, light: EnvironmentMap) -> ObjectView:
     return replace(view, observation=replace(view.observation, pixels=pixels))
 
 
+def part_of(whole: Observation, pixels: torch.Tensor) -> Observation:
+    """An observation of some of the pixels alone; without gloss."""
+    return Observation(
+        pixels=whole.pixels[pixels],
+        weights=whole.weights[pixels],
+        places=whole.places[pixels],
+        transport=replace(whole.transport, matrix=whole.transport.matrix[pixels]),
+    )
+
+
 def ball_normals(camera: PlacedCamera) -> torch.Tensor:
     """(h,w,3) where the camera's rays meet the unit ball about the origin; shorter beside it."""
     eye = camera.world_from_camera.translation
@@ -159,14 +169,7 @@ class TestHarmonics:
         whole = lit(front, environment).observation
         problem = KnownObjectProblem("sh9", material=CORAL)
         for half in torch.arange(len(whole.pixels)).chunk(2):
-            problem.add(
-                Observation(
-                    pixels=whole.pixels[half],
-                    weights=whole.weights[half],
-                    places=whole.places[half],
-                    transport=replace(whole.transport, matrix=whole.transport.matrix[half]),
-                )
-            )
+            problem.add(part_of(whole, half))
         found, expected = problem.solve(), estimate_object_light(whole, "sh9", material=CORAL)
         assert isinstance(problem, LightProblem)
         torch.testing.assert_close(found.coefficients, expected.coefficients)

@@ -21,7 +21,7 @@ from skylight.transport.matrix import TransportMatrix
 from skylight.transport.object_camera import object_camera
 from skylight.transport.observation import Observation
 from skylight.transport.render import Specular
-from tests.inverse.test_known_object import CORAL, FRONT, bumpy, lit, seen_by
+from tests.inverse.test_known_object import CORAL, FRONT, bumpy, lit, part_of, seen_by
 from tests.transport.shapes import icosphere
 
 GREY = (0.4, 0.4, 0.4)
@@ -161,14 +161,7 @@ def test_observations_add_up(two: tuple[Observation, ObjectLight]) -> None:
     whole, once = two
     problem = KnownObjectProblem("lamps", material=CORAL)
     for half in torch.arange(len(whole.pixels)).chunk(2):
-        problem.add(
-            Observation(
-                pixels=whole.pixels[half],
-                weights=whole.weights[half],
-                places=whole.places[half],
-                transport=replace(whole.transport, matrix=whole.transport.matrix[half]),
-            )
-        )
+        problem.add(part_of(whole, half))
     found = problem.solve()
     check(found, RED, BLUE)
     torch.testing.assert_close(found.rendered, once.rendered, rtol=0.01, atol=1e-3)

@@ -32,13 +32,13 @@ class Fitted(Generic[Point]):
     log_evidence: float
 
 
-def as_many_as_pay(fitted: Callable[[int], Fitted[Point]], fewest: int) -> Fitted[Point]:
-    """``fewest`` lamps, and one more as long as that brings :data:`LEAST_GAIN` of log evidence.
+def as_many_as_pay(fitted: Callable[[int], Fitted[Point]]) -> Fitted[Point]:
+    """No lamp, and one more as long as that brings :data:`LEAST_GAIN` of log evidence.
 
     ``fitted`` is asked for numbers of lamps in ascending order, up to :data:`MOST_LAMPS`.
     """
-    best = fitted(fewest)
-    for count in range(fewest + 1, MOST_LAMPS + 1):
+    best = fitted(0)
+    for count in range(1, MOST_LAMPS + 1):
         more = fitted(count)
         if more.log_evidence < best.log_evidence + LEAST_GAIN:
             break

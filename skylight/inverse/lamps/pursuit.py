@@ -19,6 +19,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from skylight.inverse.least_squares import nnls
+from skylight.models.lamps import LampsLight
 from skylight.sphere.envmap import luminance
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.observation import Observation
@@ -77,6 +78,15 @@ class Pursuit:
         sets = torch.stack(chosen)
         energies = torch.stack([face.energies(sets) for face in self.faces]).mean(0)
         return LampSets(directions=directions[sets], energies=energies.clamp(*ENERGIES))
+
+    def starts(self, model: LampsLight, count: int) -> Float[Tensor, "s c p"]:
+        """Parameters to start from: in each of so many of the best sets of the model's number."""
+        if model.count == 0:
+            return model.starts()[:, None]
+        while self.sets.shape[1] < model.count:
+            self.grow()
+        sets = self.best(count)
+        return model.starts_at(sets.directions, sets.energies)
 
 
 @dataclass(frozen=True, kw_only=True)

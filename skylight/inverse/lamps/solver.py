@@ -77,12 +77,7 @@ class LampsSolver:
         def fitted(count: int) -> Fitted[Points]:
             objective = self._objective(faces, count, options.coarse[0])
             assert isinstance(objective.model, LampsLight)
-            if count > 1:
-                pursuit.grow()
-            towards = objective.model.starts()[:, None]
-            if count > 0:
-                sets = pursuit.best(options.sets)
-                towards = objective.model.starts_at(sets.directions, sets.energies)
+            towards = pursuit.starts(objective.model, options.sets)
             if count == 1:
                 scanned = objective.model.starts_towards(scan.candidates)
                 towards = torch.cat([towards, scanned.to(towards)])
@@ -93,7 +88,7 @@ class LampsSolver:
                 count=count, point=points, log_evidence=float(log_evidence(objective, end))
             )
 
-        best = as_many_as_pay(fitted, fewest=0)
+        best = as_many_as_pay(fitted)
         objective, points = self._descend(faces, best.count, best.point, options.fine, progress)
         ends = Ends.of(objective, [points], evidence=True)
         return _estimate(ends, faces, options.fine[-1].level, scan, evidence)

@@ -74,22 +74,16 @@ def lamps_of_objects(
 
     def fitted(count: int) -> Fitted[Tensor]:
         model = few.model(count)
-        starts = model.starts()[:, None]
-        if count > 0:
-            if count > 1:
-                pursuit.grow()
-            sets = pursuit.best(SETS)
-            starts = model.starts_at(sets.directions, sets.energies)
-        point, evidence = few.minimum(count, few.best_of_each(model, starts), COARSE_STEPS)
+        starts = few.best_of_each(model, pursuit.starts(model, SETS))
+        point, evidence = few.minimum(count, starts, COARSE_STEPS)
         if progress is not None:
             progress((count + 1) / (MOST_LAMPS + 2))
         return Fitted(count=count, point=point, log_evidence=evidence)
 
-    best = as_many_as_pay(fitted, fewest=0)
-    count = best.count
-    point, evidence = whole.minimum(count, best.point, FINE_STEPS)
+    best = as_many_as_pay(fitted)
+    point, evidence = whole.minimum(best.count, best.point, FINE_STEPS)
     params, exposure = point[0].cpu().split([point.shape[1] - 3, 3])
-    environment, lamps = in_pictures_units(count, params, mean * exposure.exp())
+    environment, lamps = in_pictures_units(best.count, params, mean * exposure.exp())
     if progress is not None:
         progress(1.0)
     return ObjectLamps(environment=environment, lamps=lamps, log_evidence=evidence)
