@@ -23,8 +23,9 @@ def nnls(
     matrix factorization: an active-set-like method and comparisons", SIAM J. Sci. Comput. 33(6),
     2011. What is positive in ``start`` is free at first; near starts take few pivots.
 
-    G may be singular: 1e-10 of its diagonal (1e-6 in single precision) is added to it. Its
-    diagonal should be of one order: a slope of less than 1e-9 of the largest ``|r|`` counts as 0.
+    G may be singular, and a little indefinite by rounding: 1e-10 of the largest of its diagonal
+    (1e-6 in single precision) is added to its diagonal, which therefore should be of one order. A
+    slope of less than 1e-9 of the largest ``|r|`` counts as 0.
     Unknowns whose row and right side are zero are 0. Computed in double precision. Where columns
     are nearly dependent Murty's rule may take very many pivots: problems that are left after 200
     are solved by an active set method, one by one.
@@ -33,7 +34,8 @@ def nnls(
     count, size = right.shape
     whole, wanted = gram.double(), right.double()
     diagonal = whole.diagonal(dim1=1, dim2=2)
-    whole = whole + torch.diag_embed(ridge * diagonal + (diagonal <= 0))
+    most = diagonal.amax(1, keepdim=True)
+    whole = whole + torch.diag_embed(ridge * most + (diagonal <= 0))
     limit = 1e-9 * wanted.abs().amax(1, keepdim=True)
     free = torch.zeros_like(wanted) > 0 if start is None else start > 0
     order = torch.arange(size, device=right.device)
@@ -70,8 +72,12 @@ def nnls(
 
 
 def _by_active_set(gram: Float[Tensor, "k k"], right: Float[Tensor, " k"]) -> Float[Tensor, " k"]:
-    """Of one problem, as min |R x - y| with G = R^T R and R^T y = r."""
-    lower = torch.linalg.cholesky(gram)
-    y = torch.linalg.solve_triangular(lower, right[:, None], upper=False)[:, 0]
-    found, _ = active_set(lower.T.cpu().numpy(), y.cpu().numpy(), maxiter=100 * len(right))
+    """Of one problem, as min |R x - y| with G = R^T R and R^T y = r.
+
+    Eigenvalues that rounding made negative, or almost 0, are 1e-10 of the largest.
+    """
+    values, vectors = torch.linalg.eigh(gram)
+    scales = values.clamp(min=1e-10 * float(values[-1])).sqrt()
+    root, y = scales[:, None] * vectors.T, (vectors.T @ right) / scales
+    found, _ = active_set(root.cpu().numpy(), y.cpu().numpy(), maxiter=100 * len(right))
     return torch.from_numpy(found).to(right)

@@ -5,6 +5,7 @@ import pytest
 import torch
 from scipy.optimize import nnls as scipy_nnls
 
+from skylight.inverse import least_squares
 from skylight.inverse.least_squares import nnls
 
 
@@ -60,19 +61,40 @@ def test_more_unknowns_than_equations_are_explained_as_well():
     torch.testing.assert_close(objective(gram, right, single.double()), best, atol=1e-4, rtol=1e-4)
 
 
-@pytest.mark.parametrize("width", [0.4, 0.8])
-def test_columns_that_are_nearly_dependent(width):
-    """Broad lobes, on which pivoting goes round for very long."""
-    rng = np.random.default_rng(3)
+def broad_lobes(width):
+    """Columns on which pivoting goes round for very long, and what they are to explain."""
     at, centres = np.linspace(-1.5, 1.5, 200)[:, None], np.linspace(-1.5, 1.5, 22)
     lobes = np.exp(-0.5 * ((at - centres) / width) ** 2)
-    lobes /= np.linalg.norm(lobes, axis=0)
-    wanted = rng.normal(size=(20, 200)) + 1
+    wanted = np.random.default_rng(3).normal(size=(20, 200)) + 1
+    return lobes / np.linalg.norm(lobes, axis=0), wanted
+
+
+@pytest.mark.parametrize("width", [0.4, 0.8])
+@pytest.mark.parametrize("pivots", [0, 200])
+def test_columns_that_are_nearly_dependent(width, pivots, monkeypatch):
+    monkeypatch.setattr(least_squares, "_MOST", pivots)
+    lobes, wanted = broad_lobes(width)
     gram = torch.from_numpy(lobes.T @ lobes).expand(20, -1, -1)
     right = torch.from_numpy(wanted @ lobes)
     best = torch.from_numpy(np.stack([scipy_nnls(lobes, y)[0] for y in wanted]))
     excess = objective(gram, right, nnls(gram, right)) - objective(gram, right, best)
     assert float(excess.abs().max()) < 1e-6 * float((wanted**2).sum(1).min())
+
+
+@pytest.mark.parametrize("pivots", [0, 200])
+def test_what_rounding_made_indefinite(pivots, monkeypatch):
+    """In single precision, with errors as of a difference of such matrices."""
+    monkeypatch.setattr(least_squares, "_MOST", pivots)
+    lobes, wanted = broad_lobes(0.8)
+    gram = torch.from_numpy(lobes.T @ lobes).expand(20, -1, -1)
+    right = torch.from_numpy(wanted @ lobes)
+    noise = 2e-6 * torch.randn(gram.shape, generator=torch.Generator().manual_seed(0)).double()
+    rounded = (gram + (noise + noise.transpose(1, 2)) / 2).float()
+    assert (torch.linalg.eigvalsh(rounded.double())[:, 0] < -1e-6).all()  # more than is added
+    best = torch.from_numpy(np.stack([scipy_nnls(lobes, y)[0] for y in wanted]))
+    excess = objective(gram, right, nnls(rounded, right.float()).double())
+    excess = excess - objective(gram, right, best)
+    assert float(excess.abs().max()) < 1e-3 * float((wanted**2).sum(1).min())
 
 
 def test_what_is_missing_is_nothing():
