@@ -20,6 +20,7 @@ from pathlib import Path
 
 from skylight.app.estimate.batch import list_photos
 from skylight.app.estimate.manifest import MANIFEST, read_manifest
+from skylight.models.names import DEFAULT_LIGHT
 from tools.measured import write_measured
 
 
@@ -28,7 +29,7 @@ def main() -> None:
     parser.add_argument("photos", type=Path)
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--count", type=int, default=12, help="photos")
-    parser.add_argument("--light", default="autoencoder")
+    parser.add_argument("--light", default=DEFAULT_LIGHT)
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results/batch.json"))
     arguments = parser.parse_args()
     if len(arguments.workers) < 2 or len(set(arguments.workers)) < len(arguments.workers):

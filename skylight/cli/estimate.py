@@ -24,7 +24,7 @@ def estimate(
     photo: Positional[Path],
     more: Positional[tuple[Path, ...]] = (),
     shared_light: bool = False,
-    light: Light = "autoencoder",
+    light: Light = "auto",
     model: Path | None = None,
     face: int | None = None,
     faces: Literal["one", "all"] = "one",
@@ -67,7 +67,7 @@ def estimate(
         shared_light: All pictures were taken in one light by cameras that looked the same way.
         light: Light model: learnt skies, Preetham's sky with a sun, lamps in ambient light (rooms,
             studios, streets at night), spherical harmonics with 9 or 25 coefficients; or auto, the
-            likelier of learnt skies and lamps.
+            likelier of learnt skies and lamps, for half as much time again as skies alone.
         model: Folder of a trained model of your own instead of the one that comes with skylight,
             for --light auto, autoencoder or sunsky.
         face: Which face of each picture, counted from 1, the largest; 1 unless said otherwise.

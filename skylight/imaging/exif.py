@@ -1,4 +1,4 @@
-"""What a camera's EXIF data tell: focal length, flash, time, place and heading."""
+"""What a camera's EXIF data tell: focal length, flash, exposure, time, place and heading."""
 
 import math
 import re
@@ -22,10 +22,12 @@ _FARTHEST_OFFSET = timedelta(hours=14)  # of all zones in use
 
 @dataclass(frozen=True, kw_only=True)
 class CameraFacts:
-    """``focal_px`` in pixels of the picture, ``flash``: whether it fired; None where unknown."""
+    """``focal_px`` in pixels of the picture, ``flash``: whether it fired, ``exposure_value`` as
+    :func:`exposure_value`; None where unknown."""
 
     focal_px: float | None = None
     flash: bool | None = None
+    exposure_value: float | None = None
     taken: Taken | None = None
 
 
@@ -35,6 +37,7 @@ def camera_facts(exif: Image.Exif, width: int, height: int) -> CameraFacts:
     return CameraFacts(
         focal_px=focal_length_px(exif, width, height),
         flash=flash_fired(exif),
+        exposure_value=exposure_value(exif),
         taken=None if taken.is_nothing else taken,
     )
 
@@ -72,6 +75,22 @@ def flash_fired(exif: Image.Exif) -> bool | None:
     """Bit 0 of the Flash tag (EXIF 2.32); None without it."""
     value = exif.get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.Flash)
     return bool(value & 1) if isinstance(value, int) else None
+
+
+def exposure_value(exif: Image.Exif) -> float | None:
+    """How bright the scene was that the exposure was chosen for, as the exposure value at ISO 100::
+
+        EV = log2(N^2 / t) - log2(S / 100)
+
+    with the f-number N, the exposure time t in seconds and the sensitivity S. None where one of
+    them is missing.
+    """
+    tags = exif.get_ifd(ExifTags.IFD.Exif)
+    seconds, aperture = _positive(tags, "ExposureTime"), _positive(tags, "FNumber")
+    sensitivity = _positive(tags, "ISOSpeedRatings")
+    if seconds is None or aperture is None or sensitivity is None:
+        return None
+    return 2 * math.log2(aperture) - math.log2(seconds) - math.log2(sensitivity / 100)
 
 
 def taken_from(exif: Image.Exif) -> Taken:

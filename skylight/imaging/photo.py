@@ -40,6 +40,7 @@ class Photo:
     ``grey``     without colour: the three channels of ``pixels`` are equal.
     ``focal_px`` focal length in pixels of this picture, None where the file does not tell.
     ``flash``    whether it fired, None where the file does not tell.
+    ``exposure_value``  that of the scene at ISO 100, None where the file does not tell.
     ``taken``    where and when, as far as the file tells.
     """
 
@@ -49,6 +50,7 @@ class Photo:
     grey: bool = False
     focal_px: float | None = None
     flash: bool | None = None
+    exposure_value: float | None = None
     taken: Taken | None = None
 
 
@@ -176,6 +178,7 @@ def _told(
         grey=grey,
         focal_px=facts.focal_px,
         flash=facts.flash,
+        exposure_value=facts.exposure_value,
         taken=facts.taken,
     )
 

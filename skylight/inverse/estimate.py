@@ -9,7 +9,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 from skylight.errors import InputError
 from skylight.faces.skin import SkinPrior
-from skylight.inverse.auto import AutoProblem
+from skylight.inverse.auto import AutoProblem, choose_each
 from skylight.inverse.harmonic.problem import HarmonicProblem
 from skylight.inverse.lamps.problem import LampsProblem
 from skylight.inverse.lamps.solver import LampsOptions
@@ -20,7 +20,7 @@ from skylight.inverse.sun_prior import SunPrior
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.bundle import LightBundle, load_bundle
 from skylight.models.harmonic import HarmonicLight
-from skylight.models.names import LightName, check_is_trained, check_light_name
+from skylight.models.names import DEFAULT_LIGHT, LightName, check_is_trained, check_light_name
 from skylight.models.prior import GaussianMixture
 from skylight.models.sunsky import SunSky
 from skylight.transport.observation import Observation
@@ -63,12 +63,13 @@ class LightProblem(Protocol[Result_co]):
 
 def estimate_light(
     observations: Observation | Sequence[Observation],
-    light: LightName = "autoencoder",
+    light: LightName = DEFAULT_LIGHT,
     *,
     model: Model | None = None,
     photos: Sequence[int] | None = None,
     options: SolverOptions | None = None,
     sun_prior: SunPrior | None = None,
+    exposure: float | None = None,
     device: str = "auto",
     progress: Progress | None = None,
 ) -> Estimate:
@@ -95,6 +96,9 @@ def estimate_light(
     sun_prior
         What time, place and heading tell of the sun, by
         :func:`skylight.inverse.sun_prior.sun_prior`.
+    exposure
+        The exposure value at ISO 100, which tells "auto" of rooms and daylight
+        (:func:`~skylight.imaging.exif.exposure_value`); others do not use it.
     device
         "cpu", "cuda", or "auto" for CUDA where it is. Transport is moved there once. The estimate
         is on the CPU.
@@ -113,7 +117,14 @@ def estimate_light(
             "photos has the number of each observation's photograph, counted from 0 without gaps; "
             f"for {len(observations)} observations got {list(photos)}"
         )
-    problem = light_problem(light, model=model, options=options, sun_prior=sun_prior, device=device)
+    problem = light_problem(
+        light,
+        model=model,
+        options=options,
+        sun_prior=sun_prior,
+        exposure=exposure,
+        device=device,
+    )
     for observation, photo in zip(observations, photos, strict=True):
         problem.add(observation, photo)
     return problem.solve(progress)
@@ -121,7 +132,7 @@ def estimate_light(
 
 def estimate_each(
     observations: Sequence[Observation],
-    light: LightName = "autoencoder",
+    light: LightName = DEFAULT_LIGHT,
     *,
     model: Model | None = None,
     options: SolverOptions | None = None,
@@ -130,22 +141,25 @@ def estimate_each(
 ) -> list[Estimate]:
     """The light of each observation, each face in a light of its own.
 
-    As :func:`estimate_light` of each, but for rounding, with its parameters. On a GPU skies
-    ("autoencoder", "sunsky") are solved as one batch, which keeps it busy: give it as many as its
-    memory holds (:func:`~skylight.inverse.sky.problem.solve_together`). A CPU is busy with one,
-    and takes an eighth longer for a batch: there, and for harmonics, they are solved in turn.
+    As :func:`estimate_light` of each, but for rounding, with its parameters. On a GPU skies (of
+    "auto", "autoencoder" and "sunsky") are solved as one batch, which keeps it busy: give it as
+    many as its memory holds (:func:`~skylight.inverse.sky.problem.solve_together`). A CPU is busy
+    with one, and takes an eighth longer for a batch: there, and for lamps and harmonics, they are
+    solved in turn.
 
     Raises
     ------
     InputError
         As :func:`estimate_light`, for all where it is wrong with one.
     """
-    if choose_device(device).type != "cpu" and light in ("autoencoder", "sunsky"):
+    if choose_device(device).type != "cpu" and light in ("auto", "autoencoder", "sunsky"):
         many = light_problems(len(observations), light, model=model, options=options, device=device)
-        skies = [problem for problem in many if isinstance(problem, SkyProblem)]
-        for problem, observation in zip(skies, observations, strict=True):
+        for problem, observation in zip(many, observations, strict=True):
             problem.add(observation)
-        return solve_together(skies, progress)
+        autos = [problem for problem in many if isinstance(problem, AutoProblem)]
+        if autos:
+            return choose_each(autos, progress)
+        return solve_together([one for one in many if isinstance(one, SkyProblem)], progress)
     found: list[Estimate] = []
     for observation in observations:
         (problem,) = light_problems(1, light, model=model, options=options, device=device)
@@ -162,6 +176,7 @@ def light_problem(
     model: Model | None = None,
     options: SolverOptions | None = None,
     sun_prior: SunPrior | None = None,
+    exposure: float | None = None,
     device: str = "auto",
 ) -> LightProblem[Estimate]:
     """The problem that :func:`estimate_light` solves, to be given one observation at a time.
@@ -169,10 +184,16 @@ def light_problem(
     An observation can be let go once it is added: of several faces, only one at a time need be
     held with its full transport.
     """
-    priors = [sun_prior]
-    return light_problems(1, light, model=model, options=options, sun_priors=priors, device=device)[
-        0
-    ]
+    (problem,) = light_problems(
+        1,
+        light,
+        model=model,
+        options=options,
+        sun_priors=[sun_prior],
+        exposures=[exposure],
+        device=device,
+    )
+    return problem
 
 
 def light_problems(
@@ -182,10 +203,13 @@ def light_problems(
     model: Model | None = None,
     options: SolverOptions | None = None,
     sun_priors: Sequence[SunPrior | None] | None = None,
+    exposures: Sequence[float | None] | None = None,
     device: str = "auto",
 ) -> Sequence[LightProblem[Estimate]]:
-    """So many of :func:`light_problem`, each with a light and, where given, a prior of its own."""
+    """So many of :func:`light_problem`, each with a light and, where given, a prior and an exposure
+    of its own."""
     sun_priors = sun_priors or [None] * count
+    exposures = exposures or [None] * count
     check_light_name(light)
     if model is not None:
         check_is_trained(light)
@@ -214,7 +238,10 @@ def light_problems(
     first = SkyProblem(sky.to(where), over.to(where), prior, modes, options)
     skies = [first.another(one) for one in sun_priors]
     if light == "auto":
-        return [AutoProblem(sky, LampsProblem(prior, modes, lamps)) for sky in skies]
+        return [
+            AutoProblem(sky, LampsProblem(prior, modes, lamps), exposure)
+            for sky, exposure in zip(skies, exposures, strict=True)
+        ]
     return skies
 
 

@@ -63,6 +63,7 @@ Verdict = Literal[
     "doubtful: a lamp at the camera",
     "doubtful: the face and the clock disagree",
     "unreliable: the face is not explained",
+    "unreliable: hardly a face",
 ]
 SHARE = 0.9
 DOUBT = 0.5  # clocks that are more likely wrong than right

@@ -5,6 +5,7 @@ from typing import Literal, get_args
 from skylight.errors import InputError
 
 LightName = Literal["auto", "autoencoder", "sunsky", "lamps", "sh9", "sh25"]
+DEFAULT_LIGHT: LightName = "auto"
 LIGHT_NAMES: tuple[LightName, ...] = get_args(LightName)
 
 

@@ -1,6 +1,7 @@
 """The command line from end to end: what it writes, and how it fails."""
 
 import errno
+import inspect
 import json
 import os
 from collections.abc import Callable, Iterator
@@ -18,13 +19,14 @@ import skylight
 from skylight.app.estimate.photos import estimate, estimate_photo
 from skylight.cli import main
 from skylight.cli.estimate import Landmarks, Light
+from skylight.cli.estimate import estimate as estimate_command
 from skylight.cli.workers import who_works
 from skylight.errors import InputError, explain
 from skylight.faces.landmarks import DetectedFace, LandmarkerName
 from skylight.faces.model import HeadModel
 from skylight.faces.photographs import choose_landmarker
 from skylight.io.files import read_environment_map
-from skylight.models.names import LightName
+from skylight.models.names import DEFAULT_LIGHT, LightName
 from skylight.sphere.frame import angles_from_direction
 from skylight.work.progress import StageProgress
 
@@ -366,6 +368,7 @@ class TestFailures:
 
 def test_light_choices_are_the_models() -> None:
     assert Light == LightName
+    assert inspect.signature(estimate_command).parameters["light"].default == DEFAULT_LIGHT
 
 
 def test_without_a_number_each_core_that_this_process_may_use_gets_a_worker(

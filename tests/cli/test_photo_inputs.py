@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 import torch
 from PIL import ExifTags, Image
+from skimage.data import camera
 
+from skylight.app.estimate.photos import estimate
 from skylight.cli import main
 from skylight.imaging.colour import srgb_to_linear
 from skylight.io.files import read_environment_map
@@ -49,6 +51,13 @@ def _deep(path: Path) -> None:
 def _linear(path: Path) -> None:
     pixels = srgb_to_linear(torch.from_numpy(face()).float() / 255)
     write_exr(path, pixels.numpy(), half=False, header={})
+
+
+def test_an_ear_that_was_taken_for_a_face_is_called_so() -> None:
+    found = estimate(np.repeat(camera()[..., None], 3, axis=2), light="sh9")
+    assert found.posterior.verdict == "unreliable: hardly a face"
+    (line,) = [line for line in found.advice if "hardly a face" in line]
+    assert "% of the eyes' distance off the head" in line
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.tif"])

@@ -48,6 +48,26 @@ def test_a_camera_that_tells_nothing(tmp_path: Path) -> None:
     assert (plain.taken, plain.flash) == (None, None)
 
 
+@pytest.mark.parametrize(
+    ("seconds", "aperture", "sensitivity", "value"),
+    [
+        (1 / 128, 16.0, 100, 15.0),
+        (1 / 30, 2.0, 800, 3.91),
+        (0.0, 2.0, 100, None),
+        (1.0, 0.0, 100, None),
+    ],
+)
+def test_how_bright_the_scene_was(
+    tmp_path: Path, seconds: float, aperture: float, sensitivity: int, value: float | None
+) -> None:
+    """Sunny 16: in the sun f/16 and the reciprocal of the sensitivity; a living room at night."""
+    tags = {"ExposureTime": seconds, "FNumber": aperture, "ISOSpeedRatings": sensitivity}
+    found = photo(tmp_path, **tags).exposure_value
+    assert found == (value if value is None else pytest.approx(value, abs=0.01))
+    del tags["ISOSpeedRatings"]
+    assert photo(tmp_path, **tags).exposure_value is None
+
+
 def test_clock_with_its_zone(tmp_path: Path) -> None:
     found = taken(tmp_path, **CLOCK, **ZONE)
     assert found.time == datetime(2024, 6, 1, 12, 30, tzinfo=UTC)

@@ -1,5 +1,6 @@
 """Skies and lamps compete: balls whose light is known, and the words for what was chosen."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.inverse.auto import LEAD, TEMPERATURE, choose, scene_of
+from skylight.inverse.auto import LEAD, TEMPERATURE, choose, open_sky_log_odds, scene_of
 from skylight.inverse.estimate import estimate_light, light_problem, smooth_autoencoder
 from skylight.inverse.result import Lamp
 from skylight.models.bundle import load_bundle
@@ -60,6 +61,23 @@ def test_the_likeliest_is_chosen_and_as_sure_as_the_gap_says(from_below):
         choose([one, replace(other, log_evidence=None)])
 
 
+def test_the_exposure_weighs_in(from_below):
+    """Bright pictures speak for a sky, dark ones against it, and neither settles it."""
+    sky = replace(from_below, light="autoencoder", log_evidence=0.0)
+
+    def chosen(lead: float, exposure: float | None) -> str:
+        return choose([sky, replace(from_below, log_evidence=LEAD + lead)], exposure).light
+
+    assert [chosen(lead, None) for lead in (-1, 1)] == ["autoencoder", "lamps"]
+    assert [chosen(lead, 14.0) for lead in (150, 200)] == ["autoencoder", "lamps"]
+    assert [chosen(lead, 5.0) for lead in (-350, -300)] == ["autoencoder", "lamps"]
+    assert open_sky_log_odds(10.5) == pytest.approx(
+        math.log(4 / 3) - 0.5 * (2.5 / 1.5) ** 2 + 0.5 * (3.5 / 2) ** 2
+    )
+    assert open_sky_log_odds(20.0) == open_sky_log_odds(13.0) == pytest.approx(math.log(5))
+    assert open_sky_log_odds(-3.0) == open_sky_log_odds(7.0) == pytest.approx(-math.log(20))
+
+
 @pytest.mark.parametrize(
     ("direction", "scene"),
     [((0, 0.1, 1), "flash"), ((0, 0.5, 1), "one lamp"), ((0, 0, -1), "one lamp")],
@@ -81,5 +99,5 @@ def test_even_light_that_does_not_explain_the_face_has_no_lamp_either():
 
 
 def test_without_observations():
-    with pytest.raises(InputError, match="no observation"):
+    with pytest.raises(InputError, match="without an observation"):
         light_problem("auto").solve()

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from skylight.errors import InputError
+from skylight.inverse.auto import AutoProblem, choose_each
 from skylight.inverse.estimate import estimate_each, estimate_light, light_problems
 from skylight.inverse.objective.descent import Round
 from skylight.inverse.objective.face_term import FaceTerm
@@ -153,6 +154,25 @@ def test_the_light_of_each_observation_is_its_own(
         assert float(off) < 0.01
         assert sum(one.terms.values()) == pytest.approx(sum(other.terms.values()), rel=1e-3)
     assert float(found[0].sun_direction @ found[1].sun_direction) < 0.9  # not one light for all
+
+
+@pytest.mark.slow
+def test_each_observation_has_a_choice_of_its_own(seen: list[Observation]) -> None:
+    two, told = [seen[1], seen[3]], []
+    problems = light_problems(2, "auto", options=FEWER, device="cpu")
+    autos = [problem for problem in problems if isinstance(problem, AutoProblem)]
+    for problem, observation in zip(autos, two, strict=True):
+        problem.add(observation)
+    found = choose_each(autos, told.append)
+    assert told == sorted(told)
+    assert told[-1] == 1
+    for one, observation in zip(found, two, strict=True):
+        alone = estimate_light(observation, "auto", options=FEWER, device="cpu")
+        assert one.light == alone.light
+        assert one.choice is not None
+        assert alone.choice is not None
+        for name, nats in alone.choice.log_evidence.items():
+            assert one.choice.log_evidence[name] == pytest.approx(nats, abs=1)
 
 
 def test_harmonics_are_solved_one_after_the_other() -> None:

@@ -6,7 +6,7 @@ from importlib.resources import files
 from typing import get_args
 
 from skylight.csc.dictionary import BuiltinName
-from skylight.models.names import LIGHT_NAMES
+from skylight.models.names import DEFAULT_LIGHT, LIGHT_NAMES
 from skylight.studio.requests import (
     DICTIONARIES,
     LIGHTS,
@@ -19,6 +19,7 @@ from skylight.studio.tasks.voxel import STARS
 
 def test_choices_are_those_of_the_package() -> None:
     assert tuple(LIGHTS) == LIGHT_NAMES == get_args(EstimateRequest.__annotations__["light"])
+    assert EstimateRequest(kind="estimate", photo="me.jpg").light == DEFAULT_LIGHT
     assert set(DICTIONARIES) == set(get_args(BuiltinName))
     assert get_args(CodeRequest.__annotations__["dictionary"]) == tuple(DICTIONARIES)
     assert get_args(VoxelRequest.__annotations__["probe"]) == tuple(STARS)

@@ -28,7 +28,7 @@ from skylight.imaging.raw import SUFFIXES as RAW_SUFFIXES
 from skylight.io.hdr import SUFFIXES as HDR_SUFFIXES
 from skylight.io.listing import visible_files
 from skylight.models.bundle import load_bundle
-from skylight.models.names import LightName, check_is_trained, check_light_name
+from skylight.models.names import DEFAULT_LIGHT, LightName, check_is_trained, check_light_name
 from skylight.work.progress import StageProgress
 from skylight.work.results_folder import results_folder
 from skylight.work.resumable import Workers, claimed, settle, share_work
@@ -44,7 +44,7 @@ class BatchSettings:
     With ``keep_place`` results tell time, place and heading.
     """
 
-    light: LightName = "autoencoder"
+    light: LightName = DEFAULT_LIGHT
     model: Path | None = None
     face: WhichFaces = 1
     head: HeadName = "fitted"

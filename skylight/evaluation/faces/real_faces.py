@@ -86,6 +86,7 @@ class RealFaces:
             "seconds": seconds,
             "verdicts": {name: one.posterior.verdict for name, one in estimates.items()},
             "chosen": estimates["auto"].light,
+            "evidence": {name: one.log_evidence for name, one in estimates.items()},
             "advice": list(ours.advice),
         }
         return Item(name=item, metrics=metrics, facts=facts)

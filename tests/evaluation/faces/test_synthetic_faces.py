@@ -15,6 +15,7 @@ from skylight.evaluation.faces.synthetic_faces import (
     MEAN_GOALS,
     OURS,
     SyntheticFaces,
+    auto_under_suns,
     worst_tone,
 )
 from skylight.evaluation.harness.run import Item
@@ -82,6 +83,25 @@ def test_the_region_holds_the_sun_neither_too_seldom_nor_too_often(share, ok):
     row = {"in_region": {"mean": share}}
     (check,) = SyntheticFaces(count=1).checks({OURS: row}, []).values()
     assert (check.value, check.ok) == (share, ok)
+
+
+def test_auto_is_judged_under_visible_suns_alone():
+    def sunny(chosen: str, number: float, visible: bool = True) -> Item:
+        rows = {"autoencoder": 1.0, "auto": number}
+        return Item(
+            name=chosen,
+            metrics={name: dict.fromkeys(MEAN_GOALS, value) for name, value in rows.items()},
+            facts={"sun_visible": visible, "chosen": chosen},
+        )
+
+    items = [sunny("autoencoder", 1.0)] * 19 + [sunny("lamps", 1.5)]
+    items += [sunny("lamps", 9.0, visible=False)] * 5
+    kept, worst = auto_under_suns(items).values()
+    assert (kept.value, kept.ok) == (0.95, True)
+    assert (worst.value, worst.ok) == (pytest.approx(1.025), True)
+    items.append(sunny("lamps", 3.0))
+    assert not any(check.ok for check in auto_under_suns(items).values())
+    assert auto_under_suns([face_item(1, tone=0, angle=5.0)]) == {}
 
 
 def test_coverage_asks_for_the_true_suns_cell():
