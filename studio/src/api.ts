@@ -70,6 +70,8 @@ export interface EstimateResult {
   lamp_facts?: LampFacts;
   posterior: {
     verdict: string;
+    /** Whether there is a sun or a lamp to see. */
+    is_seen: boolean;
     share: number;
     region_radius_deg: number;
     /** Density of posterior.exr along the region's edge. */

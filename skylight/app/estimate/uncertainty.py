@@ -22,6 +22,7 @@ def describe_posterior(posterior: SunPosterior) -> dict[str, object]:
     """What estimate.json says of it; the density itself is in posterior.exr."""
     return {
         "verdict": posterior.verdict,
+        "is_seen": posterior.is_seen,
         "share": SHARE,
         "region_sr": posterior.region_sr,
         "region_radius_deg": math.degrees(posterior.region_radius_rad),

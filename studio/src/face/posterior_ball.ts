@@ -9,17 +9,18 @@ const SIZE = 200;
 const HORIZON = 0.012; // half the width of the lines, in radians
 
 /**
- * All directions as a ball seen from outside: the light, the sun's posterior painted over it, the
- * horizon, and where the camera looks. It turns by pointer and by arrow keys.
+ * All directions as a ball seen from outside: the light, the posterior of its `main` source painted
+ * over it, the horizon, and where the camera looks. It turns by pointer and by arrow keys.
  */
 export function posteriorBall(
   map: RadianceMap,
   posterior: Posterior | null,
   sun: { azimuth_deg: number; zenith_deg: number },
+  main: "sun" | "main lamp",
 ): { element: HTMLElement; setExposure: (factor: number) => void } {
   const label =
     `Ball of all directions, turned by dragging or by arrow keys: the light around the camera` +
-    (posterior ? " with the region where the sun may stand" : "");
+    (posterior ? ` with the region where the ${main} may stand` : "");
   const canvas = el("canvas", {
     width: SIZE,
     height: SIZE,
@@ -92,7 +93,7 @@ export function posteriorBall(
   const drawMarks = (context: CanvasRenderingContext2D): void => {
     const marks: [Vec3, string, string][] = [
       [[0, 0, -1], "camera", "#ffffff"],
-      [fromAngles(sun.azimuth_deg, sun.zenith_deg), posterior ? "sun" : "brightest", "#ffd23f"],
+      [fromAngles(sun.azimuth_deg, sun.zenith_deg), posterior ? main : "brightest", "#ffd23f"],
       [[0, 1, 0], "up", "#ffffff"],
     ];
     context.font = "600 15px system-ui, sans-serif";

@@ -15,8 +15,6 @@ export interface ResultCard {
   setExposure: (factor: number) => void;
 }
 
-const UNSEEN = ["overcast: no sun", "even: no lamp"];
-
 /** One estimate: its light as panorama and balls, where the sun may stand, numbers, files. */
 export async function resultCard(title: string, job: Job<EstimateResult>): Promise<ResultCard> {
   const result = job.result!;
@@ -25,12 +23,13 @@ export async function resultCard(title: string, job: Job<EstimateResult>): Promi
     loadRadianceMap(fileUrl(job.job, "posterior.exr")),
   ]);
   const { sun } = result;
-  const sees = !UNSEEN.includes(result.posterior.verdict);
+  const sees = result.posterior.is_seen;
+  const main = result.lamps.length > 0 ? "main lamp" : "sun";
   const posterior = sees ? posteriorOf(density, result.posterior.region_edge_per_sr) : null;
 
   const words = inWords(sun.azimuth_deg, sun.zenith_deg);
   const view = panorama(
-    `${title}: the light around the camera as a panorama; ${sees ? "sun" : "brightest"} ${words}`,
+    `${title}: the light around the camera as a panorama; ${sees ? main : "brightest"} ${words}`,
   );
   const towardsSun = fromAngles(sun.azimuth_deg, sun.zenith_deg);
   const pieces = posterior ? outline(posterior) : [];
@@ -44,7 +43,7 @@ export async function resultCard(title: string, job: Job<EstimateResult>): Promi
   view.setMap(map);
   const shown = balls(title);
   shown.setMap(map);
-  const ball = posteriorBall(map, posterior, sun);
+  const ball = posteriorBall(map, posterior, sun, main);
   shown.element.append(ball.element);
 
   const showEdited = (edited: RadianceMap): void => {
@@ -53,7 +52,7 @@ export async function resultCard(title: string, job: Job<EstimateResult>): Promi
   };
 
   const legend = sees
-    ? `Middle: where the camera looks. Ring: the ${result.lamps.length > 0 ? "main lamp" : "sun"} as found${result.lamps.length > 1 ? ", white the others" : ""}. Line: where it stands with about ${Math.round(100 * result.posterior.share)} % certainty.`
+    ? `Middle: where the camera looks. Ring: the ${main} as found${result.lamps.length > 1 ? ", white the others" : ""}. Line: where it stands with about ${Math.round(100 * result.posterior.share)} % certainty.`
     : "Middle: where the camera looks. Ring: the brightest place; no sun was seen.";
   const element = el(
     "article",
@@ -65,7 +64,7 @@ export async function resultCard(title: string, job: Job<EstimateResult>): Promi
       el("figure", { class: "result-map" }, view.element, el("figcaption", {}, legend)),
       shown.element,
       ...(result.lamp_facts ? [lampEditor(job.job, result.lamps, result.lamp_facts, view.element, showEdited)] : []),
-      numbers(result, words, sees),
+      numbers(result, words, sees ? main : "brightest"),
       el(
         "div",
         { class: "stack" },
@@ -85,7 +84,7 @@ export async function resultCard(title: string, job: Job<EstimateResult>): Promi
   };
 }
 
-function numbers(result: EstimateResult, words: string, sees: boolean): HTMLElement {
+function numbers(result: EstimateResult, words: string, main: string): HTMLElement {
   const { sun, posterior, faces, seconds } = result;
   const degrees = (value: number): string => `${Math.round(value)}°`;
   const elevation = 90 - sun.zenith_deg;
@@ -96,10 +95,10 @@ function numbers(result: EstimateResult, words: string, sees: boolean): HTMLElem
       ? ([["Light", `${sentence(result.choice.scene)}, ${Math.round(100 * result.choice.probability)} % sure`]] as [string, string][])
       : []),
     ["Verdict", sentence(posterior.verdict)],
-    [sees ? (result.lamps.length > 0 ? "Main lamp" : "Sun") : "Brightest", sentence(words)],
+    [sentence(main), sentence(words)],
     ["Azimuth", `${degrees(Math.abs(sun.azimuth_deg))} to the ${sun.azimuth_deg < 0 ? "left" : "right"} of the camera's view`],
     ["Zenith angle", `${degrees(sun.zenith_deg)}, that is ${degrees(Math.abs(elevation))} ${elevation < 0 ? "below" : "above"} the horizon`],
-    ...(sees ? ([["How sure", sure]] as [string, string][]) : []),
+    ...(posterior.is_seen ? ([["How sure", sure]] as [string, string][]) : []),
     ...result.lamps.map((lamp, i) => [`Lamp ${i + 1}`, lampInWords(lamp)] as [string, string]),
     ...faces.map(
       (face, i) =>

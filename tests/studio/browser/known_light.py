@@ -32,6 +32,7 @@ def answers(radiance: torch.Tensor, folder: Path) -> "Callable[[Route], None]":
         "lamps": [],
         "posterior": {
             "verdict": "sun",
+            "is_seen": True,
             "share": 0.9,
             "region_radius_deg": 8,
             "region_edge_per_sr": 0.9,
