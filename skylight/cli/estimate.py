@@ -24,7 +24,7 @@ def estimate(
     photo: Positional[Path],
     more: Positional[tuple[Path, ...]] = (),
     shared_light: bool = False,
-    light: Light = "auto",
+    light: Light = "autoencoder",
     model: Path | None = None,
     face: int | None = None,
     faces: Literal["one", "all"] = "one",

@@ -5,7 +5,8 @@ from typing import Literal, get_args
 from skylight.errors import InputError
 
 LightName = Literal["auto", "autoencoder", "sunsky", "lamps", "sh9", "sh25"]
-DEFAULT_LIGHT: LightName = "auto"
+# Not "auto": without exposures that takes half of the photographs under an open sky for lamps
+DEFAULT_LIGHT: LightName = "autoencoder"
 LIGHT_NAMES: tuple[LightName, ...] = get_args(LightName)
 
 

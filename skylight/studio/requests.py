@@ -33,7 +33,7 @@ class EstimateRequest(_Request):
     kind: Literal["estimate"]
     photo: Token
     face: Annotated[int, Field(ge=1, le=1000)] | Literal["all"] = 1
-    light: Literal["auto", "autoencoder", "sunsky", "lamps", "sh9", "sh25"] = "auto"
+    light: Literal["auto", "autoencoder", "sunsky", "lamps", "sh9", "sh25"] = "autoencoder"
 
 
 class _LitRequest(_Request):
