@@ -10,7 +10,9 @@ ray-traced by itself. True light of :data:`HEIGHT` rows explains the shading no 
 ``model_error``, which the facts name.
 
 Sparse codes grow up to each sparsity, as the thesis' do; spherical harmonics have as many
-coefficients, and an L2 regulariser.
+coefficients, and an L2 regulariser. Lamps in ambient light are up to three, told by 19 numbers and
+7 a lamp; an activation of an anisotropic dictionary has 7 as well: three weights, three angles and
+which filter it is.
 """
 
 import math
@@ -21,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from skylight.csc.correlation.positions import Positions
@@ -35,16 +37,21 @@ from skylight.evaluation.codes.lit_object import SHOWN_HEIGHT, lit_object
 from skylight.evaluation.harness.pictures import Picture, caption, sized
 from skylight.evaluation.harness.run import Check, Item, Metrics
 from skylight.imaging.colour import tone_map
+from skylight.inverse.object.problem import estimate_object_light
+from skylight.inverse.object.view import ObjectMaterial
 from skylight.io.collection import read_categories
 from skylight.io.files import read_environment_map, write_png
 from skylight.models.harmonic import solve_linear
+from skylight.models.lamps import AMBIENT_PARAMETERS, LAMP_PARAMETERS
 from skylight.sphere import harmonics
 from skylight.sphere.envmap import luminance
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.matrix import TransportMatrix
+from skylight.transport.observation import Observation
 
 COUNTS = (4, 16, 36, 64, 100)
 SHOWN = (16, 64)
+BY_LAMPS = 16  # activations, 112 numbers, that 40 numbers of lamps are compared with
 LEAST_COMPARED = 16  # activations from which the goals are set
 HEIGHT, FINE_HEIGHT = 32, 64
 NOISE = 1e-3  # standard deviation, of the mean shading
@@ -107,6 +114,13 @@ class SparseInverse:
             metrics[method] = _scores(maps, true)
             metrics[method]["cpu_seconds"] = time.process_time() - start
             shown[method] = {count: maps[count] for count in SHOWN if count in maps}
+        start = time.process_time()
+        by_lamps, numbers = recovered_by_lamps(scene, shading)
+        metrics["lamps"] = {
+            "l2": map_error(by_lamps, true),
+            "numbers": float(numbers),
+            "cpu_seconds": time.process_time() - start,
+        }
         by_ridge: dict[str, dict[str, float]] = {}
         for ridge in RIDGES:
             maps = recovered_by_harmonics(scene, shading, ridge, self.counts)
@@ -145,6 +159,12 @@ class SparseInverse:
             checks[f"ani_nnls, {count}"] = Check.below(
                 rows["ani_nnls"][f"l2_{count}"]["mean"], float(min(means)), "sh, best ridge"
             )
+        if "lamps" in rows and BY_LAMPS in self.counts:
+            checks["lamps"] = Check.below(
+                rows["lamps"]["l2"]["mean"],
+                rows["ani_nnls"][f"l2_{BY_LAMPS}"]["mean"],
+                f"ani_nnls, {BY_LAMPS}",
+            )
         return checks
 
 
@@ -152,11 +172,13 @@ class SparseInverse:
 class ObservedScene:
     """What makes the shading, and what the methods know of it.
 
-    ``fine`` (m, n2) is T that makes it; ``coarse`` (m, n) the one through which light is sought,
+    ``places`` (m,2) are its pixels' rows and columns, ``fine`` (m, n2) is T that makes it;
+    ``coarse`` (m, n) the one through which light is sought,
     ``basis`` (n, k) the harmonics of degree 40 about the zenith on its grid, ``operator`` their
     shading T B, and ``gram`` its B^T T^T T B.
     """
 
+    places: Int[Tensor, "m 2"]
     fine: Float[Tensor, "m n2"]
     coarse: Float[Tensor, "m n"]
     basis: Float[Tensor, "n k"]
@@ -164,11 +186,14 @@ class ObservedScene:
     gram: Float[Tensor, "k k"]
 
     @staticmethod
-    def of(fine: TransportMatrix, coarse: TransportMatrix) -> "ObservedScene":
+    def of(
+        places: Int[Tensor, "m 2"], fine: TransportMatrix, coarse: TransportMatrix
+    ) -> "ObservedScene":
         basis = harmonics.evaluate_about_zenith(coarse.grid.directions, DEGREE)
         matrix = coarse.matrix.double()
         operator = matrix @ basis
         return ObservedScene(
+            places=places,
             fine=fine.matrix.double(),
             coarse=matrix,
             basis=basis,
@@ -190,6 +215,7 @@ def observed_scene(data: Path) -> ObservedScene:
     """The dragon's; once per process."""
     dragon = lit_object(data)
     return ObservedScene.of(
+        places=dragon.buffer.pixels[dragon.chosen],
         fine=dragon.transport(DirectionGrid.latlong(FINE_HEIGHT)),
         coarse=dragon.transport(DirectionGrid.latlong(HEIGHT)),
     )
@@ -215,6 +241,22 @@ def recovered_by_code(
         atoms = rotated_atoms([part], code.tensors([part])).detach()
         maps[count] = scene.basis @ (atoms.T @ code.weights)
     return maps
+
+
+def recovered_by_lamps(
+    scene: ObservedScene, shading: Float[Tensor, "m 3"]
+) -> tuple[Float[Tensor, "n 3"], int]:
+    """The map of as many lamps as the shading tells of, and by how many numbers it is told."""
+    observation = Observation(
+        pixels=shading.float(),
+        weights=torch.ones(len(shading)),
+        places=scene.places,
+        transport=TransportMatrix(matrix=scene.coarse.float(), grid=DirectionGrid.latlong(HEIGHT)),
+    )
+    found = estimate_object_light(observation, "lamps", material=ObjectMaterial())
+    exposures = 3
+    numbers = AMBIENT_PARAMETERS + exposures + LAMP_PARAMETERS * len(found.lamps)
+    return found.environment.resize(HEIGHT).flat.double(), numbers
 
 
 def recovered_by_harmonics(

@@ -18,10 +18,12 @@ from skylight.evaluation.codes.sparse_inverse import (
     map_error,
     recovered_by_code,
     recovered_by_harmonics,
+    recovered_by_lamps,
 )
 from skylight.sphere import harmonics
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.matrix import TransportMatrix
+from tests.inverse.test_solve import ball_normals
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +31,7 @@ def scene() -> ObservedScene:
     """Points that see every pixel by itself: what is observed is the light."""
     grid = DirectionGrid.latlong(HEIGHT)
     exact = TransportMatrix(matrix=torch.diag(grid.solid_angles.sqrt()).float(), grid=grid)
-    return ObservedScene.of(exact, exact)
+    return ObservedScene.of(torch.zeros(len(exact.matrix), 2, dtype=torch.long), exact, exact)
 
 
 def test_a_light_of_few_lobes_is_recovered(scene: ObservedScene):
@@ -49,6 +51,27 @@ def test_harmonics_are_recovered_from_as_many(scene: ObservedScene):
     assert list(maps) == [4, 16]
     assert map_error(maps[4], true) > 0.3
     assert map_error(maps[16], true) < 1e-4
+
+
+def test_a_lamp_is_recovered_from_few_numbers():
+    """On a ball, in ambient light."""
+    places, normals = (torch.from_numpy(part) for part in ball_normals())
+
+    def matt(grid: DirectionGrid) -> TransportMatrix:
+        cosines = (normals @ grid.directions.T).clamp(min=0)
+        return TransportMatrix(matrix=(cosines * grid.solid_angles / math.pi).float(), grid=grid)
+
+    coarse, fine = (DirectionGrid.latlong(rows) for rows in (HEIGHT, 2 * HEIGHT))
+    scene = ObservedScene.of(places, matt(fine), matt(coarse))
+    lamp = torch.nn.functional.normalize(torch.tensor([0.5, 0.5, 0.7]).double(), dim=0)
+    light = [
+        (0.5 + 20 * ((grid.directions @ lamp - 1) / math.radians(12) ** 2).exp())[:, None]
+        * torch.tensor([1.0, 0.8, 0.5]).double()
+        for grid in (fine, coarse)
+    ]
+    found, numbers = recovered_by_lamps(scene, scene.fine @ light[0])
+    assert numbers == 26
+    assert map_error(found, light[1]) < 0.25
 
 
 def test_noise_is_a_thousandth_of_the_mean(scene: ObservedScene):
