@@ -16,6 +16,7 @@ _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # EXIF 2.32, FocalPlaneResol
 # A phone's compass, near metal at times; and one that shows magnetic north, from which the true
 # one differs by up to about 20 degrees where most people live.
 TRUE_HEADING_ERROR_DEG, MAGNETIC_HEADING_ERROR_DEG = 15.0, 20.0
+EXPOSURE_VALUES = -6.0, 20.0  # from starlight to sunlit snow, and beyond by some stops
 _OFFSET = re.compile(r"([+-])(\d{2}):(\d{2})")
 _FARTHEST_OFFSET = timedelta(hours=14)  # of all zones in use
 
@@ -82,15 +83,18 @@ def exposure_value(exif: Image.Exif) -> float | None:
 
         EV = log2(N^2 / t) - log2(S / 100)
 
-    with the f-number N, the exposure time t in seconds and the sensitivity S. None where one of
-    them is missing.
+    with the f-number N, the exposure time t in seconds and the sensitivity S (the first, where
+    there are several). None where one of them is missing, and where no picture of a person is so
+    dark or bright.
     """
     tags = exif.get_ifd(ExifTags.IFD.Exif)
     seconds, aperture = _positive(tags, "ExposureTime"), _positive(tags, "FNumber")
-    sensitivity = _positive(tags, "ISOSpeedRatings")
-    if seconds is None or aperture is None or sensitivity is None:
+    (sensitivity, *_) = _numbers(tags.get(ExifTags.Base.ISOSpeedRatings)) or [math.nan]
+    # 65535 stands for all that is more (EXIF 2.32)
+    if seconds is None or aperture is None or not 0 < sensitivity < 65535:
         return None
-    return 2 * math.log2(aperture) - math.log2(seconds) - math.log2(sensitivity / 100)
+    value = 2 * math.log2(aperture) - math.log2(seconds) - math.log2(sensitivity / 100)
+    return value if EXPOSURE_VALUES[0] <= value <= EXPOSURE_VALUES[1] else None
 
 
 def taken_from(exif: Image.Exif) -> Taken:

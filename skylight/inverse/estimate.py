@@ -141,11 +141,11 @@ def estimate_each(
 ) -> list[Estimate]:
     """The light of each observation, each face in a light of its own.
 
-    As :func:`estimate_light` of each, but for rounding, with its parameters. On a GPU skies (of
-    "auto", "autoencoder" and "sunsky") are solved as one batch, which keeps it busy: give it as
-    many as its memory holds (:func:`~skylight.inverse.sky.problem.solve_together`). A CPU is busy
-    with one, and takes an eighth longer for a batch: there, and for lamps and harmonics, they are
-    solved in turn.
+    As :func:`estimate_light` of each, but for rounding, without priors and exposures. On a GPU
+    skies (of "auto", "autoencoder" and "sunsky") are solved as one batch, which keeps it busy: give
+    it as many as its memory holds (:func:`~skylight.inverse.sky.problem.solve_together`). A CPU is
+    busy with one, and takes an eighth longer for a batch: there, and for lamps and harmonics, they
+    are solved in turn.
 
     Raises
     ------

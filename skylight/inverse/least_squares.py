@@ -23,19 +23,21 @@ def nnls(
     matrix factorization: an active-set-like method and comparisons", SIAM J. Sci. Comput. 33(6),
     2011. What is positive in ``start`` is free at first; near starts take few pivots.
 
-    G may be singular, and a little indefinite by rounding: 1e-10 of the largest of its diagonal
-    (1e-6 in single precision) is added to its diagonal, which therefore should be of one order. A
-    slope of less than 1e-9 of the largest ``|r|`` counts as 0.
+    G may be singular: 1e-10 of its diagonal is added to it. In single precision, where rounding
+    makes it a little indefinite, that is 1e-6 of the largest of the diagonal, which therefore
+    should be of one order. A slope of less than 1e-9 of the largest ``|r|`` counts as 0.
     Unknowns whose row and right side are zero are 0. Computed in double precision. Where columns
     are nearly dependent Murty's rule may take very many pivots: problems that are left after 200
     are solved by an active set method, one by one.
     """
-    ridge = 1e-10 if gram.dtype == torch.float64 else 1e-6
     count, size = right.shape
     whole, wanted = gram.double(), right.double()
     diagonal = whole.diagonal(dim1=1, dim2=2)
-    most = diagonal.amax(1, keepdim=True)
-    whole = whole + torch.diag_embed(ridge * most + (diagonal <= 0))
+    if gram.dtype == torch.float64:
+        ridge = 1e-10 * diagonal
+    else:
+        ridge = 1e-6 * diagonal.amax(1, keepdim=True)
+    whole = whole + torch.diag_embed(ridge + (diagonal <= 0))
     limit = 1e-9 * wanted.abs().amax(1, keepdim=True)
     free = torch.zeros_like(wanted) > 0 if start is None else start > 0
     order = torch.arange(size, device=right.device)

@@ -67,12 +67,14 @@ class Choice:
     """Why an estimate is of its light model, where several competed.
 
     ``scene`` in words, ``probability`` that the model is the right one of those, and the
-    ``log_evidence`` of each (nats).
+    ``log_evidence`` of each (nats). ``exposure_log_odds`` are those of an open sky that the
+    picture's exposure tells, 0 where it is unknown.
     """
 
     scene: Scene
     probability: float
     log_evidence: dict[str, float]
+    exposure_log_odds: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

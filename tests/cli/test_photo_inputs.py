@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,11 +11,15 @@ import torch
 from PIL import ExifTags, Image
 from skimage.data import camera
 
+from skylight.app.estimate import photos
 from skylight.app.estimate.photos import estimate
 from skylight.cli import main
 from skylight.imaging.colour import srgb_to_linear
+from skylight.inverse.estimate import LightProblem, light_problem
+from skylight.inverse.result import Estimate
 from skylight.io.files import read_environment_map
 from skylight.io.hdr import write_exr
+from skylight.models.names import LightName
 from skylight.sphere.envmap import EnvironmentMap, luminance
 from tests.sunny_face import sunny_face
 
@@ -58,6 +63,23 @@ def test_an_ear_that_was_taken_for_a_face_is_called_so() -> None:
     assert found.posterior.verdict == "unreliable: hardly a face"
     (line,) = [line for line in found.advice if "hardly a face" in line]
     assert "% of the eyes' distance off the head" in line
+
+
+def test_the_exposure_reaches_the_choice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = Image.Exif()
+    tags = {"ExposureTime": 1 / 128, "FNumber": 16.0, "ISOSpeedRatings": 100}
+    for name, value in tags.items():
+        data.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base[name]] = value
+    Image.fromarray(face()).save(tmp_path / "a.jpg", exif=data)
+    asked: list[float] = []
+
+    def spy(light: LightName, *, exposure: float, **rest: Any) -> LightProblem[Estimate]:
+        asked.append(exposure)
+        return light_problem(light, exposure=exposure, **rest)
+
+    monkeypatch.setattr(photos, "light_problem", spy)
+    estimate(tmp_path / "a.jpg", light="sh9")
+    assert asked == [pytest.approx(15)]
 
 
 @pytest.mark.parametrize("name", ["a.png", "a.tif"])

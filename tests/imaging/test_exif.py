@@ -55,10 +55,13 @@ def test_a_camera_that_tells_nothing(tmp_path: Path) -> None:
         (1 / 30, 2.0, 800, 3.91),
         (0.0, 2.0, 100, None),
         (1.0, 0.0, 100, None),
+        (1e9, 2.0, 100, None),
+        (1 / 100, 2.0, 65535, None),
+        (1 / 64, 4.0, (200, 200), 9.0),
     ],
 )
 def test_how_bright_the_scene_was(
-    tmp_path: Path, seconds: float, aperture: float, sensitivity: int, value: float | None
+    tmp_path: Path, seconds: float, aperture: float, sensitivity: Any, value: float | None
 ) -> None:
     """Sunny 16: in the sun f/16 and the reciprocal of the sensitivity; a living room at night."""
     tags = {"ExposureTime": seconds, "FNumber": aperture, "ISOSpeedRatings": sensitivity}

@@ -62,19 +62,28 @@ def test_the_likeliest_is_chosen_and_as_sure_as_the_gap_says(from_below):
 
 
 def test_the_exposure_weighs_in(from_below):
-    """Bright pictures speak for a sky, dark ones against it, and neither settles it."""
+    """Bright pictures speak for a sky, dark ones against it, by odds of 5 and 20 at most."""
     sky = replace(from_below, light="autoencoder", log_evidence=0.0)
 
     def chosen(lead: float, exposure: float | None) -> str:
         return choose([sky, replace(from_below, log_evidence=LEAD + lead)], exposure).light
 
     assert [chosen(lead, None) for lead in (-1, 1)] == ["autoencoder", "lamps"]
-    assert [chosen(lead, 14.0) for lead in (150, 200)] == ["autoencoder", "lamps"]
-    assert [chosen(lead, 5.0) for lead in (-350, -300)] == ["autoencoder", "lamps"]
+    assert [chosen(lead, 14.0) for lead in (60, 70)] == ["autoencoder", "lamps"]
+    assert [chosen(lead, 5.0) for lead in (-125, -115)] == ["autoencoder", "lamps"]
+    even = choose([sky, replace(from_below, log_evidence=LEAD)], 14.0)
+    assert even.choice.probability == pytest.approx(5 / 6)
+    assert even.choice.exposure_log_odds == pytest.approx(math.log(5))
     assert open_sky_log_odds(10.5) == pytest.approx(
         math.log(4 / 3) - 0.5 * (2.5 / 1.5) ** 2 + 0.5 * (3.5 / 2) ** 2
     )
-    assert open_sky_log_odds(20.0) == open_sky_log_odds(13.0) == pytest.approx(math.log(5))
+    assert light_problem("auto", exposure=5.0).exposure == 5.0
+    assert (
+        open_sky_log_odds(40.0)
+        == open_sky_log_odds(20.0)
+        == open_sky_log_odds(13.0)
+        == pytest.approx(math.log(5))
+    )
     assert open_sky_log_odds(-3.0) == open_sky_log_odds(7.0) == pytest.approx(-math.log(20))
 
 
@@ -99,5 +108,5 @@ def test_even_light_that_does_not_explain_the_face_has_no_lamp_either():
 
 
 def test_without_observations():
-    with pytest.raises(InputError, match="without an observation"):
+    with pytest.raises(InputError, match="no observation"):
         light_problem("auto").solve()

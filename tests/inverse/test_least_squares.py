@@ -94,7 +94,7 @@ def test_what_rounding_made_indefinite(pivots, monkeypatch):
     best = torch.from_numpy(np.stack([scipy_nnls(lobes, y)[0] for y in wanted]))
     excess = objective(gram, right, nnls(rounded, right.float()).double())
     excess = excess - objective(gram, right, best)
-    assert float(excess.abs().max()) < 1e-3 * float((wanted**2).sum(1).min())
+    assert float(excess.abs().max()) < 1e-5 * float((wanted**2).sum(1).min())
 
 
 def test_what_is_missing_is_nothing():

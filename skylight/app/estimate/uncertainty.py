@@ -15,6 +15,10 @@ from skylight.sphere.envmap import EnvironmentMap
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+_UNRELIABLE = {
+    "unreliable: the face is not explained": ", were the face explained",
+    "unreliable: hardly a face": ", were it a face",
+}
 REGION = "#ffd23f"  # the line about the region
 
 
@@ -65,7 +69,7 @@ def sure_of_the_sun(posterior: SunPosterior) -> str:
     parts = sum(part.share > 0.1 * SHARE for part in posterior.parts)
     place = size if parts < 2 else f"{parts} areas, together as large as {size}"
     line = f"{100 * SHARE:.0f} % sure within {place}"
-    return line + ", were the face explained" * posterior.verdict.startswith("unreliable")
+    return line + _UNRELIABLE.get(posterior.verdict, "")
 
 
 def probe_title(posterior: SunPosterior) -> str:

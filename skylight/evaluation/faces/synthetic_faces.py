@@ -151,7 +151,7 @@ class SyntheticFaces:
 def auto_under_suns(items: list[Item]) -> dict[str, Check]:
     """How often "auto" kept to a sky where a sun is seen, and what it lost at most where not.
 
-    That is the largest ratio, over the metrics with goals, of its mean to the autoencoder's. None
+    That is the largest ratio, over the metrics with goals, of its mean to the autoencoder's. Empty
     where it was not asked.
     """
     sunny = [item for item in items if item.facts.get("sun_visible") and "chosen" in item.facts]

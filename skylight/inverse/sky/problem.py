@@ -116,7 +116,7 @@ def solve_together(
     if any(problem.solver is not solver for problem in problems):
         raise ValueError("problems solved together share a solver: make them by another()")
     if not all(problem.faces for problem in problems):
-        raise InputError("there is a problem without an observation; give each at least one")
+        raise InputError("there is no observation to estimate light from; give each at least one")
     groups: dict[tuple, list[int]] = defaultdict(list)
     for number, problem in enumerate(problems):
         groups[problem.faces.shape].append(number)

@@ -68,6 +68,7 @@ def test_numbers_are_plain_and_name_each_part():
         ("reliable", "90 % sure within a circle of 12° radius"),
         ("overcast: no sun", "none seen"),
         ("unreliable: the face is not explained", "were the face explained"),
+        ("unreliable: hardly a face", "were it a face"),
     ],
 )
 def test_the_line_for_people(verdict, words):
