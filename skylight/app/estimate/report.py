@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from textwrap import TextWrapper
 from typing import TYPE_CHECKING
 
 import cv2
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
     from matplotlib.image import AxesImage
 
 OVERLAY_SIDE_PX = 420
+# Advice: two lines across the page, between its title and the pictures
+_CARE = TextWrapper(width=190, max_lines=2, placeholder=" ... (more in estimate.json)")
 _MARGINS = {"left": 0.02, "right": 0.98, "top": 0.895, "bottom": 0.045}
 
 
@@ -55,8 +58,8 @@ def write_report(path: Path, result: PhotoEstimate, *, title: str) -> None:
         figure.text(0.02, 0.962, f"Light of {title}", fontsize=17, fontweight="bold")
         figure.text(0.98, 0.965, LIGHTS[estimate.light], ha="right", color=MUTED, fontsize=11.5)
         if estimate.advice:
-            care = "Take care: " + "; ".join(estimate.advice)
-            figure.text(0.02, 0.936, care, color=ACCENT, fontsize=10.5)
+            care = _CARE.fill("Take care: " + "; ".join(estimate.advice))
+            figure.text(0.02, 0.952, care, color=ACCENT, fontsize=10.5, va="top", linespacing=1.1)
         rows = figure.add_gridspec(2, 1, height_ratios=(1, 1.5), **_MARGINS, hspace=0.1)
         seen = rows[0].subgridspec(1, 5, wspace=0.06)
         axes = [figure.add_subplot(cell) for cell in seen]
