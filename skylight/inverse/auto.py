@@ -63,7 +63,6 @@ class AutoProblem:
         InputError
             Nothing was added.
         """
-
         return choose_each([self], progress)[0]
 
 

@@ -74,7 +74,7 @@ class Choice:
     scene: Scene
     probability: float
     log_evidence: dict[str, float]
-    exposure_log_odds: float = 0.0
+    exposure_log_odds: float
 
 
 @dataclass(frozen=True, kw_only=True)

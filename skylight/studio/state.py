@@ -132,23 +132,25 @@ class Studio:
         return upload
 
     async def _read(self, task: str, arguments: dict[str, Any]) -> dict[str, Any]:
+        def refused(of_file: str, of_task: str) -> Refused:
+            if "name" in arguments:
+                return Refused(422, f"{arguments['name']}: {of_file}")
+            return Refused(500, f"{task}: {of_task}")
+
         try:
             async with asyncio.timeout(_READING_S):
                 return await self._reader.run(task, arguments)
         except TaskFailed as error:
             raise Refused(422 if error.is_input else 500, str(error)) from error
         except TaskStopped as error:
-            if "name" not in arguments:
-                raise Refused(
-                    500, f"{task}: the process that worked on it died; try again"
-                ) from error
-            line = f"{arguments['name']}: the process that read it died; try another file"
-            raise Refused(422, line) from error
+            raise refused(
+                "the process that read it died; try another file",
+                "the process that worked on it died; try again",
+            ) from error
         except TimeoutError as error:
-            if "name" not in arguments:
-                raise Refused(500, f"{task}: it took too long; try again") from error
-            line = f"{arguments['name']}: reading it took too long; try a smaller file"
-            raise Refused(422, line) from error
+            raise refused(
+                "reading it took too long; try a smaller file", "it took too long; try again"
+            ) from error
 
 
 async def _receive(request: Request, path: Path) -> None:

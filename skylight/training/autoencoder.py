@@ -100,8 +100,8 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell) -> Path:
         optimiser.load_state_dict(state["optimiser"])
         now = RunState(**state["progress"])
         report(f"resuming at step {now.step} of {total}")
-    # all processes meet in here, after every one of them has read the state
-    objective = here.parallel(Objective(network, config))
+    objective = Objective(network, config)
+    here.meet()  # the first writes the state that the others have read by now
     logs = None
     if here.first:
         drop_damaged(config.out)
@@ -123,6 +123,7 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell) -> Path:
         loss = objective(batch.to(here.device), corruption.to(here.device))
         optimiser.zero_grad()
         loss.backward()
+        here.mean_gradients(network)
         if config.gradient_clip:
             torch.nn.utils.clip_grad_norm_(network.parameters(), config.gradient_clip)
         optimiser.step()

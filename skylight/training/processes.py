@@ -12,7 +12,6 @@ import torch.distributed as dist
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.modules.batchnorm import _BatchNorm
-from torch.nn.parallel import DistributedDataParallel
 
 from skylight.errors import InputError
 from skylight.work.device import choose_device
@@ -64,12 +63,25 @@ class Processes:
         dist.broadcast(content, src=0)
         return bytes(content.tolist()).decode()
 
-    def parallel(self, module: nn.Module) -> nn.Module:
-        """A module whose gradients are the mean over all processes."""
+    def mean_gradients(self, module: nn.Module) -> None:
+        """Replace the gradients of a module by their means over all processes, in one message.
+
+        Not by DistributedDataParallel: it keeps the process group, and with it the threads of
+        gloo, beyond ``destroy_process_group``, where they may abort a process that ends.
+        """
         if self.size == 1:
-            return module
-        ids = [self.device.index] if self.device.type == "cuda" else None
-        return DistributedDataParallel(module, device_ids=ids)
+            return
+        gradients = [p.grad for p in module.parameters() if p.grad is not None]
+        mean = self.sum(torch.cat([g.reshape(-1) for g in gradients])) / self.size
+        for gradient, part in zip(
+            gradients, mean.split([g.numel() for g in gradients]), strict=True
+        ):
+            gradient.copy_(part.view_as(gradient))
+
+    def meet(self) -> None:
+        """Return when all processes are here."""
+        if self.size > 1:
+            dist.barrier()
 
 
 @contextmanager

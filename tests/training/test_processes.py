@@ -35,13 +35,10 @@ def group() -> Iterator[None]:
     dist.destroy_process_group()
 
 
-def torchrun(config: AutoencoderConfig, count: int) -> subprocess.CompletedProcess[str]:
-    config.out.mkdir()
-    path = config.out / "run.yaml"
-    path.write_text(config_yaml(config))
+def torchrun(count: int, *command: str | Path) -> subprocess.CompletedProcess[str]:
     launcher = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(count)]
     return subprocess.run(
-        [sys.executable, *launcher, str(ROOT / "train.py"), str(path)],
+        [sys.executable, *launcher, *command],
         cwd=ROOT,
         env={**os.environ, "OMP_NUM_THREADS": "1"},
         capture_output=True,
@@ -71,7 +68,10 @@ def test_two_processes_train_as_one(sky_folder: Path, tmp_path: Path) -> None:
     )
     train(config, report=lambda _: None)
     two = replace(config, out=tmp_path / "two")
-    done = torchrun(two, 2)
+    two.out.mkdir()
+    recipe = two.out / "run.yaml"
+    recipe.write_text(config_yaml(two))
+    done = torchrun(2, ROOT / "train.py", recipe)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("best network") == done.stdout.count("epoch 2 ") == 1
     one_curves, two_curves = (
@@ -84,6 +84,36 @@ def test_two_processes_train_as_one(sky_folder: Path, tmp_path: Path) -> None:
     whole = load_file(config.out / "model.safetensors")
     for name, weight in load_file(two.out / "model.safetensors").items():
         torch.testing.assert_close(weight, whole[name], rtol=1e-3, atol=1e-3)
+
+
+GROUP_OF_TWO = """
+import os
+import torch
+from skylight.training.processes import processes
+
+def workers():
+    tasks = os.listdir("/proc/self/task")
+    return sum("runloop" in open(f"/proc/self/task/{t}/comm").read() for t in tasks)
+
+with processes("cpu") as here:
+    network = torch.nn.Linear(3, 2).requires_grad_(False)
+    network.weight.grad = torch.full((2, 3), 1.0 + here.rank)
+    here.mean_gradients(network)
+    here.meet()
+    assert network.weight.grad.eq(1.5).all() and network.bias.grad is None
+    assert workers() > 0
+assert workers() == 0
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="counts threads in /proc")
+def test_a_group_ends_with_its_threads(tmp_path: Path) -> None:
+    """One that outlives its group aborts a process that ends while it frees a tensor."""
+    script = tmp_path / "group.py"
+    script.write_text(GROUP_OF_TWO)
+    done = torchrun(2, script)
+    assert done.returncode == 0, done.stderr
 
 
 def test_a_batch_that_does_not_divide(tmp_path: Path) -> None:

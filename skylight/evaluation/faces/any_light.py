@@ -13,6 +13,7 @@ from torch import Tensor
 from skylight.errors import InputError
 from skylight.evaluation.faces.face_light import (
     NOT_FOUND,
+    choice_facts,
     coverage,
     face_score,
     fitted_head,
@@ -116,9 +117,7 @@ class AnyLight:
             own = lamps_of(estimate.light, estimate.lamps, estimate.environment)
             metrics[name] |= lamp_scores(own, lamps)
             metrics[name] |= main_lamp_coverage(estimate.posterior, lamps)
-        if OURS in found.estimates:
-            facts["chosen"] = found.estimates[OURS].light
-            facts["evidence"] = {n: e.log_evidence for n, e in found.estimates.items()}
+        facts |= choice_facts(found.estimates)
         shown = f"{item} {Path(turned.file).stem}"
         write_png(picture, beside(face.encoded, strip(face.environment, environments), shown))
         facts |= {

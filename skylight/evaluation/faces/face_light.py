@@ -4,7 +4,7 @@ import math
 import resource
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -120,6 +120,16 @@ def light_by_method(
             estimates[method] = options.estimate(observation, method)
         cpu_seconds[method] = time.process_time() - cpu_start
     return estimates
+
+
+def choice_facts(estimates: Mapping[str, Any]) -> dict[str, object]:
+    """What "auto" chose, and the evidence of every model; nothing where it was not asked."""
+    if "auto" not in estimates:
+        return {}
+    return {
+        "chosen": estimates["auto"].light,
+        "evidence": {name: one.log_evidence for name, one in estimates.items()},
+    }
 
 
 def lamps_chosen(items: list[Item]) -> dict[str, Check]:

@@ -15,6 +15,7 @@ from torch import Tensor
 from skylight.errors import InputError
 from skylight.evaluation.faces.face_light import (
     NOT_FOUND,
+    choice_facts,
     coverage,
     lamps_chosen,
     light_by_method,
@@ -101,7 +102,7 @@ class Lamps:
             "found": True,
             "verdict": estimate.posterior.verdict,
             "verdicts": {name: one.posterior.verdict for name, one in estimates.items()},
-            "chosen": estimates["auto"].light,
+            **choice_facts(estimates),
             "residual": estimate.faces[0].residual,
             "landmark_error": fit.landmark_error,
             "seconds": seconds,

@@ -8,6 +8,7 @@ import numpy as np
 
 from skylight.errors import InputError
 from skylight.evaluation.faces.face_light import (
+    choice_facts,
     light_by_method,
     observe_largest,
     seen_and_rendered,
@@ -85,8 +86,7 @@ class RealFaces:
             "landmark_error": fit.landmark_error,
             "seconds": seconds,
             "verdicts": {name: one.posterior.verdict for name, one in estimates.items()},
-            "chosen": estimates["auto"].light,
-            "evidence": {name: one.log_evidence for name, one in estimates.items()},
+            **choice_facts(estimates),
             "advice": list(ours.advice),
         }
         return Item(name=item, metrics=metrics, facts=facts)

@@ -11,6 +11,7 @@ from skylight.evaluation.faces.face_light import (
     METHODS,
     NOT_FOUND,
     LitFace,
+    choice_facts,
     coverage,
     face_score,
     fitted_head,
@@ -106,9 +107,7 @@ class SyntheticFaces:
             facts["verdict"] = posterior.verdict
             if face.sun_visible:
                 metrics[OURS] |= coverage(posterior, face.environment.brightest_direction())
-        if AUTO in found.estimates:
-            facts["chosen"] = found.estimates[AUTO].light
-            facts["evidence"] = {n: e.log_evidence for n, e in found.estimates.items()}
+        facts |= choice_facts(found.estimates)
         facts |= {"seconds": seconds, "peak_mib": peak_mib()}
         return Item(name=item, metrics=metrics, facts=facts)
 
