@@ -14,7 +14,7 @@ from skylight.inverse.estimate import estimate_light, light_problems
 from skylight.inverse.sky.problem import solve_together
 from skylight.models.bundle import load_bundle
 from skylight.models.names import LIGHT_NAMES
-from skylight.skies.atmosphere import ClearSky
+from skylight.skies.clear.atmosphere import ClearSky
 from skylight.skies.simulator import draw_day, simulate_sky, sunlit_moments
 from skylight.transport.observation import Observation
 

@@ -22,15 +22,17 @@ import torch
 from skylight.evaluation.main import commit
 from skylight.io.files import write_json
 from skylight.models.sunsky import perez
-from skylight.skies.atmosphere import WAVELENGTHS_NM, Atmosphere, ClearSky
+from skylight.skies.clear.atmosphere import EARTH_RADIUS_KM, Atmosphere, ClearSky
+from skylight.skies.clear.spectrum import BANDS_NM, colour_matching
 from skylight.skies.sun import Place, sun_angles
 from skylight.sphere.frame import direction_from_angles
 from skylight.sphere.grid import DirectionGrid
-from tools.colorimetry import bright, chromaticity, colour_matching, colour_temperature
+from tools.colorimetry import bright, chromaticity, colour_temperature
 
 ROOT = Path(__file__).parents[1]
 GRID = DirectionGrid.sky(32)
 DIRECTIONS, SOLID = GRID.directions.float(), GRID.solid_angles.float()
+COMPARED_NM = (650.0, 550.0, 450.0)  # of our wavelengths, those that are compared one by one
 SOLAR_CONSTANT_KLX = 133.3  # Darula, Kittler & Gueymard 2005, "Reference luminous solar constant"
 # Preetham's sky: (turbidity, sun zenith deg): zenith's kcd/m2, x, y; luminance 60 degrees from both
 # zenith and sun over the zenith's. Computed from appendix A.2 of Preetham, Shirley & Smits 1999
@@ -114,13 +116,13 @@ def hosek_wilkie_depth(data: Path, turbidity: float) -> float:
 
 
 def _sun_ratio(spectra: Mapping, turbidity: float, height: float) -> np.ndarray:
-    """Their sun at a height over that at the zenith, at our wavelengths (680, 550, 440 nm)."""
+    """Their sun at a height over that at the zenith, at :data:`COMPARED_NM`."""
     low, top = (
         spectra[f"spd/sun_spectrum_t{turbidity}_eta{h}_gamma0.000e+00"][2:12]
         for h in (f"{height:.2f}", "1.57")
     )
     log_ratio = np.log(low[:, 1] / top[:, 1])
-    return np.exp(np.interp(sorted(WAVELENGTHS_NM), low[:, 0], log_ratio))[::-1]
+    return np.exp(np.interp(COMPARED_NM, low[:, 0], log_ratio))
 
 
 def hosek_wilkie(data: Path) -> list[dict]:
@@ -180,12 +182,14 @@ def _elevation(hour: float) -> float:
 
 
 def sun_spectra(data: Path) -> list[dict]:
-    """The sun at lower heights over the sun at the zenith, at our three wavelengths."""
+    """The sun at lower heights over the sun at the zenith, at :data:`COMPARED_NM`."""
     spectra = np.load(data / "reference" / "mitsuba_sunsky_refs.npz")
     rows = []
     for turbidity, height in itertools.product((1.0, 3.2, 5.5, 7.8, 10.0), (0.52, 1.05)):
         sky = clear_sky(hosek_wilkie_depth(data, turbidity))
-        ours = sky.sun_irradiance(torch.tensor([math.pi / 2 - height, 0.0])).double().numpy()
+        cosines = torch.tensor([math.sin(height), 1.0], dtype=torch.float64)
+        through = sky.transmittance(torch.full_like(cosines, EARTH_RADIUS_KM), cosines).numpy()
+        ours = through[:, [BANDS_NM.index(nm) for nm in COMPARED_NM]]
         rows.append(
             {
                 "turbidity": turbidity,

@@ -24,7 +24,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from skylight.skies.atmosphere import EARTH_RADIUS_KM, henyey_greenstein
+from skylight.skies.clear.atmosphere import EARTH_RADIUS_KM
+from skylight.skies.clear.scattering import henyey_greenstein
 from skylight.skies.noise import CELLS, fractal_noise
 from skylight.skies.slab import FORWARD, SCALED_G, slab_light, two_lobes
 

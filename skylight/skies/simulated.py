@@ -8,7 +8,7 @@ import numpy as np
 
 from skylight.errors import InputError
 from skylight.io.files import write_environment_map
-from skylight.skies.atmosphere import ClearSky
+from skylight.skies.clear.atmosphere import ClearSky
 from skylight.skies.index import INDEX_NAME, SkyRecord, read_rows, write_rows
 from skylight.skies.loading import centre_column_azimuth
 from skylight.skies.simulator import (

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.skies.atmosphere import EARTH_RADIUS_KM, Atmosphere, ClearSky
+from skylight.skies.clear.atmosphere import EARTH_RADIUS_KM, Atmosphere, ClearSky
 from skylight.skies.clouds import CloudLayer, Wind, march
 from skylight.skies.sun import SUN_RADIUS_RAD, Place, sun_angles
 from skylight.sphere.envmap import EnvironmentMap
@@ -271,8 +271,9 @@ def _air_before(
     beyond = torch.sqrt(1 - (observer / shell) ** 2 * (1 - mu**2))
     whole = clear.transmittance(torch.full_like(mu, observer), mu)
     behind = clear.transmittance(torch.full_like(mu, shell), beyond)
-    before = (whole / behind.clamp(min=1e-6)).clamp(0, 1)
-    return before, ((1 - before) / (1 - whole).clamp(min=1e-6)).clamp(0, 1)
+    before = (whole / behind.clamp(min=1e-30)).clamp(0, 1)
+    share = ((1 - before) / (1 - whole).clamp(min=1e-6)).clamp(0, 1)
+    return clear.as_colour(before), clear.as_colour(share)
 
 
 def _mean(passed: Float[Tensor, "n 1"], weight: Float[Tensor, "n 1"]) -> Float[Tensor, ""]:

@@ -24,7 +24,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.skies.atmosphere import henyey_greenstein
+from skylight.skies.clear.scattering import henyey_greenstein
 
 CLOUD_G = 0.85  # asymmetry of water droplets in visible light (Liou 2002, table 4.4)
 FORWARD = CLOUD_G**2  # f: counts as not scattered

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skylight.models.sun_head import COORDINATES, KAPPA_BOUNDS, NEAR_RAD, SunHead
-from skylight.skies.atmosphere import ClearSky
+from skylight.skies.clear.atmosphere import ClearSky
 from skylight.skies.simulator import draw_day, simulate_sky
 from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.sphere.frame import angle_between, direction_from_angles

@@ -31,7 +31,13 @@ def colours() -> list[dict]:
 @pytest.mark.parametrize("depth", [0.05, 0.1, 0.2, 0.4])
 @pytest.mark.parametrize(
     ("height", "beam", "sky"),
-    [(10, 0.11, 0.19), (20, 0.05, 0.07), (30, 0.03, 0.06), (45, 0.02, 0.06), (70, 0.015, 0.06)],
+    [
+        (10, 0.026, 0.18),
+        (20, 0.006, 0.085),
+        (30, 0.004, 0.055),
+        (45, 0.002, 0.035),
+        (70, 0.001, 0.03),
+    ],
 )
 def test_beam_and_sky_of_spectrl2(depth: float, height: int, beam: float, sky: float) -> None:
     """Illuminances by Bird & Riordan 1986 (pvlib), in klx, without any common scale."""
@@ -42,23 +48,25 @@ def test_beam_and_sky_of_spectrl2(depth: float, height: int, beam: float, sky: f
 
 @pytest.mark.parametrize("depth", [0.05, 0.1, 0.2, 0.4])
 def test_ratio_of_beam_to_sky(depth: float) -> None:
-    """Within 11 % of SPECTRL2's, and below the broadband one of Bird & Hulstrom 1981."""
+    """Within 8 % of SPECTRL2's, 17 % at 10 degrees; below the one of Bird & Hulstrom 1981."""
     for height in (10, 20, 30, 45, 60, 70):
         row = beam_and_sky()[depth, height]
         ratio = row["beam"] / row["sky"]
-        assert ratio == pytest.approx(row["beam_theirs"] / row["sky_theirs"], rel=0.11)
+        assert ratio == pytest.approx(
+            row["beam_theirs"] / row["sky_theirs"], rel=0.17 if height == 10 else 0.08
+        )
         assert ratio < row["bird_ratio"]
 
 
 @pytest.mark.parametrize("row", check_skies.zenith_against_preetham(), ids=str)
 def test_zenith_of_preetham(row: dict) -> None:
-    """Blue within 0.03 of Preetham's, and the gradation of the sky within 40 %.
+    """Blue within 0.03 of Preetham's, and the gradation of the sky within 45 %.
 
     Not its luminance: Preetham's is two to three times what the sky's illuminance allows.
     """
     assert row["x"] == pytest.approx(row["x_preetham"], abs=0.03)
-    assert row["y"] == pytest.approx(row["y_preetham"], abs=0.035)
-    assert row["at_60"] == pytest.approx(row["at_60_preetham"], rel=0.4)
+    assert row["y"] == pytest.approx(row["y_preetham"], abs=0.032)
+    assert row["at_60"] == pytest.approx(row["at_60_preetham"], rel=0.45)
     assert row["x"] < 0.3127  # bluer than D65
 
 
@@ -68,21 +76,20 @@ def test_hosek_wilkie_skies(shared_data: Path) -> None:
     rows = check_skies.hosek_wilkie(shared_data)
     assert len(rows) == 6
     for row in rows:
-        low_and_hazy = row["turbidity"] > 9 and row["sun_height_deg"] < 10
-        assert row["difference"] < (0.46 if low_and_hazy else 0.21), row
-        assert row["log_correlation"] > (0.86 if low_and_hazy else 0.965), row
+        assert row["difference"] < 0.175, row
+        assert row["log_correlation"] > 0.96, row
         assert row["zenith"] == pytest.approx(row["zenith_theirs"], rel=0.26), row
 
 
 def test_hosek_wilkie_sun(shared_data: Path) -> None:
-    """Low over high sun at 680, 550 and 440 nm; haze-free air has nothing fitted."""
+    """Low over high sun at 650, 550 and 450 nm; haze-free air has nothing fitted."""
     needs(shared_data, "mitsuba_sunsky_refs.npz")
     for row in check_skies.sun_spectra(shared_data):
         if row["turbidity"] == 1.0:
             assert row["ours"][:2] == pytest.approx(row["theirs"][:2], rel=0.008)
-            assert row["ours"][2] == pytest.approx(row["theirs"][2], rel=0.055)
+            assert row["ours"][2] == pytest.approx(row["theirs"][2], rel=0.07)
         elif row["turbidity"] < 10:
-            assert row["ours"] == pytest.approx(row["theirs"], rel=0.04)
+            assert row["ours"] == pytest.approx(row["theirs"], rel=0.055)
 
 
 def test_a_measured_day(shared_data: Path) -> None:
@@ -98,22 +105,19 @@ def test_a_measured_day(shared_data: Path) -> None:
 
 
 def test_sun_reddens_as_it_sinks() -> None:
-    """x of CIE 1931 rises at every step; temperature falls, less than 700 K below SPECTRL2's.
-
-    Three wavelengths redden the low sun too much, see docs/skies.md.
-    """
+    """x of CIE 1931 rises at every step; temperature falls, less than 120 K below SPECTRL2's."""
     x = [row["sun"][0] for row in colours()]
     assert x == sorted(x)
     kelvin = [row["kelvin"] for row in colours() if "kelvin" in row]
     assert kelvin == sorted(kelvin, reverse=True)
     assert 4800 < kelvin[0] < 5800  # the direct sun at noon
     for row in colours():
-        if row["height_deg"] >= 10:
-            assert 0 < row["kelvin_theirs"] - row["kelvin"] < 700
-            assert row["sun"] == pytest.approx(row["sun_theirs"], abs=0.035)
+        if "kelvin" in row:
+            assert row["kelvin"] == pytest.approx(row["kelvin_theirs"], abs=120)
+            assert row["sun"] == pytest.approx(row["sun_theirs"], abs=0.006)
 
 
 def test_sky_is_as_blue_as_spectrl2s() -> None:
     for row in colours():
         if row["height_deg"] >= 10:
-            assert row["sky"] == pytest.approx(row["sky_theirs"], abs=0.012)
+            assert row["sky"] == pytest.approx(row["sky_theirs"], abs=0.006)

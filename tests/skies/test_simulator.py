@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skylight.skies.atmosphere import ClearSky
+from skylight.skies.clear.atmosphere import ClearSky
 from skylight.skies.clouds import CloudLayer
 from skylight.skies.simulator import (
     LOWEST_SUN_RAD,

@@ -14,7 +14,7 @@ from skylight.io.collection import INDEX_NAME, read_categories
 from skylight.io.files import read_environment_map
 from skylight.io.hdr import SUFFIXES
 from skylight.io.listing import visible_files
-from skylight.skies.atmosphere import ClearSky
+from skylight.skies.clear.atmosphere import ClearSky
 from skylight.skies.simulator import draw_day, simulate_sky, sunlit_moments
 from skylight.skies.sun import Place, sun_midnight
 from skylight.sphere.envmap import EnvironmentMap, shift_columns

@@ -1,0 +1,161 @@
+"""Light scattered more than once between layers of air and haze over level ground.
+
+Discrete ordinates (Chandrasekhar 1960), order by order: the radiance L(mu, phi) of each order
+is known at the cosines mu of Gauss' quadrature, at cosines m phi in azimuth, and as the mean of
+each layer. mu > 0 looks up; the cosine of an angle of scattering is that between the direction
+from which light comes and the one in which it is then seen.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+STREAMS = 8  # cosines a hemisphere
+MODES = 8  # terms in azimuth; of light scattered twice by haze, 0.76^16 = 1 % is left beyond
+ORDERS = 12  # each about half as strong as the one before, in the haziest and brightest air
+
+
+class LayeredScattering:
+    """Layers from the ground upwards, for the light of k wavelengths.
+
+    ``air`` and ``haze`` are the layers' optical depths by scattering alone, ``depth`` those by
+    all extinction; ``views`` the cosines to which light is scattered at last.
+    """
+
+    def __init__(
+        self,
+        air: Float[Tensor, "k l"],
+        haze: Float[Tensor, "k l"],
+        depth: Float[Tensor, "k l"],
+        *,
+        haze_g: float,
+        ground_albedo: float,
+        views: Float[Tensor, " v"],
+    ) -> None:
+        node, weight = np.polynomial.legendre.leggauss(STREAMS)
+        up = torch.tensor((node + 1) / 2).to(depth)
+        self._cosines = torch.cat([up, -up])
+        self._weights = torch.tensor(weight / 2).to(depth).repeat(2)
+        self._haze_g, self._ground_albedo = haze_g, ground_albedo
+        self._shares = (air / depth)[..., None], (haze / depth)[..., None]
+        self._between = self._weighted_phases(self._cosines)
+        self._to_views = self._weighted_phases(views)
+        self._build_paths(depth)
+
+    def towards_views(
+        self,
+        cos_sun: Float[Tensor, ""],
+        sunlight: Float[Tensor, "k l"],
+        sun_on_ground: Float[Tensor, " k"],
+    ) -> Float[Tensor, "m k l v"]:
+        """Radiance that each layer adds for a unit of optical depth, scattered at least twice.
+
+        Factors of cos(m phi), with phi from the sun. ``sunlight`` is the sun's irradiance of
+        surfaces facing it, the mean in each layer, ``sun_on_ground`` that of level ground. Light
+        from the ground counts as scattered there.
+        """
+        sun = cos_sun[None].to(self._cosines)
+        phases = (phase[:, :, 0][:, None, None] for phase in self._phases(self._cosines, sun))
+        source = sunlight[..., None] * self._mixed(*phases)
+        light = self._light(source, sun_on_ground + self._onto_ground(source))
+        total = light
+        for _ in range(ORDERS):
+            source = self._mixed(*(light @ phase for phase in self._between))
+            light = self._light(source, self._onto_ground(source))
+            total = total + light
+        return self._mixed(*(total @ phase for phase in self._to_views))
+
+    def _mixed(
+        self, air: Float[Tensor, "m #k #l s"], haze: Float[Tensor, "m #k #l s"]
+    ) -> Float[Tensor, "m k l s"]:
+        return self._shares[0] * air + self._shares[1] * haze
+
+    def _phases(
+        self, cosines: Float[Tensor, " i"], others: Float[Tensor, " j"]
+    ) -> tuple[Float[Tensor, "m i j"], Float[Tensor, "m i j"]]:
+        """Air's and haze's phase functions between cosines, of cos(m phi)."""
+        return (
+            _modes(cosines, others, rayleigh),
+            _modes(cosines, others, lambda c: henyey_greenstein(c, self._haze_g)),
+        )
+
+    def _weighted_phases(
+        self, targets: Float[Tensor, " j"]
+    ) -> tuple[Float[Tensor, "m 1 s j"], Float[Tensor, "m 1 s j"]]:
+        """What turns radiance at our cosines into scattered light at others, by matrix product.
+
+        The integral of cos(m (phi - phi')) cos(m phi') over phi' is pi cos(m phi), 2 pi at m = 0.
+        Scaled by what the cosines miss of haze's peak (up to 1 %), so that no energy is lost.
+        """
+        around = torch.full((MODES, 1, 1), math.pi).to(targets)
+        around[0] *= 2
+        scale = around * self._weights[:, None]
+        air, haze = ((scale * phase)[:, None] for phase in self._phases(self._cosines, targets))
+        return air / air[:1].sum(2, keepdim=True), haze / haze[:1].sum(2, keepdim=True)
+
+    def _build_paths(self, depth: Float[Tensor, "k l"]) -> None:
+        """How sources and the ground light the layers: matrices for every cosine.
+
+        A layer of slant depth t, lit evenly from within by J, has the mean radiance J (1 - h)
+        with h = (1 - exp(-t)) / t, of light that enters it h times that, and lets J (1 - exp(-t))
+        out.
+        """
+        slant = (depth[:, None] / self._cosines.abs()[:, None]).clamp(min=1e-9)  # k s l
+        out = -torch.expm1(-slant)
+        mean = out / slant
+        top = torch.cumsum(slant, -1)
+        bottom = top - slant
+        layers = torch.arange(depth.shape[-1], device=depth.device)
+        here, there = layers[:, None], layers[None]
+        looks_up = (self._cosines > 0)[:, None, None]
+        gap = torch.where(
+            looks_up,
+            bottom[..., None, :] - top[..., :, None],
+            bottom[..., :, None] - top[..., None, :],
+        )
+        seen = torch.where(looks_up, there > here, there < here)
+        path = mean[..., :, None] * torch.exp(-gap.clamp(min=0)) * out[..., None, :] * seen
+        self._paths = path + torch.diag_embed(1 - mean)
+        self._from_ground = (mean * torch.exp(-bottom) * ~looks_up[..., 0]).transpose(1, 2)
+        falling = 2 * math.pi * (self._weights * self._cosines.clamp(min=0))[:, None]
+        self._down = (falling * torch.exp(-bottom) * out).transpose(1, 2)
+
+    def _light(
+        self, source: Float[Tensor, "m k l s"], on_ground: Float[Tensor, " k"]
+    ) -> Float[Tensor, "m k l s"]:
+        """Mean radiance in the layers from sources there and from the lit ground."""
+        light = (self._paths @ source.permute(1, 3, 2, 0)).permute(3, 0, 2, 1).contiguous()
+        ground = self._ground_albedo / math.pi * on_ground[:, None, None]
+        light[0] += ground * self._from_ground
+        return light
+
+    def _onto_ground(self, source: Float[Tensor, "m k l s"]) -> Float[Tensor, " k"]:
+        """Irradiance of level ground by the layers' light."""
+        return (source[0] * self._down).sum((-2, -1))
+
+
+def rayleigh(cos_angle: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
+    """3 / (16 pi) (1 + cos^2)."""
+    return 3 / (16 * math.pi) * (1 + cos_angle**2)
+
+
+def henyey_greenstein(cos_angle: Float[Tensor, "*s"], g: float) -> Float[Tensor, "*s"]:
+    """(1 - g^2) / (4 pi (1 + g^2 - 2 g cos)^1.5); integrates to 1 over the sphere."""
+    return (1 - g * g) / (4 * math.pi * (1 + g * g - 2 * g * cos_angle) ** 1.5)
+
+
+def _modes(
+    cosines: Float[Tensor, " i"], others: Float[Tensor, " j"], phase: Callable[[Tensor], Tensor]
+) -> Float[Tensor, "m i j"]:
+    """P_m with P(cos angle) = sum_m P_m cos(m phi), for directions phi apart in azimuth."""
+    phi = math.pi * (torch.arange(32).to(cosines) + 0.5) / 32
+    a, b = cosines[:, None, None], others[None, :, None]
+    level = torch.sqrt(((1 - a**2) * (1 - b**2)).clamp(min=0))
+    values = phase(a * b + level * torch.cos(phi))
+    order = torch.arange(MODES).to(cosines)[:, None]
+    basis = torch.cos(order * phi) * torch.where(order > 0, 2.0, 1.0) / 32
+    return torch.einsum("ijp,mp->mij", values, basis)
