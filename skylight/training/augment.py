@@ -15,7 +15,7 @@ def augment(
     """Skies mirrored, tinted and with things before them, by chance; mean luminance 1.
 
     ``mirror``: every other sky. ``tint``: standard deviation of each channel's log gain, as
-    cameras' white balances differ. ``obstacles``: the share of skies that get surroundings (see
+    cameras' white balances differ. ``surroundings``: the share of skies that get them (see
     :func:`~skylight.skies.surroundings.scenes.surroundings`).
     """
     if config.mirror:
@@ -26,9 +26,9 @@ def augment(
     if config.tint:
         gain = torch.exp(config.tint * torch.randn(len(batch), 1, 1, 3, generator=generator))
         batch = batch * gain
-    if config.obstacles:
+    if config.surroundings:
         cover, radiance = surroundings(batch, generator)
-        some = torch.rand(len(batch), generator=generator) < config.obstacles
+        some = torch.rand(len(batch), generator=generator) < config.surroundings
         cover = cover * some[:, None, None, None]
         batch = batch * (1 - cover) + radiance * cover
     return normalise(batch)

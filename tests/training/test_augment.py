@@ -31,7 +31,7 @@ def mean_luminance(skies: torch.Tensor) -> torch.Tensor:
 
 def test_every_sky_keeps_a_mean_of_one() -> None:
     skies = 3 * torch.rand(6, 32, 128, 3, generator=torch.Generator().manual_seed(0))
-    config = AutoencoderConfig(obstacles=1.0, tint=0.2)
+    config = AutoencoderConfig(surroundings=1.0, tint=0.2)
     varied = augment(skies, torch.Generator().manual_seed(1), config)
     torch.testing.assert_close(mean_luminance(varied), torch.ones(6), rtol=1e-4, atol=0)
     assert (varied >= 0).all()
@@ -48,7 +48,7 @@ def test_tint_changes_colours_alone() -> None:
 
 def test_the_share_of_skies_with_surroundings_is_kept() -> None:
     skies = torch.ones(60, 32, 128, 3)
-    config = AutoencoderConfig(mirror=False, obstacles=0.25)
+    config = AutoencoderConfig(mirror=False, surroundings=0.25)
     varied = augment(skies, torch.Generator().manual_seed(2), config)
     changed = (varied - 1).abs().amax(dim=(1, 2, 3)) > 0.01
     assert 0.1 < float(changed.float().mean()) < 0.4
