@@ -24,7 +24,6 @@ WALLS = (
 ROOFS = ((0.25, 0.11, 0.07), (0.09, 0.09, 0.1), (0.28, 0.28, 0.27), (0.15, 0.1, 0.07))
 ROOF_RAD = math.radians(40)  # the slope by which roofs are lit
 STOREY_M, BAY_M = 3.2, 3.0
-GLASS = 0.06  # what a pane sends back of the light before it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +36,7 @@ class Buildings:
     width_m: Range
     gabled: float = 0.3  # the share with gables
     panes: Range = (0.0, 0.45)  # share of a facade that is windows
+    mirror: Range = (0.04, 0.1)  # what a pane sends back of the light before it
 
     def layers(self, draws: Draws, site: Site) -> Iterator[Layer]:
         """Roofs, walls."""
@@ -48,42 +48,50 @@ class Buildings:
             radiance=_roof_light(front, draws.colour(ROOFS, self.count), site),
             distance_m=front.distance_m,
         )
-        street = draws.colour(WALLS)[:, None]  # buildings of one place are alike
-        walls = (street + draws.colour(WALLS, self.count)) / 2
-        panes = front.each(draws.uniform(self.panes, self.count, 1))
-        # what stands opposite throws its shadow on the lower part of some facades
-        shaded = front.each(draws.uniform((-1.0, 0.7), self.count, 1).clamp(min=0))[..., 0] * eaves
         yield Layer(
             cover=site.view.between(torch.zeros_like(eaves), front.eaves),
-            radiance=_wall_light(front, front.each(walls), panes, shaded, draws, site),
+            radiance=_wall_light(front, self._facade(front, draws), draws, site),
             distance_m=front.distance_m,
         )
 
+    def _facade(self, front: Front, draws: Draws) -> "Facade":
+        street = draws.colour(WALLS)[:, None]  # buildings of one place are alike
+        shaded = draws.uniform((-1.0, 0.7), self.count, 1).clamp(min=0)
+        return Facade(
+            albedo=front.each((street + draws.colour(WALLS, self.count)) / 2),
+            panes=front.each(draws.uniform(self.panes, self.count, 1)),
+            mirror=front.each(draws.uniform(self.mirror, self.count, 1)),
+            shadow=front.each(shaded)[..., 0] * front.eaves.clamp(min=0),
+        )
 
-def _wall_light(
-    front: Front,
-    albedo: Float[Tensor, "b c 3"],
-    panes: Float[Tensor, "b c 1"],
-    shadow: Float[Tensor, "b c"],
-    draws: Draws,
-    site: Site,
-) -> Float[Tensor, "b h c 3"]:
-    """Lambertian walls and dark panes, sunny above the elevation ``shadow``.
 
-    More of the sky is free further up.
+@dataclass(frozen=True, kw_only=True)
+class Facade:
+    """What a facade is of where it is seen; what stands opposite shades it up to ``shadow``."""
+
+    albedo: Float[Tensor, "b c 3"]
+    panes: Float[Tensor, "b c 1"]
+    mirror: Float[Tensor, "b c 1"]
+    shadow: Float[Tensor, "b c"]  # elevation
+
+
+def _wall_light(front: Front, facade: Facade, draws: Draws, site: Site) -> Float[Tensor, "b h c 3"]:
+    """Lambertian walls, for which more of the sky is free further up, and panes.
+
+    Panes mirror: half of what they show is the sky above the horizon, half all the light.
     """
     light, view = site.light, site.view
     height = front.distance_m[:, None] * torch.tan(view.elevation)
     free = site.open[:, None, None] * (0.6 + 0.4 * (height / 10).clamp(0, 1))
     diffuse = light.diffuse(front.normal)[:, None] * free[..., None]
     beam = light.towards_sun(front.normal).clamp(min=0) * light.beam[:, None]
-    lit = view.between(shadow, torch.full_like(shadow, math.pi / 2))[..., None]
+    lit = view.between(facade.shadow, torch.full_like(facade.shadow, math.pi / 2))[..., None]
     received = diffuse + beam[:, None] * lit + light.from_ground(front.normal)[:, None]
     grain = torch.exp(0.1 * view.texture(draws, 0.5))[..., None]
-    sent = (albedo[:, None] * grain).clamp(max=MOST_ALBEDO) * received
-    mirrored = GLASS * (diffuse + light.horizon[:, None] * math.pi / 2)
-    glass = _windows(front, height, panes[..., 0], view)
-    return (sent + glass * (mirrored - sent)) / math.pi
+    sent = (facade.albedo[:, None] * grain).clamp(max=MOST_ALBEDO) * received
+    shown = facade.mirror[:, None] * (diffuse + light.horizon[:, None] * math.pi / 2)
+    panes = _windows(front, height, facade.panes[..., 0], view)
+    return (sent + panes * (shown - sent)) / math.pi
 
 
 def _windows(

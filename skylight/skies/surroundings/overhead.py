@@ -81,9 +81,9 @@ class Branches:
         z = offset * radius * torch.cos(azimuth) - level * torch.cos(view.azimuth)
         dense = draws.uniform((0.8, 2.5), 1, 1)
         inside = (1 - torch.hypot(x, z) / radius).clamp(min=-3)
-        leaves = 2 * dense * inside + _leaves(draws, x, z, 0.8)
+        leaves = 2 * dense * inside + _leaves(draws, x, z, 0.6)
         yield Layer(
-            cover=(0.3 + 0.8 * leaves).clamp(0, 1),
+            cover=(0.3 + 0.6 * leaves).clamp(0, 1),
             radiance=_shade(draws, _leaves(draws, x, z, 0.4) - dense, site),
             distance_m=above[:, 0].expand(-1, view.parts),
         )

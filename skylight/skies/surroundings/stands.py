@@ -82,7 +82,8 @@ def look(stand: Stand, draws: Draws, site: Site) -> tuple[Crown, Stand]:
     low, high = torch.where(seen, low, NOWHERE), torch.where(seen, high, -NOWHERE)
     cut = site.light.before_sun(low, high) & ~draws.chance(site.sun_hidden, len(across[0]))
     seen = seen & ~cut[..., None]
-    tree = torch.where(seen, stand.distance_m[..., None], torch.inf).argmin(1)
+    # the one that fills most of the column, so that crowns join where they are equally deep
+    tree = torch.where(seen, high - low, -torch.inf).argmax(1)
 
     def at(values: Float[Tensor, "b n c"]) -> Float[Tensor, "b c"]:
         return values.gather(1, tree[:, None])[:, 0]

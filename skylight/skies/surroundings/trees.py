@@ -124,7 +124,7 @@ def _leaf_light(
     normal = normal / normal.norm(dim=-1, keepdim=True)
     outer = torch.sigmoid(2 * crown.up + 1.5 * crown.within + 2.5 * fine - 1.5)[..., None]
     free = site.open[:, None, None, None]
-    lit = outer * free
+    lit = outer * (0.3 + 0.7 * free)
     received = site.light.irradiance(normal, (0.03 + 0.97 * outer) * free, lit)
     behind = site.light.towards_sun(-normal).clamp(min=0) * spread(site.light.beam, normal)
     behind = 0.5 * lit * (behind + site.light.diffuse(-normal))
