@@ -76,9 +76,11 @@ class Branches:
         view = site.view
         above, radius = draws.scale(self.above_m, 1, 1), draws.scale(self.radius_m, 1, 1)
         azimuth, offset = draws.azimuth(1, 1), draws.uniform(self.offset, 1, 1)
+        middle = offset * radius * torch.sin(azimuth), -offset * radius * torch.cos(azimuth)
+        middle = self._out_of_the_sun(middle, above, radius, draws, site)
         level = above / torch.tan(view.elevation)
-        x = level * torch.sin(view.azimuth) - offset * radius * torch.sin(azimuth)
-        z = offset * radius * torch.cos(azimuth) - level * torch.cos(view.azimuth)
+        x = level * torch.sin(view.azimuth) - middle[0]
+        z = -level * torch.cos(view.azimuth) - middle[1]
         dense = draws.uniform((0.8, 2.5), 1, 1)
         inside = (1 - torch.hypot(x, z) / radius).clamp(min=-3)
         leaves = 2 * dense * inside + _leaves(draws, x, z, 0.6)
@@ -87,6 +89,22 @@ class Branches:
             radiance=_shade(draws, _leaves(draws, x, z, 0.4) - dense, site),
             distance_m=above[:, 0].expand(-1, view.parts),
         )
+
+    @staticmethod
+    def _out_of_the_sun(
+        middle: tuple[Float[Tensor, "b 1 1"], Float[Tensor, "b 1 1"]],
+        above: Float[Tensor, "b 1 1"],
+        radius: Float[Tensor, "b 1 1"],
+        draws: Draws,
+        site: Site,
+    ) -> tuple[Float[Tensor, "b 1 1"], Float[Tensor, "b 1 1"]]:
+        """Most crowns whose middle is before the sun stand on the other side."""
+        x, y, z = (each[:, None, None] for each in site.light.sun.unbind(-1))
+        seen = above * x / y.clamp(min=0.01), above * z / y.clamp(min=0.01)
+        hides = torch.hypot(seen[0] - middle[0], seen[1] - middle[1]) < 1.2 * radius
+        turned = hides & ~draws.chance(site.sun_hidden, 1, 1)
+        side = torch.where(turned, -1.0, 1.0)
+        return side * middle[0], side * middle[1]
 
 
 def _shade(draws: Draws, thin: Float[Tensor, "b h c"], site: Site) -> Float[Tensor, "b h c 3"]:
