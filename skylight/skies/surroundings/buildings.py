@@ -42,6 +42,7 @@ class Buildings:
         """Roofs, walls."""
         plan = draw_plan(draws, self.count, distance_m=self.distance_m, width_m=self.width_m)
         front = draw_front(draws, plan, site, height_m=self.height_m, gabled=self.gabled)
+        site = site.up_to(float(front.ridge.max()))
         eaves = front.eaves.clamp(min=0)
         yield Layer(
             cover=site.view.between(eaves, front.ridge),
@@ -127,4 +128,4 @@ def _roof_light(
     received = site.light.irradiance(normal, site.open[:, None, None], torch.tensor(1.0))
     seen = front.each(albedo)
     seen = seen + (SNOW - seen) * site.snow[:, None, None]
-    return (seen / math.pi * received)[:, None].expand(-1, site.view.height, -1, -1)
+    return (seen / math.pi * received)[:, None].expand(-1, site.view.rows, -1, -1)

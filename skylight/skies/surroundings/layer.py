@@ -1,6 +1,6 @@
 """What is painted over a sky, the farthest first."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -29,6 +29,10 @@ class Site:
     snow: Float[Tensor, " b"]  # 1 where snow lies
     sun_hidden: float = 0.2
 
+    def up_to(self, elevation: float) -> "Site":
+        """The same site, of which only what is below an elevation (rad) is looked at."""
+        return replace(self, view=self.view.up_to(elevation))
+
     def of(self, which: Int[Tensor, " k"]) -> "Site":
         return Site(
             view=self.view,
@@ -41,7 +45,10 @@ class Site:
 
 @dataclass(frozen=True, kw_only=True)
 class Layer:
-    """``cover`` in [0, 1] and the ``radiance`` of what covers, ``distance_m`` away."""
+    """``cover`` in [0, 1] and the ``radiance`` of what covers, ``distance_m`` away.
+
+    Of the lowest ``h`` rows of a map; it covers nothing above them.
+    """
 
     cover: Float[Tensor, "b h c"]
     radiance: Float[Tensor, "b h c 3"]

@@ -28,6 +28,7 @@ class Posts:
         strip, which = site.view.across(draws.azimuth(self.count), half).max(1)
         top = torch.atan2(draws.scale(self.height_m, self.count) - EYE_M, distance)
         top = top.gather(1, which)
+        site = site.up_to(float(top.max()))
         away, _ = site.view.frame
         received = site.light.irradiance(
             -away.expand(len(top), -1, -1), site.open[:, None, None], torch.tensor(1.0)
@@ -35,6 +36,6 @@ class Posts:
         radiance = spread(draws.colour(METAL), received) * received / math.pi
         yield Layer(
             cover=strip[:, None] * site.view.between(torch.zeros_like(top), top),
-            radiance=radiance[:, None].expand(-1, site.view.height, -1, -1),
+            radiance=radiance[:, None].expand(-1, site.view.rows, -1, -1),
             distance_m=distance.gather(1, which),
         )

@@ -37,10 +37,11 @@ def surroundings(
             continue
         here = site.of(there)
         for layer in kind.layers(Draws(count=len(there), generator=generator), here):
+            rows = slice(-layer.cover.shape[1], None)
             left = 1 - layer.cover
             sent = in_air(layer, here) * layer.cover[..., None]
-            light[there] = light[there] * left[..., None] + sent
-            free[there] = free[there] * left
+            light[there, rows] = light[there, rows] * left[..., None] + sent
+            free[there, rows] = free[there, rows] * left
     cover = view.pixels(1 - free[..., None])
     return cover, view.pixels(light) / cover.clamp(min=1e-6)
 

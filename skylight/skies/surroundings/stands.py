@@ -41,6 +41,7 @@ class Crown:
     reach: Float[Tensor, "b h c"]
     distance_m: Float[Tensor, "b c"]
     tree: Int[Tensor, "b c"]
+    top: float  # the highest elevation of all
 
 
 def draw_stand(
@@ -90,14 +91,17 @@ def look(stand: Stand, draws: Draws, site: Site) -> tuple[Crown, Stand]:
 
     low, high, base, top, across = (at(each) for each in (low, high, base, top, across))
     low = torch.where(seen.any(1), low, NOWHERE)
-    up = 2 * (site.view.elevation - base[:, None]) / (top - base).clamp(min=1e-3)[:, None] - 1
+    highest = float(torch.where(seen.any(1), high, 0.0).max())
+    view = site.view.up_to(highest)
+    up = 2 * (view.elevation - base[:, None]) / (top - base).clamp(min=1e-3)[:, None] - 1
     crown = Crown(
         across=across,
         up=up.clamp(-1, 1),
         within=_within(stand.pointed.gather(1, tree)[:, None], across[:, None], up),
-        reach=site.view.between(low, high),
+        reach=view.between(low, high),
         distance_m=stand.distance_m.gather(1, tree),
         tree=tree,
+        top=highest,
     )
     return crown, _without(stand, cut)
 

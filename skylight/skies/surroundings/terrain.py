@@ -25,10 +25,11 @@ class Land:
     lumps: float = 0.3  # light and shadow on it, as a slope
 
     def layers(self, draws: Draws, site: Site) -> Iterator[Layer]:
-        view = site.view
         level = draws.scale(self.level_deg, 1) * math.pi / 180
-        profile = view.profile(draws, self.roughness)
+        profile = site.view.profile(draws, self.roughness)
         top = level * (1 + draws.uniform(self.relief, 1) * profile)
+        site = site.up_to(float(top.max()))
+        view = site.view
         lumps = view.texture(draws, 0.6), view.texture(draws, 0.6)
         normal = _slopes(site, lumps, self.lumps, draws.uniform((0.5, 1.5), 1, 1))
         hollow = (0.7 + 0.2 * lumps[1]).clamp(0.2, 1)[..., None]

@@ -57,7 +57,7 @@ class Trees:
             crown, stand = look(stand, draws, site)
             yield _trunks(stand, bark, draws, site)
             leaves = species * torch.exp(0.25 * draws.normal(self.count, 1))
-            yield _crowns(crown, bare, bark, leaves, draws, site)
+            yield _crowns(crown, bare, bark, leaves, draws, site.up_to(crown.top))
 
 
 def _trunks(stand: Stand, bark: Float[Tensor, "b 3"], draws: Draws, site: Site) -> Layer:
@@ -65,6 +65,7 @@ def _trunks(stand: Stand, bark: Float[Tensor, "b 3"], draws: Draws, site: Site) 
     half = torch.where(stand.standing, stand.trunk_m / stand.distance_m, 0.0)
     strip, which = site.view.across(stand.azimuth, half).max(1)
     top = torch.atan2(0.7 * stand.height_m, stand.distance_m).gather(1, which)
+    site = site.up_to(float(top.max()))
     taper = (1 - 0.5 * site.view.elevation / top[:, None]).clamp(0.3, 1)
     away, _ = site.view.frame
     sunny = draws.chance(0.5, len(half[0])).float().gather(1, which)[..., None]
@@ -73,7 +74,7 @@ def _trunks(stand: Stand, bark: Float[Tensor, "b 3"], draws: Draws, site: Site) 
     radiance = (spread(bark, received) / math.pi * received)[:, None]
     return Layer(
         cover=strip[:, None] * taper * site.view.between(torch.zeros_like(top), top),
-        radiance=radiance.expand(-1, site.view.height, -1, -1),
+        radiance=radiance.expand(-1, site.view.rows, -1, -1),
         distance_m=stand.distance_m.gather(1, which),
     )
 

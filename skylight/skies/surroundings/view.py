@@ -20,11 +20,18 @@ TEXTURE_ROWS = 64  # from the horizon to the zenith: a texture's finest detail i
 class View:
     """The upper hemisphere seen through ``height`` rows and 4 ``height`` columns of pixels.
 
-    All of a scene is said as intervals of elevation along the ``c`` = 16 ``height`` parts of
+    Of the rows only those from the horizon up to number ``rows`` are looked at; 0 is all. All of
+    a scene is said as intervals of elevation along the ``c`` = 16 ``height`` parts of
     columns; a pixel's rows are covered as far as intervals reach into them.
     """
 
     height: int
+    rows: int = 0
+
+    def up_to(self, elevation: float) -> "View":
+        """The view of the rows that reach down to the horizon from an elevation (rad)."""
+        rows = math.ceil(elevation / (math.pi / 2) * self.height)
+        return View(self.height, min(max(rows, 1), self.height))
 
     @property
     def parts(self) -> int:
@@ -37,9 +44,9 @@ class View:
 
     @cached_property
     def elevation(self) -> Float[Tensor, "h 1"]:
-        """Of the middle of each row, the highest first."""
+        """Of the middle of each row that is looked at, the highest first."""
         down = (torch.arange(self.height) + 0.5) / self.height
-        return (math.pi / 2 * (1 - down))[:, None]
+        return (math.pi / 2 * (1 - down))[-self.rows :, None]
 
     @cached_property
     def frame(self) -> tuple[Float[Tensor, "c 3"], Float[Tensor, "c 3"]]:
@@ -73,7 +80,7 @@ class View:
         A larger map so shows the same scene.
         """
         noise = rough_noise(draws, TEXTURE_ROWS, 4 * TEXTURE_ROWS, roughness)
-        return _resized(noise, self.height, self.parts)
+        return _resized(noise, self.height, self.parts)[:, -self.rows :]
 
     def profile(self, draws: Draws, roughness: float) -> Float[Tensor, "b c"]:
         """Rough noise along the horizon."""

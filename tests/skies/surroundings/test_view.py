@@ -48,3 +48,15 @@ def test_a_larger_map_has_the_same_texture() -> None:
     seam = (small[..., 0] - small[..., -1]).square().mean()
     within = (small[..., 1] - small[..., 0]).square().mean()
     assert float(seam) < 4 * float(within)
+
+
+def test_a_view_up_to_an_elevation_is_the_lower_part_of_the_whole() -> None:
+    view = View(32)
+    part = view.up_to(0.5)
+    assert (part.rows - 1) * math.pi / 2 / 32 < 0.5 <= part.rows * math.pi / 2 / 32
+    assert part.elevation.equal(view.elevation[-part.rows :])
+    low, high = torch.zeros(1, view.parts), torch.full((1, view.parts), 0.5)
+    whole = view.between(low, high)
+    assert part.between(low, high).equal(whole[:, -part.rows :])
+    assert not whole[:, : -part.rows].any()
+    assert part.texture(draws(2), 0.8).equal(view.texture(draws(2), 0.8)[:, -part.rows :])
