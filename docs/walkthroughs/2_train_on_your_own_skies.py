@@ -85,7 +85,7 @@ axis.legend()
 figure.tight_layout()
 
 # %%
-# Training skies have obstacles before them and are tinted, validation skies are clean: that is why
+# Training skies have scenes before them and are tinted, validation skies are clean: that is why
 # the training loss stays above.
 #
 # What it learnt

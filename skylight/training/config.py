@@ -20,8 +20,8 @@ class AutoencoderConfig:
     exposure leaves alone: see ``reconstruction_loss``. ``sun`` gives the network a sun of its
     own. ``noise_sigma`` (of coded radiance), ``masked`` (the probability that a block is hidden)
     and ``sun_noise`` (of the sun's coordinates) corrupt what the encoder sees: see
-    ``draw_corruption``. ``obstacles`` is the probability that something stands before a sky,
-    ``tint`` the spread of white balances: both vary the sky itself.
+    ``draw_corruption``. ``surroundings`` is the probability that a scene stands before a
+    sky, ``tint`` the spread of white balances: both vary the sky itself.
     ``bfloat16`` is mixed precision where the device has it. ``batch`` is that of all processes
     together. ``starts_from`` names a checkpoint with the
     initial weights. A ``gradient_clip`` of 0 clips nothing; ``threads`` 0 leaves their number to
@@ -39,7 +39,7 @@ class AutoencoderConfig:
     scale_invariant: float = 0.0
     sun: bool = True
     mirror: bool = True
-    obstacles: float = 0.0
+    surroundings: float = 0.0
     tint: float = 0.0
     sun_noise: float = 0.0
     epochs: int = 60
@@ -71,7 +71,7 @@ class AutoencoderConfig:
                 raise InputError(f"`{name}` must be at least 0, got {getattr(self, name)}")
         if not 0 <= self.seed < 10_000_000:  # of which steps' seeds are made, in 64 bits
             raise InputError(f"`seed` must be from 0 to 9999999, got {self.seed}")
-        for name in ("obstacles", "masked"):
+        for name in ("surroundings", "masked"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"`{name}` is a probability, got {getattr(self, name)}")
         if self.nesterov and self.momentum == 0:

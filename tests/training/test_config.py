@@ -44,6 +44,7 @@ def test_numbers_as_people_write_them(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("kind: autoencoder\nepoch: 3\n1: 2\n", "1, epoch; .* batch"),
+        ("kind: autoencoder\nobstacles: 0.4\n", "unknown keys obstacles; .* surroundings"),
         ("kind: diffusion\n", "`kind` .* autoencoder, prior"),
         ("epochs: 3\n", "`kind`"),
         ("kind: {autoencoder: 1}\n", "`kind`"),
@@ -58,7 +59,7 @@ def test_numbers_as_people_write_them(tmp_path: Path) -> None:
         ("kind: autoencoder\nlearning_rate: [1]\n", "`learning_rate` .* float"),
         ("kind: autoencoder\ndata: 3\n", "`data` .* Path"),
         ("kind: autoencoder\nbatch: 0\n", "`batch` .* 1"),
-        ("kind: autoencoder\nobstacles: 1.5\n", "`obstacles` .* 1.5"),
+        ("kind: autoencoder\nsurroundings: 1.5\n", "`surroundings` .* 1.5"),
         ("kind: autoencoder\nmomentum: 0\n", "`nesterov` .* `momentum`"),
         ("kind: autoencoder\nnoise_sigma: -1\n", "`noise_sigma` .* 0"),
         ("kind: autoencoder\nschedule: step\n", "`schedule` .* cosine, constant"),

@@ -1,0 +1,1 @@
+"""What stands between an observer and the sky: land, trees, buildings, roofs."""

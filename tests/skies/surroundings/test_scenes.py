@@ -1,0 +1,63 @@
+import torch
+
+from skylight.skies.surroundings.scenes import surroundings
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def test_the_generator_alone_decides() -> None:
+    skies = torch.rand(12, 32, 128, 3, generator=generator())
+    one, two, other = (surroundings(skies, generator(seed)) for seed in (1, 1, 2))
+    assert all(torch.equal(a, b) for a, b in zip(one, two, strict=True))
+    assert not torch.equal(one[0], other[0])
+
+
+def test_more_stands_below_than_above_and_nothing_outshines_a_uniform_sky() -> None:
+    """Albedos are below 1: before a sky of radiance 1 a surface sends less, and air as much."""
+    cover, radiance = surroundings(torch.ones(60, 32, 128, 3), generator(2))
+    assert ((cover >= 0) & (cover <= 1 + 1e-5)).all()
+    assert ((radiance >= 0) & (radiance <= 1 + 1e-4)).all()
+    rows = cover.mean(dim=(0, 2, 3))
+    assert float(rows[-1]) > 0.5 > 0.2 > float(rows[:8].mean())
+    assert float(radiance[cover[..., 0] > 0.9].median()) < 0.3
+
+
+def test_twice_the_light_is_sent_back_twice() -> None:
+    skies = torch.rand(8, 32, 128, 3, generator=generator())
+    skies[:, 18, 64] = 800.0
+    (cover, one), (same, two) = (surroundings(k * skies, generator(3)) for k in (1, 2))
+    torch.testing.assert_close(same, cover, rtol=0, atol=0)
+    torch.testing.assert_close(two, 2 * one, rtol=1e-4, atol=1e-6)
+
+
+def test_a_map_of_twice_the_height_shows_the_same_scene() -> None:
+    small = torch.ones(24, 32, 128, 3)
+    large = small.repeat_interleave(2, 1).repeat_interleave(2, 2)
+    (cover, light), (fine, finer) = (surroundings(each, generator(4)) for each in (small, large))
+
+    def halved(image: torch.Tensor) -> torch.Tensor:
+        return image.unflatten(1, (32, 2)).mean(2).unflatten(2, (128, 2)).mean(3)
+
+    assert float((halved(fine) - cover).abs().mean()) < 0.01
+    assert abs(float((fine.mean() - cover.mean()) / cover.mean())) < 0.01
+    sent, shown = cover * light, halved(fine * finer)
+    assert float((shown - sent).abs().mean()) < 0.1 * float(sent.mean())
+
+
+def test_walls_opposite_the_sun_are_the_brightest() -> None:
+    """The sun, in column 64, shines on what the observer sees in column 0."""
+    skies = torch.full((60, 32, 128, 3), 0.1)
+    skies[:, 20, 64] = 1000.0
+    cover, radiance = surroundings(skies, generator(3))
+    sent = (cover * radiance).sum((0, 1, 3)) / cover.sum((0, 1, 3))
+    assert float(sent[[*range(4), *range(124, 128)]].mean()) > 2 * float(sent[60:69].mean())
+
+
+def test_the_sun_is_seldom_hidden() -> None:
+    skies = torch.full((120, 32, 128, 3), 0.1)
+    skies[:, 26, 64] = 1000.0
+    cover, _ = surroundings(skies, generator(5))
+    hidden = (cover[:, 26, :, 0] > 0.5).float().mean(0)
+    assert float(hidden[64]) < 0.7 * float(hidden.mean())
