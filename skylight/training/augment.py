@@ -27,8 +27,8 @@ def augment(
         gain = torch.exp(config.tint * torch.randn(len(batch), 1, 1, 3, generator=generator))
         batch = batch * gain
     if config.surroundings:
-        cover, radiance = surroundings(batch, generator)
         some = torch.rand(len(batch), generator=generator) < config.surroundings
-        cover = cover * some[:, None, None, None]
-        batch = batch * (1 - cover) + radiance * cover
+        cover, radiance = surroundings(batch[some], generator)
+        batch = batch.clone()
+        batch[some] = batch[some] * (1 - cover) + radiance * cover
     return normalise(batch)

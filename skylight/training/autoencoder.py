@@ -37,7 +37,7 @@ class RunState:
 
 
 class Objective(nn.Module):
-    """The mean loss of a batch, as one module: what is compiled, and whose gradients are shared."""
+    """The mean loss of a batch, as one module: what is compiled."""
 
     def __init__(self, network: SkyAutoencoder, config: AutoencoderConfig) -> None:
         super().__init__()

@@ -66,6 +66,8 @@ class Processes:
     def mean_gradients(self, module: nn.Module) -> None:
         """Replace the gradients of a module by their means over all processes, in one message.
 
+        All processes have gradients of the same parameters.
+
         Not by DistributedDataParallel: it keeps the process group, and with it the threads of
         gloo, beyond ``destroy_process_group``, where they may abort a process that ends.
         """

@@ -96,11 +96,14 @@ def workers():
     return sum("runloop" in open(f"/proc/self/task/{t}/comm").read() for t in tasks)
 
 with processes("cpu") as here:
-    network = torch.nn.Linear(3, 2).requires_grad_(False)
-    network.weight.grad = torch.full((2, 3), 1.0 + here.rank)
+    network = torch.nn.Conv2d(3, 2, 2).to(memory_format=torch.channels_last)
+    weight = torch.arange(24.0).reshape(2, 3, 2, 2)
+    network.weight.grad = (weight + here.rank).to(memory_format=torch.channels_last)
+    network.bias.grad = torch.tensor([1.0, -3.0]) * (1 + here.rank)
     here.mean_gradients(network)
     here.meet()
-    assert network.weight.grad.eq(1.5).all() and network.bias.grad is None
+    assert torch.equal(network.weight.grad, weight + 0.5)
+    assert network.bias.grad.tolist() == [1.5, -4.5]
     assert workers() > 0
 assert workers() == 0
 """

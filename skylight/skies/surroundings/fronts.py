@@ -8,7 +8,7 @@ from torch import Tensor
 
 from skylight.skies.surroundings.blocks import Hit, Plan, cross
 from skylight.skies.surroundings.draws import Draws, Range
-from skylight.skies.surroundings.layer import EYE_M, NOWHERE, Site
+from skylight.skies.surroundings.layer import EYE_M, NOWHERE, SUN_HIDDEN, Site
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +51,7 @@ def draw_front(draws: Draws, plan: Plan, site: Site, *, height_m: Range, gabled:
     eaves, ridge = _tops(draws, plan, hit, height_m, gabled)
     low = torch.where(hit.hit, 0.0, NOWHERE)
     cut = site.light.before_sun(low, torch.where(hit.hit, ridge, -NOWHERE))
-    cut = cut & ~draws.chance(site.sun_hidden, count)
+    cut = cut & ~draws.chance(SUN_HIDDEN, count)
     seen = hit.hit & (draws.some(count) & ~cut)[..., None]
     number = torch.where(seen, hit.enter, torch.inf).argmin(1)
 

@@ -12,22 +12,20 @@ from skylight.skies.surroundings.view import View
 EYE_M = 1.6  # above the ground
 SNOW = 0.8  # albedo
 NOWHERE = 9.0  # an elevation above all: what begins there is not seen
+# The share of things before the sun that stay there: whoever takes a panorama for its light
+# seldom stands in the shade.
+SUN_HIDDEN = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
 class Site:
-    """Where scenes are: their light, air and season. ``open`` is how free the sky is to all.
-
-    ``sun_hidden`` is the share of things before the sun that stay there: whoever takes a
-    panorama for its light seldom stands in the shade.
-    """
+    """Where scenes are: their light, air and season. ``open`` is how free the sky is to all."""
 
     view: View
     light: Light
     open: Float[Tensor, " b"]
     visibility_m: Float[Tensor, " b"]
     snow: Float[Tensor, " b"]  # 1 where snow lies
-    sun_hidden: float = 0.2
 
     def up_to(self, elevation: float) -> "Site":
         """The same site, of which only what is below an elevation (rad) is looked at."""

@@ -12,6 +12,7 @@ from skylight.sphere.envmap import luminance
 from skylight.sphere.grid import DirectionGrid
 
 BEAM_OVER_MEAN = 10.0  # what is brighter than so many times the mean casts shadows
+SUN_MARGIN_RAD = math.radians(3)  # about a pixel of 32 rows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,12 +31,16 @@ class Light:
     integral: Float[Tensor, "b 3"]  # M0
     moment: Float[Tensor, "b 3 3"]  # M1: axis, channel
     beam: Float[Tensor, "b 3"]  # irradiance by the sun on a surface that faces it
-    sun: Float[Tensor, "b 3"]  # s
+    sun: Float[Tensor, "b 3"]  # s; the zenith where there is no beam
     ground: Float[Tensor, "b 3"]  # irradiance by the lower hemisphere on a surface that faces it
     horizon: Float[Tensor, "b c 3"]  # radiance of the sky above the horizon
 
     def of(self, which: Int[Tensor, " k"]) -> "Light":
         return Light(**{name: value[which] for name, value in vars(self).items()})
+
+    @property
+    def has_sun(self) -> Bool[Tensor, " b"]:
+        return self.beam.sum(-1) > 0
 
     def diffuse(self, normal: Float[Tensor, "b *s 3"]) -> Float[Tensor, "b *s 3"]:
         """(M0 / 4 + n . M1 / 2)+."""
@@ -61,16 +66,17 @@ class Light:
     def before_sun(
         self, low: Float[Tensor, "b n c"], high: Float[Tensor, "b n c"]
     ) -> Bool[Tensor, "b n"]:
-        """Whether intervals of elevation cover the sun or come within a pixel of it."""
+        """Whether intervals of elevation cover the sun, if there is one, or come near it."""
         parts = low.shape[-1]
+        aside = math.ceil(SUN_MARGIN_RAD / (2 * math.pi) * parts)
         azimuth = torch.atan2(self.sun[:, 0], -self.sun[:, 2])
         middle = ((azimuth / (2 * math.pi) + 0.5) * parts).long()
-        near = (middle[:, None] + torch.arange(-PARTS, PARTS + 1)) % parts
+        near = (middle[:, None] + torch.arange(-aside, aside + 1)) % parts
         index = near[:, None].expand(-1, low.shape[1], -1)
         elevation = torch.asin(self.sun[:, 1].clamp(-1, 1))[:, None, None]
-        margin = 2 * math.pi * PARTS / parts
-        under = low.gather(2, index) < elevation + margin
-        return (under & (high.gather(2, index) > elevation - margin)).any(-1)
+        under = low.gather(2, index) < elevation + SUN_MARGIN_RAD
+        over = high.gather(2, index) > elevation - SUN_MARGIN_RAD
+        return (under & over).any(-1) & self.has_sun[:, None]
 
 
 def spread(each: Float[Tensor, "b 3"], like: Float[Tensor, "b *s _"]) -> Float[Tensor, "b *t 3"]:

@@ -5,14 +5,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
 from skylight.skies.surroundings.blocks import Plan, cross
 from skylight.skies.surroundings.buildings import WALLS
 from skylight.skies.surroundings.draws import MOST_ALBEDO, Draws, Range
-from skylight.skies.surroundings.layer import NOWHERE, Layer, Site
+from skylight.skies.surroundings.layer import NOWHERE, SUN_HIDDEN, Layer, Site
 from skylight.skies.surroundings.light import spread
 from skylight.skies.surroundings.noise import rough_noise
 from skylight.skies.surroundings.trees import LEAVES, THROUGH
@@ -60,7 +60,7 @@ class Slabs:
         hit = cross(plan, site.view)
         low = torch.where(hit.hit, torch.atan2(above, hit.leave), NOWHERE)
         high = torch.where(hit.hit, torch.atan2(above, hit.enter), -NOWHERE)
-        cut = site.light.before_sun(low, high) & ~draws.chance(site.sun_hidden, self.count)
+        cut = site.light.before_sun(low, high) & ~draws.chance(SUN_HIDDEN, self.count)
         return torch.where(cut[..., None], NOWHERE, low), high
 
 
@@ -77,7 +77,7 @@ class Branches:
         above, radius = draws.scale(self.above_m, 1, 1), draws.scale(self.radius_m, 1, 1)
         azimuth, offset = draws.azimuth(1, 1), draws.uniform(self.offset, 1, 1)
         middle = offset * radius * torch.sin(azimuth), -offset * radius * torch.cos(azimuth)
-        middle = self._out_of_the_sun(middle, above, radius, draws, site)
+        shown = ~self._hides_sun(middle, above, radius, site) | draws.chance(SUN_HIDDEN, 1, 1)
         level = above / torch.tan(view.elevation)
         x = level * torch.sin(view.azimuth) - middle[0]
         z = -level * torch.cos(view.azimuth) - middle[1]
@@ -85,26 +85,23 @@ class Branches:
         inside = (1 - torch.hypot(x, z) / radius).clamp(min=-3)
         leaves = 2 * dense * inside + _leaves(draws, x, z, 0.6)
         yield Layer(
-            cover=(0.3 + 0.6 * leaves).clamp(0, 1),
+            cover=(0.3 + 0.6 * leaves).clamp(0, 1) * shown,
             radiance=_shade(draws, _leaves(draws, x, z, 0.4) - dense, site),
             distance_m=above[:, 0].expand(-1, view.parts),
         )
 
     @staticmethod
-    def _out_of_the_sun(
+    def _hides_sun(
         middle: tuple[Float[Tensor, "b 1 1"], Float[Tensor, "b 1 1"]],
         above: Float[Tensor, "b 1 1"],
         radius: Float[Tensor, "b 1 1"],
-        draws: Draws,
         site: Site,
-    ) -> tuple[Float[Tensor, "b 1 1"], Float[Tensor, "b 1 1"]]:
-        """Most crowns whose middle is before the sun stand on the other side."""
+    ) -> Bool[Tensor, "b 1 1"]:
+        """Whether the crown, with a fifth of its radius about it, is before the sun."""
         x, y, z = (each[:, None, None] for each in site.light.sun.unbind(-1))
         seen = above * x / y.clamp(min=0.01), above * z / y.clamp(min=0.01)
-        hides = torch.hypot(seen[0] - middle[0], seen[1] - middle[1]) < 1.2 * radius
-        turned = hides & ~draws.chance(site.sun_hidden, 1, 1)
-        side = torch.where(turned, -1.0, 1.0)
-        return side * middle[0], side * middle[1]
+        near = torch.hypot(seen[0] - middle[0], seen[1] - middle[1]) < 1.2 * radius
+        return near & site.light.has_sun[:, None, None]
 
 
 def _shade(draws: Draws, thin: Float[Tensor, "b h c"], site: Site) -> Float[Tensor, "b h c 3"]:

@@ -22,8 +22,8 @@ def surroundings(
 
     A scene for each sky by :data:`SCENES`, of things of :data:`KINDS`. Surfaces are Lambertian
     and lit by the sky itself (:class:`Light`); the air before them is hazy. Before a uniform sky
-    nothing is brighter than it. The same generator gives the same scenes, at any height of the
-    maps.
+    nothing is brighter than it. The same generator before the same sky gives the same scene, at
+    any height of the maps. Computed on the CPU, in float32.
     """
     view, draws = View(skies.shape[1]), Draws(count=len(skies), generator=generator)
     scene = draws.choice([each.share for each in SCENES.values()])
@@ -42,7 +42,7 @@ def surroundings(
             sent = in_air(layer, here) * layer.cover[..., None]
             light[there, rows] = light[there, rows] * left[..., None] + sent
             free[there, rows] = free[there, rows] * left
-    cover = view.pixels(1 - free[..., None])
+    cover = view.pixels(1 - free[..., None]).clamp(max=1)
     return cover, view.pixels(light) / cover.clamp(min=1e-6)
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from skylight.skies.surroundings.draws import Draws, Range
-from skylight.skies.surroundings.layer import EYE_M, NOWHERE, Site
+from skylight.skies.surroundings.layer import EYE_M, NOWHERE, SUN_HIDDEN, Site
 
 FRINGE = 1.3  # how far leaves reach beyond a crown's ellipse, over its size
 
@@ -81,7 +81,7 @@ def look(stand: Stand, draws: Draws, site: Site) -> tuple[Crown, Stand]:
     seen = (across.abs() < FRINGE) & (level > 0) & stand.standing[..., None]
     low, high = _outline(stand, across, base, top)
     low, high = torch.where(seen, low, NOWHERE), torch.where(seen, high, -NOWHERE)
-    cut = site.light.before_sun(low, high) & ~draws.chance(site.sun_hidden, len(across[0]))
+    cut = site.light.before_sun(low, high) & ~draws.chance(SUN_HIDDEN, len(across[0]))
     seen = seen & ~cut[..., None]
     # the one that fills most of the column, so that crowns join where they are equally deep
     tree = torch.where(seen, high - low, -torch.inf).argmax(1)

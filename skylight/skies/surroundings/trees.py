@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from skylight.skies.surroundings.draws import Draws, Range
-from skylight.skies.surroundings.layer import SNOW, Layer, Site
+from skylight.skies.surroundings.layer import EYE_M, SNOW, Layer, Site
 from skylight.skies.surroundings.light import spread
 from skylight.skies.surroundings.stands import Crown, Stand, draw_stand, look
 
@@ -61,10 +61,11 @@ class Trees:
 
 
 def _trunks(stand: Stand, bark: Float[Tensor, "b 3"], draws: Draws, site: Site) -> Layer:
-    """Upright strips up to two thirds of the trees, tapering; some in the shade of others."""
+    """Upright strips into the crowns, tapering; some in the shade of others."""
     half = torch.where(stand.standing, stand.trunk_m / stand.distance_m, 0.0)
     strip, which = site.view.across(stand.azimuth, half).max(1)
-    top = torch.atan2(0.7 * stand.height_m, stand.distance_m).gather(1, which)
+    over = (0.7 * stand.height_m - EYE_M).clamp(min=0.01)
+    top = torch.atan2(over, stand.distance_m).gather(1, which)
     site = site.up_to(float(top.max()))
     taper = (1 - 0.5 * site.view.elevation / top[:, None]).clamp(0.3, 1)
     away, _ = site.view.frame

@@ -1,3 +1,4 @@
+import pytest
 import torch
 
 from skylight.skies.surroundings.scenes import surroundings
@@ -34,6 +35,7 @@ def test_twice_the_light_is_sent_back_twice() -> None:
 
 def test_a_map_of_twice_the_height_shows_the_same_scene() -> None:
     small = torch.ones(24, 32, 128, 3)
+    small[:12, 20, 64] = 1000.0
     large = small.repeat_interleave(2, 1).repeat_interleave(2, 2)
     (cover, light), (fine, finer) = (surroundings(each, generator(4)) for each in (small, large))
 
@@ -55,9 +57,18 @@ def test_walls_opposite_the_sun_are_the_brightest() -> None:
     assert float(sent[[*range(4), *range(124, 128)]].mean()) > 2 * float(sent[60:69].mean())
 
 
-def test_the_sun_is_seldom_hidden() -> None:
-    skies = torch.full((120, 32, 128, 3), 0.1)
-    skies[:, 26, 64] = 1000.0
+@pytest.mark.parametrize("row", [4, 10, 16, 26])
+def test_the_sun_is_seldom_hidden(row: int) -> None:
+    skies = torch.full((200, 32, 128, 3), 0.1)
+    skies[:, row, 64] = 1000.0
     cover, _ = surroundings(skies, generator(5))
-    hidden = (cover[:, 26, :, 0] > 0.5).float().mean(0)
-    assert float(hidden[64]) < 0.7 * float(hidden.mean())
+    free, _ = surroundings(torch.full_like(skies, 0.1), generator(5))
+    hidden, usual = ((each[:, row, :, 0] > 0.5).float().mean(0) for each in (cover, free))
+    assert float(hidden[64]) < 0.5 * float(usual.mean())
+
+
+def test_without_a_sun_nothing_overhead_is_left_out() -> None:
+    """Where nothing casts a shadow the zenith is covered as often as places near it."""
+    cover, _ = surroundings(torch.ones(400, 32, 128, 3), generator(6))
+    rows = cover.mean((0, 2, 3))
+    assert float(rows[0]) > 0.7 * float(rows[3])
