@@ -9,6 +9,7 @@ from skylight.skies.surroundings.draws import Draws
 from skylight.skies.surroundings.layer import EYE_M, Site
 from skylight.skies.surroundings.light import light_of
 from skylight.skies.surroundings.stands import FRINGE, Stand, look
+from skylight.skies.surroundings.trees import _trunks
 from skylight.skies.surroundings.view import View
 
 VIEW = View(32)
@@ -74,19 +75,30 @@ def test_windows_take_their_share_however_small() -> None:
     )
 
 
-def test_a_crown_covers_the_area_of_its_ellipse() -> None:
-    """pi a b, with a = radius / distance and b half its height in elevation, and its fringe."""
-    one = {"azimuth": 0.5, "distance_m": 60.0, "height_m": 12.0, "radius_m": 4.0}
-    one = {**one, "stem_m": EYE_M + 1, "trunk_m": 0.2}
-    stand = Stand(
-        **{name: torch.tensor([[value]]) for name, value in one.items()},
+def one_tree(**measures: float) -> Stand:
+    return Stand(
+        **{name: torch.tensor([[value]]) for name, value in measures.items()},
         pointed=torch.tensor([[False]]),
         standing=torch.tensor([[True]]),
     )
+
+
+def even_site() -> Site:
     light = light_of(torch.ones(1, 32, 128, 3), VIEW, torch.zeros(1, 3))
     each = torch.ones(1)
-    site = Site(view=VIEW, light=light, open=each, visibility_m=each, snow=each)
-    crown, left = look(stand, Draws(count=1, generator=torch.Generator().manual_seed(0)), site)
+    return Site(view=VIEW, light=light, open=each, visibility_m=each, snow=each)
+
+
+def draws() -> Draws:
+    return Draws(count=1, generator=torch.Generator().manual_seed(0))
+
+
+def test_a_crown_covers_the_area_of_its_ellipse() -> None:
+    """pi a b, with a = radius / distance and b half its height in elevation, and its fringe."""
+    stand = one_tree(
+        azimuth=0.5, distance_m=60.0, height_m=12.0, radius_m=4.0, stem_m=EYE_M + 1, trunk_m=0.2
+    )
+    crown, left = look(stand, draws(), even_site())
     assert left.standing.all()
     pixel = (math.pi / 2 / 32) * (2 * math.pi / VIEW.parts)
     half = (math.atan2(12 - EYE_M, 60) - math.atan2(1, 60)) / 2
@@ -94,3 +106,14 @@ def test_a_crown_covers_the_area_of_its_ellipse() -> None:
     assert float(crown.reach.sum()) * pixel == pytest.approx(want, rel=0.03)
     shape = crown.reach[0].sum(0) > 0
     assert float(VIEW.azimuth[shape].mean()) == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize("height", [2.0, 4.0, 15.0])
+def test_a_trunk_ends_below_the_top_of_its_crown(height: float) -> None:
+    stand = one_tree(
+        azimuth=0.5, distance_m=7.0, height_m=height, radius_m=1.0, stem_m=0.0, trunk_m=0.2
+    )
+    trunk = _trunks(stand, torch.full((1, 3), 0.1), draws(), even_site())
+    step = math.pi / 2 / 32
+    tall = float((trunk.cover.sum(1) > 0).any()) * step * len(trunk.cover[0])
+    assert tall < math.atan2(height - EYE_M, 7.0) + step
