@@ -59,7 +59,7 @@ class Light:
     def irradiance(
         self, normal: Float[Tensor, "b *s 3"], open_: Tensor, lit: Tensor
     ) -> Float[Tensor, "b *t 3"]:
-        """E(n); ``open_`` and ``lit`` broadcast against (b, *s, 1)."""
+        """E(n); ``open_`` and ``lit`` broadcast against ``(b, *s, 1)``."""
         beam = self.towards_sun(normal).clamp(min=0) * spread(self.beam, normal)
         return open_ * self.diffuse(normal) + lit * beam + self.from_ground(normal)
 
