@@ -36,6 +36,7 @@ OZONE_CENTRE_KM, OZONE_HALF_WIDTH_KM = 25.0, 15.0
 STANDARD_OZONE_PER_M2 = 300 * 2.687e20  # 300 Dobson units
 
 LAYERS = 32  # above the observer
+SEGMENTS = 64  # of a view ray; off by 1 % at most in haze of depth 0.4 under a sun at 5 degrees
 VIEWS, SIDES = 64, 8  # cosines from zenith to horizon, azimuths from towards the sun to away
 
 
@@ -63,6 +64,7 @@ class ClearSky:
     def __init__(self, atmosphere: Atmosphere, *, device: torch.device | str = "cpu") -> None:
         self.atmosphere = atmosphere
         self.device = torch.device(device)
+        self._extinction_per_km = self._densest_extinction()
         self._colours = torch.tensor(sunlight_colours(), dtype=torch.float32, device=self.device)
         self._views = _view_cosines().to(self.device)
         self._shells = self._shell_radii()
@@ -74,13 +76,13 @@ class ClearSky:
     ) -> Float[Tensor, "b 3"]:
         """Irradiance of the sun on a plane facing it, after extinction.
 
-        At the observer, or at a height above sea level. The light of a very low sun is redder
-        than Rec.709 can say: what would be negative is 0.
+        At the observer, or at a height above sea level; 0 where the Earth hides the sun. The
+        light of a very low sun is redder than Rec.709 can say: what would be negative is 0.
         """
         zenith = sun_zenith_rad.double()  # float32 has the radius to half a metre only
         level = self.atmosphere.observer_km if height_km is None else height_km
         radius = torch.full_like(zenith, EARTH_RADIUS_KM + level)
-        through = self.transmittance(radius, zenith.cos())
+        through = self._sunlight(radius, zenith.cos())
         return (through.to(self._colours) @ self._colours).clamp(min=0).to(sun_zenith_rad)
 
     def radiance(
@@ -121,11 +123,12 @@ class ClearSky:
         the horizon. A ray that meets the ground is taken for the one that grazes it.
         """
         columns = self._columns(radius.double(), mu.double())
-        return torch.exp(-columns @ self._extinction_per_km()).to(radius)
+        return torch.exp(-columns @ self._extinction_per_km).to(radius)
 
     def as_colour(self, passed: Float[Tensor, "*s k"]) -> Float[Tensor, "*s 3"]:
         """What is passed at each wavelength, of Rec.709's primaries of light like the sun's."""
-        return ((passed @ self._colours) / self._colours.sum(0)).clamp(0, 1)
+        colours = self._colours.to(passed)
+        return ((passed @ colours) / colours.sum(0)).clamp(0, 1)
 
     @property
     def _observer_radius(self) -> float:
@@ -136,7 +139,7 @@ class ClearSky:
     ) -> Float[Tensor, "*s 3"]:
         """Air, haze and ozone along the rays up to the top, as km of their densest."""
         horizon = -torch.sqrt((1 - (EARTH_RADIUS_KM / radius) ** 2).clamp(min=0))
-        mu = torch.maximum(mu, horizon)
+        mu = torch.maximum(mu, horizon).clamp(max=1)  # rounded cosines may exceed 1
         return torch.stack(
             [
                 _column(radius, mu, lambda r, m: _exponential_column(r, m, RAYLEIGH_HEIGHT_KM)),
@@ -146,8 +149,8 @@ class ClearSky:
             -1,
         )
 
-    def _extinction_per_km(self) -> Float[Tensor, "3 k"]:
-        """Rows: air and haze at sea level, ozone at the middle of its layer; float64."""
+    def _densest_extinction(self) -> Float[Tensor, "3 k"]:
+        """Per km, rows: air and haze at sea level, ozone at the middle of its layer; float64."""
         air, nm = self.atmosphere, np.array(BANDS_NM)
         haze = air.aerosol_optical_depth * (nm / 550) ** -air.angstrom_exponent
         ozone = air.ozone * STANDARD_OZONE_PER_M2 * np.array(OZONE_CROSS_SECTION)
@@ -163,7 +166,7 @@ class ClearSky:
     ) -> tuple[Float[Tensor, "*s k"], Float[Tensor, "*s k"], Float[Tensor, "*s k"]]:
         """Air's and haze's scattering and total extinction per km at a radius."""
         height = (radius - EARTH_RADIUS_KM).clamp(min=0)[..., None]
-        per_km = self._extinction_per_km().to(radius)
+        per_km = self._extinction_per_km.to(radius)
         air = per_km[0] * torch.exp(-height / RAYLEIGH_HEIGHT_KM)
         haze = per_km[1] * torch.exp(-height / MIE_HEIGHT_KM)
         layer = (1 - (height - OZONE_CENTRE_KM).abs() / OZONE_HALF_WIDTH_KM).clamp(min=0)
@@ -176,7 +179,7 @@ class ClearSky:
         return self.transmittance(radius, cos_sun) * _above_horizon(radius, cos_sun)[..., None]
 
     def _scattered_once(
-        self, cos_sun: Float[Tensor, ""], *, steps: int = 32
+        self, cos_sun: Float[Tensor, ""]
     ) -> tuple[Float[Tensor, "v a k"], Float[Tensor, "v a k"]]:
         """Of sunlight scattered by air and by haze, before their phase functions.
 
@@ -188,7 +191,7 @@ class ClearSky:
         radius0 = self._observer_radius
         length = _distance_to_top(torch.full_like(mu, radius0), mu)
         # cubic spacing: the haze is close to the observer
-        edges = torch.linspace(0, 1, steps + 1, device=self.device) ** 3
+        edges = torch.linspace(0, 1, SEGMENTS + 1, device=self.device) ** 3
         t = length * (edges[1:] + edges[:-1]) / 2
         radius = torch.sqrt(radius0**2 + t**2 + 2 * radius0 * t * mu)
         level = torch.sqrt(((1 - mu**2) * (1 - cos_sun**2)).clamp(min=0))
@@ -211,7 +214,7 @@ class ClearSky:
 
     def _layered_scattering(self) -> LayeredScattering:
         columns = self._columns(self._shells, torch.ones_like(self._shells))
-        per_layer = (columns[:-1] - columns[1:])[..., None] * self._extinction_per_km()
+        per_layer = (columns[:-1] - columns[1:])[..., None] * self._extinction_per_km
         air, haze, ozone = per_layer.permute(1, 2, 0).float().clamp(min=0)
         return LayeredScattering(
             air,
@@ -228,7 +231,7 @@ class ClearSky:
         shells = self._shells.clamp(min=radius0)[:, None]
         rising = torch.sqrt((radius0 * mu) ** 2 + (shells - radius0) * (shells + radius0))
         columns = self._columns(*torch.broadcast_tensors(shells, (rising / shells).clamp(max=1)))
-        through = torch.exp(-(columns[:1] - columns) @ self._extinction_per_km())
+        through = torch.exp(-(columns[:1] - columns) @ self._extinction_per_km)
         return (through[:-1] - through[1:]).permute(2, 0, 1).float()
 
     def _scattered_more(self, cos_sun: Float[Tensor, ""]) -> Float[Tensor, "v a k"]:
@@ -302,7 +305,7 @@ def _ozone_column(radius: Float[Tensor, "*s"], mu: Float[Tensor, "*s"]) -> Float
 
 
 def _view_cosines() -> Float[Tensor, " v"]:
-    """From 0 to 1, in steps about as long as a cosine, but at least of 1 / 500."""
+    """From 0 to 1, in steps of about 1 / 16 of the cosine, but at least of 1 / 430."""
     x = torch.linspace(0, 1, VIEWS, dtype=torch.float64)
     return torch.sinh(4 * x) / math.sinh(4)
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 STREAMS = 8  # cosines a hemisphere
 MODES = 8  # terms in azimuth; of light scattered twice by haze, 0.76^16 = 1 % is left beyond
-ORDERS = 12  # each about half as strong as the one before, in the haziest and brightest air
+ORDERS = 12  # one by one; later ones, in bright haze 0.8 of the one before, as a geometric series
 
 
 class LayeredScattering:
@@ -62,11 +62,13 @@ class LayeredScattering:
         phases = (phase[:, :, 0][:, None, None] for phase in self._phases(self._cosines, sun))
         source = sunlight[..., None] * self._mixed(*phases)
         light = self._light(source, sun_on_ground + self._onto_ground(source))
-        total = light
+        total = before = light
         for _ in range(ORDERS):
+            before = light
             source = self._mixed(*(light @ phase for phase in self._between))
             light = self._light(source, self._onto_ground(source))
             total = total + light
+        total = total + light * _beyond(before, light)
         return self._mixed(*(total @ phase for phase in self._to_views))
 
     def _mixed(
@@ -136,6 +138,15 @@ class LayeredScattering:
     def _onto_ground(self, source: Float[Tensor, "m k l s"]) -> Float[Tensor, " k"]:
         """Irradiance of level ground by the layers' light."""
         return (source[0] * self._down).sum((-2, -1))
+
+
+def _beyond(
+    before: Float[Tensor, "m k l s"], last: Float[Tensor, "m k l s"]
+) -> Float[Tensor, "m k 1 1"]:
+    """All later orders over the last: q / (1 - q), q = last / before in each mode and colour."""
+    strong, weak = (light.abs().sum((2, 3), keepdim=True) for light in (before, last))
+    ratio = (weak / strong.clamp(min=1e-30)).clamp(max=0.99)
+    return ratio / (1 - ratio)
 
 
 def rayleigh(cos_angle: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:

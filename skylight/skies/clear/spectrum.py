@@ -1,8 +1,10 @@
 """The wavelengths at which clear skies are computed, and the Rec.709 colour of light at them.
 
 Light is known at seven wavelengths and taken as linear between them; weighted by the sun's
-spectrum and the CIE 1931 colour matching functions, each of the seven has a colour. That is
-within 0.003 in x and y of steps of 1 nm, for light that has passed any clear air.
+spectrum and the CIE 1931 colour matching functions, each of the seven has a colour. Before what
+Rec.709 cannot say is cut off, light that has passed air and haze in equal parts, and up to a fifth
+of ozone, is thus within 0.003 in x and y and 1 % in luminance of steps of 1 nm up to an optical
+depth of 2 at 550 nm; at a depth of 5 within 0.01 and 5 %, at 10 within 0.014 and 25 %.
 """
 
 import numpy as np

@@ -75,7 +75,19 @@ def test_light_on_the_ground_in_an_evenly_glowing_air() -> None:
 def test_linear_in_sunlight() -> None:
     scattering = layers(0.3)
     cos_sun = torch.tensor(0.4)
-    light, ground = torch.rand(2, 4), torch.rand(2)
+    seeded = torch.Generator().manual_seed(0)
+    light, ground = torch.rand(2, 4, generator=seeded), torch.rand(2, generator=seeded)
     once = scattering.towards_views(cos_sun, light, ground)
     assert once.shape == (8, 2, 4, 3)
     torch.testing.assert_close(scattering.towards_views(cos_sun, 3 * light, 3 * ground), 3 * once)
+
+
+@pytest.mark.parametrize("ground_albedo", [0.0, 0.3, 1.0])
+def test_later_orders_are_added(ground_albedo: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Many more orders, one by one, change less than 1e-3 where nothing is absorbed in the air."""
+    scattering = layers(ground_albedo)
+    sun = torch.tensor(0.4), torch.ones(2, 4), torch.ones(2)
+    ours = scattering.towards_views(*sun)
+    monkeypatch.setattr("skylight.skies.clear.scattering.ORDERS", 300)
+    more = scattering.towards_views(*sun)
+    assert ((ours - more).abs() < 1e-3 * more[0]).all()

@@ -43,12 +43,24 @@ def test_sunlight_is_that_of_astm_g173(shared_data: Path) -> None:
     np.testing.assert_allclose(spectrum.SUNLIGHT, means, atol=0.001)
 
 
-@pytest.mark.parametrize("depth", [0.0, 0.5, 1.0, 2.0])
-def test_seven_wavelengths_see_the_colour_of_a_spectrum(depth: float) -> None:
-    """Light through any air, against steps of 1 nm: 0.003 in x and y, 1 % in luminance."""
+@pytest.mark.parametrize("ozone", [0.0, 0.2])
+@pytest.mark.parametrize(
+    ("depth", "chromaticity", "luminance"),
+    [
+        *((0.0, 0.003, 0.01), (0.5, 0.003, 0.01), (1.0, 0.003, 0.01), (2.0, 0.003, 0.01)),
+        *((5.0, 0.01, 0.05), (10.0, 0.014, 0.25)),
+    ],
+)
+def test_seven_wavelengths_see_the_colour_of_a_spectrum(
+    depth: float, chromaticity: float, luminance: float, ozone: float
+) -> None:
+    """Light through air of a depth at 550 nm, of which ``ozone`` is a share; steps of 1 nm."""
 
     def through(nm: np.ndarray) -> np.ndarray:
-        return np.exp(-depth * ((nm / 550) ** -4 + (nm / 550) ** -1.3) / 2)
+        air = ((nm / 550) ** -4 + (nm / 550) ** -1.3) / 2
+        absorbed = np.interp(nm, spectrum.BANDS_NM, spectrum.OZONE_CROSS_SECTION)
+        absorbed /= np.interp(550, spectrum.BANDS_NM, spectrum.OZONE_CROSS_SECTION)
+        return np.exp(-depth * ((1 - ozone) * air + ozone * absorbed))
 
     nm = np.arange(360.0, 781.0)
     light = np.interp(nm, spectrum.SUNLIGHT_NM, spectrum.SUNLIGHT)
@@ -56,5 +68,5 @@ def test_seven_wavelengths_see_the_colour_of_a_spectrum(depth: float) -> None:
     true /= light @ spectrum.colour_matching(nm)[:, 1]
     rgb = through(np.array(spectrum.BANDS_NM)) @ spectrum.sunlight_colours()
     ours = spectrum.XYZ_FROM_RGB @ rgb
-    np.testing.assert_allclose(ours[:2] / ours.sum(), true[:2] / true.sum(), atol=0.003)
-    assert ours[1] == pytest.approx(true[1], rel=0.01)
+    np.testing.assert_allclose(ours[:2] / ours.sum(), true[:2] / true.sum(), atol=chromaticity)
+    assert ours[1] == pytest.approx(true[1], rel=luminance)
