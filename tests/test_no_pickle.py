@@ -16,7 +16,7 @@ CALLS = {
 # numpy's default refuses pickles; these read the package's own files or its own caches
 OWN_ARRAYS = {
     "evaluation/rendered_faces/skin.py", "faces/landmarks.py", "faces/detection/mediapipe_face.py",
-    "faces/model.py", "training/data.py",
+    "faces/model.py", "training/skies/data.py", "training/skies/prepared.py",
 }  # fmt: skip
 
 

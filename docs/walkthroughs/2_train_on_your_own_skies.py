@@ -30,8 +30,8 @@ from matplotlib import pyplot as plt
 import skylight
 from skylight.app.figures.panels import show
 from skylight.imaging.colour import tone_map
-from skylight.models.autoencoder import load_network
 from skylight.models.bundle import load_bundle
+from skylight.models.networks.files import load_network
 from skylight.skies.index import read_index
 from skylight.skies.loading import load_skies
 
@@ -85,14 +85,14 @@ axis.legend()
 figure.tight_layout()
 
 # %%
-# Training skies have scenes before them and are tinted, validation skies are clean: that is why
-# the training loss stays above.
+# Skies of both kinds have scenes before them and are tinted; the network has noise on its latents
+# while it trains, and none when it is validated.
 #
 # What it learnt
 # --------------
 # Skies of days that it never saw, through 64 numbers and back: by the toy and by the shipped
 # network. A few hundred steps find the sun, whose five coordinates are measured rather than
-# learnt, and a smooth sky around it; clouds take the other 1,700 days.
+# learnt, and a smooth sky around it; clouds take the other 2,450 days.
 
 test = load_skies(runs / "skies", splits["test"])[:4]
 networks = {

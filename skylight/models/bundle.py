@@ -3,7 +3,7 @@
 =============================  ==================================================================
 ``bundle.json``                format version, name, number of training skies, SHA-256 of the
                                training data and of all tensors together
-``network.safetensors``        weights of the :class:`SkyAutoencoder`, and its coding
+``network.safetensors``        weights of the :class:`SkyNetwork`
 ``latent_prior.safetensors``   :class:`GaussianMixture` over whitened latents
 ``bank.safetensors``           mean and scale of the latents, latents of training skies
 ``sunsky_prior.safetensors``   :class:`GaussianMixture` over the free parameters of
@@ -17,6 +17,7 @@ The model that comes with skylight is such a folder too.
 import copy
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import TypeVar
@@ -29,14 +30,10 @@ from torch import Tensor
 from skylight.errors import AssetError, InputError
 from skylight.io.files import write_json, write_png
 from skylight.io.tensors import read_tensors, tensors_sha256, write_tensors
-from skylight.models.autoencoder import (
-    LATENT,
-    AutoencoderLight,
-    SkyAutoencoder,
-    network_of,
-    save_network,
-)
+from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.bundle_manifest import MAKE_ONE, MANIFEST, BundleManifest, read_manifest
+from skylight.models.networks.base import SkyNetwork
+from skylight.models.networks.files import network_of, network_state, save_network
 from skylight.models.prior import GaussianMixture
 from skylight.work.results_folder import results_folder
 
@@ -60,7 +57,7 @@ class LightBundle:
     name: str
     skies: int
     data_sha256: str
-    network: SkyAutoencoder
+    network: SkyNetwork
     latent_prior: GaussianMixture
     latents: Mapping[str, Tensor]
     sunsky_prior: GaussianMixture
@@ -82,7 +79,7 @@ class LightBundle:
     def fingerprint(self) -> str:
         """SHA-256 over all tensors: equal for models that give equal results."""
         parts = {
-            "network": self.network.state_dict(),
+            "network": network_state(self.network),
             "prior": self.latent_prior.state_dict(),
             "latents": self.latents,
             "sunsky": self.sunsky_prior.state_dict(),
@@ -103,21 +100,21 @@ class LightBundle:
         OutputError
             The disk does not take it.
         """
-        with results_folder(folder) as partial:
-            save_network(self.network, partial / NETWORK)
-            self.latent_prior.save(partial / LATENT_PRIOR)
-            self.sunsky_prior.save(partial / SUNSKY_PRIOR)
-            write_tensors(partial / BANK, self.latents)
-            (partial / CARD).write_text(card, encoding="utf-8")
+        with results_folder(folder) as unfinished:
+            save_network(self.network, unfinished / NETWORK)
+            self.latent_prior.save(unfinished / LATENT_PRIOR)
+            self.sunsky_prior.save(unfinished / SUNSKY_PRIOR)
+            write_tensors(unfinished / BANK, self.latents)
+            (unfinished / CARD).write_text(card, encoding="utf-8")
             for name, picture in pictures.items():
-                write_png(partial / name, picture)
+                write_png(unfinished / name, picture)
             manifest = BundleManifest(
                 name=self.name,
                 skies=self.skies,
                 data_sha256=self.data_sha256,
                 fingerprint=self.fingerprint,
             )
-            write_json(partial / MANIFEST, manifest.entries())
+            write_json(unfinished / MANIFEST, manifest.entries())
 
 
 def load_bundle(folder: Path | None = None) -> LightBundle:
@@ -141,13 +138,14 @@ def load_bundle(folder: Path | None = None) -> LightBundle:
 
 def _read(folder: Path) -> LightBundle:
     manifest = read_manifest(folder)
+    network = _part(folder / NETWORK, network_of)
     bundle = LightBundle(
         name=manifest.name,
         skies=manifest.skies,
         data_sha256=manifest.data_sha256,
-        network=_part(folder / NETWORK, network_of),
-        latent_prior=_part(folder / LATENT_PRIOR, _latent_prior),
-        latents=_part(folder / BANK, _latents),
+        network=network,
+        latent_prior=_part(folder / LATENT_PRIOR, partial(_latent_prior, network.latents)),
+        latents=_part(folder / BANK, partial(_latents, network.latents)),
         sunsky_prior=_part(folder / SUNSKY_PRIOR, GaussianMixture.of),
     )
     if bundle.fingerprint != manifest.fingerprint:
@@ -167,20 +165,20 @@ def _part(path: Path, make: Callable[[dict[str, Tensor]], Part]) -> Part:
         raise InputError(f"{path}: cannot be used ({reason}); {MAKE_ONE}") from error
 
 
-def _latent_prior(tensors: dict[str, Tensor]) -> GaussianMixture:
+def _latent_prior(latents: int, tensors: dict[str, Tensor]) -> GaussianMixture:
     mixture = GaussianMixture.of(tensors)
-    if mixture.means.shape[1] != LATENT:
-        raise ValueError(f"it is over {mixture.means.shape[1]} numbers, not {LATENT} latents")
+    if mixture.means.shape[1] != latents:
+        raise ValueError(f"it is over {mixture.means.shape[1]} numbers, not {latents} latents")
     return mixture
 
 
-def _latents(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+def _latents(latents: int, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
     """The tensors; ValueError for any but those that :class:`AutoencoderLight` takes."""
     count = len(tensors["bank"])
     shapes = {
-        "latent_mean": (LATENT,),
-        "latent_scale": (LATENT, LATENT),
-        "bank": (count, LATENT),
+        "latent_mean": (latents,),
+        "latent_scale": (latents, latents),
+        "bank": (count, latents),
         "bank_zenith_rad": (count,),
     }
     found = {name: tuple(tensor.shape) for name, tensor in tensors.items()}

@@ -9,12 +9,12 @@ from jaxtyping import Float32
 from skylight.errors import InputError
 from skylight.io.bounded import json_content
 
-LATENT = 64
+LATENT = 64  # of the decoder that ships
 
 
 @dataclass(frozen=True, kw_only=True)
 class Latent:
-    """64 latents of a sky, and what the file says about the rest of the light."""
+    """Latents of a sky, and what the file says about the rest of the light."""
 
     z: Float32[np.ndarray, " z"]
     azimuth_rad: float = 0.0
@@ -22,8 +22,9 @@ class Latent:
     ground_albedo: tuple[float, float, float] | None = None
 
 
-def read_latent(path: str | Path) -> Latent:
-    """A JSON file as :func:`skylight.relight.runtime.relight_files` describes it."""
+def read_latent(path: str | Path, count: int = LATENT) -> Latent:
+    """A JSON file as :func:`skylight.relight.runtime.relight_files` describes it, of so many
+    latents."""
     path = Path(path)
     try:
         content = json_content(path)
@@ -34,16 +35,16 @@ def read_latent(path: str | Path) -> Latent:
     if isinstance(content, list):
         content = {"latent": content}
     if not isinstance(content, dict) or not {"latent", "params"} & content.keys():
-        raise InputError(f'{path}: expected {LATENT} numbers, or an object with "latent"')
+        raise InputError(f'{path}: expected {count} numbers, or an object with "latent"')
     if content.get("light", "autoencoder") != "autoencoder":
         raise InputError(
             f"{path}: the estimate of another light model ({content['light']}); estimate with the "
             "autoencoder, or relight with the estimate's light probe"
         )
     if "latent" in content:
-        values = _numbers(path, "latent", content["latent"], LATENT)
+        values = _numbers(path, "latent", content["latent"], count)
     else:
-        values = _numbers(path, "params", content["params"], LATENT + 1)
+        values = _numbers(path, "params", content["params"], count + 1)
     exposure, ground = None, None
     if content.get("exposure") is not None:
         (exposure,) = _numbers(path, "exposure", [content["exposure"]], 1)
@@ -55,8 +56,8 @@ def read_latent(path: str | Path) -> Latent:
             raise InputError(f'{path}: "ground_albedo" must be from 0 to 1, got {ground}')
         ground = red, green, blue
     return Latent(
-        z=np.array(values[:LATENT], np.float32),
-        azimuth_rad=values[LATENT] if len(values) > LATENT else 0.0,
+        z=np.array(values[:count], np.float32),
+        azimuth_rad=values[count] if len(values) > count else 0.0,
         exposure=exposure,
         ground_albedo=ground,
     )

@@ -70,9 +70,9 @@ def relight_files(
     ----------
     out : .png (8-bit sRGB) or .exr (linear).
     probe : .exr or .hdr lat-long map, of the whole sphere or of the sky.
-    latent : JSON: 64 numbers; or an object with 64 of them as "latent", or with 65 as "params",
-        the last being the sun's azimuth in radians (an estimate of skylight), and optionally
-        "exposure" and "ground_albedo".
+    latent : JSON: as many numbers as the decoder takes, 64 for the one that ships; or an object
+        with them as "latent", or with one more as "params", the sun's azimuth in radians (an
+        estimate of skylight), and optionally "exposure" and "ground_albedo".
     azimuth_deg : where the latent's sun goes, from straight ahead towards the right; by default
         the file's azimuth, or 0. A probe is turned by this angle.
     exposure : radiance is multiplied by it, and 1 is white in a .png. By default the latent
@@ -96,12 +96,12 @@ def relight_files(
     described = load_scene(scene)
     albedo = (GROUND_ALBEDO if ground_albedo is None else ground_albedo,) * 3
     if latent is not None:
-        sky = read_latent(latent)
+        network = SkyDecoder(decoder)
+        sky = read_latent(latent, network.latents)
         exposure = sky.exposure if exposure is None else exposure
         if ground_albedo is None and sky.ground_albedo is not None:
             albedo = sky.ground_albedo
         azimuth_rad = sky.azimuth_rad if azimuth_deg is None else math.radians(azimuth_deg)
-        network = SkyDecoder(decoder)
         light = network.decode(sky.z[None])[0]
         light = rotate_columns(light, azimuth_rad - network.centre_azimuth_rad)
     else:

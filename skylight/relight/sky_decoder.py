@@ -22,7 +22,8 @@ class SkyDecoder:
     """Latents to skies, by a graph that :func:`skylight.relight.export.export_decoder` wrote.
 
     ``model`` is the file's path, or its bytes; by default the decoder that comes with skylight.
-    ``centre_azimuth_rad`` is where decoded skies have their sun.
+    ``centre_azimuth_rad`` is where decoded skies have their sun, and ``latents`` how many numbers
+    make a sky.
     """
 
     def __init__(self, model: str | Path | bytes | None = None) -> None:
@@ -54,6 +55,9 @@ class SkyDecoder:
             ends += [(end.name, end.type) for end in self._session.get_outputs()]
             if ends != [(name, "tensor(float)") for name in ("latent", "radiance")]:
                 raise ValueError(f"it goes from and to {ends}")
+            self.latents = self._session.get_inputs()[0].shape[1]
+            if not isinstance(self.latents, int):
+                raise ValueError("it does not say how many latents it takes")
             if not math.isfinite(self.centre_azimuth_rad):
                 raise ValueError("the sun's column is no number")
         # onnxruntime's exceptions share no base class but Exception

@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+import shutil
 import time
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -13,15 +14,18 @@ from torch import Tensor, nn
 
 from skylight.errors import InputError
 from skylight.io.atomic import atomic_path
-from skylight.models.autoencoder import SkyAutoencoder, load_network, save_network
-from skylight.training.batches import draw_batch
+from skylight.models.networks.base import SkyNetwork
+from skylight.models.networks.files import save_network
 from skylight.training.checkpoint import drop_damaged, read_state, write_state
 from skylight.training.config import AutoencoderConfig, config_yaml
-from skylight.training.corruption import Corruption, draw_corruption
-from skylight.training.data import SkyData, load_data, open_cache
+from skylight.training.initial import initial_network
 from skylight.training.logs import Logs
 from skylight.training.loss import reconstruction_loss
 from skylight.training.processes import Processes, processes, share_batch_statistics
+from skylight.training.skies.batches import draw_batch
+from skylight.training.skies.corruption import Corruption, draw_corruption
+from skylight.training.skies.data import SkyData, load_data, open_cache
+from skylight.training.skies.prepared import FOLDER, CodedSkies, open_prepared, prepare
 from skylight.work.progress import Tell
 
 
@@ -39,14 +43,16 @@ class RunState:
 class Objective(nn.Module):
     """The mean loss of a batch, as one module: what is compiled."""
 
-    def __init__(self, network: SkyAutoencoder, config: AutoencoderConfig) -> None:
+    def __init__(self, network: SkyNetwork, config: AutoencoderConfig) -> None:
         super().__init__()
         self.network, self.config = network, config
 
-    def forward(self, clean: Float[Tensor, "b h w 3"], corruption: Corruption) -> Float[Tensor, ""]:
-        mixed = self.config.bfloat16 and has_bfloat16(clean.device)
-        with torch.autocast(clean.device.type, torch.bfloat16, enabled=mixed):
-            return reconstruction_loss(self.network, clean, self.config, corruption).mean()
+    def forward(
+        self, sun: Float[Tensor, "b s"], coded: Float[Tensor, "b 3 h w"], corruption: Corruption
+    ) -> Float[Tensor, ""]:
+        mixed = self.config.bfloat16 and has_bfloat16(coded.device)
+        with torch.autocast(coded.device.type, torch.bfloat16, enabled=mixed):
+            return reconstruction_loss(self.network, sun, coded, self.config, corruption).mean()
 
 
 def train(config: AutoencoderConfig, report: Tell = print) -> Path:
@@ -86,13 +92,7 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell) -> Path:
         share_batch_statistics(network)
     # torch's stubs leave memory_format out
     network = network.to(here.device, memory_format=torch.channels_last)  # pyright: ignore
-    optimiser = torch.optim.SGD(
-        network.parameters(),
-        lr=config.learning_rate,
-        momentum=config.momentum,
-        nesterov=config.nesterov,
-        weight_decay=config.weight_decay,
-    )
+    optimiser = _optimiser(network, config)
     now = RunState()
     identity = run_identity(config, data.hash)
     if state := read_state(config.out, identity, report):
@@ -101,6 +101,7 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell) -> Path:
         now = RunState(**state["progress"])
         report(f"resuming at step {now.step} of {total}")
     objective = Objective(network, config)
+    copies, validation = _prepared(config, data, here, report)
     here.meet()  # the first writes the state that the others have read by now
     logs = None
     if here.first:
@@ -115,12 +116,12 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell) -> Path:
     started, first_step = time.monotonic(), now.step
     while now.step < total and now.since_best < config.patience:
         epoch, within = divmod(now.step, steps_per_epoch)
-        batch, corruption = draw_batch(data.train, config, epoch, within, share)
+        sun, coded, corruption = draw_batch(copies, config, epoch, within, share)
         rate = config.learning_rate * schedule(now.step, total, config)
         for group in optimiser.param_groups:
             group["lr"] = rate
         network.train()
-        loss = objective(batch.to(here.device), corruption.to(here.device))
+        loss = objective(*(x.to(here.device) for x in (sun, coded, corruption)))
         optimiser.zero_grad()
         loss.backward()
         here.mean_gradients(network)
@@ -131,8 +132,8 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell) -> Path:
         now.step += 1
         if now.step % steps_per_epoch == 0:
             seconds = time.monotonic() - started
-            score = validate(network, data.validation, config, here)
-            denoising = validate(network, data.validation, config, here, corrupted=True)
+            score = validate(network, validation, config, here)
+            denoising = validate(network, validation, config, here, corrupted=True)
             if not math.isfinite(score):
                 raise InputError(
                     f"training diverged in epoch {epoch + 1} (validation loss {score}): lower "
@@ -162,13 +163,14 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell) -> Path:
             write_state(config.out, {"identity": identity, "progress": asdict(now), **weights})
     if logs:
         logs.close()
+        shutil.rmtree(config.out / FOLDER)
     return config.out / "model.safetensors"
 
 
 @torch.no_grad()
 def validate(
-    network: SkyAutoencoder,
-    skies: Float[np.ndarray, "m h w 3"],
+    network: SkyNetwork,
+    skies: CodedSkies,
     config: AutoencoderConfig,
     here: Processes,
     *,
@@ -183,34 +185,46 @@ def validate(
     mine = range(here.rank, len(skies), here.size)
     for start in range(0, len(mine), config.batch):
         chosen = np.array(mine[start : start + config.batch])
-        clean = torch.from_numpy(skies[chosen])
+        sun, coded = skies.batch(chosen)
         corruption = None
         if corrupted:
-            height, width = clean.shape[1:3]
+            height, width = coded.shape[2:]
             corruption = Corruption.stack(
                 [
                     draw_corruption(1, (height, width), torch.Generator().manual_seed(n), config)
                     for n in chosen.tolist()
                 ]
             ).to(here.device)
-        loss = reconstruction_loss(network, clean.to(here.device), config, corruption)
+        sun, coded = sun.to(here.device), coded.to(here.device)
+        loss = reconstruction_loss(network, sun, coded, config, corruption)
         total += loss.double().sum()
     return float(here.sum(total)) / len(skies)
 
 
-def initial_network(config: AutoencoderConfig) -> SkyAutoencoder:
-    """A network with weights of ``config.seed``, or those of ``config.starts_from``."""
-    if config.starts_from:
-        network = load_network(config.starts_from)
-        if (network.coding, network.sun) != (config.coding, config.sun):
-            raise InputError(
-                f"{config.starts_from}: made with coding: {network.coding}, sun: {network.sun}; "
-                f"the configuration says coding: {config.coding}, sun: {config.sun}"
-            )
-        return network
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(config.seed)
-        return SkyAutoencoder(config.coding, sun=config.sun)
+def _optimiser(network: SkyNetwork, config: AutoencoderConfig) -> torch.optim.Optimizer:
+    rate, decay = config.learning_rate, config.weight_decay
+    if config.optimiser == "adamw":
+        return torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=decay, fused=True)
+    return torch.optim.SGD(
+        network.parameters(),
+        lr=rate,
+        weight_decay=decay,
+        momentum=config.momentum,
+        nesterov=config.nesterov,
+    )
+
+
+def _prepared(
+    config: AutoencoderConfig, data: SkyData, here: Processes, report: Tell
+) -> tuple[list[CodedSkies], CodedSkies]:
+    """(the copies of the training skies, the validation skies), made by the first process."""
+    folder, copies = config.out / FOLDER, range(config.copies)
+    if here.first:
+        prepare(data.paths["train"], config, folder, copies, report)
+        prepare(data.paths["validation"], config, folder, [0], report)
+    here.meet()
+    train = [open_prepared(data.paths["train"], config, folder, copy) for copy in copies]
+    return train, open_prepared(data.paths["validation"], config, folder, 0)
 
 
 def has_bfloat16(device: torch.device) -> bool:

@@ -16,35 +16,48 @@ from skylight.io.bounded import file_text
 class AutoencoderConfig:
     """A run of the sky autoencoder.
 
-    ``energy_weight`` weighs the sun against the sky and ``scale_invariant`` the term that any
-    exposure leaves alone: see ``reconstruction_loss``. ``sun`` gives the network a sun of its
-    own. ``noise_sigma`` (of coded radiance), ``masked`` (the probability that a block is hidden)
-    and ``sun_noise`` (of the sun's coordinates) corrupt what the encoder sees: see
-    ``draw_corruption``. ``surroundings`` is the probability that a scene stands before a
-    sky, ``tint`` the spread of white balances: both vary the sky itself.
+    ``network`` is the kind: "splines" with so many ``latents``, or the thesis' "convolutions",
+    with 64, to which ``coding`` and ``sun`` (whether the sun has coordinates of its own) belong.
+
+    ``energy_weight``, ``squared_weight``, ``scale_invariant`` and ``latent_penalty`` are weights of
+    the loss: see ``reconstruction_loss``. ``noise_sigma`` (of coded radiance), ``masked`` (the
+    probability that a block is hidden), ``sun_noise`` (of the sun's coordinates) and
+    ``latent_noise`` corrupt what the network sees: see ``draw_corruption``.
+
+    ``surroundings`` is the probability that a scene stands before a sky, ``tint`` the spread of
+    white balances, ``mirror`` whether every other sky is mirrored. So many ``copies`` of every sky
+    are varied by them, and shown in turn, one an epoch.
+
     ``bfloat16`` is mixed precision where the device has it. ``batch`` is that of all processes
-    together. ``starts_from`` names a checkpoint with the
-    initial weights. A ``gradient_clip`` of 0 clips nothing; ``threads`` 0 leaves their number to
-    torch.
+    together. ``momentum`` and ``nesterov`` are of ``optimiser: sgd``. ``starts_from`` names a
+    checkpoint with the initial weights. A ``gradient_clip`` of 0 clips nothing; ``threads`` 0
+    leaves their number to torch.
     """
 
     kind: Literal["autoencoder"] = "autoencoder"
     data: Path = Path("runs/skies")
     out: Path = Path("runs/sky_autoencoder")
     starts_from: Path | None = None
+    network: Literal["splines", "convolutions"] = "splines"
+    latents: int = 64
     coding: Literal["log", "linear"] = "log"
+    sun: bool = True
     noise_sigma: float = 0.01
     masked: float = 0.0
+    sun_noise: float = 0.0
+    latent_noise: float = 0.0
     energy_weight: float = 0.3
+    squared_weight: float = 0.0
     scale_invariant: float = 0.0
-    sun: bool = True
+    latent_penalty: float = 0.0
     mirror: bool = True
     surroundings: float = 0.0
     tint: float = 0.0
-    sun_noise: float = 0.0
+    copies: int = 1
     epochs: int = 60
     batch: int = 32
-    learning_rate: float = 0.05
+    optimiser: Literal["adamw", "sgd"] = "adamw"
+    learning_rate: float = 0.001
     schedule: Literal["cosine", "constant"] = "cosine"
     warmup_steps: int = 200
     momentum: float = 0.9
@@ -60,12 +73,13 @@ class AutoencoderConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "batch", "checkpoint_steps", "patience"):
+        for name in ("epochs", "batch", "checkpoint_steps", "patience", "copies"):
             if getattr(self, name) < 1:
                 raise InputError(f"`{name}` must be at least 1, got {getattr(self, name)}")
         for name in (
             *("noise_sigma", "energy_weight", "scale_invariant", "weight_decay"),
             *("gradient_clip", "warmup_steps", "momentum", "threads", "tint", "sun_noise"),
+            *("squared_weight", "latent_penalty", "latent_noise"),
         ):
             if getattr(self, name) < 0:
                 raise InputError(f"`{name}` must be at least 0, got {getattr(self, name)}")
@@ -76,6 +90,14 @@ class AutoencoderConfig:
                 raise InputError(f"`{name}` is a probability, got {getattr(self, name)}")
         if self.nesterov and self.momentum == 0:
             raise InputError("`nesterov` needs a `momentum` above 0; give one, or nesterov: false")
+        if self.network == "splines" and (self.coding, self.sun) != ("log", True):
+            raise InputError("`coding` and `sun` are choices of network: convolutions alone")
+        least, most = (64, 64) if self.network == "convolutions" else (8, 512)
+        if not least <= self.latents <= most:
+            raise InputError(
+                f"`latents` of network: {self.network} must be from {least} to {most}, "
+                f"got {self.latents}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,6 +15,7 @@ from skylight.work.progress import CountProgress, Tell
 from skylight.work.resumable import claimed
 
 RUN = "training"  # in the model's folder: what training goes on from
+SHIPPED_LATENTS = 64
 FEW = 2000  # training skies; below, the shipped network is trained on instead of a new one
 LEAST_STEPS = 300
 
@@ -88,7 +89,8 @@ def fitting(
         warmup_steps=min(config.warmup_steps, steps * wanted // 10),
     )
     start = SHIPPED / NETWORK
-    if skies < FEW and config.starts_from is None and (config.coding, config.sun) == ("log", True):
+    like_shipped = (config.network, config.latents) == ("splines", SHIPPED_LATENTS)
+    if skies < FEW and config.starts_from is None and like_shipped:
         fitted = replace(fitted, starts_from=start, learning_rate=config.learning_rate / 3)
         report(f"{skies} training skies are few: the shipped model's weights are trained further")
     if batch != config.batch:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from skylight.imaging.colour import tone_map
 from skylight.io.files import write_json, write_png
-from skylight.models.autoencoder import SkyAutoencoder
+from skylight.models.networks.base import SkyNetwork
 from skylight.work.progress import Tell
 
 SHOWN = 8  # validation skies
@@ -37,9 +37,7 @@ class Logs:
         (out / "reconstructions").mkdir(exist_ok=True)
         self.board = _tensorboard(out / "tensorboard", step, report)
 
-    def epoch(
-        self, network: SkyAutoencoder, curves: list[dict[str, int | float]], best: float
-    ) -> None:
+    def epoch(self, network: SkyNetwork, curves: list[dict[str, int | float]], best: float) -> None:
         """Log the last of ``curves``, an entry per epoch."""
         last = curves[-1]
         step = int(last["step"])
@@ -74,7 +72,7 @@ def spread(
 
 @torch.no_grad()
 def reconstructions(
-    network: SkyAutoencoder, truth: Float[Tensor, "n h w 3"]
+    network: SkyNetwork, truth: Float[Tensor, "n h w 3"]
 ) -> UInt8[np.ndarray, "_ _ 3"]:
     """Truth over reconstruction, 2h x nw pixels, under one exposure."""
     network.eval()

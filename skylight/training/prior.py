@@ -9,9 +9,10 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.io.files import write_json
-from skylight.models.autoencoder import AutoencoderLight, load_network
+from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.base import without_azimuth
 from skylight.models.bundle import LightBundle
+from skylight.models.networks.files import load_network
 from skylight.models.prior import GaussianMixture
 from skylight.models.sunsky import SunSky, fit_sunsky
 from skylight.skies.index import SkyRecord, folder_hash, read_index
@@ -24,6 +25,7 @@ from skylight.training.logs import reconstructions, spread
 COVARIANCE_FLOOR = 1e-2
 HEIGHT_BINS = 24
 SKIES_PER_DIMENSION = 10
+PATIENCE = 2
 
 
 def fit_priors(config: PriorConfig) -> Path:
@@ -119,14 +121,15 @@ def splits_for_priors(config: PriorConfig, records: list[SkyRecord]) -> dict[str
 def best_mixture(
     samples: dict[str, Float[Tensor, "n p"]], config: PriorConfig
 ) -> tuple[GaussianMixture, dict[str, object]]:
-    """The mixture with the least BIC on the validation days.
+    """The mixture with the least BIC on the validation days; two larger ones that are worse end the
+    search.
 
     BIC = parameters ln n - 2 sum log p, with n and p of the validation skies: what is fitted to
     the training days has to earn its parameters on days that it has not seen. A component takes
     10 training skies per dimension; where they do not suffice for one, it is a single Gaussian
     with :func:`shrunk_covariance`.
     """
-    best, least, tried = None, float("inf"), {}
+    best, least, chosen, tried = None, float("inf"), 0, {}
     count, size = samples["validation"].shape
     most = min(config.most_components, len(samples["train"]) // (SKIES_PER_DIMENSION * size))
     for components in range(1, most + 1):
@@ -138,7 +141,9 @@ def best_mixture(
         bic = parameters * math.log(count) - 2 * count * held_out
         tried[components] = {"bic": bic, "mean_log_likelihood": held_out}
         if bic < least:
-            best, least = mixture, bic
+            best, least, chosen = mixture, bic, components
+        elif components == chosen + PATIENCE:
+            break
     if best is None:
         best = _single(samples["train"])
     likelihood = {k: float(best.log_prob(v).mean()) for k, v in samples.items()}

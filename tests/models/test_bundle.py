@@ -11,7 +11,6 @@ import torch
 
 from skylight.errors import InputError
 from skylight.io.tensors import read_tensors, write_tensors
-from skylight.models.autoencoder import LATENT, SkyAutoencoder, save_network
 from skylight.models.bundle import (
     BANK,
     CARD,
@@ -22,6 +21,8 @@ from skylight.models.bundle import (
     load_bundle,
 )
 from skylight.models.bundle_manifest import MANIFEST
+from skylight.models.networks.convolutional import LATENT, ConvolutionalAutoencoder
+from skylight.models.networks.files import save_network
 from skylight.models.prior import GaussianMixture
 
 
@@ -39,7 +40,7 @@ def bundle() -> LightBundle:
     generator = torch.Generator().manual_seed(1)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        network = SkyAutoencoder("linear", sun=False).eval()
+        network = ConvolutionalAutoencoder("linear", sun=False).eval()
     return LightBundle(
         name="small",
         skies=12,
@@ -131,7 +132,7 @@ def other_bank(**entries: torch.Tensor) -> Callable[[Path], object]:
           for n in (NETWORK, LATENT_PRIOR, BANK, SUNSKY_PRIOR)),
         *((lambda folder, n=n: (folder / n).write_bytes(b"\x10" * 1000), n)
           for n in (NETWORK, LATENT_PRIOR, BANK, SUNSKY_PRIOR)),
-        (lambda folder: save_network(SkyAutoencoder(), folder / NETWORK), MANIFEST),
+        (lambda folder: save_network(ConvolutionalAutoencoder(), folder / NETWORK), MANIFEST),
         (lambda folder: write_tensors(folder / NETWORK, {"x": torch.ones(1)}), NETWORK),
         (lambda folder: mixture(9).save(folder / LATENT_PRIOR), "64 latents"),
         (other_bank(bank=torch.zeros(8, 32)), BANK),

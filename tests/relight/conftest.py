@@ -4,20 +4,21 @@ import pytest
 import torch
 import trimesh
 
-from skylight.models.autoencoder import AutoencoderLight, SkyAutoencoder
+from skylight.models.autoencoder import AutoencoderLight
+from skylight.models.networks.splines import SplineAutoencoder
 from skylight.relight.export import export_decoder, precompute_scene
 
 
 @pytest.fixture(scope="session")
 def light() -> AutoencoderLight:
-    """Random weights, scaled so that skies have contrast."""
+    """Random weights, scaled so that skies have contrast, of half precision as those that ship."""
     with torch.random.fork_rng():
         torch.manual_seed(3)
-        network = SkyAutoencoder().eval()
+        network = SplineAutoencoder().eval()
     with torch.no_grad():
-        for unit in network.decoder:
-            unit[1].weight.mul_(2.0)
-        network.output.bias.fill_(0.5)
+        network.linear.weight.mul_(2.0)
+        network.linear.bias.sub_(0.5)
+    network.load_state_dict({k: v.half().float() for k, v in network.state_dict().items()})
     return AutoencoderLight(
         network,
         latent_mean=torch.zeros(64),

@@ -1,5 +1,4 @@
 import json
-import math
 import os
 import shutil
 import signal
@@ -9,16 +8,18 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
 from skylight.errors import InputError
 from skylight.io.tensors import read_tensors
-from skylight.models.autoencoder import SkyAutoencoder, load_network, save_network
+from skylight.models.networks.base import SkyNetwork
+from skylight.models.networks.convolutional import ConvolutionalAutoencoder
+from skylight.models.networks.files import load_network, save_network
+from skylight.models.networks.splines import SplineAutoencoder
 from skylight.skies.index import read_index
 from skylight.training import autoencoder as training
-from skylight.training.autoencoder import initial_network, schedule, train
+from skylight.training.autoencoder import schedule, train
 from skylight.training.checkpoint import (
     NEWEST,
     PREVIOUS,
@@ -27,8 +28,10 @@ from skylight.training.checkpoint import (
     read_state,
 )
 from skylight.training.config import AutoencoderConfig, config_yaml, read_config
-from skylight.training.data import load_data
+from skylight.training.initial import initial_network
 from skylight.training.processes import Processes
+from skylight.training.skies.data import load_data
+from skylight.training.skies.prepared import FOLDER, coded_skies
 
 ROOT = Path(__file__).parents[2]
 ALONE = Processes(rank=0, size=1, device=torch.device("cpu"))
@@ -65,14 +68,15 @@ def curves(out: Path) -> list[dict]:
 
 
 def same_run(ours: Path, theirs: Path) -> None:
-    """Bit by bit the same weights, the same momentum, and the same curves but for the speed."""
+    """Bit by bit the same weights, the same moments, and the same curves but for the speed."""
     name = "model.safetensors"
     assert (ours / name).read_bytes() == (theirs / name).read_bytes()
     a, b = state(ours), state(theirs)
     for name, weight in b["network"].items():
         assert torch.equal(a["network"][name], weight)
     for i, slot in b["optimiser"]["state"].items():
-        assert torch.equal(a["optimiser"]["state"][i]["momentum_buffer"], slot["momentum_buffer"])
+        for name, moment in slot.items():
+            assert torch.equal(a["optimiser"]["state"][i][name], moment)
     for row, other in zip(curves(ours), curves(theirs), strict=True):
         assert row.pop("images_per_s") > 0
         assert row == {k: v for k, v in other.items() if k != "images_per_s"}
@@ -84,7 +88,8 @@ def test_one_epoch_after_another_learns(uninterrupted: Path, sky_folder: Path) -
     assert [c["step"] for c in whole["curves"]] == [3, 6]
     first, second = (c["train"] for c in whole["curves"])
     assert second < first
-    load_network(uninterrupted / "model.safetensors")
+    assert isinstance(load_network(uninterrupted / "model.safetensors"), SplineAutoencoder)
+    assert not (uninterrupted / FOLDER).exists()
     pictures = sorted(p.name for p in (uninterrupted / "reconstructions").iterdir())
     assert pictures == ["epoch_0001.png", "epoch_0002.png"]
 
@@ -187,6 +192,15 @@ def test_a_state_that_cannot_be_read_is_not_taken_for_damaged(tmp_path: Path) ->
     assert (tmp_path / NEWEST).exists()
 
 
+def thesis(config: AutoencoderConfig) -> AutoencoderConfig:
+    return replace(config, network="convolutions", optimiser="sgd", learning_rate=0.05)
+
+
+def first_kernel(network: SkyNetwork) -> torch.Tensor:
+    assert isinstance(network, ConvolutionalAutoencoder)
+    return network.encoder[0][0].conv.weight  # type: ignore[union-attr]
+
+
 def test_the_encoder_learns_from_corrupted_skies_alone(
     config: AutoencoderConfig, tmp_path: Path
 ) -> None:
@@ -194,10 +208,20 @@ def test_the_encoder_learns_from_corrupted_skies_alone(
 
     def changed(masked: float) -> bool:
         hidden = replace(
-            config, out=tmp_path / str(masked), masked=masked, sun=False, weight_decay=0.0, epochs=1
+            thesis(config),
+            out=tmp_path / str(masked),
+            masked=masked,
+            sun=False,
+            weight_decay=0.0,
+            epochs=1,
         )
-        before = initial_network(hidden).encoder[0][0].conv.weight
-        after = load_network(train(hidden, report=lambda _: None)).encoder[0][0].conv.weight
+        before, after = (
+            first_kernel(network)
+            for network in (
+                initial_network(hidden),
+                load_network(train(hidden, report=lambda _: None)),
+            )
+        )
         return not torch.equal(before, after)
 
     assert changed(0.0)
@@ -246,7 +270,8 @@ def test_early_stopping(
 
 
 def test_divergence_is_said(config: AutoencoderConfig, tmp_path: Path) -> None:
-    config = replace(config, out=tmp_path, learning_rate=math.nan, batch=12)
+    config = replace(thesis(config), out=tmp_path, batch=12)
+    config = replace(config, learning_rate=1e30, gradient_clip=0.0)
     with pytest.raises(InputError, match="diverged"):
         train(config)
 
@@ -272,8 +297,9 @@ def test_schedule() -> None:
 def test_validation_is_the_mean_over_skies_whatever_the_batch(
     config: AutoencoderConfig,
 ) -> None:
-    skies = np.random.default_rng(0).random((5, 32, 128, 3), dtype=np.float32)
-    network = SkyAutoencoder()
+    network = initial_network(config)
+    random = torch.rand(5, 32, 128, 3, generator=torch.Generator().manual_seed(0))
+    skies = coded_skies(network, random)
     scores = [
         training.validate(network, skies, replace(config, batch=batch), ALONE) for batch in (2, 5)
     ]
@@ -287,14 +313,14 @@ def test_weights_to_start_from(
     start = uninterrupted / "model.safetensors"
     config = replace(config, out=tmp_path / "out", epochs=1, batch=3 * config.batch)
     warm = replace(config, starts_from=start)
-    for name, weight in training.initial_network(warm).state_dict().items():
+    for name, weight in initial_network(warm).state_dict().items():
         assert torch.equal(weight, load_network(start).state_dict()[name])
     train(warm, report=lambda _: None)
     moved = shutil.copy(start, tmp_path / "moved.safetensors")
     messages: list[str] = []
     train(replace(warm, starts_from=moved), report=messages.append)
     assert messages[0] == "resuming at step 1 of 1"
-    save_network(SkyAutoencoder(config.coding, sun=config.sun), tmp_path / "other.safetensors")
+    save_network(SplineAutoencoder(config.latents), tmp_path / "other.safetensors")
     for other in (config, replace(warm, starts_from=tmp_path / "other.safetensors")):
         with pytest.raises(InputError, match="another configuration"):
             train(other, report=lambda _: None)
@@ -302,7 +328,17 @@ def test_weights_to_start_from(
 
 def test_weights_of_another_kind_are_refused(config: AutoencoderConfig, tmp_path: Path) -> None:
     start = tmp_path / "linear.safetensors"
-    save_network(SkyAutoencoder("linear"), start)
-    config = replace(config, out=tmp_path / "out", starts_from=start)
-    with pytest.raises(InputError, match=r"linear\.safetensors: .*linear"):
-        train(config, report=lambda _: None)
+    save_network(ConvolutionalAutoencoder("linear"), start)
+    for other in (config, thesis(config), replace(config, latents=32)):
+        warm = replace(other, out=tmp_path / "out", starts_from=start)
+        with pytest.raises(InputError, match=r"linear\.safetensors: .*linear"):
+            train(warm, report=lambda _: None)
+
+
+def test_the_thesis_network_learns_by_the_same_loop(
+    config: AutoencoderConfig, tmp_path: Path
+) -> None:
+    train(replace(thesis(config), out=tmp_path), report=lambda _: None)
+    first, second = (entry["train"] for entry in curves(tmp_path))
+    assert second < first
+    assert isinstance(load_network(tmp_path / "model.safetensors"), ConvolutionalAutoencoder)

@@ -24,7 +24,7 @@ def test_shipped_configurations_are_read(path: Path) -> None:
     "config",
     [
         AutoencoderConfig(),
-        AutoencoderConfig(weight_decay=1e-5, learning_rate=3e-7, coding="linear", mirror=False),
+        AutoencoderConfig(weight_decay=1e-5, learning_rate=3e-7, latents=32, mirror=False),
         AutoencoderConfig(starts_from=Path("runs/a b/model.safetensors"), schedule="constant"),
         PriorConfig(data=Path("a/b c"), bank=48),
     ],

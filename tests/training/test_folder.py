@@ -125,12 +125,13 @@ def test_a_run_that_was_killed_goes_on_to_the_same_model(
 @pytest.mark.parametrize(("skies", "batch", "epochs"), [(3, 1, 100), (32, 8, 75), (5000, 16, 9)])
 def test_few_skies_get_small_batches_and_many_epochs(skies: int, batch: int, epochs: int) -> None:
     said: list[str] = []
-    base = AutoencoderConfig(batch=16, epochs=9, learning_rate=0.03)
+    base = AutoencoderConfig(batch=16, epochs=9)
     found = fitting(base, Path("a"), Path("b"), skies, None, said.append)
     assert (found.batch, found.epochs) == (batch, epochs)
     assert (found.starts_from == SHIPPED / NETWORK) == (skies < 2000)
     assert bool(said) == (found.batch != 16 or found.epochs != 9 or skies < 2000)
-    scratch = fitting(AutoencoderConfig(sun=False), Path("a"), Path("b"), skies, None, said.append)
+    thesis = AutoencoderConfig(network="convolutions", sun=False)
+    scratch = fitting(thesis, Path("a"), Path("b"), skies, None, said.append)
     assert scratch.starts_from is None  # the shipped weights are of another network
 
 

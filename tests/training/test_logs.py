@@ -7,7 +7,7 @@ import torch
 from PIL import Image
 
 from skylight.imaging.colour import tone_map
-from skylight.models.autoencoder import SkyAutoencoder
+from skylight.models.networks.convolutional import ConvolutionalAutoencoder
 from skylight.training.logs import WHITE, Logs, reconstructions
 
 SKIES = np.random.default_rng(0).random((20, 32, 128, 3), dtype=np.float32)
@@ -24,12 +24,12 @@ def written(out: Path, messages: list[str]) -> None:
     curves = []
     for step in (4, 8):
         curves.append(entry(step))
-        logs.epoch(SkyAutoencoder(), curves, best=4.5)
+        logs.epoch(ConvolutionalAutoencoder(), curves, best=4.5)
     logs.close()
 
 
 def test_truth_stands_over_reconstruction() -> None:
-    network = SkyAutoencoder()
+    network = ConvolutionalAutoencoder()
     picture = reconstructions(network, torch.from_numpy(SKIES[:8]))
     assert picture.shape == (64, 8 * 128, 3)
     for i in (0, 7):

@@ -1,11 +1,13 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
-from skylight.models.autoencoder import SkyAutoencoder
+from skylight.models.networks.convolutional import ConvolutionalAutoencoder
 from skylight.training.config import AutoencoderConfig
-from skylight.training.corruption import Corruption, draw_corruption
 from skylight.training.loss import reconstruction_loss
+from skylight.training.skies.corruption import Corruption, draw_corruption
 
 
 def skies() -> tuple[np.ndarray, np.ndarray]:
@@ -15,23 +17,38 @@ def skies() -> tuple[np.ndarray, np.ndarray]:
 
 def loss_of(predicted: np.ndarray, true: np.ndarray, config: AutoencoderConfig) -> np.ndarray:
     """The loss of a network that decodes ``predicted``, whatever it is given."""
-    network = SkyAutoencoder(sun=False)
+    network = ConvolutionalAutoencoder(sun=False)
     coded = torch.tensor(np.log1p(predicted)).permute(0, 3, 1, 2).float()
     network.decode_coded = lambda z: coded  # type: ignore[method-assign]
     with torch.no_grad():
-        return reconstruction_loss(network, torch.tensor(true).float(), config).numpy()
+        return loss_of_sky(network, torch.tensor(true).float(), config).numpy()
+
+
+def loss_of_sky(
+    network: ConvolutionalAutoencoder,
+    sky: torch.Tensor,
+    config: AutoencoderConfig,
+    corruption: Corruption | None = None,
+) -> torch.Tensor:
+    sun, rest = network.split(sky)
+    return reconstruction_loss(network, sun, network.code(rest), config, corruption)
 
 
 @pytest.mark.parametrize("energy_weight", [0.0, 0.3])
 @pytest.mark.parametrize("scale_invariant", [0.0, 2.0])
-def test_loss_is_its_formula(energy_weight: float, scale_invariant: float) -> None:
+@pytest.mark.parametrize("squared_weight", [0.0, 0.7])
+def test_loss_is_its_formula(
+    energy_weight: float, scale_invariant: float, squared_weight: float
+) -> None:
     true, predicted = skies()
-    config = AutoencoderConfig(energy_weight=energy_weight, scale_invariant=scale_invariant)
+    config = AutoencoderConfig(
+        energy_weight=energy_weight, scale_invariant=scale_invariant, squared_weight=squared_weight
+    )
     edges = np.cos(np.linspace(0, np.pi / 2, 33))
     row = (edges[:-1] - edges[1:]) * 2 * np.pi / 128
     share = np.broadcast_to(row[None, :, None, None] / (2 * np.pi) / 3, true.shape)
     d = np.log1p(predicted) - np.log1p(true)
-    each = (1 + energy_weight * np.maximum(true, predicted)) * np.abs(d)
+    each = (1 + energy_weight * np.maximum(true, predicted)) * np.abs(d) + squared_weight * d**2
     axes = (1, 2, 3)
     spread = (share * d**2).sum(axes) - (share * d).sum(axes) ** 2
     expected = (share * each).sum(axes) + scale_invariant * spread
@@ -56,7 +73,7 @@ def test_the_second_part_forgives_exposure_and_nothing_else() -> None:
 
 def test_a_sun_with_its_own_head_is_not_the_networks_concern() -> None:
     """The same loss whatever the sun's strength, but for its coordinates in the decoder."""
-    network = SkyAutoencoder(sun=True)
+    network = ConvolutionalAutoencoder(sun=True)
     seen = []
     coded = torch.zeros(1, 3, 32, 128)
     network.decode_coded = lambda z: seen.append(z) or coded  # type: ignore[method-assign]
@@ -64,7 +81,7 @@ def test_a_sun_with_its_own_head_is_not_the_networks_concern() -> None:
     for strength in (1e2, 1e4):
         sky = torch.full((1, 32, 128, 3), 0.5)
         sky[:, 9, 64] = strength
-        losses.append(float(reconstruction_loss(network, sky, AutoencoderConfig())))
+        losses.append(float(loss_of_sky(network, sky, AutoencoderConfig())))
     assert losses[0] == pytest.approx(losses[1], rel=1e-6)
     assert not torch.allclose(seen[0][:, -5:], seen[1][:, -5:])
 
@@ -82,14 +99,14 @@ def corrupted(config: AutoencoderConfig) -> Corruption:
     ],
 )
 def test_the_encoder_sees_the_corruption_and_the_loss_does_not(config: AutoencoderConfig) -> None:
-    network = SkyAutoencoder(sun=True).eval()
+    network = ConvolutionalAutoencoder(sun=True).eval()
     seen = []
     coded = torch.zeros(3, 3, 32, 128)
-    network.encode_coded = lambda *parts: seen.append(parts) or parts[0]  # type: ignore
+    network.encode_coded = lambda *parts: seen.append(parts) or torch.zeros(3, 64)  # type: ignore
     network.decode_coded = lambda z: coded  # type: ignore[method-assign]
     sky = torch.rand(3, 32, 128, 3, generator=torch.Generator().manual_seed(0))
     corruption = corrupted(config)
-    losses = [reconstruction_loss(network, sky, config, c) for c in (None, corruption)]
+    losses = [loss_of_sky(network, sky, config, c) for c in (None, corruption)]
     torch.testing.assert_close(losses[0], losses[1], rtol=0, atol=0)
     (sun, clean), (shaken, dirty) = seen
     torch.testing.assert_close(dirty, corruption.kept * (clean + corruption.noise))
@@ -107,3 +124,23 @@ def test_the_second_part_counts_contrast() -> None:
         for s in (0.0, 5.0)
     )
     assert (forgiving > plain + 5 * 0.05).all()
+
+
+def test_noise_and_penalty_are_of_the_latents_but_the_suns() -> None:
+    network = ConvolutionalAutoencoder(sun=True).eval()
+    seen = []
+    coded = torch.zeros(3, 3, 32, 128)
+    latents = torch.arange(64.0).expand(3, -1)
+    network.encode_coded = lambda *_: latents  # type: ignore[method-assign]
+    network.decode_coded = lambda z: seen.append(z) or coded  # type: ignore[method-assign]
+    sky = torch.rand(3, 32, 128, 3, generator=torch.Generator().manual_seed(0))
+    plain = AutoencoderConfig(latent_noise=0.5, sun_noise=0.0)
+    drawn = corrupted(plain)
+    losses = [
+        loss_of_sky(network, sky, replace(plain, latent_penalty=p), drawn) for p in (0.0, 0.1)
+    ]
+    torch.testing.assert_close(seen[0][:, :59], latents[:, :59] + drawn.latents)
+    assert 0.3 < float(drawn.latents.std()) < 0.7
+    assert torch.equal(seen[0][:, 59:], latents[:, 59:])
+    wanted = 0.1 * latents[:, :59].square().mean(1)
+    torch.testing.assert_close(losses[1] - losses[0], wanted, rtol=1e-4, atol=0)

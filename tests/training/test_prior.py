@@ -11,8 +11,12 @@ from safetensors.torch import load_file
 from sklearn.covariance import ledoit_wolf
 
 from skylight.errors import AssetError, InputError
-from skylight.models.autoencoder import LATENT, AutoencoderLight, SkyAutoencoder, save_network
+from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.bundle import load_bundle
+from skylight.models.networks.base import SkyNetwork
+from skylight.models.networks.convolutional import LATENT
+from skylight.models.networks.files import load_network, save_network
+from skylight.models.networks.splines import SplineAutoencoder
 from skylight.models.prior import GaussianMixture
 from skylight.skies.index import folder_hash, read_index
 from skylight.skies.loading import load_skies
@@ -26,18 +30,11 @@ from skylight.training.prior import (
 
 
 @pytest.fixture(scope="module")
-def network() -> SkyAutoencoder:
+def config(sky_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> PriorConfig:
+    out = tmp_path_factory.mktemp("prior")
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        return SkyAutoencoder().eval()
-
-
-@pytest.fixture(scope="module")
-def config(
-    network: SkyAutoencoder, sky_folder: Path, tmp_path_factory: pytest.TempPathFactory
-) -> PriorConfig:
-    out = tmp_path_factory.mktemp("prior")
-    save_network(network, out / "model.safetensors")
+        save_network(SplineAutoencoder(), out / "model.safetensors")
     return PriorConfig(
         data=sky_folder,
         checkpoint=out / "model.safetensors",
@@ -48,12 +45,17 @@ def config(
 
 
 @pytest.fixture(scope="module")
+def network(config: PriorConfig) -> SkyNetwork:
+    return load_network(config.checkpoint)
+
+
+@pytest.fixture(scope="module")
 def fitted(config: PriorConfig) -> Path:
     return fit_priors(config)
 
 
 def test_the_bundle_is_whole_and_says_where_it_comes_from(
-    fitted: Path, config: PriorConfig, network: SkyAutoencoder
+    fitted: Path, config: PriorConfig, network: SkyNetwork
 ) -> None:
     bundle = load_bundle(fitted)
     rows = read_index(config.data)
@@ -119,7 +121,7 @@ def test_mixtures_are_over_all_parameters_but_the_azimuth(fitted: Path) -> None:
 
 
 def test_bank_whitens_and_remembers_the_training_skies(
-    fitted: Path, config: PriorConfig, network: SkyAutoencoder
+    fitted: Path, config: PriorConfig, network: SkyNetwork
 ) -> None:
     state = load_file(fitted / "bank.safetensors")
     rows = [r for r in read_index(config.data) if r.split == "train"]

@@ -13,7 +13,7 @@ from safetensors.torch import load_file
 from torch import nn
 
 from skylight.errors import InputError
-from skylight.models.autoencoder import SkyAutoencoder
+from skylight.models.networks.convolutional import ConvolutionalAutoencoder
 from skylight.training.autoencoder import train
 from skylight.training.config import AutoencoderConfig, config_yaml
 from skylight.training.processes import (
@@ -162,7 +162,7 @@ def test_shared_batch_norm_is_torchs(ours: type[nn.Module], shape: tuple[int, ..
 
 
 def test_every_batch_norm_of_the_network_is_shared() -> None:
-    network = SkyAutoencoder()
+    network = ConvolutionalAutoencoder()
     before = network.state_dict()
     count = sum(isinstance(m, nn.BatchNorm1d | nn.BatchNorm2d) for m in network.modules())
     assert count == 9

@@ -19,8 +19,8 @@ from skylight.faces.skin import SkinPrior
 from skylight.inverse.estimate import albedo_prior, smooth_autoencoder
 from skylight.inverse.result import Estimate
 from skylight.inverse.sky.problem import SkyProblem
-from skylight.models.autoencoder import CENTRE_AZIMUTH_RAD
 from skylight.models.bundle import load_bundle
+from skylight.models.networks.base import CENTRE_AZIMUTH_RAD
 from skylight.models.prior import GaussianMixture
 from skylight.skies.loading import normalise
 from skylight.sphere.envmap import EnvironmentMap

@@ -29,9 +29,10 @@ from torch import Tensor
 
 from skylight.inverse.charbonnier import charbonnier
 from skylight.inverse.lbfgs import Objective, minimise
-from skylight.models.autoencoder import HEIGHT, AutoencoderLight
+from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.ground import LambertianGround
 from skylight.models.harmonic import HarmonicLight, solve_linear
+from skylight.models.networks.base import HEIGHT
 from skylight.models.sunsky import SunSky, fit_sunsky
 from skylight.skies.loading import centre_column_azimuth
 from skylight.sphere.envmap import EnvironmentMap

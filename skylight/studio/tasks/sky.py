@@ -17,8 +17,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.models.autoencoder import HEIGHT, WIDTH, AutoencoderLight
+from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.bundle import load_bundle
+from skylight.models.networks.base import HEIGHT, WIDTH
 from skylight.models.prior import GaussianMixture
 from skylight.relight.runtime import GROUND_ALBEDO
 from skylight.work.progress import StageProgress

@@ -2,8 +2,8 @@ import torch
 
 from skylight.sphere.envmap import LUMINANCE
 from skylight.sphere.grid import DirectionGrid
-from skylight.training.augment import augment
 from skylight.training.config import AutoencoderConfig
+from skylight.training.skies.augment import augment
 
 
 def test_mirroring_keeps_the_sun_in_its_column() -> None:

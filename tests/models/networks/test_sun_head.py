@@ -5,7 +5,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skylight.models.sun_head import COORDINATES, KAPPA_BOUNDS, NEAR_RAD, SunHead
+from skylight.models.networks.sun_head import COORDINATES, KAPPA_BOUNDS, NEAR_RAD, SunHead
 from skylight.skies.clear.atmosphere import ClearSky
 from skylight.skies.simulator import draw_day, simulate_sky
 from skylight.sphere.envmap import EnvironmentMap, luminance

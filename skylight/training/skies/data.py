@@ -1,23 +1,19 @@
 """Training skies, converted once to memory-mapped arrays."""
 
 import hashlib
-import multiprocessing
-import os
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
-from skylight.errors import InputError, SkylightError
+from skylight.errors import InputError
 from skylight.io.atomic import atomic_path
-from skylight.models.autoencoder import HEIGHT, WIDTH
+from skylight.models.networks.base import HEIGHT, WIDTH
 from skylight.skies.index import SkyRecord, folder_hash, read_index
 from skylight.skies.loading import load_skies
+from skylight.training.skies.cores import in_order
 from skylight.work.progress import Tell
 
 CHUNK = 32  # skies that one process converts at a time
@@ -26,10 +22,12 @@ CACHE = ".cache"
 
 @dataclass(frozen=True, kw_only=True)
 class SkyData:
-    """Training and validation skies (n,h,w,3), mapped from disk, and the hash of their data."""
+    """Training and validation skies (n,h,w,3), mapped from disk; where they lie, by the names
+    "train" and "validation"; and the hash of their data."""
 
     train: Float[np.ndarray, "n h w 3"]
     validation: Float[np.ndarray, "m h w 3"]
+    paths: dict[str, Path]
     hash: str
 
 
@@ -65,11 +63,9 @@ def load_data(place: Path, report: Tell = print) -> SkyData:
 
 def open_cache(place: Path, digest: str) -> SkyData:
     """The data that :func:`load_data` has just checked, in another process."""
-    train, validation = (
-        np.load(_cache_path(place, digest, split), mmap_mode="r")
-        for split in ("train", "validation")
-    )
-    return SkyData(train=train, validation=validation, hash=digest)
+    paths = {split: _cache_path(place, digest, split) for split in ("train", "validation")}
+    train, validation = (np.load(path, mmap_mode="r") for path in paths.values())
+    return SkyData(train=train, validation=validation, paths=paths, hash=digest)
 
 
 def _cache_path(place: Path, digest: str, split: str) -> Path:
@@ -112,26 +108,10 @@ def _write_cache(path: Path, place: Path, records: list[SkyRecord], report: Tell
 
 
 def _converted(place: Path, records: list[SkyRecord]) -> Iterator[Float[np.ndarray, "_ h w 3"]]:
-    """The skies of ``records`` in order, ``CHUNK`` at a time, by as many processes as cores."""
-    chunks = [(place, records[i : i + CHUNK]) for i in range(0, len(records), CHUNK)]
-    workers = min(os.cpu_count() or 1, len(chunks))
-    if workers == 1:
-        yield from map(_convert, chunks)
-        return
-    # spawned, because a process that has run torch's threads cannot be forked safely
-    with ProcessPoolExecutor(
-        workers,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=torch.set_num_threads,
-        initargs=(1,),
-    ) as pool:
-        try:
-            yield from pool.map(_convert, chunks)
-        except BrokenProcessPool as error:
-            raise SkylightError(
-                "a process that read skies died; where memory is short, let the same command run "
-                "alone, and again"
-            ) from error
+    """The skies of ``records`` in order, ``CHUNK`` at a time."""
+    yield from in_order(
+        _convert, [(place, records[i : i + CHUNK]) for i in range(0, len(records), CHUNK)]
+    )
 
 
 def _convert(chunk: tuple[Path, list[SkyRecord]]) -> Float[np.ndarray, "_ h w 3"]:

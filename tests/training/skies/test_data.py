@@ -6,8 +6,8 @@ import pytest
 from skylight.errors import InputError
 from skylight.skies.index import folder_hash, read_index
 from skylight.skies.loading import load_skies
-from skylight.training import data as module
-from skylight.training.data import load_data, open_cache
+from skylight.training.skies import data as module
+from skylight.training.skies.data import load_data, open_cache
 
 
 @pytest.fixture

@@ -52,7 +52,7 @@ class SunHead(nn.Module):
     def lobe(
         self,
         coordinates: Float[Tensor, "b 5"],
-        azimuth_rad: Float[Tensor, " b"] | None = None,
+        azimuth_rad: Float[Tensor, " t"] | None = None,
         spread_rad: float = 0.0,
     ) -> Float[Tensor, "b h w 3"]:
         """Radiance of the suns alone, at the map's centre or at azimuths of their own.
@@ -63,6 +63,7 @@ class SunHead(nn.Module):
         kappa = 1 / (1 / kappa + spread_rad**2)
         if azimuth_rad is None:
             azimuth_rad = torch.full_like(zenith, self.azimuth_rad)
+        azimuth_rad = azimuth_rad.expand_as(zenith)  # of one for all
         sun = direction_from_angles(azimuth_rad, zenith)
         # cos - 1 as half a squared chord: float32's cosine is too coarse for kappa times it
         chord = (sun[:, None] - self.directions.to(sun)).square().sum(-1)

@@ -1,0 +1,158 @@
+"""The sky autoencoder that ships: a smooth function on the hemisphere, without pixels.
+
+What it decodes are control points of cubic B-splines on the hemisphere, seen as a disk
+(:mod:`~skylight.sphere.disk_splines`)::
+
+    log(L(w) + 0.02) = sum_k c_k(z) B_k(p(w)),    c(z) = A z + b + MLP(z)
+
+so a sky has no rows, columns or pole to show, a turn about the vertical is exact, and the
+decoder multiplies a fiftieth as often as convolutions do that paint 4,096 pixels. The encoder is
+an MLP of the sky's own control points on a coarser lattice, those of least squares.
+"""
+
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from skylight.models.networks.base import CODE_LIMIT, HEIGHT, SkyNetwork
+from skylight.models.networks.sun_head import COORDINATES
+from skylight.sphere.disk_splines import DiskSplines
+from skylight.sphere.grid import DirectionGrid
+
+# control points across the disk, 4.4 degrees apart; the encoder's, 7.8 degrees
+ACROSS, SEEN_ACROSS = 44, 26
+HIDDEN = 320
+FLOOR = 0.02  # radiance, of a mean luminance of 1: what is darker is alike
+_RIDGE = 1e-3  # of a mean control point's weight: those beyond the horizon are seen by hardly any
+
+
+class SplineAutoencoder(SkyNetwork):
+    """See the module; ``latents`` counts the sun's five coordinates."""
+
+    kind = "splines"
+    seen: Tensor
+
+    def __init__(self, latents: int = 64) -> None:
+        super().__init__(latents)
+        grid = DirectionGrid.sky(HEIGHT)
+        self.splines = DiskSplines(ACROSS, grid)
+        self._evaluation = _Products(self.splines.matrix())
+        self.register_buffer("seen", _least_squares(SEEN_ACROSS, grid), persistent=False)
+        self.encoder = _mlp(3 * len(self.seen), latents - COORDINATES)
+        self.linear = nn.Linear(latents, 3 * self.splines.count)
+        self.decoder = _mlp(latents, 3 * self.splines.count, bias=False)
+
+    def code(self, radiance: Float[Tensor, "b h w 3"]) -> Float[Tensor, "b 3 h w"]:
+        """log(0.02 + L)"""
+        return torch.log(radiance.permute(0, 3, 1, 2) + FLOOR)
+
+    def uncode(self, coded: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b h w 3"]:
+        """The inverse of :meth:`code`, negative radiance cut to zero."""
+        return _radiance(coded).permute(0, 2, 3, 1)
+
+    def control(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b k 3"]:
+        """The control points c(z)."""
+        return (self.linear(z) + self.decoder(z)).unflatten(1, (-1, 3))
+
+    def encode_coded(
+        self, sun: Float[Tensor, "b s"], coded: Float[Tensor, "b 3 h w"]
+    ) -> Float[Tensor, "b z"]:
+        """Latents of the two parts that :meth:`split` gives, the second one coded."""
+        seen = torch.einsum("kn,bcn->bkc", self.seen, coded.flatten(2))
+        return torch.cat([self.encoder(seen.flatten(1)), sun], 1)
+
+    def decode_coded(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
+        """Coded radiance, without the sun."""
+        control = self.control(z).float().permute(1, 2, 0).flatten(1)
+        with torch.autocast(z.device.type, enabled=False):
+            values = self._evaluation(control)
+        return values.unflatten(1, (3, -1)).permute(2, 1, 0).unflatten(2, (HEIGHT, -1))
+
+    def turned(
+        self, z: Float[Tensor, "b z"], azimuth_rad: Float[Tensor, " t"], sun_spread_rad: float
+    ) -> Float[Tensor, "b h w 3"]:
+        """:meth:`decode`, the suns turned to those azimuths; exact, as nothing is resampled."""
+        assert self.sun_head is not None
+        ahead = torch.full_like(azimuth_rad, self.sun_head.azimuth_rad)
+        coded = self.splines(self.control(z), azimuth_rad - ahead)
+        sky = _radiance(coded).unflatten(1, (HEIGHT, -1))
+        return sky + self.sun_head.lobe(z[:, -COORDINATES:], azimuth_rad, sun_spread_rad)
+
+
+class _Products(nn.Module):
+    """Products of a sparse matrix (n,k) with many columns (k,c), differentiable in these.
+
+    As weighted sums of rows both ways; torch's own gradient of such sums takes ten times as long.
+    """
+
+    def __init__(self, matrix: Float[Tensor, "n k"]) -> None:
+        super().__init__()
+        for name, part in (("forth", matrix), ("back", matrix.T)):
+            rows, columns = part.nonzero(as_tuple=True)
+            first = torch.bincount(rows, minlength=len(part)).cumsum(0).roll(1)
+            first[0] = 0
+            self.register_buffer(f"{name}_columns", columns, persistent=False)
+            self.register_buffer(f"{name}_first", first, persistent=False)
+            values = part[rows, columns].float()
+            self.register_buffer(f"{name}_values", values, persistent=False)
+
+    def forward(self, x: Float[Tensor, "k c"]) -> Float[Tensor, "n c"]:
+        return _Product.apply(x, self._matrix("forth"), self._matrix("back"))
+
+    def _matrix(self, name: str) -> tuple[Tensor, Tensor, Tensor]:
+        columns, first, values = (
+            self.get_buffer(f"{name}_{part}") for part in ("columns", "first", "values")
+        )
+        return columns, first, values
+
+
+class _Product(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, forth: tuple[Tensor, ...], back: tuple[Tensor, ...]) -> Tensor:
+        ctx.save_for_backward(*back)
+        return _sums(x, *forth)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None]:
+        return _sums(grads[0].contiguous(), *ctx.saved_tensors), None, None
+
+
+def _sums(x: Tensor, columns: Tensor, first: Tensor, values: Tensor) -> Tensor:
+    return functional.embedding_bag(columns, x, first, mode="sum", per_sample_weights=values)
+
+
+def _radiance(coded: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
+    return (coded.clamp(max=CODE_LIMIT).exp() - FLOOR).clamp(min=0)
+
+
+class _Residual(nn.Module):
+    """``x + SiLU(W x + b)``"""
+
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        self.inner = nn.Linear(size, size)
+
+    def forward(self, x: Float[Tensor, "b f"]) -> Float[Tensor, "b f"]:
+        return x + functional.silu(self.inner(x))
+
+
+def _mlp(size_in: int, size_out: int, *, bias: bool = True) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Linear(size_in, HIDDEN),
+        nn.SiLU(),
+        _Residual(HIDDEN),
+        _Residual(HIDDEN),
+        nn.Linear(HIDDEN, size_out, bias=bias),
+    )
+
+
+def _least_squares(across: int, grid: DirectionGrid) -> Float[Tensor, "k n"]:
+    """The linear map from values on the grid to the control points that are nearest to them in
+    the mean square over solid angle."""
+    matrix, solid = DiskSplines(across, grid).matrix(), grid.solid_angles.double()
+    gram = matrix.T @ (solid[:, None] * matrix)
+    gram = gram + _RIDGE * gram.diagonal().mean() * torch.eye(len(gram)).double()
+    return torch.linalg.solve(gram, matrix.T * solid).float()

@@ -1,0 +1,1 @@
+"""Training skies: read, varied, coded, drawn in batches."""
