@@ -47,17 +47,17 @@ class DiskSplines(nn.Module):
         self.count = int(reaches.sum())
         self.register_buffer("number", number, persistent=False)
         azimuth, zenith = angles_from_direction(grid.directions)
-        self.register_buffer("radius", (zenith / (math.pi / 2)).float(), persistent=False)
-        self.register_buffer("azimuth_rad", azimuth.float(), persistent=False)
+        self.register_buffer("radius", zenith / (math.pi / 2), persistent=False)
+        self.register_buffer("azimuth_rad", azimuth, persistent=False)
 
     def taps(
         self, turn_rad: Float[Tensor, " b"]
     ) -> tuple[Int[Tensor, "b n 16"], Float[Tensor, "b n 16"]]:
         """(control points, their weights) of every direction, the function turned to the right."""
-        angle = self.azimuth_rad - turn_rad[:, None]
-        scale = (self.across - 3) / 2
-        across = scale * (self.radius * torch.sin(angle) + 1)
-        along = scale * (self.radius * torch.cos(angle) + 1)
+        angle = self.azimuth_rad.to(turn_rad) - turn_rad[:, None]
+        radius, scale = self.radius.to(turn_rad), (self.across - 3) / 2
+        across = scale * (radius * torch.sin(angle) + 1)
+        along = scale * (radius * torch.cos(angle) + 1)
         column, across_weights = _cubic(across, self.across - 4)
         row, along_weights = _cubic(along, self.across - 4)
         near = torch.arange(4, device=row.device)
@@ -78,12 +78,12 @@ class DiskSplines(nn.Module):
             first = self.count * torch.arange(len(control), device=control.device)
             index = index + first[:, None, None]
             near = control.flatten(0, 1).index_select(0, index.flatten())
-            near = near.unflatten(0, (len(control), -1))
-        return (near.unflatten(1, (-1, TAPS)) * weights[..., None]).sum(2)
+        near = near.reshape(control.shape[0], index.shape[1], TAPS, control.shape[2])
+        return (near * weights[..., None]).sum(2)
 
     def matrix(self) -> Float[Tensor, "n k"]:
         """The linear map from control points to values on the grid, dense, float64."""
-        index, weights = self.taps(self.azimuth_rad.new_zeros(1))
+        index, weights = self.taps(torch.zeros(1, dtype=torch.float64))
         dense = torch.zeros(index.shape[1], self.count, dtype=torch.float64, device=index.device)
         return dense.scatter_add_(1, index[0], weights[0].double())
 

@@ -119,7 +119,7 @@ def test_sun_albedo_gloss_and_light_come_back(sun):
     observation, world = watched(*sun)
     found = solved(observation)
     assert math.degrees(math.acos(float(found.sun_direction.double().numpy() @ world.sun))) < 1.5
-    assert found.faces[0].gloss == pytest.approx(1, abs=0.12)
+    assert found.faces[0].gloss == pytest.approx(1, abs=0.15)
     # a picture shows albedo times light: the tone alone is left to the prior
     ratio = found.albedo.double().numpy() / ALBEDO
     assert ratio == pytest.approx(ratio.mean(), rel=0.05)

@@ -6,7 +6,6 @@ import torch
 from scipy.interpolate import BSpline
 
 from skylight.sphere.disk_splines import DiskSplines
-from skylight.sphere.frame import angles_from_direction
 from skylight.sphere.grid import DirectionGrid
 
 F64 = torch.float64
@@ -14,11 +13,7 @@ GRID = DirectionGrid.sky(16)
 
 
 def splines(across: int = 13) -> DiskSplines:
-    """In float64, its places on the disk included."""
-    made = DiskSplines(across, GRID).double()
-    azimuth, zenith = angles_from_direction(GRID.directions)
-    made.azimuth_rad, made.radius = azimuth, zenith / (math.pi / 2)
-    return made
+    return DiskSplines(across, GRID)
 
 
 def lattice(across: int, made: DiskSplines) -> tuple[torch.Tensor, torch.Tensor]:
@@ -89,7 +84,7 @@ def test_a_turn_by_columns_is_exact() -> None:
 
 
 def test_gradients_are_those_of_differences() -> None:
-    made = DiskSplines(8, DirectionGrid.sky(4)).double()
+    made = DiskSplines(8, DirectionGrid.sky(4))
     control = torch.randn(2, made.count, 1, dtype=F64, generator=torch.Generator().manual_seed(0))
     turn = torch.tensor([0.31, -0.77], dtype=F64)
     assert torch.autograd.gradcheck(

@@ -60,6 +60,8 @@ def test_two_processes_train_as_one(sky_folder: Path, tmp_path: Path) -> None:
         out=tmp_path / "one",
         epochs=2,
         batch=6,
+        network="convolutions",
+        optimiser="sgd",
         learning_rate=0.002,
         warmup_steps=1,
         tint=0.1,

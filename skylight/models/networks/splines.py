@@ -17,7 +17,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from skylight.models.networks.base import CODE_LIMIT, HEIGHT, SkyNetwork
+from skylight.models.networks.base import CODE_LIMIT, HEIGHT, WIDTH, SkyNetwork
 from skylight.models.networks.sun_head import COORDINATES
 from skylight.sphere.disk_splines import DiskSplines
 from skylight.sphere.grid import DirectionGrid
@@ -55,7 +55,7 @@ class SplineAutoencoder(SkyNetwork):
 
     def control(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b k 3"]:
         """The control points c(z)."""
-        return (self.linear(z) + self.decoder(z)).unflatten(1, (-1, 3))
+        return (self.linear(z) + self.decoder(z)).unflatten(1, (self.splines.count, 3))
 
     def encode_coded(
         self, sun: Float[Tensor, "b s"], coded: Float[Tensor, "b 3 h w"]
@@ -69,7 +69,7 @@ class SplineAutoencoder(SkyNetwork):
         control = self.control(z).float().permute(1, 2, 0).flatten(1)
         with torch.autocast(z.device.type, enabled=False):
             values = self._evaluation(control)
-        return values.unflatten(1, (3, -1)).permute(2, 1, 0).unflatten(2, (HEIGHT, -1))
+        return values.unflatten(1, (3, z.shape[0])).permute(2, 1, 0).unflatten(2, (HEIGHT, WIDTH))
 
     def turned(
         self, z: Float[Tensor, "b z"], azimuth_rad: Float[Tensor, " t"], sun_spread_rad: float
@@ -78,7 +78,7 @@ class SplineAutoencoder(SkyNetwork):
         assert self.sun_head is not None
         ahead = torch.full_like(azimuth_rad, self.sun_head.azimuth_rad)
         coded = self.splines(self.control(z), azimuth_rad - ahead)
-        sky = _radiance(coded).unflatten(1, (HEIGHT, -1))
+        sky = _radiance(coded).unflatten(1, (HEIGHT, WIDTH))
         return sky + self.sun_head.lobe(z[:, -COORDINATES:], azimuth_rad, sun_spread_rad)
 
 
