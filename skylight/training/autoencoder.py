@@ -100,6 +100,11 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell) -> Path:
         optimiser.load_state_dict(state["optimiser"])
         now = RunState(**state["progress"])
         report(f"resuming at step {now.step} of {total}")
+    best = config.out / "model.safetensors"
+    if now.step >= total or now.since_best >= config.patience:
+        if here.first:
+            shutil.rmtree(config.out / FOLDER, ignore_errors=True)
+        return best
     objective = Objective(network, config)
     copies, validation = _prepared(config, data, here, report)
     here.meet()  # the first writes the state that the others have read by now
@@ -153,7 +158,7 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell) -> Path:
             if score < now.best:
                 now.best = score
                 if here.first:
-                    save_network(network, config.out / "model.safetensors")
+                    save_network(network, best)
             if logs:
                 logs.epoch(network, now.curves, now.best)
             started, first_step = time.monotonic(), now.step
@@ -164,7 +169,7 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell) -> Path:
     if logs:
         logs.close()
         shutil.rmtree(config.out / FOLDER)
-    return config.out / "model.safetensors"
+    return best
 
 
 @torch.no_grad()
