@@ -19,7 +19,7 @@ from skylight.models.networks.splines import SplineAutoencoder
 
 @pytest.fixture(scope="module")
 def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The shipped model with a network whose skies, but for their suns, are three times as bright."""
+    """The shipped model, its skies (but not their suns) three times as bright."""
     shipped = load_bundle()
     network = copy.deepcopy(shipped.network)
     assert isinstance(network, SplineAutoencoder)
