@@ -23,6 +23,7 @@ def simulate_skies(
     size: str = "32x128",
     interval: float = 80.0,
     first_seed: int = 0,
+    lowest_sun: float = -6.0,
     workers: int = 0,
     cluster: str | None = None,
     clear: float | None = None,
@@ -35,8 +36,9 @@ def simulate_skies(
         days: How many days.
         out: Folder for the maps and index.csv.
         size: Height x width of a map of the upper hemisphere: its width is 4 heights.
-        interval: Minutes from one sky to the next; only skies with the sun up are kept.
+        interval: Minutes from one sky to the next; nights are left out.
         first_seed: Seed of the first day; the others follow.
+        lowest_sun: Degrees above the horizon where the sun must stand; -6 ends civil twilight.
         workers: Processes that work at the same time; 0 for one per core.
         cluster: A dask scheduler's address, whose workers do it instead.
         clear: Share of clear days. Where any of the three shares is given, those that are not
@@ -48,6 +50,8 @@ def simulate_skies(
     for name, value in (("days", days), ("interval", interval)):
         if not value > 0 or not math.isfinite(value):
             raise InputError(f"--{name} must be above 0, got {value}")
+    if not -6 <= lowest_sun < 90:
+        raise InputError(f"--lowest-sun must be from -6 to 90 degrees, got {lowest_sun:g}")
     who = who_works(workers, cluster, out)
     from skylight.app.progress import stage_bar, with_time_left
     from skylight.app.skies.folders import counts, regime_shares
@@ -63,6 +67,7 @@ def simulate_skies(
             interval_min=interval,
             height=height,
             shares=shares,
+            lowest_sun_deg=lowest_sun,
             workers=who,
             progress=with_time_left("day", progress),
         )

@@ -12,6 +12,7 @@ from skylight.skies.clear.atmosphere import ClearSky
 from skylight.skies.index import INDEX_NAME, SkyRecord, read_rows, write_rows
 from skylight.skies.loading import centre_column_azimuth
 from skylight.skies.simulator import (
+    DUSK_RAD,
     REGIME_SHARES,
     Day,
     Regime,
@@ -38,6 +39,7 @@ class SimulationSettings:
     interval_min: float
     height: int
     shares: dict[Regime, float]
+    lowest_sun_deg: float
 
 
 def simulate_folder(
@@ -48,6 +50,7 @@ def simulate_folder(
     interval_min: float = 80.0,
     height: int = 32,
     shares: dict[Regime, float] = REGIME_SHARES,
+    lowest_sun_deg: float = math.degrees(DUSK_RAD),
     workers: Workers = 1,
     progress: CountProgress | None = None,
 ) -> Path:
@@ -64,7 +67,9 @@ def simulate_folder(
         )
     # in one order: it decides which regime a seed draws
     shares = {regime: shares.get(regime, 0.0) for regime in REGIME_SHARES}
-    settings = SimulationSettings(interval_min=interval_min, height=height, shares=shares)
+    settings = SimulationSettings(
+        interval_min=interval_min, height=height, shares=shares, lowest_sun_deg=lowest_sun_deg
+    )
     parts = out / "days"
     with claimed(out, parts):
         settle(out / "settings.json", asdict(settings))
@@ -89,7 +94,7 @@ def simulate_folder(
 def simulated_skies(
     count: int, *, first_seed: int, lowest_transmittance: float = 0.0
 ) -> list[tuple[SkyRecord, EnvironmentMap]]:
-    """``count`` skies simulated on the spot: one random sky a day.
+    """``count`` skies simulated on the spot: one random sky a day, the sun above 2 degrees.
 
     Seeds run upwards from :data:`EVALUATION_SEEDS` + ``first_seed``; skies whose sun gets
     through by less than ``lowest_transmittance`` are passed over (six tries a day).
@@ -115,7 +120,10 @@ def simulated_skies(
 def _simulate_day_files(out: Path, seed: int, settings: SimulationSettings) -> None:
     day = draw_day(seed, shares=settings.shares)
     records = []
-    for sky in simulate_day(day, interval_min=settings.interval_min, height=settings.height):
+    lowest = math.radians(settings.lowest_sun_deg)
+    for sky in simulate_day(
+        day, interval_min=settings.interval_min, lowest_sun_rad=lowest, height=settings.height
+    ):
         name = f"{day.name}_{sky.time:%H%M}.exr"
         write_environment_map(out / name, sky.sky)
         records.append(_record(day, sky, name, settings.height))

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.skies.clear.atmosphere import EARTH_RADIUS_KM, Atmosphere, ClearSky
-from skylight.skies.clouds import CloudLayer, Wind, march
+from skylight.skies.clouds import CloudLayer, Wind, march, shadow
 from skylight.skies.sun import SUN_RADIUS_RAD, Place, sun_angles
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import direction_from_angles, pixel_from_direction
@@ -23,7 +23,8 @@ from skylight.sphere.grid import DirectionGrid
 
 Regime = Literal["clear", "broken", "overcast"]
 REGIME_SHARES: dict[Regime, float] = {"clear": 0.35, "broken": 0.4, "overcast": 0.25}
-LOWEST_SUN_RAD = math.radians(2.0)
+DUSK_RAD = math.radians(-6.0)  # height of the sun where civil twilight ends
+DAY_RAD = math.radians(2.0)  # and where it lights as by day
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +53,9 @@ class SimulatedSky:
     time: datetime
     sun_azimuth_rad: float  # clockwise from north
     sun_zenith_rad: float
-    sun_transmittance: float  # unscattered, of the clouds alone: 1 is an open sun
+    sun_transmittance: (
+        float  # unscattered, of the clouds alone: 1 is an open sun, 0 one that is set
+    )
 
 
 def draw_day(seed: int, *, shares: dict[Regime, float] = REGIME_SHARES) -> Day:
@@ -146,33 +149,44 @@ def _draw_clouds(regime: Regime, rng: np.random.Generator) -> list[CloudLayer]:
     if regime == "clear":
         return [cirrus()] if rng.random() < 0.4 else []
     if regime == "overcast":
-        return [deck()]
-    low = heaps() if rng.random() < 0.6 else patches()
-    return [cirrus(), low] if rng.random() < 0.4 else [low]
+        whole = deck()
+        if rng.random() < 0.75:
+            return [whole]
+        scud = replace(heaps(), base_km=rng.uniform(0.6, 1.2), thickness_km=rng.uniform(0.3, 1.2))
+        return [replace(whole, base_km=rng.uniform(2.5, 4.0)), scud]
+    high = [cirrus()] if rng.random() < 0.4 else []
+    if rng.random() < 0.4:
+        return [*high, patches()]
+    middle = [replace(patches(), base_km=rng.uniform(5.2, 6.2))] if rng.random() < 0.25 else []
+    return [*high, *middle, heaps()]
 
 
 def simulate_day(
     day: Day,
     *,
     interval_min: float,
+    lowest_sun_rad: float = DAY_RAD,
     height: int = 32,
     device: torch.device | str = "cpu",
 ) -> Iterator[SimulatedSky]:
-    """The day's skies, one every ``interval_min`` while the sun is above 2 degrees."""
+    """The day's skies, those of :func:`sunlit_moments`."""
     clear = ClearSky(day.atmosphere, device=device)
-    for time, azimuth, zenith in sunlit_moments(day, interval_min=interval_min):
+    moments = sunlit_moments(day, interval_min=interval_min, lowest_sun_rad=lowest_sun_rad)
+    for time, azimuth, zenith in moments:
         yield simulate_sky(day, clear, time, azimuth, zenith, height=height)
 
 
-def sunlit_moments(day: Day, *, interval_min: float) -> list[tuple[datetime, float, float]]:
-    """(time, sun azimuth, sun zenith in rad), every ``interval_min`` with the sun above 2 deg."""
+def sunlit_moments(
+    day: Day, *, interval_min: float, lowest_sun_rad: float = DAY_RAD
+) -> list[tuple[datetime, float, float]]:
+    """(time, sun azimuth, sun zenith in rad), every ``interval_min`` with the sun so high."""
     count = int(24 * 60 / interval_min)
     times = [day.start + timedelta(minutes=interval_min * i) for i in range(count)]
     azimuth, zenith = sun_angles(day.place, times)
     return [
         (time, float(a), float(z))
         for time, a, z in zip(times, azimuth, zenith, strict=True)
-        if z < math.pi / 2 - LOWEST_SUN_RAD
+        if z < math.pi / 2 - lowest_sun_rad
     ]
 
 
@@ -187,8 +201,10 @@ def simulate_sky(
 ) -> SimulatedSky:
     """One sky, rendered at 1.5 times ``height`` and averaged, the sun exact in energy.
 
-    The map is turned so that the sun stands on the middle of column w/2, the first to the
-    right of the centre line: on one column rather than between two.
+    Each layer of clouds throws its shadow on those below it, and the forward peak of what it
+    scatters falls with the shadow. What the air under the clouds scatters is lit by the mean of
+    what passes them. The map is turned so that the sun stands on the middle of column w/2, the
+    first to the right of the centre line: on one column rather than between two.
     """
     fine = height + height // 2
     grid = DirectionGrid.sky(fine)
@@ -204,21 +220,29 @@ def simulate_sky(
     background = clear.radiance(directions, sun)
     weight = (grid.solid_angles.to(device, torch.float32) * directions[:, 1])[:, None]
 
-    sky, beam_share, sharp = background, 1.0, torch.ones(len(disc), device=device)
+    risen = (disc[:, 1] > 0).to(share)
+    sky, beam_share, sharp = background, 1.0, risen
     hours = (time - day.start).total_seconds() / 3600
+    above_it: list[tuple[CloudLayer, Wind]] = []
     for layer in day.clouds:
         middle_km = layer.base_km + layer.thickness_km / 2
+        now = _at_hour(layer, day, hours), _wind(layer, day, hours)
         light = march(
-            _at_hour(layer, day, hours),
+            now[0],
             world,
             sun_world,
-            _wind(layer, day, hours),
+            now[1],
             footprint_rad=math.pi / 2 / fine,
             ground_albedo=day.atmosphere.ground_albedo,
         )
-        beam = beam_share * clear.sun_irradiance(zenith, height_km=middle_km)[0]
+        lit = math.prod(
+            (shadow(*upper, world, middle_km, sun_world) for upper in above_it),
+            start=torch.ones(len(world), device=device),
+        )
+        above_it.append(now)
+        beam = clear.sun_irradiance(zenith, height_km=middle_km)[0]
         above = (weight * sky).sum(0)  # what this layer gets of diffuse light
-        own = light.beam[:, None] * beam + light.sky[:, None] * above
+        own = (lit * light.beam)[:, None] * beam + light.sky[:, None] * above
         passed, own = light.passed[: len(directions), None], own[: len(directions)]
         air, haze = _air_before(clear, directions, middle_km)
         beam_share *= float(_mean(passed, weight))

@@ -8,8 +8,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skylight.skies.clouds import CloudLayer, LayerLight, Wind, march
-from skylight.skies.slab import CLOUD_G
+from skylight.skies.clouds import CloudLayer, LayerLight, Wind, march, shadow
+from skylight.skies.slab import CLOUD_G, FORWARD
 from skylight.sphere.frame import direction_from_angles
 from skylight.sphere.grid import DirectionGrid
 from tests.oracles.slab import photons_below
@@ -97,6 +97,24 @@ def test_without_a_sun_the_deck_hides_the_sky_and_keeps_its_light() -> None:
     assert all(a > b for a, b in pairwise(received))
     # diffuse light on a thick conservative slab: 1 / (1 + 3/4 (1 - g) tau) to leading order
     assert received[-1] == pytest.approx(1 / (1 + 0.75 * (1 - CLOUD_G) * 30), rel=0.05)
+
+
+@pytest.mark.parametrize("zenith_deg", [20.0, 60.0])
+def test_the_shadow_of_a_deck_is_its_slant_transmittance(zenith_deg: float) -> None:
+    sun = sun_at(zenith_deg)
+    passed = shadow(deck(3.0), CALM, DIRECTIONS, 0.5, sun)  # depth to a tenth, by four steps
+    expected = math.exp(-(1 - FORWARD) * 3.0 / float(sun[1]))
+    assert passed.log().mean().item() == pytest.approx(math.log(expected), rel=0.1)
+
+
+def test_shadows_are_the_clouds_seen_against_the_sun() -> None:
+    """A place is in the shadow if a ray from it to the sun meets cloud; here from the ground up."""
+    sun = sun_at(35.0)
+    overhead = torch.tensor([[0.0, 1.0, 0.0]])
+    for seed in range(12):
+        layer = broken(depth=60.0, erosion=0.0, seed=seed)
+        seen = float(through(layer, sun, sun[None], footprint=0.0).passed)
+        assert float(shadow(layer, CALM, overhead, 0.0, sun)) == pytest.approx(seen, abs=0.15)
 
 
 def test_white_ground_under_a_deck_brightens_it() -> None:

@@ -1,5 +1,6 @@
 import hashlib
 import math
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import pairwise
 
@@ -8,10 +9,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skylight.skies.clear.atmosphere import ClearSky
+from skylight.skies.clear.atmosphere import Atmosphere, ClearSky
 from skylight.skies.clouds import CloudLayer
 from skylight.skies.simulator import (
-    LOWEST_SUN_RAD,
+    DAY_RAD,
+    DUSK_RAD,
     REGIME_SHARES,
     Day,
     SimulatedSky,
@@ -75,15 +77,18 @@ def test_regimes_come_by_their_shares() -> None:
         found = sum(d.regime == regime for d in days) / len(days)
         assert found == pytest.approx(share, abs=0.06)
     assert {len(d.clouds) for d in days if d.regime == "clear"} == {0, 1}
-    assert {len(d.clouds) for d in days if d.regime == "broken"} == {1, 2}
-    assert {len(d.clouds) for d in days if d.regime == "overcast"} == {1}
+    assert {len(d.clouds) for d in days if d.regime == "broken"} == {1, 2, 3}
+    assert {len(d.clouds) for d in days if d.regime == "overcast"} == {1, 2}
+    for day in days:  # the highest first, one above the other
+        for upper, lower in pairwise(day.clouds):
+            assert upper.base_km >= lower.base_km + lower.thickness_km
 
 
 def test_moments_are_daylight_of_one_day() -> None:
     for seed in range(10):
         day = draw_day(seed)
         moments = sunlit_moments(day, interval_min=30.0)
-        assert all(z < math.pi / 2 - LOWEST_SUN_RAD for _, _, z in moments)
+        assert all(z < math.pi / 2 - DAY_RAD for _, _, z in moments)
         times = [t for t, _, _ in moments]
         assert all(day.start <= t for t in times)
         # the start is about local midnight, so the day's light is one unbroken stretch
@@ -145,6 +150,43 @@ def test_sun_of_a_clear_sky(clear_day: Day, clear_air: ClearSky, zenith_deg: flo
     expected = beam + EnvironmentMap(radiance=diffuse.reshape(32, 128, 3)).integrate()
     for total in totals:
         torch.testing.assert_close(total, expected, rtol=0.03, atol=0)
+
+
+@pytest.mark.parametrize(("height_deg", "low", "high"), [(-0.8, 410.0, 585.0), (-6.0, 2.0, 3.5)])
+def test_twilight_fades_as_measured(height_deg: float, low: float, high: float) -> None:
+    """Illuminance in lx at the ends of civil twilight, from the American Meteorological Society's
+    glossary ("civil twilight"); ours, in clean air, is up to 1.6 times as much."""
+    clear = ClearSky(Atmosphere(observer_km=0.0))
+    grid = DirectionGrid.sky(32)
+    sun = direction_from_angles(torch.tensor(0.0), torch.tensor(math.radians(90 - height_deg)))
+    sky = clear.radiance(grid.directions.float(), sun)
+    weight = (grid.solid_angles * grid.directions[:, 1]).float()
+    illuminance = 133_300 * float(luminance((weight[:, None] * sky).sum(0)))
+    assert low <= illuminance <= 1.6 * high
+
+
+def test_a_set_sun_is_not_in_the_map(clear_day: Day, clear_air: ClearSky) -> None:
+    """Nor are clouds after dusk lit from below the horizon by more than before it."""
+    set_ = sky_under(clear_day, clear_air, 92.0)
+    assert set_.sun_transmittance == 0.0
+    sun = sun_in_map(set_).float()
+    background = clear_air.radiance(DirectionGrid.sky(24).directions.float(), sun)
+    assert float(set_.sky.radiance.max()) <= float(background.max())
+    cloudy = replace(
+        clear_day, clouds=draw_day(7, shares={"clear": 0.0, "broken": 1.0, "overcast": 0.0}).clouds
+    )
+    levels = [
+        float(sky_under(cloudy, clear_air, z).sky.radiance.mean()) for z in (88.0, 91.0, 94.0)
+    ]
+    assert levels[0] > 2 * levels[1] > 4 * levels[2] > 0
+
+
+def test_twilight_is_simulated_where_it_is_asked_for() -> None:
+    day = draw_day(3)
+    light = sunlit_moments(day, interval_min=10.0)
+    more = sunlit_moments(day, interval_min=10.0, lowest_sun_rad=DUSK_RAD)
+    assert set(light) < set(more)
+    assert all(90 - 2 < math.degrees(z) < 90 + 6 for _, _, z in set(more) - set(light))
 
 
 def days_of(regime: str, count: int) -> list[Day]:

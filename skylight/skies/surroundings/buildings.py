@@ -17,6 +17,9 @@ WALLS = (
     (0.55, 0.53, 0.5),  # white paint
     (0.45, 0.37, 0.27),  # sandstone
     (0.42, 0.28, 0.17),  # ochre
+    (0.52, 0.38, 0.16),  # yellow plaster
+    (0.48, 0.28, 0.19),  # pink plaster
+    (0.36, 0.16, 0.09),  # terracotta
     (0.25, 0.13, 0.09),  # brick
     (0.3, 0.29, 0.27),  # concrete
     (0.13, 0.13, 0.13),  # dark cladding

@@ -69,7 +69,7 @@ KINDS: dict[str, Kind] = {
 # fmt: on
 SCENES = {
     "plain": Scene(
-        share=0.4,
+        share=0.34,
         open=(0.9, 1),
         there={"mountains": 0.15, "hills": 0.4, "woods": 0.7, "town": 0.25, "posts": 0.1},
     ),
@@ -102,7 +102,7 @@ SCENES = {
         },
     ),
     "city": Scene(
-        share=0.12,
+        share=0.18,
         open=(0.4, 0.8),
         there={
             **{"town": 0.8, "towers": 0.5, "street": 0.6, "trees": 0.4, "posts": 0.3},

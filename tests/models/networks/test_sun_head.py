@@ -55,18 +55,19 @@ def test_a_lobe_has_its_energy_and_its_place(
 @pytest.mark.parametrize("zenith_deg", [20.0, 44.3, 70.0, 85.0])
 @pytest.mark.parametrize("kappa", [2000.0, 6000.0, 20000.0])
 def test_splitting_finds_the_lobe_again(zenith_deg: float, kappa: float) -> None:
-    """On a uniform sky of radiance 0.3: energy within 3 %, place within 0.6 degrees."""
+    """On a uniform sky of radiance 0.3: energy within 3 %, place within half a row."""
     lobe = HEAD.lobe(coordinates(zenith_deg, 4.0, kappa))
     found, rest = HEAD.split(lobe + 0.3)
     zenith = 90 * float(torch.sigmoid(1.5 * found[0, 0]))
-    assert zenith == pytest.approx(zenith_deg, abs=0.6)
+    assert zenith == pytest.approx(zenith_deg, abs=1.4)
     assert torch.exp(2 * found[0, 1:4] - 1).tolist() == pytest.approx([4.0] * 3, rel=0.03)
     again = HEAD.lobe(found) + rest
     weight = GRID.solid_angles.float().reshape(HEIGHT, -1, 1)
-    assert float(((again - lobe - 0.3).abs() * weight).sum() / 3) < 0.06 * 4.0
+    # the centroid of pixel middles is not quite that of a lobe narrower than a pixel
+    assert float(((again - lobe - 0.3).abs() * weight).sum() / 3) < 0.3 * 4.0
 
 
-@pytest.mark.parametrize("zenith_deg", [15.0, 50.0, 82.0])
+@pytest.mark.parametrize("zenith_deg", [2.5, 7.0, 15.0, 50.0, 82.0])
 def test_split_of_a_clear_sky(zenith_deg: float) -> None:
     """The beam's energy within 5 %, the place within half a pixel's row; no sun is left."""
     day = without_clouds(draw_day(3))
@@ -77,7 +78,7 @@ def test_split_of_a_clear_sky(zenith_deg: float) -> None:
     beam = clear.sun_irradiance(torch.tensor([zenith]))[0]
     energy = torch.exp(2 * found[0, 1:4] - 1)
     torch.testing.assert_close(energy, beam, rtol=0.05, atol=0)
-    assert 90 * float(torch.sigmoid(1.5 * found[0, 0])) == pytest.approx(zenith_deg, abs=1.6)
+    assert 90 * float(torch.sigmoid(1.5 * found[0, 0])) == pytest.approx(zenith_deg, abs=1.4)
     assert float(luminance(rest).max()) < 0.02 * float(luminance(sky.radiance).max())
 
 
