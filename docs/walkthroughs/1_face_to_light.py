@@ -31,7 +31,7 @@ from skylight.faces.synthetic import render_face
 from skylight.imaging.photo import photo_from_codes
 from skylight.skies.simulated import simulated_skies
 from skylight.sphere.frame import angles_from_direction
-from skylight.transport.scene import evaluation_scene
+from skylight.transport.scene.evaluation import evaluation_scene
 
 photo = photo_from_codes(astronaut())
 result = skylight.estimate_photo(photo)

@@ -17,7 +17,7 @@ The model that comes with skylight is such a folder too.
 import copy
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from importlib.resources import files
 from pathlib import Path
 from typing import TypeVar
@@ -130,10 +130,16 @@ def load_bundle(folder: Path | None = None) -> LightBundle:
     if folder is not None:
         return _read(folder)
     try:
-        return _read(SHIPPED)
+        # a copy: a network that is moved to a GPU or made trainable must not be another's
+        return copy.deepcopy(_shipped(SHIPPED))
     except InputError as error:
         reason = str(error).removesuffix(f"; {MAKE_ONE}")
         raise AssetError(f"{reason}; reinstall skylight") from error
+
+
+@cache
+def _shipped(folder: Path) -> LightBundle:
+    return _read(folder)
 
 
 def _read(folder: Path) -> LightBundle:

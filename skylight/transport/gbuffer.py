@@ -12,23 +12,11 @@ from skylight.transport.raycast import Raycaster
 
 
 @dataclass(frozen=True, kw_only=True)
-class GBuffer:
-    """Surface points of the m covered pixels of an image of ``layout`` (height, width).
-
-    ``pixels`` are (row, column); ``positions`` lie on the mesh, in its units. ``normals`` are the
-    interpolated vertex normals, ``geometric_normals`` those of the flat faces; both are unit
-    vectors, on the side of the surface that the camera sees. ``origins`` are where light rays
-    should start (see :func:`lift`). ``faces`` and ``barycentric`` interpolate anything else.
-    """
+class CoveredPixels:
+    """The m covered pixels, (row, column), of an image of ``layout`` (height, width)."""
 
     layout: tuple[int, int]
     pixels: Int[Tensor, "m 2"]
-    positions: Float[Tensor, "m 3"]
-    origins: Float[Tensor, "m 3"]
-    normals: Float[Tensor, "m 3"]
-    geometric_normals: Float[Tensor, "m 3"]
-    faces: Int[Tensor, " m"]
-    barycentric: Float[Tensor, "m 3"]
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -42,6 +30,24 @@ class GBuffer:
         out = background.to(values.dtype).clone()
         out[self.pixels[:, 0], self.pixels[:, 1]] = values
         return out
+
+
+@dataclass(frozen=True, kw_only=True)
+class GBuffer(CoveredPixels):
+    """Surface points of the covered pixels.
+
+    ``positions`` lie on the mesh, in its units. ``normals`` are the
+    interpolated vertex normals, ``geometric_normals`` those of the flat faces; both are unit
+    vectors, on the side of the surface that the camera sees. ``origins`` are where light rays
+    should start (see :func:`lift`). ``faces`` and ``barycentric`` interpolate anything else.
+    """
+
+    positions: Float[Tensor, "m 3"]
+    origins: Float[Tensor, "m 3"]
+    normals: Float[Tensor, "m 3"]
+    geometric_normals: Float[Tensor, "m 3"]
+    faces: Int[Tensor, " m"]
+    barycentric: Float[Tensor, "m 3"]
 
 
 def rasterize(

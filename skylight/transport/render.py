@@ -141,7 +141,7 @@ def reflection_weights(
     The usual prefilter, which takes normal and view along r (Karis 2013, "Real shading in
     Unreal Engine 4"), so <n,h>^2 = (1 + <r,w>) / 2.
     """
-    cosine = (reflected @ grid.directions.T).float()
+    cosine = (reflected @ grid.directions.to(reflected).T).float()
     weight = ggx_density((1 + cosine) / 2, alpha) * cosine.clamp(min=0)
     weight = weight * grid.solid_angles.float()
     return weight / weight.sum(1, keepdim=True)

@@ -30,7 +30,8 @@ from skylight.relight.scene_file import load_scene
 from skylight.relight.sky_decoder import SkyDecoder
 from skylight.sphere.envmap import EnvironmentMap, shift_columns
 from skylight.sphere.grid import DirectionGrid
-from skylight.transport.scene import evaluation_scene
+from skylight.transport.scene.evaluation import evaluation_scene
+from skylight.transport.scene.model import matt_surface
 
 
 def random_map(height, width, seed=0):
@@ -94,7 +95,7 @@ def test_relight_is_the_evaluation_scene_s(height, tmp_path):
     make_scene(
         camera=torch_scene.camera,
         pixels=matt.pixels,
-        normals=matt.normals,
+        normals=matt_surface(torch_scene.camera)[0].normals,
         albedo=torch_scene.albedo,
         on_ground=torch.zeros(len(matt), dtype=torch.bool),
         visible=pack_visibility(torch_scene.transport),

@@ -7,7 +7,8 @@ from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import direction_from_angles
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.render import Specular, ggx, light_samples, render_diffuse
-from skylight.transport.scene import evaluation_scene
+from skylight.transport.scene.evaluation import evaluation_scene
+from skylight.transport.scene.model import matt_surface
 from tests.transport.shapes import seen_sphere
 
 
@@ -105,12 +106,13 @@ def test_shadows_fall_where_the_sun_is_hidden(scene, azimuth_deg):
     environment = sunny(azimuth_deg, 60, height=16)
     sun = environment.grid.directions[environment.flat[:, 0].argmax()]
     lit = scene.shade(environment)[:, 0]
-    ground = (scene.albedo[:, 0] == 0.5) & (scene.matt.normals[:, 1] > 0.99)
+    surface, _, _ = matt_surface(scene.camera)
+    ground = (scene.albedo[:, 0] == 0.5) & (surface.normals[:, 1] > 0.99)
     dark = lit < 0.5 * lit[ground].max()
 
     def passes(centre, radius):
         """Where the ray to the sun comes closer to ``centre`` than ``radius``."""
-        offset = torch.tensor(centre, dtype=torch.float64) - scene.matt.positions
+        offset = torch.tensor(centre, dtype=torch.float64) - surface.positions
         along = offset @ sun
         return ((offset - along[:, None] * sun).norm(dim=1) < radius) & (along > 0)
 

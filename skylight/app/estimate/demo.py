@@ -20,7 +20,7 @@ from skylight.imaging.metrics import lighting_metrics, shading_metrics
 from skylight.io.files import write_json, write_png
 from skylight.skies.simulated import simulated_skies
 from skylight.sphere.envmap import EnvironmentMap
-from skylight.transport.scene import evaluation_scene
+from skylight.transport.scene.evaluation import evaluation_scene
 from skylight.work.progress import StageProgress
 from skylight.work.results_folder import results_folder
 

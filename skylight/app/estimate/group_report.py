@@ -13,7 +13,7 @@ from skylight.app.figures.exposure import srgb_codes, white_of
 from skylight.app.figures.panels import show, show_probe, write_numbers
 from skylight.app.figures.relit import SCENE_GRID, SCENE_HEIGHT, relit
 from skylight.app.figures.style import ACCENT, MUTED, STYLE, save
-from skylight.transport.scene import evaluation_scene
+from skylight.transport.scene.evaluation import evaluation_scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -32,7 +32,7 @@ from skylight.imaging.photo import Photo
 from skylight.transport.camera import Camera
 from skylight.transport.gbuffer import rasterize
 from skylight.transport.raycast import Raycaster
-from skylight.transport.scene import evaluation_scene
+from skylight.transport.scene.evaluation import evaluation_scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

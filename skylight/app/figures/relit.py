@@ -6,7 +6,7 @@ from jaxtyping import UInt8
 from skylight.app.figures.exposure import white_of
 from skylight.imaging.colour import tone_map
 from skylight.sphere.envmap import EnvironmentMap
-from skylight.transport.scene import EvaluationScene
+from skylight.transport.scene.evaluation import EvaluationScene
 
 SCENE_HEIGHT, SCENE_GRID = 144, 32  # for looking at: twice the scores' pixels, as much memory
 

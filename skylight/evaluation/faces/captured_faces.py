@@ -25,7 +25,7 @@ from skylight.imaging.photo import read_photo
 from skylight.io.files import write_png
 from skylight.models.names import LightName
 from skylight.sphere.envmap import EnvironmentMap, luminance
-from skylight.transport.scene import evaluation_scene
+from skylight.transport.scene.evaluation import evaluation_scene
 
 OF_SCALE = ("brightness", "mae_aligned", "rmse_aligned")  # which is aligned before
 

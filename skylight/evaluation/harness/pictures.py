@@ -9,7 +9,7 @@ from jaxtyping import UInt8
 from skylight.imaging.colour import tone_map
 from skylight.io.files import write_png
 from skylight.sphere.envmap import EnvironmentMap, luminance
-from skylight.transport.scene import evaluation_scene
+from skylight.transport.scene.evaluation import evaluation_scene
 
 WIDTH = 192  # of a column: the scene above, its probe below
 SCENE, PROBE, LABEL = 144, 96, 16

@@ -18,7 +18,7 @@ from skylight.imaging.metrics import (
 )
 from skylight.skies.sun_in_map import find_sun
 from skylight.sphere.envmap import EnvironmentMap
-from skylight.transport.scene import evaluation_scene
+from skylight.transport.scene.evaluation import evaluation_scene
 
 Alignment = Literal["unaligned", "mean", "least_squares"]
 SCALE_FREE = "scale_free"

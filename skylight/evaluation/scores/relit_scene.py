@@ -6,7 +6,7 @@ from torch import Tensor
 
 from skylight.imaging.metrics import lighting_metrics, mae, rmse, shading_metrics
 from skylight.sphere.envmap import EnvironmentMap
-from skylight.transport.scene import EvaluationScene, evaluation_scene
+from skylight.transport.scene.evaluation import EvaluationScene, evaluation_scene
 
 
 def score(

@@ -17,7 +17,7 @@ from skylight.probes.partitions.design.optimise import (
 )
 from skylight.probes.partitions.seeds import ProbeDesign
 from skylight.sphere.envmap import luminance
-from skylight.transport.scene import evaluation_scene
+from skylight.transport.scene.evaluation import evaluation_scene
 from skylight.work.progress import StageProgress
 
 _SCENE_HEIGHT = 20  # pixels: 390 points, a third of them on objects and in their shadows

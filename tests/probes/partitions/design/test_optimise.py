@@ -20,7 +20,7 @@ from skylight.probes.partitions.probe import PartitionProbe
 from skylight.probes.partitions.seeds import ProbeDesign
 from skylight.sphere.frame import angle_between
 from skylight.sphere.grid import DirectionGrid
-from skylight.transport.scene import evaluation_scene
+from skylight.transport.scene.evaluation import evaluation_scene
 
 GRID = DirectionGrid.latlong(16)
 
