@@ -17,7 +17,7 @@ from skylight.probes.partitions.design.objective import RelightingError
 from skylight.probes.partitions.design.optimise import symmetric_design
 from skylight.probes.partitions.seeds import ProbeDesign
 from skylight.skies.sun import Place
-from skylight.transport.scene import evaluation_scene
+from skylight.transport.scene.evaluation import evaluation_scene
 
 STEPS, START, END = 200, 8.0, 200.0
 

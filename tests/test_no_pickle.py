@@ -17,6 +17,7 @@ CALLS = {
 OWN_ARRAYS = {
     "evaluation/rendered_faces/skin.py", "faces/landmarks.py", "faces/detection/mediapipe_face.py",
     "faces/model.py", "training/skies/data.py", "training/skies/prepared.py",
+    "transport/scene/traced.py",
 }  # fmt: skip
 
 
