@@ -50,10 +50,11 @@ def estimate(
     exposure. Cameras are taken to be level and, of several pictures, to look the same way: a
     burst, a person who turns, a group that is photographed again.
 
-    Writes probe.exr and probe.hdr (linear lat-long maps of 64 x 128 pixels in the camera's frame:
-    the centre is where the camera looks, its right is the picture's right), posterior.exr (how
-    likely the sun stands where, per sr), mesh.obj (the fitted head; mesh_1.obj and so on where
-    there are several), estimate.json (all numbers) and report.png (a picture of it all).
+    Writes probe.exr and probe.hdr (linear lat-long maps in the camera's frame, 128 x 256 pixels
+    of a sky and 64 x 128 of other light: the centre is where the camera looks, its right is the
+    picture's right), posterior.exr (how likely the sun stands where, per sr), mesh.obj (the
+    fitted head; mesh_1.obj and so on where there are several), estimate.json (all numbers) and
+    report.png (a picture of it all).
 
     Of a folder, each picture in it and in folders within is estimated by itself: a/me.jpg into
     OUT/a/me_jpg. OUT/manifest.jsonl has a line for each picture that is finished; the same

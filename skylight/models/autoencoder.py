@@ -16,7 +16,7 @@ class AutoencoderLight(nn.Module):
     """The light model ``L(w) = R(azimuth) f(z)``: z latents and the sun's azimuth, 65 parameters
     for the network's usual 64 latents.
 
-    ``forward`` maps parameters ``(..., z + 1)`` to radiance ``(..., 4096, 3)`` on the 32 x 128
+    ``forward`` maps parameters ``(..., z + 1)`` to radiance ``(..., n, 3)`` on the 32 x 128
     pixels of ``grid``, as the network decodes in evaluation mode. The network's weights are frozen;
     ``requires_grad_(True)`` makes them trainable through the light.
 
@@ -37,6 +37,8 @@ class AutoencoderLight(nn.Module):
         than a pixel jumps from one to the next: in between, the objective is flat, and an
         optimiser stops there, up to 10 degrees from the sun. Half a pixel, 1.4 degrees, is
         smooth, and no face can tell it from a point.
+    height
+        Rows of the sky, 32 or a multiple of it.
     """
 
     name = "autoencoder"
@@ -58,8 +60,12 @@ class AutoencoderLight(nn.Module):
         bank_zenith_rad: Float[Tensor, " k"],
         white_centroids: Float[Tensor, "c z"],
         sun_spread_rad: float = 0.0,
+        height: int = HEIGHT,
     ) -> None:
         super().__init__()
+        if height % HEIGHT:
+            raise ValueError(f"skies have {HEIGHT} rows or a multiple of it, not {height}")
+        self.height = height
         self.sun_spread_rad = sun_spread_rad
         self.network = network.eval().requires_grad_(False)
         self.latents = network.latents
@@ -73,7 +79,7 @@ class AutoencoderLight(nn.Module):
 
     @property
     def grid(self) -> DirectionGrid:
-        return DirectionGrid.sky(HEIGHT)
+        return DirectionGrid.sky(self.height)
 
     @property
     def bounds(self) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
@@ -82,7 +88,7 @@ class AutoencoderLight(nn.Module):
 
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
         z, azimuth = self._parts(params)
-        sky = self.network.turned(z, azimuth, self.sun_spread_rad)
+        sky = self.network.turned(z, azimuth, self.sun_spread_rad, self.height)
         return sky.reshape(*params.shape[:-1], len(self.grid), 3)
 
     def sun_direction(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch 3"] | None:
@@ -92,6 +98,19 @@ class AutoencoderLight(nn.Module):
             return None
         z, azimuth = self._parts(params)
         return head.direction(z[:, -COORDINATES:], azimuth).reshape(*params.shape[:-1], 3)
+
+    def on_rows(self, height: int) -> "AutoencoderLight":
+        """The model on so many rows, its weights shared; the sun keeps its spread in pixels."""
+        return AutoencoderLight(
+            self.network,
+            latent_mean=self.latent_mean,
+            latent_scale=self.latent_scale,
+            bank=self.bank,
+            bank_zenith_rad=self.bank_zenith_rad,
+            white_centroids=self.white_centroids,
+            sun_spread_rad=self.sun_spread_rad * self.height / height,
+            height=height,
+        )
 
     def _parts(
         self, params: Float[Tensor, "*batch p"]

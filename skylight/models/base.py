@@ -29,7 +29,8 @@ class LightModel(Protocol):
     ``starts`` gives parameters ``(s, p)`` to start an optimisation from, and
     ``starts_towards`` such whose sun stands in the given directions ``(d, 3)``,
     ``(d, k, p)``: k candidates per direction. ``sun_direction`` is where parameters say that the
-    sun stands, differentiable, or None for a model without a sun of its own.
+    sun stands, differentiable, or None for a model without a sun of its own. ``on_rows`` is the
+    same model on a grid of another height, so that a map may be finer than what it was fitted on.
     """
 
     name: str
@@ -55,6 +56,8 @@ class LightModel(Protocol):
     def sun_direction(
         self, params: Float[Tensor, "*batch p"]
     ) -> Float[Tensor, "*batch 3"] | None: ...
+
+    def on_rows(self, height: int) -> "LightModel": ...
 
 
 @runtime_checkable

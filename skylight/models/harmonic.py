@@ -47,6 +47,10 @@ class HarmonicLight(nn.Module):
     def sun_direction(self, params: Float[Tensor, "*batch p"]) -> None:
         return None
 
+    def on_rows(self, height: int) -> "HarmonicLight":
+        """The model on ``height`` rows."""
+        return HarmonicLight(self.degree, height).to(self.basis)
+
     def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         return params
 

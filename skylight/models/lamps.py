@@ -92,6 +92,10 @@ class LampsLight(nn.Module):
         high = torch.full((self.parameter_count,), math.inf, dtype=torch.float64)
         return -high, high
 
+    def on_rows(self, height: int) -> "LampsLight":
+        """The model on ``height`` rows."""
+        return LampsLight(self.count, height).to(self.basis)
+
     def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         return params
 

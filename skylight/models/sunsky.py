@@ -129,6 +129,10 @@ class SunSky(nn.Module):
     def sun_direction(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch 3"]:
         return direction_from_angles(params[..., 6], params[..., 7])
 
+    def on_rows(self, height: int) -> "SunSky":
+        """The model on ``height`` rows; both terms are normalised on those pixels."""
+        return SunSky(height).to(self.sphere)
+
     def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """log of the colours, azimuth as it is, logit of the zenith, log-logit of t and kappa.
 

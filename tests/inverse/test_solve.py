@@ -174,7 +174,7 @@ def test_a_darker_lower_half_is_no_higher_sun(sun):
 def test_an_estimate_is_in_itself_consistent(first):
     observation, found = first
     assert found.light == "sunsky"
-    assert found.environment.layout == (64, 128)
+    assert found.environment.layout == (128, 256)
     assert (found.environment.radiance >= 0).all()
     # the picture again from the map: exposure and units are in it
     flat = found.environment.flat

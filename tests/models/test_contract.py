@@ -246,3 +246,22 @@ def test_azimuth_turns_the_map(model: LightModel, columns: int) -> None:
         rtol=1e-7,
         atol=1e-9,
     )
+
+
+def test_more_rows_hold_the_same_light(model: LightModel) -> None:
+    """Irradiance from six sides within 3 %, the sun where it was."""
+    params = random_params(model, 4)
+    rows = model.grid.layout[0]  # pyright: ignore[reportOptionalSubscript]
+    finer = model.on_rows(2 * rows)
+    assert finer.grid.layout == tuple(2 * n for n in model.grid.layout)  # pyright: ignore
+    normals = torch.cat([torch.eye(3), -torch.eye(3)]).double()
+    lit = [
+        torch.einsum("nk,n,bnc->bkc", cosines(one, normals), one.grid.solid_angles, one(params))
+        for one in (model, finer)
+    ]
+    torch.testing.assert_close(lit[0], lit[1], rtol=0.03, atol=0.01 * float(lit[0].mean()))
+    torch.testing.assert_close(model.sun_direction(params), finer.sun_direction(params))
+
+
+def cosines(model: LightModel, normals: torch.Tensor) -> torch.Tensor:
+    return (model.grid.directions @ normals.T).clamp(min=0)

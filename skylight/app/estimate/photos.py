@@ -102,7 +102,7 @@ def estimate(
     Returns
     -------
     Estimate
-        ``environment`` is the light as a 64 x 128 map in the camera's frame: its centre is where
+        ``environment`` is the light as a full map in the camera's frame: its centre is where
         the camera looks (-Z), +X is the picture's right, +Y up.
 
     Raises

@@ -19,6 +19,7 @@ from skylight.faces.skin import SkinPrior
 from skylight.inverse.estimate import albedo_prior, smooth_autoencoder
 from skylight.inverse.result import Estimate
 from skylight.inverse.sky.problem import SkyProblem
+from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.bundle import load_bundle
 from skylight.models.networks.base import CENTRE_AZIMUTH_RAD
 from skylight.models.prior import GaussianMixture
@@ -108,3 +109,6 @@ class OneStart:
 
     def sun_direction(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b 3"] | None:
         return self.model.sun_direction(params)
+
+    def on_rows(self, height: int) -> AutoencoderLight:
+        return self.model.on_rows(height)

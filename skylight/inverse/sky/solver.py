@@ -28,11 +28,13 @@ from skylight.inverse.result import UNEXPLAINED, Estimate, advice
 from skylight.inverse.scan import SunScan, scan_faces
 from skylight.inverse.sun_prior import SunPrior
 from skylight.models.base import LightModel, Prior
+from skylight.models.ground import LambertianGround
 from skylight.models.prior import GaussianMixture
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.work.progress import Progress
 
 T = TypeVar("T")
+SKY_ROWS = 64  # of an estimate's sky; the objective works on those of the light model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +111,7 @@ class SkySolver:
             for faces, prior in zip(_per_problem(every, problems), priors, strict=True)
         ]
         points = [
-            self._starts(faces, prior, scan.candidates)
+            self.starts(faces, prior, scan.candidates)
             for faces, prior, scan in zip(problems, priors, scans, strict=True)
         ]
         before, objective = None, None
@@ -117,7 +119,7 @@ class SkySolver:
             stage = effort.level, effort.even_skin
             if objective is None or stage != before:
                 objective = None  # of many faces, one level at a time is much memory
-                before, objective = stage, self._objective(problems, priors, effort)
+                before, objective = stage, self.objective(problems, priors, effort)
             points = descend(objective, points, effort, self.options.tolerance)
             if progress is not None:
                 progress(number / len(rounds))
@@ -128,7 +130,7 @@ class SkySolver:
             for p, (faces, scan, each) in enumerate(zip(problems, scans, evidence, strict=True))
         ]
 
-    def _objective(
+    def objective(
         self, problems: Sequence[LitFaces], priors: Sequence[SunPrior | None], effort: Round
     ) -> LightObjective:
         """Of all problems on a round's level; of one, without a copy of its transport."""
@@ -143,10 +145,11 @@ class SkySolver:
             priors,
         )
 
-    def _starts(
+    def starts(
         self, faces: LitFaces, prior: SunPrior | None, directions: Float[Tensor, "d 3"]
     ) -> Points:
-        objective = self._objective([faces], [prior], self.options.rounds[0])
+        """Where descent begins towards each direction and from the mixture's centroids."""
+        objective = self.objective([faces], [prior], self.options.rounds[0])
         towards = self.model.starts_towards(directions)
         return Points.starting(*choose_starts(objective, towards, self.albedo_modes))
 
@@ -155,15 +158,12 @@ def _estimate(
     ends: Ends, p: int, faces: LitFaces, level: int, scan: SunScan, evidence: SunEvidence
 ) -> Estimate:
     """The answer to problem ``p``, in its photographs' units and on the CPU."""
-    parts, model, ground = ends.parts, ends.objective.model, ends.objective.ground
+    parts, model = ends.parts, ends.objective.model
     lights = face_lights(ends, p, faces, level)
     with torch.no_grad():
-        sky = model(parts.light[p, None])[0] * lights[0].exposure
-    layout = model.grid.layout
-    assert layout is not None
-    assert ground is not None
-    full = ground.append(sky, parts.ground_albedo[p]).cpu()
-    environment = EnvironmentMap(radiance=full.reshape(2 * layout[0], layout[1], 3))
+        sky = model.on_rows(SKY_ROWS)(parts.light[p, None])[0] * lights[0].exposure
+    full = LambertianGround(SKY_ROWS).append(sky.cpu(), parts.ground_albedo[p].cpu())
+    environment = EnvironmentMap(radiance=full.reshape(2 * SKY_ROWS, 4 * SKY_ROWS, 3))
     sun = environment.brightest_direction()
     posterior = sun_posterior(
         evidence,

@@ -15,6 +15,7 @@ import math
 from abc import ABC, abstractmethod
 from typing import Literal
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -66,13 +67,25 @@ class SkyNetwork(nn.Module, ABC):
 
     @abstractmethod
     def turned(
-        self, z: Float[Tensor, "b z"], azimuth_rad: Float[Tensor, " t"], sun_spread_rad: float
+        self,
+        z: Float[Tensor, "b z"],
+        azimuth_rad: Float[Tensor, " t"],
+        sun_spread_rad: float,
+        height: int = HEIGHT,
     ) -> Float[Tensor, "b h w 3"]:
         """:meth:`decode` in evaluation mode, the suns turned to those azimuths.
 
         Differentiable in both; one azimuth serves any number of skies. ``sun_spread_rad`` widens
-        the sun's lobe: see :meth:`~skylight.models.networks.sun_head.SunHead.lobe`.
+        the sun's lobe: see :meth:`~skylight.models.networks.sun_head.SunHead.lobe`. ``height`` is
+        the number of rows, :data:`HEIGHT` or a multiple of it.
         """
+
+    def _sun_head(self, height: int, device: torch.device) -> SunHead:
+        """That of maps of so many rows."""
+        assert self.sun_head is not None
+        if height == HEIGHT:
+            return self.sun_head
+        return SunHead(height, CENTRE_AZIMUTH_RAD).to(device)
 
     def split(
         self, radiance: Float[Tensor, "b h w 3"]

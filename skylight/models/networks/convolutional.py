@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from skylight.models.networks.base import CENTRE_AZIMUTH_RAD, CODE_LIMIT, Coding, SkyNetwork
+from skylight.models.networks.base import CENTRE_AZIMUTH_RAD, CODE_LIMIT, HEIGHT, Coding, SkyNetwork
 from skylight.models.networks.sun_head import COORDINATES
 from skylight.sphere.envmap import shift_columns
 from skylight.work.derived import Derived
@@ -126,9 +126,13 @@ class ConvolutionalAutoencoder(SkyNetwork):
         return self.output(x)
 
     def turned(
-        self, z: Float[Tensor, "b z"], azimuth_rad: Float[Tensor, " t"], sun_spread_rad: float
+        self,
+        z: Float[Tensor, "b z"],
+        azimuth_rad: Float[Tensor, " t"],
+        sun_spread_rad: float,
+        height: int = HEIGHT,
     ) -> Float[Tensor, "b h w 3"]:
-        """:meth:`decode` in evaluation mode, its columns resampled.
+        """:meth:`decode` in evaluation mode, its columns resampled and, on more rows, repeated.
 
         With a spread the sun's lobe is evaluated at its azimuth and only the rest is resampled: a
         sun much sharper than a pixel jumps from one to the next, and a turn by part of a pixel
@@ -139,12 +143,14 @@ class ConvolutionalAutoencoder(SkyNetwork):
         )
         sky = self.uncode(decoder(z))
         turn = (azimuth_rad - CENTRE_AZIMUTH_RAD).expand(len(z))
-        if self.sun_head is None:
-            return shift_columns(sky, turn)
-        if sun_spread_rad == 0:
+        if self.sun_head is not None and sun_spread_rad == 0 and height == HEIGHT:
             return shift_columns(sky + self.sun_head.lobe(z[:, -COORDINATES:]), turn)
-        lobe = self.sun_head.lobe(z[:, -COORDINATES:], azimuth_rad, sun_spread_rad)
-        return shift_columns(sky, turn) + lobe
+        times = height // HEIGHT
+        sky = shift_columns(sky, turn).repeat_interleave(times, 1).repeat_interleave(times, 2)
+        if self.sun_head is None:
+            return sky
+        head = self._sun_head(height, z.device)
+        return sky + head.lobe(z[:, -COORDINATES:], azimuth_rad, sun_spread_rad)
 
 
 @dataclass(frozen=True)

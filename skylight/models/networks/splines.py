@@ -17,7 +17,13 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from skylight.models.networks.base import CODE_LIMIT, HEIGHT, WIDTH, SkyNetwork
+from skylight.models.networks.base import (
+    CENTRE_AZIMUTH_RAD,
+    CODE_LIMIT,
+    HEIGHT,
+    WIDTH,
+    SkyNetwork,
+)
 from skylight.models.networks.sun_head import COORDINATES
 from skylight.sphere.disk_splines import DiskSplines
 from skylight.sphere.grid import DirectionGrid
@@ -72,14 +78,20 @@ class SplineAutoencoder(SkyNetwork):
         return values.unflatten(1, (3, z.shape[0])).permute(2, 1, 0).unflatten(2, (HEIGHT, WIDTH))
 
     def turned(
-        self, z: Float[Tensor, "b z"], azimuth_rad: Float[Tensor, " t"], sun_spread_rad: float
+        self,
+        z: Float[Tensor, "b z"],
+        azimuth_rad: Float[Tensor, " t"],
+        sun_spread_rad: float,
+        height: int = HEIGHT,
     ) -> Float[Tensor, "b h w 3"]:
         """:meth:`decode`, the suns turned to those azimuths; exact, as nothing is resampled."""
-        assert self.sun_head is not None
-        ahead = torch.full_like(azimuth_rad, self.sun_head.azimuth_rad)
-        coded = self.splines(self.control(z), azimuth_rad - ahead)
-        sky = _radiance(coded).unflatten(1, (HEIGHT, WIDTH))
-        return sky + self.sun_head.lobe(z[:, -COORDINATES:], azimuth_rad, sun_spread_rad)
+        splines = self.splines
+        if height != HEIGHT:
+            splines = DiskSplines(ACROSS, DirectionGrid.sky(height)).to(z.device)
+        coded = splines(self.control(z), azimuth_rad - CENTRE_AZIMUTH_RAD)
+        sky = _radiance(coded).unflatten(1, (height, 4 * height))
+        head = self._sun_head(height, z.device)
+        return sky + head.lobe(z[:, -COORDINATES:], azimuth_rad, sun_spread_rad)
 
 
 class _Products(nn.Module):
