@@ -25,7 +25,8 @@ class AutoencoderConfig:
     ``latent_noise`` corrupt what the network sees: see ``draw_corruption``.
 
     ``surroundings`` is the probability that a scene stands before a sky, ``tint`` the spread of
-    white balances, ``mirror`` whether every other sky is mirrored. So many ``copies`` of every sky
+    white balances, ``white_balance`` how far they go at most towards a grey mean, ``mirror``
+    whether every other sky is mirrored. So many ``copies`` of every sky
     are varied by them, and shown in turn, one an epoch.
 
     ``bfloat16`` is mixed precision where the device has it. ``batch`` is that of all processes
@@ -53,6 +54,7 @@ class AutoencoderConfig:
     mirror: bool = True
     surroundings: float = 0.0
     tint: float = 0.0
+    white_balance: float = 0.0
     copies: int = 1
     epochs: int = 60
     batch: int = 32
@@ -85,9 +87,9 @@ class AutoencoderConfig:
                 raise InputError(f"`{name}` must be at least 0, got {getattr(self, name)}")
         if not 0 <= self.seed < 10_000_000:  # of which steps' seeds are made, in 64 bits
             raise InputError(f"`seed` must be from 0 to 9999999, got {self.seed}")
-        for name in ("surroundings", "masked"):
+        for name in ("surroundings", "masked", "white_balance"):
             if not 0 <= getattr(self, name) <= 1:
-                raise InputError(f"`{name}` is a probability, got {getattr(self, name)}")
+                raise InputError(f"`{name}` must be from 0 to 1, got {getattr(self, name)}")
         if self.nesterov and self.momentum == 0:
             raise InputError("`nesterov` needs a `momentum` above 0; give one, or nesterov: false")
         if self.network == "splines" and (self.coding, self.sun) != ("log", True):

@@ -90,7 +90,7 @@ def open_prepared(path: Path, config: AutoencoderConfig, out: Path, copy: int) -
 
 def _place(path: Path, config: AutoencoderConfig, out: Path, copy: int) -> Path:
     what = (path.stem, config.network, config.coding, config.sun, config.seed)
-    how = (config.mirror, config.tint, config.surroundings, copy)
+    how = (config.mirror, config.tint, config.surroundings, config.white_balance, copy)
     return out / f"{hashlib.sha256(repr((what, how)).encode()).hexdigest()[:16]}.npy"
 
 

@@ -1,3 +1,4 @@
+import pytest
 import torch
 
 from skylight.sphere.envmap import LUMINANCE
@@ -44,6 +45,24 @@ def test_tint_changes_colours_alone() -> None:
     gain = varied / skies
     torch.testing.assert_close(gain, gain[:, :1, :1].expand_as(gain), rtol=1e-4, atol=0)
     assert float((gain[:, 0, 0] / gain[:, 0, 0].mean(1, keepdim=True)).std()) > 0.05
+
+
+@pytest.mark.parametrize("most", [0.4, 1.0])
+def test_white_balance_goes_part_of_the_way_to_a_grey_mean(most: float) -> None:
+    """The logs of the means' ratios shrink by a factor of their own, at least 1 - ``most``."""
+    skies = torch.rand(40, 32, 128, 3, generator=torch.Generator().manual_seed(0)) + 0.1
+    skies = skies * torch.tensor([0.5, 1.0, 2.0])
+    config = AutoencoderConfig(mirror=False, white_balance=most)
+    varied = augment(skies, torch.Generator().manual_seed(1), config)
+    solid = DirectionGrid.sky(32).solid_angles.float()
+    before, after = (
+        torch.einsum("n,bnc->bc", solid, s.flatten(1, 2)).log() for s in (skies, varied)
+    )
+    left = [(x[:, [0, 2]] - x[:, 1:2]) for x in (before, after)]
+    share = left[1] / left[0]
+    torch.testing.assert_close(share[:, 0], share[:, 1], rtol=1e-3, atol=1e-3)
+    assert 1 - most - 1e-4 <= float(share.min()) < 1 - 0.8 * most
+    assert 0.9 < float(share.max()) < 1 + 1e-4
 
 
 def test_the_share_of_skies_with_surroundings_is_kept() -> None:
