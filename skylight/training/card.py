@@ -30,9 +30,10 @@ def model_card(
     lines = [
         f"# {bundle.name}",
         "",
-        "A light model for inverse lighting outdoors: 64 latents and an azimuth to a 32 x 128",
-        "upper hemisphere of relative radiance (mean luminance 1), with priors over them. Use it",
-        "with `skylight estimate --model FOLDER`.",
+        f"A light model for inverse lighting outdoors: {bundle.network.latents} latents and an "
+        "azimuth to the upper",
+        "hemisphere of relative radiance (mean luminance 1), with priors over them. Use it with",
+        "`skylight estimate --model FOLDER`.",
         "",
         "## Data",
         "| set | skies | days |",
