@@ -147,5 +147,6 @@ def representations(light: AutoencoderLight) -> dict[str, tuple[int, Callable[[S
         count = LOBE_PARAMETERS * lobes + CONSTANT_PARAMETERS
         found[f"gaussians_{count}"] = (count, lambda sky, k=lobes: fit_gaussians(sky, k))
     found["sunsky_10"] = (SunSky.parameter_count, fit_sun_and_sky)
-    found["autoencoder_65"] = (light.parameter_count, partial(fit_autoencoder, light))
+    count = light.parameter_count
+    found[f"autoencoder_{count}"] = (count, partial(fit_autoencoder, light))
     return found
