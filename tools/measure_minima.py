@@ -96,7 +96,8 @@ def main() -> None:
         RESULTS / "minima.json",
         name="minima",
         what="share of an estimate's starts that reach the best minimum",
-        command=f"python -m tools.measure_minima --faces faces --models {names}",
+        command=f"python -m tools.measure_minima --faces faces --models {names} "
+        f"--count {told.count}",
         begun=begun,
         facts={"faces": len(next(iter(found.values()))), "models": means, "items": found},
     )

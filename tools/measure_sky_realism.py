@@ -3,9 +3,9 @@
     python -m tools.measure_sky_realism --data ../shared/data/hdr
 
 Bare simulated skies, and those varied as ``configs/sky_autoencoder.yaml`` says (mirrored, tinted,
-surroundings before them), are compared with a collection's outdoor maps: by the distribution of
-each statistic of :func:`sky_statistics`, and by how well classifiers tell simulated skies from
-captured ones by all of them together. All skies are 32 x 128, of mean luminance 1.
+surroundings before them, balanced), are compared with a collection's outdoor maps: by the
+distribution of each statistic of :func:`sky_statistics`, and by how well classifiers tell simulated
+skies from captured ones by all of them together. All skies are 32 x 128, of mean luminance 1.
 
 Distances are 1-Wasserstein, in the statistic's unit; their floor is the mean between random halves
 of the captured maps. It errs upwards, as halves scatter more: of 42 maps, 1.6 times as far as 42

@@ -52,7 +52,7 @@ print(estimate.posterior.verdict, *estimate.advice, sep="\n")
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 3.6), width_ratios=(1, 2.4))
 show(left, photo.encoded, "Photograph")
 show_probe(right, estimate.environment, "Estimated light")
-draw_region(right, estimate.posterior)
+draw_region(right, estimate.posterior, estimate.environment.layout[0])
 figure.tight_layout()
 
 # %%

@@ -16,8 +16,8 @@ class AutoencoderLight(nn.Module):
     """The light model ``L(w) = R(azimuth) f(z)``: z latents and the sun's azimuth, 65 parameters
     for the network's usual 64 latents.
 
-    ``forward`` maps parameters ``(..., z + 1)`` to radiance ``(..., n, 3)`` on the 32 x 128
-    pixels of ``grid``, as the network decodes in evaluation mode. The network's weights are frozen;
+    ``forward`` maps parameters ``(..., z + 1)`` to radiance ``(..., n, 3)`` on the n pixels
+    of ``grid``, as the network decodes in evaluation mode. The network's weights are frozen;
     ``requires_grad_(True)`` makes them trainable through the light.
 
     Parameters

@@ -83,7 +83,8 @@ class DiskSplines(nn.Module):
 
     def matrix(self) -> Float[Tensor, "n k"]:
         """The linear map from control points to values on the grid, dense, float64."""
-        index, weights = self.taps(torch.zeros(1, dtype=torch.float64))
+        still = torch.zeros(1, dtype=torch.float64, device=self.number.device)
+        index, weights = self.taps(still)
         dense = torch.zeros(index.shape[1], self.count, dtype=torch.float64, device=index.device)
         return dense.scatter_add_(1, index[0], weights[0].double())
 

@@ -90,7 +90,7 @@ class AutoencoderConfig:
         for name in ("surroundings", "masked", "white_balance"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"`{name}` must be from 0 to 1, got {getattr(self, name)}")
-        if self.nesterov and self.momentum == 0:
+        if self.optimiser == "sgd" and self.nesterov and self.momentum == 0:
             raise InputError("`nesterov` needs a `momentum` above 0; give one, or nesterov: false")
         if self.network == "splines" and (self.coding, self.sun) != ("log", True):
             raise InputError("`coding` and `sun` are choices of network: convolutions alone")

@@ -117,6 +117,24 @@ def test_shadows_are_the_clouds_seen_against_the_sun() -> None:
         assert float(shadow(layer, CALM, overhead, 0.0, sun)) == pytest.approx(seen, abs=0.15)
 
 
+def test_shadows_fall_where_rays_meet_a_height() -> None:
+    """On a place 1 km up, at the end of an oblique ray: that of a layer drifted the other way."""
+    sun, layer = sun_at(35.0), broken(depth=60.0, erosion=0.0)
+    overhead, height = torch.tensor([[0.0, 1.0, 0.0]]), 1.0
+    found = []
+    for azimuth in torch.linspace(0, 6, 25):
+        ray = direction_from_angles(azimuth, torch.tensor(math.radians(50.0)))
+        east, _, south = (height / ray[1] * ray).tolist()  # flat to 1e-4 of so short a ray
+        there = shadow(layer, CALM, ray[None], height, sun)
+        moved = Wind(east_km=-east, south_km=-south, change=0.0)
+        assert float(there) == pytest.approx(
+            float(shadow(layer, moved, overhead, height, sun)), abs=0.02
+        )
+        found.append(float(there))
+    assert min(found) < 0.2
+    assert max(found) > 0.8
+
+
 def test_white_ground_under_a_deck_brightens_it() -> None:
     dark, snow = (through(deck(20.0), sun_at(30.0), albedo=a).beam.mean() for a in (0.0, 0.8))
     assert float(snow) > 1.5 * float(dark)

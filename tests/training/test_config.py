@@ -60,7 +60,7 @@ def test_numbers_as_people_write_them(tmp_path: Path) -> None:
         ("kind: autoencoder\ndata: 3\n", "`data` .* Path"),
         ("kind: autoencoder\nbatch: 0\n", "`batch` .* 1"),
         ("kind: autoencoder\nsurroundings: 1.5\n", "`surroundings` .* 1.5"),
-        ("kind: autoencoder\nmomentum: 0\n", "`nesterov` .* `momentum`"),
+        ("kind: autoencoder\noptimiser: sgd\nmomentum: 0\n", "`nesterov` .* `momentum`"),
         ("kind: autoencoder\nnoise_sigma: -1\n", "`noise_sigma` .* 0"),
         ("kind: autoencoder\nschedule: step\n", "`schedule` .* cosine, constant"),
         ("kind: autoencoder\nstarts_from: 3\n", "`starts_from`"),

@@ -76,7 +76,9 @@ def estimate_examples(out: Path, progress: StageProgress) -> tuple[Path, ...]:
 
 
 def score(estimated: EnvironmentMap, true: EnvironmentMap) -> dict[str, float]:
-    """All scores: of the maps, and of the evaluation scene's matt shading in their light."""
+    """All scores: of the maps on the true one's rows, and of the evaluation scene's matt shading in
+    their light."""
+    estimated = estimated.resize(true.layout[0])
     scene = evaluation_scene()
     mask = scene.matt.image(torch.ones(len(scene.matt), 1))[..., 0] > 0
     shading = shading_metrics(scene.relight(estimated), scene.relight(true), mask)

@@ -129,7 +129,7 @@ def _light(area: "SubFigure", result: PhotoEstimate) -> None:
     )
     probe = area.add_subplot(found[:, 0])
     show_probe(probe, environment, probe_title(posterior))
-    draw_region(probe, posterior)
+    draw_region(probe, posterior, environment.layout[0])
     matt, metal = relit(evaluation_scene(SCENE_HEIGHT, SCENE_GRID), environment)
     show(area.add_subplot(found[0, 1]), matt, "Matt objects in this light")
     show(area.add_subplot(found[1, 1]), metal, "Metal objects in this light")

@@ -75,7 +75,7 @@ def write_report(path: Path, result: PhotoEstimate, *, title: str) -> None:
         found = rows[1].subgridspec(2, 3, width_ratios=(2.9, 0.93, 0.95), wspace=0.06, hspace=0.18)
         probe = figure.add_subplot(found[:, 0])
         show_probe(probe, estimate.environment, probe_title(estimate.posterior))
-        draw_region(probe, estimate.posterior)
+        draw_region(probe, estimate.posterior, estimate.environment.layout[0])
         scene = evaluation_scene(SCENE_HEIGHT, SCENE_GRID)
         matt, metal = relit(scene, estimate.environment)
         show(figure.add_subplot(found[0, 1]), matt, "Matt objects in this light")

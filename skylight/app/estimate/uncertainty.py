@@ -92,15 +92,19 @@ def posterior_map(posterior: SunPosterior) -> EnvironmentMap:
     return EnvironmentMap(radiance=grey[..., None].repeat(1, 1, 3))
 
 
-def draw_region(axes: "Axes", posterior: SunPosterior) -> None:
-    """The region's contour on a full lat-long picture of 64 rows; none where no sun is seen."""
+def draw_region(axes: "Axes", posterior: SunPosterior, height: int) -> None:
+    """The region's contour on a full lat-long picture of ``height`` rows; none where no sun is
+    seen."""
     if not posterior.is_seen:
         return
     density = posterior_map(posterior).radiance[..., 0].numpy()
     level = edge_density(posterior)
     # one column round the seam on either side, one row of nothing above the zenith's
     wrapped = np.pad(np.pad(density, ((0, 0), (1, 1)), mode="wrap"), ((1, 0), (0, 0)))
-    rows, columns = np.arange(-1, len(density)), np.arange(-1, density.shape[1] + 1)
+    rows, columns = (
+        (np.arange(-1, end) + 0.5) * height / len(density) - 0.5
+        for end in (len(density), density.shape[1] + 1)
+    )
     limits = axes.axis()  # a contour would widen them
     for color, width in (("black", 3.4), (REGION, 1.8)):
         axes.contour(columns, rows, wrapped, levels=[level], colors=[color], linewidths=[width])

@@ -10,6 +10,7 @@ from skylight.io.tensors import read_tensors, write_tensors
 from skylight.models.networks.base import Coding, SkyNetwork
 from skylight.models.networks.convolutional import LATENT, ConvolutionalAutoencoder
 from skylight.models.networks.splines import SplineAutoencoder
+from skylight.models.networks.sun_head import COORDINATES
 
 
 def network_state(network: SkyNetwork) -> dict[str, Tensor]:
@@ -31,12 +32,15 @@ def network_of(state: dict[str, Tensor]) -> SkyNetwork:
 
     Raises
     ------
-    KeyError, RuntimeError
+    KeyError, RuntimeError, ValueError
         They are of another network.
     """
     weights = {name: weight.float() for name, weight in state.items()}
+    named = weights.get("linear.weight", weights.get("to_latent.bias", torch.zeros(LATENT)))
+    if named.ndim == 0 or named.shape[-1] <= COORDINATES:
+        raise ValueError(f"weights of shape {tuple(named.shape)} have no latents")
     if "linear.weight" in weights:
-        network = SplineAutoencoder(weights["linear.weight"].shape[1])
+        network = SplineAutoencoder(named.shape[-1])
     else:
         coding: Coding = "linear" if weights.pop("coding_linear", None) is not None else "log"
         sun = len(weights["to_latent.bias"]) < LATENT

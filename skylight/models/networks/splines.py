@@ -6,7 +6,7 @@ What it decodes are control points of cubic B-splines on the hemisphere, seen as
     log(L(w) + 0.02) = sum_k c_k(z) B_k(p(w)),    c(z) = A z + b + MLP(z)
 
 so a sky has no rows, columns or pole to show, a turn about the vertical is exact, and the
-decoder multiplies a fiftieth as often as convolutions do that paint 4,096 pixels. The encoder is
+decoder multiplies a hundredth as often as convolutions do that paint 4,096 pixels. The encoder is
 an MLP of the sky's own control points on a coarser lattice, those of least squares.
 """
 

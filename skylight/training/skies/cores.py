@@ -38,6 +38,6 @@ def in_order(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Res
             yield from pool.map(work, jobs)
         except BrokenProcessPool as error:
             raise SkylightError(
-                "a process that read skies died; where memory is short, let the same command run "
-                "alone, and again"
+                "a process that worked on skies died; where memory is short, let the same command "
+                "run alone, and again"
             ) from error

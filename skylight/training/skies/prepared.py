@@ -58,7 +58,8 @@ def prepare(
 ) -> None:
     """Write the copies of the skies in ``path`` that are not there yet; see :func:`open_prepared`.
 
-    Copy c of sky i is varied as ``augment`` says, by a generator of the seed, c and i alone.
+    Copy c of a sky is varied as ``augment`` says, by a generator that the seed, c and the sky's
+    chunk of 64 decide. Different skies of ``path`` "train" and "validation" meet the same draws.
     """
     count = len(np.load(path, mmap_mode="r"))
     out.mkdir(parents=True, exist_ok=True)

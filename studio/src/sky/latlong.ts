@@ -7,7 +7,7 @@ export type Rgb = [red: number, green: number, blue: number];
 
 export const ROWS = 32;
 export const COLUMNS = 128;
-/** Where decoded skies have their sun: the middle of column 64 (models/autoencoder.py). */
+/** Where decoded skies have their sun: the middle of column 64 (models/networks/base.py). */
 const CENTRE_AZIMUTH = Math.PI / COLUMNS;
 
 /** cos of the zenith angle at the upper border of each row, and 0 at the horizon. */

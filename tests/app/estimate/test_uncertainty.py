@@ -98,17 +98,18 @@ def test_a_lobe_that_holds_a_little_less_than_the_region_is_drawn_alone():
     assert 0.8 < mass < 0.9
 
 
-def test_the_contour_runs_round_the_sun_at_the_regions_border():
+@pytest.mark.parametrize("rows", [64, 128])
+def test_the_contour_runs_round_the_sun_at_the_regions_border(rows: int):
     axes = Figure().add_subplot()
-    axes.set_xlim(0, 127)
-    draw_region(axes, posterior_about((40.0, 50.0)))
+    axes.set_xlim(0, 2 * rows - 1)
+    draw_region(axes, posterior_about((40.0, 50.0)), rows)
     outline = np.asarray(axes.collections[0].get_paths()[0].vertices)
     sun = direction_from_angles(*torch.tensor([40.0, 50.0]).double().deg2rad())
-    row, column = pixel_from_direction(sun, 64, 128)
-    height = (outline[:, 1].max() - outline[:, 1].min()) / 2 * 180 / 64
+    row, column = pixel_from_direction(sun, rows, 2 * rows)
+    height = (outline[:, 1].max() - outline[:, 1].min()) / 2 * 180 / rows
     assert height == pytest.approx(12.3, abs=1.5)
     assert outline[:, 0].mean() == pytest.approx(float(column), abs=1)
     assert outline[:, 1].mean() == pytest.approx(float(row), abs=1)
     empty = Figure().add_subplot()
-    draw_region(empty, posterior_about((40.0, 50.0), verdict="overcast: no sun"))
+    draw_region(empty, posterior_about((40.0, 50.0), verdict="overcast: no sun"), rows)
     assert not empty.collections

@@ -79,6 +79,9 @@ def _flip(path: Path) -> None:
         _flip,
         lambda path: write_tensors(path, {"x": torch.zeros(1)}),
         lambda path: save_file({"x": torch.zeros(1)}, path),
+        lambda path: write_tensors(path, {"linear.weight": torch.zeros(4920)}),
+        lambda path: write_tensors(path, {"linear.weight": torch.zeros(4920, 2)}),
+        lambda path: write_tensors(path, {"to_latent.bias": torch.zeros(())}),
     ],
 )
 @pytest.mark.parametrize("network", [ConvolutionalAutoencoder(), SplineAutoencoder()])
