@@ -1,5 +1,6 @@
 """The light model over a sky autoencoder's latents."""
 
+import copy
 import math
 
 import torch
@@ -37,8 +38,6 @@ class AutoencoderLight(nn.Module):
         than a pixel jumps from one to the next: in between, the objective is flat, and an
         optimiser stops there, up to 10 degrees from the sun. Half a pixel, 1.4 degrees, is
         smooth, and no face can tell it from a point.
-    height
-        Rows of the sky, 32 or a multiple of it.
     """
 
     name = "autoencoder"
@@ -60,12 +59,9 @@ class AutoencoderLight(nn.Module):
         bank_zenith_rad: Float[Tensor, " k"],
         white_centroids: Float[Tensor, "c z"],
         sun_spread_rad: float = 0.0,
-        height: int = HEIGHT,
     ) -> None:
         super().__init__()
-        if height % HEIGHT:
-            raise ValueError(f"skies have {HEIGHT} rows or a multiple of it, not {height}")
-        self.height = height
+        self.height = HEIGHT
         self.sun_spread_rad = sun_spread_rad
         self.network = network.eval().requires_grad_(False)
         self.latents = network.latents
@@ -100,17 +96,14 @@ class AutoencoderLight(nn.Module):
         return head.direction(z[:, -COORDINATES:], azimuth).reshape(*params.shape[:-1], 3)
 
     def on_rows(self, height: int) -> "AutoencoderLight":
-        """The model on so many rows, its weights shared; the sun keeps its spread in pixels."""
-        return AutoencoderLight(
-            self.network,
-            latent_mean=self.latent_mean,
-            latent_scale=self.latent_scale,
-            bank=self.bank,
-            bank_zenith_rad=self.bank_zenith_rad,
-            white_centroids=self.white_centroids,
-            sun_spread_rad=self.sun_spread_rad * self.height / height,
-            height=height,
-        )
+        """The model on 32 rows or a multiple of it, its weights shared; the sun keeps its spread
+        in pixels."""
+        if height % HEIGHT:
+            raise ValueError(f"skies have {HEIGHT} rows or a multiple of it, not {height}")
+        light = copy.copy(self)
+        light.height = height
+        light.sun_spread_rad = self.sun_spread_rad * self.height / height
+        return light
 
     def _parts(
         self, params: Float[Tensor, "*batch p"]

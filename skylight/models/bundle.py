@@ -66,10 +66,7 @@ class LightBundle:
         """A light model with its own copy of everything; see :class:`AutoencoderLight`."""
         return AutoencoderLight(
             copy.deepcopy(self.network),
-            latent_mean=self.latents["latent_mean"].clone(),
-            latent_scale=self.latents["latent_scale"].clone(),
-            bank=self.latents["bank"].clone(),
-            bank_zenith_rad=self.latents["bank_zenith_rad"].clone(),
+            **{name: tensor.clone() for name, tensor in self.latents.items()},
             white_centroids=self.latent_prior.means.clone(),
             sun_spread_rad=sun_spread_rad,
         )
