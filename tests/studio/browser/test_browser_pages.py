@@ -175,7 +175,12 @@ def test_the_decoded_sky_is_torchs(sky: "Page", studio_sky: dict[str, Any], tmp_
     # RGBE's step is 1/256 of the largest channel, half of it rounding
     allowed = 0.5 / 128 * truth.max(-1, keepdims=True) + 1e-3
     assert (np.abs(written - truth) <= allowed).all()
-    # and the sun is where the slider says: left of the middle
+    # and a strong sun, whose energies are latents -4 to -2, is where the slider says: left
+    sunny = np.array(studio_sky["components"])[:, -4:-1].sum(1) > 0
+    for number, more in enumerate(sunny.tolist(), 1):
+        slide(sky, f"Component {number}", 1.5 if more else -1.5)
+    settled(sky)
+    written = read_linear(fetched(sky, sky.get_by_role("button", name="Map"), tmp_path))
     _, column = np.unravel_index(written[:32].sum(-1).argmax(), (32, 128))
     assert column == pytest.approx((-97 / 360 + 0.5) * 128 - 0.5, abs=1)
 
