@@ -45,6 +45,7 @@ autodoc_preserve_defaults = True
 autodoc_use_type_comments = False  # there are none
 napoleon_google_docstring = False
 napoleon_use_rtype = False
+napoleon_use_param = False  # what follows a name describes it: no word of it is a type to look for
 
 sphinx_gallery_conf = {
     "examples_dirs": "walkthroughs",

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from skylight.app.estimate.types import PhotoEstimate
     from skylight.csc.coder import SphericalSparseCoder
     from skylight.csc.dictionary import FilterBank
+    from skylight.csc.sampling import CodeSampler
     from skylight.errors import SkylightError
     from skylight.imaging.photo import Photo, read_photo
     from skylight.imaging.taken import Taken
@@ -31,6 +32,7 @@ __version__ = _version("skylight")
 # Lazy, because torch takes seconds to import and relighting does without it.
 _HOME = {
     "AutoencoderLight": "skylight.models.autoencoder",
+    "CodeSampler": "skylight.csc.sampling",
     "DiffuseTransport": "skylight.transport.diffuse",
     "DirectionGrid": "skylight.sphere.grid",
     "EnvironmentMap": "skylight.sphere.envmap",
@@ -58,6 +60,7 @@ _HOME = {
 
 __all__ = [
     "AutoencoderLight",
+    "CodeSampler",
     "DiffuseTransport",
     "DirectionGrid",
     "EnvironmentMap",

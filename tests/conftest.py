@@ -8,6 +8,7 @@ import hypothesis
 import pytest
 import torch
 
+from tests import annotations  # before anything of the package
 from tests.face_captures import MadeCaptures, make_captures
 
 # Timings are for benchmarks, so no deadlines. On CI every run draws the same examples: a change
@@ -19,6 +20,11 @@ hypothesis.settings.load_profile("skylight")
 
 
 _left_out = pytest.StashKey[int]()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    annotations.calls.clear()
 
 
 def pytest_deselected(items: list[pytest.Item]) -> None:

@@ -13,7 +13,7 @@ import pytest
 import yaml
 from skimage.data import astronaut
 
-from skylight.faces.photographs import choose_landmarker
+from skylight.faces.detection.landmarkers import choose_landmarker
 from skylight.io.files import write_png
 
 ROOT = Path(__file__).parents[1]

@@ -42,10 +42,10 @@ def unused() -> Iterator[str]:
     uses: dict[str, list[set[ast.AST]]] = defaultdict(list)  # name: definitions around each use
     files = [path for folder in USERS for path in sorted((ROOT / folder).rglob("*.py"))]
     for path in [*files, ROOT / "train.py"]:
+        inside = path.is_relative_to(PACKAGE)
         for node, around in _nodes(ast.parse(path.read_text()), frozenset()):
-            where = f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 0)}"
-            if path.is_relative_to(PACKAGE) and (name := _defined(node, around)):
-                definitions[node] = name, where
+            if inside and (name := _defined(node, around)):
+                definitions[node] = name, f"{path.relative_to(ROOT)}:{node.lineno}"
             for name in _used(node):
                 uses[name].append({*around})
     dead: set[ast.AST] = set()

@@ -18,10 +18,10 @@ from pathlib import Path
 import torch
 
 from skylight.evaluation.faces.known_faces import synthetic_face
+from skylight.faces.detection.landmarkers import choose_landmarker
 from skylight.faces.fit import fit_face
 from skylight.faces.model import HeadModel
 from skylight.faces.observe import observe_face
-from skylight.faces.photographs import choose_landmarker
 from skylight.inverse.estimate import estimate_light
 from skylight.inverse.posterior import (
     FITTED,

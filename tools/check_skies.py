@@ -20,7 +20,7 @@ import pvlib
 import torch
 
 from skylight.evaluation.main import commit
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 from skylight.models.sunsky import perez
 from skylight.skies.clear.atmosphere import EARTH_RADIUS_KM, Atmosphere, ClearSky
 from skylight.skies.clear.spectrum import BANDS_NM, colour_matching

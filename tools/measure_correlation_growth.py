@@ -29,7 +29,7 @@ from skylight.csc.correlation.positions import Positions
 from skylight.csc.correlation.wigner import RotationCorrelation
 from skylight.evaluation.main import commit
 from skylight.io.atomic import atomic_path
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 from tools.thesis_gradients import IsotropicGradient, RotatedResiduals, RotatedZonalGradient
 
 BASE = {"degree": 40, "rows": 16, "twists": 16, "filters": 50}

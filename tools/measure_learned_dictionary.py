@@ -29,7 +29,8 @@ from skylight.csc.dictionary import FilterBank, builtin
 from skylight.csc.learning.caps import CapFilterBank
 from skylight.csc.learning.patches import ROWS, learn_patches
 from skylight.io.collection import read_categories
-from skylight.io.files import read_environment_map, write_json
+from skylight.io.files import read_environment_map
+from skylight.io.json_files import write_json
 from skylight.training.dictionary import RATE, learning_epoch, mean_squared_error
 
 HEIGHT = 32

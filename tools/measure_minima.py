@@ -25,6 +25,7 @@ from skylight.faces.model import HeadModel
 from skylight.faces.observe import observe_face
 from skylight.inverse.estimate import light_problem
 from skylight.inverse.objective.descent import Round, descend
+from skylight.inverse.objective.lit_faces import Level
 from skylight.inverse.scan import SunScan, scan_faces
 from skylight.inverse.sky.problem import SkyProblem
 from skylight.inverse.sky.solver import SolverOptions
@@ -34,8 +35,8 @@ from tools.measured import write_measured
 RESULTS = Path(__file__).parents[1] / "benchmarks" / "results"
 EVERY = 1000  # more than there are starts
 ROUNDS = (
-    Round(level=3, starts=EVERY, iterations=40, even_skin=True),
-    Round(level=3, starts=EVERY, iterations=30, even_skin=True, steps="broyden"),
+    Round(level=Level(2), starts=EVERY, iterations=40, even_skin=True),
+    Round(level=Level(2), starts=EVERY, iterations=30, even_skin=True, steps="broyden"),
 )
 SAME_NATS, SAME_SUN_DEG = 1.0, 5.0
 

@@ -34,7 +34,8 @@ from skylight.cameras.response import Response
 from skylight.evaluation.rendered_faces.independent_render import IndependentScene, Solid
 from skylight.fabrication.mount import MarkerBoard, Pole
 from skylight.imaging.metrics import mae
-from skylight.io.files import read_environment_map, write_json, write_png
+from skylight.io.files import read_environment_map, write_png
+from skylight.io.json_files import write_json
 from skylight.probes.partitions.captured.capture import ProbeCapture, load_capture, save_capture
 from skylight.probes.partitions.captured.samples import FaceDiscs
 from skylight.probes.partitions.design.designs import named_design
@@ -46,7 +47,7 @@ from skylight.probes.partitions.printed.sizes import ProbeSizes
 from skylight.probes.partitions.relight.scene_files import read_scene
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.rigid_transform import RigidTransform
-from skylight.transport.path_tracer import Sampling, shade
+from skylight.transport.indirect.path_tracer import Sampling, shade
 from skylight.transport.raycast import Raycaster
 from tools.measured import write_measured
 from tools.rendered_photos import (

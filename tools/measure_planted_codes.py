@@ -36,7 +36,7 @@ from skylight.csc.pursuit.exchange import pursue
 from skylight.csc.pursuit.greedy import Atom, Pursuit, PursuitOptions, Support
 from skylight.csc.pursuit.quadratic import SampledSignal
 from skylight.evaluation.main import commit
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 from skylight.sphere.frame import angle_between
 
 Code = dict[Atom, Float[Tensor, " c"]]

@@ -30,7 +30,8 @@ from skylight.evaluation.rendered_faces.independent_render import IndependentSce
 from skylight.fabrication.mount import MarkerBoard, Pole
 from skylight.fabrication.sizes import PrintSizes
 from skylight.imaging.metrics import shading_metrics
-from skylight.io.files import read_environment_map, write_json, write_png
+from skylight.io.files import read_environment_map, write_png
+from skylight.io.json_files import write_json
 from skylight.probes.voxel.faces import NORMALS, exposed_faces
 from skylight.probes.voxel.lightmap import Lightmap, load_lightmap
 from skylight.probes.voxel.model import VoxelModel, star_probe, voxelise, write_voxels
@@ -38,7 +39,7 @@ from skylight.probes.voxel.printed.printing import print_voxel_probe, voxel_asse
 from skylight.probes.voxel.relight.render import VoxelRenderer
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.transport.camera import Camera
-from skylight.transport.path_tracer import Sampling, shade
+from skylight.transport.indirect.path_tracer import Sampling, shade
 from tools.measured import write_measured
 from tools.rendered_photos import (
     ALBEDO,

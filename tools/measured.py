@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 
 from skylight.evaluation.main import commit
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 
 
 def write_measured(

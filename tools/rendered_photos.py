@@ -27,7 +27,7 @@ from skylight.io.files import write_png
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.rigid_transform import RigidTransform
 from skylight.transport.camera import Camera
-from skylight.transport.path_tracer import DiffuseScene
+from skylight.transport.indirect.path_tracer import DiffuseScene
 
 ALBEDO, BLACK, PAPER = 0.8, 0.04, 0.85
 BOARD = Board(columns=7, rows=5, square_mm=25.0, marker_mm=18.0)
@@ -153,15 +153,21 @@ class Photographer:
         code = cv2.VideoWriter.fourcc(*"MJPG")
         partial = self.work / "partial.avi"
         made = cv2.VideoWriter(str(partial), cv2.CAP_FFMPEG, code, 30.0, (640, 480))
-        half = -(-count // 2)
-        for i in range(count):
-            pose = self.pose_from(360 * (i % half) / half, -16.0 if i < half else 38.0)
+        for i, pose in enumerate(self.film_poses(count)):
             frame = self.photo(self.scene, pose, self.samples, 1000 + i, lens=halved(LENS))
             made.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
             print(f"frame {i + 1} of {count}", flush=True)
         made.release()
         partial.rename(path)
         return path
+
+    def film_poses(self, count: int) -> list[RigidTransform]:
+        """The true poses of a film's frames."""
+        half = -(-count // 2)
+        return [
+            self.pose_from(360 * (i % half) / half, -16.0 if i < half else 38.0)
+            for i in range(count)
+        ]
 
     def photo(
         self,

@@ -27,7 +27,7 @@ from skylight.probes.voxel.interreflection.global_illumination import GlobalReco
 from skylight.probes.voxel.model import VoxelModel, star_probe
 from skylight.probes.voxel.reconstruct import DirectReconstruction
 from skylight.skies.simulated import simulated_skies
-from skylight.transport.path_tracer import Sampling
+from skylight.transport.indirect.path_tracer import Sampling
 
 probe = exposed_faces(star_probe(3))
 known = probe.counts() > 0

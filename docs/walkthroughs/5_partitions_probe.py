@@ -33,7 +33,7 @@ from skylight.probes.partitions.relight.transfer import TransferSampling, transf
 from skylight.skies.simulated import simulated_skies
 from skylight.transport.camera import Camera
 from skylight.transport.gbuffer import rasterize
-from skylight.transport.path_tracer import DiffuseScene, Sampling, shade
+from skylight.transport.indirect.path_tracer import DiffuseScene, Sampling, shade
 
 names = ("6d", "14d", "38d", "14d-outdoor")
 cells = {name: Cells.of(named_design(name)) for name in names}

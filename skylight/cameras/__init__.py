@@ -1,1 +1,1 @@
-"""Cameras: calibration, poses from marker boards, response curves, alignment by edges."""
+"""Cameras: calibration, poses from boards in pictures and films, responses, edges, turns."""

@@ -13,16 +13,16 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from skylight.errors import InputError
 from skylight.io.atomic import atomic_path
-from skylight.io.files import write_json
 from skylight.io.json_files import (
     read_number,
     read_object,
     read_whole,
     require_keys,
+    write_json,
 )
 
 Page = Literal["A4", "A3", "letter"]
@@ -116,22 +116,41 @@ class Board:
             for column in range(self.columns)
             if (row + column) % 2 == 0
         ]
+        cell = self._cell_mm
+        cells = [
+            (left + start * cell, top + row * cell, count * cell, cell)
+            for (left, top), dark in zip(*self._printed_markers(), strict=True)
+            for row, values in enumerate(dark)
+            for start, count in _runs(values)
+        ]
+        return np.array(squares + cells, dtype=np.float64)
+
+    def marker_cells(self) -> tuple[Float[np.ndarray, "m k k 3"], Bool[np.ndarray, "m k k"]]:
+        """(the middles of all markers' cells in the board's frame, mm; which are printed black).
+
+        Markers are in the order of their numbers; the outermost cells are their black border.
+        """
+        corners, dark = self._printed_markers()
+        middle = (np.arange(dark.shape[1]) + 0.5) * self._cell_mm
+        z, x = np.meshgrid(middle, middle, indexing="ij")
+        places = np.stack([x, 0 * x, z], -1) + np.insert(corners, 1, 0.0, axis=1)[:, None, None]
+        return places, dark
+
+    @property
+    def _cell_mm(self) -> float:
+        """A marker's bits have a border round them, one cell wide."""
+        return self.marker_mm / (_dictionary(self.dictionary).markerSize + 2)
+
+    def _printed_markers(self) -> tuple[Float[np.ndarray, "m 2"], Bool[np.ndarray, "m k k"]]:
+        """(upper left corners, mm, which cells are black)."""
         board, dictionary = self.charuco(), _dictionary(self.dictionary)
         bits = dictionary.markerSize
-        cell = self.marker_mm / (bits + 2)  # a black border, one cell wide
-        cells = []
-        for number, corners in zip(np.ravel(board.getIds()), board.getObjPoints(), strict=True):
-            code = np.zeros((bits + 2, bits + 2), dtype=bool)
-            code[1:-1, 1:-1] = cv2.aruco.Dictionary.getBitsFromByteList(
-                dictionary.bytesList[number : number + 1], bits
-            )
-            left, top = map(float, np.asarray(corners)[0, :2])
-            cells += [
-                (left + start * cell, top + row * cell, count * cell, cell)
-                for row, values in enumerate(~code)
-                for start, count in _runs(values)
-            ]
-        return np.array(squares + cells, dtype=np.float64)
+        dark = np.ones((self.markers, bits + 2, bits + 2), dtype=bool)
+        for each, number in zip(dark, np.ravel(board.getIds()), strict=True):
+            code = dictionary.bytesList[number : number + 1]
+            each[1:-1, 1:-1] = cv2.aruco.Dictionary.getBitsFromByteList(code, bits) == 0
+        corners = np.array([np.asarray(each)[0, :2] for each in board.getObjPoints()])
+        return corners.astype(np.float64), dark
 
 
 def dictionaries() -> list[str]:

@@ -33,12 +33,21 @@ def find_corners(image: UInt8[np.ndarray, "h w 3"], board: Board) -> BoardCorner
 
     None where fewer than 6 are seen or all of those lie on one line.
     """
+    return grey_corners(as_grey(image), board)
+
+
+def as_grey(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w"]:
+    """Luma of an RGB picture."""
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
         raise InputError(
             f"a picture must be uint8 of shape (height, width, 3), got {image.dtype} of "
             f"{image.shape}"
         )
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+
+
+def grey_corners(grey: UInt8[np.ndarray, "h w"], board: Board) -> BoardCorners | None:
+    """:func:`find_corners` in luma."""
     parameters = cv2.aruco.CharucoParameters()
     # markers of a dozen pixels are often misread; where the others say they must be, they count
     parameters.tryRefineMarkers = True
@@ -53,11 +62,18 @@ def find_corners(image: UInt8[np.ndarray, "h w 3"], board: Board) -> BoardCorner
         return None
     numbers = np.asarray(numbers).ravel().astype(np.int64)
     points = board.corners()[numbers]
-    spread = np.linalg.svd(points[:, [0, 2]] - points[:, [0, 2]].mean(0), compute_uv=False)
-    if spread[1] < 0.5 * board.square_mm:
+    if not spread_out(points, board):
         return None
     pixels = np.asarray(found, dtype=np.float64).reshape(-1, 2)
     return BoardCorners(numbers=numbers, pixels=pixels, points=points)
+
+
+def spread_out(points: Float[np.ndarray, "n 3"], board: Board) -> bool:
+    """Whether corners are enough for a pose: six or more that do not lie on one line."""
+    if len(points) < CORNERS_MIN:
+        return False
+    spread = np.linalg.svd(points[:, [0, 2]] - points[:, [0, 2]].mean(0), compute_uv=False)
+    return bool(spread[1] >= 0.5 * board.square_mm)
 
 
 def _too_few(numbers: np.ndarray | None) -> bool:

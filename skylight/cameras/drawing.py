@@ -1,6 +1,7 @@
 """Rays of pinhole cameras and lenses, and compositing into a photograph."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -88,17 +89,23 @@ def _beyond(points: Float[np.ndarray, "n 3"], pose: RigidTransform, intrinsics: 
     The edges are those of the picture without distortion, so that points far off can be judged, for
     which distortion means nothing.
     """
+    low, high = _bounds(intrinsics)
+    seen = pose.points(points) @ FLIP
+    place, ahead = seen[:, :2], seen[:, 2:]
+    outside = np.concatenate([place < low * ahead, place > high * ahead, ahead <= 0], 1)
+    return bool(outside.all(0).any())
+
+
+@lru_cache(maxsize=8)
+def _bounds(intrinsics: Intrinsics) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """The least and the largest X / Z and Y / Z that are in a camera's picture."""
     u, v = (np.linspace(-0.5, n - 0.5, _BORDER) for n in (intrinsics.width, intrinsics.height))
     across, down = ([np.full(_BORDER, w[i]) for i in (0, -1)] for w in (v, u))
     border = [np.stack([u, row], 1) for row in across]
     border += [np.stack([column, v], 1) for column in down]
     ideal = intrinsics.undistort_points(np.concatenate(border))
-    focal, centre = [intrinsics.fx, intrinsics.fy], [intrinsics.cx, intrinsics.cy]
-    low, high = ((end - centre) / focal for end in (ideal.min(0), ideal.max(0)))
-    seen = pose.points(points) @ FLIP
-    place, ahead = seen[:, :2], seen[:, 2:]
-    outside = np.concatenate([place < low * ahead, place > high * ahead, ahead <= 0], 1)
-    return bool(outside.all(0).any())
+    ideal = (ideal - [intrinsics.cx, intrinsics.cy]) / [intrinsics.fx, intrinsics.fy]
+    return ideal.min(0), ideal.max(0)
 
 
 def is_empty(window: Window) -> bool:
@@ -138,15 +145,14 @@ def composite(
 
     The drawing is that of ``window``.
     """
-    covered = drawing.alpha.numpy() > 0
     out = image.copy()
     part = out[window]
-    if not covered.any():
-        return out
-    codes = np.ascontiguousarray(part[covered][None])
-    behind = 1 - drawing.alpha[drawing.alpha > 0, None]
-    mixed = drawing.radiance[drawing.alpha > 0] + behind * response.linearise(codes)[0]
-    part[covered] = response.encode(mixed[None])[0]
+    rows, columns = np.nonzero(drawing.alpha.numpy())
+    if len(rows):
+        codes = part[rows, columns][None]
+        behind = 1 - drawing.alpha[rows, columns, None]
+        mixed = drawing.radiance[rows, columns] + behind * response.linearise(codes)[0]
+        part[rows, columns] = response.encode(mixed[None])[0]
     return out
 
 
@@ -161,8 +167,8 @@ def shaded(
     changed = torch.maximum(torch.maximum(red, green), blue).numpy() > UNSEEN
     out = image.copy()
     part = out[window]
-    if not changed.any():
-        return out
-    light = response.linearise(np.ascontiguousarray(part[changed][None]))[0]
-    part[changed] = response.encode((light * shade[torch.from_numpy(changed)])[None])[0]
+    rows, columns = np.nonzero(changed)
+    if len(rows):
+        light = response.linearise(part[rows, columns][None])
+        part[rows, columns] = response.encode(light * shade[rows, columns])[0]
     return out

@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 from PIL import ExifTags, ImageOps
 
 from skylight.errors import InputError
-from skylight.io.bounded import PIXELS_MAX
+from skylight.imaging.film import as_rgb, film_frames, opened_film
 from skylight.io.opened_picture import opened_picture
 
 FRAMES_MOST = 40
@@ -21,8 +21,6 @@ _WINDOW = 10  # frames of which the sharpest is taken: a third of a second of mo
 # codes, mean over a thumbnail: noise makes 0.02, a board tilted by 15 degrees at 80 cm 1.5
 _DIFFERENT = 1.0
 _THUMBNAIL = (48, 32)
-_RATE = 30.0
-_WIDTH, _HEIGHT = cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,15 +140,6 @@ def _difference(a: _Candidate, b: _Candidate) -> float:
     return float(np.abs(a.thumbnail - b.thumbnail).mean())
 
 
-def require_film(source: Path | int) -> None:
-    """Refuse a video's file that is not there, and webcams below 0."""
-    if isinstance(source, int):
-        if source < 0:
-            raise InputError(f"webcams are numbered from 0, got {source}")
-    elif not source.is_file():
-        raise InputError(f"cannot read {source}: there is no such file; give a video")
-
-
 def film(source: Path | int, *, seconds: float = math.inf) -> Iterator[Frame]:
     """Every frame of a video; of a webcam (its number), those of ``seconds``.
 
@@ -159,47 +148,21 @@ def film(source: Path | int, *, seconds: float = math.inf) -> Iterator[Frame]:
     InputError
         A film that cannot be opened or has no pictures.
     """
-    require_film(source)
-    live = isinstance(source, int)
-    name = f"webcam {source}" if live else str(source)
-    # what OpenCV prints of a failure says less than our message
-    log = cv2.utils.logging
-    level = log.setLogLevel(log.LOG_LEVEL_SILENT)
-    capture = cv2.VideoCapture(source if live else str(source))
-    log.setLogLevel(level)
-    try:
-        if not capture.isOpened():
-            mend = "see that it is plugged in and free" if live else "give a video such as .mp4"
-            raise InputError(f"cannot open {name}: {mend}, or photographs")
-        width, height = (int(capture.get(p)) for p in (_WIDTH, _HEIGHT))
-        if width * height > PIXELS_MAX:
-            raise InputError(f"{name}: {width}x{height} pixels are too many; scale it down")
+    if isinstance(source, Path):
+        for frame in film_frames(source):
+            yield Frame(name=f"{source}, frame {frame.number + 1}", image=frame.codes)
+        return
+    name = f"webcam {source}"
+    with opened_film(source) as capture:
         number, stop = 0, time.monotonic() + seconds
-        while not live or time.monotonic() < stop:
+        while time.monotonic() < stop:
             good, bgr = capture.read()
             if not good:
                 break
             number += 1
-            yield Frame(name=f"{name}, frame {number}", image=_as_rgb(bgr))
+            yield Frame(name=f"{name}, frame {number}", image=as_rgb(bgr))
         if number == 0:
             raise InputError(f"{name}: it holds no pictures; record it again")
-    finally:
-        capture.release()
-
-
-def film_rate(source: Path | int) -> float:
-    """Frames a second that a video says it has; 30 where it does not, and for webcams."""
-    if isinstance(source, int):
-        return _RATE
-    capture = cv2.VideoCapture(str(source))
-    rate = float(capture.get(cv2.CAP_PROP_FPS))
-    capture.release()
-    return rate if 1 <= rate <= 480 else _RATE
-
-
-def _as_rgb(picture: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
-    code = cv2.COLOR_GRAY2RGB if picture.ndim == 2 else cv2.COLOR_BGR2RGB
-    return np.asarray(cv2.cvtColor(picture, code), dtype=np.uint8)
 
 
 def _one_size(frames: Iterable[Frame]) -> Iterator[Frame]:

@@ -18,17 +18,16 @@ import math
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
-import cv2
 import numpy as np
 from jaxtyping import Float
 
 from skylight.errors import InputError
-from skylight.io.files import write_json
 from skylight.io.json_files import (
     read_number,
     read_object,
     read_whole,
     require_keys,
+    write_json,
 )
 from skylight.sphere.rigid_transform import RigidTransform
 
@@ -91,43 +90,53 @@ class Intrinsics:
         """Places of points in OpenCV's camera frame (Z > 0 before the camera), px."""
         if not len(points):
             return np.zeros((0, 2))
-        still = np.zeros(3)
-        pixels, _ = cv2.projectPoints(
-            np.ascontiguousarray(points, dtype=np.float64), still, still, self.matrix,
-            self.distortion,
-        )  # fmt: skip
-        return pixels.reshape(-1, 2)
+        x, y, z = np.asarray(points, dtype=np.float64).T
+        depth = np.where(z == 0, 1.0, z)
+        u, v = self._bent(x / depth, y / depth)
+        return np.stack([u * self.fx + self.cx, v * self.fy + self.cy], 1)
 
     def undistort_points(self, pixels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         """Where the same points would be without distortion, with the same fx, fy, cx, cy; px."""
         if not len(pixels):
             return np.zeros((0, 2))
-        focal, center = np.array([self.fx, self.fy]), np.array([self.cx, self.cy])
-        ideal = (np.asarray(pixels, dtype=np.float64) - center) / focal
-        goal, step = ideal.copy(), 1e-6
+        u, v = np.asarray(pixels, dtype=np.float64).T
+        goal_x, goal_y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
+        x, y = goal_x, goal_y
         for _ in range(_NEWTON_MOST):
-            miss = self._distorted(ideal) - goal
-            slopes = [
-                (self._distorted(ideal + d) - self._distorted(ideal - d)) / (2 * step)
-                for d in step * np.eye(2)
-            ]
-            change = np.linalg.solve(np.stack(slopes, -1), miss[..., None])[..., 0]
-            ideal = ideal - change
-            if np.abs(change).max() < 1e-12:
+            bent_x, bent_y = self._bent(x, y)
+            off_x, off_y = bent_x - goal_x, bent_y - goal_y
+            xx, xy, yy = self._slopes(x, y)
+            scale = xx * yy - xy * xy
+            step_x, step_y = (yy * off_x - xy * off_y) / scale, (xx * off_y - xy * off_x) / scale
+            x, y = x - step_x, y - step_y
+            if max(np.abs(step_x).max(), np.abs(step_y).max()) < 1e-12:
                 break
-        return ideal * focal + center
+        return np.stack([x * self.fx + self.cx, y * self.fy + self.cy], 1)
 
-    def _distorted(self, ideal: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-        """(x, y) = (X, Y) / Z after the lens, still in units of the focal length."""
-        x, y = ideal.T
+    def _bent(
+        self, x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """(X, Y) / Z after the lens, in units of the focal length."""
+        xx, yy, xy = x * x, y * y, x * y
+        r2 = xx + yy
+        radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
+        return (
+            x * radial + 2 * self.p1 * xy + self.p2 * (r2 + 2 * xx),
+            y * radial + self.p1 * (r2 + 2 * yy) + 2 * self.p2 * xy,
+        )
+
+    def _slopes(
+        self, x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Derivatives of :meth:`_bent`: of x by x, of x by y (as of y by x), of y by y."""
         r2 = x * x + y * y
         radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        return np.stack(
-            [
-                x * radial + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x * x),
-                y * radial + self.p1 * (r2 + 2 * y * y) + 2 * self.p2 * x * y,
-            ],
-            1,
+        slope = 2 * (self.k1 + r2 * (2 * self.k2 + 3 * self.k3 * r2))
+        p1, p2 = self.p1, self.p2
+        return (
+            radial + slope * x * x + 2 * p1 * y + 6 * p2 * x,
+            slope * x * y + 2 * p1 * x + 2 * p2 * y,
+            radial + slope * y * y + 6 * p1 * y + 2 * p2 * x,
         )
 
     def require_size(self, width: int, height: int) -> None:

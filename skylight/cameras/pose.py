@@ -9,13 +9,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import torch
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from skylight.cameras.board import Board
 from skylight.cameras.detect import BoardCorners, find_corners
-from skylight.cameras.intrinsics import FLIPPED, Intrinsics
-from skylight.cameras.view import project
+from skylight.cameras.intrinsics import FLIP, Intrinsics
 from skylight.sphere.rigid_transform import RigidTransform
 
 _SAME_DEG = 0.5
@@ -71,27 +69,30 @@ def corners_pose(corners: BoardCorners, intrinsics: Intrinsics) -> BoardPose | N
     count, turns, shifts, _ = cv2.solvePnPGeneric(
         points, corners.pixels, *lens, flags=cv2.SOLVEPNP_IPPE
     )
-    opencv_from_board = RigidTransform.from_numpy(OPENCV_FROM_BOARD, np.zeros(3))
-    found: list[tuple[float, RigidTransform]] = []
+    found: list[tuple[float, np.ndarray, np.ndarray]] = []
     for turn, shift in zip(turns[:count], shifts[:count], strict=True):
         turn, shift = cv2.solvePnPRefineLM(
             points, corners.pixels, *lens, turn.astype(np.float64), shift.astype(np.float64)
         )
-        vector = torch.from_numpy(np.concatenate([turn.ravel(), shift.ravel()]))
-        if vector[5] <= 0 or not vector.isfinite().all():
+        if not (np.isfinite(turn).all() and np.isfinite(shift).all() and shift[2] > 0):
             continue
-        pose = FLIPPED @ RigidTransform.from_vector(vector) @ opencv_from_board
-        miss = project(corners.points, pose, intrinsics) - corners.pixels
-        found.append((float(np.sqrt((miss**2).sum(1).mean())), pose))
+        seen, _ = cv2.projectPoints(points, turn, shift, *lens)
+        miss = seen.reshape(-1, 2) - corners.pixels
+        found.append((float(np.sqrt((miss**2).sum(1).mean())), cv2.Rodrigues(turn)[0], shift))
     if not found:
         return None
     found.sort(key=lambda each: each[0])
-    best = found[0][1]
+    rms, rotation, shift = found[0]
     # seen from near, the refinement of the mirrored pose often ends in the right one
-    others = [rms for rms, pose in found[1:] if (pose @ best.inverse()).angle_deg > _SAME_DEG]
+    others = [miss for miss, other, _ in found[1:] if _angle_deg(rotation, other) > _SAME_DEG]
     return BoardPose(
-        pose=best,
+        pose=RigidTransform.from_numpy(FLIP @ rotation @ OPENCV_FROM_BOARD, FLIP @ shift.ravel()),
         corners=len(corners),
-        rms_px=found[0][0],
+        rms_px=rms,
         mirror_rms_px=min(others, default=float("inf")),
     )
+
+
+def _angle_deg(one: Float[np.ndarray, "3 3"], other: Float[np.ndarray, "3 3"]) -> float:
+    """Of the rotation between two rotations."""
+    return float(np.degrees(np.arccos(np.clip(((one * other).sum() - 1) / 2, -1, 1))))

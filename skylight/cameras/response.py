@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Literal
@@ -14,8 +15,7 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.imaging.colour import decode_values, encode_values
-from skylight.io.files import write_json
-from skylight.io.json_files import read_number, read_object, require_keys
+from skylight.io.json_files import read_number, read_object, require_keys, write_json
 
 Kind = Literal["srgb", "gamma", "curve"]
 Codes = UInt8[np.ndarray, "h w 3"] | UInt16[np.ndarray, "h w 3"]
@@ -64,13 +64,25 @@ class Response:
 
     def linearise(self, image: Codes) -> Float[Tensor, "h w 3"]:
         """Linear light of 8-bit or 16-bit codes, float32; 1 is the largest code's of "srgb"."""
-        share = _shares(image)
+        if image.dtype != np.uint8:
+            return torch.from_numpy(self._light(_shares(image)))
+        import cv2
+
+        return torch.from_numpy(np.asarray(cv2.LUT(image, self._table)))
+
+    @cached_property
+    def _table(self) -> Float[np.ndarray, "256 1 3"]:
+        """Light of the 8-bit codes."""
+        codes = np.arange(LEVELS, dtype=np.uint8)[:, None, None]
+        return self._light(_shares(np.repeat(codes, 3, axis=2)))
+
+    def _light(self, share: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
         if self.curve is None:
             decode = "srgb" if self.gamma is None else self.gamma
-            return decode_values(torch.from_numpy(share.astype(np.float32)), decode)
+            return decode_values(torch.from_numpy(share.astype(np.float32)), decode).numpy()
         at = np.linspace(0, 1, self.curve.shape[1])
         light = [np.interp(share[..., c], at, self.curve[c]) for c in range(3)]
-        return torch.from_numpy(np.stack(light, -1).astype(np.float32))
+        return np.stack(light, -1).astype(np.float32)
 
     def encode(self, light: Float[Tensor, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
         """8-bit codes of linear light, the inverse of :meth:`linearise`; what is too bright clips.
@@ -88,7 +100,9 @@ class Response:
 
 def saturated(image: Codes) -> Bool[np.ndarray, "h w"]:
     """Where a channel is at 250/255 of the largest code or above, so more light may have fallen."""
-    return np.any(_shares(image) >= SATURATED - 1e-9, axis=-1)
+    _require_codes(image)
+    least = math.ceil(SATURATED * np.iinfo(image.dtype).max - 1e-6)
+    return np.asarray(image.max(-1) >= least)
 
 
 def recover_response(
@@ -188,9 +202,13 @@ def load_response(path: str | Path) -> Response:
 
 def _shares(image: np.ndarray) -> Float[np.ndarray, "h w 3"]:
     """Codes as shares of the largest."""
+    _require_codes(image)
+    return image / float(np.iinfo(image.dtype).max)
+
+
+def _require_codes(image: np.ndarray) -> None:
     if image.dtype not in (np.uint8, np.uint16):
         raise InputError(f"codes must be uint8 or uint16, got {image.dtype}")
-    return image / float(np.iinfo(image.dtype).max)
 
 
 def _check(pictures: Sequence[np.ndarray], times: Float[np.ndarray, " p"]) -> None:

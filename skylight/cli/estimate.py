@@ -15,6 +15,7 @@ from skylight.work.device import Device
 # Parsing must not import torch, so the choices stand here again; a test compares the two.
 Light = Literal["auto", "autoencoder", "sunsky", "lamps", "sh9", "sh25"]
 ObjectLight = Literal["ani", "iso", "vmf", "sh9", "sh25", "sh49", "lamps"]
+Solver = Literal["scan", "thesis"]
 Landmarks = Literal["mediapipe", "dlib"]
 Head = Literal["fitted", "deformed"]
 Decoding = tyro.conf.create_mutex_group(required=False)
@@ -26,6 +27,7 @@ def estimate(
     shared_light: bool = False,
     light: Light = "autoencoder",
     model: Path | None = None,
+    solver: Solver = "scan",
     face: int | None = None,
     faces: Literal["one", "all"] = "one",
     head: Head = "fitted",
@@ -42,6 +44,9 @@ def estimate(
     workers: int = 0,
     cluster: str | None = None,
     retry_failed: bool = False,
+    video: bool = False,
+    keyframes: int = 24,
+    rate: float = 30.0,
 ) -> None:
     """Recover the light in which a face was photographed, or several.
 
@@ -61,6 +66,11 @@ def estimate(
     command again goes on. A picture that fails is passed over and listed at the end, and the exit
     code is 0 unless all failed.
 
+    Of a film, or of a folder of its frames, with --video: one person is followed, and the light
+    stands still in the world, whatever head and camera do, or drifts slowly. Writes probe.exr and
+    probe.hdr, a probe_000.exr for each keyframe, all as seen from the first frame's camera,
+    posterior.exr, mesh.obj, film.json and report.png. The same command again goes on.
+
     Args:
         photo: Picture of a face: JPEG, PNG, TIFF, EXR, Radiance HDR or RAW; or a folder of such.
             Of a grey one the colour of the light is only what is usual.
@@ -71,6 +81,8 @@ def estimate(
             likelier of learnt skies and lamps, for half as much time again as skies alone.
         model: Folder of a trained model of your own instead of the one that comes with skylight,
             for --light auto, autoencoder or sunsky.
+        solver: How --light autoencoder is searched for: from many starts where a scan finds the
+            sun, or as in the thesis (B.1), from the mean sky on four levels.
         face: Which face of each picture, counted from 1, the largest; 1 unless said otherwise.
         faces: One face of each picture, or all.
         head: The morphable model's head as fitted to the landmarks, or deformed to meet them (only
@@ -87,10 +99,39 @@ def estimate(
         ignore_exif_sun: Do not use time, place and heading of the EXIF data.
         keep_place: Write time, place and heading into estimate.json; they are left out else.
         workers: Of a folder: processes that work at the same time; 0 for one per core. Each takes
-            up to 1.6 GB.
+            up to 1.1 GB.
         cluster: Of a folder: a dask scheduler's address, whose workers do it instead.
         retry_failed: Of a folder: try again the pictures that failed before.
+        video: PHOTO is a film (mp4, mov, ...) of up to ten minutes, or a folder of its frames.
+        keyframes: Of a film: estimate the light at so many frames at most.
+        rate: Of a folder of a film's frames: so many are shown in a second.
     """
+    if video:
+        _estimate_film(
+            photo,
+            out or Path(f"{photo.resolve().stem}_light"),
+            {
+                "--faces all": faces == "all",
+                "--shared-light": shared_light or bool(more),
+                "--head": head != "fitted",
+                "--landmarks": landmarks != "mediapipe",
+                "--solver": solver != "scan",
+                "--time, --place and --heading": any(
+                    each is not None for each in (time, place, heading)
+                ),
+                "--workers, --cluster and --retry-failed": workers != 0
+                or cluster is not None
+                or retry_failed,
+            },
+            light=light,
+            model=model,
+            face=1 if face is None else face,
+            keyframes=keyframes,
+            rate=rate,
+            decode="linear" if linear else gamma,
+            device=device,
+        )
+        return
     if face is not None and faces == "all":
         raise InputError(f"--face {face} and --faces all contradict each other: leave one out")
     which = "all" if faces == "all" else 1 if face is None else face
@@ -116,6 +157,7 @@ def estimate(
             device=device,
             light=light,
             model=model,
+            solver=solver,
             face=which,
             head=head,
             decode=decode,
@@ -135,7 +177,8 @@ def estimate(
     from skylight.app.estimate.results import MESHES, mesh_names, write_results
     from skylight.app.estimate.summary import summary
     from skylight.app.progress import stage_bar
-    from skylight.faces.photographs import choose_landmarker
+    from skylight.faces.detection.landmarkers import choose_landmarker
+    from skylight.imaging.film import FILM_SUFFIXES
     from skylight.imaging.photo import read_photo
     from skylight.work.device import choose_device
     from skylight.work.results_folder import results_folder
@@ -148,6 +191,8 @@ def estimate(
         )
     out = out or Path(f"{photo.stem}_light")
     paths = (photo, *more)
+    if photo.suffix.lower() in FILM_SUFFIXES:
+        raise InputError(f"{photo} is a film: add --video")
     pictures = [read_photo(path, decode=decode) for path in paths]
     choose_device(device)
     landmarker = choose_landmarker(landmarks)
@@ -156,6 +201,7 @@ def estimate(
             *pictures,
             light=light,
             model=model,
+            solver=solver,
             face=which,
             head=head,
             device=device,
@@ -173,6 +219,31 @@ def estimate(
     meshes = ", ".join(mesh_names(result))
     files = f"probe.exr, probe.hdr, posterior.exr, {meshes}, estimate.json, report.png"
     print(f"written into {out}: {files}")
+
+
+def _estimate_film(film: Path, out: Path, contradictions: dict[str, bool], **settings: Any) -> None:
+    """``settings`` are those of :class:`skylight.app.estimate.film.FilmSettings`."""
+    for option, is_given in contradictions.items():
+        if is_given:
+            raise InputError(f"{option}: not for films, in which one face is followed by MediaPipe")
+    from skylight.app.estimate.film import FilmSettings
+    from skylight.app.estimate.film_results import film_into, film_summary
+    from skylight.app.progress import stage_bar
+    from skylight.work.device import choose_device
+
+    choose_device(settings["device"])
+    chosen = FilmSettings(**settings)
+    try:
+        with stage_bar() as progress:
+            result = film_into(film, out, chosen, progress)
+    except KeyboardInterrupt:
+        raise SkylightError(f"interrupted; the same command goes on with {out}") from None
+    for advice in result.advice:
+        print(f"skylight: take care: {advice}", file=sys.stderr)
+    print(film_summary(result))
+    count = len(result.light.frames)
+    files = f"probe.exr, probe.hdr, {count} of keyframes, posterior.exr, mesh.obj, film.json"
+    print(f"written into {out}: {files}, report.png")
 
 
 def _estimate_folder(
@@ -220,6 +291,7 @@ def estimate_object(
     albedo: str | None = None,
     roughness: float | None = None,
     reflectance: float | None = None,
+    bounces: int = 0,
     device: Device = "auto",
     out: Path | None = None,
     gamma: Annotated[float | None, Decoding] = None,
@@ -245,6 +317,7 @@ def estimate_object(
         roughness: Roughness of a glossy object, 0.25 to 1; without it, the object is matt. How
             strong the gloss is against the matt part depends on --albedo.
         reflectance: Of a glossy object, seen head-on; by default 0.04.
+        bounces: How often light may bounce between parts of the object; needs --albedo.
         device: Where the light is fitted: on the CPU, by CUDA, or by CUDA where it is.
         out: Folder for the results; by default PHOTO's name with _light, in the current folder.
         gamma: The picture's values are light to the power of 1/GAMMA, instead of sRGB.
@@ -262,7 +335,7 @@ def estimate_object(
     from skylight.work.results_folder import results_folder
 
     out = out or Path(f"{photo.stem}_light")
-    material = material_of(albedo, roughness, reflectance)
+    material = material_of(albedo, roughness, reflectance, bounces)
     picture = read_photo(photo, decode="linear" if linear else gamma, require_colour=True)
     choose_device(device)
     with stage_bar() as progress, results_folder(out) as folder:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.io.bounded import json_content
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 
 FORMAT, VERSION = "skylight sparse code", 1
 

@@ -14,7 +14,7 @@ from skylight.csc.correlation.norms import atom_norms
 from skylight.csc.correlation.positions import Positions, centres_of
 from skylight.csc.correlation.wigner import RotationCorrelation
 from skylight.csc.dictionary import FilterBank, load_dictionary
-from skylight.csc.pursuit.exchange import pursue
+from skylight.csc.pursuit.exchange import pursue, pursue_together
 from skylight.csc.pursuit.greedy import Pursuit, PursuitOptions, Support
 from skylight.csc.pursuit.quadratic import SampledSignal
 from skylight.csc.sub_dictionaries import (
@@ -32,6 +32,7 @@ from skylight.sphere.frame import pixel_from_direction
 from skylight.sphere.latlong_transform import LatLongTransform
 from skylight.work.progress import Progress
 
+_TOGETHER = 32  # maps whose activations are searched for together, 3 MB each and more
 _RIDGE = 1e-12  # of a Gram matrix: atoms that have become dependent leave it solvable
 
 
@@ -141,7 +142,8 @@ class SphericalSparseCoder(nn.Module):
     def forward(self, maps: Float[Tensor, "*batch h w 3"]) -> CodeTensors:
         """The codes of maps, padded to ``activations``; no gradient flows through the search.
 
-        Weights have the maps' dtype. The maps of a batch share the processor's cores.
+        Weights have the maps' dtype. The maps of a batch are searched together, by as many workers
+        as torch has threads.
         """
         self._check_maps(maps)
         flat = maps.reshape(-1, *maps.shape[-3:])
@@ -153,15 +155,14 @@ class SphericalSparseCoder(nn.Module):
         if self.options.sweeps:
             self.norms()
 
-        def code(one: Float[Tensor, "h w 3"]) -> CodeTensors:
-            (support,) = self._search(self._signal(one), [self.activations])
-            return support.tensors(self.parts, self.activations)
-
-        if len(flat) > 1 and maps.device.type == "cpu":
-            with _one_thread_each(torch.get_num_threads()) as pool:
-                codes = list(pool.map(code, flat))
+        workers = min(len(flat), torch.get_num_threads()) if maps.device.type == "cpu" else 1
+        if workers == 1:
+            supports = self._search_together(flat)
         else:
-            codes = [code(one) for one in flat]
+            with _one_thread_each(workers) as pool:
+                shares = list(pool.map(self._search_together, flat.tensor_split(workers)))
+            supports = [support for share in shares for support in share]
+        codes = [support.tensors(self.parts, self.activations) for support in supports]
         columns = (torch.stack(column) for column in zip(*codes, strict=True))
         filters, rotations, weights, count = (
             c.reshape((*maps.shape[:-3], *c.shape[1:])).to(maps.device) for c in columns
@@ -177,7 +178,7 @@ class SphericalSparseCoder(nn.Module):
         energy = float(signal.energy.sum())
         return [
             self.sparse_code(s.tensors(self.parts), max(0.0, s.error / energy) ** 0.5)
-            for s in self._search(signal, counts, progress)
+            for s in pursue(self._start(signal), counts, progress)
         ]
 
     def _signal(self, radiance: Float[Tensor, "h w 3"]) -> SampledSignal:
@@ -185,11 +186,19 @@ class SphericalSparseCoder(nn.Module):
         return SampledSignal.of(radiance, self.transform, pixels=has_pixels(self.parts))
 
     @torch.no_grad()
-    def _search(
-        self, signal: SampledSignal, counts: list[int], progress: Progress | None = None
-    ) -> list[Support]:
+    def _start(self, signal: SampledSignal) -> Pursuit:
         norms = self.norms() if self.options.sweeps else None
-        return list(pursue(Pursuit(self.parts, signal, self.options, norms), counts, progress))
+        return Pursuit(self.parts, signal, self.options, norms)
+
+    @torch.no_grad()
+    def _search_together(self, maps: Float[Tensor, "n h w 3"]) -> list[Support]:
+        return [
+            support
+            for some in maps.split(_TOGETHER)
+            for support in pursue_together(
+                [self._start(self._signal(one)) for one in some], self.activations
+            )
+        ]
 
     def _check_maps(self, maps: Float[Tensor, "*batch h w 3"]) -> None:
         if maps.shape[-3:] != (self.height, 2 * self.height, 3):
@@ -274,7 +283,7 @@ class SphericalSparseCoder(nn.Module):
         """
         coarse, fine = self.transform.grid, transform.grid
         directions = centres_of(codes.rotations)
-        pixel, source = _pixel_of(directions, fine.layout), _pixel_of(directions, coarse.layout)
+        pixel, source = pixel_of(directions, fine.layout), pixel_of(directions, coarse.layout)
         device = codes.rotations.device
         energy = coarse.solid_angles.to(device)[source].sqrt()
         last = codes.filters == self.count - 1
@@ -309,9 +318,10 @@ class SphericalSparseCoder(nn.Module):
             raise InputError(f"the code names filters that {self.bank.name!r} does not have")
 
 
-def _pixel_of(
+def pixel_of(
     directions: Float[Tensor, "*s 3"], layout: tuple[int, int] | None
 ) -> Int[Tensor, "*s"]:
+    """The index of the pixel of a lat-long layout that each direction falls in."""
     assert layout is not None
     height, width = layout
     row, column = pixel_from_direction(directions, height, width)
@@ -319,13 +329,14 @@ def _pixel_of(
 
 
 @contextmanager
-def _one_thread_each(count: int) -> Iterator[ThreadPoolExecutor]:
-    """As many workers as torch has threads: a pursuit's steps are too short to share well."""
+def _one_thread_each(workers: int) -> Iterator[ThreadPoolExecutor]:
+    """Workers of one thread: a pursuit's steps are too short to share well."""
+    before = torch.get_num_threads()
     try:
-        with ThreadPoolExecutor(count, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+        with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
             yield pool
     finally:
-        torch.set_num_threads(count)
+        torch.set_num_threads(before)
 
 
 def coder_for(code: SparseCode, dictionary: str | Path | None = None) -> SphericalSparseCoder:

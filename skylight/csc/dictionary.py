@@ -14,7 +14,7 @@ from typing import Literal, get_args
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from skylight.errors import InputError
@@ -126,6 +126,18 @@ class FilterBank(nn.Module):
         basis = harmonics.evaluate_about_zenith(directions, self.degree)
         return self.coefficients.to(basis) @ basis.T
 
+    def polar_values(
+        self, filters: Int[Tensor, " s"], theta_rad: Float[Tensor, " t"], phi: Float[Tensor, " p"]
+    ) -> Float[Tensor, "s t p"]:
+        """Values of some filters, unrotated, on a grid of angles from the pole and longitudes."""
+        legendre, fourier = _polar_basis(theta_rad, phi, self.degree)
+        order = harmonics.orders(self.degree) + self.degree
+        values = torch.zeros(len(filters), len(theta_rad), len(phi), dtype=torch.float64)
+        for i, filter_ in enumerate(self.coefficients.detach().cpu().double()[filters.cpu()]):
+            rows = torch.zeros(len(theta_rad), fourier.shape[1], dtype=torch.float64)
+            values[i] = rows.index_add_(1, order, legendre * filter_) @ fourier.T
+        return values
+
     def undershoot(self) -> Float[Tensor, " m"]:
         """-min / max of every filter, on a grid of 1 degree by 2: how much of it is ringing.
 
@@ -133,14 +145,10 @@ class FilterBank(nn.Module):
         """
         theta = torch.linspace(0, math.pi, 181, dtype=torch.float64)
         phi = torch.arange(180, dtype=torch.float64) * (2 * math.pi / 180)
-        legendre, fourier = _polar_basis(theta, phi, self.degree)
-        order = harmonics.orders(self.degree) + self.degree
-        result = torch.zeros(len(self), dtype=torch.float64)
-        for i, filter_ in enumerate(self.coefficients.detach().cpu().double()):
-            rows = torch.zeros(len(theta), fourier.shape[1], dtype=torch.float64)
-            values = rows.index_add_(1, order, legendre * filter_) @ fourier.T
-            result[i] = -values.min() / values.max()
-        return result
+        least, most = (
+            self.polar_values(torch.arange(len(self)), theta, phi).flatten(1).aminmax(dim=1)
+        )
+        return -least / most
 
     def cut(self, degree: int) -> "FilterBank":
         """Bands 0 .. ``degree`` of every filter, of unit norm again.

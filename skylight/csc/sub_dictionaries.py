@@ -1,6 +1,6 @@
 """Multiresolution dictionaries: sub-dictionaries of growing sharpness, each with its rotations."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, runtime_checkable
@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from skylight.csc.code import CodeTensors
+from skylight.csc.correlation.chunk import Chunk
 from skylight.csc.correlation.points import PixelCorrelation
 from skylight.csc.correlation.positions import Positions
 from skylight.csc.correlation.rotated import rotated_filters, rotated_zonal_filters
@@ -29,8 +30,10 @@ class Correlation(Protocol):
     def members(self, group: int) -> tuple[int, ...]: ...
 
     def by_group(
-        self, residual: Float[Tensor, " k"]
-    ) -> list[Float[Tensor, "_ _ rows columns"]]: ...
+        self, residual: Float[Tensor, "*batch k"]
+    ) -> list[Float[Tensor, "*batch _ _ rows columns"]]: ...
+
+    def in_chunks(self, residuals: Float[Tensor, "s k"]) -> Iterator[Chunk]: ...
 
     def rotated(
         self, filters: Int[Tensor, " s"], places: Int[Tensor, "s 3"]

@@ -37,7 +37,7 @@ from skylight.evaluation.skies.sky_models import SkyModels
 from skylight.evaluation.skies.sky_representations import SkyRepresentations
 from skylight.faces.captures import CAPTURES_NAME
 from skylight.io.atomic import atomic_path
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 from skylight.models.names import LightName
 from skylight.work.device import choose_device
 from skylight.work.resumable import Workers

@@ -2,15 +2,15 @@
 
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import Literal, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from skylight.errors import AssetError, InputError
+from skylight.faces.names import LandmarkerName
 
-LandmarkerName = Literal["mediapipe", "dlib"]
 # Outer corners of the eyes, the person's right first: of iBUG's 68 points, and of MediaPipe's 478.
 EYES: tuple[int, int] = (36, 45)
 MESH_EYES: tuple[int, int] = (33, 263)

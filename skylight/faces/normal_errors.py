@@ -8,7 +8,7 @@ derivatives. The leading eigenvectors are the ways in which the normals of a who
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.sparse import csr_matrix
 from torch import Tensor
@@ -22,16 +22,17 @@ MODES = 20
 
 
 def normal_error_modes(
-    model: HeadModel, fit: FaceFit, surface: GBuffer, used: Bool[Tensor, " m"]
+    model: HeadModel, fit: FaceFit, surface: GBuffer, points: Int[Tensor, " u"]
 ) -> Float[Tensor, "u 3 k"] | None:
-    """M with n_p + sum_k M_pk z_k the normals at the used pixels, z standard normal.
+    """M with n_p + sum_k M_pk z_k the normals at some of the G-buffer's pixels, z standard
+    normal.
 
     The :data:`MODES` of the most variance; None where the fit has no covariance.
     """
     if fit.covariance is None:
         return None
     root = np.linalg.cholesky(fit.covariance)
-    triangles = model.faces[surface.faces[used].numpy()]
+    triangles = model.faces[surface.faces[points].numpy()]
     shape = np.concatenate([model.identity_basis, model.expression_basis], 2)
     normals, turned = vertex_normal_derivatives(
         fit.vertices,
@@ -40,7 +41,7 @@ def normal_error_modes(
     )
     # a rotation from the left by w turns n by w x n
     by_rotation = np.cross(np.eye(3), normals[:, None]).transpose(0, 2, 1)
-    weights, seen = surface.barycentric[used].numpy(), surface.normals[used].numpy()
+    weights, seen = surface.barycentric[points].numpy(), surface.normals[points].numpy()
     length = np.linalg.norm(np.einsum("pc,pcd->pd", weights, normals[triangles]), axis=1)
     weights = weights / length[:, None]
     derivative = np.zeros((*seen.shape, len(root)))

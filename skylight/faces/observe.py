@@ -1,12 +1,13 @@
 """The observation of a fitted face: pixels, weights and transport."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from skylight.errors import InputError
 from skylight.faces.detection.blazeface import Square
@@ -14,17 +15,19 @@ from skylight.faces.fit import FaceFit
 from skylight.faces.model import HeadModel, Region
 from skylight.faces.normal_errors import normal_error_modes
 from skylight.faces.segmentation.hair import hair_probability
-from skylight.faces.segmentation.skin_inliers import inlier_probability
+from skylight.faces.segmentation.skin_inliers import LIGHT_ROWS, inlier_probability
 from skylight.faces.segmentation.skin_mask import SkinLikeness
 from skylight.faces.skin import pigment_modes
 from skylight.sphere.envmap import luminance
-from skylight.sphere.grid import DirectionGrid
+from skylight.transport.adaptive import adaptive_visibility
 from skylight.transport.camera import Camera
 from skylight.transport.gbuffer import GBuffer, rasterize
 from skylight.transport.gloss import camera_lamp, glossy_transport
-from skylight.transport.matrix import TransportMatrix, diffuse_transport
+from skylight.transport.indirect.interreflection import BouncingMesh
+from skylight.transport.matrix import TransportMatrix
 from skylight.transport.normal_modes import NormalModes
 from skylight.transport.observation import Observation
+from skylight.transport.pixel_blocks import PixelBlocks
 from skylight.transport.raycast import Raycaster
 from skylight.transport.render import Specular
 from skylight.work.progress import Progress
@@ -42,26 +45,37 @@ HAIR_SHARE = 0.5
 # of hair looked for in a square of so many times the height of the face.
 HAIR_SQUARE = 2.0
 FEWEST_PIXELS = 60
+BLOCK = 2  # pixels abreast in what is observed of faces that are as high as this, or higher:
+LEAST_HEIGHT_PX = 48
 NORMAL_ROWS = 32  # of the light that normal errors are seen in: cells of 5.6 degrees
 # The rest of the head tells where a sun behind the face stands, where it is bare: parts, and how
 # dark against the face their skin may be. What is above a hairline is lit from the sky.
 BARE_PARTS = {Region.EAR: 0.3, Region.NECK: 0.25, Region.SCALP: 0.7}
 # Index of refraction 1.4; the roughness is nominal, and its strength is estimated per face.
 SKIN_GLOSS = Specular(f0=0.028, roughness=0.5)
+# luminance of the mean over the modes of the skin prior, by which light bounces on a head
+BOUNCING_ALBEDO = 0.12
 
 
 @dataclass(frozen=True, kw_only=True)
 class FaceView:
     """A face cut out of a picture at working resolution, with the points seen in it.
 
-    ``used`` (m,) tells which of the G-buffer's pixels went into ``observation``, in order.
+    ``used`` (m,) tells which of the G-buffer's pixels went into ``observation``, and ``blocks``
+    (u,) into which of its rows each of those did.
     """
 
     image: Float[Tensor, "h w 3"]
     camera: Camera
     surface: GBuffer
     used: Bool[Tensor, " m"]
+    blocks: Int[Tensor, " u"]
     observation: Observation
+
+    @property
+    def places(self) -> Int[Tensor, "u 2"]:
+        """(row, column) in ``image`` of each used pixel."""
+        return self.surface.pixels[self.used]
 
 
 def observe_face(
@@ -74,6 +88,7 @@ def observe_face(
     grid_height: int = 64,
     specular: Specular | None = SKIN_GLOSS,
     grey: bool = False,
+    bounces: int = 0,
     workers: int = 1,
     progress: Progress | None = None,
 ) -> FaceView:
@@ -84,11 +99,15 @@ def observe_face(
     behind the person, the face itself sees nothing. What no light on skin explains is left out,
     and the rest is weighted by how likely it is skin (:func:`inlier_probability`). Over-exposed
     ones count as lower bounds. ``specular`` is the surface's reflection, None where its transport
-    is not wanted. ``grey``: the picture has no colour.
+    is not wanted. ``grey``: the picture has no colour. ``bounces``: how often light may bounce on
+    the head, of :data:`BOUNCING_ALBEDO`, before it reaches a pixel.
+
     ``face_height_px`` is the height of the skin region after down-sampling (never up): beyond
-    90 px estimates hardly change (thesis, 5.5.5.1), while memory grows: the transport takes
-    4 * pixels * 2 * grid_height**2 bytes, 100 MB for 3,000 pixels and 64 rows, that of the
-    gloss as much, and what normals may be wrong by a quarter of it.
+    90 px estimates hardly change (thesis, 5.5.5.1), while rays grow. From 48 px on the observation
+    has means over blocks of 2 x 2 pixels, which say as much: a face's pixels are not independent.
+    Memory: 2 * pixels * 2 * grid_height**2 bytes while rays are cast, 50 MB for 3,000 pixels and
+    64 rows; the transport of the blocks takes half as much, that of the gloss as much, and what
+    normals may be wrong by a quarter of it.
     """
     vertices, faces = torch.from_numpy(fit.vertices), torch.from_numpy(model.faces.copy())
     hair = hair_probability(picture, _around_head(model, fit))
@@ -97,7 +116,7 @@ def observe_face(
     )
     raycaster = Raycaster(vertices, faces)
     surface = rasterize(camera, vertices, faces, raycaster)
-    view = -torch.nn.functional.normalize(surface.positions, dim=1)
+    view = -normalize(surface.positions, dim=1)
     facing = (surface.normals * view).sum(1)
     rows, columns = surface.pixels.unbind(1)
     over = clipped_share[rows, columns] > CLIPPED_SHARE
@@ -115,37 +134,67 @@ def observe_face(
     bright = torch.quantile(luminance(seen[on_skin]), 0.9)
     used = on_skin & (luminance(seen) > DARK_SHARE * bright)
     _require_enough(used & ~over, on_skin)
-    transport = diffuse_transport(
+    sight = adaptive_visibility(
         surface.origins[used],
         surface.normals[used],
         surface.geometric_normals[used],
         raycaster,
-        DirectionGrid.latlong(grid_height),
+        grid_height,
         workers=workers,
         progress=progress,
     )
+    coarse = sight.transport(min(grid_height, LIGHT_ROWS))
+    views = view[used]
     gloss = None
     if specular is not None:
-        gloss = glossy_transport(transport, surface.normals[used], view[used], specular)
+        gloss = glossy_transport(coarse, surface.normals[used], views, specular)
     # pixels seen at a slant cover more skin each and lie less surely: weight by the cosine
-    all_of_it = Observation(
+    by_pixel = Observation(
         pixels=seen[used],
         weights=facing[used].float(),
         places=surface.pixels[used],
-        transport=transport,
+        transport=coarse,
         gloss=gloss,
         clipped=over[used] if bool(over[used].any()) else None,
-        grey=grey,
-        modes=_modes(surface, used, model),
-        normal_modes=_normal_modes(surface, used, model, fit, transport),
-        camera_lamp=camera_lamp(surface.normals[used], view[used], specular).float(),
     )
-    inlier = inlier_probability(all_of_it)
+    inlier = inlier_probability(by_pixel)
     kept = inlier > LEAST_INLIER
     _require_enough(kept & ~over[used], on_skin)
-    observation = _skin_of(all_of_it, inlier, kept)
-    used[used.clone()] = kept
-    return FaceView(image=image, camera=camera, surface=surface, used=used, observation=observation)
+    weights = torch.where(kept, by_pixel.weights * inlier, 0.0)
+    height = min(face_height_px, float(np.ptp(_skin_seen(model, fit)[:, 1])))
+    size = BLOCK if height >= LEAST_HEIGHT_PX else 1
+    blocks = PixelBlocks.of(by_pixel.places, weights, by_pixel.clipped, size)
+    normals = normalize(blocks.means(surface.normals[used]), dim=1)
+    views = normalize(blocks.means(views), dim=1)
+    transport = TransportMatrix(matrix=blocks.means(sight), grid=sight.grid)
+    points = used.nonzero()[:, 0][blocks.heaviest()]
+    mesh = BouncingMesh(vertices=vertices, faces=faces, raycaster=raycaster, albedo=BOUNCING_ALBEDO)
+    errors = normal_error_modes(model, fit, surface, points)
+    observation = Observation(
+        pixels=blocks.means(by_pixel.pixels),
+        weights=blocks.weights,
+        places=blocks.places,
+        transport=mesh.transport(
+            transport, surface.origins[points], normals, bounces=bounces, workers=workers
+        ),
+        gloss=None if specular is None else glossy_transport(transport, normals, views, specular),
+        clipped=blocks.clipped,
+        grey=grey,
+        modes=_modes(surface, points, model),
+        normal_modes=None
+        if errors is None
+        else NormalModes.of(transport, normals, errors, NORMAL_ROWS),
+        camera_lamp=camera_lamp(normals, views, specular).float(),
+    )
+    used[used.clone()] = weights > 0
+    return FaceView(
+        image=image,
+        camera=camera,
+        surface=surface,
+        used=used,
+        blocks=blocks.index,
+        observation=observation,
+    )
 
 
 def _require_enough(usable: Bool[Tensor, " k"], on_skin: Bool[Tensor, " m"]) -> None:
@@ -156,46 +205,10 @@ def _require_enough(usable: Bool[Tensor, " k"], on_skin: Bool[Tensor, " m"]) -> 
         )
 
 
-def _skin_of(
-    seen: Observation, inlier: Float[Tensor, " m"], kept: Bool[Tensor, " m"]
-) -> Observation:
-    """The ``kept`` pixels, weighted by how likely each is skin too."""
-
-    def rows(transport: TransportMatrix) -> TransportMatrix:
-        return replace(transport, matrix=transport.matrix[kept])
-
-    return replace(
-        seen,
-        pixels=seen.pixels[kept],
-        weights=(seen.weights * inlier)[kept],
-        places=seen.places[kept],
-        transport=rows(seen.transport),
-        gloss=None if seen.gloss is None else rows(seen.gloss),
-        clipped=None if seen.clipped is None else seen.clipped[kept],
-        modes=None if seen.modes is None else seen.modes[kept],
-        normal_modes=None if seen.normal_modes is None else seen.normal_modes.rows(kept),
-        camera_lamp=None if seen.camera_lamp is None else seen.camera_lamp[kept],
-    )
-
-
-def _modes(surface: GBuffer, used: Bool[Tensor, " m"], model: HeadModel) -> Float[Tensor, "u k"]:
-    """How pigments may vary at the used pixels: the modes of their triangles' corners."""
-    corners = torch.from_numpy(pigment_modes()[model.faces[surface.faces[used].numpy()]])
-    return (corners * surface.barycentric[used][..., None]).sum(1).float()
-
-
-def _normal_modes(
-    surface: GBuffer,
-    used: Bool[Tensor, " m"],
-    model: HeadModel,
-    fit: FaceFit,
-    transport: TransportMatrix,
-) -> NormalModes | None:
-    """How the used pixels' normals may be wrong; None where the head is known."""
-    modes = normal_error_modes(model, fit, surface, used)
-    if modes is None:
-        return None
-    return NormalModes.of(transport, surface.normals[used], modes, NORMAL_ROWS)
+def _modes(surface: GBuffer, points: Int[Tensor, " u"], model: HeadModel) -> Float[Tensor, "u k"]:
+    """How pigments may vary at some of the pixels: the modes of their triangles' corners."""
+    corners = torch.from_numpy(pigment_modes()[model.faces[surface.faces[points].numpy()]])
+    return (corners * surface.barycentric[points][..., None]).sum(1).float()
 
 
 def _cut_out(
@@ -207,8 +220,7 @@ def _cut_out(
 ) -> tuple[Float[Tensor, "h2 w2 3"], Camera, list[Float[Tensor, "h2 w2"]]]:
     """The head's part of the picture, area-averaged, its camera, and so the ``maps``."""
     camera = fit.camera
-    image = camera.project(torch.from_numpy(fit.vertices)).numpy()
-    skin = image[model.regions == Region.FACE]
+    skin = _skin_seen(model, fit)
     scale = min(1.0, face_height_px / np.ptp(skin[:, 1]))
     margin = 0.35 * np.ptp(skin[:, 1])
     low = np.floor(np.maximum(skin.min(0) - margin, 0)).astype(int)
@@ -239,9 +251,14 @@ def _cut_out(
     return torch.from_numpy(small), cut, shares
 
 
+def _skin_seen(model: HeadModel, fit: FaceFit) -> Float[np.ndarray, "k 2"]:
+    """Where the picture has the vertices of the face's skin, pixels."""
+    return fit.camera.project(torch.from_numpy(fit.vertices[model.regions == Region.FACE])).numpy()
+
+
 def _around_head(model: HeadModel, fit: FaceFit) -> Square:
     """The square in which hair is looked for: about the face, and upright with it."""
-    skin = fit.camera.project(torch.from_numpy(fit.vertices[model.regions == Region.FACE])).numpy()
+    skin = _skin_seen(model, fit)
     right, up = fit.rotation[:2, 0]  # where the head's own left points to: +X right, +Y up
     return Square(
         centre=(skin.min(0) + skin.max(0)) / 2,

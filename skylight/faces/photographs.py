@@ -3,26 +3,20 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
-from typing import Literal
 
 from skylight.errors import InputError
-from skylight.faces.detection.dlib_landmarks import DlibLandmarker
-from skylight.faces.detection.mediapipe_face import MediaPipeLandmarker
 from skylight.faces.fit import FaceFit, fit_face
 from skylight.faces.landmarks import (
     DetectedFace,
     FaceLandmarker,
-    LandmarkerName,
     choose_face,
 )
 from skylight.faces.model import HeadModel
+from skylight.faces.names import HeadName, WhichFaces
 from skylight.imaging.photo import Photo
 from skylight.work.progress import Progress
 
 MOST_TURNED_RAD = math.radians(60)
-WhichFaces = int | Literal["all"]
-HeadName = Literal["fitted", "deformed"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,21 +78,3 @@ def fit_visible(
             "degrees; use a picture that shows it from the front or at most half from the side"
         )
     return fit
-
-
-@cache
-def choose_landmarker(name: LandmarkerName = "mediapipe") -> FaceLandmarker:
-    """What finds faces, one a process: its models are loaded once.
-
-    Raises
-    ------
-    InputError
-        No such landmarker.
-    DependencyError
-        dlib's is an extra that is not installed.
-    """
-    if name == "mediapipe":
-        return MediaPipeLandmarker()
-    if name != "dlib":
-        raise InputError(f"{name!r} is no landmarker; choose mediapipe or dlib")
-    return DlibLandmarker()

@@ -1,1 +1,1 @@
-"""Photographs, colour and image metrics."""
+"""Photographs, films, colour and image metrics."""

@@ -40,8 +40,10 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
+from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
@@ -204,6 +206,7 @@ def face_evidence(
                 for one, weight in zip(observations, robust, strict=True)
             ],
             sphere=sphere,
+            before=scans,
         )
     energies = [
         weight @ (level / mean).square()
@@ -311,7 +314,9 @@ def region_parts(
     directions = grid.directions[region]
     mass = (density * grid.solid_angles)[region]
     near = directions @ directions.T > math.cos(_NEIGHBOURS * height)
-    count, labels = connected_components(near.numpy(), directed=False)
+    places = near.nonzero().T.numpy()
+    graph = coo_array((np.ones(places.shape[1]), tuple(places)), shape=tuple(near.shape))
+    count, labels = connected_components(graph, directed=False)
     parts = []
     for label in range(count):
         inside = torch.from_numpy(labels == label)

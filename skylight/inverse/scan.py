@@ -103,7 +103,8 @@ class FaceScan:
     ``unexplained`` (n,) the share of sum w y^2 that is left with the sun in each direction,
     ``unlit`` that without any sun, ``camera_lit`` that with a lamp at the camera instead;
     ``strengths`` (n,) the sun's share of the diffuse shading; ``deviations`` (m,) luminance seen
-    minus that of the best explanation.
+    minus that of the best explanation; ``solution`` (n+2,k) the unknowns, from which another scan
+    of the face may start.
     """
 
     unexplained: Float[Tensor, " n"]
@@ -111,10 +112,15 @@ class FaceScan:
     camera_lit: float
     strengths: Float[Tensor, " n"]
     deviations: Float[Tensor, " m"]
+    solution: Float[Tensor, "n_2 k"]
 
 
 def scan_faces(
-    observations: Sequence[Observation], *, sphere: bool = False, at_once: int | None = None
+    observations: Sequence[Observation],
+    *,
+    sphere: bool = False,
+    at_once: int | None = None,
+    before: "Sequence[FaceScan] | None" = None,
 ) -> list[FaceScan]:
     """Explain each face by a sun in each direction, and by ambient light alone.
 
@@ -122,14 +128,19 @@ def scan_faces(
     face is solved on the device of its observation, ``at_once`` faces together; its scan is the
     same but for rounding. By default one on the CPU, whose cache holds the unknowns of one (4 MB),
     and all on other devices, which are idle otherwise.
+
+    ``before``: scans of the same faces with other weights. Of faces whose normals may be wrong
+    they are as good a start as what explains them without, and take half the time.
     """
     if at_once is None:
         on_cpu = observations[0].weights.device.type == "cpu"
         at_once = 1 if on_cpu else len(observations)
     scans: list[FaceScan] = []
     for begin in range(0, len(observations), at_once):
-        problems = [_SunProblem.of(one, sphere) for one in observations[begin : begin + at_once]]
-        scans += [explained.scan() for explained in _explain(problems)]
+        some = slice(begin, begin + at_once)
+        problems = [_SunProblem.of(one, sphere) for one in observations[some]]
+        starts = None if before is None else [scan.solution for scan in before[some]]
+        scans += [explained.scan() for explained in _explain(problems, starts)]
     return scans
 
 
@@ -139,11 +150,12 @@ class _SunProblem:
 
     The last two of the n directions are no sun, and a lamp at the camera instead of one (or no sun
     again, where an observation has no such lamp). All is scaled by ``root``, of the weights; the
-    suns and the ambient light have unit norm.
+    suns and the ambient light have unit norm, from their ``norms``.
     """
 
     suns: Float[Tensor, "g m n"]
     ambient: Float[Tensor, "m j"]
+    norms: Float[Tensor, "n k"]
     y: Float[Tensor, " m"]
     root: Float[Tensor, " m"]
     clipped: Bool[Tensor, " m"]
@@ -162,12 +174,11 @@ class _SunProblem:
         lamp = observation.camera_lamp
         if lamp is None:
             lamp = torch.zeros(len(root), 2).to(root)
-        lamp = _unit(lamp.double() * root[:, None])
+        lamp = lamp.double() * root[:, None]
 
         def suns(every: Float[Tensor, "m n"], group: int) -> Float[Tensor, "m n_2"]:
             """One problem for each direction, one without a sun, and one with the camera's lamp."""
-            each = pad(_unit(every[:, :sources]), (0, 1))
-            return torch.cat([each, lamp[:, group, None]], 1)
+            return torch.cat([pad(every[:, :sources], (0, 1)), lamp[:, group, None]], 1)
 
         matt = columns(coarse.transport)
         lobes = _ambient_lobes(grid).to(root)
@@ -177,9 +188,12 @@ class _SunProblem:
         clipped = torch.zeros_like(root, dtype=torch.bool)
         if observation.clipped is not None:
             clipped = observation.clipped
+        every, ambient = torch.stack(groups), matt @ lobes
+        sun_norms, ambient_norms = _norms(every), _norms(ambient)
         return _SunProblem(
-            suns=torch.stack(groups),
-            ambient=_unit(matt @ lobes),
+            suns=every / sun_norms[:, None],
+            ambient=ambient / ambient_norms,
+            norms=torch.cat([sun_norms.T, ambient_norms.expand(every.shape[2], -1)], 1),
             y=luminance(observation.pixels).double() * root,
             root=root,
             clipped=clipped,
@@ -310,6 +324,7 @@ class _Explained:
             camera_lit=float(unexplained[-1]),
             strengths=(self.x[:, 0] * (one.suns[0].sum(0) / one.y.sum()))[:-2],
             deviations=self.deviations() / one.root.clamp(min=1e-12),
+            solution=self.x / one.norms,
         )
 
     def deviations(self) -> Float[Tensor, " m"]:
@@ -322,8 +337,10 @@ class _Explained:
         return torch.where(one.clipped, left.clamp(min=0), left)
 
 
-def _explain(problems: Sequence[_SunProblem]) -> list[_Explained]:
-    """The solution of each.
+def _explain(
+    problems: Sequence[_SunProblem], starts: Sequence[Float[Tensor, "n k"]] | None
+) -> list[_Explained]:
+    """The solution of each, from where each starts.
 
     Where ``clipped``, y is a lower bound: it is raised to what explains it and the problem is
     solved anew, :data:`RAISES` times, which never makes the error larger.
@@ -337,12 +354,20 @@ def _explain(problems: Sequence[_SunProblem]) -> list[_Explained]:
     level = torch.stack(
         [(one.y @ one.y).expand(len(r)) for one, r in zip(problems, rights, strict=True)]
     )
-    # with a sun what is ambient is about as without
-    unlit = nnls(gram[:, -2], right[:, -2])
-    start = unlit[:, None].repeat(1, right.shape[1], 1)
-    start[:, :, 0] = 1
-    x = _solved(gram, right, start)
-    bounded = [p for p, one in enumerate(problems) if bool(one.clipped.any())]
+    if starts is None:  # with a sun what is ambient is about as without
+        unlit = nnls(gram[:, -2], right[:, -2])
+        start = unlit[:, None].repeat(1, right.shape[1], 1)
+        start[:, :, 0] = 1
+    else:
+        scaled = [x * one.norms for x, one in zip(starts, problems, strict=True)]
+        start = torch.stack([pad(x, (0, k)) for x, k in zip(scaled, missing, strict=True)])
+    # from a scan before, those with wrong normals go on with these
+    begun = [starts is not None and one.normals is not None for one in problems]
+    fresh = [p for p, goes_on in enumerate(begun) if not goes_on]
+    x = start.clone()
+    if fresh:
+        x[fresh] = _solved(gram[fresh], right[fresh], start[fresh])
+    bounded = [p for p in fresh if bool(problems[p].clipped.any())]
     raised, raised_level = right.clone(), level.clone()
     for raises in range(RAISES + 1 if bounded else 0):
         if raises:
@@ -356,7 +381,8 @@ def _explain(problems: Sequence[_SunProblem]) -> list[_Explained]:
         mine, k = x[p, :, : one.unknowns], one.unknowns
         along = torch.einsum("nj,njk,nk->n", mine, grams[p], mine)
         squared = raised_level[p] - 2 * (raised[p, :, :k] * mine).sum(1) + along
-        explained.append(_turned(_Explained(problem=one, x=mine, squared=squared), grams[p]))
+        found = _Explained(problem=one, x=mine, squared=squared)
+        explained.append(_turned(found, grams[p], 1 if begun[p] else NORMAL_ROUNDS))
     return explained
 
 
@@ -367,7 +393,7 @@ def _solved(
     return nnls(*flat, start=start.flatten(0, 1)).reshape(right.shape)
 
 
-def _turned(explained: _Explained, gram: Float[Tensor, "n k k"]) -> _Explained:
+def _turned(explained: _Explained, gram: Float[Tensor, "n k k"], rounds: int) -> _Explained:
     """The same with normals that may be wrong, if they may; ``gram`` is the problem's.
 
     With F from the x before, D = <M, F> and u = (D^T D + c I)^-1 D^T (y - X x) at its best, x is
@@ -381,12 +407,15 @@ def _turned(explained: _Explained, gram: Float[Tensor, "n k k"]) -> _Explained:
     block = _BLOCK if seen.device.type == "cpu" else count
     rows = [slice(begin, begin + block) for begin in range(0, count, block)]
     single = replace(one, suns=one.suns.to(seen), ambient=one.ambient.to(seen), y=seen)
+    suns = single.suns.permute(2, 0, 1).contiguous()  # as products of batches want them
     gram = gram.to(seen)
     x, y = explained.x.to(seen), seen.expand(count, -1)
     if bounded:
         y = single.raised_to(x)
-    for further in reversed(range(NORMAL_ROUNDS)):
-        parts = [_without_turns(single, gram[some], x[some], y[some], some) for some in rows]
+    for further in reversed(range(rounds)):
+        parts = [
+            _without_turns(single, suns[some], gram[some], x[some], y[some], some) for some in rows
+        ]
         small, right, level, solved = (torch.cat(part) for part in zip(*parts, strict=True))
         before, x = x, nnls(small, right, start=x)
         amounts = solved[:, :, -1:] - solved[:, :, :-1] @ x[:, :, None]
@@ -405,28 +434,32 @@ def _turned(explained: _Explained, gram: Float[Tensor, "n k k"]) -> _Explained:
 
 def _without_turns(
     one: _SunProblem,
+    suns: Float[Tensor, "b g m"],
     gram: Float[Tensor, "b k k"],
     x: Float[Tensor, "b k"],
     y: Float[Tensor, "b m"],
     rows: slice,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """The problem without u, which is at its best: X^T X, X^T y, y^T y, and what tells that u."""
+    """The problem without u, which is at its best: X^T X, X^T y, y^T y, and what tells that u.
+
+    ``suns`` are those of ``rows``.
+    """
     assert one.normals is not None
     turned = one.normals.added(x, rows, len(one.suns))
-    inner = turned @ turned.transpose(1, 2)
+    inner = turned @ turned.mT
     inner = inner + one.normals.cost * torch.eye(inner.shape[1]).to(inner)
-    suns = one.suns[:, :, rows].permute(2, 1, 0)
-    across = torch.cat([turned @ suns, turned @ one.ambient, turned @ y[:, :, None]], 2)
+    own = turned @ torch.cat([suns, y[:, None]], 1).mT
+    across = torch.cat([own[:, :, :-1], turned @ one.ambient, own[:, :, -1:]], 2)
     solved = torch.linalg.solve(inner, across)
-    less = across.transpose(1, 2) @ solved
-    right = torch.cat([(y[:, None] @ suns)[:, 0], y @ one.ambient], 1)
+    less = across.mT @ solved
+    right = torch.cat([(suns @ y[:, :, None])[:, :, 0], y @ one.ambient], 1)
     level = y.square().sum(1) - less[:, -1, -1]
     return gram - less[:, :-1, :-1], right - less[:, :-1, -1], level, solved
 
 
-def _unit(columns: Float[Tensor, "m n"]) -> Float[Tensor, "m n"]:
-    """Columns of unit norm, so that all unknowns have about the same scale."""
-    return columns / columns.norm(dim=0).clamp(min=1e-12)
+def _norms(columns: Float[Tensor, "*g m n"]) -> Float[Tensor, "*g n"]:
+    """Over which columns have about the same scale."""
+    return columns.norm(dim=-2).clamp(min=1e-12)
 
 
 def _ambient_lobes(grid: DirectionGrid) -> Float[Tensor, "n k"]:

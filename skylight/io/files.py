@@ -1,6 +1,5 @@
-"""Environment maps, images and JSON: strict reading, atomic writing."""
+"""Environment maps and images: strict reading, atomic writing."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -130,13 +129,6 @@ def write_png(path: str | Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
     """Write an 8-bit picture."""
     with atomic_path(path) as temporary:
         Image.fromarray(np.ascontiguousarray(rgb)).save(temporary, format="PNG")
-
-
-def write_json(path: str | Path, content: object) -> None:
-    """Write strict JSON: a NaN or infinity is a ValueError, since other readers refuse it."""
-    text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 def _checked(path: Path, pixels: Float[np.ndarray, "h w 3"]) -> Float[Tensor, "h w 3"]:

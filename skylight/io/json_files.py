@@ -1,9 +1,11 @@
-"""Small JSON files with a "kind"."""
+"""JSON files: reading those with a "kind", atomic writing."""
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 
 from skylight.errors import InputError
+from skylight.io.atomic import atomic_path
 from skylight.io.bounded import json_content
 
 
@@ -43,3 +45,10 @@ def read_whole(content: Mapping[str, object], name: str) -> int:
     if isinstance(value, bool) or not isinstance(value, int):
         raise InputError(f'"{name}" must be a whole number, got {value!r}')
     return value
+
+
+def write_json(path: str | Path, content: object) -> None:
+    """Write strict JSON: a NaN or infinity is a ValueError, since other readers refuse it."""
+    text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from skylight.models.networks.base import HEIGHT, SkyNetwork
+from skylight.models.networks.base import COARSE_HEIGHTS, HEIGHT, SkyNetwork
 from skylight.models.networks.sun_head import COORDINATES
 from skylight.sphere.frame import angles_from_direction
 from skylight.sphere.grid import DirectionGrid
@@ -96,10 +96,13 @@ class AutoencoderLight(nn.Module):
         return head.direction(z[:, -COORDINATES:], azimuth).reshape(*params.shape[:-1], 3)
 
     def on_rows(self, height: int) -> "AutoencoderLight":
-        """The model on 32 rows or a multiple of it, its weights shared; the sun keeps its spread
-        in pixels."""
-        if height % HEIGHT:
-            raise ValueError(f"skies have {HEIGHT} rows or a multiple of it, not {height}")
+        """The model on 4, 8, 16 or 32 rows or a multiple of it, its weights shared; the sun keeps
+        its spread in pixels."""
+        if height % HEIGHT and height not in COARSE_HEIGHTS:
+            raise ValueError(
+                f"skies have {', '.join(map(str, COARSE_HEIGHTS))} rows, {HEIGHT} or a multiple of "
+                f"it, not {height}"
+            )
         light = copy.copy(self)
         light.height = height
         light.sun_spread_rad = self.sun_spread_rad * self.height / height

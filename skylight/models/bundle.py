@@ -28,7 +28,8 @@ from numpy import ndarray
 from torch import Tensor
 
 from skylight.errors import AssetError, InputError
-from skylight.io.files import write_json, write_png
+from skylight.io.files import write_png
+from skylight.io.json_files import write_json
 from skylight.io.tensors import read_tensors, tensors_sha256, write_tensors
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.bundle_manifest import MAKE_ONE, MANIFEST, BundleManifest, read_manifest

@@ -10,10 +10,25 @@ DEFAULT_LIGHT: LightName = "autoencoder"
 LIGHT_NAMES: tuple[LightName, ...] = get_args(LightName)
 
 
+# Of skies: from where a scan finds the sun, or as in the thesis, B.1
+SolverName = Literal["scan", "thesis"]
+DEFAULT_SOLVER: SolverName = "scan"
+SOLVER_NAMES: tuple[SolverName, ...] = get_args(SolverName)
+
+
 def check_light_name(name: str) -> LightName:
     """``name`` where a light model has it; :class:`InputError` names those there are."""
     if name not in LIGHT_NAMES:
         raise InputError(f"unknown light model {name!r}: choose one of {', '.join(LIGHT_NAMES)}")
+    return name  # type: ignore[return-value]
+
+
+def check_solver_name(name: str, light: LightName) -> SolverName:
+    """``name`` where it searches for that light; :class:`InputError` tells what does."""
+    if name not in SOLVER_NAMES:
+        raise InputError(f"unknown solver {name!r}: choose one of {', '.join(SOLVER_NAMES)}")
+    if name != DEFAULT_SOLVER and light != "autoencoder":
+        raise InputError(f"the solver {name} is for the light autoencoder, not for {light}")
     return name  # type: ignore[return-value]
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.cluster import vq
 from torch import Tensor, nn
 
 from skylight.errors import AssetError, InputError
@@ -114,6 +113,8 @@ class GaussianMixture(nn.Module):
                 "give more samples or ask for fewer components"
             )
         x = samples.detach().cpu().double()
+        from scipy.cluster import vq  # takes 0.4 s to import, and priors that ship are fitted
+
         rng = np.random.default_rng(seed)
         ends = []
         for _ in range(_STARTS):

@@ -168,9 +168,7 @@ class _Decoder(nn.Module):
 
     def forward(self, latent: Tensor) -> Tensor:
         if isinstance(self.network, SplineAutoencoder):
-            # sparse products are nothing that ONNX knows
-            ahead = torch.full((1,), CENTRE_AZIMUTH_RAD)
-            return self.network.turned(latent, ahead, 0.0)
+            return self.network.exportable(latent)  # decode's sparse products are none of ONNX's
         return self.network.decode(latent)
 
 

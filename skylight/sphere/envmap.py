@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from skylight.sphere.frame import angle_between, pixel_from_direction, zenith_span
@@ -176,14 +176,25 @@ def bilinear(
     image: Float[Tensor, "h w c"], row: Float[Tensor, " n"], column: Float[Tensor, " n"]
 ) -> Float[Tensor, "n c"]:
     """Bilinear look-up in a full lat-long image, continued across poles and sides."""
-    width = image.shape[1]
-    # one row beyond each pole is that pole's own row, half a turn away
-    over = torch.roll(image, width // 2, dims=1)
-    padded = torch.cat([over[:1], image, over[-1:]])
-    row0, column0 = torch.floor(row), torch.floor(column)
-    fr, fc = (row - row0).to(image)[:, None], (column - column0).to(image)[:, None]
-    r, c = row0.long() + 1, column0.long() % width
-    c1 = (c + 1) % width
-    top = (1 - fc) * padded[r, c] + fc * padded[r, c1]
-    bottom = (1 - fc) * padded[r + 1, c] + fc * padded[r + 1, c1]
-    return (1 - fr) * top + fr * bottom
+    index, weights = bilinear_taps(image.shape[0], image.shape[1], row, column)
+    return (image.flatten(0, 1)[index] * weights.to(image)[..., None]).sum(1)
+
+
+def bilinear_taps(
+    height: int, width: int, row: Float[Tensor, " n"], column: Float[Tensor, " n"]
+) -> tuple[Int[Tensor, "n 4"], Float[Tensor, "n 4"]]:
+    """(pixels of a full lat-long image, row by row, and what each counts) of places between them.
+
+    One row beyond each pole is that pole's own row, half a turn away.
+    """
+    first_row, first_column = torch.floor(row), torch.floor(column)
+    down, right = row - first_row, column - first_column
+    index, weights = [], []
+    for below in (0, 1):
+        r = first_row.long() + below
+        turned = torch.where((r < 0) | (r >= height), width // 2, 0)
+        for beside in (0, 1):
+            c = (first_column.long() + beside + turned) % width
+            index.append(r.clamp(0, height - 1) * width + c)
+            weights.append((1 - below - down).abs() * (1 - beside - right).abs())
+    return torch.stack(index, 1), torch.stack(weights, 1)

@@ -120,4 +120,7 @@ class RigidTransform:
         """``R w``: directions are not moved by the translation."""
         if isinstance(directions, np.ndarray):
             return self.directions(torch.tensor(directions)).numpy()
-        return torch.einsum("...ij,...j->...i", self.rotation.to(directions), directions)
+        rotation = self.rotation.to(directions)
+        if rotation.ndim == 2:  # a third of the time for few directions
+            return directions @ rotation.T
+        return torch.einsum("...ij,...j->...i", rotation, directions)

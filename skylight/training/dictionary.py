@@ -19,8 +19,9 @@ from skylight.csc.learning.caps import CapFilterBank
 from skylight.csc.learning.patches import ROWS, learn_patches
 from skylight.errors import InputError, SkylightError
 from skylight.io.collection import read_categories
-from skylight.io.files import read_environment_map, write_json, write_png
+from skylight.io.files import read_environment_map, write_png
 from skylight.io.hdr import SUFFIXES
+from skylight.io.json_files import write_json
 from skylight.io.listing import visible_files
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.training.checkpoint import drop_damaged, read_state, write_state

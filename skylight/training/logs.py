@@ -9,7 +9,8 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from skylight.imaging.colour import tone_map
-from skylight.io.files import write_json, write_png
+from skylight.io.files import write_png
+from skylight.io.json_files import write_json
 from skylight.models.networks.base import SkyNetwork
 from skylight.work.progress import Tell
 

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.base import without_azimuth
 from skylight.models.bundle import LightBundle

@@ -12,6 +12,8 @@ from skylight.transport.diffuse import DiffuseTransport
 from skylight.transport.matrix import TransportMatrix
 from skylight.transport.render import Specular, ggx
 
+_BLOCK = 2**17  # entries at a time: 6 MB of intermediate results, which the processor's caches hold
+
 
 class GlossyTransport(DiffuseTransport):
     """Reflection of distant light at m glossy points: ``sum_w f_s(n_p, w, v_p) V <n_p, w>+ L dw``.
@@ -49,17 +51,15 @@ def glossy_transport(
     normals: Float[Tensor, "m 3"],
     views: Float[Tensor, "m 3"],
     specular: Specular,
-    *,
-    block: int = 512,
 ) -> TransportMatrix:
     """G[p, w] = f_s(n_p, w, v_p) V(p, w) <n_p, w>+ dw = pi f_s T[p, w].
 
     ``normals`` and ``views`` (towards the camera) are unit vectors; visibility and cosine come
-    from ``transport``, so that no ray is cast. Memory: 4 m n bytes of result and about ten times
-    4 ``block`` n of scratch.
+    from ``transport``, so that no ray is cast. Memory: 4 m n bytes of result and a few MB.
     """
     light = transport.grid.directions.float()
     out = torch.empty_like(transport.matrix)
+    block = max(1, _BLOCK // len(light))
     for start in range(0, len(normals), block):
         rows = slice(start, start + block)
         lobe = _lobe(normals[rows].float(), views[rows].float(), light, specular)

@@ -6,6 +6,7 @@ Thesis, section 5.3.1: s = diag(rho) T l (Eq. 5.2) with T from Eq. 5.3.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 import torch
@@ -17,7 +18,9 @@ from skylight.transport.raycast import Raycaster
 from skylight.work.forked import in_processes, shared_array
 from skylight.work.progress import Progress
 
-BLOCK_DIRECTIONS = 64  # cast together; bounds the scratch memory
+BLOCK_DIRECTIONS = 64  # worked on together; bounds the scratch memory,
+MOST_RAYS = 2**17  # and so does how many rays are cast together: 6 MB
+_ENTRIES = 2**17  # of a matrix that are made together, in a core's cache
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,12 +64,49 @@ class TransportMatrix:
         if layout is None or layout[0] % rows:
             raise ValueError(f"the transport's grid {layout} must be a multiple of {rows} rows")
         block = layout[0] // rows
-        cells = self.matrix.unflatten(1, (rows, block, -1, block)).sum((2, 4))
+        # torch's own sum over two dimensions takes ten times as long
+        strips = reduce(torch.add, self.matrix.unflatten(1, (rows, block, -1)).unbind(2))
+        cells = reduce(torch.add, strips.unflatten(2, (-1, block)).unbind(3))
         return TransportMatrix(matrix=cells.flatten(1), grid=DirectionGrid.latlong(rows))
 
     def project(self, basis: Float[Tensor, "n k"]) -> Float[Tensor, "m k"]:
         """Transport of lights written in a basis, l = basis @ coefficients."""
         return self.matrix @ basis.to(self.matrix)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeenDirections:
+    """What points of unit ``normals`` see; ``[rows]`` are some rows of their transport matrix.
+
+    A byte for each entry where the matrix takes four. ``visible`` counts only above the horizons.
+    """
+
+    visible: Bool[Tensor, "m n"]
+    normals: Float[Tensor, "m 3"]
+    grid: DirectionGrid
+
+    def __getitem__(self, rows: slice | Int[Tensor, " b"]) -> Float[Tensor, "b n"]:
+        normals, visible = self.normals[rows], self.visible[rows]
+        directions, scale = self.grid.directions.float().T, self.grid.solid_angles / math.pi
+        matrix = torch.empty(visible.shape)
+        count = max(1, _ENTRIES // len(self.grid))
+        # booleans, unlike bytes, are slow to multiply with
+        every = (matrix, normals, visible.view(torch.uint8))
+        for part, towards, seen in zip(*(each.split(count) for each in every), strict=True):
+            torch.mm(towards.float(), directions, out=part)
+            part.clamp_(min=0).mul_(scale.float()).mul_(seen)
+        return matrix
+
+    def transport(self, rows: int | None = None) -> TransportMatrix:
+        """The matrix; of light on a lat-long grid of fewer ``rows`` without making it whole."""
+        if rows is None:
+            return TransportMatrix(matrix=self[:], grid=self.grid)
+        count = max(1, _ENTRIES // len(self.grid))
+        parts = [
+            TransportMatrix(matrix=self[first : first + count], grid=self.grid).on_rows(rows).matrix
+            for first in range(0, len(self.normals), count)
+        ]
+        return TransportMatrix(matrix=torch.cat(parts), grid=DirectionGrid.latlong(rows))
 
 
 def diffuse_transport(
@@ -93,7 +133,7 @@ def diffuse_transport(
         result is the same to the byte.
     progress : called with the share that is done, in [0, 1].
 
-    Memory: 4 m n bytes of result and about 4 m (2 * 64 + 16) bytes of scratch per worker.
+    Memory: 4 m n bytes of result and about 4 m (2 * 64) bytes and 6 MB of scratch per worker.
     """
     points = SurfaceRays.leaving(positions, normals, geometric_normals, raycaster)
     directions = grid.directions.numpy().astype(np.float32)
@@ -148,10 +188,10 @@ def _in_blocks(
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceRays:
-    """Surface points from which rays are cast: float32 starts and normals (m,3)."""
+    """Surface points from which rays are cast: float32 starts and normals."""
 
     starts: Float[np.ndarray, "m 3"]
-    normals: Float[np.ndarray, "m 3"]
+    normals: Float[np.ndarray, "3 m"]
     raycaster: Raycaster
 
     @staticmethod
@@ -165,29 +205,41 @@ class SurfaceRays:
         starts = positions.double() + raycaster.epsilon * geometric_normals.double()
         return SurfaceRays(
             starts=starts.detach().float().numpy(),
-            normals=normals.detach().float().numpy(),
+            normals=normals.detach().float().T.contiguous().numpy(),
             raycaster=raycaster,
         )
 
     def visible_cosines(self, directions: Float[np.ndarray, "b 3"]) -> Float[np.ndarray, "b m"]:
-        """V(p, w) <n_p, w>+, one row per direction, float32.
+        """V(p, w) <n_p, w>+, one row per direction, float32."""
+        cosine = self.cosines(directions)
+        cosine[self.blocked(directions, cosine > 0)] = 0
+        return cosine
 
-        All rays of a row share their direction: only their starts are gathered, nothing else is
-        built, and embree meets coherent rays.
+    def cosines(self, directions: Float[np.ndarray, "b 3"]) -> Float[np.ndarray, "b m"]:
+        """<n_p, w>+"""
+        # BLAS would start threads, which processes that work beside this one have no cores for
+        return np.maximum(np.einsum("dk,km->dm", directions, self.normals), 0)
+
+    def blocked(
+        self, directions: Float[np.ndarray, "b 3"], wanted: Bool[np.ndarray, "b m"]
+    ) -> Bool[np.ndarray, "b m"]:
+        """Which of the ``wanted`` rays hit something.
+
+        Rays are cast direction by direction, so that embree meets coherent ones, and many
+        directions at once: of a few hundred points, calls would cost as much as rays.
         """
-        out = np.zeros((len(directions), len(self.normals)), dtype=np.float32)
-        for row, direction in zip(out, directions, strict=True):
-            cosine = self.normals @ direction
-            facing = np.flatnonzero(cosine > 0)
-            free = facing[self.unoccluded(direction, facing)]
-            row[free] = cosine[free]
-        return out
+        hit = np.zeros_like(wanted)
+        count = max(1, MOST_RAYS // max(1, len(self.starts)))
+        for first in range(0, len(directions), count):
+            some = slice(first, first + count)
+            row, point = np.nonzero(wanted[some])
+            hit[some][row, point] = self.raycaster.occluded(
+                torch.from_numpy(self.starts[point]), torch.from_numpy(directions[some][row])
+            ).numpy()
+        return hit
 
-    def unoccluded(
-        self, direction: Float[np.ndarray, "3"], some: Int[np.ndarray, " k"] | None = None
-    ) -> Bool[np.ndarray, " k"]:
-        """V(p, w) in one direction, of all points or of those with the given indices."""
-        starts = self.starts if some is None else self.starts.take(some, axis=0)
+    def unoccluded(self, direction: Float[np.ndarray, "3"]) -> Bool[np.ndarray, " m"]:
+        """V(p, w) of all points in one direction."""
         return ~self.raycaster.occluded(
-            torch.from_numpy(starts), torch.from_numpy(direction)[None]
+            torch.from_numpy(self.starts), torch.from_numpy(direction)[None]
         ).numpy()

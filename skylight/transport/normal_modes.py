@@ -59,6 +59,14 @@ class NormalModes:
             grid=DirectionGrid.latlong(rows),
         )
 
+    def on_rows(self, rows: int) -> "NormalModes":
+        """The same for light on a lat-long grid of no more than so many rows."""
+        assert self.grid.layout is not None
+        if self.grid.layout[0] <= rows:
+            return self
+        coarse = TransportMatrix(matrix=self.visible, grid=self.grid).on_rows(rows)
+        return replace(self, visible=coarse.matrix, grid=coarse.grid)
+
     def __len__(self) -> int:
         return len(self.modes)
 

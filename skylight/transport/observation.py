@@ -11,6 +11,7 @@ from skylight.errors import InputError
 from skylight.sphere.envmap import luminance
 from skylight.transport.matrix import TransportMatrix
 from skylight.transport.normal_modes import NormalModes
+from skylight.transport.pixel_blocks import PixelBlocks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +115,7 @@ class Observation:
             self,
             transport=self.transport.on_rows(rows),
             gloss=None if self.gloss is None else self.gloss.on_rows(rows),
+            normal_modes=None if self.normal_modes is None else self.normal_modes.on_rows(rows),
         )
 
     def coarser(self, level: int) -> "Observation":
@@ -125,19 +127,8 @@ class Observation:
         """
         if level == 0:
             return self
-        cell = self.places // 2**level
-        key = cell[:, 0] * (int(cell[:, 1].max()) + 1) + cell[:, 1]
-        if self.clipped is not None:  # a mean with a lower bound in it would be no more than one
-            key = 2 * key + self.clipped
-        kept = self.weights > 0
-        blocks, index = torch.unique(key[kept], return_inverse=True)
-        weight = self.weights[kept]
-        total = weight.new_zeros(len(blocks)).index_add_(0, index, weight)
-        share = (weight / total[index])[:, None]
-
-        def means(rows: Float[Tensor, "m c"]) -> Float[Tensor, "b c"]:
-            sums = rows.new_zeros(len(blocks), rows.shape[1])
-            return sums.index_add_(0, index, share * rows[kept])
+        blocks = PixelBlocks.of(self.places, self.weights, self.clipped, 2**level)
+        means = blocks.means
 
         def merged(transport: TransportMatrix) -> TransportMatrix:
             return TransportMatrix(matrix=means(transport.matrix), grid=transport.grid)
@@ -146,17 +137,14 @@ class Observation:
         if normal_modes is not None:
             bent = means(normal_modes.modes.flatten(1)).unflatten(1, (3, -1))
             normal_modes = replace(normal_modes, modes=bent, visible=means(normal_modes.visible))
-        over = None if self.clipped is None else blocks % 2 == 1
-        places = cell.new_zeros(len(blocks), 2)
-        places[index] = cell[kept]
         return replace(
             self,
             pixels=means(self.pixels),
-            weights=total,
-            places=places,
+            weights=blocks.weights,
+            places=blocks.places,
             transport=merged(self.transport),
             gloss=None if self.gloss is None else merged(self.gloss),
-            clipped=over,
+            clipped=blocks.clipped,
             modes=None if self.modes is None else means(self.modes),
             normal_modes=normal_modes,
             camera_lamp=None if self.camera_lamp is None else means(self.camera_lamp),

@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 from uuid import uuid4
 
-import torch
-
 from skylight import __version__
 from skylight.errors import DependencyError, InputError, OutputError, SkylightError
 from skylight.io.atomic import PARTIAL
@@ -116,6 +114,8 @@ def _run(
 ) -> Result:
     """One piece, on a worker."""
     _check_worker(place)
+    import torch  # slow to import, for those who only share out pieces
+
     torch.set_num_threads(1)  # the workers already share the cores
     if prepare is not None:
         prepare_once(prepare)

@@ -23,7 +23,7 @@ from typing import IO, TypeVar
 
 from skylight.errors import InputError, OutputError, SkylightError
 from skylight.io.atomic import PARTIAL
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 from skylight.work.cluster import Cluster, prepare_once, share_on_cluster
 
 Result = TypeVar("Result")

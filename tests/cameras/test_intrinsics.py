@@ -30,6 +30,12 @@ class TestModel:
         np.testing.assert_allclose(STRONG.project(POINTS), np.stack([u, v], 1), atol=1e-9)
 
     @pytest.mark.parametrize("lens", [LENS, STRONG])
+    def test_projection_is_opencvs(self, lens: Intrinsics) -> None:
+        still = np.zeros(3)
+        theirs, _ = cv2.projectPoints(POINTS, still, still, lens.matrix, lens.distortion)
+        np.testing.assert_allclose(lens.project(POINTS), theirs[:, 0], atol=1e-9)
+
+    @pytest.mark.parametrize("lens", [LENS, STRONG])
     def test_undistorted_points_are_a_pinholes(self, lens: Intrinsics) -> None:
         pinhole = POINTS @ lens.matrix.T
         pinhole = pinhole[:, :2] / pinhole[:, 2:]

@@ -18,15 +18,16 @@ from skimage.data import astronaut
 import skylight
 from skylight.app.estimate.photos import estimate, estimate_photo
 from skylight.cli import main
-from skylight.cli.estimate import Landmarks, Light
+from skylight.cli.estimate import Landmarks, Light, Solver
 from skylight.cli.estimate import estimate as estimate_command
 from skylight.cli.workers import who_works
 from skylight.errors import InputError, explain
-from skylight.faces.landmarks import DetectedFace, LandmarkerName
+from skylight.faces.detection.landmarkers import choose_landmarker
+from skylight.faces.landmarks import DetectedFace
 from skylight.faces.model import HeadModel
-from skylight.faces.photographs import choose_landmarker
+from skylight.faces.names import LandmarkerName
 from skylight.io.files import read_environment_map
-from skylight.models.names import DEFAULT_LIGHT, LightName
+from skylight.models.names import DEFAULT_LIGHT, DEFAULT_SOLVER, LightName, SolverName
 from skylight.sphere.frame import angles_from_direction
 from skylight.work.progress import StageProgress
 
@@ -228,7 +229,8 @@ class TestFailures:
 
         # a real signal may fall where some library swallows it
         monkeypatch.setattr("skylight.app.progress.stage_bar", interrupted_while_writing)
-        assert main(["estimate", str(portrait), "--out", str(results)]) == 1
+        sh9 = ["--light", "sh9"]
+        assert main(["estimate", str(portrait), *sh9, "--out", str(results)]) == 1
         assert "interrupted" in one_line(capsys)
         assert contents(results) == before
         assert stages[-1] == "writing the results"
@@ -368,7 +370,10 @@ class TestFailures:
 
 def test_light_choices_are_the_models() -> None:
     assert Light == LightName
-    assert inspect.signature(estimate_command).parameters["light"].default == DEFAULT_LIGHT
+    parameters = inspect.signature(estimate_command).parameters
+    assert parameters["light"].default == DEFAULT_LIGHT
+    assert Solver == SolverName
+    assert parameters["solver"].default == DEFAULT_SOLVER
 
 
 def test_without_a_number_each_core_that_this_process_may_use_gets_a_worker(

@@ -28,7 +28,8 @@ def test_three_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     Image.fromarray(astronaut()[:256, 100:356]).save("portrait.png")
 
     assert main(["train", "skies", "--out", "model", "--epochs", "1"]) == 0
-    assert main(["estimate", "portrait.png", "--model", "model", "--out", "light"]) == 0
+    model = ["--light", "autoencoder", "--model", "model"]
+    assert main(["estimate", "portrait.png", *model, "--out", "light"]) == 0
     assert main(["export", "decoder", "--model", "model", "--out", "sky.onnx"]) == 0
 
     latents = np.float32([json.loads(Path("light/estimate.json").read_text())["params"][:LATENTS]])

@@ -113,6 +113,7 @@ def test_they_are_kept_on_request(taken_photo: Path) -> None:
     assert kept["heading_deg"] == pytest.approx(right_heading_deg(), abs=0.01)
 
 
+@pytest.mark.slow
 def test_what_is_said_by_hand_overrules(
     taken_photo: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -179,6 +180,7 @@ def test_a_folder_has_no_one_time(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "is a folder" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_each_photo_of_a_folder_has_its_own(taken_photo: Path, tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "a.jpg").write_bytes(taken_photo.read_bytes())

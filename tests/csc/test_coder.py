@@ -130,6 +130,42 @@ def test_a_batch_is_its_maps(shape: tuple[int, ...], device: torch.device) -> No
     small().cpu()
 
 
+BATCHES: dict[str, dict] = {
+    "either sign": {},
+    "non-negative": {"options": PursuitOptions(weights="nonnegative")},
+    "orthogonal matching pursuit": {"options": PursuitOptions(thresholding=False)},
+    "exchanges": {"options": PursuitOptions(sweeps=1), "activations": 3},
+    "sharper filters": {"height": 64, "activations": 4},
+}
+
+
+@pytest.mark.parametrize("kind", BATCHES)
+@pytest.mark.parametrize("threads", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_maps_coded_together_have_the_codes_of_each_alone(
+    kind: str, threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One of them needs a single activation, the others go on; more maps than fit together."""
+    monkeypatch.setattr("skylight.csc.coder._TOGETHER", 2)
+    choice = {"activations": 6} | BATCHES[kind]
+    coder = SphericalSparseCoder(bank(), dtype=F64, **choice)
+    maps = torch.stack([room(seed, coder.height) for seed in range(3)])
+    maps[1] = 0.7
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        together = coder(maps)
+    finally:
+        torch.set_num_threads(before)
+    alone = [coder(one) for one in maps]
+    assert together.count.tolist() == [int(code.count) for code in alone]
+    assert together.count[1] == 1
+    for n in (0, 2):
+        assert torch.equal(together.filters[n], alone[n].filters)
+        torch.testing.assert_close(together.rotations[n], alone[n].rotations)
+        torch.testing.assert_close(together.weights[n], alone[n].weights, rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(coder.decode(together)[1], maps[1], rtol=1e-4, atol=0)
+
+
 @pytest.mark.parametrize("shape", [(0,), (2, 0), (0, 3)])
 @pytest.mark.parametrize("make", [small, fine])
 def test_a_batch_of_no_maps(
@@ -191,6 +227,7 @@ def test_search_in_single_and_double_precision(seed: int) -> None:
 # planted codes
 
 
+@pytest.mark.slow
 def test_planted_codes_are_found_again() -> None:
     """Ten round lobes of degree 40 and up to 34 degrees wide, at random: every one of 5."""
     coder = iso()

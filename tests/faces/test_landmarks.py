@@ -11,9 +11,9 @@ from skimage.data import astronaut
 from skylight.errors import AssetError, DependencyError, InputError
 from skylight.faces.detection import dlib_landmarks
 from skylight.faces.detection.dlib_landmarks import DlibLandmarker, predictor_path
+from skylight.faces.detection.landmarkers import choose_landmarker
 from skylight.faces.detection.mediapipe_face import MediaPipeLandmarker
 from skylight.faces.landmarks import DetectedFace, FaceLandmarker, choose_face
-from skylight.faces.photographs import choose_landmarker
 
 
 @pytest.fixture(scope="module", params=["mediapipe", "dlib"])

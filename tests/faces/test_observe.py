@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from skylight.errors import InputError
 from skylight.faces import observe
 from skylight.faces.model import HeadModel, Region
-from skylight.faces.observe import BARE_PARTS, GRAZING_COSINE, observe_face
+from skylight.faces.observe import BARE_PARTS, BLOCK, GRAZING_COSINE, observe_face
 from skylight.faces.synthetic import render_face
 from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.transport.camera import Camera
@@ -64,7 +64,7 @@ def test_only_skin_is_used(head, view):
     for part in set(region.tolist()):
         inside = torch.from_numpy((head.regions == part)[head.faces].all(1))
         mask = view.surface.image(inside[view.surface.faces].float()[:, None])[..., 0]
-        for row, column in view.observation.places[torch.from_numpy(region == part)].tolist():
+        for row, column in view.places[torch.from_numpy(region == part)].tolist():
             assert mask[row - 1 : row + 2, column - 1 : column + 2].sum() == 9
 
 
@@ -90,17 +90,26 @@ def test_a_bare_scalp_is_used_and_hair_on_it_is_not(head, person, view):
 
 def test_an_observation_is_the_cut_picture_at_the_used_points(view):
     observation = view.observation
-    rows, columns = view.surface.pixels[view.used].unbind(1)
-    torch.testing.assert_close(observation.places, view.surface.pixels[view.used])
-    torch.testing.assert_close(observation.pixels, view.image[rows, columns])
+    torch.testing.assert_close(view.places, view.surface.pixels[view.used])
+    torch.testing.assert_close(view.places // BLOCK, observation.places[view.blocks])
     seen_from = -torch.nn.functional.normalize(view.surface.positions[view.used], dim=1)
     cosine = (view.surface.normals[view.used] * seen_from).sum(1)
-    skin = observation.weights / cosine.float()  # how likely each pixel is
+    assert (cosine > GRAZING_COSINE).all()
+    assert len(cosine) > 500
+    members = torch.bincount(view.blocks)
+    assert 1 < float(members.float().mean()) <= members.max() == BLOCK**2
+    # what a block has is a mean over its pixels, weighted by cosines and how likely each is skin
+    facing = torch.zeros_like(observation.weights).index_add_(0, view.blocks, cosine.float())
+    skin = observation.weights / facing
     assert float(skin.max()) < 1 + 1e-5
     assert float(skin.min()) > 0.49
     assert float(skin.median()) > 0.99
-    assert (cosine > GRAZING_COSINE).all()
-    assert len(rows) > 500
+    seen = view.image[view.places[:, 0], view.places[:, 1]]
+    sure = skin > 0.9999
+    sums = torch.zeros_like(observation.pixels)
+    sums.index_add_(0, view.blocks, cosine.float()[:, None] * seen)
+    means = sums / facing[:, None]
+    torch.testing.assert_close(observation.pixels[sure], means[sure], rtol=1e-3, atol=0)
 
 
 def test_no_point_reflects_more_than_it_gets(view):
@@ -128,9 +137,7 @@ def test_the_cut_picture_keeps_its_geometry(person, view):
     # points seen through the cut camera project to where the whole picture has them
     points = view.surface.positions[view.used]
     here = view.camera.project(points)
-    torch.testing.assert_close(
-        here, view.observation.places.flip(1).double() + 0.5, atol=1e-6, rtol=0
-    )
+    torch.testing.assert_close(here, view.places.flip(1).double() + 0.5, atol=1e-6, rtol=0)
     there = person.truth.camera.project(points)
     shift = there - here
     if view.camera.focal_px == person.truth.camera.focal_px:  # cut, not scaled
@@ -158,11 +165,11 @@ def test_over_exposed_pixels_are_lower_bounds(head, person, view):
     clipped[:, :middle] = True
     half = observed(head, person, clipped=clipped)
     points = person.truth.camera.project(half.surface.positions[half.used])
-    bound = half.observation.clipped
-    assert bound is not None
+    assert half.observation.clipped is not None
+    bound = half.observation.clipped[half.blocks]
     assert bool(bound[points[:, 0] < middle - 1].all())
     assert not bool(bound[points[:, 0] > middle + 1].any())
-    assert len(bound) >= len(view.observation.pixels)
+    assert len(bound) >= len(view.blocks)
     # as a camera would have it: colours lost
     white = person.picture.clone()
     white[:, :middle] = 1.0
@@ -190,8 +197,8 @@ def test_sunglasses_are_left_out(head, person, view):
         return int((inside & (columns > left + 1) & (columns < right - 1)).sum())
 
     assert behind(there) < 0.1 * behind(view)
-    others = len(there.observation.pixels) - behind(there)
-    assert others > 0.9 * (len(view.observation.pixels) - behind(view)) - (right - left) * 4
+    others = len(there.blocks) - behind(there)
+    assert others > 0.9 * (len(view.blocks) - behind(view)) - (right - left) * 4
 
 
 def test_hair_is_left_out(head, person, view, monkeypatch):

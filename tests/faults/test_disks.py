@@ -13,7 +13,8 @@ import pytest
 import torch
 
 from skylight.errors import OutputError
-from skylight.io.files import write_environment_map, write_json, write_png
+from skylight.io.files import write_environment_map, write_png
+from skylight.io.json_files import write_json
 from skylight.io.tensors import write_tensors
 from skylight.probes.voxel.lightmap import Lightmap
 from skylight.probes.voxel.model import VoxelModel, write_voxels

@@ -13,6 +13,7 @@ from skylight.inverse.estimate import estimate_each, estimate_light, light_probl
 from skylight.inverse.objective.descent import Round
 from skylight.inverse.objective.face_term import FaceTerm
 from skylight.inverse.objective.light_objective import LightObjective
+from skylight.inverse.objective.lit_faces import Level
 from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.result import Estimate
 from skylight.inverse.scan import scan_faces
@@ -34,13 +35,13 @@ from tests.inverse.test_solve import (
 
 FEW = SolverOptions(
     rounds=(
-        Round(level=3, starts=4, iterations=6),
-        Round(level=2, starts=2, iterations=4),
-        Round(level=0, starts=1, iterations=3),
+        Round(level=Level(3), starts=4, iterations=6),
+        Round(level=Level(2), starts=2, iterations=4),
+        Round(level=Level(0), starts=1, iterations=3),
     )
 )
 
-FEWER = SolverOptions(rounds=(Round(level=2, starts=2, iterations=3),))
+FEWER = SolverOptions(rounds=(Round(level=Level(2), starts=2, iterations=3),))
 
 
 def part(observation: Observation, kept: Tensor) -> Observation:
@@ -103,6 +104,7 @@ def assert_alike(found: Estimate, alone: Estimate, tolerance: float) -> None:
     assert found.stats["evaluations"] == alone.stats["evaluations"]
 
 
+@pytest.mark.slow
 def test_each_problem_of_a_batch_ends_as_alone(seen: list[Observation]) -> None:
     """In float64, where 13 iterations leave roundings small: the same path to the end."""
     first = SkyProblem(
@@ -183,9 +185,10 @@ def test_harmonics_are_solved_one_after_the_other() -> None:
         assert torch.equal(one.params, estimate_light(ball, "sh9").params)
 
 
+@pytest.mark.slow
 def test_several_faces_a_problem_keep_their_photographs(seen: list[Observation]) -> None:
     """Two problems of two photographs each: those of the second are not those of the first."""
-    options = SolverOptions(rounds=(Round(level=2, starts=1, iterations=2),))
+    options = SolverOptions(rounds=(Round(level=Level(2), starts=1, iterations=2),))
     first = SkyProblem(SunSky(), SUNSKY_PRIOR, ALBEDO_PRIOR, MODES, options)
     problems = [first, first.another()]
     for problem, (one, other) in zip(problems, [(1, 0), (0, 3)], strict=True):

@@ -11,6 +11,7 @@ from skylight.inverse.object import problem as of_object
 from skylight.inverse.object.problem import ObjectLight, ObjectLightName, estimate_object_light
 from skylight.inverse.object.view import ObjectMaterial
 from skylight.inverse.objective.descent import Round
+from skylight.inverse.objective.lit_faces import Level
 from skylight.inverse.result import Estimate
 from skylight.inverse.sky.problem import SkyProblem, solve_together
 from skylight.inverse.sky.solver import SolverOptions
@@ -20,7 +21,10 @@ from tests.inverse.test_solve import SUNS, harmonic_ball, observed, watched
 
 LIGHTS = ("sunsky", "autoencoder", "sh9")
 FEW = SolverOptions(
-    rounds=(Round(level=3, starts=3, iterations=3), Round(level=2, starts=1, iterations=3))
+    rounds=(
+        Round(level=Level(3), starts=3, iterations=3),
+        Round(level=Level(2), starts=1, iterations=3),
+    )
 )
 
 

@@ -10,6 +10,7 @@ from skylight.inverse.objective.descent import Points, Round, descend
 from skylight.inverse.objective.evidence import log_evidence
 from skylight.inverse.objective.face_term import FaceTerm
 from skylight.inverse.objective.light_objective import LightObjective
+from skylight.inverse.objective.lit_faces import Level
 from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.models.lamps import AMBIENT_PARAMETERS, LampsLight, LampsPrior
 from tests.inverse.test_objective import ROWS, normal, observation
@@ -35,7 +36,7 @@ def under_a_lamp(noise):
     noisy = objective(pixels)
     start = Points(free=truth, scores=noisy(truth), converged=torch.tensor([False]))
     (end,) = descend(
-        noisy, [start], Round(level=0, starts=1, iterations=60, steps="gauss-newton"), 1e-9
+        noisy, [start], Round(level=Level(0), starts=1, iterations=60, steps="gauss-newton"), 1e-9
     )
     return noisy, end.free
 

@@ -8,6 +8,7 @@ import torch
 
 from skylight.inverse.objective.descent import Round
 from skylight.inverse.objective.face_term import FaceTerm
+from skylight.inverse.objective.lit_faces import Level
 from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.sky.problem import SkyProblem
 from skylight.inverse.sky.solver import SolverOptions
@@ -26,9 +27,9 @@ from tests.inverse.test_solve import (
 LUMINANCE = torch.tensor([0.2126, 0.7152, 0.0722])  # ITU-R BT.709
 FEW = SolverOptions(
     rounds=(
-        Round(level=3, starts=4, iterations=15),
-        Round(level=1, starts=2, iterations=10),
-        Round(level=0, starts=1, iterations=10),
+        Round(level=Level(3), starts=4, iterations=15),
+        Round(level=Level(1), starts=2, iterations=10),
+        Round(level=Level(0), starts=1, iterations=10),
     )
 )
 

@@ -24,6 +24,8 @@ from skylight.sphere.frame import angle_between, direction_from_angles, rotation
 from skylight.sphere.grid import DirectionGrid
 from skylight.sphere.rigid_transform import RigidTransform
 from skylight.sphere.rotation import matrix_from_euler
+from skylight.transport.indirect.path_tracer import DiffuseScene, Sampling
+from skylight.transport.indirect.path_tracer import shade as path_traced
 from skylight.transport.object_camera import PlacedCamera, object_camera
 from skylight.transport.observation import Observation
 from skylight.transport.render import Specular
@@ -210,6 +212,40 @@ class TestWorld:
         assert float(inner.double().mean()) > 0.97
         shade = view.shade(environment, points).double()
         torch.testing.assert_close(shade[inner], expected[inner], rtol=0.02, atol=0.0)
+
+    def test_light_bounces_where_the_world_says(self) -> None:
+        """Against paths, seen by a camera that is turned against the world."""
+        content = {"fov_deg": 36, "position": [3.5, -1.0, 2.0], "look_at": [0, 0, 0]}
+        camera = object_camera(content, height=48, width=48)
+        vertices, faces = bumpy()
+        grey = ObjectMaterial(albedo=(0.7, 0.7, 0.7))
+        straight = seen_by(camera, (vertices, faces), material=grey)
+        bounced = seen_by(camera, (vertices, faces), material=replace(grey, bounces=1))
+        _, light = harmonic_light(2)
+        some = torch.arange(0, len(straight.surface), 9)
+        added = bounced.shade(light, some) - straight.shade(light, some)
+        world, surface = camera.world_from_camera, straight.surface
+        scene = DiffuseScene.uniform(vertices, faces, 0.7)
+
+        def paths(bounces: int) -> torch.Tensor:
+            return path_traced(
+                world.points(surface.origins[some].double()),
+                world.directions(surface.normals[some].double()),
+                scene,
+                light,
+                albedo=0.7,
+                sampling=Sampling(samples=1024, bounces=bounces),
+                generator=torch.Generator().manual_seed(0),
+            ).mean
+
+        true = (paths(1) - paths(0)).float()
+        assert float(true.mean()) > 0.08 * float(straight.shade(light, some).mean())
+        # vertices inside of other balls are dark, and so is what lies between them and lit ones
+        assert float(added.mean()) == pytest.approx(float(true.mean()), rel=0.12)
+        off = (added - true).square().mean().sqrt()
+        assert float(off) < 0.3 * float(true.square().mean().sqrt())
+        with pytest.raises(InputError, match="depends on the albedo"):
+            ObjectMaterial(bounces=1)
 
     def test_the_light_is_where_it_was_whoever_looks(self) -> None:
         """Pictures by a camera of the same ball, told apart only by where it says it stands."""

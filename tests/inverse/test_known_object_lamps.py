@@ -76,10 +76,15 @@ def front() -> ObjectView:
     return seen_by(object_camera(FRONT, height=56, width=56), bumpy(), material=CORAL)
 
 
-@pytest.mark.parametrize("lamps", [(), (STRONG,), (STRONG, WEAK), (RED, BLUE)])
-def test_lamps_come_back(front: ObjectView, lamps: tuple[Planted, ...]) -> None:
+@pytest.fixture(scope="module")
+def two(front: ObjectView) -> tuple[Observation, ObjectLight]:
+    seen = photographed(front, planted(RED, BLUE))
+    return seen, estimate_object_light(seen, "lamps", material=CORAL)
+
+
+def check_light(found: ObjectLight, *lamps: Planted) -> None:
+    """The lamps, and what else a result tells where nothing is wrong."""
     light = planted(*lamps)
-    found = estimate_object_light(photographed(front, light), "lamps", material=CORAL)
     check(found, *lamps)
     assert found.light == "lamps"
     assert found.residual < 0.02
@@ -94,10 +99,14 @@ def test_lamps_come_back(front: ObjectView, lamps: tuple[Planted, ...]) -> None:
     torch.testing.assert_close(got, expected, rtol=0.15, atol=0.0)
 
 
-@pytest.fixture(scope="module")
-def two(front: ObjectView) -> tuple[Observation, ObjectLight]:
-    seen = photographed(front, planted(RED, BLUE))
-    return seen, estimate_object_light(seen, "lamps", material=CORAL)
+@pytest.mark.parametrize("lamps", [(), (STRONG,), (STRONG, WEAK)])
+def test_lamps_come_back(front: ObjectView, lamps: tuple[Planted, ...]) -> None:
+    seen = photographed(front, planted(*lamps))
+    check_light(estimate_object_light(seen, "lamps", material=CORAL), *lamps)
+
+
+def test_coloured_lamps_come_back(two: tuple[Observation, ObjectLight]) -> None:
+    check_light(two[1], RED, BLUE)
 
 
 def test_the_light_has_the_pictures_units(two: tuple[Observation, ObjectLight]) -> None:
@@ -128,6 +137,7 @@ def test_a_colour_that_is_black_is_no_light(two: tuple[Observation, ObjectLight]
         torch.testing.assert_close(lamp.irradiance, expected, rtol=0.05, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_metal_shows_three() -> None:
     """A ball without a matt part: a mirror that is a little rough."""
     metal = ObjectMaterial(albedo=(0.0, 0.0, 0.0), specular=Specular(f0=0.9, roughness=0.4))
@@ -136,6 +146,7 @@ def test_a_metal_shows_three() -> None:
     check(estimate_object_light(seen, "lamps", material=metal), STRONG, WEAK, LOW)
 
 
+@pytest.mark.slow
 def test_gloss_on_a_coloured_thing() -> None:
     material = ObjectMaterial(albedo=CORAL.albedo, specular=Specular(f0=0.04, roughness=0.4))
     view = seen_by(object_camera(FRONT, height=56, width=56), bumpy(), material=material)

@@ -54,7 +54,7 @@ def test_a_moved_lamp_keeps_its_irradiance(to: tuple[float, float, float]) -> No
     torch.testing.assert_close(received, lamp.irradiance.double(), rtol=2e-3, atol=0)
 
 
-@pytest.mark.parametrize("grey", [False, True])
+@pytest.mark.parametrize("grey", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_an_edit_that_changes_nothing_gives_the_face(grey: bool) -> None:
     """Of a ball of uncertain normals, and another exposure than the map's."""
     seen = lit_ball(((0.7, 0.4, 0.6), 3.0))

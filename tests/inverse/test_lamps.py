@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from skylight.sphere.envmap import luminance
 from skylight.sphere.frame import angle_between
 from skylight.sphere.grid import DirectionGrid
 from tests.inverse.test_solve import ALBEDO_PRIOR, MODES, ball_normals, observed
+
+ONE = (0.7, 0.4, 0.6)
 
 
 def lit_ball(*lamps, ambient=0.4):
@@ -32,15 +35,21 @@ def lit_ball(*lamps, ambient=0.4):
     return observed((MODES[0].double() * matt + gloss).numpy())
 
 
+@cache
+def found_in(*lamps):
+    """The estimate of a ball in these lamps, made once for all tests that look at it."""
+    return estimate_light(lit_ball(*lamps), "lamps")
+
+
 def off_deg(estimate, direction):
     towards = torch.tensor(direction, dtype=torch.float64)
     return math.degrees(float(angle_between(estimate.direction, towards / towards.norm())))
 
 
-@pytest.mark.parametrize("direction", [(0.7, 0.4, 0.6), (-0.5, -0.6, 0.6), (0.1, 0.2, 1.0)])
+@pytest.mark.parametrize("direction", [ONE, (-0.5, -0.6, 0.6), (0.1, 0.2, 1.0)])
 def test_a_lamp_is_found_wherever_it_stands(direction):
     """Above and below the horizon, and near the camera."""
-    found = estimate_light(lit_ball((direction, 3.0)), "lamps")
+    found = found_in((direction, 3.0))
     main, *others = found.lamps
     assert off_deg(main, direction) < 4
     assert sum(float(lamp.irradiance.sum() / main.irradiance.sum()) for lamp in others) < 0.15
@@ -63,7 +72,7 @@ def test_two_lamps_are_told_apart_and_strongest_first():
 
 
 def test_the_lamps_energies_are_in_the_map():
-    found = estimate_light(lit_ball(((0.7, 0.4, 0.6), 3.0)), "lamps")
+    found = found_in((ONE, 3.0))
     lamp, grid = found.lamps[0], DirectionGrid.latlong(64)
     near = grid.directions @ lamp.direction > math.cos(4 * max(lamp.spread_rad, 0.05))
     cap = (found.environment.flat.double() * grid.solid_angles[:, None])[near].sum(0)
@@ -77,11 +86,9 @@ def scaled(observation, factor):
 
 def test_two_photographs_of_one_room_tell_of_one_light():
     """A ball in two exposures: the light is that of either, in the first one's units."""
-    direction = (0.7, 0.4, 0.6)
-    seen = lit_ball((direction, 3.0))
-    alone = estimate_light(seen, "lamps")
+    seen, alone = lit_ball((ONE, 3.0)), found_in((ONE, 3.0))
     both = estimate_light([seen, scaled(seen, 4.0)], "lamps", photos=[0, 1])
-    assert off_deg(both.lamps[0], direction) < 4
+    assert off_deg(both.lamps[0], ONE) < 4
     one, other = both.faces
     assert other.exposure / one.exposure == pytest.approx(4.0, rel=0.02)
     torch.testing.assert_close(
@@ -90,44 +97,43 @@ def test_two_photographs_of_one_room_tell_of_one_light():
 
 
 def test_the_unit_of_the_picture_is_that_of_the_light():
-    seen = lit_ball(((0.7, 0.4, 0.6), 3.0))
-    found, brighter = (estimate_light(scaled(seen, factor), "lamps") for factor in (1.0, 5.0))
+    found = found_in((ONE, 3.0))
+    brighter = estimate_light(scaled(lit_ball((ONE, 3.0)), 5.0), "lamps")
     torch.testing.assert_close(
         brighter.lamps[0].irradiance, 5 * found.lamps[0].irradiance, rtol=1e-2, atol=1e-3
     )
 
 
 def test_of_a_grey_picture_lamps_are_found_and_white():
-    direction = (0.7, 0.4, 0.6)
-    seen = lit_ball((direction, 3.0))
+    seen = lit_ball((ONE, 3.0))
     grey = luminance(seen.pixels)[:, None].expand(-1, 3)
     found = estimate_light(replace(seen, pixels=grey, grey=True), "lamps")
-    assert off_deg(found.lamps[0], direction) < 4
+    assert off_deg(found.lamps[0], ONE) < 4
     irradiance = found.lamps[0].irradiance
     torch.testing.assert_close(irradiance / irradiance[1], torch.ones(3), atol=0.1, rtol=0)
 
 
+@pytest.mark.slow
 def test_what_is_clipped_is_a_lower_bound():
     """A fifth of the ball, round the brightest point, is clipped."""
-    direction = (0.5, 0.4, 0.75)
-    seen = lit_ball((direction, 3.0))
+    seen = lit_ball((ONE, 3.0))
     most = luminance(seen.pixels).quantile(0.8)
     clipped = luminance(seen.pixels) > most
     level = seen.pixels * (most / luminance(seen.pixels))[:, None]
     cut = replace(seen, pixels=torch.where(clipped[:, None], level, seen.pixels), clipped=clipped)
     found = estimate_light(cut, "lamps")
-    assert off_deg(found.lamps[0], direction) < 2
+    assert off_deg(found.lamps[0], ONE) < 2
     unaware = estimate_light(replace(cut, clipped=None), "lamps")
     true, aware, without = (
         sum(float(lamp.irradiance.mean()) for lamp in one.lamps)
-        for one in (estimate_light(seen, "lamps"), found, unaware)
+        for one in (found_in((ONE, 3.0)), found, unaware)
     )
     assert aware == pytest.approx(true, rel=0.1)
     assert without < 0.8 * true
 
 
 def test_even_light_has_no_lamp():
-    found = estimate_light(lit_ball(), "lamps")
+    found = found_in()
     assert found.lamps == ()
     assert found.posterior.verdict == "even: no lamp"
     assert not found.posterior.is_seen

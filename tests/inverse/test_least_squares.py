@@ -72,7 +72,7 @@ def broad_lobes(width):
 @pytest.mark.parametrize("width", [0.4, 0.8])
 @pytest.mark.parametrize("pivots", [0, 200])
 def test_columns_that_are_nearly_dependent(width, pivots, monkeypatch):
-    monkeypatch.setattr(least_squares, "_MOST", pivots)
+    monkeypatch.setattr(least_squares, "_PIVOTS", pivots)
     lobes, wanted = broad_lobes(width)
     gram = torch.from_numpy(lobes.T @ lobes).expand(20, -1, -1)
     right = torch.from_numpy(wanted @ lobes)
@@ -84,7 +84,7 @@ def test_columns_that_are_nearly_dependent(width, pivots, monkeypatch):
 @pytest.mark.parametrize("pivots", [0, 200])
 def test_what_rounding_made_indefinite(pivots, monkeypatch):
     """In single precision, with errors as of a difference of such matrices."""
-    monkeypatch.setattr(least_squares, "_MOST", pivots)
+    monkeypatch.setattr(least_squares, "_PIVOTS", pivots)
     lobes, wanted = broad_lobes(0.8)
     gram = torch.from_numpy(lobes.T @ lobes).expand(20, -1, -1)
     right = torch.from_numpy(wanted @ lobes)

@@ -87,6 +87,7 @@ def test_a_head_that_may_be_turned_leaves_more_directions_open(bumps):
     assert open_to[0] > 1.3 * open_to[1]
 
 
+@pytest.mark.slow
 def test_what_is_left_is_that_of_all_unknowns_together(bumps, monkeypatch):
     # Of one sun and no ambient light, the last round's problem is one of least squares in (a, a u).
     monkeypatch.setattr(scan, "NORMAL_ROUNDS", 8)

@@ -12,6 +12,7 @@ from skylight.inverse.harmonic.problem import HarmonicProblem
 from skylight.inverse.objective.descent import Round
 from skylight.inverse.objective.face_term import FaceTerm
 from skylight.inverse.objective.light_objective import LightObjective
+from skylight.inverse.objective.lit_faces import Level
 from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.scan import SunScan, scan_faces
 from skylight.inverse.sky.problem import SkyProblem
@@ -32,9 +33,9 @@ ALBEDO_PRIOR = copy.deepcopy(SKIN.log_albedo).float()
 MODES = SKIN.means.float()
 QUICK = SolverOptions(
     rounds=(
-        Round(level=3, starts=3, iterations=15),
-        Round(level=1, starts=2, iterations=8),
-        Round(level=0, starts=1, iterations=5),
+        Round(level=Level(3), starts=3, iterations=15),
+        Round(level=Level(1), starts=2, iterations=8),
+        Round(level=Level(0), starts=1, iterations=5),
     )
 )
 GROUND = torch.tensor([[0.15, 0.13, 0.11]])
@@ -145,8 +146,8 @@ def test_a_face_twice_gives_the_light_of_once() -> None:
     """All of the objective but the priors on light doubles; with weak ones the minimum stays."""
     weak = ObjectiveWeights(light_prior=0.0, albedo_prior=1e-3, ground_prior=1e-3)
     patient = (
-        Round(level=2, starts=2, iterations=40),
-        Round(level=0, starts=1, iterations=60),
+        Round(level=Level(2), starts=2, iterations=40),
+        Round(level=Level(0), starts=1, iterations=60),
     )
     options = replace(QUICK, weights=weak, tolerance=1e-6, rounds=patient)
     seen = lit(half_ball(20), MODES[1], 1.0)

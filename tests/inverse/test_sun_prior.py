@@ -355,6 +355,7 @@ def sun_error_deg(found, sun):
     return math.degrees(float(angle_between(found.sun_direction, sun)))
 
 
+@pytest.mark.slow
 def test_the_right_clock_brings_the_sun_nearer():
     observation, sun = rendered(16.0)
     plain = estimate_light(observation, "sunsky")
@@ -366,6 +367,7 @@ def test_the_right_clock_brings_the_sun_nearer():
     assert "sun_prior" in found.terms
 
 
+@pytest.mark.slow
 def test_a_wrong_clock_does_not_draw_a_clear_faces_sun():
     observation, sun = rendered(0.0)
     plain = estimate_light(observation, "sunsky")

@@ -12,12 +12,8 @@ from PIL import Image
 
 from skylight.errors import InputError, OutputError
 from skylight.io.atomic import atomic_path
-from skylight.io.files import (
-    read_environment_map,
-    write_environment_map,
-    write_json,
-    write_png,
-)
+from skylight.io.files import read_environment_map, write_environment_map, write_png
+from skylight.io.json_files import write_json
 from skylight.skies.capture_dates import header_date
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import pixel_from_direction

@@ -99,7 +99,7 @@ def test_relight_is_the_evaluation_scene_s(height, tmp_path):
         albedo=torch_scene.albedo,
         on_ground=torch.zeros(len(matt), dtype=torch.bool),
         visible=pack_visibility(torch_scene.transport),
-        grid=torch_scene.transport.grid,
+        grid=torch_scene.grid,
     ).save(tmp_path / "scene.npz")
     environment = EnvironmentMap(radiance=random_map(height, 2 * height))
     got = relight(load_scene(tmp_path / "scene.npz"), environment.radiance.numpy())

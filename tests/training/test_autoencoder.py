@@ -313,8 +313,9 @@ def test_weights_to_start_from(
     start = uninterrupted / "model.safetensors"
     config = replace(config, out=tmp_path / "out", epochs=1, batch=3 * config.batch)
     warm = replace(config, starts_from=start)
+    kept = load_network(start).state_dict()
     for name, weight in initial_network(warm).state_dict().items():
-        assert torch.equal(weight, load_network(start).state_dict()[name])
+        assert torch.equal(weight, kept[name])
     train(warm, report=lambda _: None)
     moved = shutil.copy(start, tmp_path / "moved.safetensors")
     messages: list[str] = []

@@ -76,11 +76,14 @@ def test_forty_skies_make_a_model(model: tuple[Path, list[str]], exr_skies: Path
     assert not (exr_skies / "index.csv").exists()  # FOLDER may be read-only
 
 
+SELDOM = [pytest.param(moment, marks=pytest.mark.slow) for moment in ("trained", "priors")]
+
+
 class Killed(BaseException):
     """A kill as far as Python can feel one."""
 
 
-@pytest.mark.parametrize("moment", ["indexed", "within the epoch", "trained", "priors"])
+@pytest.mark.parametrize("moment", ["indexed", "within the epoch", *SELDOM])
 def test_a_run_that_was_killed_goes_on_to_the_same_model(
     moment: str,
     model: tuple[Path, list[str]],
@@ -161,6 +164,7 @@ def test_too_few_skies_for_the_priors_are_refused_before_training(
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_the_folders_own_index_is_used(sky_folder: Path, tmp_path: Path) -> None:
     """That of simulated skies knows more than their maps show; they need not be 32 rows high."""
     said: list[str] = []

@@ -44,6 +44,21 @@ def test_the_light_vector_of_an_even_sky_is_the_normal(normals):
     torch.testing.assert_close(vector, normals, atol=0.01, rtol=0)
 
 
+def test_fewer_rows_see_the_same_of_light_that_is_coarse(normals):
+    """But for the directions of cells, which are their middles."""
+    errors = errors_of(normals)
+    coarse = errors.on_rows(8)
+    assert coarse.grid.layout == (8, 16)
+    assert errors.on_rows(64) is errors
+    light = torch.rand(8, 16, generator=torch.Generator().manual_seed(2))
+    fine = light.repeat_interleave(4, 0).repeat_interleave(4, 1).flatten()
+    expected = (errors.visible * fine) @ errors.grid.directions.float()
+    found = (coarse.visible * light.flatten()) @ coarse.grid.directions.float()
+    torch.testing.assert_close(
+        found, expected, atol=0.03 * float(expected.norm(dim=1).mean()), rtol=0.1
+    )
+
+
 def test_what_is_hidden_is_not_seen(normals):
     transport = open_transport(normals)
     hidden = GRID.directions[:, 0] > 0.2

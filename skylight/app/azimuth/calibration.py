@@ -19,14 +19,15 @@ from skylight.faces.captures import (
     read_probe,
     write_azimuths,
 )
+from skylight.faces.detection.landmarkers import choose_landmarker
 from skylight.faces.landmarks import choose_face
 from skylight.faces.model import HeadModel
 from skylight.faces.observe import FaceView, observe_face
-from skylight.faces.photographs import choose_landmarker, fit_visible
+from skylight.faces.photographs import fit_visible
 from skylight.imaging.photo import Photo, read_photo
 from skylight.inverse.azimuth import azimuth_curve
 from skylight.io.bounded import json_content
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 from skylight.work.progress import CountProgress
 
 FOLDER = "azimuth"  # within the folder of captures

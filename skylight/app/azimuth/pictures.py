@@ -100,6 +100,6 @@ def _probe(axes: "Axes", probe: EnvironmentMap, turn_deg: float) -> None:
 def _pasted(view: FaceView, pixels: Float[Tensor, "m 3"]) -> Float[Tensor, "h w 3"]:
     """The relit pixels over the picture in grey and half as bright."""
     canvas = (0.5 * luminance(view.image))[..., None].repeat(1, 1, 3)
-    rows, columns = view.observation.places.unbind(1)
-    canvas[rows, columns] = pixels
+    rows, columns = view.places.unbind(1)
+    canvas[rows, columns] = pixels[view.blocks]
     return canvas

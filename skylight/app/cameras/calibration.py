@@ -13,7 +13,7 @@ from skylight.cameras.frames import FRAMES_MOST, read_frames, read_picture
 from skylight.cameras.intrinsics import describe_intrinsics
 from skylight.cameras.response import Response, recover_response, save_response
 from skylight.errors import InputError
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 from skylight.io.opened_picture import opened_picture
 from skylight.work.progress import Tell
 

@@ -1,6 +1,6 @@
 """Augmented video: frames read from a video or a webcam, composited and written."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -9,11 +9,13 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from skylight.cameras.frames import film, film_rate, require_film
-from skylight.cameras.live import LiveFrame
+from skylight.cameras.frames import film
+from skylight.cameras.live import Clock, LiveFrame, Times
 from skylight.errors import InputError, OutputError
+from skylight.imaging.film import film_rate, require_film
 from skylight.io.atomic import atomic_path, require_place
 
+_FRAME = "frame"
 Show = Callable[[UInt8[np.ndarray, "h w 3"]], LiveFrame]
 
 
@@ -21,18 +23,22 @@ Show = Callable[[UInt8[np.ndarray, "h w 3"]], LiveFrame]
 class LiveReport:
     """Median milliseconds of each stage over the frames that reached it, and of whole frames.
 
-    ``known`` is what of the probe was captured in the end. ``frames_per_s`` counts everything
-    between two frames but reading and writing films.
+    ``known`` is what of the probe was captured in the end. ``stage_ms`` goes by the clock,
+    ``stage_cpu_ms`` sums over processor cores; the stages read and write are the film's, and
+    ``frame_ms`` and ``frame_cpu_ms`` are without them.
     """
 
     frames: int
     tracked: int
     known: int
     stage_ms: dict[str, float]
+    stage_cpu_ms: dict[str, float]
     frame_ms: float
+    frame_cpu_ms: float
 
     @property
     def frames_per_s(self) -> float:
+        """By the clock, without reading and writing films."""
         return 1000 / self.frame_ms
 
     def sentence(self, out: Path, known: str) -> str:
@@ -68,25 +74,28 @@ def write_film(
     """
     check_film(source, out, most)
     rate = film_rate(source)
-    times: dict[str, list[float]] = {}
-    whole: list[float] = []
+    times: dict[str, list[Times]] = {}
+    whole: list[Times] = []
     tracked = known = 0
     with atomic_path(out) as temporary:
         made = _writer(temporary, rate, *size)
         started, written = perf_counter(), 0
+        clock = Clock()
         try:
             for shot in film(source):
-                begun = perf_counter()
+                clock.mark("read")
                 frame = show(shot.image)
-                whole.append(perf_counter() - begun)
+                clock.mark(_FRAME)
                 # a webcam's frames last as long as they took
                 late = round((perf_counter() - started) * rate) - written
                 for _ in range(max(1, late) if isinstance(source, int) else 1):
                     made.write(cv2.cvtColor(frame.picture, cv2.COLOR_RGB2BGR))
                     written += 1
+                clock.mark("write")
                 tracked, known = tracked + frame.tracked, frame.known
-                for stage, seconds in frame.seconds.items():
-                    times.setdefault(stage, []).append(seconds)
+                whole.append(clock.times.pop(_FRAME))
+                for stage, spent in {**frame.times, **clock.times}.items():
+                    times.setdefault(stage, []).append(spent)
                 if most is not None and len(whole) >= most:
                     break
         except KeyboardInterrupt:
@@ -102,9 +111,15 @@ def write_film(
         frames=len(whole),
         tracked=tracked,
         known=known,
-        stage_ms={stage: 1000 * float(np.median(t)) for stage, t in times.items()},
-        frame_ms=1000 * float(np.median(whole)),
+        stage_ms={stage: _median_ms(t.wall for t in spent) for stage, spent in times.items()},
+        stage_cpu_ms={stage: _median_ms(t.cpu for t in spent) for stage, spent in times.items()},
+        frame_ms=_median_ms(t.wall for t in whole),
+        frame_cpu_ms=_median_ms(t.cpu for t in whole),
     )
+
+
+def _median_ms(seconds: Iterable[float]) -> float:
+    return 1000 * float(np.median(list(seconds)))
 
 
 def _writer(path: Path, rate: float, width: int, height: int) -> cv2.VideoWriter:

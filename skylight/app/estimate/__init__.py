@@ -1,1 +1,1 @@
-"""Illumination from photographs of faces: results, reports, batches, a demonstration."""
+"""Illumination from photographs and films of faces: results, reports, batches, a demonstration."""

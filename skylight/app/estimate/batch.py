@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from skylight.app.estimate.manifest import (
     MANIFEST,
@@ -17,21 +17,26 @@ from skylight.app.estimate.manifest import (
     read_manifest,
     write_manifest,
 )
-from skylight.app.estimate.photos import estimate_photo
-from skylight.app.estimate.results import MESHES, write_results
 from skylight.errors import DependencyError, InputError, SkylightError
-from skylight.faces.landmarks import LandmarkerName
-from skylight.faces.photographs import HeadName, WhichFaces, choose_landmarker
-from skylight.imaging.colour import Decode
-from skylight.imaging.photo import read_photo
+from skylight.faces.detection.landmarkers import choose_landmarker
+from skylight.faces.names import HeadName, LandmarkerName, WhichFaces
 from skylight.imaging.raw import SUFFIXES as RAW_SUFFIXES
 from skylight.io.hdr import SUFFIXES as HDR_SUFFIXES
 from skylight.io.listing import visible_files
-from skylight.models.bundle import load_bundle
-from skylight.models.names import DEFAULT_LIGHT, LightName, check_is_trained, check_light_name
+from skylight.models.names import (
+    DEFAULT_LIGHT,
+    DEFAULT_SOLVER,
+    LightName,
+    SolverName,
+    check_is_trained,
+    check_light_name,
+    check_solver_name,
+)
 from skylight.work.progress import StageProgress
-from skylight.work.results_folder import results_folder
 from skylight.work.resumable import Workers, claimed, settle, share_work
+
+if TYPE_CHECKING:
+    from skylight.imaging.colour import Decode
 
 SETTINGS = "settings.json"
 SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", *HDR_SUFFIXES, *RAW_SUFFIXES})
@@ -46,9 +51,10 @@ class BatchSettings:
 
     light: LightName = DEFAULT_LIGHT
     model: Path | None = None
+    solver: SolverName = DEFAULT_SOLVER
     face: WhichFaces = 1
     head: HeadName = "fitted"
-    decode: Decode | None = None
+    decode: "Decode | None" = None
     landmarks: LandmarkerName = "mediapipe"
     ignore_exif_sun: bool = False
     keep_place: bool = False
@@ -56,16 +62,21 @@ class BatchSettings:
 
     def __post_init__(self) -> None:
         check_light_name(self.light)
+        check_solver_name(self.solver, self.light)
         if self.model is not None:
             check_is_trained(self.light)
 
     def facts(self) -> dict[str, object]:
         """For notes: the same for the same model files, wherever they lie, and on any device."""
-        facts: dict[str, object] = {
-            **asdict(self),
-            "model": None if self.model is None else load_bundle(self.model).fingerprint,
-        }
+        fingerprint = None
+        if self.model is not None:
+            from skylight.models.bundle import load_bundle
+
+            fingerprint = load_bundle(self.model).fingerprint
+        facts: dict[str, object] = {**asdict(self), "model": fingerprint}
         del facts["device"]
+        if self.solver == DEFAULT_SOLVER:  # notes of runs before there was another
+            del facts["solver"]
         return facts
 
 
@@ -86,7 +97,7 @@ def estimate_folder(
     with a photo is its entry; only what is wrong with the rest (a full disk, other settings, a
     missing model) ends the run.
 
-    Memory: each worker takes up to 1.6 GB for a sky model, 1.1 GB for harmonics.
+    Memory: each worker takes up to 1.1 GB.
 
     Raises
     ------
@@ -211,12 +222,19 @@ def estimate_one(
 
 def _estimate_into(out: Path, path: Path, source: str, settings: BatchSettings) -> dict[str, Any]:
     """Estimate a photo and write its results; what estimate.json says."""
+    # torch takes 2 s to import, which whoever only shares out photos does not wait for
+    from skylight.app.estimate.photos import estimate_photo
+    from skylight.app.estimate.results import MESHES, write_results
+    from skylight.imaging.photo import read_photo
+    from skylight.work.results_folder import results_folder
+
     photo = read_photo(path, decode=settings.decode)
     with results_folder(out, MESHES) as folder:
         result = estimate_photo(
             photo,
             light=settings.light,
             model=settings.model,
+            solver=settings.solver,
             face=settings.face,
             head=settings.head,
             device=settings.device,

@@ -17,7 +17,8 @@ from skylight.app.figures.relit import relit
 from skylight.app.figures.style import INK, MUTED, STYLE, save
 from skylight.faces.synthetic import SyntheticFace, render_face
 from skylight.imaging.metrics import lighting_metrics, shading_metrics
-from skylight.io.files import write_json, write_png
+from skylight.io.files import write_png
+from skylight.io.json_files import write_json
 from skylight.skies.simulated import simulated_skies
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.transport.scene.evaluation import evaluation_scene

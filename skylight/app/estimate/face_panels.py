@@ -49,7 +49,7 @@ def head_window(photo: Photo, face: DetectedFace) -> tuple[np.ndarray, np.ndarra
 
 
 def over_grey(
-    image: Float[Tensor, "h w 3"], places: Int[Tensor, "m 2"], rendered: Float[Tensor, "m 3"]
+    image: Float[Tensor, "h w 3"], places: Int[Tensor, "u 2"], rendered: Float[Tensor, "u 3"]
 ) -> Float[Tensor, "h w 3"]:
     """A re-rendered face at its places in its picture, which is dimmed and grey."""
     picture = (0.35 * luminance(image))[..., None].repeat(1, 1, 3)
@@ -70,8 +70,8 @@ def show_residual(
     if clipped is not None:
         value = torch.where(clipped, value.clamp(max=0), value)
     canvas = np.full(tuple(view.image.shape[:2]), np.nan)
-    rows, columns = view.observation.places.unbind(1)
-    canvas[rows.numpy(), columns.numpy()] = value.numpy()
+    rows, columns = view.places.unbind(1)
+    canvas[rows.numpy(), columns.numpy()] = value[view.blocks].numpy()
     shown = axes.imshow(canvas, cmap="RdBu_r", vmin=-RESIDUAL_LIMIT, vmax=RESIDUAL_LIMIT)
     axes.set_facecolor("#eceff2")
     axes.set_title(title)

@@ -107,7 +107,7 @@ def _faces(area: "SubFigure", result: PhotoEstimate) -> None:
         axes = [area.add_subplot(part) for part in cell]
         scale = white[seen.photo]
         show(axes[0], srgb_codes(seen.view.image, scale), f"{k + 1} as seen")
-        pasted = over_grey(seen.view.image, seen.view.observation.places, light.rendered)
+        pasted = over_grey(seen.view.image, seen.view.places, light.rendered[seen.view.blocks])
         show(axes[1], srgb_codes(pasted, scale), "re-rendered")
         off = f"off by {100 * light.residual:.0f} %"
         show_residual(axes[2], seen.view, light.rendered, off)

@@ -12,26 +12,29 @@ from jaxtyping import UInt8
 
 from skylight.app.estimate.types import PhotoEstimate, SeenFace
 from skylight.errors import InputError
+from skylight.faces.detection.landmarkers import choose_landmarker
 from skylight.faces.fit import FaceFit
-from skylight.faces.landmarks import FaceLandmarker, LandmarkerName
+from skylight.faces.landmarks import FaceLandmarker
 from skylight.faces.model import HeadModel
+from skylight.faces.names import HeadName, LandmarkerName, WhichFaces
 from skylight.faces.observe import SKIN_GLOSS, observe_face
-from skylight.faces.photographs import (
-    FoundFace,
-    HeadName,
-    WhichFaces,
-    choose_landmarker,
-    find_faces,
-    fit_visible,
-)
+from skylight.faces.photographs import FoundFace, find_faces, fit_visible
 from skylight.imaging.colour import Decode
 from skylight.imaging.photo import Photo, photo_from_codes, read_photo
 from skylight.imaging.taken import Taken
 from skylight.inverse.estimate import Model, light_problem
 from skylight.inverse.result import Estimate
 from skylight.inverse.scan import SCAN_HEIGHT
+from skylight.inverse.sky.solver import SOLVERS
 from skylight.inverse.sun_prior import sun_prior
-from skylight.models.names import DEFAULT_LIGHT, LightName, check_light_name
+from skylight.models.names import (
+    DEFAULT_LIGHT,
+    DEFAULT_SOLVER,
+    LightName,
+    SolverName,
+    check_light_name,
+    check_solver_name,
+)
 from skylight.work.progress import Progress, StageProgress
 
 STAGES = ("finding the face", "fitting the head", "tracing light", "estimating the light")
@@ -49,6 +52,7 @@ def estimate(
     *more: Image,
     light: LightName = DEFAULT_LIGHT,
     model: Model | None = None,
+    solver: SolverName = DEFAULT_SOLVER,
     face: WhichFaces = 1,
     head: HeadName = "fitted",
     decode: Decode | None = None,
@@ -76,6 +80,9 @@ def estimate(
     model
         A trained model of your own, or its folder, in place of the one that comes with skylight:
         the network of "autoencoder", or the prior of "sunsky". ``skylight train`` makes them.
+    solver
+        How the sky of "autoencoder" is searched for: "scan", from many starts where a scan finds
+        the sun, or "thesis", from the mean sky by L-BFGS on four levels (B.1).
     face
         Which face of each picture, counted from 1, the largest; or "all", under one light.
     head
@@ -117,6 +124,7 @@ def estimate(
         *more,
         light=light,
         model=model,
+        solver=solver,
         face=face,
         head=head,
         decode=decode,
@@ -133,6 +141,7 @@ def estimate_photo(
     *more: Image,
     light: LightName = DEFAULT_LIGHT,
     model: Model | None = None,
+    solver: SolverName = DEFAULT_SOLVER,
     face: WhichFaces = 1,
     head: HeadName = "fitted",
     decode: Decode | None = None,
@@ -149,13 +158,14 @@ def estimate_photo(
     ``names`` are what errors and results call the pictures; by default their paths. ``workers``
     are the processes that trace light, one per core where None.
 
-    Memory: for a sky, a face on 72 rows of pixels takes about 160 MB while its light is traced
-    (T and gloss of about 2,500 pixels and 8,192 directions) and 160 MB from then on, so eight
-    faces fit in 2.5 GB.
+    Memory: beside 0.7 GB of a process with its models, what
+    :func:`~skylight.faces.observe.observe_face` and
+    :class:`~skylight.inverse.sky.problem.SkyProblem` say of each face.
     """
     if isinstance(landmarks, str):
         landmarks = choose_landmarker(landmarks)
     check_light_name(light)
+    options = SOLVERS[check_solver_name(solver, light)]
     images = (image, *more)
     photos = tuple(as_photo(one, decode) for one in images)
     names = tuple(names or (_name(one, k, len(images)) for k, one in enumerate(images, start=1)))
@@ -166,6 +176,7 @@ def estimate_photo(
     problem = light_problem(
         light,
         model=model,
+        options=options,
         sun_prior=prior,
         exposure=photos[0].exposure_value,
         device=device,

@@ -68,7 +68,7 @@ def write_report(path: Path, result: PhotoEstimate, *, title: str) -> None:
         image = view.image
         rendered = estimate.faces[0].rendered
         show(axes[2], srgb_codes(image, white), "Face as seen")
-        pasted = over_grey(view.image, view.observation.places, rendered)
+        pasted = over_grey(view.image, view.places, rendered[view.blocks])
         show(axes[3], srgb_codes(pasted, white), "Re-rendered in this light")
         shown = show_residual(axes[4], view, rendered, "Render minus seen")
         _residual_bar(figure, axes[4], shown)
@@ -147,7 +147,7 @@ def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
         ("skin albedo", rgb(estimate.albedo)),
         ("ground albedo", rgb(estimate.ground_albedo)),
         ("mean residual", f"{100 * estimate.faces[0].residual:.0f} %"),
-        ("pixels used", f"{len(result.view.observation.pixels)}"),
+        ("pixels used", f"{len(result.view.blocks)}"),
         ("landmarks off, of eye distance", f"{100 * fit.landmark_error:.1f} %"),
         ("face turned by", f"{math.degrees(fit.facing_angle_rad):.0f}°"),
         ("optimisation", estimate.status),

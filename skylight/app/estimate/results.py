@@ -11,7 +11,8 @@ from skylight.app.estimate.uncertainty import posterior_map
 from skylight.faces.fit import FaceFit
 from skylight.faces.model import HeadModel
 from skylight.io.atomic import atomic_path
-from skylight.io.files import write_environment_map, write_json
+from skylight.io.files import write_environment_map
+from skylight.io.json_files import write_json
 
 MESHES = re.compile(r"mesh(_[1-9][0-9]*)?\.obj")  # the files of :func:`mesh_names`
 
@@ -44,10 +45,12 @@ def mesh_names(result: PhotoEstimate) -> list[str]:
 
 def write_mesh(path: Path, fit: FaceFit) -> None:
     """The fitted head, metres, in the camera's frame."""
-    from trimesh import Trimesh
-    from trimesh.exchange.obj import export_obj
-
-    mesh = Trimesh(fit.vertices, HeadModel.load().faces, process=False)
-    header = "skylight: head in metres; the camera is at the origin, looks along -Z, +Y is up"
+    header = "# skylight: head in metres; the camera is at the origin, looks along -Z, +Y is up\n"
+    vertices, faces = fit.vertices, HeadModel.load().faces + 1
+    text = (
+        header
+        + "v %.8f %.8f %.8f\n" * len(vertices) % tuple(vertices.ravel().tolist())
+        + "f %d %d %d\n" * len(faces) % tuple(faces.ravel().tolist())
+    )
     with atomic_path(path) as temporary:
-        temporary.write_text(export_obj(mesh, header=header) + "\n", encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8")

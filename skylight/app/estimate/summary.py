@@ -72,7 +72,7 @@ def _describe_face(seen: SeenFace, light: FaceLight, source: str) -> dict[str, o
         "facing_angle_deg": math.degrees(fit.facing_angle_rad),
         "focal_length_px": fit.camera.focal_px,
         "fit_converged": fit.converged,
-        "pixels_used": len(seen.view.observation.pixels),
+        "pixels_used": len(seen.view.blocks),
     }
 
 

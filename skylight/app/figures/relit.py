@@ -15,10 +15,11 @@ def relit(
     scene: EvaluationScene, environment: EnvironmentMap, *, like: EnvironmentMap | None = None
 ) -> tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]]:
     """(matt objects, metal objects) in this light, exposed for them or as in the light ``like``."""
-    like = like or environment
-    matt_white = white_of(scene.shade(like))
-    metal_white = white_of(scene.relight_glossy(like).reshape(-1, 3))
+    matt, metal = scene.relight(environment), scene.relight_glossy(environment)
+    matt_like = matt if like is None else scene.relight(like)
+    metal_like = metal if like is None else scene.relight_glossy(like)
+    rows, columns = scene.matt.pixels.unbind(1)
     return (
-        tone_map(scene.relight(environment), white=matt_white),
-        tone_map(scene.relight_glossy(environment), white=metal_white),
+        tone_map(matt, white=white_of(matt_like[rows, columns])),
+        tone_map(metal, white=white_of(metal_like.reshape(-1, 3))),
     )

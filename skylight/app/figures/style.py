@@ -29,6 +29,7 @@ STYLE: dict[Any, Any] = {  # matplotlib types the keys as its own literals
 def save(figure: "Figure", path: Path) -> None:
     """Write a figure as PNG, whole or not at all."""
     drawn = io.BytesIO()  # so that only the disk can fail while the file is open
-    figure.savefig(drawn, format="png")
+    # the default level takes half as long again for 4 % less
+    figure.savefig(drawn, format="png", pil_kwargs={"compress_level": 3})
     with atomic_path(path) as temporary:
         temporary.write_bytes(drawn.getvalue())

@@ -12,8 +12,9 @@ import torch
 from skylight.errors import InputError
 from skylight.evaluation.scores.aligned import SCALE_FREE, Scores, score_maps
 from skylight.io.atomic import atomic_path
-from skylight.io.files import read_environment_map, write_json
+from skylight.io.files import read_environment_map
 from skylight.io.hdr import SUFFIXES
+from skylight.io.json_files import write_json
 from skylight.io.listing import visible_files
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import Convention

@@ -22,7 +22,8 @@ from skylight.imaging.colour import tone_map
 from skylight.imaging.photo import Photo
 from skylight.inverse.object.problem import ObjectLight, ObjectLightName, estimate_object_light
 from skylight.inverse.object.view import ObjectMaterial, ObjectView, observe_object
-from skylight.io.files import write_environment_map, write_json
+from skylight.io.files import write_environment_map
+from skylight.io.json_files import write_json
 from skylight.io.opened_picture import opened_picture
 from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.sphere.frame import angles_from_direction
@@ -107,7 +108,7 @@ def estimate_known_object(
 
 
 def material_of(
-    albedo: str | None, roughness: float | None, reflectance: float | None
+    albedo: str | None, roughness: float | None, reflectance: float | None, bounces: int = 0
 ) -> ObjectMaterial:
     """The material that the command line's options describe; ``albedo`` is "r,g,b"."""
     colour = (1.0, 1.0, 1.0)
@@ -122,9 +123,10 @@ def material_of(
     if roughness is None:
         if reflectance is not None:
             raise InputError("--reflectance is that of a glossy object: give --roughness as well")
-        return ObjectMaterial(albedo=colour)
+        return ObjectMaterial(albedo=colour, bounces=bounces)
     f0 = REFLECTANCE if reflectance is None else reflectance
-    return ObjectMaterial(albedo=colour, specular=Specular(f0=f0, roughness=roughness))
+    specular = Specular(f0=f0, roughness=roughness)
+    return ObjectMaterial(albedo=colour, specular=specular, bounces=bounces)
 
 
 def read_mask(path: Path) -> Bool[Tensor, "h w"]:

@@ -1,9 +1,12 @@
 """The sharpest filter there is: one pixel, for lamps and suns that no band limit can show."""
 
+from collections.abc import Iterator
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from skylight.csc.correlation.chunk import Chunk, by_signal
 from skylight.csc.correlation.positions import Positions
 from skylight.sphere.grid import DirectionGrid
 
@@ -28,9 +31,15 @@ class PixelCorrelation(nn.Module):
     def members(self, group: int) -> tuple[int, ...]:
         return (0,)
 
-    def by_group(self, residual: Float[Tensor, " n"]) -> list[Float[Tensor, "_ _ rows columns"]]:
-        p = self.positions
-        return [(residual / self.root.to(residual)).reshape(1, 1, p.rows, p.columns)]
+    def by_group(
+        self, residual: Float[Tensor, "*batch n"]
+    ) -> list[Float[Tensor, "*batch _ _ rows columns"]]:
+        p, batch = self.positions, residual.shape[:-1]
+        return [(residual / self.root.to(residual)).reshape(*batch, 1, 1, p.rows, p.columns)]
+
+    def in_chunks(self, residuals: Float[Tensor, "s n"]) -> Iterator[Chunk]:
+        """What :meth:`by_group` gives, a part at a time."""
+        return by_signal(residuals, lambda some: self.by_group(some)[0])
 
     def rotated(
         self, filters: Int[Tensor, " s"], places: Int[Tensor, "s 3"]

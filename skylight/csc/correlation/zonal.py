@@ -1,9 +1,12 @@
 """Correlation with isotropic filters, which twists do not change: products in the SH domain."""
 
+from collections.abc import Iterator
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from skylight.csc.correlation.chunk import Chunk, by_signal
 from skylight.csc.correlation.positions import Positions
 from skylight.sphere import harmonics
 from skylight.sphere.latlong_transform import LatLongTransform
@@ -52,10 +55,16 @@ class ZonalCorrelation(nn.Module):
     def members(self, group: int) -> tuple[int, ...]:
         return tuple(range(self.count))
 
-    def by_group(self, residual: Float[Tensor, " k"]) -> list[Float[Tensor, "_ _ rows columns"]]:
+    def by_group(
+        self, residual: Float[Tensor, "*batch k"]
+    ) -> list[Float[Tensor, "*batch _ _ rows columns"]]:
         """One group, one twist."""
-        weighted = self.bands[:, self.band_of] * residual.to(self.bands)
-        return [self.transform.synthesise(weighted)[None]]
+        weighted = self.bands[:, self.band_of] * residual.to(self.bands)[..., None, :]
+        return [self.transform.synthesise(weighted)[..., None, :, :, :]]
+
+    def in_chunks(self, residuals: Float[Tensor, "s k"]) -> Iterator[Chunk]:
+        """What :meth:`by_group` gives, a part at a time."""
+        return by_signal(residuals, lambda some: self.by_group(some)[0])
 
     def rotated(
         self, filters: Int[Tensor, " s"], places: Int[Tensor, "s 3"]

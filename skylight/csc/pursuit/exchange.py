@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
-from skylight.csc.pursuit.greedy import Pursuit, Support
+from skylight.csc.pursuit.greedy import Pursuit, Support, step_together
 from skylight.work.progress import Progress
 
 _GAIN = 1e-9  # of the error: less is rounding
@@ -17,12 +17,31 @@ def pursue(
         while len(pursuit.atoms) < count and pursuit.step():
             if progress is not None:
                 progress(len(pursuit.atoms) / counts[-1])
-        for _ in range(pursuit.options.sweeps):
-            if pursuit.exact or not (
-                exchange(pursuit) or exchange(pursuit, refit=True) or exchange_pair(pursuit)
-            ):
-                break
+        _sweep(pursuit)
         yield pursuit.support()
+
+
+def pursue_together(pursuits: Sequence[Pursuit], count: int) -> list[Support]:
+    """What :func:`pursue` gives for each, activation by activation for all of them.
+
+    Exchanges are each pursuit's own.
+    """
+    going = [pursuit for pursuit in pursuits if len(pursuit.atoms) < count]
+    while going:
+        went = step_together(going)
+        going = [p for p, more in zip(going, went, strict=True) if more and len(p.atoms) < count]
+    for pursuit in pursuits:
+        _sweep(pursuit)
+    return [pursuit.support() for pursuit in pursuits]
+
+
+def _sweep(pursuit: Pursuit) -> None:
+    """Exchanges until none helps, or as often as the options allow."""
+    for _ in range(pursuit.options.sweeps):
+        if pursuit.exact or not (
+            exchange(pursuit) or exchange(pursuit, refit=True) or exchange_pair(pursuit)
+        ):
+            break
 
 
 def exchange(pursuit: Pursuit, *, refit: bool = False) -> int:

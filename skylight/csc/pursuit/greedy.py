@@ -13,15 +13,13 @@ from torch.nn.functional import max_pool2d, pad
 from skylight.csc.code import CodeTensors
 from skylight.csc.pursuit.active_set import ActiveSet
 from skylight.csc.pursuit.quadratic import Quadratic
+from skylight.csc.pursuit.search import Atom, Found, Query, Search, Values
 from skylight.csc.sub_dictionaries import Part, part_of
 from skylight.errors import InputError
 
 _EXACT = 1e-12  # of the signal's energy: an error of the weights of 1e-6
 _PEAK, _MOST_PEAKS = 0.4, 600  # a share of the highest; pairs are tried among so many
 _ROOM = 192  # images at first: 144 activations and some rivals
-Values = Float[Tensor, "_ _ _ _"]  # (twist, filter, row, column); groups differ in size
-Group = tuple[Values, int, int]  # correlations, sub-dictionary, group
-Atom = tuple[int, tuple[int, int, int]]  # filter, (row, column, twist)
 Sign = Literal["l1", "nonnegative", "free"]
 WEAK_L1 = 1e-5  # of the largest correlation with the signal
 _ROUNDING = 2e-6  # of the same: what is left in float32 of a correlation that is 0
@@ -105,8 +103,11 @@ class Pursuit:
         norms: Sequence[Values] | None = None,
     ) -> None:
         self.options = options
-        self._norms = norms
-        self._plans = [part.plan() for part in parts]
+        self.search = Search(
+            plans=[part.plan() for part in parts],
+            absolute=options.weights != "nonnegative",
+            norms=norms,
+        )
         self._objective = objective
         self._target = objective.target.double()
         k, colours = self._target.shape
@@ -116,7 +117,8 @@ class Pursuit:
         self._gram = np.zeros((0, 0))
         self._right = np.zeros((0, colours))
         self._sets: list[ActiveSet] = []
-        self._scale = self._largest_correlation()
+        (grey,) = _in_one_colour(self._target[None], options)
+        (((self._scale, _),),) = self.search.strongest([Query(residual=grey, taken=())])
         penalty = options.penalty * self._scale if options.weights == "l1" else 0.0
         self._sets = [
             ActiveSet(penalty=penalty, nonnegative=options.weights == "nonnegative")
@@ -145,18 +147,38 @@ class Pursuit:
 
     def step(self) -> bool:
         """One activation more; False where the colour searched for correlates with no atom."""
-        groups = self._unused()
-        best = self._best(groups)
-        if best is None:
-            return False
-        old = len(self.filters)
-        rivals = self._rivals(groups) if self.options.thresholding and old else []
-        found = [best, *(atom for atom in rivals if atom != best)]
-        self._append(found)
+        return step_together([self])[0]
+
+    def query(self, grey: Float[Tensor, " k"]) -> Query:
+        """The search for the next activation, by one colour of the residual.
+
+        Rivals are atoms that the longest step allowed by those in use would lift over the weakest.
+        """
+        if not (self.options.thresholding and self.filters):
+            return Query(residual=grey, taken=self.atoms)
+        least = float(np.linalg.norm(self.weights, axis=1).min())
+        least *= float(np.linalg.eigvalsh(self._gram)[-1])
+        return Query(residual=grey, taken=self.atoms, rivals=len(self.filters) + 1, least=least)
+
+    def chosen(self, found: Sequence[Found]) -> list[Atom]:
+        """The best atom found and its rivals; none where the best is as good as 0."""
+        best, *rivals = found
+        if best.value <= self.penalty + _ROUNDING * self._scale:
+            return []
+        return [best.atom, *(other.atom for other in rivals if other.atom != best.atom)]
+
+    def accept(
+        self,
+        found: list[Atom],
+        rotated: Float[Tensor, "n k"],
+        images: Float[Tensor, "n k"],
+    ) -> None:
+        """One activation more of ``found``, or of those in use and ``found`` the strongest."""
+        size = len(self.filters) + 1
+        self._append(found, rotated, images)
         if len(found) > 1:
-            self._threshold(old + 1, len(found))
+            self._threshold(size, len(found))
         self._refit()
-        return True
 
     @property
     def exact(self) -> bool:
@@ -169,14 +191,17 @@ class Pursuit:
 
     def best(self) -> Atom | None:
         """The unused atom that correlates most with the residual; None where none does."""
-        return self._best(self._unused())
+        (grey,) = _in_one_colour(self.residual()[None], self.options)
+        (found,) = self.search.strongest([Query(residual=grey, taken=self.atoms)])
+        return next(iter(self.chosen(found)), None)
 
     def peaks(self) -> list[Atom]:
         """Unused atoms that correlate more than their neighbours, each filter at its own places.
 
         The strongest first, down to a share of the first; the constant has no peaks.
         """
-        groups = self._unused()
+        (grey,) = _in_one_colour(self.residual()[None], self.options)
+        groups = self.search.everything(Query(residual=grey, taken=self.atoms))
         least = _PEAK * max(float(values.max()) for values, _, _ in groups)
         found: list[tuple[float, Atom]] = []
         for values, number, group in groups:
@@ -186,10 +211,8 @@ class Pursuit:
             high = (over_twists == around) & (over_twists > least)
             for place, row, column in torch.nonzero(high).tolist():
                 spot = int(twists[place, row, column]), place, row, column
-                atom = self._named(
-                    values, number, group, int(np.ravel_multi_index(spot, values.shape))
-                )
-                if atom[0] not in self._plans[number].constant:
+                atom = self.search.named(number, group, spot)
+                if atom[0] not in self.search.plans[number].constant:
                     found.append((float(values[spot]), atom))
         return [atom for _, atom in sorted(found, reverse=True)[:_MOST_PEAKS]]
 
@@ -199,11 +222,11 @@ class Pursuit:
         With the images of those in use projected out, G the Gram matrix of a pair and r its
         correlations with the residual, the error falls by ``sum_colours r^T G^-1 r``.
         """
-        rotated = torch.stack([self._rotated(atom) for atom in atoms])
-        gram = (self._objective.hessian(rotated.T).T @ rotated.T).cpu().numpy()
+        rotated = self.rotated(atoms)
+        gram = (self.images(rotated) @ rotated.T).cpu().numpy()
         shared = (self._images[: len(self.filters)] @ rotated.T).cpu().numpy()
         gram = gram - shared.T @ np.linalg.pinv(self._gram) @ shared
-        right = (rotated @ self._residual()).cpu().numpy()
+        right = (rotated @ self.residual()).cpu().numpy()
         squared = right @ right.T
         own, power = gram.diagonal().clip(1e-9), squared.diagonal()
         both = np.outer(own, own)
@@ -236,101 +259,49 @@ class Pursuit:
 
     def add(self, atoms: list[Atom]) -> None:
         """Activations more, after the others; all weights are refitted."""
-        self._append(atoms)
+        rotated = self.rotated(atoms)
+        self._append(atoms, rotated, self.images(rotated))
         self._refit()
 
-    def _residual(self) -> Float[Tensor, "k c"]:
+    def residual(self) -> Float[Tensor, "k c"]:
         """``b - H sum_j z_j a_j``: minus half the gradient by the coefficients."""
         z = torch.from_numpy(self.weights).to(self._target)
         return self._target - self._images[: len(z)].T @ z
 
-    def _colour(self, residual: Float[Tensor, "k c"]) -> Float[Tensor, " c"]:
-        colours = residual.shape[1]
-        if self.options.weights == "nonnegative":
-            return residual.new_full((colours,), colours**-0.5)
-        return torch.linalg.eigh(residual.T @ residual).eigenvectors[:, -1]
-
-    def _correlations(self, residual: Float[Tensor, "k c"]) -> list[list[Values]]:
-        """Per sub-dictionary and group: signed where weights have one sign, else absolute."""
-        grey = residual @ self._colour(residual)
-        found = [plan.correlation.by_group(grey[plan.coordinates]) for plan in self._plans]
-        if self._norms is not None:
-            for values, norm in zip(found[0], self._norms, strict=True):
-                values /= norm
-        if self.options.weights == "nonnegative":
-            return found
-        return [[values.abs_() for values in groups] for groups in found]
-
-    def _largest_correlation(self) -> float:
-        return max(float(v.max()) for groups in self._correlations(self._target) for v in groups)
-
-    def _unused(self) -> list[Group]:
-        """The residual's correlations with their sub-dictionary and group, 0 for atoms in use."""
-        found = self._correlations(self._residual())
-        for filter_, (row, column, twist) in zip(self.filters, self.places, strict=True):
-            number = part_of(self._plans, filter_)
-            plan = self._plans[number]
-            group, place = plan.correlation.index[filter_ - plan.first]
-            taken = found[number][group][:, place]
-            if filter_ in plan.constant:  # the same at every rotation
-                taken[:] = 0
-            taken[twist % len(taken), row, column] = 0
-        return [
-            (values, number, group)
-            for number, per_layer in enumerate(found)
-            for group, values in enumerate(per_layer)
-        ]
-
-    def _best(self, groups: list[Group]) -> Atom | None:
-        """The atom of the largest correlation; None where that is as good as 0."""
-        tops = [float(values.max()) for values, _, _ in groups]
-        best = int(np.argmax(tops))
-        if tops[best] <= self.penalty + _ROUNDING * self._scale:
-            return None
-        return self._named(*groups[best], int(groups[best][0].argmax()))
-
-    def _rivals(self, groups: list[Group]) -> list[Atom]:
-        """Atoms that the longest step allowed by those in use would lift over the weakest."""
-        least = float(np.linalg.norm(self.weights, axis=1).min())
-        least *= float(np.linalg.eigvalsh(self._gram)[-1])
-        wanted = len(self.filters) + 1
-        rivals: list[tuple[float, Atom]] = []
-        for values, number, group in groups:
-            flat = values.flatten()
-            over = torch.nonzero(flat > least)[:, 0]
-            keep = torch.topk(flat[over], min(len(over), wanted)).indices
-            rivals += [
-                (float(flat[i]), self._named(values, number, group, i)) for i in over[keep].tolist()
-            ]
-        return [atom for _, atom in sorted(rivals, reverse=True)[:wanted]]
-
-    def _named(self, values: Values, number: int, group: int, flat: int) -> Atom:
-        twist, place, row, column = (int(i) for i in np.unravel_index(flat, values.shape))
-        plan = self._plans[number]
-        return plan.first + plan.correlation.members(group)[place], (row, column, twist)
-
-    def _rotated(self, atom: Atom) -> Float[Tensor, " k"]:
-        plan = self._plans[part_of(self._plans, atom[0])]
-        out = torch.zeros_like(self._target[:, 0])
-        out[plan.coordinates] = plan.correlation.rotated(
-            torch.tensor([atom[0] - plan.first]), torch.tensor([atom[1]])
-        )[0]
+    def rotated(self, atoms: Sequence[Atom]) -> Float[Tensor, "n k"]:
+        """Coordinates of atoms of the dictionary, float64."""
+        plans = self.search.plans
+        out = self._target.new_zeros(len(atoms), len(self._target))
+        owners = [part_of(plans, filter_) for filter_, _ in atoms]
+        for number, plan in enumerate(plans):
+            mine = [j for j, owner in enumerate(owners) if owner == number]
+            if mine:
+                filters = torch.tensor([atoms[j][0] - plan.first for j in mine])
+                places = torch.tensor([atoms[j][1] for j in mine])
+                out[mine, plan.coordinates] = plan.correlation.rotated(filters, places).to(out)
         return out
 
-    def _append(self, found: list[Atom]) -> None:
-        atoms = torch.stack([self._rotated(atom) for atom in found])
+    def images(self, rotated: Float[Tensor, "n k"]) -> Float[Tensor, "n k"]:
+        """H a, for coordinates of atoms."""
+        return self._objective.hessian(rotated.T).T
+
+    def _append(
+        self, found: list[Atom], rotated: Float[Tensor, "n k"], images: Float[Tensor, "n k"]
+    ) -> None:
         old, new = len(self._gram), len(self._gram) + len(found)
         if new > len(self._images):
             more = self._images.new_zeros(new, self._images.shape[1])
             self._images = torch.cat([self._images, more])
-        self._images[old:new] = self._objective.hessian(atoms.T).T
-        block = (self._images[:new] @ atoms.T).cpu().numpy()
+        self._images[old:new] = images
+        # one transfer from the device
+        products = torch.cat([self._images[:new], self._target.T]) @ rotated.T
+        block, right = np.split(products.cpu().numpy(), [new])
         gram = np.zeros((new, new))
         gram[:old, :old] = self._gram
         gram[:, old:] = block
         gram[old:, :old] = block[:old].T
         self._gram = gram
-        self._right = np.concatenate([self._right, (atoms @ self._target).cpu().numpy()])
+        self._right = np.concatenate([self._right, right.T])
         self.filters += [f[0] for f in found]
         self.places += [f[1] for f in found]
         for each in self._sets:
@@ -372,3 +343,36 @@ class Pursuit:
     def _refit(self) -> None:
         for colour, each in enumerate(self._sets):
             each.solve(self._gram, self._right[:, colour])
+
+
+def step_together(pursuits: Sequence[Pursuit]) -> list[bool]:
+    """One activation more for each pursuit, all found in one search; False where nothing helps.
+
+    The same as :meth:`Pursuit.step` of each, but for rounding. All must code in the same dictionary
+    with the same options and Hessian: the first's are used.
+    """
+    first = pursuits[0]
+    residuals = torch.stack([pursuit.residual() for pursuit in pursuits])
+    greys = _in_one_colour(residuals, first.options)
+    found = first.search.strongest([p.query(g) for p, g in zip(pursuits, greys, strict=True)])
+    chosen = [p.chosen(each) for p, each in zip(pursuits, found, strict=True)]
+    sizes = [len(atoms) for atoms in chosen]
+    rotated = first.rotated([atom for atoms in chosen for atom in atoms])
+    images = first.images(rotated)
+    for pursuit, atoms, a, h in zip(
+        pursuits, chosen, rotated.split(sizes), images.split(sizes), strict=True
+    ):
+        if atoms:
+            pursuit.accept(atoms, a, h)
+    return [bool(atoms) for atoms in chosen]
+
+
+def _in_one_colour(
+    residuals: Float[Tensor, "p k c"], options: PursuitOptions
+) -> Float[Tensor, "p k"]:
+    """The residuals' principal colours; the mean where weights must not be negative."""
+    if options.weights == "nonnegative":
+        return residuals.sum(2) * residuals.shape[2] ** -0.5
+    grams = (residuals.mT @ residuals).cpu()  # of a few numbers each: no work for a device
+    principal = torch.linalg.eigh(grams).eigenvectors[..., -1:]
+    return (residuals @ principal.to(residuals))[..., 0]

@@ -124,7 +124,7 @@ class AnyLight:
             "verdicts": {name: one.posterior.verdict for name, one in found.estimates.items()},
             "residuals": {name: one.faces[0].residual for name, one in found.estimates.items()},
             "pose_deg": pose_error_deg(fit, face.truth),
-            "pixels": len(found.view.observation.pixels),
+            "pixels": len(found.view.blocks),
             "seconds": seconds,
             "peak_mib": peak_mib(),
         }

@@ -76,8 +76,10 @@ def true_parameters(
 class OneStart:
     """The autoencoder with nowhere to start from but ``parameters``."""
 
-    def __init__(self, parameters: Float[Tensor, "1 p"]) -> None:
-        model = smooth_autoencoder(load_bundle())
+    def __init__(
+        self, parameters: Float[Tensor, "1 p"], model: AutoencoderLight | None = None
+    ) -> None:
+        model = model or smooth_autoencoder(load_bundle())
         self.model = model
         self.parameters = parameters
         self.name = model.name
@@ -110,5 +112,5 @@ class OneStart:
     def sun_direction(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b 3"] | None:
         return self.model.sun_direction(params)
 
-    def on_rows(self, height: int) -> AutoencoderLight:
-        return self.model.on_rows(height)
+    def on_rows(self, height: int) -> "OneStart":
+        return OneStart(self.parameters, self.model.on_rows(height))

@@ -19,11 +19,12 @@ from skylight.evaluation.faces.known_faces import KnownFace
 from skylight.evaluation.faces.options import EstimateOptions
 from skylight.evaluation.harness.run import Check, Item
 from skylight.evaluation.scores.relit_scene import score
+from skylight.faces.detection.landmarkers import choose_landmarker
 from skylight.faces.fit import FaceFit, fit_face
 from skylight.faces.landmarks import choose_face
 from skylight.faces.model import HeadModel
 from skylight.faces.observe import FaceView, observe_face
-from skylight.faces.photographs import choose_landmarker, fit_visible
+from skylight.faces.photographs import fit_visible
 from skylight.imaging.colour import tone_map
 from skylight.imaging.photo import Photo
 from skylight.inverse.auto import RIVALS, choose
@@ -165,8 +166,8 @@ def observe_largest(
 def seen_and_rendered(view: FaceView, rendered: Float[Tensor, "m 3"]) -> UInt8[np.ndarray, "h w 3"]:
     """The picture, and beside it the face as the estimate renders it."""
     shown = view.image.clone()
-    rows, columns = view.surface.pixels[view.used].unbind(1)
-    shown[rows, columns] = rendered
+    rows, columns = view.places.unbind(1)
+    shown[rows, columns] = rendered[view.blocks]
     white = float(luminance(view.image[rows, columns]).quantile(0.98))
     return np.hstack([tone_map(picture, white=white) for picture in (view.image, shown)])
 

@@ -27,10 +27,11 @@ from skylight.evaluation.harness.data_folder import read_index
 from skylight.evaluation.harness.pictures import beside, strip
 from skylight.evaluation.harness.run import Check, Item
 from skylight.evaluation.harness.tables import Rows
+from skylight.faces.detection.landmarkers import choose_landmarker
 from skylight.faces.fit import FaceFit
 from skylight.faces.model import HeadModel
 from skylight.faces.observe import FaceView, observe_face
-from skylight.faces.photographs import choose_landmarker, fit_visible
+from skylight.faces.photographs import fit_visible
 from skylight.imaging.colour import linear_to_srgb
 from skylight.imaging.photo import Photo, photo_from_codes
 from skylight.inverse.result import Estimate

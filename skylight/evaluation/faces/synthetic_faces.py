@@ -1,7 +1,7 @@
 """Illumination from rendered faces (thesis, 5.5.3, Table 5.2)."""
 
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from skylight.evaluation.faces.face_light import (
     coverage,
     face_score,
     fitted_head,
+    light_by_method,
     light_of,
     peak_mib,
     pose_error_deg,
@@ -24,10 +25,12 @@ from skylight.evaluation.faces.options import EstimateOptions
 from skylight.evaluation.harness.pictures import beside, strip, write_sheet
 from skylight.evaluation.harness.run import Check, Item, picture_of
 from skylight.evaluation.harness.tables import Rows
+from skylight.inverse.sky.solver import THESIS
 from skylight.io.files import write_png
 from skylight.models.names import LightName
 
 OURS: LightName = "autoencoder"
+THESIS_SOLVER = "_thesis"  # the row of the thesis' solver (B.1)
 # rows with something known: the geometry, the skin's albedo, the light where the search starts
 TRUE, TRUE_ALBEDO, TRUE_START = "_true", "_true_albedo", "_true_start"
 MEAN_GOALS = {
@@ -95,11 +98,11 @@ class SyntheticFaces:
         facts |= {
             "landmark_error": fit.landmark_error,
             "pose_deg": pose_error_deg(fit, face.truth),
-            "pixels": len(found.view.observation.pixels),
+            "pixels": len(found.view.blocks),
         }
         environments = {m: e.environment for m, e in found.estimates.items()}
         write_png(picture, beside(face.encoded, strip(face.environment, environments), item))
-        metrics = found.metrics | self._known(face, found)
+        metrics = found.metrics | self._by_thesis(face, found) | self._known(face, found)
         if OURS in metrics:
             metrics[OURS]["pose_deg"] = pose_error_deg(fit, face.truth)
             metrics[OURS]["peak_mib"] = peak_mib()
@@ -110,6 +113,18 @@ class SyntheticFaces:
         facts |= choice_facts(found.estimates)
         facts |= {"seconds": seconds, "peak_mib": peak_mib()}
         return Item(name=item, metrics=metrics, facts=facts)
+
+    def _by_thesis(self, face: KnownFace, found: LitFace) -> dict[str, dict[str, float]]:
+        """The autoencoder by the solver of the thesis' B.1, from the same view."""
+        if OURS not in self.methods:
+            return {}
+        solver, seconds, cpu = replace(THESIS, weights=self.options.solver.weights), {}, {}
+        options = replace(self.options, solver=solver)
+        (estimate,) = light_by_method(
+            found.view.observation, (OURS,), seconds, options, cpu
+        ).values()
+        times = {"seconds": seconds[OURS], "cpu_seconds": cpu[OURS]}
+        return {OURS + THESIS_SOLVER: face_score(estimate.environment, face) | times}
 
     def _known(self, face: KnownFace, found: LitFace) -> dict[str, dict[str, float]]:
         """Rows in which something is known that is not in a photograph."""

@@ -24,8 +24,13 @@ from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import rotation_about
 from skylight.transport.camera import Camera
 from skylight.transport.gbuffer import GBuffer, rasterize
+from skylight.transport.indirect.path_tracer import (
+    DiffuseScene,
+    Sampling,
+    radiosity_transfer,
+    shade,
+)
 from skylight.transport.mesh import loaded_mesh
-from skylight.transport.path_tracer import DiffuseScene, Sampling, radiosity_transfer, shade
 
 ALBEDO = 0.8
 WIDTH = 192

@@ -47,7 +47,7 @@ from skylight.probes.voxel.lightmap import Lightmap
 from skylight.probes.voxel.model import star_probe
 from skylight.probes.voxel.reconstruct import DirectReconstruction, SlotReconstruction
 from skylight.sphere.envmap import EnvironmentMap
-from skylight.transport.path_tracer import Sampling
+from skylight.transport.indirect.path_tracer import Sampling
 
 PROBES = (3, 5)
 KINDS = ("direct", "global")

@@ -16,7 +16,7 @@ from skylight.probes.voxel.relight.render import VoxelRenderer
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.rigid_transform import RigidTransform
 from skylight.transport.camera import Camera
-from skylight.transport.path_tracer import DiffuseScene, Sampling, shade
+from skylight.transport.indirect.path_tracer import DiffuseScene, Sampling, shade
 
 ALBEDO = 0.8
 PIXELS = 160

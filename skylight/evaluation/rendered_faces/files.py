@@ -15,13 +15,9 @@ from skylight.faces.fit import FaceFit
 from skylight.imaging.colour import srgb_to_linear
 from skylight.io.atomic import atomic_path
 from skylight.io.bounded import json_content, load_arrays
-from skylight.io.files import (
-    read_environment_map,
-    write_environment_map,
-    write_json,
-    write_png,
-)
+from skylight.io.files import read_environment_map, write_environment_map, write_png
 from skylight.io.hdr import HALF_MAX, read_linear, write_exr
+from skylight.io.json_files import write_json
 from skylight.io.opened_picture import opened_picture
 from skylight.transport.camera import Camera
 

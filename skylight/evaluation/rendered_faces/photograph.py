@@ -27,19 +27,26 @@ def compose(
     depth_m: Float[ndarray, "h w"],
     skin: Bool[ndarray, "h w"],
     camera: Camera,
-    environment: EnvironmentMap,
+    backdrop: Float[ndarray, "h w 3"],
 ) -> Float[ndarray, "h w 3"]:
-    """albedo * scattered(diffuse / albedo) + gloss, before the light itself as background."""
+    """albedo * scattered(diffuse / albedo) + gloss, before a backdrop."""
     seen = layers.albedo > 1e-6
     irradiance = np.where(seen, layers.diffuse / np.where(seen, layers.albedo, 1), 0)
     spread = scattered(irradiance, depth_m, skin, camera.focal_px)
-    backdrop = background(environment, camera) * (1 - layers.cover[..., None])
-    return (layers.albedo * spread + layers.gloss + backdrop).astype(np.float32)
+    behind = backdrop * (1 - layers.cover[..., None])
+    return (layers.albedo * spread + layers.gloss + behind).astype(np.float32)
 
 
-def background(environment: EnvironmentMap, camera: Camera) -> Float[ndarray, "h w 3"]:
-    """What a level camera sees of the map, interpolated."""
-    row, column = pixel_from_direction(camera.rays(), *environment.layout)
+def background(
+    environment: EnvironmentMap,
+    camera: Camera,
+    world_from_camera: Float[ndarray, "3 3"] | None = None,
+) -> Float[ndarray, "h w 3"]:
+    """What a camera sees of the map, interpolated; a level one that looks ahead, or a turned."""
+    rays = camera.rays()
+    if world_from_camera is not None:
+        rays = rays @ torch.from_numpy(world_from_camera.T.copy())
+    row, column = pixel_from_direction(rays, *environment.layout)
     shape = camera.height, camera.width
     return cv2.remap(
         np.ascontiguousarray(environment.radiance.float().numpy()),

@@ -11,7 +11,12 @@ from torch import Tensor
 from skylight.evaluation.rendered_faces.map_folder import TurnedMap
 from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.evaluation.rendered_faces.people import person, seen_parts
-from skylight.evaluation.rendered_faces.photograph import compose, exposure_for, photograph
+from skylight.evaluation.rendered_faces.photograph import (
+    background,
+    compose,
+    exposure_for,
+    photograph,
+)
 from skylight.evaluation.rendered_faces.scene_light import scene_light
 from skylight.evaluation.rendered_faces.trace import trace
 from skylight.faces.fit import landmarks_of
@@ -61,7 +66,8 @@ def render(number: int, options: RenderOptions) -> RenderedFace:
     layers = trace(who, light.environment, samples=options.samples, seed=paths)
     parts = seen_parts(who)
     camera = who.truth.camera
-    traced = compose(layers, parts.depth_m, parts.skin, camera, light.environment)
+    backdrop = background(light.environment, camera)
+    traced = compose(layers, parts.depth_m, parts.skin, camera, backdrop)
     linear = exposure * traced
     encoded = photograph(linear, rng)
     codes = torch.from_numpy(encoded)

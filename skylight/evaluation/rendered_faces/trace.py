@@ -36,8 +36,15 @@ class Layers:
     cover: Float[ndarray, "h w"]
 
 
-def trace(person: Person, environment: EnvironmentMap, *, samples: int, seed: int) -> Layers:
-    """Two renders of the head under a full map.
+def trace(
+    person: Person,
+    environment: EnvironmentMap,
+    *,
+    samples: int,
+    seed: int,
+    world_from_camera: Float[ndarray, "3 3"] | None = None,
+) -> Layers:
+    """Two renders of the head under a full map, which a turned camera sees turned.
 
     The inside is Lambertian, path traced with the light that skin throws onto skin. The surface is
     a GGX lobe with Fresnel's reflectance (Mitsuba's ``principled``, black), direct light only: it
@@ -45,6 +52,10 @@ def trace(person: Person, environment: EnvironmentMap, *, samples: int, seed: in
     """
     mi = mitsuba_variant()
     light = {"type": "envmap", "bitmap": mi.Bitmap(fine_map(environment))}
+    if world_from_camera is not None:
+        turn = np.eye(4)
+        turn[:3, :3] = world_from_camera.T  # the scene is in the camera's frame
+        light["to_world"] = mi.ScalarTransform4f(turn.tolist())
     top, left, height, width = window(person)
     film: dict[str, object] = {
         "pixel_format": "rgba",

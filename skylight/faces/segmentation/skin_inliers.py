@@ -96,14 +96,17 @@ def _light(
 ) -> tuple[Float[Tensor, " k"], float]:
     """(non-negative light, strength of the gloss) of least squared relative errors.
 
-    By multiplicative updates (Lee & Seung 2001), the two by turns.
+    By multiplicative updates (Lee & Seung 2001), the two by turns; those of the light, in
+    single precision: nothing is subtracted in them.
     """
     light, gloss = start
     basis = diffuse + gloss * glossy
     relative = weights / (basis @ light + floor) ** 2
     aim = basis.T @ (relative * brightness)
+    single, factor, aim, found = (x.float() for x in (basis, relative, aim, light))
     for _ in range(STEPS):
-        light = light * aim / (basis.T @ (relative * (basis @ light))).clamp(min=1e-30)
+        found = found * aim / (single.T @ (factor * (single @ found))).clamp(min=1e-30)
+    light = found.double()
     shine = relative * (glossy @ light)
     grown = float(shine @ brightness / (shine @ (basis @ light)).clamp(min=1e-30))
     return light, min(max(gloss * grown**2, LEAST_GLOSS), MOST_GLOSS)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.optimize import nnls
 from torch import Tensor
 
 from skylight.errors import InputError
@@ -106,6 +105,8 @@ def _least_distance(
     system = torch.cat([rows.T, least[None] / scale])
     target = np.zeros(len(system))
     target[-1] = 1
+    from scipy.optimize import nnls  # takes 0.2 s to import
+
     weights, _ = nnls(system.numpy(), target)
     # what is left of the target is 1 / (1 + |z|^2), at least 1/2
     left = 1 - float(system[-1] @ torch.from_numpy(weights))

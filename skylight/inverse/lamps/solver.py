@@ -13,7 +13,7 @@ from skylight.inverse.objective.answer import Ends, face_lights
 from skylight.inverse.objective.descent import Points, Round, descend
 from skylight.inverse.objective.evidence import log_evidence
 from skylight.inverse.objective.light_objective import LightObjective
-from skylight.inverse.objective.lit_faces import LitFaces
+from skylight.inverse.objective.lit_faces import Level, LitFaces
 from skylight.inverse.objective.starts import choose_starts
 from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.posterior import SunEvidence, face_evidence, sun_evidence, sun_posterior
@@ -36,18 +36,18 @@ class LampsOptions:
     scan_candidates: int = 6
     sets: int = 6
     coarse: tuple[Round, ...] = (
-        Round(level=3, starts=10, iterations=6, even_skin=True, steps="gauss-newton"),
-        Round(level=2, starts=3, iterations=8, even_skin=True, steps="gauss-newton"),
+        Round(level=Level(2), starts=10, iterations=6, even_skin=True, steps="gauss-newton"),
+        Round(level=Level(1), starts=3, iterations=8, even_skin=True, steps="gauss-newton"),
     )
     fine: tuple[Round, ...] = (
-        Round(level=1, starts=1, iterations=8, steps="gauss-newton"),
-        Round(level=0, starts=1, iterations=5, steps="gauss-newton"),
+        Round(level=Level(0), starts=1, iterations=8, steps="gauss-newton"),
+        Round(level=Level(0), starts=1, iterations=5, steps="gauss-newton"),
     )
     tolerance: float = 1e-4
     weights: ObjectiveWeights = ObjectiveWeights()
 
     @property
-    def levels(self) -> list[int]:
+    def levels(self) -> list[Level]:
         return sorted({one.level for one in (*self.coarse, *self.fine)})
 
 
@@ -121,7 +121,7 @@ class LampsSolver:
 
 
 def _estimate(
-    ends: Ends, faces: LitFaces, level: int, scan: SunScan, evidence: SunEvidence
+    ends: Ends, faces: LitFaces, level: Level, scan: SunScan, evidence: SunEvidence
 ) -> Estimate:
     """The answer, in its photographs' units and on the CPU."""
     model = ends.objective.model

@@ -10,7 +10,7 @@ from torch import Tensor
 from skylight.inverse.objective.descent import Points
 from skylight.inverse.objective.evidence import log_evidence
 from skylight.inverse.objective.light_objective import LightObjective, Unpacked
-from skylight.inverse.objective.lit_faces import LitFaces
+from skylight.inverse.objective.lit_faces import Level, LitFaces
 from skylight.inverse.result import FaceLight, Status, residual
 
 
@@ -59,7 +59,7 @@ class Ends:
         )
 
 
-def face_lights(ends: Ends, p: int, faces: LitFaces, level: int) -> tuple[FaceLight, ...]:
+def face_lights(ends: Ends, p: int, faces: LitFaces, level: Level) -> tuple[FaceLight, ...]:
     """What the light of problem ``p`` does to its faces, in their units and on the CPU."""
     parts, scales = ends.parts, faces.scales()
     lights = []

@@ -12,11 +12,12 @@ from skylight.inverse.gauss_newton import minimise_robust
 from skylight.inverse.lbfgs import minimise
 from skylight.inverse.objective.light_objective import LightObjective
 from skylight.inverse.objective.linearised import deviations, jacobian
+from skylight.inverse.objective.lit_faces import Level
 
 
 @dataclass(frozen=True, kw_only=True)
 class Round:
-    """So many of the best ``starts``, minimised on ``level`` (0 is the finest) of the pyramid.
+    """So many of the best ``starts``, minimised on a ``level`` of the pyramid.
 
     With ``even_skin`` each face has one albedo, whatever the weights say. ``steps`` of Gauss and
     Newton take as many derivatives of the light as that has parameters, those with Broyden's
@@ -24,7 +25,7 @@ class Round:
     many starts.
     """
 
-    level: int
+    level: Level
     starts: int
     iterations: int
     even_skin: bool = False

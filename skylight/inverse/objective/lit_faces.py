@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import fmean
+from typing import NamedTuple
 
 import torch
 
@@ -10,6 +11,16 @@ from skylight.inverse.objective.face_term import FaceTerm
 from skylight.inverse.scan import SCAN_HEIGHT
 from skylight.inverse.sun_prior import SunPrior
 from skylight.transport.observation import Observation
+
+
+class Level(NamedTuple):
+    """Of the pyramid: 1 / 2^``pixels`` of the picture's resolution, 1 / 2^``light`` of the sky's.
+
+    A sky on half as many rows takes a quarter of the time.
+    """
+
+    pixels: int
+    light: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +31,7 @@ class ScannedFace:
     """
 
     photo: int
-    pyramid: dict[int, FaceTerm]
+    pyramid: dict[Level, FaceTerm]
     scanned: Observation
     mean: float
 
@@ -28,7 +39,7 @@ class ScannedFace:
     def of(
         observation: Observation,
         photo: int,
-        levels: Sequence[int],
+        levels: Sequence[Level],
         device: torch.device,
         *,
         sphere: bool = False,
@@ -42,12 +53,19 @@ class ScannedFace:
         """
         mean = observation.mean_luminance
         pyramid = [observation.to(device).scaled(1 / mean)]
-        while len(pyramid) <= max(1, *levels):
+        while len(pyramid) <= max(level.pixels for level in levels):
             pyramid.append(pyramid[-1].coarser(1))
+        assert observation.transport.grid.layout is not None
+        rows = observation.transport.grid.layout[0]
+
+        def term(level: Level) -> FaceTerm:
+            coarse = pyramid[level.pixels].on_rows(rows >> level.light)
+            return FaceTerm.of(coarse, sphere=sphere)
+
         return ScannedFace(
             photo=photo,
-            pyramid={level: FaceTerm.of(pyramid[level], sphere=sphere) for level in levels},
-            scanned=pyramid[1].on_rows(SCAN_HEIGHT),
+            pyramid={level: term(level) for level in levels},
+            scanned=pyramid[0].on_rows(SCAN_HEIGHT),
             mean=mean,
         )
 
@@ -81,7 +99,7 @@ class LitFaces(list[ScannedFace]):
         count = 1 + max(face.photo for face in self)
         return [fmean(face.mean for face in self if face.photo == k) for k in range(count)]
 
-    def terms(self, level: int) -> list[FaceTerm]:
+    def terms(self, level: Level) -> list[FaceTerm]:
         """Of one problem: each face at a level of the pyramid, in units of its photograph's scale.
 
         So are the exposures that explain it.

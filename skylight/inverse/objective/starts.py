@@ -18,22 +18,24 @@ def choose_starts(
     objective: LightObjective,
     towards: Float[Tensor, "d c p"],
     albedo_modes: Float[Tensor, "k 3"],
+    *,
+    centroids: bool = True,
 ) -> tuple[Float[Tensor, "s q"], Float[Tensor, " s"]]:
     """Packed starts and their scores, each with its best exposures and albedo modes.
 
     The best of the c candidates for each of d directions (what the model has ``starts_towards``
-    those of a scan), and the model's centroids.
+    those of a scan), and with ``centroids`` the model's own starts, turned to the first.
     The score is data and the priors of albedo and the sun's place alone: how likely a sky is counts
     from the first step on.
     """
     model = objective.model
     count, towards = len(towards), towards.flatten(0, 1).to(albedo_modes)
-    centroids = model.starts().to(albedo_modes)
-    if model.azimuth_index is not None:
-        i = model.azimuth_index
-        centroids = centroids.clone()
-        centroids[:, i] = towards[0, i]
-    light = torch.cat([towards, centroids])
+    light = towards
+    if centroids:
+        others = model.starts().to(albedo_modes).clone()
+        if model.azimuth_index is not None:
+            others[:, model.azimuth_index] = towards[0, model.azimuth_index]
+        light = torch.cat([towards, others])
     sky = model(light)
     ground_albedo = light.new_full((len(light), 0 if model.grid.is_sphere else 3), START_GROUND)
     ground = objective.ground_radiance(sky, ground_albedo)

@@ -1,1 +1,1 @@
-"""Illumination by a sky over a Lambertian ground: a coarse-to-fine solver."""
+"""Illumination by a sky over a Lambertian ground: coarse to fine, and smoothed over films."""

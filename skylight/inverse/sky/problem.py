@@ -23,8 +23,8 @@ class SkyProblem:
 
     The faces of one photograph share its exposure. Of an observation's transport only the
     sky's half is kept, folded with the ground: with the pyramid 0.7 times as much memory as
-    the observation's own, 185 MB for a face of 3,700 pixels seen on 64 rows with gloss. Let go
-    of each observation once it is added, and eight such faces fit in 2.5 GB.
+    the observation's own, 35 MB for a face in 700 blocks of pixels seen on 64 rows with gloss. Let
+    go of each observation once it is added.
 
     Everything is computed on the device of ``albedo_modes``, where ``model`` and the priors have
     to be; observations are moved there when they are added. The estimate is on the CPU.

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 import torch
 from jaxtyping import Float
@@ -14,7 +14,7 @@ from skylight.inverse.objective.answer import Ends, face_lights
 from skylight.inverse.objective.descent import Points, Round, descend
 from skylight.inverse.objective.face_term import FaceTerm
 from skylight.inverse.objective.light_objective import LightObjective
-from skylight.inverse.objective.lit_faces import LitFaces
+from skylight.inverse.objective.lit_faces import Level, LitFaces
 from skylight.inverse.objective.starts import choose_starts
 from skylight.inverse.objective.weights import ObjectiveWeights
 from skylight.inverse.posterior import (
@@ -26,11 +26,15 @@ from skylight.inverse.posterior import (
 )
 from skylight.inverse.result import UNEXPLAINED, Estimate, advice
 from skylight.inverse.scan import SunScan, scan_faces
+from skylight.inverse.sky.linear_direction import linear_direction
 from skylight.inverse.sun_prior import SunPrior
+from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.base import LightModel, Prior
 from skylight.models.ground import LambertianGround
+from skylight.models.names import SolverName
 from skylight.models.prior import GaussianMixture
 from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.frame import angles_from_direction
 from skylight.work.progress import Progress
 
 T = TypeVar("T")
@@ -46,21 +50,35 @@ class SolverOptions:
     beside a sun that is wrong excuse it. The last rounds take Gauss-Newton steps: twenty of L-BFGS
     ended up to 100 nats above where these do, with suns that were not yet where the face has them.
 
+    With a ``start`` from the "mean" there is one: the mean of all latents, its azimuth that of
+    :func:`~skylight.inverse.sky.linear_direction.linear_direction`.
+
     With ``evidence`` the estimate tells how likely the faces are under the model, which takes as
     many derivatives of the sky as that has parameters.
     """
 
+    start: Literal["scan", "mean"] = "scan"
     scan_candidates: int = 10
     rounds: tuple[Round, ...] = (
-        Round(level=3, starts=10, iterations=6, even_skin=True),
-        Round(level=3, starts=4, iterations=10, even_skin=True),
-        Round(level=2, starts=2, iterations=12),
-        Round(level=1, starts=1, iterations=8, steps="broyden"),
-        Round(level=0, starts=1, iterations=4, steps="broyden"),
+        Round(level=Level(2, light=1), starts=10, iterations=6, even_skin=True),
+        Round(level=Level(2, light=1), starts=4, iterations=10, even_skin=True),
+        Round(level=Level(1, light=1), starts=2, iterations=12),
+        Round(level=Level(0), starts=1, iterations=8, steps="broyden"),
+        Round(level=Level(0), starts=1, iterations=4, steps="broyden"),
     )
     tolerance: float = 1e-4
     weights: ObjectiveWeights = ObjectiveWeights()
     evidence: bool = False
+
+
+# Thesis, B.1: pyramids of four levels for face and light, on each L-BFGS until it converges (or
+# 100 steps), from the mean of the latents. What is minimised is as for a scan's starts, with gloss,
+# pigments, white balance and wrong normals, which B.1 has not.
+THESIS = SolverOptions(
+    start="mean",
+    rounds=tuple(Round(level=Level(k, light=k), starts=1, iterations=100) for k in (3, 2, 1, 0)),
+)
+SOLVERS: dict[SolverName, SolverOptions] = {"scan": SolverOptions(), "thesis": THESIS}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,11 +99,12 @@ class SkySolver:
     ) -> list[Estimate]:
         """The sky of each problem; all have one :attr:`LitFaces.shape`.
 
-        Starts: the directions of the linear scan, each with the model's candidates, and the
-        mixture's centroids turned to the best of them; each with the albedo modes that explain
-        the picture best. All are scored on the coarsest level, the best few optimised, fewer on
-        every finer level; the best end point wins. In each round the starts of all problems are
-        one batch, and a problem's end does not depend on the others but for rounding.
+        Starts (of a scan): the directions of the linear scan, each with the model's candidates,
+        and the mixture's centroids turned to the best of them; each with the albedo modes that
+        explain the picture best. All are scored on the coarsest level, the best few optimised,
+        fewer on every finer level; the best end point wins. In each round the starts of all
+        problems are one batch, and a problem's end does not depend on the others but for
+        rounding.
 
         What clock and place tell of the sun counts unless the faces contradict it
         (:func:`~skylight.inverse.posterior.credible`): else a wrong clock would draw the sun.
@@ -135,10 +154,11 @@ class SkySolver:
     ) -> LightObjective:
         """Of all problems on a round's level; of one, without a copy of its transport."""
         faces = zip(*(one.terms(effort.level) for one in problems), strict=True)
-        weights = self.options.weights
+        weights, model = self.options.weights, self.model
+        assert model.grid.layout is not None
         return LightObjective(
             [FaceTerm.together(terms) for terms in faces],
-            self.model,
+            model.on_rows(model.grid.layout[0] >> effort.level.light),
             self.light_prior,
             self.albedo_prior,
             replace(weights, pigment_spread=0.0) if effort.even_skin else weights,
@@ -150,20 +170,44 @@ class SkySolver:
     ) -> Points:
         """Where descent begins towards each direction and from the mixture's centroids."""
         objective = self.objective([faces], [prior], self.options.rounds[0])
-        towards = self.model.starts_towards(directions)
-        return Points.starting(*choose_starts(objective, towards, self.albedo_modes))
+        if self.options.start == "mean":
+            towards = self._mean(linear_direction([face.scanned for face in faces]))
+        else:
+            towards = self.model.starts_towards(directions)
+        found = choose_starts(
+            objective, towards, self.albedo_modes, centroids=self.options.start != "mean"
+        )
+        return Points.starting(*found)
+
+    def _mean(self, direction: Float[Tensor, "3"]) -> Float[Tensor, "1 1 p"]:
+        """The mean of all latents, turned to a direction."""
+        if not isinstance(self.model, AutoencoderLight):
+            raise ValueError(f"{self.model.name} has no mean to start from: only latents have")
+        free = self.albedo_modes.new_zeros(1, 1, self.model.parameter_count)
+        free[..., self.model.azimuth_index] = float(angles_from_direction(direction)[0])
+        return self.model.from_free(free)
+
+
+@torch.no_grad()
+def environment_of(
+    model: LightModel,
+    params: Float[Tensor, " p"],
+    ground_albedo: Float[Tensor, "3"],
+    exposure: float,
+) -> EnvironmentMap:
+    """A sky above its ground, on :data:`SKY_ROWS` rows each, in a picture's units, on the CPU."""
+    sky = model.on_rows(SKY_ROWS)(params[None])[0] * exposure
+    full = LambertianGround(SKY_ROWS).append(sky.cpu(), ground_albedo.cpu())
+    return EnvironmentMap(radiance=full.reshape(2 * SKY_ROWS, 4 * SKY_ROWS, 3))
 
 
 def _estimate(
-    ends: Ends, p: int, faces: LitFaces, level: int, scan: SunScan, evidence: SunEvidence
+    ends: Ends, p: int, faces: LitFaces, level: Level, scan: SunScan, evidence: SunEvidence
 ) -> Estimate:
     """The answer to problem ``p``, in its photographs' units and on the CPU."""
     parts, model = ends.parts, ends.objective.model
     lights = face_lights(ends, p, faces, level)
-    with torch.no_grad():
-        sky = model.on_rows(SKY_ROWS)(parts.light[p, None])[0] * lights[0].exposure
-    full = LambertianGround(SKY_ROWS).append(sky.cpu(), parts.ground_albedo[p].cpu())
-    environment = EnvironmentMap(radiance=full.reshape(2 * SKY_ROWS, 4 * SKY_ROWS, 3))
+    environment = environment_of(model, parts.light[p], parts.ground_albedo[p], lights[0].exposure)
     sun = environment.brightest_direction()
     posterior = sun_posterior(
         evidence,

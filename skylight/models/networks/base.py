@@ -13,6 +13,7 @@ height that a sun may have.
 
 import math
 from abc import ABC, abstractmethod
+from functools import lru_cache
 from typing import Literal
 
 import torch
@@ -22,10 +23,17 @@ from torch import Tensor, nn
 from skylight.models.networks.sun_head import COORDINATES, SunHead
 
 HEIGHT, WIDTH = 32, 128
+COARSE_HEIGHTS = (4, 8, 16)  # on which skies can be had as well
 # The middle of column 64, where training skies have their sun.
 CENTRE_AZIMUTH_RAD = math.pi / WIDTH
 # of coded radiance; exp(13) is 20 times the brightest pixel of 440 simulated days
 CODE_LIMIT = 13.0
+
+
+@lru_cache(maxsize=4)
+def _sun_on_rows(height: int, device: torch.device) -> SunHead:
+    return SunHead(height, CENTRE_AZIMUTH_RAD).to(device)
+
 
 Kind = Literal["splines", "convolutions"]
 Coding = Literal["log", "linear"]
@@ -77,15 +85,13 @@ class SkyNetwork(nn.Module, ABC):
 
         Differentiable in both; one azimuth serves any number of skies. ``sun_spread_rad`` widens
         the sun's lobe: see :meth:`~skylight.models.networks.sun_head.SunHead.lobe`. ``height`` is
-        the number of rows, :data:`HEIGHT` or a multiple of it.
+        the number of rows, one of :data:`COARSE_HEIGHTS`, :data:`HEIGHT` or a multiple of it.
         """
 
     def _sun_head(self, height: int, device: torch.device) -> SunHead:
         """That of maps of so many rows."""
         assert self.sun_head is not None
-        if height == HEIGHT:
-            return self.sun_head
-        return SunHead(height, CENTRE_AZIMUTH_RAD).to(device)
+        return self.sun_head if height == HEIGHT else _sun_on_rows(height, device)
 
     def split(
         self, radiance: Float[Tensor, "b h w 3"]

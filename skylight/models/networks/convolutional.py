@@ -132,7 +132,8 @@ class ConvolutionalAutoencoder(SkyNetwork):
         sun_spread_rad: float,
         height: int = HEIGHT,
     ) -> Float[Tensor, "b h w 3"]:
-        """:meth:`decode` in evaluation mode, its columns resampled and, on more rows, repeated.
+        """:meth:`decode` in evaluation mode, its columns resampled; on more rows pixels are
+        repeated, on fewer those of the mean.
 
         With a spread the sun's lobe is evaluated at its azimuth and only the rest is resampled: a
         sun much sharper than a pixel jumps from one to the next, and a turn by part of a pixel
@@ -145,8 +146,12 @@ class ConvolutionalAutoencoder(SkyNetwork):
         turn = (azimuth_rad - CENTRE_AZIMUTH_RAD).expand(len(z))
         if self.sun_head is not None and sun_spread_rad == 0 and height == HEIGHT:
             return shift_columns(sky + self.sun_head.lobe(z[:, -COORDINATES:]), turn)
-        times = height // HEIGHT
-        sky = shift_columns(sky, turn).repeat_interleave(times, 1).repeat_interleave(times, 2)
+        sky = shift_columns(sky, turn)
+        if height < HEIGHT:
+            sky = sky.unflatten(1, (height, -1)).unflatten(3, (4 * height, -1)).mean((2, 4))
+        elif height > HEIGHT:
+            times = height // HEIGHT
+            sky = sky.repeat_interleave(times, 1).repeat_interleave(times, 2)
         if self.sun_head is None:
             return sky
         head = self._sun_head(height, z.device)

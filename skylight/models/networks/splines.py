@@ -10,6 +10,7 @@ decoder multiplies a hundredth as often as convolutions do that paint 4,096 pixe
 an MLP of the sky's own control points on a coarser lattice, those of least squares.
 """
 
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -85,13 +86,25 @@ class SplineAutoencoder(SkyNetwork):
         height: int = HEIGHT,
     ) -> Float[Tensor, "b h w 3"]:
         """:meth:`decode`, the suns turned to those azimuths; exact, as nothing is resampled."""
-        splines = self.splines
-        if height != HEIGHT:
-            splines = DiskSplines(ACROSS, DirectionGrid.sky(height)).to(z.device)
+        splines = self.splines if height == HEIGHT else _on_rows(height, z.device)
         coded = splines(self.control(z), azimuth_rad - CENTRE_AZIMUTH_RAD)
         sky = _radiance(coded).unflatten(1, (height, 4 * height))
         head = self._sun_head(height, z.device)
         return sky + head.lobe(z[:, -COORDINATES:], azimuth_rad, sun_spread_rad)
+
+    def exportable(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b h w 3"]:
+        """:meth:`decode` by operations that ONNX knows."""
+        assert self.sun_head is not None
+        coded = self.splines.gathered(self.control(z), torch.zeros(1, device=z.device))
+        sky = _radiance(coded).unflatten(1, (HEIGHT, WIDTH))
+        return sky + self.sun_head.lobe(z[:, -COORDINATES:])
+
+
+@lru_cache(maxsize=8)
+@torch.inference_mode(False)  # whoever asks first may not want gradients, others may
+def _on_rows(height: int, device: torch.device) -> DiskSplines:
+    """Those of maps of so many rows."""
+    return DiskSplines(ACROSS, DirectionGrid.sky(height)).to(device)
 
 
 class _Products(nn.Module):

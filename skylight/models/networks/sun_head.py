@@ -67,11 +67,12 @@ class SunHead(nn.Module):
         azimuth_rad = azimuth_rad.expand_as(zenith)  # of one for all
         sun = direction_from_angles(azimuth_rad, zenith)
         # cos - 1 as half a squared chord: float32's cosine is too coarse for kappa times it
-        chord = (sun[:, None] - self.directions.to(sun)).square().sum(-1)
+        along = zip(sun.T, self.directions.to(sun).T.contiguous(), strict=True)
+        chord = torch.stack([(s[:, None] - w).square() for s, w in along]).sum(0)
         exponent = -0.5 * kappa[:, None] * chord
         total = torch.logsumexp(exponent + self.solid_angles.log().to(sun), 1, keepdim=True)
-        radiance = (exponent - total).exp()[..., None] * energy[:, None]
-        return radiance.reshape(-1, self.height, 4 * self.height, 3)
+        radiance = (exponent - total).exp()[:, None] * energy[..., None]
+        return radiance.unflatten(2, (self.height, 4 * self.height)).permute(0, 2, 3, 1)
 
     def direction(
         self, coordinates: Float[Tensor, "b 5"], azimuth_rad: Float[Tensor, " b"]

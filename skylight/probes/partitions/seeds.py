@@ -18,8 +18,7 @@ from scipy.spatial import ConvexHull, QhullError
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.io.files import write_json
-from skylight.io.json_files import read_object, read_whole, require_keys
+from skylight.io.json_files import read_object, read_whole, require_keys, write_json
 
 CLOSEST_SEEDS_RAD = 1e-3
 # cos of how far a direction may at most be from its closest seed: 89.4 degrees

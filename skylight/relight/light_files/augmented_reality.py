@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from skylight.io.files import write_json, write_light
+from skylight.io.files import write_light
+from skylight.io.json_files import write_json
 from skylight.relight.light_files.harmonics import rounded, second_degree
 from skylight.relight.main_light import split_main_light
 from skylight.sphere.cube_faces import FACES, cube_faces

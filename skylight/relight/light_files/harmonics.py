@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.harmonic_conventions import HarmonicConvention, to_convention
 from skylight.sphere.harmonics import project

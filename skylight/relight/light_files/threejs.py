@@ -9,7 +9,8 @@ import torch
 
 from skylight.imaging.colour import linear_to_srgb, srgb_to_linear
 from skylight.inverse.result import Lamp
-from skylight.io.files import write_environment_map, write_json
+from skylight.io.files import write_environment_map
+from skylight.io.json_files import write_json
 from skylight.relight.lamp_lights import colour_and_strength
 from skylight.relight.light_files.harmonics import rounded, second_degree
 from skylight.sphere.envmap import EnvironmentMap, luminance

@@ -27,7 +27,7 @@ from skylight.work.progress import StageProgress
 
 KEPT = "lamps.safetensors"
 FACES = "face.png"
-_IN_MEMORY = 2  # estimates: with a face of 2,500 pixels each takes 40 MB
+_IN_MEMORY = 2  # estimates: with a face of 2,500 pixels each takes 10 MB
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,12 +36,14 @@ class _Face:
 
     transport: FaceTransport
     image: Float[Tensor, "h w 3"]
-    places: Int[Tensor, "m 2"]
+    places: Int[Tensor, "u 2"]
+    blocks: Int[Tensor, " u"]
     white: float
 
     def panels(self, light: LampLight) -> list[UInt8[np.ndarray, "h w 3"]]:
         """As it was seen, and under the light."""
-        rendered = over_grey(self.image, self.places, self.transport.rendered(light))
+        rendered = self.transport.rendered(light)[self.blocks]
+        rendered = over_grey(self.image, self.places, rendered)
         return [srgb_codes(picture, self.white) for picture in (self.image, rendered)]
 
 
@@ -67,7 +69,8 @@ def keep_lamps(folder: Path, result: PhotoEstimate) -> dict[str, Any]:
             "gains": transport.gains,
             "grey": torch.tensor(transport.grey),
             "image": seen.view.image,
-            "places": observation.places,
+            "places": seen.view.places,
+            "blocks": seen.view.blocks,
             "white": torch.tensor(white_of(observation.pixels), dtype=torch.float64),
         }
         if transport.glossy is not None:
@@ -140,9 +143,9 @@ def _kept(folder: str) -> tuple[LampLight, list[_Face]]:
             gains=mine["gains"],
             grey=bool(mine["grey"]),
         )
-        image, places = mine["image"], mine["places"]
         white = float(mine["white"])
-        faces.append(_Face(transport=transport, image=image, places=places, white=white))
+        shown = {name: mine[name] for name in ("image", "places", "blocks")}
+        faces.append(_Face(transport=transport, white=white, **shown))
     return light, faces
 
 

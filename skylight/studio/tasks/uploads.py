@@ -9,8 +9,8 @@ from typing import Any
 from PIL import Image
 
 from skylight.errors import InputError
+from skylight.faces.detection.landmarkers import choose_landmarker
 from skylight.faces.landmarks import DetectedFace
-from skylight.faces.photographs import choose_landmarker
 from skylight.imaging.photo import Photo, read_photo
 from skylight.io.atomic import atomic_path
 from skylight.io.files import read_environment_map

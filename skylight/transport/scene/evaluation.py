@@ -13,7 +13,7 @@ from skylight.sphere.frame import pixel_from_direction
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.camera import Camera
 from skylight.transport.gbuffer import CoveredPixels
-from skylight.transport.matrix import TransportMatrix
+from skylight.transport.matrix import SeenDirections, TransportMatrix
 from skylight.transport.render import reflection_weights
 from skylight.transport.scene.traced import TracedScene, scene_camera, shipped_path
 
@@ -21,27 +21,59 @@ GROUND_ALBEDO = 0.5
 OBJECT_ALBEDO = 0.7
 METAL_REFLECTANCE = 0.9
 METAL_ROUGHNESS = 0.25
+_PIXELS = 64  # whose rows are computed together
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class EvaluationScene:
-    """A ball, a ring, a block and a rabbit on a grey ground, precomputed for one camera.
+    """A ball, a ring, a block and a rabbit on a grey ground, traced for one camera.
 
-    ``transport`` and ``albedo`` give the matt scene's shading; ``mirror`` (k,n) weighs a map's
-    directions for each pixel of ``metal``, a metal ball and ring without ground. Both are
-    over the same full lat-long grid, to which maps are resized, keeping their energy.
+    Light is a full lat-long map, resized to ``grid``, keeping its energy. Shading is computed from
+    what each pixel sees, block by block: as long as making a matrix of 170 MB takes, again for each
+    light. Memory: a bit for each pixel and direction, 5 MB.
     """
 
-    camera: Camera
-    matt: CoveredPixels
-    transport: TransportMatrix
-    albedo: Float[Tensor, "m 3"]
-    metal: CoveredPixels
-    mirror: Float[Tensor, "k n"]
+    traced: TracedScene
+
+    @property
+    def grid(self) -> DirectionGrid:
+        return DirectionGrid.latlong(self.traced.grid_height)
+
+    @property
+    def camera(self) -> Camera:
+        return scene_camera(self.traced.height)
+
+    @property
+    def matt(self) -> CoveredPixels:
+        """Pixels of the matt scene; ``metal`` those of a metal ball and ring without ground."""
+        return self.traced.matt
+
+    @property
+    def metal(self) -> CoveredPixels:
+        return self.traced.metal
+
+    @property
+    def albedo(self) -> Float[Tensor, "m 3"]:
+        albedo = torch.where(self.traced.on_ground, GROUND_ALBEDO, OBJECT_ALBEDO)
+        return albedo[:, None].expand(-1, 3)
+
+    @property
+    def transport(self) -> TransportMatrix:
+        """The matt scene's, made anew by every call: 4 bytes for each pixel and direction."""
+        seen = self.traced.seen_by(0, len(self.traced.normals)).T.bool()
+        sight = SeenDirections(visible=seen, normals=self.traced.normals, grid=self.grid)
+        return sight.transport()
 
     def shade(self, environment: EnvironmentMap) -> Float[Tensor, "m 3"]:
         """Direct diffuse light at the matt scene's pixels, albedo * T l."""
-        return self.albedo * (self.transport.matrix @ self._light(environment))
+        grid, traced = self.grid, self.traced
+        irradiance = self._light(environment) * (grid.solid_angles / torch.pi).float()[:, None]
+        directions, shading = grid.directions.float(), []
+        for first in range(0, len(traced.normals), _PIXELS):
+            cosine = directions @ traced.normals[first : first + _PIXELS].T
+            cosine.clamp_(min=0).mul_(traced.seen_by(first, _PIXELS))
+            shading.append(irradiance.T @ cosine)
+        return self.albedo * torch.cat(shading, 1).T
 
     def relight(self, environment: EnvironmentMap) -> Float[Tensor, "h w 3"]:
         """Picture of the matt scene; where it ends, the environment itself is seen."""
@@ -49,17 +81,21 @@ class EvaluationScene:
 
     def relight_glossy(self, environment: EnvironmentMap) -> Float[Tensor, "h w 3"]:
         """Picture of the metal objects before the environment, without shadows."""
-        reflected = METAL_REFLECTANCE * (self.mirror @ self._light(environment))
+        light, alpha = self._light(environment), METAL_ROUGHNESS**2
+        reflected = METAL_REFLECTANCE * torch.cat(
+            [
+                reflection_weights(some, self.grid, alpha) @ light
+                for some in self.traced.mirrored.split(_PIXELS)
+            ]
+        )
         return self.metal.image(reflected, self._background(environment))
 
     def _light(self, environment: EnvironmentMap) -> Float[Tensor, "n 3"]:
         if environment.is_sky:
             raise ValueError("a sky alone leaves the ground unknown: add one with .with_ground()")
-        layout = self.transport.grid.layout
-        assert layout is not None
-        if environment.layout != layout:
-            environment = environment.resize(layout[0])
-        return environment.flat.to(self.mirror)
+        if environment.layout != self.grid.layout:
+            environment = environment.resize(self.traced.grid_height)
+        return environment.flat.to(self.traced.normals)
 
     def _background(self, environment: EnvironmentMap) -> Float[Tensor, "h w 3"]:
         height, width = environment.layout
@@ -79,26 +115,11 @@ class EvaluationScene:
 def evaluation_scene(height: int = 72, grid_height: int = 64) -> EvaluationScene:
     """The scene at ``height`` x 4/3 ``height`` pixels over a full lat-long grid; made once.
 
-    About 6000 x 8192 entries (200 MB) by default. Sizes that do not come with skylight are traced.
+    Sizes that do not come with skylight are traced.
     """
     path = shipped_path(height, grid_height)
     if path.exists():
-        return _scene(TracedScene.load(path))
+        return EvaluationScene(TracedScene.load(path))
     from skylight.transport.scene.model import trace_scene  # trimesh is slow to import
 
-    return _scene(trace_scene(height, grid_height))
-
-
-def _scene(traced: TracedScene) -> EvaluationScene:
-    grid = DirectionGrid.latlong(traced.grid_height)
-    directions, solid = grid.directions.float(), grid.solid_angles.float()
-    matrix = (traced.normals @ directions.T).clamp_(min=0).mul_(solid / torch.pi)
-    albedo = torch.where(traced.on_ground, GROUND_ALBEDO, OBJECT_ALBEDO)
-    return EvaluationScene(
-        camera=scene_camera(traced.height),
-        matt=traced.matt,
-        transport=TransportMatrix(matrix=matrix.mul_(traced.visible), grid=grid),
-        albedo=albedo[:, None].expand(-1, 3),
-        metal=traced.metal,
-        mirror=reflection_weights(traced.mirrored, grid, METAL_ROUGHNESS**2),
-    )
+    return EvaluationScene(trace_scene(height, grid_height))

@@ -32,7 +32,8 @@ def trace_scene(height: int, grid_height: int, *, workers: int = 1) -> TracedSce
         matt=_pixels(matt),
         normals=matt.normals.float(),
         on_ground=on_ground,
-        visible=free | below,
+        # a direction's pixels side by side: neighbours are alike, for whatever packs the file
+        visible=np.packbits((free | below).T.numpy(), axis=1),
         metal=_pixels(metal),
         mirrored=_mirrored(metal).float(),
     )

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from skylight.errors import AssetError
@@ -23,7 +23,8 @@ class TracedScene:
     """What has to be traced for an :class:`EvaluationScene`: its pixels and what they see.
 
     ``visible`` tells which directions of the grid are free, wherever they are above the normal's
-    horizon; ``mirrored`` is where the metal's pixels mirror to.
+    horizon: bits, eight pixels of a direction a byte (:meth:`seen_by` unpacks some). ``mirrored``
+    is where the metal's pixels mirror to.
     """
 
     height: int
@@ -31,7 +32,7 @@ class TracedScene:
     matt: CoveredPixels
     normals: Float[Tensor, "m 3"]
     on_ground: Bool[Tensor, " m"]
-    visible: Bool[Tensor, "m n"]
+    visible: UInt8[np.ndarray, "n bytes"]
     metal: CoveredPixels
     mirrored: Float[Tensor, "k 3"]
 
@@ -40,6 +41,12 @@ class TracedScene:
         """Of the file in the package."""
         return shipped_path(self.height, self.grid_height)
 
+    def seen_by(self, first: int, count: int) -> UInt8[Tensor, "n b"]:
+        """1 where a direction is free for so many pixels from ``first`` on, a multiple of 8."""
+        some = self.visible[:, first // 8 : -(-(first + count) // 8)]
+        bits = np.unpackbits(some, axis=1)[:, : min(count, len(self.normals) - first)]
+        return torch.from_numpy(bits)
+
     def save(self, path: Path) -> None:
         """Bits and float32 numbers, packed by LZMA."""
         arrays = {
@@ -47,8 +54,7 @@ class TracedScene:
             "matt": self.matt.pixels.numpy().astype(np.uint16),
             "normals": self.normals.numpy(),
             "on_ground": self.on_ground.numpy(),
-            # a direction's pixels side by side: neighbours are alike
-            "visible": np.packbits(self.visible.T.numpy(), axis=1),
+            "visible": self.visible,
             "metal": self.metal.pixels.numpy().astype(np.uint16),
             "mirrored": self.mirrored.numpy(),
         }
@@ -63,14 +69,13 @@ class TracedScene:
         try:
             arrays = np.load(io.BytesIO(lzma.decompress(path.read_bytes())))
             found = {name: torch.from_numpy(arrays[name]) for name in ("normals", "mirrored")}
-            layout, count = tuple(arrays["layout"].tolist()), len(found["normals"])
-            visible = np.unpackbits(arrays["visible"], axis=1, count=count).view(np.bool_)
+            layout = tuple(arrays["layout"].tolist())
             return TracedScene(
                 height=layout[0],
-                grid_height=round((len(visible) / 2) ** 0.5),
+                grid_height=round((len(arrays["visible"]) / 2) ** 0.5),
                 matt=_pixels(layout, arrays["matt"]),
                 on_ground=torch.from_numpy(arrays["on_ground"]),
-                visible=torch.from_numpy(visible).T,
+                visible=np.ascontiguousarray(arrays["visible"]),
                 metal=_pixels(layout, arrays["metal"]),
                 **found,
             )

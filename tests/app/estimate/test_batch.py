@@ -12,7 +12,7 @@ from hypothesis import given
 from PIL import Image
 from skimage.data import astronaut
 
-from skylight.app.estimate import batch
+from skylight.app.estimate import batch, results
 from skylight.app.estimate.batch import (
     SUFFIXES,
     BatchSettings,
@@ -182,6 +182,13 @@ class TestGoingOn:
         with pytest.raises(InputError, match="other settings"):
             estimate_folder(photos, out, BatchSettings(light="sh25"))
 
+    def test_notes_tell_of_a_solver_that_is_not_the_usual_one(self) -> None:
+        """Folders of runs before there was another go on."""
+        assert "solver" not in BatchSettings().facts()
+        assert BatchSettings(solver="thesis").facts()["solver"] == "thesis"
+        with pytest.raises(InputError, match="not for sunsky"):
+            BatchSettings(solver="thesis", light="sunsky")
+
     def test_what_a_killed_worker_left_goes(self, copied: tuple[Path, Path]) -> None:
         photos, out = copied
         (out / "me_png" / ".partial-abc").mkdir()
@@ -211,7 +218,7 @@ class TestFailures:
         def full(*_: object, **__: object) -> None:
             raise OutputError("cannot write probe.exr: No space left on device")
 
-        monkeypatch.setattr(batch, "write_results", full)
+        monkeypatch.setattr(results, "write_results", full)
         with pytest.raises(OutputError, match="No space left"):
             estimate_folder(*one_photo, SH9)
         assert here == ["a.png", "me.png"]
@@ -224,7 +231,7 @@ class TestFailures:
         def broken(*_: object, **__: object) -> None:
             raise ValueError("no\nsecond line")
 
-        monkeypatch.setattr(batch, "write_results", broken)
+        monkeypatch.setattr(results, "write_results", broken)
         entries = estimate_folder(*one_photo, SH9)
         assert entries[1].error == "me.png: internal error (ValueError: no)"
 

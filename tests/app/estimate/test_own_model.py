@@ -17,11 +17,12 @@ from skylight.faces.fit import camera_project
 from skylight.faces.model import HeadModel
 from skylight.inverse.estimate import estimate_light
 from skylight.inverse.objective.descent import Round
+from skylight.inverse.objective.lit_faces import Level
 from skylight.inverse.sky.solver import SolverOptions
 from tests.evaluation.harness.test_run import Counting
 from tests.inverse.test_solve import SUNS, watched
 
-FEW = SolverOptions(rounds=(Round(level=3, starts=2, iterations=3),))
+FEW = SolverOptions(rounds=(Round(level=Level(3), starts=2, iterations=3),))
 
 
 @pytest.fixture

@@ -106,7 +106,8 @@ def test_the_residual_is_relative_and_leaves_kept_bounds_out(
     assert kept.any()
     expected[kept] = 0
     values = np.ma.filled(shown.get_array(), np.nan)
-    rows, columns = observation.places.T.numpy()
+    rows, columns = result.view.places.T.numpy()
+    expected = expected[result.view.blocks.numpy()]
     np.testing.assert_allclose(values[rows, columns], expected, atol=1e-5)
     assert np.isfinite(values).sum() == len(expected)
     # too bright is red, too dark is blue

@@ -9,14 +9,13 @@ from skylight.app.estimate.summary import summary
 from skylight.app.estimate.types import PhotoEstimate
 from skylight.imaging.taken import Taken
 from skylight.inverse.auto import choose
-from skylight.inverse.estimate import estimate_light
 from skylight.inverse.result import Lamp
-from tests.inverse.test_lamps import lit_ball
+from tests.inverse.test_lamps import ONE, found_in
 
 
 @pytest.fixture(scope="module")
 def found():
-    return estimate_light(lit_ball(((0.7, 0.4, 0.6), 3.0)), "lamps")
+    return found_in((ONE, 3.0))
 
 
 def lines(estimate):
@@ -52,7 +51,7 @@ def test_every_lamp_is_named(found):
 
 @pytest.mark.parametrize("explained", [True, False])
 def test_light_without_lamps_has_none(explained):
-    even = estimate_light(lit_ball(), "lamps")
+    even = found_in()
     verdict = even.posterior.verdict if explained else "unreliable: the face is not explained"
     told = lines(replace(even, posterior=replace(even.posterior, verdict=verdict)))
     assert of("lamp", told) == ["none seen: even light, or hidden behind the head"]

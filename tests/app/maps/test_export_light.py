@@ -11,7 +11,8 @@ import torch
 from skylight.app.figures.angles import describe_lamps
 from skylight.app.maps.export_light import LightTarget, default_face
 from skylight.cli import main
-from skylight.io.files import read_environment_map, read_light, write_environment_map, write_json
+from skylight.io.files import read_environment_map, read_light, write_environment_map
+from skylight.io.json_files import write_json
 from skylight.sphere.cube_faces import FACES
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import convert_latlong

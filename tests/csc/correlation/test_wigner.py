@@ -1,6 +1,7 @@
 import pytest
 import torch
 
+from skylight.csc.correlation import filter_group
 from skylight.csc.correlation.positions import Positions
 from skylight.csc.correlation.rotated import rotated_filters
 from skylight.csc.correlation.wigner import RotationCorrelation, fold
@@ -180,3 +181,31 @@ def test_zonal_correlation_is_the_rotation_correlation_of_isotropic_filters(
 def test_zonal_correlation_refuses_other_filters() -> None:
     with pytest.raises(ValueError, match="isotropic"):
         ZonalCorrelation(filters_of_every_kind(4), Positions(rows=4, twists=4))
+
+
+def test_a_batch_is_its_residuals() -> None:
+    """Of any leading dimensions."""
+    filters, positions = filters_of_every_kind(7), Positions(rows=5, twists=6)
+    correlation = RotationCorrelation(filters, positions, dtype=F64)
+    residuals = random(2, 3, 64)
+    found = correlation(residuals)
+    expected = torch.stack([brute_force(filters, positions, r) for r in residuals.flatten(0, 1)])
+    torch.testing.assert_close(found.flatten(0, 1), expected, atol=1e-11, rtol=0)
+    for values, alone in zip(
+        correlation.by_group(residuals), correlation.by_group(residuals[1, 2]), strict=True
+    ):
+        torch.testing.assert_close(values[1, 2], alone, atol=1e-12, rtol=0)
+    assert correlation(residuals[:0]).shape == (0, *found.shape[1:])
+
+
+@pytest.mark.parametrize("budget", [1, 500, 4000, 10**6])
+def test_the_share_taken_at_once_changes_nothing(
+    budget: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Single rows, several of one signal, whole signals, and all together."""
+    filters, positions = filters_of_every_kind(6), Positions(rows=5, twists=6)
+    correlation = RotationCorrelation(filters, positions, dtype=F64)
+    residuals = random(3, 49)
+    expected = torch.stack([brute_force(filters, positions, r) for r in residuals])
+    monkeypatch.setattr(filter_group, "_CACHED", budget)
+    torch.testing.assert_close(correlation(residuals), expected, atol=1e-11, rtol=0)

@@ -253,17 +253,15 @@ def test_gradient_step_is_bounded(weights: Sign) -> None:
     around = [(5, 12), (5, 11), (5, 13), (6, 12), (6, 11), (6, 13)]
     maps = it.maps([*held, missing], torch.tensor([[0.5]] * 5 + [[1.0]], dtype=F64))
     search = it.start(maps, weights=weights, thresholding=False)
-    search._append(held)
-    search._refit()
+    search.add(held)
     before = cost(search)
     offered: list[Atom] = [(0, (row, column, 0)) for row, column in around]
     gradient = it.columns(offered).T @ it.weighted(
         maps - it.maps(held, torch.from_numpy(search.weights))
     )
     assert gradient.min() > np.abs(search.weights).max()  # a step of 1 is the wrong one
-    search._append(offered)
-    search._threshold(6, len(offered))
-    search._refit()
+    rotated = search.rotated(offered)
+    search.accept(offered, rotated, search.images(rotated))
     assert len(search.filters) == 6
     assert set(held) < set(atoms_of(search))
     assert cost(search) < before

@@ -206,7 +206,7 @@ def estimated(monkeypatch: pytest.MonkeyPatch) -> None:
             transport=TransportMatrix(matrix=torch.full((3, len(grid)), 0.01), grid=grid),
         )
         return SimpleNamespace(
-            view=SimpleNamespace(observation=observation),
+            view=SimpleNamespace(observation=observation, blocks=torch.arange(3)),
             estimates=dict.fromkeys(methods, estimate),
             metrics={m: any_light.face_score(turned, face) for m in methods},
         )

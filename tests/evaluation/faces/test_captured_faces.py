@@ -14,6 +14,7 @@ from skylight.evaluation.harness.thesis_figures import METRICS
 from skylight.evaluation.main import EVALUATIONS, run_evaluation
 from skylight.faces.captures import FaceCapture, write_azimuths
 from skylight.sphere.envmap import EnvironmentMap
+from tests.evaluation.quick import QUICK
 from tests.face_captures import PHOTO, TURNS_DEG
 
 CAPTURE = FaceCapture(photo="a", probe="b", azimuth_deg=0.0, visible_sun=True, person="Ada")
@@ -71,7 +72,7 @@ def test_a_new_azimuth_or_probe_makes_old_results_stale(calibrated):
 
 @pytest.mark.slow
 def test_the_table(calibrated, tmp_path):
-    evaluation = CapturedFaces(data=calibrated, methods=("sh9", "sunsky"), every=2)
+    evaluation = CapturedFaces(data=calibrated, methods=("sh9", "sunsky"), every=2, options=QUICK)
     path = run_evaluation(evaluation, tmp_path / "out", command="c")
     results = json.loads(path.read_text())
     assert results["problems"] == {}

@@ -52,6 +52,8 @@ def test_one_start_looks_nowhere_else() -> None:
     towards = model.starts_towards(torch.eye(3)).flatten(0, 1)
     assert torch.equal(towards, parameters.expand(3, -1))
     assert torch.equal(model.starts(), parameters)
+    assert torch.equal(model.on_rows(16).starts(), parameters)
+    assert model.on_rows(16).grid.layout == (16, 64)
     free = model.to_free(parameters)
     torch.testing.assert_close(model.from_free(free), parameters)
     assert torch.equal(model(parameters), shipped(parameters))

@@ -14,6 +14,7 @@ from skylight.evaluation.faces.lamps import Lamps, read_lamp_photo
 from skylight.evaluation.harness.run import Item
 from skylight.faces.synthetic import render_face
 from skylight.sphere.envmap import EnvironmentMap
+from tests.evaluation.quick import QUICK
 
 
 def index(folder, content):
@@ -91,13 +92,15 @@ def test_every_part_left_out_has_a_row(tmp_path):
     light = np.full((8, 16, 3), 0.05, np.float32)
     light[2, 0] = 20  # behind the camera, to the right
     sky = EnvironmentMap(radiance=torch.from_numpy(light))
-    person = render_face(sky, torch.tensor([0.1, 0.1, 0.1]), seed=3, azimuth_rad=0.0, light_rows=8)
+    person = render_face(
+        sky, torch.tensor([0.1, 0.1, 0.1]), seed=3, size=144, azimuth_rad=0.0, light_rows=8
+    )
     grey = (255 * person.picture[..., 1] / person.picture[..., 1].max()).byte().numpy()
     cv2.imwrite(str(tmp_path / "a_1.png"), grey)
     lamp = person.environment.brightest_direction()
     index(tmp_path, {"a_1.png": lamp.tolist()})
     lamps._read_index.cache_clear()
-    evaluation = Lamps(data=tmp_path, ablation=True)
+    evaluation = Lamps(data=tmp_path, ablation=True, options=QUICK)
     item = evaluation.measure("a_1.png", tmp_path / "picture.png")
     parts = ("_balanced", "_varying_skin", "_trusted_normals", "_68_points")
     names = {"autoencoder" + name for name in ("", *parts)}

@@ -12,7 +12,7 @@ from skylight.evaluation.probes.voxel_scene import ALBEDO, VoxelScene, baked
 from skylight.io.files import write_environment_map
 from skylight.probes.voxel.model import star_probe
 from skylight.sphere.envmap import EnvironmentMap
-from skylight.transport.path_tracer import Sampling
+from skylight.transport.indirect.path_tracer import Sampling
 
 
 def sky() -> EnvironmentMap:

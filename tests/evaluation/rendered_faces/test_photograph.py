@@ -48,7 +48,7 @@ def test_layers_add_up() -> None:
     )
     light = EnvironmentMap(radiance=torch.full((16, 32, 3), 3.0))
     skin = cover > 0
-    picture = compose(layers, np.ones((48, 48)), skin, CAMERA, light)
+    picture = compose(layers, np.ones((48, 48)), skin, CAMERA, background(light, CAMERA))
     np.testing.assert_allclose(picture[:, 10:], albedo[:, 10:] * 2 + 0.25, rtol=1e-5)
     np.testing.assert_allclose(picture[:, :10], 3.25, rtol=1e-5)
 

@@ -34,6 +34,7 @@ def seen(request):
     )
     with pytest.MonkeyPatch.context() as patch:  # every pixel that may be skin
         patch.setattr("skylight.faces.observe.LEAST_INLIER", -1.0)
+        patch.setattr("skylight.faces.observe.BLOCK", 1)
         view = observe_face(person.picture, person.clipped, head, person.truth, grid_height=32)
     observation = replace(view.observation, weights=torch.ones(len(view.observation.pixels)))
     shown = view.surface.positions[view.used].numpy() - person.truth.translation

@@ -14,7 +14,7 @@ from skylight.cameras.intrinsics import Intrinsics, load_intrinsics, save_intrin
 from skylight.cameras.response import Response, load_response, save_response
 from skylight.errors import InputError, SkylightError
 from skylight.io.collection import read_categories
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 from skylight.probes.partitions.captured.capture import load_capture
 from skylight.probes.partitions.captured.kernel_albedo import KernelAlbedo, read_albedo, save_albedo
 from skylight.probes.partitions.cells import Cells

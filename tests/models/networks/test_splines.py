@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from skylight.models.networks.base import CENTRE_AZIMUTH_RAD, HEIGHT, WIDTH
-from skylight.models.networks.splines import FLOOR, SplineAutoencoder
+from skylight.models.networks.splines import FLOOR, SplineAutoencoder, _on_rows
 from skylight.sphere.grid import DirectionGrid
 
 
@@ -56,6 +56,17 @@ def test_a_turn_by_columns_rolls_the_sky(network: SplineAutoencoder) -> None:
         turned = network.turned(z, ahead + 17 * 2 * math.pi / WIDTH, 0.02)
         wanted = torch.roll(network.turned(z, ahead, 0.02), 17, dims=2)
     torch.testing.assert_close(turned, wanted, rtol=1e-3, atol=1e-4)
+
+
+def test_gradients_come_after_inference_mode(network: SplineAutoencoder) -> None:
+    """What networks share is made by whoever asks first."""
+    _on_rows.cache_clear()
+    with torch.inference_mode():
+        network.turned(latents(), torch.zeros(2), 0.02, 16)
+    z = latents().requires_grad_(True)
+    network.turned(z, torch.zeros(2), 0.02, 16).sum().backward()
+    assert z.grad is not None
+    assert z.grad.abs().sum() > 0
 
 
 def test_the_encoder_sees_the_best_coarse_splines(network: SplineAutoencoder) -> None:

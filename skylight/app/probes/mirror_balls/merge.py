@@ -7,7 +7,8 @@ from skylight.app.cameras.exposure_files import read_views
 from skylight.app.probes.mirror_balls.report import write_merge_report
 from skylight.app.probes.mirror_balls.summary import describe, summary, warnings
 from skylight.errors import InputError
-from skylight.io.files import write_environment_map, write_json
+from skylight.io.files import write_environment_map
+from skylight.io.json_files import write_json
 from skylight.probes.mirror_balls.merged import (
     BallOptions,
     Kind,

@@ -20,7 +20,7 @@ from skylight.cameras.frames import FRAMES_MOST, Frame, read_frames, read_pictur
 from skylight.cameras.response import Response, load_response
 from skylight.errors import InputError
 from skylight.io.bounded import json_content
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 from skylight.probes.partitions.captured.alignment import (
     PartitionAligner,
     PartitionAlignment,

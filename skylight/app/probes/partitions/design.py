@@ -5,7 +5,8 @@ from datetime import date
 from pathlib import Path
 
 from skylight.errors import InputError
-from skylight.io.files import write_json, write_png
+from skylight.io.files import write_png
+from skylight.io.json_files import write_json
 from skylight.probes.partitions.cells import Cells
 from skylight.probes.partitions.design.designs import named_design
 from skylight.probes.partitions.design.sun_path import path_design, sun_path

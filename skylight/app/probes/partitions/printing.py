@@ -6,7 +6,7 @@ from pathlib import Path
 from skylight import __version__
 from skylight.app.probes.partitions.pictures import free_discs, write_partition_picture
 from skylight.fabrication.files import write_printed_parts
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 from skylight.probes.partitions.printed.printing import PrintedPartitions
 
 

@@ -16,7 +16,8 @@ from skylight.app.cameras.board_pictures import (
 )
 from skylight.cameras.frames import FRAMES_MOST, Frame, read_frames
 from skylight.errors import InputError
-from skylight.io.files import write_json, write_png
+from skylight.io.files import write_png
+from skylight.io.json_files import write_json
 from skylight.probes.voxel.captured.alignment import Aligner, Alignment
 from skylight.probes.voxel.captured.capture import LightmapCapture
 from skylight.probes.voxel.faces import OCCLUDERS, ORIENTATIONS

@@ -9,7 +9,7 @@ from skylight import __version__
 from skylight.app.probes.voxel.pictures import write_print_picture
 from skylight.errors import InputError
 from skylight.fabrication.files import write_printed_parts
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 from skylight.probes.voxel.faces import ORIENTATIONS
 from skylight.probes.voxel.model import VoxelModel, read_voxels, star_probe
 from skylight.probes.voxel.printed.printing import PrintedProbe, hidden_by_pole, voxel_assembly

@@ -12,8 +12,7 @@ from scipy.optimize import nnls
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.io.files import write_json
-from skylight.io.json_files import read_object, require_keys
+from skylight.io.json_files import read_object, require_keys, write_json
 from skylight.probes.partitions.probe import PartitionProbe
 from skylight.probes.partitions.seeds import ProbeDesign
 

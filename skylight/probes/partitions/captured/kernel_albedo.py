@@ -11,8 +11,7 @@ from torch import Tensor
 
 from skylight.cameras.response import Response, saturated
 from skylight.errors import InputError
-from skylight.io.files import write_json
-from skylight.io.json_files import read_object, require_keys
+from skylight.io.json_files import read_object, require_keys, write_json
 
 USUAL = 0.8  # of white filament, where nobody says or measures it
 _KIND, _FORMAT = "kernel albedo", 1

@@ -83,7 +83,7 @@ def optimise_for(
         # from equal generators, so that grey and coloured lights are turned alike
         same = torch.Generator().manual_seed(seed)
         turned = turned_about_vertical(maps, turns, same) if turns > 1 else maps.flatten(1, 2)
-        return RelightingError(transport, turned, scene.transport.grid)
+        return RelightingError(transport, turned, scene.grid)
 
     design = optimise_design(
         name,

@@ -100,11 +100,14 @@ class SceneRenderer:
         """Ratios of the volumes that a ray d spans with two corners each, as seen from the eye.
 
         Corner a weighs ``<d, (b - e) x (c - e)>``; the products are worked out once for each
-        triangle, in float64, as they are much larger than the volumes.
+        triangle that is seen, in float64, as they are much larger than the volumes.
         """
-        a, b, c = (self._corners - eye).unbind(1)
+        shown = torch.zeros(len(self._corners), dtype=torch.bool)
+        shown[face] = True
+        a, b, c = (self._corners[shown] - eye).unbind(1)
         planes = torch.stack([b.cross(c, 1), c.cross(a, 1), a.cross(b, 1)], 1).float()
-        volumes = torch.einsum("rki,ri->rk", planes[face], directions)
+        number = shown.cumsum(0)[face] - 1
+        volumes = torch.einsum("rki,ri->rk", planes[number], directions)
         total = volumes.sum(1, keepdim=True)
         # rounding lets hits on an edge lie outside; triangles seen edge-on have no volume
         return torch.where(total == 0, 1 / 3, volumes / total).clamp(0, 1)

@@ -28,7 +28,7 @@ from skylight.errors import InputError
 from skylight.probes.partitions.cells import Cells
 from skylight.probes.partitions.relight.receivers import Receivers
 from skylight.probes.partitions.relight.scene import Scene
-from skylight.transport.path_tracer import cosine_directions
+from skylight.transport.indirect.path_tracer import cosine_directions
 from skylight.work.forked import in_processes, shared_array
 from skylight.work.progress import Progress
 

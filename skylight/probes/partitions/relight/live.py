@@ -8,8 +8,8 @@ from skylight.cameras.board import Board
 from skylight.cameras.drawing import lens_rays
 from skylight.cameras.intrinsics import Intrinsics
 from skylight.cameras.live import Clock, LiveFrame
-from skylight.cameras.pose import board_pose
 from skylight.cameras.response import Response
+from skylight.cameras.tracking import BoardTracker
 from skylight.probes.partitions.captured.capture import complete_shading, nonnegative_light
 from skylight.probes.partitions.captured.samples import FaceDiscs, FaceSample, read_samples
 from skylight.probes.partitions.printed.assembly import PlacedPartitions
@@ -61,21 +61,22 @@ class PartitionLiveView:
         scene: SceneOnBoard,
         shading: RunningShading,
     ) -> None:
-        self._intrinsics, self._board, self._response = intrinsics, board, response
+        self._intrinsics, self._response = intrinsics, response
+        self._tracker = BoardTracker(board, intrinsics)
         self._discs, self._probe = FaceDiscs(placed), probe
-        self._scene, self._shading = scene, shading
+        self._scene, self.shading = scene, shading
         self._rays = lens_rays(intrinsics).float()
         self._lit: LitScene | None = None
 
     def show(self, image: UInt8[np.ndarray, "h w 3"]) -> LiveFrame:
         """The frame with the scene in it, as soon as half of the cells were seen."""
         clock = Clock()
-        found = board_pose(image, self._board, self._intrinsics)
+        found = self._tracker.pose(image)
         clock.mark("track")
         if found is None or found.is_ambiguous:  # a mirrored pose would spoil what is captured
             return self._frame(image, False, clock)
         samples = read_samples(image, self._response, self._discs, found.pose, self._intrinsics)
-        taken = self._shading.add(samples)
+        taken = self.shading.add(samples)
         clock.mark("capture")
         if taken or self._lit is None:
             self._relight()
@@ -89,12 +90,12 @@ class PartitionLiveView:
         return self._frame(picture, True, clock)
 
     def _relight(self) -> None:
-        known = self._shading.known
+        known = self.shading.known
         if 2 * int(known.sum()) < len(known):
             return
-        shading = complete_shading(self._shading.shading, known, self._probe)
+        shading = complete_shading(self.shading.shading, known, self._probe)
         self._lit = self._scene.lit(nonnegative_light(shading, self._probe)[0])
 
     def _frame(self, picture: np.ndarray, tracked: bool, clock: Clock) -> LiveFrame:
-        known = int(self._shading.known.sum())
-        return LiveFrame(picture=picture, tracked=tracked, known=known, seconds=clock.seconds)
+        known = int(self.shading.known.sum())
+        return LiveFrame(picture=picture, tracked=tracked, known=known, times=clock.times)

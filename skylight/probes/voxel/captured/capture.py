@@ -106,25 +106,23 @@ def _sampled(
     places = project(points.reshape(-1, 3), pose, intrinsics) - np.array(corner)
     places = places.astype(np.float32)
     places = places.reshape(len(shown), -1, size * _SAMPLES, 2)
+    # one face below the other, as one picture
+    x, y = (places[..., axis].reshape(-1, size * _SAMPLES) for axis in (0, 1))
     source = np.ascontiguousarray(picture, dtype=np.float32)
-    bright = clipped.astype(np.float32)
-    views = []
-    for face, place in zip(shown, places, strict=True):
-        x, y = place[..., 0].copy(), place[..., 1].copy()
-        colour = cv2.remap(source, x, y, cv2.INTER_LINEAR)
-        burnt = cv2.remap(bright, x, y, cv2.INTER_LINEAR)
-        valid = _binned(burnt[..., None], size)[..., 0] == 0
-        views.append(
-            FaceView(
-                face=face,
-                orientation=int(orientation[face]),
-                configuration=int(configuration[face]),
-                area_px=float(areas[face]),
-                radiance=torch.from_numpy(_binned(colour, size)),
-                valid=torch.from_numpy(valid),
-            )
+    colours = _binned(cv2.remap(source, x, y, cv2.INTER_LINEAR)).reshape(-1, size, size, 3)
+    burnt = _binned(cv2.remap(clipped.astype(np.float32), x, y, cv2.INTER_LINEAR))
+    valid = burnt.reshape(-1, size, size) == 0
+    return [
+        FaceView(
+            face=face,
+            orientation=int(orientation[face]),
+            configuration=int(configuration[face]),
+            area_px=float(areas[face]),
+            radiance=torch.from_numpy(colours[i]),
+            valid=torch.from_numpy(valid[i]),
         )
-    return views
+        for i, face in enumerate(shown)
+    ]
 
 
 class LightmapCapture:
@@ -161,9 +159,19 @@ class LightmapCapture:
         response: Response,
         pose: RigidTransform,
         intrinsics: Intrinsics,
+        *,
+        compare: bool = True,
     ) -> int:
-        """:meth:`add` of a picture as the camera gave it; only the probe's part is linearised."""
+        """:meth:`add` of a picture as the camera gave it; only the probe's part is linearised.
+
+        Without ``compare``, faces that were seen larger before are not looked at, which is all the
+        same but for :attr:`disagreements`.
+        """
         shown, pixels, areas = visible_faces(self.probe, pose, intrinsics)
+        if not compare:
+            faces = self.probe.faces
+            kept = self._area[faces.orientation[shown], faces.configuration[shown]].tolist()
+            shown = [f for f, area in zip(shown, kept, strict=True) if areas[f] > area]
         if not shown:
             return 0
         codes, corner = part_around(image, pixels[shown])
@@ -196,6 +204,11 @@ class LightmapCapture:
             taken += 1
         return taken
 
+    @property
+    def slots(self) -> int:
+        """How many are known."""
+        return int((self._coverage > 0).sum())
+
     def lightmap(self) -> Lightmap:
         """What was captured so far."""
         return Lightmap(
@@ -207,9 +220,10 @@ class LightmapCapture:
         )
 
 
-def _binned(fine: Float[np.ndarray, "a a c"], size: int) -> Float[np.ndarray, "n n c"]:
+def _binned(fine: np.ndarray) -> np.ndarray:
     """Means over the samples of each texel."""
-    return fine.reshape(size, _SAMPLES, size, _SAMPLES, -1).mean((1, 3))
+    down, across = (side // _SAMPLES for side in fine.shape[:2])
+    return np.asarray(cv2.resize(fine, (across, down), interpolation=cv2.INTER_AREA))
 
 
 def _cross(a: Float[np.ndarray, "f 2"], b: Float[np.ndarray, "f 2"]) -> Float[np.ndarray, " f"]:

@@ -11,8 +11,8 @@ from skylight.cameras.board import Board
 from skylight.cameras.drawing import composite, lens_rays
 from skylight.cameras.intrinsics import Intrinsics
 from skylight.cameras.live import Clock, LiveFrame
-from skylight.cameras.pose import board_pose
 from skylight.cameras.response import Response
+from skylight.cameras.tracking import BoardTracker
 from skylight.probes.voxel.captured.capture import LightmapCapture
 from skylight.probes.voxel.lightmap import Lightmap
 from skylight.probes.voxel.model import VoxelModel
@@ -41,7 +41,8 @@ class LiveView:
         to_board: Float[Tensor, "4 4"],
         reconstruction: Callable[[Lightmap], SlotReconstruction],
     ) -> None:
-        self._intrinsics, self._board, self._response = intrinsics, board, response
+        self._intrinsics, self._response = intrinsics, response
+        self._tracker = BoardTracker(board, intrinsics)
         self._capture = LightmapCapture(probe)
         self._renderer = VoxelRenderer(model, to_board)
         self._rays = lens_rays(intrinsics)
@@ -52,11 +53,13 @@ class LiveView:
     def show(self, image: UInt8[np.ndarray, "h w 3"]) -> LiveFrame:
         """The frame with the model in it, as soon as every side of the probe was seen."""
         clock = Clock()
-        found = board_pose(image, self._board, self._intrinsics)
+        found = self._tracker.pose(image)
         clock.mark("track")
         if found is None or found.is_ambiguous:  # a mirrored pose would spoil what is captured
             return self._frame(image, False, clock)
-        taken = self._capture.add_photo(image, self._response, found.pose, self._intrinsics)
+        taken = self._capture.add_photo(
+            image, self._response, found.pose, self._intrinsics, compare=False
+        )
         clock.mark("capture")
         if taken:
             self._complete()
@@ -83,5 +86,5 @@ class LiveView:
         self._completed = self._weights.complete(lightmap)
 
     def _frame(self, picture: np.ndarray, tracked: bool, clock: Clock) -> LiveFrame:
-        known = int(self._capture.lightmap().known.sum())
-        return LiveFrame(picture=picture, tracked=tracked, known=known, seconds=clock.seconds)
+        known = self._capture.slots
+        return LiveFrame(picture=picture, tracked=tracked, known=known, times=clock.times)

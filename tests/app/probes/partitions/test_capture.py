@@ -18,7 +18,7 @@ from skylight.cameras.pose import OPENCV_FROM_BOARD
 from skylight.cameras.response import Response, save_response
 from skylight.cli import main
 from skylight.errors import InputError
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 from skylight.probes.partitions.captured.capture import load_capture
 from skylight.probes.partitions.captured.kernel_albedo import read_albedo
 from skylight.probes.partitions.cells import Cells

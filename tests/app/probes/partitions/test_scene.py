@@ -18,7 +18,7 @@ from skylight.cameras.response import Response
 from skylight.cameras.view import project
 from skylight.cli import main
 from skylight.errors import InputError
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 from skylight.probes.partitions.captured.capture import ProbeCapture, save_capture
 from skylight.probes.partitions.cells import Cells
 from skylight.probes.partitions.design.designs import named_design

@@ -21,7 +21,7 @@ from skylight.cameras.pose import OPENCV_FROM_BOARD
 from skylight.cameras.response import Response
 from skylight.cli import main
 from skylight.errors import InputError
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 from skylight.probes.voxel.faces import exposed_faces, visibility_vectors
 from skylight.probes.voxel.lightmap import Lightmap, load_lightmap
 from skylight.probes.voxel.model import star_probe, write_voxels
@@ -74,7 +74,10 @@ def cells_to_board() -> torch.Tensor:
 
 
 def photograph(number: int, brightness: float = 1.0) -> np.ndarray:
-    where = pose(*VIEWS[number])
+    return photograph_from(pose(*VIEWS[number]), brightness)
+
+
+def photograph_from(where: RigidTransform, brightness: float = 1.0) -> np.ndarray:
     image = picture_of_board(
         BOARD,
         LENS,

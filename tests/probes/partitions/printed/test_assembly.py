@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 from skylight.probes.partitions.cells import Cells
 from skylight.probes.partitions.design.designs import named_design
 from skylight.probes.partitions.printed.assembly import (

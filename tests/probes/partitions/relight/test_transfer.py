@@ -11,7 +11,7 @@ from skylight.probes.partitions.relight.scene import Scene
 from skylight.probes.partitions.relight.transfer import TransferSampling, transfer_coefficients
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.grid import DirectionGrid
-from skylight.transport.path_tracer import DiffuseScene, Sampling, shade
+from skylight.transport.indirect.path_tracer import DiffuseScene, Sampling, shade
 from tests.oracles.radiosity import corner_radiance
 from tests.probes.partitions.shapes import corner, quad, six_cells, solid
 

@@ -8,6 +8,7 @@ import torch
 
 from skylight.cameras.drawing import lens_rays, looking_at
 from skylight.cameras.intrinsics import Intrinsics
+from skylight.cameras.response import Response
 from skylight.cameras.view import camera_centre
 from skylight.probes.voxel.captured.capture import LightmapCapture, read_faces, visible_faces
 from skylight.probes.voxel.faces import exposed_faces
@@ -199,6 +200,23 @@ def test_light_that_moved_shows_in_the_faces_seen_twice() -> None:
     capture.add(photograph(light, here), NOTHING, here, LENS)
     capture.add(photograph(moved, there), NOTHING, there, LENS)
     assert np.median(capture.disagreements) == pytest.approx(0.3, abs=0.1)
+
+
+def test_faces_seen_smaller_need_not_be_looked_at() -> None:
+    """The same is captured, without a word on light that moved."""
+    light, here = smooth_light(), pose(0.3, 0.6)
+    poses = [here, shifted(here, 0, 0, -60.0), pose(0.5, 0.6), shifted(here, 0, 0, 20.0)]
+    drawn = [torch.from_numpy(photograph(light, each)) for each in poses]
+    photos = [Response().encode(picture) for picture in drawn]
+    all_compared, taken_alone = LightmapCapture(probe()), LightmapCapture(probe())
+    for photo, each in zip(photos, poses, strict=True):
+        taken = all_compared.add_photo(photo, Response(), each, LENS)
+        assert taken_alone.add_photo(photo, Response(), each, LENS, compare=False) == taken
+    assert len(taken_alone.disagreements) < len(all_compared.disagreements)
+    torch.testing.assert_close(
+        taken_alone.lightmap().radiance, all_compared.lightmap().radiance, rtol=0, atol=1e-5
+    )
+    assert taken_alone.slots == int(all_compared.lightmap().known.sum())
 
 
 def shifted(here: RigidTransform, *by: float) -> RigidTransform:

@@ -9,7 +9,7 @@ from skylight.errors import InputError
 from skylight.probes.voxel.faces import NORMALS
 from skylight.probes.voxel.interreflection.transfer import slot_transfer, transfer_vectors
 from skylight.sphere import harmonics
-from skylight.transport.path_tracer import DiffuseScene, Sampling, radiosity_transfer
+from skylight.transport.indirect.path_tracer import DiffuseScene, Sampling, radiosity_transfer
 from tests.probes.voxel.shapes import face_among
 
 LEFT, RIGHT, FORWARD, BACKWARD, TOP = 1, 2, 4, 8, 16

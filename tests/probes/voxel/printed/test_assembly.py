@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.io.files import write_json
+from skylight.io.json_files import write_json
 from skylight.probes.voxel.model import star_probe
 from skylight.probes.voxel.printed.assembly import (
     PlacedProbe,

@@ -10,13 +10,13 @@ from skylight.errors import InputError
 from skylight.sphere import harmonics
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.grid import DirectionGrid
-from skylight.transport.matrix import diffuse_transport
-from skylight.transport.path_tracer import (
+from skylight.transport.indirect.path_tracer import (
     DiffuseScene,
     Sampling,
     radiosity_transfer,
     shade,
 )
+from skylight.transport.matrix import diffuse_transport
 from tests.oracles.radiosity import corner_radiance
 from tests.transport.shapes import icosphere
 

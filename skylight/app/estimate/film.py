@@ -1,0 +1,260 @@
+"""The light of a film of one person, or of a folder of its frames."""
+
+import hashlib
+import os
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from skylight.app.estimate.batch import SUFFIXES, file_hash
+from skylight.app.estimate.followed import FOLLOWED, FOLLOWING, read_followed, write_followed
+from skylight.cameras.turns import Link, focal_from_turns, world_from_cameras
+from skylight.errors import InputError
+from skylight.faces.detection.mediapipe_face import MediaPipeLandmarker
+from skylight.faces.film.follow import Followed, Keyframe, Shot, Source, follow
+from skylight.faces.film.head import fit_head
+from skylight.faces.fit import FOCAL_GUESS, FOCAL_GUESS_SIGMA, FaceFit
+from skylight.faces.model import HeadModel
+from skylight.faces.observe import observe_face
+from skylight.faces.photographs import MOST_TURNED_RAD
+from skylight.imaging.colour import Decode
+from skylight.imaging.film import FilmFrame, film_frames, told_length_s
+from skylight.imaging.photo import Photo, read_photo
+from skylight.inverse.estimate import light_problem
+from skylight.inverse.sky.film import FilmLight, FilmProblem
+from skylight.inverse.sky.problem import SkyProblem
+from skylight.inverse.sky.turned import in_world
+from skylight.io.listing import visible_files
+from skylight.models.bundle import load_bundle
+from skylight.models.names import DEFAULT_LIGHT, LightName
+from skylight.work.progress import StageProgress
+from skylight.work.results_folder import results_folder
+
+LONGEST_S = 600.0
+FOLLOWED_A_SECOND = 10.0
+MOST_SIDE = 1920
+# Of a photograph's face: 0.4 of its height, a sixth of its pixels, of which films have many times
+# as many.
+FACE_HEIGHT_PX = 28
+_KNOWN_FOCAL = 0.1  # a spread of its log below which turns of the camera tell the focal length
+_WHOLE = 0.9  # of the length that a header tells: less is cut short
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilmSettings:
+    """What the light of a film depends on besides its pictures.
+
+    ``rate`` is how many frames of a folder are shown in a second.
+    """
+
+    light: LightName = DEFAULT_LIGHT
+    model: Path | None = None
+    face: int = 1
+    keyframes: int = 24
+    rate: float = 30.0
+    decode: Decode | None = None
+    device: str = "auto"
+
+    def __post_init__(self) -> None:
+        if self.light not in ("autoencoder", "sunsky"):
+            raise InputError(
+                f"--video is for the sky: --light autoencoder or sunsky, not {self.light}"
+            )
+        if self.keyframes < 1:
+            raise InputError(f"--keyframes must be 1 or more, got {self.keyframes}")
+        if not 0.001 <= self.rate <= 1000:
+            raise InputError(f"--rate is frames a second, 0.001 to 1000, got {self.rate:g}")
+
+    def facts(self, source: Path) -> dict[str, object]:
+        """For the note beside the results: the same for the same pictures, wherever they lie."""
+        facts: dict[str, object] = {
+            **asdict(self),
+            "model": None if self.model is None else load_bundle(self.model).fingerprint,
+            "sha256": _sha256(source),
+        }
+        del facts["device"]
+        return facts
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilmEstimate:
+    """The light of a film with everything on the way to it.
+
+    ``keyframes``, ``fits`` and ``world_from_camera`` are those of ``light.frames``, in order;
+    ``advice`` says what to know of the film.
+    """
+
+    light: FilmLight
+    followed: Followed
+    keyframes: tuple[Keyframe, ...]
+    fits: tuple[FaceFit, ...]
+    world_from_camera: tuple[Float[ndarray, "3 3"], ...]
+    advice: tuple[str, ...]
+
+
+def estimate_film(
+    source: Path, out: Path, settings: FilmSettings, progress: StageProgress | None = None
+) -> FilmEstimate:
+    """Follow the person, fit one head, estimate one light that drifts.
+
+    What following found is kept in ``out``/following: a run that was stopped goes on there.
+
+    Raises
+    ------
+    InputError
+        A film that cannot be read, is too long, or in which no face can be used.
+    """
+    tell = progress or (lambda _stage, _share: None)
+    followed = followed_film(source, out, settings, progress)
+    shot, size = followed.shot, followed.size
+    advice = list(followed.notes)
+    problem = light_problem(settings.light, model=settings.model, device=settings.device)
+    assert isinstance(problem, SkyProblem)
+    known_px = _photo(shot.keyframes[0], settings).focal_px
+    guess_px = known_px or FOCAL_GUESS * max(size)
+    if known_px is None:
+        turned_px, spread = focal_from_turns(shot.links, guess_px, FOCAL_GUESS_SIGMA, size)
+        known_px = turned_px if spread < _KNOWN_FOCAL else None
+    heads = HeadModel.load()
+    tell("fitting the head", 0.0)
+    fits = fit_head(heads, [one.face for one in shot.keyframes], size, focal_px=known_px)
+    focal_px = fits[0].camera.focal_px
+    world, untold = world_from_cameras(shot.links, focal_px, size)
+    advice += turn_notes(shot, untold)
+    film = FilmProblem(problem)
+    kept: list[int] = []
+    for k, (keyframe, fit) in enumerate(zip(shot.keyframes, fits, strict=True)):
+        tell("tracing light", k / len(fits))
+        photo = _photo(keyframe, settings)
+        try:
+            if fit.facing_angle_rad > MOST_TURNED_RAD:
+                raise InputError(
+                    f"the face is turned away by {np.degrees(fit.facing_angle_rad):.0f} degrees"
+                )
+            view = observe_face(
+                photo.pixels,
+                photo.clipped,
+                heads,
+                fit,
+                face_height_px=FACE_HEIGHT_PX,
+                grid_height=problem.grid_height,
+                grey=photo.grey,
+                workers=os.cpu_count() or 1,
+            )
+        except InputError as error:
+            advice.append(f"left out: {keyframe.time_s:.1f} s: {error}")
+            continue
+        turn = world.get(keyframe.number, np.eye(3))
+        film.add(in_world(view.observation, turn), keyframe.time_s)
+        kept.append(k)
+    if not kept:
+        raise InputError(f"{source}: no keyframe can be used; {advice[-1]}")
+    light = film.solve(lambda share: tell("estimating the light", share))
+    return FilmEstimate(
+        light=light,
+        followed=followed,
+        keyframes=tuple(shot.keyframes[k] for k in kept),
+        fits=tuple(fits[k] for k in kept),
+        world_from_camera=tuple(world.get(shot.keyframes[k].number, np.eye(3)) for k in kept),
+        advice=(*light.start.advice, *advice),
+    )
+
+
+def turn_notes(shot: Shot, untold: list[Link]) -> list[str]:
+    """What to know of the camera, in a line."""
+    if not untold:
+        return []
+    times = {one.number: one.time_s for one in shot.keyframes}
+    told = len(shot.links) - len(untold)
+    ends = [times[link.end] for link in untold if link.end in times]
+    when = "" if told == 0 or not ends else f" at {', '.join(f'{t:.1f}' for t in ends[:5])} s"
+    return [
+        f"the camera's turn cannot be told{when} (too little of the background is seen to keep "
+        "together): it is taken to stand still"
+    ]
+
+
+def followed_film(
+    source: Path, out: Path, settings: FilmSettings, progress: StageProgress | None = None
+) -> Followed:
+    """What following finds, or found in an earlier run, which ``out``/following keeps.
+
+    Raises
+    ------
+    InputError
+        As :func:`estimate_film`.
+    """
+    tell = progress or (lambda _stage, _share: None)
+    kept = out / FOLLOWING
+    if not (kept / FOLLOWED).exists():
+        length_s = _length_s(source, settings)
+        if length_s is not None:
+            _require_short(source, length_s)
+        found = follow(
+            _sources(source, settings),
+            str(source),
+            MediaPipeLandmarker(),
+            face=settings.face,
+            most=settings.keyframes,
+            duration_s=length_s,
+            progress=lambda share: tell("following the face", share),
+        )
+        if length_s is not None and found.end_s + 1 / FOLLOWED_A_SECOND < _WHOLE * length_s:
+            note = f"cut short: pictures end at {found.end_s:.1f} of {length_s:.1f} s"
+            found = replace(found, notes=(*found.notes, note))
+        with results_folder(kept) as folder:
+            write_followed(folder, found)
+    return read_followed(kept)
+
+
+def _length_s(source: Path, settings: FilmSettings) -> float | None:
+    return len(_frame_files(source)) / settings.rate if source.is_dir() else told_length_s(source)
+
+
+def _require_short(source: Path, length_s: float) -> None:
+    if length_s > LONGEST_S:
+        raise InputError(
+            f"{source}: it is {length_s / 60:.0f} minutes long, and at most "
+            f"{LONGEST_S / 60:.0f} are followed; cut out the part that shows the person"
+        )
+
+
+def _sources(source: Path, settings: FilmSettings) -> Iterator[Source]:
+    """At most :data:`FOLLOWED_A_SECOND`; of a folder in the order of the files' names."""
+    if not source.is_dir():
+        frames = film_frames(source, most_a_second=FOLLOWED_A_SECOND, most_side=MOST_SIDE)
+        for frame in frames:
+            _require_short(source, frame.time_s)  # headers may tell less than there is
+            yield Source(frame=frame)
+        return
+    files = _frame_files(source)
+    step = max(1, round(settings.rate / FOLLOWED_A_SECOND))
+    for number in range(0, len(files), step):
+        codes = read_photo(files[number], decode=settings.decode).encoded
+        frame = FilmFrame(number=number, time_s=number / settings.rate, codes=codes)
+        yield Source(frame=frame, file=files[number])
+
+
+def _frame_files(folder: Path) -> list[Path]:
+    files = visible_files(folder, SUFFIXES)
+    if not files:
+        raise InputError(f"{folder}: no pictures ({', '.join(sorted(SUFFIXES))}) in this folder")
+    return files
+
+
+def _photo(keyframe: Keyframe, settings: FilmSettings) -> Photo:
+    assert isinstance(keyframe.picture, Path)  # as they are kept
+    return read_photo(keyframe.picture, decode=settings.decode)
+
+
+def _sha256(source: Path) -> str:
+    if not source.is_dir():
+        return file_hash(source)
+    digest = hashlib.sha256()
+    for file in _frame_files(source):
+        digest.update(f"{file.name}\0{file_hash(file)}\n".encode())
+    return digest.hexdigest()

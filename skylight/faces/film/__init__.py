@@ -1,0 +1,1 @@
+"""Faces in films: one person followed, one head for all frames."""

@@ -1,0 +1,203 @@
+"""Films: upright, in time, and what is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skylight.errors import InputError
+from skylight.imaging.film import film_frames
+from skylight.imaging.mp4 import transfer_characteristic
+from tests.films import (
+    box,
+    ticks_a_second,
+    with_frame_times,
+    with_in_description,
+    with_quarter_turn,
+    write_film,
+)
+
+STEP = 20  # codes between frames: MPEG-4 keeps an even frame within a few
+
+
+def counting(count: int) -> list[np.ndarray]:
+    """Frame k is of the grey 20 + 20 k."""
+    return [np.full((48, 64, 3), 20 + STEP * k, np.uint8) for k in range(count)]
+
+
+def shades(film: Path, **options: float) -> list[int]:
+    return [round((f.codes.mean() - 20) / STEP) for f in film_frames(film, **options)]
+
+
+def test_frames_come_in_order_at_the_rate(tmp_path: Path) -> None:
+    film = write_film(tmp_path / "film.mp4", counting(8), rate=10)
+    assert shades(film) == list(range(8))
+    times = [frame.time_s for frame in film_frames(film)]
+    np.testing.assert_allclose(times, np.arange(8) / 10, atol=1e-3)
+
+
+def test_of_a_faster_film_so_many_a_second(tmp_path: Path) -> None:
+    film = write_film(tmp_path / "film.mp4", counting(10), rate=20)
+    assert shades(film, most_a_second=10.0) == [0, 2, 4, 6, 8]
+    # 20 a second thinned to 8: every 2.5th
+    assert shades(film, most_a_second=8.0) == [0, 2, 5, 7]
+
+
+def test_each_frame_has_the_time_at_which_it_is_shown(tmp_path: Path) -> None:
+    film = write_film(tmp_path / "film.mp4", counting(6), rate=10)
+    unit = ticks_a_second(film) // 20  # 50 ms
+    with_frame_times(film, [2 * unit, unit, 6 * unit, unit, unit, unit])
+    times = [frame.time_s for frame in film_frames(film)]
+    np.testing.assert_allclose(times, [0, 0.1, 0.15, 0.45, 0.5, 0.55], atol=2e-3)
+    assert shades(film) == list(range(6))
+
+
+def test_a_film_that_asks_to_be_turned_is_upright(tmp_path: Path) -> None:
+    picture = np.full((48, 64, 3), 30, np.uint8)
+    picture[:24, :32] = 220  # up left, which a clockwise turn brings up right
+    film = write_film(tmp_path / "film.mp4", [picture] * 2)
+    with_quarter_turn(film)
+    frame = next(film_frames(film))
+    assert frame.codes.shape == (64, 48, 3)
+    assert frame.codes[:30, 26:].mean() > 200
+    assert frame.codes[:30, :22].mean() < 50
+
+
+@pytest.mark.parametrize(("number", "name"), [(16, "PQ"), (18, "HLG")])
+@pytest.mark.parametrize("kind", [b"nclx", b"nclc"])
+def test_high_dynamic_range_is_refused_by_name(
+    tmp_path: Path, number: int, name: str, kind: bytes
+) -> None:
+    film = write_film(tmp_path / "film.mp4", counting(2))
+    colour = kind + b"".join(n.to_bytes(2, "big") for n in (9, number, 9))
+    with_in_description(film, box(b"colr", colour))
+    with pytest.raises(InputError, match=rf"film.mp4: .*{name}.*export it as SDR"):
+        next(film_frames(film))
+
+
+def test_sdr_named_in_the_file_is_read(tmp_path: Path) -> None:
+    film = write_film(tmp_path / "film.mp4", counting(2))
+    assert transfer_characteristic(film) in (None, 1)
+    with_in_description(film, box(b"colr", b"nclx" + bytes([0, 1, 0, 1, 0, 1, 0])))
+    assert transfer_characteristic(film) == 1
+    assert shades(film) == [0, 1]
+
+
+class Bits:
+    """Writes H.265 syntax elements."""
+
+    def __init__(self) -> None:
+        self.text = ""
+
+    def u(self, count: int, value: int) -> "Bits":
+        self.text += f"{value:0{count}b}" if count else ""
+        return self
+
+    def ue(self, *values: int) -> "Bits":
+        for value in values:
+            digits = f"{value + 1:b}"
+            self.text += "0" * (len(digits) - 1) + digits
+        return self
+
+    def payload(self) -> bytes:
+        text = self.text + "1" + "0" * (-(len(self.text) + 1) % 8)
+        raw = bytes(int(text[i : i + 8], 2) for i in range(0, len(text), 8))
+        out, zeros = bytearray(), 0
+        for byte in raw:  # keep start codes out, as H.265 7.3.1.1 asks
+            if zeros >= 2 and byte <= 3:
+                out.append(3)
+                zeros = 0
+            out.append(byte)
+            zeros = zeros + 1 if byte == 0 else 0
+        return bytes(out)
+
+
+def sequence_parameters(transfer: int, *, layers: int, lists: bool) -> bytes:
+    """An HEVC sequence parameter set with every optional part that stands before the transfer."""
+    bits = Bits().u(4, 0).u(3, layers).u(1, 1).u(8, 2).u(88, 0x20000000 << 56)
+    for _ in range(layers):
+        bits.u(1, 1).u(1, 1)
+    if layers:
+        bits.u(2 * (8 - layers), 0)
+    for _ in range(layers):
+        bits.u(88, 5).u(8, 93)
+    bits.ue(0, 1, 1920, 1080).u(1, 1).ue(0, 0, 0, 4).ue(2, 2, 4)
+    bits.u(1, 0).ue(4, 2, 5)  # one order for all layers
+    bits.ue(0, 3, 0, 3, 0, 0).u(1, lists)
+    if lists:
+        bits.u(1, 1)
+        for size in range(4):
+            for matrix in range(2 if size == 3 else 6):
+                if matrix == 0:  # told outright: signed Exp-Golomb, as ue is skipped alike
+                    bits.u(1, 1).ue(*([3] * (size > 1))).ue(*([1] * min(64, 16 << (2 * size))))
+                else:
+                    bits.u(1, 0).ue(0)
+    bits.u(1, 1).u(1, 1).u(1, 1).u(8, 0x77).ue(0, 2).u(1, 0)
+    # two reference sets, the second told by the first
+    bits.ue(2).ue(2, 1)
+    for _ in range(3):
+        bits.ue(0).u(1, 1)
+    bits.u(1, 1).u(1, 0).ue(0).u(1, 1).u(1, 0).u(1, 1).u(1, 0).u(1, 1).u(1, 1)
+    bits.u(1, 1).ue(1).u(8, 7).u(1, 1)  # a long-term picture, of 4 + 4 bits
+    bits.u(1, 1).u(1, 1).u(1, 1).u(1, 1).u(8, 255).u(16, 1).u(16, 1).u(1, 1).u(1, 0)
+    bits.u(1, 1).u(3, 5).u(1, 0).u(1, 1).u(8, 9).u(8, transfer).u(8, 9)
+    return bytes([33 << 1, 1]) + bits.payload()
+
+
+@pytest.mark.parametrize("transfer", [1, 16, 18])
+@pytest.mark.parametrize("layers", [0, 2])
+@pytest.mark.parametrize("lists", [False, True])
+def test_without_a_colour_box_the_coded_video_tells(
+    tmp_path: Path, transfer: int, layers: int, lists: bool
+) -> None:
+    film = write_film(tmp_path / "film.mp4", counting(2))
+    units = sequence_parameters(transfer, layers=layers, lists=lists)
+    array = bytes([33, 0, 1]) + len(units).to_bytes(2, "big") + units
+    with_in_description(film, box(b"hvcC", bytes(22) + b"\1" + array))
+    assert transfer_characteristic(film) == transfer
+    whole = film.read_bytes()
+    place = whole.rindex(units)
+    film.write_bytes(whole[: place + 30])  # cut within it: passed over
+    assert transfer_characteristic(film) is None
+
+
+def test_what_is_no_film(tmp_path: Path) -> None:
+    (tmp_path / "film.mp4").write_bytes(b"nothing" * 100)
+    with pytest.raises(InputError, match="cannot open"):
+        next(film_frames(tmp_path / "film.mp4"))
+    with pytest.raises(InputError, match="no such file"):
+        next(film_frames(tmp_path / "none.mp4"))
+
+
+def test_of_a_film_cut_short_the_frames_that_are_there(tmp_path: Path) -> None:
+    """A file whose index stands in front plays until where its bytes end."""
+    import cv2
+
+    noise = np.random.default_rng(0).integers(0, 255, (30, 48, 64, 3)).astype(np.uint8)
+    path = tmp_path / "film.avi"
+    made = cv2.VideoWriter(
+        str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (64, 48)
+    )
+    for frame in noise:
+        made.write(frame)
+    made.release()
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    assert 5 < len(list(film_frames(path))) < 25
+
+
+def test_boxes_that_lie_are_passed_over(tmp_path: Path) -> None:
+    """Bytes changed, cut and doubled: no answer, or a number, and in no time."""
+    film = write_film(tmp_path / "film.mp4", counting(1))
+    units = sequence_parameters(16, layers=1, lists=True)
+    array = bytes([33, 255, 255]) + len(units).to_bytes(2, "big") + units
+    with_in_description(film, box(b"hvcC", bytes(22) + b"\xff" + array))
+    whole, rng = film.read_bytes(), np.random.default_rng(0)
+    start = whole.index(b"moov") - 4
+    for _ in range(300):
+        changed = bytearray(whole)
+        for place in rng.integers(start, len(whole), rng.integers(1, 6)):
+            changed[place] = rng.choice([0, 1, 127, 255, int(rng.integers(256))])
+        film.write_bytes(bytes(changed[: rng.integers(start, len(whole) + 1)]))
+        told = transfer_characteristic(film)
+        assert told is None or told >= 0
