@@ -16,7 +16,7 @@ from skylight.imaging.exif import focal_length_px
 from skylight.io.hdr import SUFFIXES as HDR_SUFFIXES
 from skylight.io.hdr import read_linear
 from skylight.io.opened_picture import opened_picture
-from skylight.probes.mirror_balls.exposures import Exposure, ExposureSeries, Merged, merge
+from skylight.probes.radiance.exposures import Exposure, ExposureSeries, Merged, merge
 
 _PLATEAU = 5  # equal brightest pixels of a merged file that are no accident
 
