@@ -26,8 +26,10 @@ from skylight.probes.panorama.matches import Turned
 
 Rotations = Mapping[int, Float[np.ndarray, "3 3"]]
 
-# Matches farther off than (the first) do not count, those farther off than (the second) less: px
-_ROUNDS = ((60.0, 8.0), (12.0, 3.0), (4.0, 1.0), (3.0, 1.0))
+# Matches farther off than (the first) do not count, those farther off than (the second) less: px.
+# In the beginning they may be off by what hints are wrong by and a tree of turns adds up to.
+_ROUNDS = ((None, 8.0), (12.0, 3.0), (4.0, 1.0), (3.0, 1.0))
+_BEGIN_RAD = 0.15
 _HINT_DEG = 2.0  # what hints are wrong by
 _K1_SPREAD, _K1_MOST = 0.1, 0.2
 _STEP = 1e-5  # of central differences
@@ -87,7 +89,8 @@ def adjust(links: Sequence[Link], start: Rotations, lens: Lens, hints: Rotations
     where = np.array([hints.get(shot, np.eye(3)) for shot in shots])
     agree = np.zeros(len(problem.before), bool)
     for farthest, width in _ROUNDS:
-        agree = np.linalg.norm(problem.errors(rotations, lens), axis=1) < farthest
+        limit = farthest or _BEGIN_RAD * lens.focal_px
+        agree = np.linalg.norm(problem.errors(rotations, lens), axis=1) < limit
         rotations, lens = _Fit(problem.only(agree), rotations, lens, known, where).solve(width)
     error = problem.only(agree).errors(rotations, lens)
     rms_px = float(np.sqrt((error**2).mean())) if len(error) else 0.0

@@ -2,7 +2,8 @@
 
 SIFT's features (Lowe 2004, "Distinctive image features from scale-invariant keypoints") by the
 Hellinger kernel (Arandjelovic & Zisserman 2012), mutual nearest neighbours by Lowe's ratio, and a
-rotation between two shots by RANSAC (:func:`skylight.cameras.turns.turn_between`).
+rotation between two shots by RANSAC (:func:`skylight.cameras.turns.turn_between`). In a clear sky
+there is nothing to match but the sun: :func:`lamp_links`.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,12 +16,16 @@ from jaxtyping import Float
 from skylight.cameras.turns import Link, turn_between
 from skylight.probes.panorama.lens import Lens
 from skylight.probes.panorama.shots import Shot, for_features
+from skylight.sphere.envmap import LUMINANCE
 from skylight.work.progress import Progress
 
 _MOST_FEATURES = 1000  # of a shot
 _CONTRAST = 0.02  # below SIFT's usual 0.04: clouds are faint
 _RATIO = 0.8
 _FEWEST = 10  # matches of two shots
+# A lamp: so many times the median's light, at half its own brightness so small a part of a shot.
+_LAMP_OVER_MEDIAN, _LAMP_SHARE = 30.0, 0.01
+_SAME_LAMP = 4.0  # factor between what two shots may show of it
 _SEARCHED = 40  # links, those of most matches, by which the focal length is searched for
 
 
@@ -69,6 +74,40 @@ def link_shots(
                     before, after = one.places[here], features[end].places[there]
                     links.append(Link(start=start, end=end, before=before, after=after))
     return links
+
+
+def lamp_links(shots: Sequence[Shot]) -> list[Link]:
+    """The sun, or another small lamp far brighter than all else, in any two shots that show it.
+
+    One match each. Two shots may show different lamps: by then rotations must tell which do not.
+    """
+    lamps = {number: lamp for number, shot in enumerate(shots) if (lamp := _lamp(shot))}
+    return [
+        Link(start=one, end=two, before=first[None], after=second[None])
+        for one, (first, light) in lamps.items()
+        for two, (second, other) in lamps.items()
+        if one < two and max(light, other) < _SAME_LAMP * min(light, other)
+    ]
+
+
+def _lamp(shot: Shot) -> tuple[Float[np.ndarray, "2"], float] | None:
+    """(place, sum of light) of a shot's lamp, where it has one."""
+    light = shot.radiance @ np.array(LUMINANCE, np.float32)
+    peak = float(light.max())
+    if peak <= _LAMP_OVER_MEDIAN * float(np.median(light)):
+        return None
+    _, labels = cv2.connectedComponents((light > peak / 2).astype(np.uint8))
+    lamp = labels == labels.flat[int(light.argmax())]
+    rows, columns = np.nonzero(lamp)
+    height, width = light.shape
+    at_edge = min(rows.min(), columns.min()) == 0 or (
+        rows.max() == height - 1 or columns.max() == width - 1
+    )
+    if at_edge or lamp.mean() > _LAMP_SHARE:
+        return None
+    weight = light[lamp].astype(np.float64)
+    place = np.array([weight @ columns, weight @ rows]) / weight.sum() + 0.5
+    return place, float(weight.sum())
 
 
 def most_told(links: Sequence[Link]) -> list[Link]:

@@ -12,7 +12,13 @@ from skylight.errors import InputError
 from skylight.probes.panorama.bundle import Bundle, adjust, spanning_tree
 from skylight.probes.panorama.lens import Lens
 from skylight.probes.panorama.level import aligned, levelled
-from skylight.probes.panorama.matches import find_features, link_shots, most_told, turned_links
+from skylight.probes.panorama.matches import (
+    find_features,
+    lamp_links,
+    link_shots,
+    most_told,
+    turned_links,
+)
 from skylight.probes.panorama.shots import Shot
 from skylight.probes.panorama.stitch import stitch
 from skylight.probes.radiance.clipping import Clipping, find_clipping
@@ -94,7 +100,7 @@ def panorama_of(
         start = {**hints, **aligned(start, hints)}
     elif hints:
         start = {**hints}
-    bundle = adjust([each.link for each in turned], start, lens, hints)
+    bundle = adjust([*(each.link for each in turned), *lamp_links(shots)], start, lens, hints)
     if not hints:
         bundle = Bundle(
             rotations=levelled(bundle.rotations),
