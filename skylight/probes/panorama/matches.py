@@ -47,7 +47,7 @@ class Turned:
 
 def find_features(shot: Shot) -> Features:
     """SIFT's of the shot's log luminance, where nothing is saturated."""
-    detector = cv2.SIFT_create(_MOST_FEATURES, contrastThreshold=_CONTRAST)
+    detector = cv2.SIFT.create(_MOST_FEATURES, contrastThreshold=_CONTRAST)
     clear = (shot.clipped == 0).astype(np.uint8)
     points, values = detector.detectAndCompute(for_features(shot), clear)
     if not points:
