@@ -106,7 +106,7 @@ def read_series(
         return ExposureSeries(files=tuple(files), seconds=None, merged=merged, focal_px=None)
     if seconds is None and any(stored):
         raise InputError(f"{files[stored.index(True)]}: it tells no exposure time; give --times")
-    images = [_read(path, response) for path in files]
+    images = [read_exposure(path, response) for path in files]
     if len(files) > 1 and seconds is None:
         seconds = exif_exposures(files)
     times = tuple(seconds) if seconds is not None else (1.0,)
@@ -120,8 +120,14 @@ def read_series(
     return ExposureSeries(files=tuple(files), seconds=times, merged=merged, focal_px=focal_px)
 
 
-def _read(path: Path, response: Response | Choice) -> np.ndarray:
-    """Codes of 8 bits, or linear light."""
+def read_exposure(path: Path, response: Response | Choice) -> np.ndarray:
+    """Codes of 8 bits, or linear light, (h,w,3).
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or has 16 bits and the response is for 8.
+    """
     suffix = path.suffix.lower()
     if suffix in HDR_SUFFIXES:
         return _read_linear(path)

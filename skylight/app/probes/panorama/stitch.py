@@ -4,7 +4,9 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from skylight.app.cameras.exposure_files import read_series, response_of
+import numpy as np
+
+from skylight.app.cameras.exposure_files import read_exposure, read_series, response_of
 from skylight.app.probes.panorama.brackets import Bracket, find_brackets, read_turns
 from skylight.app.probes.panorama.report import write_stitch_report
 from skylight.app.probes.panorama.summary import Stitched, describe, summary, warnings
@@ -14,11 +16,13 @@ from skylight.io.files import write_environment_map
 from skylight.io.json_files import write_json
 from skylight.probes.panorama.panorama import panorama_of
 from skylight.probes.panorama.shots import Shot, shot_of
-from skylight.probes.radiance.exposures import Choice
+from skylight.probes.radiance.exposures import Choice, Exposure, common_response
 from skylight.work.progress import StageProgress, Tell
 from skylight.work.results_folder import results_folder
 
 _HEIGHTS = (16, 1024)
+# Directions by which a response is judged, and px of their longer sides: as good as all
+_JUDGED, _JUDGED_SIDE = 8, 300
 
 
 def stitch_probe(
@@ -57,7 +61,8 @@ def stitch_probe(
     with results_folder(out) as folder:
         brackets = find_brackets(shots, times, bracket)
         hints = None if turns is None else read_turns(turns, len(brackets))
-        merged, focal_px, curve = _merged(brackets, response_of(response), progress)
+        chosen, why = _common_response(brackets, response_of(response))
+        merged, focal_px, curve = _merged(brackets, chosen, progress)
         told_px = focal_length_px or focal_px
         panorama = panorama_of(
             merged,
@@ -74,24 +79,53 @@ def stitch_probe(
         write_stitch_report(folder / "report.png", result)
     for line in warnings(result):
         warn(line)
+    if why:
+        tell(why)
     tell(summary(out, result))
     return result
+
+
+def _common_response(
+    brackets: Sequence[Bracket], wanted: Response | Choice
+) -> tuple[Response | Choice, str]:
+    """(what linearises all shots, why), from some directions with the exposures of the first.
+
+    A direction alone may show sky or ground only, and too few codes.
+    """
+    first = brackets[0].seconds
+    if isinstance(wanted, Response) or wanted == "srgb" or first is None or len(first) < 2:
+        return wanted, ""
+    alike = [each for each in brackets if each.seconds == first]
+    some = [alike[k] for k in sorted({*np.linspace(0, len(alike) - 1, _JUDGED).astype(int)})]
+    rows: list[list[np.ndarray]] = [[] for _ in first]
+    for bracket in some:
+        for row, path in zip(rows, bracket.files, strict=True):
+            image = read_exposure(path, wanted)
+            if image.dtype != np.uint8:
+                return wanted, ""
+            step = max(1, max(image.shape) // _JUDGED_SIDE)
+            row.append(image[::step, ::step])
+    for row in rows:
+        if any(image.shape != row[0].shape for image in row):
+            raise InputError(f"{some[0].files[0]}: not all shots have its size; take all in one")
+    exposures = [
+        Exposure(name=str(path), seconds=time, image=np.concatenate(row, 1))
+        for path, time, row in zip(some[0].files, first, rows, strict=True)
+    ]
+    return common_response(exposures, wanted)
 
 
 def _merged(
     brackets: Sequence[Bracket], response: Response | Choice, progress: StageProgress
 ) -> tuple[list[Shot], float | None, Response | None]:
-    """(shots in one unit, focal length in px of the pictures, the response used).
-
-    The first direction's exposures choose the response of all.
-    """
+    """(shots in one unit, focal length in px of the pictures, the response used)."""
     longest = max((max(each.seconds) for each in brackets if each.seconds), default=1.0)
     shots: list[Shot] = []
     focal_px = curve = None
     for number, bracket in enumerate(brackets):
         progress("merging exposures", number / len(brackets))
         lone = len(bracket.files) == 1 and bracket.seconds is not None
-        series = read_series(bracket.files, bracket.seconds, curve or response, lone=lone)
+        series = read_series(bracket.files, bracket.seconds, response, lone=lone)
         if number == 0:
             focal_px, curve = series.focal_px, series.merged.response
         gain = max(bracket.seconds) if bracket.seconds else longest
