@@ -9,6 +9,7 @@ from jaxtyping import Float
 from skylight.probes.panorama.lens import Lens
 from skylight.probes.panorama.shots import Shot, shot_of
 from skylight.probes.radiance.exposures import merge
+from skylight.sphere.envmap import EnvironmentMap
 from tools.virtual_camera import Head, expose, picture
 
 SUN = np.array([0.5, 0.35, -0.79]) / np.linalg.norm([0.5, 0.35, -0.79])
@@ -53,3 +54,18 @@ def shots(bits: int = 16, times: tuple[float, ...] = TIMES) -> list[Shot]:
         )
         for number, seen in enumerate(pictures()[1])
     ]
+
+
+def sun_irradiance(
+    environment: EnvironmentMap, turn: Float[np.ndarray, "3 3"] | None = None
+) -> Float[np.ndarray, "3"]:
+    """On a surface that faces the sun, of what is within four degrees of its edge.
+
+    ``turn`` leads from the world to the map's frame.
+    """
+    grid = environment.grid
+    sun = SUN if turn is None else turn @ SUN
+    cosine = grid.directions.numpy() @ sun
+    near = cosine > math.cos(SUN_RAD + math.radians(4))
+    weight = cosine * grid.solid_angles.numpy() * near
+    return weight @ environment.flat.double().numpy()

@@ -27,8 +27,9 @@ from skylight.probes.panorama.matches import Turned
 Rotations = Mapping[int, Float[np.ndarray, "3 3"]]
 
 # Matches farther off than (the first) do not count, those farther off than (the second) less: px.
-# In the beginning they may be off by what hints are wrong by and a tree of turns adds up to.
 _ROUNDS = ((None, 8.0), (12.0, 3.0), (4.0, 1.0), (3.0, 1.0))
+# In the beginning those count that agree so far with the turn of their two shots, for a lens that
+# is hardly known, and lamps that hints or a tree of turns leave so far apart.
 _BEGIN_RAD = 0.15
 _HINT_DEG = 2.0  # what hints are wrong by
 _K1_SPREAD, _K1_MOST = 0.1, 0.2
@@ -76,21 +77,28 @@ def spanning_tree(turned: Sequence[Turned]) -> dict[int, Float[np.ndarray, "3 3"
     return world
 
 
-def adjust(links: Sequence[Link], start: Rotations, lens: Lens, hints: Rotations) -> Bundle:
+def adjust(
+    turned: Sequence[Turned], lamps: Sequence[Link], start: Rotations, lens: Lens, hints: Rotations
+) -> Bundle:
     """The bundle of least sum, from these rotations and this lens.
 
-    ``hints`` are rotations known to two degrees or so; without any, one shot stays as it is.
+    ``lamps`` are single matches that need not be of the same lamp. ``hints`` are rotations known
+    to two degrees or so; without any, one shot stays as it is.
     """
-    kept = [link for link in links if link.start in start and link.end in start]
+    turned = [each for each in turned if {each.link.start, each.link.end} <= {*start}]
+    lamps = [link for link in lamps if {link.start, link.end} <= {*start}]
     shots = sorted(start)
     rotations = np.array([start[shot] for shot in shots])
-    problem = _Problem.of(kept, {shot: number for number, shot in enumerate(shots)})
+    number = {shot: place for place, shot in enumerate(shots)}
+    problem = _Problem.of([*(each.link for each in turned), *lamps], number)
     known = np.array([shot in hints for shot in shots])
     where = np.array([hints.get(shot, np.eye(3)) for shot in shots])
-    agree = np.zeros(len(problem.before), bool)
+    agree = np.concatenate([np.zeros(0, bool), *(_agreeing(each, lens) for each in turned)])
+    off = np.linalg.norm(problem.errors(rotations, lens), axis=1) / lens.focal_px
+    agree = np.concatenate([agree, off[len(agree) :] < _BEGIN_RAD])
     for farthest, width in _ROUNDS:
-        limit = farthest or _BEGIN_RAD * lens.focal_px
-        agree = np.linalg.norm(problem.errors(rotations, lens), axis=1) < limit
+        if farthest is not None:
+            agree = np.linalg.norm(problem.errors(rotations, lens), axis=1) < farthest
         rotations, lens = _Fit(problem.only(agree), rotations, lens, known, where).solve(width)
     error = problem.only(agree).errors(rotations, lens)
     rms_px = float(np.sqrt((error**2).mean())) if len(error) else 0.0
@@ -100,6 +108,12 @@ def adjust(links: Sequence[Link], start: Rotations, lens: Lens, hints: Rotations
         matches=int(agree.sum()),
         rms_px=rms_px,
     )
+
+
+def _agreeing(turned: Turned, lens: Lens) -> Bool[np.ndarray, " n"]:
+    """Which of a link's matches agree with its own turn."""
+    error = lens.project(lens.rays(turned.link.after) @ turned.rotation.T) - turned.link.before
+    return np.linalg.norm(error, axis=1) < _BEGIN_RAD * lens.focal_px
 
 
 @dataclass(frozen=True, kw_only=True)

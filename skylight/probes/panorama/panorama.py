@@ -100,7 +100,7 @@ def panorama_of(
         start = {**hints, **aligned(start, hints)}
     elif hints:
         start = {**hints}
-    bundle = adjust([*(each.link for each in turned), *lamp_links(shots)], start, lens, hints)
+    bundle = adjust(turned, lamp_links(shots), start, lens, hints)
     if not hints:
         bundle = Bundle(
             rotations=levelled(bundle.rotations),

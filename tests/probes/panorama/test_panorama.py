@@ -25,6 +25,7 @@ from tests.turning_camera import (
     pictures,
     rippled,
     shots,
+    sun_irradiance,
 )
 
 ROWS = 64
@@ -53,15 +54,6 @@ def errors_outside_the_sun(probe: ProbeMap) -> np.ndarray:
     outside &= probe.seen.flatten().numpy() == 1
     got = environment.flat.numpy()
     return (np.abs(got - true).mean(1) / true.mean(1))[outside]
-
-
-def sun_irradiance(environment: EnvironmentMap) -> np.ndarray:
-    """On a surface that faces the sun, of what is within four degrees of its edge."""
-    grid = environment.grid
-    cosine = grid.directions.numpy() @ SUN
-    near = cosine > math.cos(SUN_RAD + math.radians(4))
-    weight = cosine * grid.solid_angles.numpy() * near
-    return weight @ environment.flat.double().numpy()
 
 
 class TestFound:
