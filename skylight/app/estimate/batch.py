@@ -22,6 +22,7 @@ from skylight.faces.detection.landmarkers import choose_landmarker
 from skylight.faces.names import HeadName, LandmarkerName, WhichFaces
 from skylight.imaging.suffixes import PHOTO_SUFFIXES
 from skylight.io.listing import visible_files
+from skylight.models.known_ground import KnownGround, check_has_ground
 from skylight.models.names import (
     DEFAULT_LIGHT,
     DEFAULT_SOLVER,
@@ -56,11 +57,13 @@ class BatchSettings:
     landmarks: LandmarkerName = "mediapipe"
     ignore_exif_sun: bool = False
     keep_place: bool = False
+    ground: KnownGround | None = None
     device: str = "auto"
 
     def __post_init__(self) -> None:
         check_light_name(self.light)
         check_solver_name(self.solver, self.light)
+        check_has_ground(self.light, self.ground)
         if self.model is not None:
             check_is_trained(self.light)
 
@@ -75,6 +78,8 @@ class BatchSettings:
         del facts["device"]
         if self.solver == DEFAULT_SOLVER:  # notes of runs before there was another
             del facts["solver"]
+        if self.ground is None:
+            del facts["ground"]
         return facts
 
 
@@ -240,6 +245,7 @@ def _estimate_into(out: Path, path: Path, source: str, settings: BatchSettings) 
             device=settings.device,
             landmarks=choose_landmarker(settings.landmarks),
             ignore_exif_sun=settings.ignore_exif_sun,
+            ground=settings.ground,
             names=[source],
             workers=1,
         )

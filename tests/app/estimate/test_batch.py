@@ -14,7 +14,6 @@ from skimage.data import astronaut
 
 from skylight.app.estimate import batch, results
 from skylight.app.estimate.batch import (
-    SUFFIXES,
     BatchSettings,
     estimate_folder,
     folder_name,
@@ -25,7 +24,9 @@ from skylight.app.estimate.manifest import MANIFEST, Entry, read_manifest
 from skylight.app.estimate.photos import estimate
 from skylight.cli import main
 from skylight.errors import InputError, OutputError
+from skylight.imaging.suffixes import PHOTO_SUFFIXES
 from skylight.io.files import read_environment_map
+from skylight.models.known_ground import KnownGround
 from skylight.work.resumable import claimed
 
 SH9 = BatchSettings(light="sh9")
@@ -189,6 +190,14 @@ class TestGoingOn:
         with pytest.raises(InputError, match="not for sunsky"):
             BatchSettings(solver="thesis", light="sunsky")
 
+    def test_notes_tell_of_a_ground_that_is_known(self) -> None:
+        assert "ground" not in BatchSettings().facts()
+        ground = KnownGround(albedo=(0.5, 0.4, 0.3))
+        told = BatchSettings(ground=ground).facts()["ground"]
+        assert told == {"albedo": (0.5, 0.4, 0.3), "spread": 0.1}
+        with pytest.raises(InputError, match="sh9 has none"):
+            BatchSettings(ground=ground, light="sh9")
+
     def test_what_a_killed_worker_left_goes(self, copied: tuple[Path, Path]) -> None:
         photos, out = copied
         (out / "me_png" / ".partial-abc").mkdir()
@@ -320,7 +329,7 @@ class TestPhotos:
     names = st.builds(
         lambda stem, suffix: stem + suffix,
         st.text("ab_./", min_size=1, max_size=4),
-        st.sampled_from(sorted(SUFFIXES)),
+        st.sampled_from(sorted(PHOTO_SUFFIXES)),
     )
 
     @given(st.lists(names, unique=True, min_size=2, max_size=2))
