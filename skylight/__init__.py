@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from skylight.io.files import read_environment_map, write_environment_map
     from skylight.models.autoencoder import AutoencoderLight
     from skylight.models.harmonic import HarmonicLight
+    from skylight.models.known_ground import KnownGround
     from skylight.models.lamps import LampsLight
     from skylight.models.sunsky import SunSky
     from skylight.probes.partitions.probe import PartitionProbe
@@ -39,6 +40,7 @@ _HOME = {
     "Estimate": "skylight.inverse.result",
     "FilterBank": "skylight.csc.dictionary",
     "HarmonicLight": "skylight.models.harmonic",
+    "KnownGround": "skylight.models.known_ground",
     "LampsLight": "skylight.models.lamps",
     "PartitionProbe": "skylight.probes.partitions.probe",
     "Photo": "skylight.imaging.photo",
@@ -67,6 +69,7 @@ __all__ = [
     "Estimate",
     "FilterBank",
     "HarmonicLight",
+    "KnownGround",
     "LampsLight",
     "PartitionProbe",
     "Photo",

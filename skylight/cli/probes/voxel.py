@@ -6,6 +6,7 @@ from typing import Literal
 import tyro
 from tyro.conf import Positional
 
+from skylight.cli.probes.ground import ground
 from skylight.cli.probes.mirror_balls import merge_exposures
 from skylight.cli.probes.panorama import stitch_shots
 from skylight.cli.probes.partitions import partitions
@@ -293,5 +294,6 @@ def live_voxel(
 
 probe.command(name="merge")(merge_exposures)
 probe.command(name="stitch")(stitch_shots)
+probe.command(name="ground")(ground)
 probe.command(voxel, name="voxel", help="Voxel shading probes.")
 probe.command(partitions, name="partitions", help="Shading probes that part the sphere.")

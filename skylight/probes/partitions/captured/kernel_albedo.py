@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
@@ -12,29 +11,12 @@ from torch import Tensor
 from skylight.cameras.response import Response, saturated
 from skylight.errors import InputError
 from skylight.io.json_files import read_object, require_keys, write_json
+from skylight.probes.chart.chart import LEAST_LIGHT, MOST_CLIPPED, GreyLine, find_chart
 
 USUAL = 0.8  # of white filament, where nobody says or measures it
 _KIND, _FORMAT = "kernel albedo", 1
 _BLOCKS = 4  # along each side of a patch, to tell how even it is
 _LEAST_SIDE_PX = 2 * _BLOCKS
-_MOST_CLIPPED = 0.01
-_LEAST_LIGHT = 1e-3
-_PATCH_SHARE = 0.6  # of a chart's patch, along each side
-_LEAST_GREYS = 4
-# Linear Rec.709 under D65 of white 9.5, neutral 8, 6.5, 5, 3.5 and black 2 of the ColorChecker:
-# the averages over 30 charts (Pascale, "The ColorChecker", BabelColor 2012, xyY under D50),
-# adapted to D65 by Bradford's matrix.
-GREYS = np.array(
-    [
-        [0.9182, 0.9146, 0.8740],
-        [0.5811, 0.5911, 0.5851],
-        [0.3544, 0.3611, 0.3596],
-        [0.1871, 0.1924, 0.1920],
-        [0.0867, 0.0900, 0.0910],
-        [0.0318, 0.0320, 0.0327],
-    ]
-)
-_FIRST_GREY = 18  # of 24 patches, row by row
 
 Rectangle = tuple[int, int, int, int]
 
@@ -72,7 +54,7 @@ def albedo_beside_card(
     light, burnt = response.linearise(photo).numpy(), saturated(photo)
     here, here_error = _mean_of(light, burnt, patch, "patch")
     there, there_error = _mean_of(light, burnt, card, "card")
-    if there.min() < _LEAST_LIGHT:
+    if there.min() < LEAST_LIGHT:
         raise InputError("the card is black in the photo: expose longer, or check its rectangle")
     rgb = card_albedo * here / there
     relative = np.hypot(here_error / np.maximum(here, 1e-9), there_error / there)
@@ -89,25 +71,9 @@ def albedo_beside_chart(
     with ordinary least squares.
     """
     light, burnt = response.linearise(photo).numpy(), saturated(photo)
-    greys, fit = _grey_patches(photo, light, burnt)
-    here, here_error = _mean_of(light, burnt, patch, "patch")
-    known = GREYS[fit]
-    if len(known) < _LEAST_GREYS:
-        raise InputError(
-            f"{len(GREYS) - len(known)} of the chart's 6 greys are over-exposed: expose shorter"
-        )
-    middle = known.mean(0)
-    spread = ((known - middle) ** 2).sum(0)
-    slope = ((known - middle) * greys[fit]).sum(0) / spread
-    if slope.min() < _LEAST_LIGHT:
-        raise InputError("the chart's greys do not differ as they should: see that it lies flat")
-    start = greys[fit].mean(0) - slope * middle
-    off = greys[fit] - start - slope * known
-    variance = (off**2).sum(0) / (len(known) - 2)
-    rgb = (here - start) / slope
-    error = (
-        np.sqrt(variance * (1 / len(known) + (rgb - middle) ** 2 / spread) + here_error**2) / slope
-    )
+    chart = find_chart(photo, ", or give --card and --card-albedo")
+    line = GreyLine.through(*chart.greys(light, burnt))
+    rgb, error = line.albedo(*_mean_of(light, burnt, patch, "patch"))
     return _compared(rgb, error, "ColorChecker")
 
 
@@ -195,7 +161,7 @@ def _mean_of(
     if min(width, height) < _LEAST_SIDE_PX:
         raise InputError(f"the {name} must be {_LEAST_SIDE_PX} pixels wide and high or more")
     there = np.s_[y : y + height, x : x + width]
-    if burnt[there].mean() > _MOST_CLIPPED:
+    if burnt[there].mean() > MOST_CLIPPED:
         raise InputError(f"the {name} is over-exposed: expose shorter")
     blocks = np.array(
         [
@@ -205,30 +171,3 @@ def _mean_of(
         ]
     )
     return blocks.mean(0), blocks.std(0, ddof=1) / _BLOCKS
-
-
-def _grey_patches(
-    photo: UInt8[np.ndarray, "h w 3"],
-    light: Float[np.ndarray, "h w 3"],
-    burnt: Bool[np.ndarray, "h w"],
-) -> tuple[Float[np.ndarray, "6 3"], Bool[np.ndarray, "6"]]:
-    """(mean light of a ColorChecker's greys from white to black, which are not over-exposed)."""
-    detector = cv2.mcc.CCheckerDetector.create()
-    detector.setColorChartType(cv2.mcc.MCC24)
-    if not detector.process(np.ascontiguousarray(photo[..., ::-1]), 1):
-        raise InputError(
-            "no ColorChecker in the photo: see that all its 24 patches are in view, sharp and "
-            "large, or give --card and --card-albedo"
-        )
-    corners = np.array(detector.getBestColorChecker().getColorCharts()).reshape(-1, 4, 2)
-    greys, fit = [], []
-    for quad in corners[_FIRST_GREY:]:
-        inner = quad.mean(0) + _PATCH_SHARE * (quad - quad.mean(0))
-        mask = np.zeros(burnt.shape, np.uint8)
-        cv2.fillConvexPoly(mask, np.rint(inner).astype(np.int32), 1)
-        inside = mask.astype(bool)
-        if not inside.any():
-            raise InputError("part of the ColorChecker is out of the photo: take all of it")
-        greys.append(light[inside].mean(0, dtype=np.float64))
-        fit.append(burnt[inside].mean() <= _MOST_CLIPPED)
-    return np.array(greys), np.array(fit)

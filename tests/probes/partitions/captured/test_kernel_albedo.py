@@ -3,53 +3,33 @@
 from functools import cache
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import torch
 
 from skylight.cameras.response import Response
 from skylight.errors import InputError
+from skylight.probes.chart.chart import GREYS
 from skylight.probes.partitions.captured.kernel_albedo import (
-    GREYS,
     KernelAlbedo,
     albedo_beside_card,
     albedo_beside_chart,
     read_albedo,
     save_albedo,
 )
+from tests.drawn_chart import lay_chart
 
 MATERIAL = np.array([0.78, 0.74, 0.66])
 LAMP = np.array([0.8, 0.65, 0.5])
 GAMMA = Response(kind="gamma", gamma=2.0)
-# the chart's other patches, CIE L*a*b* (GretagMacbeth 2005); only to be recognised by
-COLOURS = [
-    (38, 14, 14), (66, 18, 18), (50, -5, -22), (43, -13, 22), (55, 9, -25), (71, -33, 0),
-    (63, 36, 57), (40, 10, -46), (51, 48, 16), (30, 23, -22), (73, -24, 57), (72, 19, 68),
-    (29, 14, -50), (55, -38, 31), (42, 53, 28), (82, 4, 80), (52, 50, -15), (51, -29, -29),
-]  # fmt: skip
 PATCH = (1250, 500, 200, 160)
 
 
 @cache
 def photo(*, stray: float = 0.0, slope: float = 0.0, brightness: float = 1.0) -> np.ndarray:
     """A chart and the material side by side on a grey table, with a pixel's noise."""
-    width, gap = 120, 24
-    page = np.full((4 * width + 5 * gap, 6 * width + 7 * gap, 3), 0.02, np.float32)
-    lab = np.array([COLOURS], dtype=np.float32)
-    colours = np.clip(cv2.cvtColor(lab, cv2.COLOR_LAB2RGB)[0], 0, 1) ** 2.2
-    for i, colour in enumerate([*colours, *GREYS]):
-        y, x = (gap + n * (width + gap) for n in divmod(i, 6))
-        page[y : y + width, x : x + width] = colour
     scene = np.full((1000, 1500, 3), 0.25, np.float32)
-    h, w = page.shape[:2]
-    source = np.array([[0, 0], [w, 0], [w, h], [0, h]], np.float32)
-    target = np.array([[100, 150], [1100, 190], [1080, 860], [80, 820]], np.float32)
-    turn = cv2.getPerspectiveTransform(source, target)
-    cv2.warpPerspective(
-        page, turn, (1500, 1000), dst=scene, flags=cv2.INTER_AREA,
-        borderMode=cv2.BORDER_TRANSPARENT,
-    )  # fmt: skip
+    lay_chart(scene, [[100, 150], [1100, 190], [1080, 860], [80, 820]])
     x, y, width, height = PATCH
     scene[y - 20 : y + height + 20, x - 20 : x + width + 20] = MATERIAL
     light = scene * LAMP * brightness * (1 + slope * np.linspace(-1, 1, 1500)[:, None]) + stray

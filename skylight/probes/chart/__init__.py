@@ -1,0 +1,1 @@
+"""Albedos by a ColorChecker in the same photograph."""

@@ -1,0 +1,134 @@
+"""The six greys of a ColorChecker in a photo, and the line from albedo to light through them."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from skylight.errors import InputError
+
+MOST_CLIPPED = 0.01  # share of an area
+LEAST_LIGHT = 1e-3
+_PATCH_SHARE = 0.6  # of a chart's patch, along each side
+_LEAST_GREYS = 4
+# Linear Rec.709 under D65 of white 9.5, neutral 8, 6.5, 5, 3.5 and black 2 of the ColorChecker:
+# the averages over 30 charts (Pascale, "The ColorChecker", BabelColor 2012, xyY under D50),
+# adapted to D65 by Bradford's matrix.
+GREYS = np.array(
+    [
+        [0.9182, 0.9146, 0.8740],
+        [0.5811, 0.5911, 0.5851],
+        [0.3544, 0.3611, 0.3596],
+        [0.1871, 0.1924, 0.1920],
+        [0.0867, 0.0900, 0.0910],
+        [0.0318, 0.0320, 0.0327],
+    ]
+)
+_FIRST_GREY = 18  # of 24 patches, row by row
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chart:
+    """Corners (24,4,2), (x, y), of a ColorChecker's patches, row by row from the brown one."""
+
+    corners: Float[np.ndarray, "24 4 2"]
+
+    def outline(self, wider: float) -> Float[np.ndarray, "n 2"]:
+        """The convex hull of its patches, made wider about its middle."""
+        points = self.corners.reshape(-1, 2)
+        middle = points.mean(0)
+        hull = cv2.convexHull((middle + wider * (points - middle)).astype(np.float32))
+        return hull.reshape(-1, 2).astype(np.float64)
+
+    def greys(
+        self, light: Float[np.ndarray, "h w 3"], burnt: Bool[np.ndarray, "h w"]
+    ) -> tuple[Float[np.ndarray, "6 3"], Bool[np.ndarray, "6"]]:
+        """(mean light of the greys from white to black, which are not over-exposed)."""
+        greys, fit = [], []
+        for quad in self.corners[_FIRST_GREY:]:
+            inner = quad.mean(0) + _PATCH_SHARE * (quad - quad.mean(0))
+            mask = np.zeros(burnt.shape, np.uint8)
+            cv2.fillConvexPoly(mask, np.rint(inner).astype(np.int32), 1)
+            inside = mask.astype(bool)
+            if not inside.any():
+                raise InputError("part of the ColorChecker is out of the photo: take all of it")
+            greys.append(light[inside].mean(0, dtype=np.float64))
+            fit.append(burnt[inside].mean() <= MOST_CLIPPED)
+        return np.array(greys), np.array(fit)
+
+
+def find_chart(codes: UInt8[np.ndarray, "h w 3"], otherwise: str = "") -> Chart:
+    """The ColorChecker of a photo in sRGB; ``otherwise``: what else could be done, in the message.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    detector = cv2.mcc.CCheckerDetector.create()
+    detector.setColorChartType(cv2.mcc.MCC24)
+    if not detector.process(np.ascontiguousarray(codes[..., ::-1]), 1):
+        raise InputError(
+            "no ColorChecker in the photo: see that all its 24 patches are in view, sharp and "
+            f"large{otherwise}"
+        )
+    corners = np.array(detector.getBestColorChecker().getColorCharts(), dtype=np.float64)
+    return Chart(corners=corners.reshape(-1, 4, 2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class GreyLine:
+    """s = a + k rho in each colour: what light s the chart's greys show of their albedos rho.
+
+    ``slope`` k is the light on the chart, ``start`` a what stray light adds; ``variance`` is that
+    of s about the line, ``count`` greys with mean albedo ``middle`` and ``spread``, the sum of
+    squares about it.
+    """
+
+    slope: Float[np.ndarray, "3"]
+    start: Float[np.ndarray, "3"]
+    variance: Float[np.ndarray, "3"]
+    count: int
+    middle: Float[np.ndarray, "3"]
+    spread: Float[np.ndarray, "3"]
+
+    @staticmethod
+    def through(greys: Float[np.ndarray, "6 3"], fit: Bool[np.ndarray, "6"]) -> "GreyLine":
+        """By ordinary least squares through the greys that are not over-exposed.
+
+        Raises
+        ------
+        InputError
+            Fewer than four of them, or greys that do not differ.
+        """
+        known = GREYS[fit]
+        if len(known) < _LEAST_GREYS:
+            raise InputError(
+                f"{len(GREYS) - len(known)} of the chart's 6 greys are over-exposed: expose shorter"
+            )
+        middle = known.mean(0)
+        spread = ((known - middle) ** 2).sum(0)
+        slope = ((known - middle) * greys[fit]).sum(0) / spread
+        if slope.min() < LEAST_LIGHT:
+            raise InputError(
+                "the chart's greys do not differ as they should: see that it lies flat"
+            )
+        start = greys[fit].mean(0) - slope * middle
+        off = greys[fit] - start - slope * known
+        return GreyLine(
+            slope=slope,
+            start=start,
+            variance=(off**2).sum(0) / (len(known) - 2),
+            count=len(known),
+            middle=middle,
+            spread=spread,
+        )
+
+    def albedo(
+        self, light: Float[np.ndarray, "3"], error: Float[np.ndarray, "3"]
+    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        """rho = (s - a) / k of light s with a standard ``error``, and rho's own."""
+        rho = (light - self.start) / self.slope
+        variance = self.variance * (1 / self.count + (rho - self.middle) ** 2 / self.spread)
+        return rho, np.sqrt(variance + error**2) / self.slope
