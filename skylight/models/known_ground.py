@@ -52,7 +52,7 @@ class KnownGround:
             It is neither, or no albedo.
         """
         if text.lower().endswith(".json"):
-            return _load(Path(text))
+            return load_ground(Path(text))
         try:
             numbers = [float(part) for part in text.split(",")]
         except ValueError:
@@ -75,7 +75,14 @@ def check_has_ground(light: LightName, ground: KnownGround | None) -> None:
         )
 
 
-def _load(path: Path) -> KnownGround:
+def load_ground(path: Path) -> KnownGround:
+    """The ground that :meth:`KnownGround.save` wrote.
+
+    Raises
+    ------
+    InputError
+        The file is missing or no such file, or its values cannot be.
+    """
     content = read_object(path, _KIND)
     require_keys(path, content, [*_CHANNELS, "spread"])
     try:

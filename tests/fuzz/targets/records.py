@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 import torch
 
+from skylight.app.probes.panorama.brackets import read_turns
 from skylight.cameras.board import Board, load_board, save_board
 from skylight.cameras.intrinsics import Intrinsics, load_intrinsics, save_intrinsics
 from skylight.cameras.response import Response, load_response, save_response
 from skylight.errors import InputError, SkylightError
 from skylight.io.collection import read_categories
 from skylight.io.json_files import write_json
+from skylight.models.known_ground import KnownGround, load_ground
 from skylight.probes.partitions.captured.capture import load_capture
 from skylight.probes.partitions.captured.kernel_albedo import KernelAlbedo, read_albedo, save_albedo
 from skylight.probes.partitions.cells import Cells
@@ -48,6 +50,8 @@ _READERS: tuple[Callable[[Path], object], ...] = (
     read_days,
     read_config,
     lambda path: read_albedo(str(path)),
+    load_ground,
+    lambda path: read_turns(path, 1),
     lambda path: read_categories(path.parent),
     lambda path: read_object_camera(path, height=30, width=40),
 )
@@ -105,6 +109,8 @@ def seeds() -> list[bytes]:
         written("a.json", lambda path: save_design(path, cells.design)),
         written("a.json", lambda path: save_albedo(path, albedo)),
         written("a.json", lambda path: write_json(path, [0.25] * 64)),
+        written("a.json", lambda path: KnownGround(albedo=(0.2, 0.1, 0.1)).save(path, {})),
+        b"azimuth_deg,elevation_deg\n30,-10\n",
         index.encode(),
         b"file,category\na.exr,urban\n",
         b"file,day,time\na.exr,20160515,\n",
