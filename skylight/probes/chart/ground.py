@@ -11,7 +11,7 @@ from skylight.probes.chart.chart import LEAST_LIGHT, MOST_CLIPPED, GreyLine, fin
 
 _BLOCKS = 12  # along each side of the photo, to tell how even the ground is
 _CLEAR = 1.3  # times the chart, whose frame and shadow lie round its patches
-_SMOOTH = 0.03  # of a flat field's longer side: the noise and texture of its surface
+_SMOOTH = 0.015  # of a flat field's longer side: the noise and texture of its surface
 _LEAST_SHARE = 0.02  # of the photo
 _DARKEST = 0.05  # of a flat field, against its brightest
 
@@ -33,7 +33,7 @@ def measure_ground(
     burnt: Bool[np.ndarray, "h w"],
     *,
     region: Rectangle | None = None,
-    gain: Float[np.ndarray, "h w 3"] | None = None,
+    gain: Float[np.ndarray, "a b 3"] | None = None,
 ) -> MeasuredGround:
     """The mean albedo of the ground by the chart's greys: rho = (s - a) / k of its mean light s.
 
