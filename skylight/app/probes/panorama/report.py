@@ -43,7 +43,8 @@ def write_stitch_report(path: Path, result: Stitched) -> None:
         axes = figure.add_subplot(grid[0, 1])
         seen = probe.seen.numpy()[..., None] > 0
         picture = np.where(seen, tone_map(probe.environment.radiance, white=white), 128)
-        show(axes, picture.astype(np.uint8), "Where the shots lie (orange: by --turns alone; grey: in none)")
+        title = "Where the shots lie (orange: by --turns alone; grey: in none)"
+        show(axes, picture.astype(np.uint8), title)
         _outlines(axes, result)
         write_numbers(figure.add_subplot(grid[1, 1]), "In numbers", _numbers(result), pitch=0.085)
         save(figure, path)
