@@ -114,6 +114,24 @@ def photo_from_codes(codes: UInt8[np.ndarray, "h w 3"], *, decode: Decode | None
     return _photo(codes, "srgb" if decode is None else decode, _at_maximum(codes), CameraFacts())
 
 
+def read_light(
+    path: Path, decode: Decode
+) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
+    """(linear light, where it is saturated) of a picture, or of a RAW file, whatever ``decode``.
+
+    As :func:`read_photo`, but as dark as may be and with whatever colour: one of several exposures
+    may show nothing.
+    """
+    if path.suffix.lower() in RAW_SUFFIXES:
+        codes, clipped = develop(path)
+        return codes.astype(np.float32) / np.float32(65535), clipped
+    with opened_picture(path) as image:
+        _check_kind(path, image)
+        codes, clipped, _ = _decode_picture(path, image, decode)
+    share = codes.astype(np.float32) / np.float32(np.iinfo(codes.dtype).max)
+    return decode_values(torch.from_numpy(share), decode).numpy(), clipped
+
+
 def is_deep(image: Image.Image) -> bool:
     """Whether a picture that is not decoded yet has 16 bits a channel.
 

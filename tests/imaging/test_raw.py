@@ -52,11 +52,16 @@ def directory(entries: Sequence[Entry], at: int) -> bytes:
     return struct.pack("<H", len(entries)) + table + bytes(4) + outside
 
 
-def write_dng(path: Path, codes: np.ndarray, *, orientation: int = 1) -> Path:
+def write_dng(
+    path: Path, codes: np.ndarray, *, orientation: int = 1, rate: int | None = None
+) -> Path:
+    """``rate``: exposed for 1 / rate seconds."""
     height, width = codes.shape
     data = codes.astype("<u2").tobytes()
     exif_at = 8 + len(data)
-    exif = directory([(0x9003, ASCII, b"2024:06:01 14:30:00\0"), (0x9209, SHORT, [1])], exif_at)
+    exposure: list[Entry] = [] if rate is None else [(0x829A, RATIONAL, [1, rate])]
+    when: Entry = (0x9003, ASCII, b"2024:06:01 14:30:00\0")
+    exif = directory([*exposure, when, (0x9209, SHORT, [1])], exif_at)
     entries: list[Entry] = [
         (254, LONG, [0]),
         (256, LONG, [width]),

@@ -18,7 +18,7 @@ from skylight.cameras.response import Response, load_response
 from skylight.errors import InputError
 from skylight.imaging.colour import Decode
 from skylight.imaging.exif import focal_length_px
-from skylight.imaging.photo import is_deep, read_exif, read_photo
+from skylight.imaging.photo import is_deep, read_exif, read_light
 from skylight.imaging.raw import SUFFIXES as RAW_SUFFIXES
 from skylight.io.hdr import SUFFIXES as HDR_SUFFIXES
 from skylight.io.hdr import read_linear
@@ -132,7 +132,7 @@ def read_exposure(path: Path, response: Response | Choice) -> np.ndarray:
     if suffix in HDR_SUFFIXES:
         return _read_linear(path)
     if suffix in RAW_SUFFIXES:
-        return _light_of(path, None)
+        return _light_of(path, "linear")
     with opened_picture(path) as image:
         deep = is_deep(image)
     if not deep:
@@ -143,10 +143,9 @@ def read_exposure(path: Path, response: Response | Choice) -> np.ndarray:
     return _light_of(path, "srgb" if curve.gamma is None else curve.gamma)
 
 
-def _light_of(path: Path, decode: Decode | None) -> np.ndarray:
+def _light_of(path: Path, decode: Decode) -> np.ndarray:
     """Linear light, 1 where a channel is saturated."""
-    photo = read_photo(path, decode=decode)
-    light, burnt = photo.pixels.numpy(), photo.clipped.numpy()
+    light, burnt = read_light(path, decode)
     largest = np.argmax(light, -1)[burnt]
     rows, columns = np.nonzero(burnt)
     light[rows, columns, largest] = np.maximum(light[rows, columns, largest], 1)
