@@ -25,6 +25,7 @@ from skylight.errors import InputError, OutputError, SkylightError
 from skylight.io.atomic import PARTIAL
 from skylight.io.json_files import write_json
 from skylight.work.cluster import Cluster, prepare_once, share_on_cluster
+from skylight.work.garbage import collect_seldom
 
 Result = TypeVar("Result")
 Workers = int | Cluster  # so many processes here, or those of a cluster
@@ -234,6 +235,7 @@ def _for_new_processes() -> Iterator[None]:
 
 
 def _start_worker(finish: bool) -> None:
+    collect_seldom()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if finish:  # Ctrl-C reaches workers too; here the parent decides
         signal.signal(signal.SIGINT, signal.SIG_IGN)
