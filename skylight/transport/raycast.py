@@ -1,7 +1,7 @@
 """Ray casting by embree: closest hits and occlusion."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -24,6 +24,7 @@ class Hits:
     distance: Float[Tensor, " r"]
 
 
+@runtime_checkable
 class OcclusionCaster(Protocol):
     """Whether rays hit a mesh: by embree (:class:`Raycaster`), or on another device
     (:class:`~skylight.transport.occlusion.caster.TorchRaycaster`).

@@ -19,7 +19,7 @@ class Hierarchy:
     triangles are there twice. Few triangles are one leaf, without levels.
     """
 
-    levels: tuple[Float[np.ndarray, "_ c 2 3"], ...]
+    levels: tuple[Float[np.ndarray, "_ _ 2 3"], ...]
     leaves: Float[np.ndarray, "l t 3 3"]
 
     @staticmethod
