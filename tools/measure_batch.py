@@ -18,8 +18,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from skylight.app.estimate.batch import list_photos
-from skylight.app.estimate.manifest import MANIFEST, read_manifest
+from skylight.app.estimate.folder.listing import list_photos
+from skylight.app.estimate.folder.manifest import MANIFEST, read_manifest
 from skylight.models.names import DEFAULT_LIGHT
 from tools.measured import write_measured
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from skylight.app.estimate.batch import SUFFIXES, file_hash
+from skylight.app.estimate.folder.listing import SUFFIXES, file_hash
 from skylight.app.estimate.followed import FOLLOWED, FOLLOWING, read_followed, write_followed
 from skylight.app.estimate.photos import rays_on
 from skylight.cameras.turns import Link, focal_from_turns, world_from_cameras
