@@ -7,6 +7,8 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
+import torch
+
 from skylight.app.estimate.folder.listing import photo_hash
 from skylight.app.estimate.folder.manifest import Entry
 from skylight.app.estimate.folder.one import Piece, lost, read_told
@@ -20,6 +22,7 @@ from skylight.inverse.result import Estimate
 from skylight.inverse.sky.solver import SOLVERS
 from skylight.inverse.sun_prior import SunPrior
 from skylight.models.bundle import LightBundle, load_bundle
+from skylight.work.device import choose_device
 from skylight.work.results_folder import results_folder
 from skylight.work.resumable import share_work
 from skylight.work.tensors_by_value import send_tensors_by_value
@@ -161,10 +164,19 @@ def _pictures(piece: Piece) -> Pictures:
 def _lights(
     batch: Sequence[Observed], model: LightBundle | None
 ) -> list[tuple[Estimate | None, str]]:
-    """(the light, "") of each photo, or (None, why there is none)."""
-    with suppress(Exception):  # of one of them, or of memory that does for one
-        return [(light, "") for light in _solve(batch, model)]
-    return [one.piece.attempt(lambda one=one: _solve([one], model)[0]) for one in batch]
+    """(the light, "") of each photo, or (None, why there is none).
+
+    On the CPU by one thread, as workers have: where a descent ends, depends on its rounding.
+    """
+    threads = torch.get_num_threads()
+    if choose_device(batch[0].piece.settings.device).type == "cpu":
+        torch.set_num_threads(1)
+    try:
+        with suppress(Exception):  # of one of them, or of memory that does for one
+            return [(light, "") for light in _solve(batch, model)]
+        return [one.piece.attempt(lambda one=one: _solve([one], model)[0]) for one in batch]
+    finally:
+        torch.set_num_threads(threads)
 
 
 def _solve(batch: Sequence[Observed], model: LightBundle | None) -> list[Estimate]:
