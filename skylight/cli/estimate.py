@@ -43,6 +43,7 @@ def estimate(
     keep_place: bool = False,
     workers: int = 0,
     cluster: str | None = None,
+    batch: int | None = None,
     retry_failed: bool = False,
     video: bool = False,
     keyframes: int = 24,
@@ -87,7 +88,7 @@ def estimate(
         faces: One face of each picture, or all.
         head: The morphable model's head as fitted to the landmarks, or deformed to meet them (only
             for landmarks that are exact to a millimetre).
-        device: Where the light is optimised: on the CPU, by CUDA, or by CUDA where it is.
+        device: Where light is traced and optimised: on the CPU, by CUDA, or by CUDA where it is.
         out: Folder for the results; by default PHOTO's name with _light, in the current folder.
         gamma: The picture's values are light to the power of 1/GAMMA, instead of sRGB.
         linear: The picture's values are proportional to light, instead of sRGB.
@@ -101,6 +102,9 @@ def estimate(
         workers: Of a folder: processes that work at the same time; 0 for one per core. Each takes
             up to 1.1 GB.
         cluster: Of a folder: a dask scheduler's address, whose workers do it instead.
+        batch: Of a folder, for --light auto, autoencoder or sunsky: so many pictures are solved
+            together on the device by one process, while the workers do the rest; by default 16 by
+            CUDA, and 1 on the CPU, where each worker solves its own.
         retry_failed: Of a folder: try again the pictures that failed before.
         video: PHOTO is a film (mp4, mov, ...) of up to ten minutes, or a folder of its frames.
         keyframes: Of a film: estimate the light at so many frames at most.
@@ -119,8 +123,9 @@ def estimate(
                 "--time, --place and --heading": any(
                     each is not None for each in (time, place, heading)
                 ),
-                "--workers, --cluster and --retry-failed": workers != 0
+                "--workers, --cluster, --batch and --retry-failed": workers != 0
                 or cluster is not None
+                or batch is not None
                 or retry_failed,
             },
             light=light,
@@ -153,6 +158,7 @@ def estimate(
             out or Path(f"{photo.resolve().name}_light"),
             workers=workers,
             cluster=cluster,
+            batch=batch,
             retry_failed=retry_failed,
             device=device,
             light=light,
@@ -169,6 +175,7 @@ def estimate(
     for option, given in (
         ("workers", workers != 0),
         ("cluster", cluster is not None),
+        ("batch", batch is not None),
         ("retry-failed", retry_failed),
     ):
         if given:
@@ -252,12 +259,14 @@ def _estimate_folder(
     *,
     workers: int,
     cluster: str | None,
+    batch: int | None,
     retry_failed: bool,
     **settings: Any,
 ) -> None:
-    """``settings`` are those of :class:`skylight.app.estimate.batch.BatchSettings`."""
-    from skylight.app.estimate.batch import BatchSettings, estimate_folder
-    from skylight.app.estimate.manifest import MANIFEST
+    """``settings`` are those of :class:`skylight.app.estimate.folder.settings.BatchSettings`."""
+    from skylight.app.estimate.folder.batch import estimate_folder
+    from skylight.app.estimate.folder.manifest import MANIFEST
+    from skylight.app.estimate.folder.settings import BatchSettings
     from skylight.app.progress import stage_bar
     from skylight.work.device import choose_device
 
@@ -267,7 +276,13 @@ def _estimate_folder(
     try:
         with stage_bar() as progress:
             entries = estimate_folder(
-                photos, out, chosen, workers=who, retry_failed=retry_failed, progress=progress
+                photos,
+                out,
+                chosen,
+                workers=who,
+                batch=batch,
+                retry_failed=retry_failed,
+                progress=progress,
             )
     except KeyboardInterrupt:
         raise SkylightError(
