@@ -1,4 +1,4 @@
-"""Throughput and memory of batch estimates over the number of workers, or of photos solved together.
+"""Throughput and memory of batch estimates over the number of workers, or of photos solved at once.
 
     python -m tools.measure_batch PHOTOS --workers 1 2
     python -m tools.measure_batch PHOTOS --workers 2 --device cuda --batch 1 16
@@ -70,8 +70,8 @@ def main() -> None:
     write_measured(
         arguments.out,
         name="batch",
-        what=f"{count} photos, light {arguments.light}, on {arguments.device}, by so many workers of "
-        "one thread, so many solved together",
+        what=f"{count} photos, light {arguments.light}, on {arguments.device}, by so many workers "
+        "of one thread, so many solved together",
         command=f"python -m tools.measure_batch {arguments.photos.name} --workers {workers} "
         f"--device {arguments.device} --batch {batches} --count {arguments.count} "
         f"--light {arguments.light}",

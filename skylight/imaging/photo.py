@@ -114,6 +114,22 @@ def photo_from_codes(codes: UInt8[np.ndarray, "h w 3"], *, decode: Decode | None
     return _photo(codes, "srgb" if decode is None else decode, _at_maximum(codes), CameraFacts())
 
 
+def is_deep(image: Image.Image) -> bool:
+    """Whether a picture that is not decoded yet has 16 bits a channel.
+
+    Pillow cuts 16-bit colour down to 8; its plan of decoding, empty once done, tells.
+    """
+    return ";16" in str(getattr(image, "tile", ""))
+
+
+def read_exif(path: Path) -> Image.Exif:
+    """The EXIF data of a picture or RAW file; empty where it has none."""
+    if path.suffix.lower() in RAW_SUFFIXES:
+        return raw_exif(path)
+    with opened_picture(path) as image:
+        return image.getexif()
+
+
 def _from_linear_file(path: Path, decode: Decode) -> Photo:
     stored = read_linear(path)
     _check_size(path, stored.shape[1], stored.shape[0])
@@ -206,11 +222,10 @@ def _decode_picture(
     path: Path, image: Image.Image, decode: Decode
 ) -> tuple[np.ndarray, Bool[np.ndarray, "h w"], CameraFacts]:
     """(codes (h,w,3) uint8 or uint16, clipped, the camera's), upright and in sRGB's primaries."""
-    # Pillow cuts 16-bit colour down to 8; its plan of decoding, empty once done, tells
-    is_deep = ";16" in str(getattr(image, "tile", ""))
+    deep = is_deep(image)
     facts = camera_facts(image.getexif(), *image.size)
     to_srgb = _profile_to_srgb(path, image) if decode == "srgb" else None
-    if is_deep:
+    if deep:
         if to_srgb is not None:
             raise InputError(
                 f"{path}: 16-bit pictures are read in sRGB only, and its colour profile is "

@@ -13,8 +13,8 @@ from skylight.cameras.frames import FRAMES_MOST, read_frames, read_picture
 from skylight.cameras.intrinsics import describe_intrinsics
 from skylight.cameras.response import Response, recover_response, save_response
 from skylight.errors import InputError
+from skylight.imaging.photo import read_exif
 from skylight.io.json_files import write_json
-from skylight.io.opened_picture import opened_picture
 from skylight.work.progress import Tell
 
 _FIXED = (ExifTags.Base.FNumber, ExifTags.Base.ISOSpeedRatings)
@@ -167,10 +167,9 @@ def exif_exposures(paths: Sequence[Path]) -> list[float]:
     """
     seconds, settings = [], []
     for path in paths:
-        with opened_picture(path) as image:
-            tags = image.getexif().get_ifd(ExifTags.IFD.Exif)
-            seconds.append(float(tags.get(ExifTags.Base.ExposureTime, 0)))
-            settings.append([tags.get(tag) for tag in _FIXED])
+        tags = read_exif(path).get_ifd(ExifTags.IFD.Exif)
+        seconds.append(float(tags.get(ExifTags.Base.ExposureTime, 0)))
+        settings.append([tags.get(tag) for tag in _FIXED])
         if not seconds[-1] > 0:
             raise InputError(f"{path}: its EXIF data tell no exposure time; give --times")
         if settings[-1] != settings[0]:

@@ -1,9 +1,13 @@
-"""Exposures read from files with their EXIF times and lens, merged per view."""
+"""Exposures read from files with their EXIF times and lens, merged per view.
+
+Pictures of 8 bits are codes, whose response may be recovered; RAW files, .exr and .hdr are linear
+light, and pictures of 16 bits are made so by the response that is given, or sRGB.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, cast
+from typing import cast
 
 import numpy as np
 import torch
@@ -12,11 +16,21 @@ from skylight.app.cameras.calibration import exif_exposures, exposure_times
 from skylight.cameras.frames import read_picture
 from skylight.cameras.response import Response, load_response
 from skylight.errors import InputError
+from skylight.imaging.colour import Decode
 from skylight.imaging.exif import focal_length_px
+from skylight.imaging.photo import is_deep, read_exif, read_photo
+from skylight.imaging.raw import SUFFIXES as RAW_SUFFIXES
 from skylight.io.hdr import SUFFIXES as HDR_SUFFIXES
 from skylight.io.hdr import read_linear
 from skylight.io.opened_picture import opened_picture
-from skylight.probes.mirror_balls.exposures import Exposure, ExposureSeries, Merged, merge
+from skylight.probes.radiance.exposures import (
+    Choice,
+    Exposure,
+    ExposureSeries,
+    Merged,
+    linearised,
+    merge,
+)
 
 _PLATEAU = 5  # equal brightest pixels of a merged file that are no accident
 
@@ -47,51 +61,96 @@ def read_views(
         raise InputError(
             f"{len(given)} exposure times and {len(photos) + len(second)} pictures: give one each"
         )
-    first = _read(photos, None if given is None else given[: len(photos)], _response(response))
+    first = read_series(
+        photos, None if given is None else given[: len(photos)], response_of(response)
+    )
     if not second:
         return (first,)
-    other = _read(second, None if given is None else given[len(photos) :], first.merged.response)
+    other = read_series(
+        second, None if given is None else given[len(photos) :], first.merged.response or "auto"
+    )
     if first.seconds is None or other.seconds is None:
         return first, other
     scaled = other.merged.radiance * (max(first.seconds) / max(other.seconds))
     return first, replace(other, merged=replace(other.merged, radiance=scaled))
 
 
-def _response(
-    name: str,
-) -> Response | Literal["auto", "srgb", "recover"]:
+def response_of(name: str) -> Response | Choice:
+    """A choice of :func:`~skylight.probes.radiance.exposures.merge`, or that of a file."""
     if name in ("auto", "srgb", "recover"):
-        return cast(Literal["auto", "srgb", "recover"], name)
+        return cast(Choice, name)
     return load_response(name)
 
 
-def _read(
+def read_series(
     files: Sequence[Path],
     seconds: Sequence[float] | None,
-    response: Response | Literal["auto", "srgb", "recover"] | None,
+    response: Response | Choice,
+    *,
+    lone: bool = False,
 ) -> ExposureSeries:
+    """One view; ``seconds`` as EXIF data tell by default.
+
+    ``lone`` allows for a single exposure, of which whatever is saturated stays unknown.
+
+    Raises
+    ------
+    InputError
+        Files that cannot be read, that have no times, or that do not belong together.
+    """
     if not files:
         raise InputError("no pictures were given: name two exposures or more")
-    linear = [path.suffix.lower() in HDR_SUFFIXES for path in files]
-    if len(files) == 1 and linear[0]:
+    stored = [path.suffix.lower() in HDR_SUFFIXES for path in files]
+    if len(files) == 1 and stored[0]:
         merged = _merged_already(_read_linear(files[0]))
         return ExposureSeries(files=tuple(files), seconds=None, merged=merged, focal_px=None)
-    if seconds is None and any(linear):
-        raise InputError(f"{files[linear.index(True)]}: it tells no exposure time; give --times")
-    images = [
-        _read_linear(path) if is_linear else read_picture(path).image
-        for path, is_linear in zip(files, linear, strict=True)
-    ]
+    if seconds is None and any(stored):
+        raise InputError(f"{files[stored.index(True)]}: it tells no exposure time; give --times")
+    images = [read_exposure(path, response) for path in files]
     if len(files) > 1 and seconds is None:
         seconds = exif_exposures(files)
-    times = tuple(seconds) if seconds is not None else (1.0,)  # one picture, which is refused
+    times = tuple(seconds) if seconds is not None else (1.0,)
     exposures = [
         Exposure(name=str(path), seconds=time, image=image)
         for path, time, image in zip(files, times, images, strict=True)
     ]
-    merged = merge(exposures, "auto" if response is None else response)
-    focal_px = None if linear[0] else _focal_px(files[0])
+    merged = linearised(exposures[0], response) if lone else merge(exposures, response)
+    height, width = images[0].shape[:2]
+    focal_px = None if stored[0] else focal_length_px(read_exif(files[0]), width, height)
     return ExposureSeries(files=tuple(files), seconds=times, merged=merged, focal_px=focal_px)
+
+
+def read_exposure(path: Path, response: Response | Choice) -> np.ndarray:
+    """Codes of 8 bits, or linear light, (h,w,3).
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or has 16 bits and the response is for 8.
+    """
+    suffix = path.suffix.lower()
+    if suffix in HDR_SUFFIXES:
+        return _read_linear(path)
+    if suffix in RAW_SUFFIXES:
+        return _light_of(path, None)
+    with opened_picture(path) as image:
+        deep = is_deep(image)
+    if not deep:
+        return read_picture(path).image
+    curve = response if isinstance(response, Response) else Response()
+    if curve.curve is not None or response == "recover":
+        raise InputError(f"{path}: a recovered response is for 8 bits; export it with these")
+    return _light_of(path, "srgb" if curve.gamma is None else curve.gamma)
+
+
+def _light_of(path: Path, decode: Decode | None) -> np.ndarray:
+    """Linear light, 1 where a channel is saturated."""
+    photo = read_photo(path, decode=decode)
+    light, burnt = photo.pixels.numpy(), photo.clipped.numpy()
+    largest = np.argmax(light, -1)[burnt]
+    rows, columns = np.nonzero(burnt)
+    light[rows, columns, largest] = np.maximum(light[rows, columns, largest], 1)
+    return light
 
 
 def _read_linear(path: Path) -> np.ndarray:
@@ -114,8 +173,3 @@ def _merged_already(pixels: np.ndarray) -> Merged:
         response=None,
         disagreement=None,
     )
-
-
-def _focal_px(path: Path) -> float | None:
-    with opened_picture(path) as image:
-        return focal_length_px(image.getexif(), *image.size)

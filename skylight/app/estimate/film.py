@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from skylight.app.estimate.folder.listing import SUFFIXES, file_hash
+from skylight.app.estimate.folder.listing import file_hash
 from skylight.app.estimate.followed import FOLLOWED, FOLLOWING, read_followed, write_followed
 from skylight.app.estimate.photos import rays_on
 from skylight.cameras.turns import Link, focal_from_turns, world_from_cameras
@@ -25,6 +25,7 @@ from skylight.faces.photographs import MOST_TURNED_RAD
 from skylight.imaging.colour import Decode
 from skylight.imaging.film import FilmFrame, film_frames, told_length_s
 from skylight.imaging.photo import Photo, read_photo
+from skylight.imaging.suffixes import PHOTO_SUFFIXES
 from skylight.inverse.estimate import light_problem
 from skylight.inverse.sky.film import FilmLight, FilmProblem
 from skylight.inverse.sky.problem import SkyProblem
@@ -242,9 +243,11 @@ def _sources(source: Path, settings: FilmSettings) -> Iterator[Source]:
 
 
 def _frame_files(folder: Path) -> list[Path]:
-    files = visible_files(folder, SUFFIXES)
+    files = visible_files(folder, PHOTO_SUFFIXES)
     if not files:
-        raise InputError(f"{folder}: no pictures ({', '.join(sorted(SUFFIXES))}) in this folder")
+        raise InputError(
+            f"{folder}: no pictures ({', '.join(sorted(PHOTO_SUFFIXES))}) in this folder"
+        )
     return files
 
 

@@ -7,6 +7,7 @@ import tyro
 from tyro.conf import Positional
 
 from skylight.cli.probes.mirror_balls import merge_exposures
+from skylight.cli.probes.panorama import stitch_shots
 from skylight.cli.probes.partitions import partitions
 from skylight.cli.sources import film_source, one_source, take_care
 from skylight.errors import InputError
@@ -291,5 +292,6 @@ def live_voxel(
 
 
 probe.command(name="merge")(merge_exposures)
+probe.command(name="stitch")(stitch_shots)
 probe.command(voxel, name="voxel", help="Voxel shading probes.")
 probe.command(partitions, name="partitions", help="Shading probes that part the sphere.")

@@ -8,11 +8,12 @@ import numpy as np
 
 from skylight.errors import InputError
 from skylight.probes.mirror_balls.ball import ball_of_circle, focal_from_fov, picture_camera
-from skylight.probes.mirror_balls.clipping import Clipping, find_clipping
-from skylight.probes.mirror_balls.exposures import ExposureSeries
 from skylight.probes.mirror_balls.outline import Outline, find_ball
-from skylight.probes.mirror_balls.unwrap import BallView, ProbeMap, averaged, unwrap
+from skylight.probes.mirror_balls.unwrap import BallView, unwrap
 from skylight.probes.mirror_balls.views import TURN_DEG, Turn, blend, match_views
+from skylight.probes.radiance.clipping import Clipping, find_clipping
+from skylight.probes.radiance.exposures import ExposureSeries
+from skylight.probes.radiance.probe_map import ProbeMap, averaged
 
 Kind = Literal["ball", "360"]
 Circle = tuple[float, float, float]

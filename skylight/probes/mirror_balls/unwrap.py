@@ -16,8 +16,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from skylight.probes.mirror_balls.ball import Ball
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.grid import DirectionGrid
+from skylight.probes.radiance.probe_map import ProbeMap, averaged, latlong_directions
 
 _MARGIN_PX = 1.5  # inside of the outline, where pixels mix with what is behind the ball
 _FINEST_ROWS = 1024
@@ -97,24 +96,6 @@ class BallView:
         return values[..., :3] / self.reflectivity, values[..., 3], seen
 
 
-@dataclass(frozen=True, kw_only=True)
-class ProbeMap:
-    """A lat-long map, and what share of each pixel is ``clipped`` and was ``seen``.
-
-    Unseen pixels hold the nearest seen direction.
-    """
-
-    environment: EnvironmentMap
-    clipped: Float[Tensor, "h w"]
-    seen: Float[Tensor, "h w"]
-
-    @property
-    def unseen_share(self) -> float:
-        """Share of the sphere that no picture showed."""
-        weight = self.environment.grid.solid_angles
-        return float((1 - self.seen.flatten().double()) @ weight / weight.sum())
-
-
 def unwrap(view: BallView, height: int) -> ProbeMap:
     """The light round a ball as a lat-long map, averaged down from a finer one."""
     return averaged(*view.look_up(latlong_directions(fine_height(view, height))), height)
@@ -127,25 +108,3 @@ def fine_height(view: BallView, height: int) -> int:
     """
     wanted = math.ceil(0.5 * math.pi * view.ball.circle[2] / height)
     return height * max(1, min(wanted, _FINEST_ROWS // height))
-
-
-def latlong_directions(height: int) -> Float[Tensor, "h w 3"]:
-    """Directions of a lat-long map's pixels, float64."""
-    return DirectionGrid.latlong(height).directions.reshape(height, 2 * height, 3)
-
-
-def averaged(
-    light: Float[np.ndarray, "h w 3"],
-    clipped: Float[np.ndarray, "h w"],
-    seen: Bool[np.ndarray, "h w"],
-    height: int,
-) -> ProbeMap:
-    """The map of ``height`` rows, energy kept, of the values of a finer one."""
-    radiance = torch.from_numpy(light.astype(np.float32))
-    shares = torch.from_numpy(np.dstack([clipped, seen, seen]).astype(np.float32))
-    shares = EnvironmentMap(radiance=shares).resize(height).radiance
-    return ProbeMap(
-        environment=EnvironmentMap(radiance=radiance).resize(height),
-        clipped=shares[..., 0],
-        seen=shares[..., 1],
-    )

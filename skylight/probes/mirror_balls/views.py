@@ -10,13 +10,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from skylight.probes.mirror_balls.unwrap import (
-    BallView,
-    ProbeMap,
-    averaged,
-    fine_height,
-    latlong_directions,
-)
+from skylight.probes.mirror_balls.unwrap import BallView, fine_height
+from skylight.probes.radiance.probe_map import ProbeMap, averaged, latlong_directions
 from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.sphere.frame import angle_between, rotation_about
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.probes.mirror_balls.clipping import SUN_SR, find_clipping
-from skylight.probes.mirror_balls.unwrap import ProbeMap, unwrap
+from skylight.probes.mirror_balls.unwrap import unwrap
+from skylight.probes.radiance.clipping import SUN_SR, find_clipping
+from skylight.probes.radiance.probe_map import ProbeMap
 from skylight.sphere.envmap import EnvironmentMap
 from tests.probes.mirror_balls.conftest import made_light, picture_of, view_of
 

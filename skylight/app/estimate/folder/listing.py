@@ -4,11 +4,8 @@ import hashlib
 from pathlib import Path
 
 from skylight.errors import InputError
-from skylight.imaging.raw import SUFFIXES as RAW_SUFFIXES
-from skylight.io.hdr import SUFFIXES as HDR_SUFFIXES
+from skylight.imaging.suffixes import PHOTO_SUFFIXES
 from skylight.io.listing import visible_files
-
-SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", *HDR_SUFFIXES, *RAW_SUFFIXES})
 
 
 def list_photos(photos: Path, out: Path) -> list[str]:
@@ -28,14 +25,16 @@ def list_photos(photos: Path, out: Path) -> list[str]:
     if root == results:
         raise InputError(f"{out}: results go to another folder than the pictures; choose one")
     found = []
-    for path in visible_files(root, SUFFIXES, recursive=True):
+    for path in visible_files(root, PHOTO_SUFFIXES, recursive=True):
         is_result = root in results.parents and results in path.parents
         # reports of earlier estimates show the faces too
         is_result = is_result or (path.parent / "estimate.json").exists()
         if not is_result:
             found.append(path.relative_to(root).as_posix())
     if not found:
-        raise InputError(f"{photos}: no pictures ({', '.join(sorted(SUFFIXES))}) in this folder")
+        raise InputError(
+            f"{photos}: no pictures ({', '.join(sorted(PHOTO_SUFFIXES))}) in this folder"
+        )
     return sorted(found)
 
 

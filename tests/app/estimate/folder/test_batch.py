@@ -15,12 +15,13 @@ from skimage.data import astronaut
 from skylight.app.estimate import results
 from skylight.app.estimate.folder import batch
 from skylight.app.estimate.folder.batch import estimate_folder, time_left_s
-from skylight.app.estimate.folder.listing import SUFFIXES, folder_name, list_photos
+from skylight.app.estimate.folder.listing import folder_name, list_photos
 from skylight.app.estimate.folder.manifest import MANIFEST, Entry, read_manifest
 from skylight.app.estimate.folder.settings import BatchSettings
 from skylight.app.estimate.photos import estimate
 from skylight.cli import main
 from skylight.errors import InputError, OutputError
+from skylight.imaging.suffixes import PHOTO_SUFFIXES
 from skylight.io.files import read_environment_map
 from skylight.work.resumable import claimed
 
@@ -316,7 +317,7 @@ class TestPhotos:
     names = st.builds(
         lambda stem, suffix: stem + suffix,
         st.text("ab_./", min_size=1, max_size=4),
-        st.sampled_from(sorted(SUFFIXES)),
+        st.sampled_from(sorted(PHOTO_SUFFIXES)),
     )
 
     @given(st.lists(names, unique=True, min_size=2, max_size=2))

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from skimage.measure import label
 
-from skylight.probes.mirror_balls.unwrap import ProbeMap
+from skylight.probes.radiance.probe_map import ProbeMap
 from skylight.sphere.envmap import luminance
 from skylight.sphere.frame import angles_from_direction
 

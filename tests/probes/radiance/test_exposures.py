@@ -9,7 +9,7 @@ import torch
 from skylight.cameras.response import Response
 from skylight.errors import InputError
 from skylight.imaging.colour import linear_to_srgb
-from skylight.probes.mirror_balls.exposures import Exposure, merge
+from skylight.probes.radiance.exposures import Exposure, merge
 
 TIMES = [1 / 256, 1 / 64, 1 / 16, 1 / 4, 1.0]
 Encode = Callable[[np.ndarray], np.ndarray]

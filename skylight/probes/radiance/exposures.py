@@ -115,14 +115,45 @@ def merge(exposures: Sequence[Exposure], response: Response | Choice = "auto") -
     unseen = weights == 0
     bound = _light(ordered[0], curve) / times[0]
     radiance = np.where(unseen, bound, total / np.where(unseen, 1, weights))
-    shortest = ordered[0].image
-    clipped = shortest.max(-1) >= SATURATED if ordered[0].is_linear else saturated(shortest)
     return Merged(
         radiance=torch.from_numpy(radiance.astype(np.float32)),
-        clipped=torch.from_numpy(clipped),
+        clipped=_clipped(ordered[0]),
         response=curve,
         disagreement=_disagreement(thinned, times, curve),
         notes=notes,
+    )
+
+
+def common_response(exposures: Sequence[Exposure], wanted: Choice) -> tuple[Response, str]:
+    """The response that :func:`merge` would choose, "auto" or "recover", and why.
+
+    Of 8-bit exposures of several views beside each other it is surer than of one.
+    """
+    check_bracket(exposures)
+    ordered = sorted(exposures, key=lambda each: each.seconds)
+    times = [each.seconds / ordered[-1].seconds for each in ordered]
+    curve, notes = _response([_thinned(each) for each in ordered], times, wanted)
+    return curve or Response(), "; ".join(notes)
+
+
+def linearised(exposure: Exposure, response: Response | Choice = "auto") -> Merged:
+    """Linear light of one exposure alone, of which whatever is saturated stays unknown.
+
+    Raises
+    ------
+    InputError
+        "recover": one exposure tells no response.
+    """
+    if response == "recover":
+        raise InputError(f"{exposure.name}: one exposure tells no response; give one, or sRGB")
+    curve = None
+    if not exposure.is_linear:
+        curve = response if isinstance(response, Response) else Response()
+    return Merged(
+        radiance=torch.from_numpy(_light(exposure, curve)),
+        clipped=_clipped(exposure),
+        response=curve,
+        disagreement=None,
     )
 
 
@@ -158,6 +189,12 @@ def check_bracket(exposures: Sequence[Exposure]) -> None:
                 f"{short.name} and {long.name}: their exposures, {short.seconds:.3g} and "
                 f"{long.seconds:.3g} s, are too alike; leave one out, or see to --times"
             )
+
+
+def _clipped(exposure: Exposure) -> Bool[Tensor, "h w"]:
+    """Where more light may have fallen."""
+    image = exposure.image
+    return torch.from_numpy(image.max(-1) >= SATURATED if exposure.is_linear else saturated(image))
 
 
 def _response(

@@ -1,0 +1,1 @@
+"""Light probes stitched from the photographs of a turning camera."""

@@ -1,0 +1,1 @@
+"""HDR light probes stitched from the shots of a camera that turns about its lens."""
