@@ -1,9 +1,9 @@
 """Photographs of a folder whose lights are found together, on one device."""
 
+import logging
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -172,8 +172,17 @@ def _lights(
     if choose_device(batch[0].piece.settings.device).type == "cpu":
         torch.set_num_threads(1)
     try:
-        with suppress(Exception):  # of one of them, or of memory that does for one
+        try:
             return [(light, "") for light in _solve(batch, model)]
+        except Exception as fault:  # of one of them, or of memory that does for one
+            if len(batch) > 1:
+                logging.getLogger(__name__).warning(
+                    "skylight: %d photos could not be solved together (%s: %s); each is solved by "
+                    "itself",
+                    len(batch),
+                    type(fault).__name__,
+                    str(fault).partition("\n")[0],
+                )
         return [one.piece.attempt(lambda one=one: _solve([one], model)[0]) for one in batch]
     finally:
         torch.set_num_threads(threads)

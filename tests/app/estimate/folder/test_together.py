@@ -90,7 +90,11 @@ def sun(line: Entry) -> torch.Tensor:
 
 @pytest.mark.slow
 def test_what_workers_send_loses_nothing(
-    photos: Path, apart: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    photos: Path,
+    apart: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     """Batches of one, solved as if by a worker: the same bytes; and of batches that cannot be
     solved, as memory is short for two, each photo is solved by itself."""
@@ -103,6 +107,8 @@ def test_what_workers_send_loses_nothing(
 
     monkeypatch.setattr(together, "_solve", short)
     estimate_folder(photos, tmp_path, SUNSKY, workers=2, batch=2)
+    (line,) = {record.getMessage() for record in caplog.records}
+    assert "2 photos could not be solved together (RuntimeError: out of memory)" in line
     for path in apart.rglob("*"):
         other = tmp_path / path.relative_to(apart)
         if path.suffix in (".exr", ".hdr", ".obj"):
