@@ -69,7 +69,7 @@ def main() -> None:
     workers, batches = (" ".join(map(str, each)) for each in (arguments.workers, arguments.batch))
     write_measured(
         arguments.out,
-        name="batch",
+        name=arguments.out.stem,
         what=f"{count} photos, light {arguments.light}, on {arguments.device}, by so many workers "
         "of one thread, so many solved together",
         command=f"python -m tools.measure_batch {arguments.photos.name} --workers {workers} "
