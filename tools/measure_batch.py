@@ -1,4 +1,4 @@
-"""Throughput and memory of batch estimates over the number of workers, or of photos solved at once.
+"""Throughput and memory of batch estimates over workers, or over photos solved together.
 
     python -m tools.measure_batch PHOTOS --workers 1 2
     python -m tools.measure_batch PHOTOS --workers 2 --device cuda --batch 1 16
@@ -69,7 +69,7 @@ def main() -> None:
     workers, batches = (" ".join(map(str, each)) for each in (arguments.workers, arguments.batch))
     write_measured(
         arguments.out,
-        name="batch",
+        name=arguments.out.stem,
         what=f"{count} photos, light {arguments.light}, on {arguments.device}, by so many workers "
         "of one thread, so many solved together",
         command=f"python -m tools.measure_batch {arguments.photos.name} --workers {workers} "
@@ -104,20 +104,27 @@ def apart(first: dict[str, Tensor], other: dict[str, Tensor]) -> dict[str, float
 
 def measure(photos: Path, out: Path, options: list[str]) -> dict[str, float]:
     """One run of the command on an empty ``out``."""
-    begun = time.monotonic()
+    begun, before = time.monotonic(), _processor_s()
     subprocess.run(
         [sys.executable, "-m", "skylight", "estimate", str(photos), "--out", str(out), *options],
         check=True,
     )
-    seconds = time.monotonic() - begun
+    seconds, processor = time.monotonic() - begun, _processor_s() - before
     entries = read_manifest(out / MANIFEST).values()
     done = [entry.seconds for entry in entries if entry.status == "done" and entry.seconds]
     return {
         "seconds": seconds,
+        "processor_seconds": processor,
         "per_minute": 60 * len(entries) / seconds,
         "done": len(done),
         "seconds_of_a_photo": statistics.median(done),
     }
+
+
+def _processor_s() -> float:
+    """Of all processes that this one has started and that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 if __name__ == "__main__":
