@@ -41,6 +41,7 @@ def estimate(
     heading: float | None = None,
     ignore_exif_sun: bool = False,
     keep_place: bool = False,
+    ground_albedo: str | None = None,
     workers: int = 0,
     cluster: str | None = None,
     batch: int | None = None,
@@ -99,6 +100,9 @@ def estimate(
         heading: Where the camera looked: degrees clockwise from true north.
         ignore_exif_sun: Do not use time, place and heading of the EXIF data.
         keep_place: Write time, place and heading into estimate.json; they are left out else.
+        ground_albedo: The ground's albedo for skies, as R,G,B or R,G,B,SPREAD (linear, 0 to 1; the
+            spread is relative, 0.1 without it), or a file of `skylight probe ground`; by default
+            what is usual of grounds.
         workers: Of a folder: processes that work at the same time; 0 for one per core. Each takes
             up to 1.1 GB.
         cluster: Of a folder: a dask scheduler's address, whose workers do it instead.
@@ -110,6 +114,9 @@ def estimate(
         keyframes: Of a film: estimate the light at so many frames at most.
         rate: Of a folder of a film's frames: so many are shown in a second.
     """
+    from skylight.models.known_ground import KnownGround
+
+    ground = None if ground_albedo is None else KnownGround.told(ground_albedo)
     if video:
         _estimate_film(
             photo,
@@ -134,6 +141,7 @@ def estimate(
             keyframes=keyframes,
             rate=rate,
             decode="linear" if linear else gamma,
+            ground=ground,
             device=device,
         )
         return
@@ -170,6 +178,7 @@ def estimate(
             landmarks=landmarks,
             ignore_exif_sun=ignore_exif_sun,
             keep_place=keep_place,
+            ground=ground,
         )
         return
     for option, given in (
@@ -215,6 +224,7 @@ def estimate(
             landmarks=landmarker,
             taken=taken,
             ignore_exif_sun=ignore_exif_sun,
+            ground=ground,
             names=[str(path) for path in paths],
             progress=progress,
         )

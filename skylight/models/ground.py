@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from skylight.models.known_ground import KnownGround
 from skylight.models.prior import GaussianMixture
 from skylight.sphere.grid import row_edges_cos
 
@@ -57,13 +58,18 @@ class LambertianGround(nn.Module):
         return torch.cat([sky, ground], dim=-2)
 
 
-def ground_prior() -> GaussianMixture:
+def ground_prior(known: KnownGround | None = None) -> GaussianMixture:
     """Density of log albedos (RGB): one Gaussian, from the moments of the nine grounds.
+
+    Of a ground that is known, N(log albedo, spread^2) in each channel.
 
     One component, because nine grounds carry no more: with two, the Bayesian information
     criterion is higher. Its covariance is :data:`GROUND_SPREAD` squared times theirs, plus 0.01
     where they leave no room.
     """
+    if known is not None:
+        mean = torch.tensor(known.albedo).log()
+        return GaussianMixture(torch.ones(1), mean[None], torch.eye(3)[None] / known.spread)
     log_albedo = torch.tensor(GROUND_ALBEDOS).log()
     covariance = torch.cov(log_albedo.T) * GROUND_SPREAD**2 + 0.01 * torch.eye(3)
     # precision = B B^T with an upper triangular B

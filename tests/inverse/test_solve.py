@@ -23,6 +23,7 @@ from skylight.inverse.sky.solver import SolverOptions
 from skylight.models.bundle import load_bundle
 from skylight.models.ground import LambertianGround
 from skylight.models.harmonic import HarmonicLight
+from skylight.models.known_ground import KnownGround
 from skylight.models.sunsky import SunSky
 from skylight.sphere.envmap import luminance
 from skylight.sphere.grid import DirectionGrid
@@ -141,6 +142,15 @@ def test_sun_albedo_gloss_and_light_come_back(sun):
     np.testing.assert_allclose(relit, truth, rtol=0.3)
     assert found.faces[0].residual < 0.04  # below the noise that the objective expects
     assert found.advice == ()
+
+
+def test_a_known_ground_holds(first):
+    """Snow that is sure, and wrong, against a ball that shows what is below it."""
+    observation, usual = first
+    snow = KnownGround(albedo=(0.8, 0.8, 0.8), spread=0.01)
+    found = solved(observation, ground=snow)
+    np.testing.assert_allclose(found.ground_albedo, 0.8, rtol=0.1)
+    assert usual.ground_albedo.max() < 0.5
 
 
 def darker_below(azimuth, zenith):

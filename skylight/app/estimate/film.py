@@ -29,9 +29,11 @@ from skylight.imaging.suffixes import PHOTO_SUFFIXES
 from skylight.inverse.estimate import light_problem
 from skylight.inverse.sky.film import FilmLight, FilmProblem
 from skylight.inverse.sky.problem import SkyProblem
+from skylight.inverse.sky.solver import SolverOptions
 from skylight.inverse.sky.turned import in_world
 from skylight.io.listing import visible_files
 from skylight.models.bundle import load_bundle
+from skylight.models.known_ground import KnownGround
 from skylight.models.names import DEFAULT_LIGHT, LightName
 from skylight.work.progress import StageProgress
 from skylight.work.results_folder import results_folder
@@ -59,6 +61,7 @@ class FilmSettings:
     keyframes: int = 24
     rate: float = 30.0
     decode: Decode | None = None
+    ground: KnownGround | None = None
     device: str = "auto"
 
     def __post_init__(self) -> None:
@@ -79,6 +82,8 @@ class FilmSettings:
             "sha256": _sha256(source),
         }
         del facts["device"]
+        if self.ground is None:  # notes of runs before it could be told
+            del facts["ground"]
         return facts
 
 
@@ -114,7 +119,12 @@ def estimate_film(
     followed = followed_film(source, out, settings, progress)
     shot, size = followed.shot, followed.size
     advice = list(followed.notes)
-    problem = light_problem(settings.light, model=settings.model, device=settings.device)
+    problem = light_problem(
+        settings.light,
+        model=settings.model,
+        options=SolverOptions(ground=settings.ground),
+        device=settings.device,
+    )
     assert isinstance(problem, SkyProblem)
     known_px = _photo(shot.keyframes[0], settings).focal_px
     guess_px = known_px or FOCAL_GUESS * max(size)

@@ -1,6 +1,7 @@
 """Photographs in any form in, the light they were taken in out."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 
@@ -14,6 +15,7 @@ from skylight.imaging.taken import Taken
 from skylight.inverse.estimate import Model, light_problem
 from skylight.inverse.result import Estimate
 from skylight.inverse.sky.solver import SOLVERS
+from skylight.models.known_ground import KnownGround, check_has_ground
 from skylight.models.names import (
     DEFAULT_LIGHT,
     DEFAULT_SOLVER,
@@ -39,6 +41,7 @@ def estimate(
     landmarks: LandmarkerName | FaceLandmarker = "mediapipe",
     taken: Taken | None = None,
     ignore_exif_sun: bool = False,
+    ground: KnownGround | None = None,
     progress: StageProgress | None = None,
 ) -> Estimate:
     """The light in which a face was photographed, or several.
@@ -82,6 +85,9 @@ def estimate(
     ignore_exif_sun
         Leave the time, place and heading of its EXIF data unused. Its focal length counts all the
         same, and for "auto" the exposure of the first picture.
+    ground
+        The albedo of the ground where it is known, for skies over a ground ("auto",
+        "autoencoder", "sunsky"); by default what is usual.
     progress
         Called with the name of a stage and the share of it that is done.
 
@@ -111,6 +117,7 @@ def estimate(
         landmarks=landmarks,
         taken=taken,
         ignore_exif_sun=ignore_exif_sun,
+        ground=ground,
         progress=progress,
     ).estimate
 
@@ -128,6 +135,7 @@ def estimate_photo(
     landmarks: LandmarkerName | FaceLandmarker = "mediapipe",
     taken: Taken | None = None,
     ignore_exif_sun: bool = False,
+    ground: KnownGround | None = None,
     names: Sequence[str] | None = None,
     workers: int | None = None,
     progress: StageProgress | None = None,
@@ -144,7 +152,8 @@ def estimate_photo(
     if isinstance(landmarks, str):
         landmarks = choose_landmarker(landmarks)
     check_light_name(light)
-    options = SOLVERS[check_solver_name(solver, light)]
+    check_has_ground(light, ground)
+    options = replace(SOLVERS[check_solver_name(solver, light)], ground=ground)
     pictures = Pictures.of(
         (image, *more),
         light,

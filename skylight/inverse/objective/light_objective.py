@@ -20,6 +20,7 @@ from skylight.inverse.scale import GLOSS_SPREAD, bayes_scale, gloss_nll, scale_n
 from skylight.inverse.sun_prior import SunPrior
 from skylight.models.base import LightModel, Prior, without_azimuth
 from skylight.models.ground import LambertianGround, ground_prior
+from skylight.models.known_ground import KnownGround
 from skylight.models.prior import GaussianMixture
 from skylight.transport.diffuse import shade_scenes
 
@@ -85,6 +86,7 @@ class LightObjective:
         albedo_prior: GaussianMixture,
         weights: ObjectiveWeights,
         sun_priors: Sequence[SunPrior | None] = (),
+        known_ground: KnownGround | None = None,
     ) -> None:
         self.faces = tuple(faces)
         self.sun_priors = tuple(sun_priors)
@@ -102,7 +104,8 @@ class LightObjective:
         self.ground: LambertianGround | None = None
         if not model.grid.is_sphere:
             self.ground = LambertianGround(model.grid.layout[0]).to(device)  # type: ignore[index]
-        self.ground_prior = ground_prior().to(device)
+        self.known_ground = known_ground
+        self.ground_prior = ground_prior(known_ground).to(device)
         self.pigment_colours = torch.tensor(PIGMENT_COLOURS).to(self.faces[0].target)
         spreads = weights.pigment_spread * torch.tensor(PIGMENT_SPREADS)
         self.pigment_spreads = spreads.to(self.faces[0].target)[:, None]

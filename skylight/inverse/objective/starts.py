@@ -38,6 +38,8 @@ def choose_starts(
         light = torch.cat([towards, others])
     sky = model(light)
     ground_albedo = light.new_full((len(light), 0 if model.grid.is_sphere else 3), START_GROUND)
+    if objective.known_ground is not None and not model.grid.is_sphere:
+        ground_albedo[:] = light.new_tensor(objective.known_ground.albedo)
     ground = objective.ground_radiance(sky, ground_albedo)
     ones = light.new_ones(len(light), 3)
     losses = objective.sun_nll(light)

@@ -31,6 +31,7 @@ from skylight.inverse.sun_prior import SunPrior
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.base import LightModel, Prior
 from skylight.models.ground import LambertianGround
+from skylight.models.known_ground import KnownGround
 from skylight.models.names import SolverName
 from skylight.models.prior import GaussianMixture
 from skylight.sphere.envmap import EnvironmentMap
@@ -55,6 +56,8 @@ class SolverOptions:
 
     With ``evidence`` the estimate tells how likely the faces are under the model, which takes as
     many derivatives of the sky as that has parameters.
+
+    ``ground`` is the ground's albedo where it is known, in place of what is usual.
     """
 
     start: Literal["scan", "mean"] = "scan"
@@ -69,6 +72,7 @@ class SolverOptions:
     tolerance: float = 1e-4
     weights: ObjectiveWeights = ObjectiveWeights()
     evidence: bool = False
+    ground: KnownGround | None = None
 
 
 # Thesis, B.1: pyramids of four levels for face and light, on each L-BFGS until it converges (or
@@ -163,6 +167,7 @@ class SkySolver:
             self.albedo_prior,
             replace(weights, pigment_spread=0.0) if effort.even_skin else weights,
             priors,
+            self.options.ground,
         )
 
     def starts(

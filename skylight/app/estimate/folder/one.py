@@ -131,6 +131,7 @@ def _estimate_into(piece: Piece) -> dict[str, Any]:
             device=settings.device,
             landmarks=choose_landmarker(settings.landmarks),
             ignore_exif_sun=settings.ignore_exif_sun,
+            ground=settings.ground,
             names=[piece.source],
             workers=1,
         )

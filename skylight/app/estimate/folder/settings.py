@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skylight.faces.names import HeadName, LandmarkerName, WhichFaces
+from skylight.models.known_ground import KnownGround, check_has_ground
 from skylight.models.names import (
     DEFAULT_LIGHT,
     DEFAULT_SOLVER,
@@ -35,11 +36,13 @@ class BatchSettings:
     landmarks: LandmarkerName = "mediapipe"
     ignore_exif_sun: bool = False
     keep_place: bool = False
+    ground: KnownGround | None = None
     device: str = "auto"
 
     def __post_init__(self) -> None:
         check_light_name(self.light)
         check_solver_name(self.solver, self.light)
+        check_has_ground(self.light, self.ground)
         if self.model is not None:
             check_is_trained(self.light)
 
@@ -54,4 +57,6 @@ class BatchSettings:
         del facts["device"]
         if self.solver == DEFAULT_SOLVER:  # notes of runs before there was another
             del facts["solver"]
+        if self.ground is None:
+            del facts["ground"]
         return facts

@@ -194,7 +194,7 @@ def _solve(batch: Sequence[Observed], model: LightBundle | None) -> list[Estimat
         len(batch),
         settings.light,
         model=model,
-        options=SOLVERS[settings.solver],
+        options=replace(SOLVERS[settings.solver], ground=settings.ground),
         sun_priors=[one.sun_prior for one in batch],
         exposures=[one.exposure for one in batch],
         device=settings.device,

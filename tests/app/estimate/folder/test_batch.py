@@ -23,6 +23,7 @@ from skylight.cli import main
 from skylight.errors import InputError, OutputError
 from skylight.imaging.suffixes import PHOTO_SUFFIXES
 from skylight.io.files import read_environment_map
+from skylight.models.known_ground import KnownGround
 from skylight.work.resumable import claimed
 
 SH9 = BatchSettings(light="sh9")
@@ -185,6 +186,14 @@ class TestGoingOn:
         assert BatchSettings(solver="thesis").facts()["solver"] == "thesis"
         with pytest.raises(InputError, match="not for sunsky"):
             BatchSettings(solver="thesis", light="sunsky")
+
+    def test_notes_tell_of_a_ground_that_is_known(self) -> None:
+        assert "ground" not in BatchSettings().facts()
+        ground = KnownGround(albedo=(0.5, 0.4, 0.3))
+        told = BatchSettings(ground=ground).facts()["ground"]
+        assert told == {"albedo": (0.5, 0.4, 0.3), "spread": 0.1}
+        with pytest.raises(InputError, match="sh9 has none"):
+            BatchSettings(ground=ground, light="sh9")
 
     def test_what_a_killed_worker_left_goes(self, copied: tuple[Path, Path]) -> None:
         photos, out = copied
