@@ -5,7 +5,7 @@ match of place p in shot i and q in shot j is off by ::
 
     e = P(R_i^T R_j r(q)) - p,     sum rho(|e|^2) -> min
 
-rho(s) = 2 c^2 (sqrt(1 + s / c^2) - 1), which grows as |e| does (Brown & Lowe 2007, "Automatic
+rho(s) = 2 c^2 (sqrt(1 + s / c^2) - 1), which grows as ``|e|`` does (Brown & Lowe 2007, "Automatic
 panoramic image stitching using invariant features", section 4). From the widest spanning tree of
 pairwise turns on; matches are chosen anew, ever nearer, as the lens becomes known.
 """

@@ -32,7 +32,8 @@ def stitch(
     """The light round the camera on ``height`` rows, averaged down from a finer map.
 
     Each direction is the mean of the shots that show it, weighted by how far from a shot's edges
-    it is and by how little of it is saturated: (1 - |2x/w - 1|)^3 (1 - |2y/h - 1|)^3 (1 - clipped).
+    it is and by how little of it is saturated,
+    ``(1 - |2x/w - 1|)^3 (1 - |2y/h - 1|)^3 (1 - clipped)``.
     Vignetting is not undone: the edges of a lens that has much of it come out too dark, by less
     than the lens itself says, since edges count little where shots overlap. What no shot shows
     holds the nearest direction that one does.
