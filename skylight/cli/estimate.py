@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
+from skylight.cli.sources import take_care
 from skylight.cli.taken import taken_by_hand
 from skylight.cli.workers import who_works
 from skylight.errors import InputError, SkylightError
@@ -101,7 +102,7 @@ def estimate(
         ignore_exif_sun: Do not use time, place and heading of the EXIF data.
         keep_place: Write time, place and heading into estimate.json; they are left out else.
         ground_albedo: The ground's albedo for skies, as R,G,B or R,G,B,SPREAD (linear, 0 to 1; the
-            spread is relative, 0.1 without it), or a file of `skylight probe ground`; by default
+            spread is relative, 0.1 without it), or a .json file with these; by default
             what is usual of grounds.
         workers: Of a folder: processes that work at the same time; 0 for one per core. Each takes
             up to 1.1 GB.
@@ -231,7 +232,7 @@ def estimate(
         progress("writing the results", 0.0)
         write_results(folder, result, keep_place=keep_place)
     for advice in result.estimate.advice:
-        print(f"skylight: take care: {advice}", file=sys.stderr)
+        take_care(advice)
     print(summary(result))
     meshes = ", ".join(mesh_names(result))
     files = f"probe.exr, probe.hdr, posterior.exr, {meshes}, estimate.json, report.png"
@@ -256,7 +257,7 @@ def _estimate_film(film: Path, out: Path, contradictions: dict[str, bool], **set
     except KeyboardInterrupt:
         raise SkylightError(f"interrupted; the same command goes on with {out}") from None
     for advice in result.advice:
-        print(f"skylight: take care: {advice}", file=sys.stderr)
+        take_care(advice)
     print(film_summary(result))
     count = len(result.light.frames)
     files = f"probe.exr, probe.hdr, {count} of keyframes, posterior.exr, mesh.obj, film.json"
@@ -378,6 +379,6 @@ def estimate_object(
         progress("writing the results", 0.0)
         write_object_results(folder, result, mesh=mesh, photo=photo)
     for advice in result.light.advice:
-        print(f"skylight: take care: {advice}", file=sys.stderr)
+        take_care(advice)
     print(summarise_object(result))
     print(f"written into {out}: probe.exr, probe.hdr, estimate.json, comparison.png")

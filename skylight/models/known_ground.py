@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skylight.errors import InputError
-from skylight.io.json_files import read_number, read_object, require_keys, write_json
+from skylight.io.json_files import read_number, read_object, require_keys
 from skylight.models.names import LightName
 
 USUAL_SPREAD = 0.1
@@ -33,18 +33,11 @@ class KnownGround:
                 f"the spread of a ground's albedo is relative, 0.01 to 2, not {self.spread:g}"
             )
 
-    def option(self) -> str:
-        """As ``--ground-albedo`` takes it."""
-        return ",".join(f"{value:.3f}" for value in (*self.albedo, self.spread))
-
-    def save(self, path: Path, facts: dict[str, object]) -> None:
-        """Write it as JSON, with ``facts`` of how it was measured."""
-        albedo = dict(zip(_CHANNELS, self.albedo, strict=True))
-        write_json(path, {"kind": _KIND, **albedo, "spread": self.spread, **facts})
-
     @staticmethod
     def told(text: str) -> "KnownGround":
-        """From "R,G,B" or "R,G,B,SPREAD", or the name of a file that :meth:`save` wrote.
+        """From "R,G,B" or "R,G,B,SPREAD", or the name of a JSON file with these by name.
+
+        Such a file has the keys kind ("ground albedo"), red, green, blue and spread.
 
         Raises
         ------
@@ -60,7 +53,7 @@ class KnownGround:
         if len(numbers) not in (3, 4):
             raise InputError(
                 f"--ground-albedo {text!r}: give R,G,B or R,G,B,SPREAD, such as 0.2,0.17,0.14,0.1, "
-                "or a file (.json) of `skylight probe ground`"
+                'or a .json file of kind "ground albedo" with red, green, blue and spread'
             )
         red, green, blue, *spread = numbers
         return KnownGround(albedo=(red, green, blue), spread=(spread or [USUAL_SPREAD])[0])

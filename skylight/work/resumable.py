@@ -27,6 +27,7 @@ from skylight.io.json_files import write_json
 from skylight.work.cluster import Cluster, prepare_once, share_on_cluster
 from skylight.work.garbage import collect_seldom
 
+SETTINGS = "settings.json"  # the note of :func:`settle`
 Result = TypeVar("Result")
 Workers = int | Cluster  # so many processes here, or those of a cluster
 MOST_LOSSES = 3  # a piece that its process did not survive so often is given up

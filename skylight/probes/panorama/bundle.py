@@ -11,7 +11,7 @@ pairwise turns on; matches are chosen anew, ever nearer, as the lens becomes kno
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -204,12 +204,7 @@ class _Fit:
         return turns @ self.start
 
     def _lens(self, free: Float[np.ndarray, " q"]) -> Lens:
-        return Lens(
-            width=self.lens.width,
-            height=self.lens.height,
-            focal_px=float(np.exp(free[-2])),
-            k1=float(free[-1]),
-        )
+        return replace(self.lens, focal_px=float(np.exp(free[-2])), k1=float(free[-1]))
 
     def _off_hints(self, rotations: Float[np.ndarray, "s 3 3"]) -> Float[np.ndarray, "h 3"]:
         """Of the shots with hints, in standard deviations."""

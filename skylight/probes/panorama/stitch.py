@@ -11,11 +11,10 @@ from scipy.spatial import KDTree
 
 from skylight.probes.panorama.lens import Lens
 from skylight.probes.panorama.shots import Shot
-from skylight.probes.radiance.probe_map import ProbeMap, averaged, latlong_directions
+from skylight.probes.radiance.probe_map import ProbeMap, averaged, finer_rows, latlong_directions
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.work.progress import Progress
 
-_FINEST_ROWS = 1024
 _MARGIN_PX = 1.0
 _POWER = 3  # of the weight that falls from a shot's middle to its edges
 # Weight of what is saturated in all exposures: it counts, as a bound, where nothing else is seen.
@@ -38,7 +37,7 @@ def stitch(
     than the lens itself says, since edges count little where shots overlap. What no shot shows
     holds the nearest direction that one does.
     """
-    fine = fine_rows(lens, height)
+    fine = finer_rows(height, lens.focal_px)  # as dense as the middles of shots
     directions = latlong_directions(fine).numpy().reshape(-1, 3)
     # the density of the fine map's rows, so that a look-up between pixels leaves no light out
     scale = min(1.0, fine / math.pi / lens.focal_px)
@@ -71,12 +70,6 @@ def stitch(
             height,
         )
     )
-
-
-def fine_rows(lens: Lens, height: int) -> int:
-    """Rows, a multiple of ``height``, as dense as the shots' middles; 1024 or so at most."""
-    wanted = math.ceil(math.pi * lens.focal_px / height)
-    return height * max(1, min(wanted, _FINEST_ROWS // height))
 
 
 def _look_up(

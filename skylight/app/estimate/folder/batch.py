@@ -24,9 +24,8 @@ from skylight.models.names import LightName
 from skylight.work.cluster import Cluster
 from skylight.work.device import choose_device
 from skylight.work.progress import StageProgress
-from skylight.work.resumable import Workers, claimed, settle, share_work
+from skylight.work.resumable import SETTINGS, Workers, claimed, settle, share_work
 
-SETTINGS = "settings.json"
 TOGETHER: tuple[LightName, ...] = ("auto", "autoencoder", "sunsky")  # may be solved so
 GPU_BATCH = 16  # photos
 

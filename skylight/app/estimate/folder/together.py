@@ -172,10 +172,10 @@ def _lights(
     if choose_device(batch[0].piece.settings.device).type == "cpu":
         torch.set_num_threads(1)
     try:
-        try:
-            return [(light, "") for light in _solve(batch, model)]
-        except Exception as fault:  # of one of them, or of memory that does for one
-            if len(batch) > 1:
+        if len(batch) > 1:
+            try:
+                return [(light, "") for light in _solve(batch, model)]
+            except Exception as fault:  # of one of them, or of memory that does for one
                 logging.getLogger(__name__).warning(
                     "skylight: %d photos could not be solved together (%s: %s); each is solved by "
                     "itself",
