@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.app.estimate.photos import STAGES, estimate_photo
+from skylight.app.estimate.photos import estimate_photo
+from skylight.app.estimate.pictures import STAGES
 from skylight.imaging.colour import srgb_to_linear
 from skylight.imaging.photo import Photo
 from skylight.inverse.estimate import estimate_light, light_problems

@@ -1,4 +1,4 @@
-"""Rays per second of the diffuse transport, against embree alone on the same rays."""
+"""Rays per second of the diffuse transport, against embree alone, and of rays by PyTorch."""
 
 import time
 
@@ -7,9 +7,12 @@ import pytest
 import torch
 import trimesh
 
+from skylight.faces.model import HeadModel
 from skylight.sphere.grid import DirectionGrid
+from skylight.transport.adaptive import adaptive_visibility
 from skylight.transport.gbuffer import vertex_normals
 from skylight.transport.matrix import SurfaceRays, diffuse_transport
+from skylight.transport.occlusion.caster import TorchRaycaster
 from skylight.transport.raycast import Raycaster
 
 
@@ -52,3 +55,49 @@ def test_diffuse_transport(benchmark, surface):
         "ratio": seconds / benchmark.stats["min"],
     }
     print(benchmark.extra_info)
+
+
+@pytest.fixture(scope="module")
+def head():
+    """(vertices, faces, normals) of the mean head."""
+    model = HeadModel.load()
+    vertices, faces = torch.from_numpy(model.mean.copy()), torch.from_numpy(model.faces.copy())
+    return vertices, faces, vertex_normals(vertices, faces)
+
+
+@pytest.mark.benchmark(group="400,384 rays from a head")
+@pytest.mark.parametrize("device", ["embree", "cpu", "cuda"])
+def test_torch_rays(benchmark, head, device):
+    """Those above the horizons of every 20th vertex, on 32 rows; how many differ from embree's."""
+    vertices, faces, normals = head
+    embree = Raycaster(vertices, faces)
+    caster = torch_caster(vertices, faces, device) or embree
+    starts = (vertices + embree.epsilon * normals)[::20].float()
+    directions = DirectionGrid.latlong(32).directions.float()
+    point, towards = (normals[::20].float() @ directions.T > 0).nonzero().unbind(1)
+    rays = starts[point].contiguous(), directions[towards].contiguous()
+    found = benchmark.pedantic(caster.occluded, rays, rounds=3, warmup_rounds=1)
+    benchmark.extra_info |= {
+        "rays": len(point),
+        "differ_from_embree": int((found != embree.occluded(*rays)).sum()),
+        "mrays_per_s": len(point) / benchmark.stats["min"] / 1e6,
+    }
+    print(benchmark.extra_info)
+
+
+@pytest.mark.benchmark(group="visibility of 391 points of a head")
+@pytest.mark.parametrize("device", ["embree", "cpu", "cuda"])
+def test_torch_visibility(benchmark, head, device):
+    vertices, faces, normals = head
+    caster = torch_caster(vertices, faces, device) or Raycaster(vertices, faces)
+    points = vertices[::20], normals[::20], normals[::20]
+    benchmark.pedantic(adaptive_visibility, (*points, caster, 64), rounds=3, warmup_rounds=1)
+
+
+def torch_caster(vertices, faces, device):
+    """None for embree."""
+    if device == "cuda" and not torch.cuda.is_available():
+        pytest.skip("no CUDA device")
+    if device == "embree":
+        return None
+    return TorchRaycaster(vertices, faces, torch.device(device))

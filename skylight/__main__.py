@@ -9,7 +9,14 @@ def main() -> int:
         if error.name not in ("skylight.cli", "tyro"):
             raise
         from skylight.relight.command import main
-    return main()
+
+        return main()
+    from skylight.work.garbage import collect_no_more, collect_seldom
+
+    collect_seldom()
+    code = main()
+    collect_no_more()
+    return code
 
 
 if __name__ == "__main__":

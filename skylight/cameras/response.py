@@ -161,6 +161,15 @@ def recover_response(
     return Response(kind="curve", curve=curve / curve.max())
 
 
+def describe_response(response: Response | None) -> dict[str, object]:
+    """``kind`` and ``curve`` for notes; "linear" of light that needed no response."""
+    curve = None if response is None else response.curve
+    return {
+        "kind": "linear" if response is None else response.kind,
+        "curve": None if curve is None else curve.tolist(),
+    }
+
+
 def save_response(path: str | Path, response: Response) -> None:
     """Write the response as JSON."""
     content: dict[str, object] = {"kind": _KIND, "response": response.kind}

@@ -179,7 +179,7 @@ def _agreed_turn(
     count = len(link.before)
     if count < _FEWEST:
         return None
-    before, after = (_rays(points, focal_px, size) for points in (link.before, link.after))
+    before, after = (pinhole_rays(points, focal_px, size) for points in (link.before, link.after))
     drawn = np.random.default_rng(0).integers(count, size=(_TRIALS, 2))
     drawn = drawn[drawn[:, 0] != drawn[:, 1]]
     turns = _frames(before[drawn]) @ _frames(after[drawn]).transpose(0, 2, 1)
@@ -189,7 +189,7 @@ def _agreed_turn(
     for _ in range(3):
         if kept.sum() < 2:
             return None
-        turn = _kabsch(before[kept], after[kept])
+        turn = best_rotation(before[kept].T @ after[kept])
         kept = _errors(link, turn[None], focal_px, size)[0] < limit
     return turn, kept
 
@@ -198,13 +198,13 @@ def _errors(
     link: Link, turns: Float[ndarray, "t 3 3"], focal_px: float, size: tuple[int, int]
 ) -> Float[ndarray, "t n"]:
     """Pixels between where each match was and where the turned ray of where it is leads."""
-    back = np.einsum("tij,nj->tni", turns, _rays(link.after, focal_px, size))
+    back = np.einsum("tij,nj->tni", turns, pinhole_rays(link.after, focal_px, size))
     ahead = np.maximum(-back[..., 2], 1e-6)
     seen = focal_px * np.stack([back[..., 0], -back[..., 1]], 2) / ahead[..., None]
     return np.linalg.norm(seen + np.array(size) / 2 - link.before, axis=2)
 
 
-def _rays(
+def pinhole_rays(
     points: Float[ndarray, "n 2"], focal_px: float, size: tuple[int, int]
 ) -> Float[ndarray, "n 3"]:
     """Unit; the camera looks along -Z, +X is the picture's right, +Y up."""
@@ -221,9 +221,13 @@ def _frames(pairs: Float[ndarray, "t 2 3"]) -> Float[ndarray, "t 3 3"]:
     return np.stack([first, across, np.cross(first, across)], 2)
 
 
-def _kabsch(before: Float[ndarray, "n 3"], after: Float[ndarray, "n 3"]) -> Float[ndarray, "3 3"]:
-    """The rotation that leads ``after`` to ``before`` best, by least squares."""
-    left, _, right = np.linalg.svd(before.T @ after)
+def best_rotation(cross: Float[ndarray, "3 3"]) -> Float[ndarray, "3 3"]:
+    """The rotation R of greatest tr(R^T C) (Kabsch 1976).
+
+    Of C = A^T B, rows of A and B being vectors, it leads those of B to those of A best, by least
+    squares.
+    """
+    left, _, right = np.linalg.svd(cross)
     mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     return left @ mirror @ right
 

@@ -115,10 +115,12 @@ def evaluate(
     """Compute one of the tables or figures of the evaluation.
 
     Args:
-        name: Which one; a name that does not exist is answered with the list.
+        name: Which one; a name that does not exist is answered with the list. Or all: each that
+            there are data for, and one page of their results.
         out: Folder for the results.
         quick: A small run that shows the form of the result in minutes.
-        data: Folder of collected data, where the evaluation needs any.
+        data: Folder of collected data, where the evaluation needs any; of all, one with folders
+            hdr, meshes, faces, lamps, scenes and indoor, as far as they are there.
         model: Of faces and skies: folder of a trained model of your own instead of the one that
             comes with skylight.
         device: Of faces: where their light is optimised.
@@ -126,12 +128,16 @@ def evaluate(
         cluster: A dask scheduler's address, whose workers do it instead.
     """
     who = who_works(workers, cluster, out)
+    from skylight.evaluation.every import evaluate_all
     from skylight.evaluation.faces.options import EstimateOptions
     from skylight.evaluation.main import evaluate
 
     is_default = model is None and device == "auto"
     options = None if is_default else EstimateOptions(model=model, device=device)
-    evaluate(name, quick=quick, data=data, out=out, workers=who, options=options)
+    if name == "all":
+        evaluate_all(quick=quick, data=data, out=out, workers=who, options=options)
+    else:
+        evaluate(name, quick=quick, data=data, out=out, workers=who, options=options)
 
 
 app.command(estimate)

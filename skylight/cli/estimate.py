@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 import tyro
 from tyro.conf import Positional
 
+from skylight.cli.sources import take_care
 from skylight.cli.taken import taken_by_hand
 from skylight.cli.workers import who_works
 from skylight.errors import InputError, SkylightError
@@ -44,6 +45,7 @@ def estimate(
     ground_albedo: str | None = None,
     workers: int = 0,
     cluster: str | None = None,
+    batch: int | None = None,
     retry_failed: bool = False,
     video: bool = False,
     keyframes: int = 24,
@@ -88,7 +90,7 @@ def estimate(
         faces: One face of each picture, or all.
         head: The morphable model's head as fitted to the landmarks, or deformed to meet them (only
             for landmarks that are exact to a millimetre).
-        device: Where the light is optimised: on the CPU, by CUDA, or by CUDA where it is.
+        device: Where light is traced and optimised: on the CPU, by CUDA, or by CUDA where it is.
         out: Folder for the results; by default PHOTO's name with _light, in the current folder.
         gamma: The picture's values are light to the power of 1/GAMMA, instead of sRGB.
         linear: The picture's values are proportional to light, instead of sRGB.
@@ -100,11 +102,14 @@ def estimate(
         ignore_exif_sun: Do not use time, place and heading of the EXIF data.
         keep_place: Write time, place and heading into estimate.json; they are left out else.
         ground_albedo: The ground's albedo for skies, as R,G,B or R,G,B,SPREAD (linear, 0 to 1; the
-            spread is relative, 0.1 without it), or a file of `skylight probe ground`; by default
-            what is usual of grounds.
+            spread is relative, 0.1 without it), or the file of `skylight probe ground`; by
+            default what is usual of grounds.
         workers: Of a folder: processes that work at the same time; 0 for one per core. Each takes
             up to 1.1 GB.
         cluster: Of a folder: a dask scheduler's address, whose workers do it instead.
+        batch: Of a folder, for --light auto, autoencoder or sunsky: so many pictures are solved
+            together on the device by one process, while the workers do the rest; by default 16 by
+            CUDA, and 1 on the CPU, where each worker solves its own.
         retry_failed: Of a folder: try again the pictures that failed before.
         video: PHOTO is a film (mp4, mov, ...) of up to ten minutes, or a folder of its frames.
         keyframes: Of a film: estimate the light at so many frames at most.
@@ -126,8 +131,9 @@ def estimate(
                 "--time, --place and --heading": any(
                     each is not None for each in (time, place, heading)
                 ),
-                "--workers, --cluster and --retry-failed": workers != 0
+                "--workers, --cluster, --batch and --retry-failed": workers != 0
                 or cluster is not None
+                or batch is not None
                 or retry_failed,
             },
             light=light,
@@ -161,6 +167,7 @@ def estimate(
             out or Path(f"{photo.resolve().name}_light"),
             workers=workers,
             cluster=cluster,
+            batch=batch,
             retry_failed=retry_failed,
             device=device,
             light=light,
@@ -178,6 +185,7 @@ def estimate(
     for option, given in (
         ("workers", workers != 0),
         ("cluster", cluster is not None),
+        ("batch", batch is not None),
         ("retry-failed", retry_failed),
     ):
         if given:
@@ -224,7 +232,7 @@ def estimate(
         progress("writing the results", 0.0)
         write_results(folder, result, keep_place=keep_place)
     for advice in result.estimate.advice:
-        print(f"skylight: take care: {advice}", file=sys.stderr)
+        take_care(advice)
     print(summary(result))
     meshes = ", ".join(mesh_names(result))
     files = f"probe.exr, probe.hdr, posterior.exr, {meshes}, estimate.json, report.png"
@@ -249,7 +257,7 @@ def _estimate_film(film: Path, out: Path, contradictions: dict[str, bool], **set
     except KeyboardInterrupt:
         raise SkylightError(f"interrupted; the same command goes on with {out}") from None
     for advice in result.advice:
-        print(f"skylight: take care: {advice}", file=sys.stderr)
+        take_care(advice)
     print(film_summary(result))
     count = len(result.light.frames)
     files = f"probe.exr, probe.hdr, {count} of keyframes, posterior.exr, mesh.obj, film.json"
@@ -262,12 +270,14 @@ def _estimate_folder(
     *,
     workers: int,
     cluster: str | None,
+    batch: int | None,
     retry_failed: bool,
     **settings: Any,
 ) -> None:
-    """``settings`` are those of :class:`skylight.app.estimate.batch.BatchSettings`."""
-    from skylight.app.estimate.batch import BatchSettings, estimate_folder
-    from skylight.app.estimate.manifest import MANIFEST
+    """``settings`` are those of :class:`skylight.app.estimate.folder.settings.BatchSettings`."""
+    from skylight.app.estimate.folder.batch import estimate_folder
+    from skylight.app.estimate.folder.manifest import MANIFEST
+    from skylight.app.estimate.folder.settings import BatchSettings
     from skylight.app.progress import stage_bar
     from skylight.work.device import choose_device
 
@@ -277,7 +287,13 @@ def _estimate_folder(
     try:
         with stage_bar() as progress:
             entries = estimate_folder(
-                photos, out, chosen, workers=who, retry_failed=retry_failed, progress=progress
+                photos,
+                out,
+                chosen,
+                workers=who,
+                batch=batch,
+                retry_failed=retry_failed,
+                progress=progress,
             )
     except KeyboardInterrupt:
         raise SkylightError(
@@ -363,6 +379,6 @@ def estimate_object(
         progress("writing the results", 0.0)
         write_object_results(folder, result, mesh=mesh, photo=photo)
     for advice in result.light.advice:
-        print(f"skylight: take care: {advice}", file=sys.stderr)
+        take_care(advice)
     print(summarise_object(result))
     print(f"written into {out}: probe.exr, probe.hdr, estimate.json, comparison.png")

@@ -180,7 +180,9 @@ def evaluate(
         defaults for an evaluation that does not have them.
     """
     if name not in EVALUATIONS:
-        raise InputError(f"unknown evaluation {name!r}: choose one of {', '.join(EVALUATIONS)}")
+        raise InputError(
+            f"unknown evaluation {name!r}: choose all or one of {', '.join(EVALUATIONS)}"
+        )
     if isinstance(workers, int) and workers < 1:
         raise InputError(f"{workers} workers cannot work: use 1 or more")
     command = f"skylight evaluate {name}" + (" --quick" if quick else "")

@@ -156,10 +156,7 @@ def estimate_each(
         many = light_problems(len(observations), light, model=model, options=options, device=device)
         for problem, observation in zip(many, observations, strict=True):
             problem.add(observation)
-        autos = [problem for problem in many if isinstance(problem, AutoProblem)]
-        if autos:
-            return choose_each(autos, progress)
-        return solve_together([one for one in many if isinstance(one, SkyProblem)], progress)
+        return solve_each(many, progress)
     found: list[Estimate] = []
     for observation in observations:
         (problem,) = light_problems(1, light, model=model, options=options, device=device)
@@ -168,6 +165,24 @@ def estimate_each(
         if progress is not None:
             progress(len(found) / len(observations))
     return found
+
+
+def solve_each(
+    problems: Sequence[LightProblem[Estimate]], progress: Progress | None = None
+) -> list[Estimate]:
+    """The light of each of :func:`light_problems` of "auto", "autoencoder" or "sunsky".
+
+    Skies as one batch, by :func:`~skylight.inverse.sky.problem.solve_together`.
+
+    Raises
+    ------
+    InputError
+        Nothing was added to one of them.
+    """
+    autos = [one for one in problems if isinstance(one, AutoProblem)]
+    if autos:
+        return choose_each(autos, progress)
+    return solve_together([one for one in problems if isinstance(one, SkyProblem)], progress)
 
 
 def light_problem(

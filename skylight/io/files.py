@@ -63,6 +63,12 @@ def read_light(path: Path) -> Float[Tensor, "h w 3"]:
     return _checked(path, read_linear(path))
 
 
+def write_probe(folder: Path, environment: EnvironmentMap) -> None:
+    """probe.exr and probe.hdr, as all commands that make a light probe leave it."""
+    for name in ("probe.exr", "probe.hdr"):
+        write_environment_map(folder / name, environment)
+
+
 def write_environment_map(
     path: str | Path,
     environment: EnvironmentMap,

@@ -25,7 +25,7 @@ from skylight.skies.simulator import (
 from skylight.skies.splits import divide
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.work.progress import CountProgress
-from skylight.work.resumable import Workers, claimed, settle, share_work
+from skylight.work.resumable import SETTINGS, Workers, claimed, settle, share_work
 
 # Skies simulated on the spot come from seeds from here on, which no folder may use: so nothing
 # is ever evaluated on a day that something was trained on.
@@ -72,7 +72,7 @@ def simulate_folder(
     )
     parts = out / "days"
     with claimed(out, parts):
-        settle(out / "settings.json", asdict(settings))
+        settle(out / SETTINGS, asdict(settings))
         parts.mkdir(exist_ok=True)
         seeds = range(first_seed, first_seed + days)
         missing = [s for s in seeds if not (parts / f"{s}.csv").exists()]

@@ -1,5 +1,6 @@
 """What points see of a full lat-long grid, by fewer rays: cast where visibility changes."""
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -9,7 +10,7 @@ from torch import Tensor
 
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.matrix import SeenDirections, SurfaceRays
-from skylight.transport.raycast import Raycaster
+from skylight.transport.raycast import OcclusionCaster
 from skylight.work.forked import in_processes, shared_array
 from skylight.work.progress import Progress
 
@@ -21,7 +22,7 @@ def adaptive_visibility(
     positions: Float[Tensor, "m 3"],
     normals: Float[Tensor, "m 3"],
     geometric_normals: Float[Tensor, "m 3"],
-    raycaster: Raycaster,
+    raycaster: OcclusionCaster,
     height: int,
     *,
     workers: int = 1,
@@ -37,7 +38,9 @@ def adaptive_visibility(
     cast. Of heads on 64 rows (11 degrees) 0.2 % of the entries differ, and sums over the sky by
     less than 0.1 % (root mean square).
 
-    The other parameters are those of ``diffuse_transport``. Memory: 2 m n bytes.
+    The other parameters are those of ``diffuse_transport``, but that a ``raycaster`` on a GPU is
+    asked by this process alone, which has the device's context. Memory: 2 m n bytes, and 5 bytes
+    for each of the rays that the raycaster wants at once.
 
     Raises
     ------
@@ -50,29 +53,35 @@ def adaptive_visibility(
     points = SurfaceRays.leaving(positions, normals, geometric_normals, raycaster)
     directions = grid.directions.numpy().astype(np.float32).reshape(height, 2 * height, 3)
     found = shared_array((height, 2 * height, len(positions)), np.uint8)
-    nothing = np.full((1, 1), _NOT_CAST)
+    nothing = np.full((1, 1, 1), _NOT_CAST)
+    is_new = nothing == _NOT_CAST
+
+    workers = workers if raycaster.device.type == "cpu" else 1
 
     def look(
-        row: int,
+        rows: slice,
         columns: slice,
-        known: UInt8[np.ndarray, "#c #m"],
-        wanted: Bool[np.ndarray, "#c #m"],
+        known: UInt8[np.ndarray, "#r #c #m"],
+        wanted: Bool[np.ndarray, "#r #c #m"],
     ) -> None:
-        """Cast the ``wanted`` rays of a row; the others are ``known``."""
-        here = directions[row, columns]
-        above = points.cosines(here) > 0
+        """Cast the ``wanted`` rays of some rows; the others are ``known``."""
+        here = directions[rows, columns]
+        flat, shape = here.reshape(-1, 3), (*here.shape[:2], len(positions))
+        above = points.cosines(flat).reshape(shape) > 0
+        cast = (above & wanted).reshape(len(flat), -1)
         seen = np.where(wanted, _FREE, known)
-        seen = np.where(points.blocked(here, above & wanted), _BLOCKED, seen)
-        np.multiply(seen, above, out=found[row, columns])  # others are not cast
+        seen = np.where(points.blocked(flat, cast).reshape(shape), _BLOCKED, seen)
+        np.multiply(seen, above, out=found[rows, columns])  # others are not cast
 
-    def look_first(i: int) -> None:
+    def look_first(first: int, end: int) -> None:
         step = _CELLS[0]
-        look(step * i, slice(0, None, step), nothing, nothing == _NOT_CAST)
+        look(slice(step * first, step * end, step), slice(0, None, step), nothing, is_new)
 
-    def look_between(step: int, i: int) -> None:
-        known, mixed = _agreement(found[::step, ::step], i)
+    def look_between(step: int, first: int, end: int) -> None:
+        known, mixed = _agreement(found[::step, ::step], slice(first, end))
         for down, right in ((0, step // 2), (step // 2, 0), (step // 2, step // 2)):
-            look(step * i + down, slice(right, None, step), known, mixed)
+            rows = slice(step * first + down, step * end, step)
+            look(rows, slice(right, None, step), known, mixed)
 
     stages = [(look_first, _CELLS[0]), *((partial(look_between, step), step) for step in _CELLS)]
     for number, (work, step) in enumerate(stages):
@@ -81,20 +90,33 @@ def adaptive_visibility(
             if progress is not None:
                 progress((number + share) / len(stages))
 
-        in_processes(work, height // step, workers=workers, progress=told)
+        rows = height // step
+        rays = 2 * rows * max(1, len(positions))  # of a row
+        together = max(1, min(raycaster.most_rays // rays, -(-rows // workers)))
+
+        def part(
+            i: int,
+            work: Callable[[int, int], None] = work,
+            rows: int = rows,
+            together: int = together,
+        ) -> None:
+            work(together * i, min(together * (i + 1), rows))
+
+        in_processes(part, -(-rows // together), workers=workers, progress=told)
     visible = torch.from_numpy(found.reshape(-1, len(positions)) == _FREE).T
     return SeenDirections(visible=visible, normals=normals, grid=grid)
 
 
 def _agreement(
-    found: UInt8[np.ndarray, "r c m"], i: int
-) -> tuple[UInt8[np.ndarray, "c m"], Bool[np.ndarray, "c m"]]:
-    """(what the four rays about each cell of a row found, where they differ or there is none).
+    found: UInt8[np.ndarray, "h w m"], rows: slice
+) -> tuple[UInt8[np.ndarray, "r w m"], Bool[np.ndarray, "r w m"]]:
+    """(what the four rays about each cell of some rows found, where they differ or there is none).
 
     Below the last row of cells there are no others: all of it is to be cast.
     """
-    if i + 1 == len(found):
-        return found[i], np.ones_like(found[i], dtype=bool)
-    both = found[i] | found[i + 1]
-    union = both | np.roll(both, -1, axis=0)
-    return union, (union == 0) | (union == (_BLOCKED | _FREE))
+    both, below = found[rows].copy(), found[rows.start + 1 : rows.stop + 1]
+    both[: len(below)] |= below
+    union = both | np.roll(both, -1, axis=1)
+    mixed = (union == 0) | (union == (_BLOCKED | _FREE))
+    mixed[len(below) :] = True
+    return union, mixed

@@ -14,12 +14,11 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from skylight.sphere.grid import DirectionGrid
-from skylight.transport.raycast import Raycaster
+from skylight.transport.raycast import OcclusionCaster
 from skylight.work.forked import in_processes, shared_array
 from skylight.work.progress import Progress
 
-BLOCK_DIRECTIONS = 64  # worked on together; bounds the scratch memory,
-MOST_RAYS = 2**17  # and so does how many rays are cast together: 6 MB
+BLOCK_DIRECTIONS = 64  # worked on together; bounds the scratch memory
 _ENTRIES = 2**17  # of a matrix that are made together, in a core's cache
 
 
@@ -113,7 +112,7 @@ def diffuse_transport(
     positions: Float[Tensor, "m 3"],
     normals: Float[Tensor, "m 3"],
     geometric_normals: Float[Tensor, "m 3"],
-    raycaster: Raycaster,
+    raycaster: OcclusionCaster,
     grid: DirectionGrid,
     *,
     workers: int = 1,
@@ -129,8 +128,8 @@ def diffuse_transport(
     geometric_normals : unit, of the flat faces; starts are lifted along them by
         ``raycaster.epsilon``. A direction above ``normals`` but below the flat face is cast like
         any other: from the face itself it hits the mesh, from a lifted origin it may be free.
-    workers : processes, this one included. More than one needs ``fork`` (not on Windows); the
-        result is the same to the byte.
+    workers : processes, this one included. More than one needs ``fork`` (not on Windows) and a
+        raycaster on the CPU; the result is the same to the byte.
     progress : called with the share that is done, in [0, 1].
 
     Memory: 4 m n bytes of result and about 4 m (2 * 64) bytes and 6 MB of scratch per worker.
@@ -151,7 +150,7 @@ def diffuse_transport(
 def visibility(
     positions: Float[Tensor, "m 3"],
     geometric_normals: Float[Tensor, "m 3"],
-    raycaster: Raycaster,
+    raycaster: OcclusionCaster,
     grid: DirectionGrid,
     *,
     workers: int = 1,
@@ -192,14 +191,14 @@ class SurfaceRays:
 
     starts: Float[np.ndarray, "m 3"]
     normals: Float[np.ndarray, "3 m"]
-    raycaster: Raycaster
+    raycaster: OcclusionCaster
 
     @staticmethod
     def leaving(
         positions: Float[Tensor, "m 3"],
         normals: Float[Tensor, "m 3"],
         geometric_normals: Float[Tensor, "m 3"],
-        raycaster: Raycaster,
+        raycaster: OcclusionCaster,
     ) -> "SurfaceRays":
         """Starts lifted off the surface by the raycaster's epsilon."""
         starts = positions.double() + raycaster.epsilon * geometric_normals.double()
@@ -229,7 +228,7 @@ class SurfaceRays:
         directions at once: of a few hundred points, calls would cost as much as rays.
         """
         hit = np.zeros_like(wanted)
-        count = max(1, MOST_RAYS // max(1, len(self.starts)))
+        count = max(1, self.raycaster.most_rays // max(1, len(self.starts)))
         for first in range(0, len(directions), count):
             some = slice(first, first + count)
             row, point = np.nonzero(wanted[some])

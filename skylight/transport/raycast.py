@@ -1,6 +1,7 @@
 """Ray casting by embree: closest hits and occlusion."""
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -23,24 +24,42 @@ class Hits:
     distance: Float[Tensor, " r"]
 
 
+@runtime_checkable
+class OcclusionCaster(Protocol):
+    """Whether rays hit a mesh: by embree (:class:`Raycaster`), or on another device
+    (:class:`~skylight.transport.occlusion.caster.TorchRaycaster`).
+
+    ``epsilon`` is the distance by which a ray's start should be lifted off the surface that it
+    leaves, in the mesh's units; ``most_rays`` are as many as should be asked for at once.
+    """
+
+    device: torch.device
+    epsilon: float
+    most_rays: int
+
+    def occluded(
+        self, origins: Float[Tensor, "r 3"], directions: Float[Tensor, "#r 3"]
+    ) -> Bool[Tensor, " r"]:
+        """True where a ray hits anything at all; one direction serves all rays where given alone.
+
+        On the device of ``origins``.
+        """
+        ...
+
+
 class Raycaster:
     """Ray queries against one triangle mesh, in the mesh's own units; both sides are solid.
 
-    Rays are float32 inside embree. ``epsilon`` is the distance by which a ray's start should be
-    lifted off the surface that it leaves: 1e-4 of the bounding box's diagonal, plus what float32
-    rounds away from the largest coordinate, so it means the same in millimetres and in metres.
+    Rays are float32 inside embree. As an :class:`OcclusionCaster` it is the CPU's.
     """
 
+    device = torch.device("cpu")
+    most_rays = 2**17  # 6 MB
+
     def __init__(self, vertices: Float[Tensor, "n 3"], faces: Int[Tensor, "f 3"]) -> None:
-        if len(faces) == 0:
-            raise ValueError("faces is empty: a mesh needs at least one triangle")
-        if faces.min() < 0 or faces.max() >= len(vertices):  # embree would read past the array
-            raise ValueError(f"faces must index the {len(vertices)} vertices")
-        self._corners = vertices.detach().to("cpu", torch.float64)[faces.cpu()]  # (f, 3, 3)
-        low, high = self._corners.amin((0, 1)), self._corners.amax((0, 1))
-        largest = float(torch.maximum(low.abs(), high.abs()).max())
-        self.diagonal = float((high - low).norm())
-        self.epsilon = 1e-4 * self.diagonal + 4 * float(np.finfo(np.float32).eps) * largest
+        self._corners = checked_corners(vertices, faces)
+        self.diagonal = _diagonal(self._corners)
+        self.epsilon = lift(self._corners)
         self._scene = EmbreeScene(robust=True)  # no leaks along shared edges
         TriangleMesh(self._scene, _float32(vertices), faces.cpu().numpy().astype(np.int32))
         # The first query builds the acceleration structure: here, before anyone forks.
@@ -89,6 +108,38 @@ class Raycaster:
         distance = torch.full((len(face),), torch.inf, dtype=torch.float64)
         distance[hit] = ((c - a) * q).sum(1) / scale
         return Hits(face=face, barycentric=barycentric, distance=distance)
+
+
+def checked_corners(
+    vertices: Float[Tensor, "n 3"], faces: Int[Tensor, "f 3"]
+) -> Float[Tensor, "f 3 3"]:
+    """The corners of each triangle of a mesh to cast rays at, float64 on the CPU.
+
+    Raises
+    ------
+    ValueError
+        No triangle, or one of vertices that are not there.
+    """
+    if len(faces) == 0:
+        raise ValueError("faces is empty: a mesh needs at least one triangle")
+    if faces.min() < 0 or faces.max() >= len(vertices):  # embree would read past the array
+        raise ValueError(f"faces must index the {len(vertices)} vertices")
+    return vertices.detach().to("cpu", torch.float64)[faces.cpu()]
+
+
+def lift(corners: Float[Tensor, "f 3 3"]) -> float:
+    """How far a ray's start should be lifted off the surface of these triangles.
+
+    1e-4 of the bounding box's diagonal, plus what float32 rounds away from the largest coordinate,
+    so it means the same in millimetres and in metres.
+    """
+    return 1e-4 * _diagonal(corners) + 4 * float(np.finfo(np.float32).eps) * float(
+        corners.abs().max()
+    )
+
+
+def _diagonal(corners: Float[Tensor, "f 3 3"]) -> float:
+    return float((corners.amax((0, 1)) - corners.amin((0, 1))).norm())
 
 
 def _float32(rows: Float[Tensor, "r 3"]) -> np.ndarray:

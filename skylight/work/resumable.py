@@ -7,7 +7,7 @@ import shutil
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import (
     FIRST_COMPLETED,
     Future,
@@ -25,7 +25,9 @@ from skylight.errors import InputError, OutputError, SkylightError
 from skylight.io.atomic import PARTIAL
 from skylight.io.json_files import write_json
 from skylight.work.cluster import Cluster, prepare_once, share_on_cluster
+from skylight.work.garbage import collect_seldom
 
+SETTINGS = "settings.json"  # the note of :func:`settle`
 Result = TypeVar("Result")
 Workers = int | Cluster  # so many processes here, or those of a cluster
 MOST_LOSSES = 3  # a piece that its process did not survive so often is given up
@@ -117,14 +119,18 @@ def share_work(
     *,
     workers: Workers,
     prepare: Callable[[], None] | None = None,
-    finish: bool = False,
+    finish: bool | Callable[..., bool] = False,
     lost: Callable[..., Result] | None = None,
-) -> Iterator[Result]:
+) -> Generator[Result, None, None]:
     """Results of ``work(*one)`` for each of ``arguments``, as they come.
 
     With one worker or one piece of work in this process; otherwise each process runs ``prepare``
     first and computes with one thread. Ctrl-C ends the pieces at work; with ``finish``, for pieces
-    of seconds, those at work here are finished, and their results come before the interrupt.
+    of seconds, those at work here are finished, and their results come before the interrupt; where
+    it is a function, those of which ``finish(*one)`` is true.
+
+    Whoever takes the results may add to ``arguments`` where that is a deque, of which pieces are
+    taken from the left (not on a cluster).
 
     A piece whose process dies (killed, or out of memory) is given to another process. One that
     has lost three is answered by ``lost(*one)``; with ``lost``, even a single worker is another
@@ -135,36 +141,38 @@ def share_work(
     SkylightError
         A piece lost its process three times, and there is no ``lost``.
     """
-    pieces = list(arguments)
+    pieces = arguments if isinstance(arguments, deque) else deque(arguments)
     if isinstance(workers, Cluster):
-        yield from share_on_cluster(work, pieces, workers, prepare=prepare, lost=lost)
+        yield from share_on_cluster(work, list(pieces), workers, prepare=prepare, lost=lost)
     elif lost is None and (workers == 1 or len(pieces) < 2):
-        for one in pieces:
-            yield work(*one)
+        while pieces:
+            yield work(*pieces.popleft())
     else:
         yield from _share_here(work, pieces, workers, prepare, finish, lost)
 
 
 def _share_here(
     work: Callable[..., Result],
-    pieces: Sequence[tuple],
+    pieces: deque[tuple],
     workers: int,
     prepare: Callable[[], None] | None,
-    finish: bool,
+    finish: bool | Callable[..., bool],
     lost: Callable[..., Result] | None,
 ) -> Iterator[Result]:
-    waiting = deque((one, 0) for one in pieces)
+    again: list[tuple[tuple, int]] = []  # pieces and how many processes these have lost
     # a pool for each process: where one dies, it is known at which piece
     idle: list[ProcessPoolExecutor] = []
     busy: dict[Future[Result], tuple[ProcessPoolExecutor, tuple, int]] = {}
     try:
-        while waiting or busy:
-            while waiting and len(busy) < workers:
-                pool = idle.pop() if idle else _process(finish)
-                one, losses = waiting[0]
-                with _for_new_processes(), suppress(BrokenProcessPool):  # killed while idle
-                    busy[pool.submit(_run, prepare, work, one)] = pool, one, losses
-                    waiting.popleft()
+        while again or pieces or busy:
+            while (again or pieces) and len(busy) < workers:
+                pool = idle.pop() if idle else _process(bool(finish))
+                one, losses = again.pop() if again else (pieces.popleft(), 0)
+                with _for_new_processes():
+                    try:
+                        busy[pool.submit(_run, prepare, work, one)] = pool, one, losses
+                    except BrokenProcessPool:  # killed while idle
+                        again.append((one, losses))
             for future in wait(busy, return_when=FIRST_COMPLETED).done:
                 pool, one, losses = busy.pop(future)
                 try:
@@ -172,7 +180,7 @@ def _share_here(
                 except BrokenProcessPool as error:
                     pool.shutdown()
                     if losses + 1 < MOST_LOSSES:
-                        waiting.appendleft((one, losses + 1))
+                        again.append((one, losses + 1))
                         continue
                     if lost is None:
                         raise SkylightError(
@@ -186,7 +194,8 @@ def _share_here(
                 yield result
     except KeyboardInterrupt:
         if finish:
-            for future in as_completed(busy):
+            wanted = [f for f, (_, one, _) in busy.items() if finish is True or finish(*one)]
+            for future in as_completed(wanted):
                 with suppress(BrokenProcessPool):  # the next run's piece
                     yield future.result()
         raise
@@ -234,6 +243,7 @@ def _for_new_processes() -> Iterator[None]:
 
 
 def _start_worker(finish: bool) -> None:
+    collect_seldom()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if finish:  # Ctrl-C reaches workers too; here the parent decides
         signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -11,7 +11,8 @@ import pytest
 from PIL import ExifTags, Image
 
 import skylight
-from skylight.app.estimate.batch import BatchSettings, estimate_folder
+from skylight.app.estimate.folder.batch import estimate_folder
+from skylight.app.estimate.folder.settings import BatchSettings
 from skylight.cli import main
 from skylight.imaging.photo import photo_from_codes
 from skylight.imaging.taken import Taken

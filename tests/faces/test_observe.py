@@ -274,3 +274,11 @@ def test_several_processes_see_the_same(head, person, view):
     again = observed(head, person, workers=2, progress=told.append)
     assert torch.equal(again.observation.transport.matrix, view.observation.transport.matrix)
     assert told[-1] == 1
+
+
+def test_rays_by_pytorch_see_what_those_by_embree_see(head, person, view, device):
+    found = observed(head, person, rays_on=device).observation
+    # a GPU may see another side of an edge that a ray grazes
+    off = (found.transport.matrix - view.observation.transport.matrix).abs()
+    assert int((off > 1e-6).sum()) <= (0 if device.type == "cpu" else 10)
+    assert torch.equal(found.places, view.observation.places)

@@ -24,8 +24,11 @@ def test_the_prior_is_log_normal() -> None:
 def test_options_and_files(tmp_path: Path) -> None:
     assert KnownGround.told("0.2,0.17,0.14") == KnownGround(albedo=(0.2, 0.17, 0.14), spread=0.1)
     known = KnownGround(albedo=(0.2, 0.17, 0.14), spread=0.3)
-    assert KnownGround.told(known.option()) == known
-    known.save(tmp_path / "ground.json", {"greys": 6})
+    assert KnownGround.told("0.200,0.170,0.140,0.300") == known
+    (tmp_path / "ground.json").write_text(
+        '{"kind": "ground albedo", "red": 0.2, "green": 0.17, "blue": 0.14, "spread": 0.3, '
+        '"greys": 6}'
+    )
     assert KnownGround.told(str(tmp_path / "ground.json")) == known
 
 

@@ -5,7 +5,9 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Generator, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -17,7 +19,7 @@ from PIL import Image
 from skimage.data import astronaut
 
 UPLOAD_MB, MEGAPIXELS, JOBS = 1.0, 0.5, 2
-_PATIENCE_S = 300  # the machine may have other things to do
+PATIENCE_S = 300  # the machine may have other things to do
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,17 +31,39 @@ class Served:
     temporary: Path
 
     def client(self, **options: Any) -> httpx.Client:
-        return httpx.Client(base_url=self.address, timeout=_PATIENCE_S, **options)
+        return httpx.Client(base_url=self.address, timeout=PATIENCE_S, **options)
 
     def workers(self) -> list[int]:
         """Processes that it started."""
         path = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
         return [int(number) for number in path.read_text().split()]
 
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """However fast the machine is, no work goes on meanwhile: both workers are stopped."""
+        begun = time.monotonic()
+        while len(stopped := [worker for worker in self.workers() if _stopped(worker)]) < 2:
+            assert time.monotonic() - begun < PATIENCE_S
+            time.sleep(0.01)
+        try:
+            yield
+        finally:
+            for worker in stopped:
+                with suppress(ProcessLookupError):  # one that was killed
+                    os.killpg(worker, signal.SIGCONT)
+
     def end(self, how: int = signal.SIGINT) -> int:
         """The exit code after that signal."""
         self.process.send_signal(how)
-        return self.process.wait(timeout=30)
+        return self.process.wait(timeout=PATIENCE_S)
+
+
+def _stopped(worker: int) -> bool:
+    """Whether it is by now, with all that it started; those that have ended never are."""
+    with suppress(ProcessLookupError, FileNotFoundError):
+        os.killpg(worker, signal.SIGSTOP)
+        return Path(f"/proc/{worker}/stat").read_text().rpartition(")")[2].split()[0] == "T"
+    return False
 
 
 def start(temporary: Path, *options: str) -> Served:

@@ -15,6 +15,7 @@ from skylight.studio.requests import (
     VoxelRequest,
 )
 from skylight.studio.tasks.voxel import STARS
+from tests.studio.conftest import PATIENCE_S
 
 
 def test_choices_are_those_of_the_package() -> None:
@@ -32,4 +33,4 @@ def test_the_server_itself_needs_no_torch() -> None:
         f"server.read_manifest(pathlib.Path({str(shipped)!r}))\n"
         "sys.exit('torch' in sys.modules)"
     )
-    assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
+    assert subprocess.run([sys.executable, "-c", code], timeout=PATIENCE_S).returncode == 0

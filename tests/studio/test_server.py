@@ -19,7 +19,7 @@ from skylight.studio import static_files
 from skylight.studio.guard import is_own
 from skylight.studio.requests import LIGHTS
 from skylight.studio.server import serve
-from tests.studio.conftest import JOBS, MEGAPIXELS, UPLOAD_MB, Served, start
+from tests.studio.conftest import JOBS, MEGAPIXELS, PATIENCE_S, UPLOAD_MB, Served, start
 
 
 def test_it_says_what_it_takes(client: httpx.Client) -> None:
@@ -147,7 +147,7 @@ def test_the_own_page_may_ask(client: httpx.Client) -> None:
 def test_a_taken_port_is_one_line(served: Served) -> None:
     port = served.address.rpartition(":")[2]
     command = [sys.executable, "-m", "skylight", "studio", "--no-browser", "--port", port]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert ended.returncode == 2
     assert ended.stdout == ""
     assert ended.stderr.startswith(f"skylight: cannot listen at 127.0.0.1, port {port}: ")
@@ -189,7 +189,7 @@ def test_it_leaves_nothing(tmp_path: Path, portrait: bytes, how: signal.Signals)
             connection.sendall(head.encode() + b"\r\n\r\n" + portrait)
             begun = time.monotonic()
             while len(workers := studio.workers()) < 2:
-                assert time.monotonic() - begun < 60
+                assert time.monotonic() - begun < PATIENCE_S
                 time.sleep(0.01)
             assert studio.end(how) == 0
     assert list(studio.temporary.iterdir()) == []
@@ -210,7 +210,7 @@ def test_hostile_modules_in_the_current_folder_are_not_run(
         [skylight, "studio", "--no-browser", "--port", "0"], stdout=subprocess.PIPE, text=True
     )
     assert process.stdout is not None
-    with httpx.Client(base_url=process.stdout.readline().strip(), timeout=300) as client:
+    with httpx.Client(base_url=process.stdout.readline().strip(), timeout=PATIENCE_S) as client:
         answer = client.post("/api/photos?name=me.jpg", content=portrait)
     process.send_signal(signal.SIGINT)
-    assert (answer.status_code, process.wait(timeout=30)) == (201, 0)
+    assert (answer.status_code, process.wait(timeout=PATIENCE_S)) == (201, 0)

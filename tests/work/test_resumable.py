@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
@@ -135,6 +136,20 @@ def test_a_hopeless_piece_without_an_answer_ends_the_work(
         list(share_work(_may_die, [(tmp_path, 1), (tmp_path, 1)], workers=2))
 
 
+def _negative(number: int) -> int:
+    return -number
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_work_may_be_added_where_results_are_taken(workers: int) -> None:
+    queue, found = deque([(3,), (2,)]), []
+    for result in share_work(_negative, queue, workers=workers):
+        found.append(result)
+        if result < 0:
+            queue.appendleft((-result - 1,))
+    assert sorted(found) == [-3, -2, -2, -1, -1, 0, 0]
+
+
 def _begin_and_end(folder: Path, number: int, seconds: float) -> int:
     beside = folder / f"beginning{number}"
     beside.write_text(str(os.getpid()))
@@ -144,11 +159,16 @@ def _begin_and_end(folder: Path, number: int, seconds: float) -> int:
     return number
 
 
+def _is_even(_: Path, number: int, __: float) -> bool:
+    return number % 2 == 0
+
+
 def share_and_tell(folder: str, seconds: str, finish: str) -> None:
     """Eight pieces in two processes, in a process of its own; prints those that came."""
     work = [(Path(folder), number, float(seconds)) for number in range(8)]
     try:
-        for number in share_work(_begin_and_end, work, workers=2, finish=finish == "finish"):
+        chosen = _is_even if finish == "even" else finish == "finish"
+        for number in share_work(_begin_and_end, work, workers=2, finish=chosen):
             print(number, flush=True)
     except KeyboardInterrupt:
         print("interrupted", flush=True)
@@ -196,7 +216,9 @@ def _is_alive(pid: int) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("finish", "killed"), [("finish", ""), ("finish", "0"), ("", "")])
+@pytest.mark.parametrize(
+    ("finish", "killed"), [("finish", ""), ("finish", "0"), ("", ""), ("even", "")]
+)
 def test_ctrl_c_finishes_the_pieces_at_work_where_asked(
     tmp_path: Path, finish: str, killed: str
 ) -> None:
@@ -211,6 +233,8 @@ def test_ctrl_c_finishes_the_pieces_at_work_where_asked(
     begun, ended = (
         {file.name[5:] for file in tmp_path.glob(f"{what}*")} for what in ("begun", "ended")
     )
-    assert set(numbers) == ended == (begun - {killed} if finish else set())
+    expected = begun - {killed} if finish else set()
+    assert set(numbers) == expected - ({"1"} if finish == "even" else set())
+    assert ended == expected
     assert len(begun) < 8
     assert errors == ""

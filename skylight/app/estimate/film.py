@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from skylight.app.estimate.batch import file_hash
+from skylight.app.estimate.folder.listing import file_hash
 from skylight.app.estimate.followed import FOLLOWED, FOLLOWING, read_followed, write_followed
+from skylight.app.estimate.photos import rays_on
 from skylight.cameras.turns import Link, focal_from_turns, world_from_cameras
 from skylight.errors import InputError
 from skylight.faces.detection.mediapipe_face import MediaPipeLandmarker
@@ -155,6 +156,7 @@ def estimate_film(
                 grid_height=problem.grid_height,
                 grey=photo.grey,
                 workers=os.cpu_count() or 1,
+                rays_on=rays_on(settings.device),
             )
         except InputError as error:
             advice.append(f"left out: {keyframe.time_s:.1f} s: {error}")

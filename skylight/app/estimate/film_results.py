@@ -22,17 +22,16 @@ from skylight.app.figures.panels import show, show_probe
 from skylight.app.figures.style import ACCENT, MUTED, STYLE, save
 from skylight.imaging.photo import read_photo
 from skylight.inverse.sky.film import FrameLight
-from skylight.io.files import write_environment_map
+from skylight.io.files import write_environment_map, write_probe
 from skylight.io.json_files import write_json
 from skylight.work.progress import StageProgress
 from skylight.work.results_folder import results_folder
-from skylight.work.resumable import claimed, settle
+from skylight.work.resumable import SETTINGS, claimed, settle
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FILM_FILES = re.compile(r"probe_[0-9]{3}\.exr")  # the files of :func:`probe_name`
-SETTINGS = "settings.json"
 ABREAST = 6
 
 
@@ -67,8 +66,7 @@ def write_film_results(folder: Path, result: FilmEstimate, *, source: str) -> No
     camera's at the first frame.
     """
     light = result.light
-    write_environment_map(folder / "probe.exr", light.mean.environment)
-    write_environment_map(folder / "probe.hdr", light.mean.environment)
+    write_probe(folder, light.mean.environment)
     write_environment_map(folder / "posterior.exr", posterior_map(light.start.posterior))
     for number, frame in enumerate(light.frames):
         write_environment_map(folder / probe_name(number), frame.environment)

@@ -11,7 +11,7 @@ from skylight.app.estimate.uncertainty import posterior_map
 from skylight.faces.fit import FaceFit
 from skylight.faces.model import HeadModel
 from skylight.io.atomic import atomic_path
-from skylight.io.files import write_environment_map
+from skylight.io.files import write_environment_map, write_probe
 from skylight.io.json_files import write_json
 
 MESHES = re.compile(r"mesh(_[1-9][0-9]*)?\.obj")  # the files of :func:`mesh_names`
@@ -23,8 +23,7 @@ def write_results(folder: Path, result: PhotoEstimate, *, keep_place: bool = Fal
     Several faces have a mesh each, mesh_1.obj and so on, in the order of estimate.json. Time,
     place and heading are private, and stand in estimate.json only with ``keep_place``.
     """
-    write_environment_map(folder / "probe.exr", result.estimate.environment)
-    write_environment_map(folder / "probe.hdr", result.estimate.environment)
+    write_probe(folder, result.estimate.environment)
     write_environment_map(folder / "posterior.exr", posterior_map(result.estimate.posterior))
     write_json(folder / "estimate.json", describe(result, keep_place=keep_place))
     for name, seen in zip(mesh_names(result), result.seen, strict=True):

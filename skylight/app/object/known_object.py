@@ -22,7 +22,7 @@ from skylight.imaging.colour import tone_map
 from skylight.imaging.photo import Photo
 from skylight.inverse.object.problem import ObjectLight, ObjectLightName, estimate_object_light
 from skylight.inverse.object.view import ObjectMaterial, ObjectView, observe_object
-from skylight.io.files import write_environment_map
+from skylight.io.files import write_probe
 from skylight.io.json_files import write_json
 from skylight.io.opened_picture import opened_picture
 from skylight.sphere.envmap import EnvironmentMap, luminance
@@ -139,8 +139,7 @@ def write_object_results(
     folder: Path, result: KnownObjectEstimate, *, mesh: Path, photo: Path
 ) -> None:
     """probe.exr, probe.hdr, estimate.json, comparison.png and, of a sparse code, code.json."""
-    write_environment_map(folder / "probe.exr", result.light.environment)
-    write_environment_map(folder / "probe.hdr", result.light.environment)
+    write_probe(folder, result.light.environment)
     write_json(folder / "estimate.json", describe_object(result, mesh=str(mesh), photo=str(photo)))
     if result.light.code is not None:
         result.light.code.save(folder / "code.json")

@@ -16,10 +16,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from skylight.probes.mirror_balls.ball import Ball
-from skylight.probes.radiance.probe_map import ProbeMap, averaged, latlong_directions
+from skylight.probes.radiance.probe_map import ProbeMap, averaged, finer_rows, latlong_directions
 
 _MARGIN_PX = 1.5  # inside of the outline, where pixels mix with what is behind the ball
-_FINEST_ROWS = 1024
 _TABLE = 40_001
 
 
@@ -102,9 +101,8 @@ def unwrap(view: BallView, height: int) -> ProbeMap:
 
 
 def fine_height(view: BallView, height: int) -> int:
-    """Rows, a multiple of ``height``, that hold all that the picture shows; 1024 or so at most.
+    """:func:`~skylight.probes.radiance.probe_map.finer_rows` that hold all that the picture shows.
 
     A distant ball shows the light towards the camera with radius / 2 px a radian.
     """
-    wanted = math.ceil(0.5 * math.pi * view.ball.circle[2] / height)
-    return height * max(1, min(wanted, _FINEST_ROWS // height))
+    return finer_rows(height, 0.5 * view.ball.circle[2])

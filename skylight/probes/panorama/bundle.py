@@ -5,13 +5,13 @@ match of place p in shot i and q in shot j is off by ::
 
     e = P(R_i^T R_j r(q)) - p,     sum rho(|e|^2) -> min
 
-rho(s) = 2 c^2 (sqrt(1 + s / c^2) - 1), which grows as |e| does (Brown & Lowe 2007, "Automatic
+rho(s) = 2 c^2 (sqrt(1 + s / c^2) - 1), which grows as ``|e|`` does (Brown & Lowe 2007, "Automatic
 panoramic image stitching using invariant features", section 4). From the widest spanning tree of
 pairwise turns on; matches are chosen anew, ever nearer, as the lens becomes known.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -204,12 +204,7 @@ class _Fit:
         return turns @ self.start
 
     def _lens(self, free: Float[np.ndarray, " q"]) -> Lens:
-        return Lens(
-            width=self.lens.width,
-            height=self.lens.height,
-            focal_px=float(np.exp(free[-2])),
-            k1=float(free[-1]),
-        )
+        return replace(self.lens, focal_px=float(np.exp(free[-2])), k1=float(free[-1]))
 
     def _off_hints(self, rotations: Float[np.ndarray, "s 3 3"]) -> Float[np.ndarray, "h 3"]:
         """Of the shots with hints, in standard deviations."""

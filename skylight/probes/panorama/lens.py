@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from skylight.cameras.intrinsics import FLIP, Intrinsics
+from skylight.cameras.turns import pinhole_rays
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,9 +50,7 @@ class Lens:
     def rays(self, places: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
         """Unit directions in the camera's frame."""
         straight = self.intrinsics.undistort_points(places - 0.5) + 0.5
-        x, y = (straight - np.array(self.size) / 2).T
-        rays = np.stack([x, -y, np.full_like(x, -self.focal_px)], 1)
-        return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        return pinhole_rays(straight, self.focal_px, self.size)
 
     def project(self, rays: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
         """Where directions in the camera's frame are seen; nonsense for those not :meth:`ahead`."""

@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
+from skylight.cameras.turns import best_rotation
+
 _TOLD = 0.02  # of the shots' number: least spread of their right-hand sides that tells the vertical
 _STEEP = 0.9  # sine of the elevation above which a shot tells no azimuth
 
@@ -37,8 +39,7 @@ def aligned(
 ) -> dict[int, Float[np.ndarray, "3 3"]]:
     """The same rotations, turned together to meet the hints best, in the least-squares sense."""
     both = [shot for shot in rotations if shot in hints]
-    left, _, right = np.linalg.svd(sum(hints[shot] @ rotations[shot].T for shot in both))
-    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    turn = best_rotation(np.sum([hints[shot] @ rotations[shot].T for shot in both], axis=0))
     return {shot: turn @ rotations[shot] for shot in rotations}
 
 

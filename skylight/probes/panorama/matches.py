@@ -16,7 +16,6 @@ from jaxtyping import Float
 from skylight.cameras.turns import Link, turn_between
 from skylight.probes.panorama.lens import Lens
 from skylight.probes.panorama.shots import Shot, for_features
-from skylight.sphere.envmap import LUMINANCE
 from skylight.work.progress import Progress
 
 _MOST_FEATURES = 1000  # of a shot
@@ -92,7 +91,7 @@ def lamp_links(shots: Sequence[Shot]) -> list[Link]:
 
 def _lamp(shot: Shot) -> tuple[Float[np.ndarray, "2"], float] | None:
     """(place, sum of light) of a shot's lamp, where it has one."""
-    light = shot.radiance @ np.array(LUMINANCE, np.float32)
+    light = shot.light
     peak = float(light.max())
     if peak <= _LAMP_OVER_MEDIAN * float(np.median(light)):
         return None

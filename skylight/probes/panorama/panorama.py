@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -90,7 +90,7 @@ def panorama_of(
     progress("finding rotations", 0.0)
     if focal_px is None and links:
         found, _ = focal_from_turns(most_told(links), lens.focal_px, _FOCAL_SPREAD, lens.size)
-        lens = Lens(width=width, height=rows, focal_px=found)
+        lens = replace(lens, focal_px=found)
     turned = turned_links(links, lens)
     if not turned:
         raise InputError(_why_none(shots, [len(each.places) for each in features]))
@@ -102,12 +102,7 @@ def panorama_of(
         start = {**hints}
     bundle = adjust(turned, lamp_links(shots), start, lens, hints)
     if not hints:
-        bundle = Bundle(
-            rotations=levelled(bundle.rotations),
-            lens=bundle.lens,
-            matches=bundle.matches,
-            rms_px=bundle.rms_px,
-        )
+        bundle = replace(bundle, rotations=levelled(bundle.rotations))
     probe = stitch(
         shots, bundle.rotations, bundle.lens, height, lambda share: progress("stitching", share)
     )

@@ -33,6 +33,11 @@ class Shot:
         return self.radiance.shape[1], self.radiance.shape[0]
 
     @property
+    def light(self) -> Float[np.ndarray, "h w"]:
+        """Luminance."""
+        return self.radiance @ np.array(LUMINANCE, np.float32)
+
+    @property
     def scale(self) -> float:
         """Pixels of ``radiance`` per pixel of the picture."""
         return self.radiance.shape[1] / self.width
@@ -54,7 +59,7 @@ def shot_of(name: str, merged: Merged, gain: float = 1.0) -> Shot:
 
 def for_features(shot: Shot) -> UInt8[np.ndarray, "h w"]:
     """Log luminance as 8-bit grey: edges in shadows count as much as those in the light."""
-    light = shot.radiance @ np.array(LUMINANCE, np.float32)
+    light = shot.light
     logs = np.log(np.maximum(light, _FLOOR * light.max() + 1e-30))
     dark, bright = np.quantile(logs, (_DARK_SHARE, 1 - _DARK_SHARE))
     return np.clip(np.rint(255 * (logs - dark) / max(bright - dark, 1e-3)), 0, 255).astype(np.uint8)

@@ -11,11 +11,10 @@ from scipy.spatial import KDTree
 
 from skylight.probes.panorama.lens import Lens
 from skylight.probes.panorama.shots import Shot
-from skylight.probes.radiance.probe_map import ProbeMap, averaged, latlong_directions
+from skylight.probes.radiance.probe_map import ProbeMap, averaged, finer_rows, latlong_directions
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.work.progress import Progress
 
-_FINEST_ROWS = 1024
 _MARGIN_PX = 1.0
 _POWER = 3  # of the weight that falls from a shot's middle to its edges
 # Weight of what is saturated in all exposures: it counts, as a bound, where nothing else is seen.
@@ -32,12 +31,13 @@ def stitch(
     """The light round the camera on ``height`` rows, averaged down from a finer map.
 
     Each direction is the mean of the shots that show it, weighted by how far from a shot's edges
-    it is and by how little of it is saturated: (1 - |2x/w - 1|)^3 (1 - |2y/h - 1|)^3 (1 - clipped).
+    it is and by how little of it is saturated,
+    ``(1 - |2x/w - 1|)^3 (1 - |2y/h - 1|)^3 (1 - clipped)``.
     Vignetting is not undone: the edges of a lens that has much of it come out too dark, by less
     than the lens itself says, since edges count little where shots overlap. What no shot shows
     holds the nearest direction that one does.
     """
-    fine = fine_rows(lens, height)
+    fine = finer_rows(height, lens.focal_px)  # as dense as the middles of shots
     directions = latlong_directions(fine).numpy().reshape(-1, 3)
     # the density of the fine map's rows, so that a look-up between pixels leaves no light out
     scale = min(1.0, fine / math.pi / lens.focal_px)
@@ -70,12 +70,6 @@ def stitch(
             height,
         )
     )
-
-
-def fine_rows(lens: Lens, height: int) -> int:
-    """Rows, a multiple of ``height``, as dense as the shots' middles; 1024 or so at most."""
-    wanted = math.ceil(math.pi * lens.focal_px / height)
-    return height * max(1, min(wanted, _FINEST_ROWS // height))
 
 
 def _look_up(

@@ -1,5 +1,6 @@
 """Lat-long maps of radiance that tell which part of each pixel is saturated and which was seen."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,8 +8,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from skylight.errors import InputError
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.grid import DirectionGrid
+
+_ROWS_MIN, _FINEST_ROWS = 16, 1024
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +36,18 @@ class ProbeMap:
 def latlong_directions(height: int) -> Float[Tensor, "h w 3"]:
     """Directions of a lat-long map's pixels, float64."""
     return DirectionGrid.latlong(height).directions.reshape(height, 2 * height, 3)
+
+
+def check_rows(height: int) -> None:
+    """:class:`InputError` for rows that no probe has."""
+    if not _ROWS_MIN <= height <= _FINEST_ROWS:
+        raise InputError(f"--height must be {_ROWS_MIN} to {_FINEST_ROWS} rows, got {height}")
+
+
+def finer_rows(height: int, px_per_radian: float) -> int:
+    """Rows, a multiple of ``height``, that hold what is seen so sharply; 1024 or so at most."""
+    wanted = math.ceil(math.pi * px_per_radian / height)
+    return height * max(1, min(wanted, _FINEST_ROWS // height))
 
 
 def averaged(

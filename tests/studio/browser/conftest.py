@@ -2,8 +2,6 @@
 
 import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +13,8 @@ from skimage.data import astronaut
 from torch import Tensor
 
 from tests.studio.browser.known_light import answers
+from tests.studio.browser.waiting import PATIENCE_MS, gathered, painted
+from tests.studio.conftest import Served, start
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -28,6 +28,10 @@ _KEPT = """async () => [
     (await caches.keys()).length,
     (await navigator.serviceWorker.getRegistrations()).length,
 ]"""
+_PREVIEW_IS_IN = """() => {
+    const preview = document.querySelector(".photo img");
+    return preview?.complete && preview.naturalWidth > 0;
+}"""
 
 
 @pytest.fixture(scope="session")
@@ -38,6 +42,7 @@ def chromium() -> "Iterator[Browser]":
     found = named or next(filter(None, map(shutil.which, _NAMES)), None)
     if found is None:
         pytest.skip("no Chromium on the path: install one, or name it in SKYLIGHT_CHROMIUM")
+    driver.expect.set_options(timeout=PATIENCE_MS)
     with driver.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=found, args=["--no-sandbox"])
         yield browser
@@ -45,16 +50,17 @@ def chromium() -> "Iterator[Browser]":
 
 
 @pytest.fixture(scope="session")
-def studio_address() -> Iterator[str]:
-    """The address of a studio that takes one job at a time, and small uploads."""
-    limits = ["--jobs", "1", "--upload-mb", "3", "--megapixels", "2"]
-    command = [sys.executable, "-m", "skylight", "studio", "--no-browser", "--port", "0", *limits]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        try:
-            yield process.stdout.readline().strip()
-        finally:
-            process.terminate()
+def studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """One that takes one job at a time, and small uploads."""
+    limits = ("--jobs", "1", "--upload-mb", "3", "--megapixels", "2")
+    studio = start(tmp_path_factory.mktemp("browsed") / "tmp", *limits)
+    yield studio
+    studio.end()
+
+
+@pytest.fixture(scope="session")
+def studio_address(studio: Served) -> str:
+    return studio.address
 
 
 @pytest.fixture
@@ -72,7 +78,7 @@ def new_page(chromium: "Browser", studio_address: str) -> "Iterator[Callable[...
         context = chromium.new_context(**{"viewport": {"width": 1280, "height": 900}, **options})
         page = context.new_page()
         pages.append(page)
-        page.set_default_timeout(60_000)
+        page.set_default_timeout(PATIENCE_MS)
         page.on("request", lambda request: asked.append(request.url))
         page.on("pageerror", lambda error: failed.append(str(error)))
         page.goto(studio_address + path)
@@ -105,6 +111,7 @@ def show(new_page: "Callable[..., Page]", tmp_path: Path) -> "Callable[..., Page
 
     def shown(radiance: Tensor, **options: Any) -> "Page":
         page = new_page(**options)
+        page.get_by_role("region", name="Try one of these").wait_for()  # what is below stays there
         answer = answers(radiance, tmp_path)
         page.route("**/api/jobs/**", answer)
         page.route("**/api/jobs", answer)
@@ -112,8 +119,10 @@ def show(new_page: "Callable[..., Page]", tmp_path: Path) -> "Callable[..., Page
         picture[300:] = 160  # even ground for shadows
         Image.fromarray(picture).save(tmp_path / "photo.png")
         page.set_input_files("input[type=file]", tmp_path / "photo.png")
+        page.wait_for_function(_PREVIEW_IS_IN)
         page.get_by_role("button", name="Find the light").click()
-        page.wait_for_selector(".composite[data-share]:not([data-share='0'])")
+        gathered(page, 1 / 64)
+        painted(page)
         return page
 
     return shown

@@ -17,6 +17,8 @@ from PIL import Image
 from skimage.data import astronaut, camera, coffee
 
 import skylight
+from tests.studio.browser.waiting import expect, gathered
+from tests.studio.conftest import Served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Locator, Page, Route
@@ -42,6 +44,21 @@ _PASTE = """([url, name]) => {
     clipboardData.items.add(new File([bytes], name));
     document.dispatchEvent(new ClipboardEvent("paste", { clipboardData }));
 }"""
+# notes whatever the panel of a job shows, however soon it is gone again
+_WATCH = """() => {
+    const panel = document.querySelector(".job");
+    const parts = [...panel.querySelectorAll("[role=status], button, progress")];
+    const shown = () => parts.filter((one) => one.checkVisibility());
+    window.told = [];
+    const note = () => window.told.push(shown().map((one) => one.textContent || one.localName));
+    const watched = { attributes: true, childList: true, subtree: true };
+    new MutationObserver(note).observe(panel, watched);
+}"""
+# whether a job is cancelled, done, or forgotten
+_IS_OVER = """async (path) => {
+    const { state } = await (await fetch(path)).json();
+    return !["waiting", "running"].includes(state);
+}"""
 _OVERFLOW = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
 
 
@@ -66,8 +83,8 @@ def estimated(page: "Page", light: str) -> dict[str, Any]:
     count = page.locator(".result").count()
     with page.expect_response("**/api/jobs") as started:
         page.locator("button.primary", has_text=re.compile("Find .* light")).click()
-    page.locator(".result").nth(count).wait_for(timeout=180_000)
     job = started.value.json()["job"]
+    page.locator(".result").nth(count).wait_for()
     return asked(page, f"/api/jobs/{job}")
 
 
@@ -88,32 +105,28 @@ def picture(shown: "Page | Locator", path: Path) -> None:
     full.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG).save(path, optimize=True)
 
 
-def light_in(page: "Page") -> None:
-    share = 1 if FOR_DOCUMENTATION else 1 / 8
-    page.wait_for_function(
-        "share => document.querySelector('.composite').dataset.share >= share",
-        arg=share,
-        timeout=180_000,
-    )
-
-
 def test_from_a_dropped_photo_to_a_downloaded_map(
     new_page: MakePage, studio_address: str, portrait: Path, tmp_path: Path, pictures: Path
 ) -> None:
     page = new_page(color_scheme="light", accept_downloads=True)
-    page.wait_for_load_state("networkidle")  # the examples are in
+    page.get_by_role("region", name="Try one of these").wait_for()
+    page.wait_for_load_state("networkidle")  # with their pictures
     picture(page, pictures / "studio_start.png")
     drop(page, portrait)
     page.get_by_role("button", name="The face").wait_for()
     page.locator("input[value=sh9]").check()
+    page.evaluate(_WATCH)
     page.get_by_role("button", name="Find the light").click()
-    page.get_by_role("progressbar").wait_for()
-    page.get_by_role("status").get_by_text(
-        re.compile("(Fitting|Tracing|Estimating) .*…")
-    ).wait_for()
-    page.get_by_role("button", name="Cancel").wait_for()
-    picture(page, pictures / "studio_faces.png")
-    page.locator(".result").wait_for(timeout=180_000)
+    if FOR_DOCUMENTATION:
+        page.get_by_role("status").get_by_text(re.compile("(Tracing|Estimating) .*…")).wait_for()
+        picture(page, pictures / "studio_faces.png")
+    page.locator(".result").wait_for()
+    stage = re.compile("(Fitting|Tracing|Estimating|Writing) .*…")
+    told = [words for words in page.evaluate("window.told") if words and stage.match(words[0])]
+    assert told
+    assert all(words[1:] == ["Cancel", "progress"] for words in told)
+    for gone in (page.get_by_role("progressbar"), page.get_by_role("button", name="Cancel")):
+        expect(gone).to_be_hidden()
 
     link = page.get_by_role("link", name=re.compile("^probe.exr"))
     with page.expect_download() as download:
@@ -143,12 +156,12 @@ def test_from_a_dropped_photo_to_a_downloaded_map(
     second = "autoencoder" if FOR_DOCUMENTATION else "sh25"
     job = estimated(page, second)
     assert job["result"]["light"] == second
-    assert page.locator(".result").count() == 2
-    title = page.locator(".result h3").nth(1).text_content()
-    assert page.get_by_label("Lit by").input_value() == title
-    assert page.get_by_role("article", name=title, exact=True).count() == 1
+    expect(page.locator(".result")).to_have_count(2)
+    title = page.locator(".result h3").nth(1).text_content() or ""
+    expect(page.get_by_label("Lit by")).to_have_value(title)
+    expect(page.get_by_role("article", name=title, exact=True)).to_have_count(1)
     page.get_by_label("Surface", exact=True).select_option("glazed")
-    light_in(page)
+    gathered(page, 1 if FOR_DOCUMENTATION else 1 / 8)
     if FOR_DOCUMENTATION:
         in_photo, light = (
             page.get_by_role("region", name=name) for name in ("In your photo", "The light")
@@ -162,7 +175,7 @@ def test_from_a_dropped_photo_to_a_downloaded_map(
     page.goto(f"{studio_address}/#/codes")
     page.get_by_role("heading", level=1, name="Sparse codes").wait_for()
     page.goto(f"{studio_address}/#/face")
-    assert page.locator(".result").count() == 2
+    expect(page.locator(".result")).to_have_count(2)
 
 
 def test_an_example_is_taken_as_a_chosen_file_is(new_page: MakePage) -> None:
@@ -178,7 +191,7 @@ def test_an_example_is_taken_as_a_chosen_file_is(new_page: MakePage) -> None:
     page.get_by_role("img", name="Your photo, cameraman.png").wait_for()
     row.get_by_role("button", name=re.compile("astronaut.* Works: .*NASA")).click()
     page.get_by_role("img", name="Your photo, astronaut.png").wait_for()
-    assert page.get_by_role("button", name="Find the light").is_enabled()
+    expect(page.get_by_role("button", name="Find the light")).to_be_enabled()
 
 
 @pytest.mark.slow
@@ -196,13 +209,13 @@ def test_one_of_two_faces(new_page: MakePage, tmp_path: Path, pictures: Path) ->
     assert right
     assert abs(left["x"] - right["x"]) > 200
     everyone.click()
-    assert first.get_attribute("aria-pressed") == "false"
-    assert everyone.get_attribute("aria-pressed") == "true"
+    expect(first).to_have_attribute("aria-pressed", "false")
+    expect(everyone).to_have_attribute("aria-pressed", "true")
     second.click()
-    assert second.get_attribute("aria-pressed") == "true"
+    expect(second).to_have_attribute("aria-pressed", "true")
     job = estimated(page, "sh9")
     assert [face["number"] for face in job["result"]["faces"]] == [2]
-    assert page.get_by_role("article", name="Spherical harmonics").count() == 1
+    expect(page.get_by_role("article", name="Spherical harmonics")).to_have_count(1)
 
 
 def test_files_that_are_no_use(new_page: MakePage, portrait: Path, tmp_path: Path) -> None:
@@ -210,8 +223,7 @@ def test_files_that_are_no_use(new_page: MakePage, portrait: Path, tmp_path: Pat
     line = page.locator(LINE)
     (tmp_path / "notes.jpg").write_text("dear diary")
     drop(page, tmp_path / "notes.jpg")
-    line.wait_for()
-    assert "picture" in (line.text_content() or "").lower()
+    expect(line).to_contain_text("picture", ignore_case=True)
 
     (tmp_path / "heavy.png").write_bytes(bytes(3_100_000))
     choose_photo(page, tmp_path / "heavy.png")
@@ -228,11 +240,11 @@ def test_files_that_are_no_use(new_page: MakePage, portrait: Path, tmp_path: Pat
     Image.fromarray(coffee()).save(tmp_path / "empty.png")
     choose_photo(page, tmp_path / "empty.png")
     page.get_by_role("alert").get_by_text("No face was found").wait_for()
-    assert page.locator("button", has_text="Find the light").count() == 0
+    expect(page.locator("button", has_text="Find the light")).to_have_count(0)
 
     choose_photo(page, portrait)  # the page is still of use
     page.get_by_role("button", name="The face").wait_for()
-    assert line.count() == 0
+    expect(line).to_have_count(0)
 
 
 @pytest.mark.slow
@@ -248,48 +260,56 @@ def test_a_job_that_fails_and_a_server_that_is_gone(new_page: MakePage, portrait
 
     page.route("**/api/jobs", ask_for_another_face)
     start.click()
-    line.get_by_text(re.compile("face", re.IGNORECASE)).wait_for(timeout=120_000)
-    assert page.get_by_role("progressbar").count() == 0
+    line.get_by_text(re.compile("face", re.IGNORECASE)).wait_for()
+    expect(page.get_by_role("progressbar")).to_be_hidden()
     page.unroute("**/api/jobs")
 
     page.route("**/events", lambda route: route.abort())
-    start.click()
+    with page.expect_response("**/api/jobs") as started:
+        start.click()
     line.get_by_text("The studio does not answer").wait_for()
+    page.wait_for_function(_IS_OVER, arg=f"/api/jobs/{started.value.json()['job']}", polling=100)
     page.unroute("**/events")
 
     page.context.set_offline(True)
     choose_photo(page, portrait)
-    page.locator(LINE).get_by_text("The studio does not answer").first.wait_for()
+    expect(line.get_by_text("The studio does not answer")).to_have_count(2)  # the photo's, too
     page.context.set_offline(False)
     choose_photo(page, portrait)
-    page.get_by_role("button", name="Find the light").wait_for()
+    expect(line).to_have_count(0)
+    expect(start).to_be_enabled()
 
 
-def test_too_many_jobs_and_a_cancelled_one(new_page: MakePage, portrait: Path) -> None:
+@pytest.mark.skipif(not Path("/proc").exists(), reason="looks for processes in /proc")
+def test_too_many_jobs_and_a_cancelled_one(
+    new_page: MakePage, studio: Served, portrait: Path
+) -> None:
     first, second = new_page(), new_page()
     for page in (first, second):
         choose_photo(page, portrait)
         page.get_by_role("button", name="Find the light").wait_for()
-    first.get_by_role("button", name="Find the light").click()
     cancel = first.get_by_role("button", name="Cancel")
-    first.get_by_role("status").get_by_text(re.compile("(Fitting|Tracing) .*…")).wait_for()
-    second.get_by_role("button", name="Find the light").click()
-    second.locator(LINE).get_by_text("jobs are waiting or running").wait_for()
-
-    with first.expect_request(lambda request: request.method == "DELETE") as forgotten:
-        cancel.click()
-    assert not cancel.is_visible()
-    assert first.locator(LINE).count() == 0  # it was the user's wish
-    answer = forgotten.value.response()
-    assert answer is not None
-    assert answer.status == 204
-    assert asked(first, forgotten.value.url)["state"] == "cancelled"
-    assert first.get_by_role("button", name="Find the light").is_enabled()
+    with studio.held():
+        with first.expect_response("**/api/jobs"):
+            first.get_by_role("button", name="Find the light").click()
+        second.get_by_role("button", name="Find the light").click()
+        second.locator(LINE).get_by_text("jobs are waiting or running").wait_for()
+        with first.expect_request(lambda request: request.method == "DELETE") as forgotten:
+            cancel.click()
+        expect(cancel).to_be_hidden()
+        answer = forgotten.value.response()
+        assert answer is not None
+        assert answer.status == 204
+        assert asked(first, forgotten.value.url)["state"] == "cancelled"
+    expect(first.get_by_role("button", name="Find the light")).to_be_enabled()
+    expect(first.locator(LINE)).to_have_count(0)  # it was the user's wish
 
 
 def test_a_narrow_screen_needs_no_sideways_scroll(new_page: MakePage, portrait: Path) -> None:
     page = new_page(viewport={"width": 360, "height": 740})
+    page.get_by_role("region", name="Try one of these").wait_for()
     assert page.evaluate(_OVERFLOW) == 0
     choose_photo(page, portrait)
     page.get_by_role("button", name="The face").wait_for()
+    page.get_by_role("radio").first.wait_for()
     assert page.evaluate(_OVERFLOW) == 0

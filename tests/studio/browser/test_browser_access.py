@@ -10,6 +10,7 @@ from PIL import Image
 from skimage.data import astronaut
 
 from tests.studio.browser.known_light import answers
+from tests.studio.browser.waiting import expect
 
 pytestmark = pytest.mark.slow
 
@@ -87,7 +88,7 @@ def test_the_keyboard_is_enough(new_page: Callable[..., "Page"], tmp_path: Path)
     page.on("filechooser", lambda chooser: chooser.set_files(tmp_path / "photo.png"))
     press_until(page, "Skip to the content")
     page.keyboard.press("Enter")
-    assert page.evaluate("document.activeElement.id") == "main"
+    expect(page.locator("#main")).to_be_focused()
     press_until(page, "Choose a photo")
     page.keyboard.press("Enter")
     page.get_by_role("button", name="The face").wait_for()
@@ -99,16 +100,16 @@ def test_the_keyboard_is_enough(new_page: Callable[..., "Page"], tmp_path: Path)
     press_until(page, "Spherical harmonics, 9", "ArrowDown")
     press_until(page, "Find the light")
     page.keyboard.press("Enter")
-    page.locator(".result").wait_for()
-    assert page.evaluate(_FOCUSED)[1] == "In your photo"  # where it goes on
+    expect(page.get_by_role("heading", name="In your photo")).to_be_focused()  # it goes on there
 
     press_until(page, "Your photo with the object")
     page.keyboard.press("ArrowLeft")
     page.get_by_role("status").get_by_text("metres away").wait_for()
     press_until(page, "Turn")
-    before = page.get_by_label("Turn", exact=True).input_value()
+    turn = page.get_by_label("Turn", exact=True)
+    before = turn.input_value()
     page.keyboard.press("ArrowRight")
-    assert page.get_by_label("Turn", exact=True).input_value() != before
+    expect(turn).not_to_have_value(before)
     press_until(page, "Ball of all directions")
     page.keyboard.press("ArrowRight")
     press_until(page, "probe.exr")

@@ -14,6 +14,7 @@ from skimage.data import astronaut
 from tests.studio.browser.test_browser import choose_photo, estimated, picture
 from tests.studio.browser.test_browser_access import CONTRASTS, NAMELESS, OVERFLOW
 from tests.studio.browser.test_browser_light import pixels
+from tests.studio.browser.waiting import expect, painted
 
 pytestmark = pytest.mark.slow
 
@@ -31,7 +32,7 @@ def relit(page: "Page") -> np.ndarray:
         "query => (document.querySelector('.lamp-face').dataset.shows ?? '').endsWith(query)",
         arg=query,
     )
-    page.wait_for_timeout(100)  # the panorama is painted with the next frame
+    painted(page)
     shown = pixels(page, FACE)
     return shown[:, shown.shape[1] // 2 :, :3]
 
@@ -52,7 +53,8 @@ def test_lamps_are_moved_switched_saved_and_reset(
     lamps = estimated(page, "lamps")["result"]["lamps"]
     first = relit(page)
     handles = page.get_by_role("button", name=re.compile("^Lamp [1-9]"))
-    assert handles.count() == len(lamps) > 0
+    assert lamps
+    expect(handles).to_have_count(len(lamps))
     assert angle(page, "Azimuth") == pytest.approx(lamps[0]["azimuth_deg"], abs=0.06)
     assert angle(page, "Zenith") == pytest.approx(lamps[0]["zenith_deg"], abs=0.06)
 
@@ -118,7 +120,7 @@ def test_lamps_are_moved_switched_saved_and_reset(
 
     page.get_by_role("button", name="Reset to the estimate").click()
     np.testing.assert_array_equal(relit(page), first)
-    assert page.get_by_label("Ambient on").is_checked()
+    expect(page.get_by_label("Ambient on")).to_be_checked()
     assert angle(page, "Azimuth") == pytest.approx(lamps[0]["azimuth_deg"], abs=0.06)
 
     # for everybody; and nothing of it where no lamp was found
@@ -126,7 +128,8 @@ def test_lamps_are_moved_switched_saved_and_reset(
     texts = [text for ratio, text in page.evaluate(CONTRASTS) if ratio < 4.5]
     assert [text for text in texts if "lamp-handle" not in text] == []  # white on the panorama
     estimated(page, "sh9")
-    assert page.locator(".result").count() == 2
-    assert page.locator(".lamps").count() == 1
+    expect(page.locator(".result")).to_have_count(2)
+    expect(page.locator(".lamps")).to_have_count(1)
     page.set_viewport_size({"width": 360, "height": 740})
+    page.wait_for_function("innerWidth === 360")
     assert page.evaluate(OVERFLOW) == 0

@@ -21,6 +21,7 @@ from skylight.imaging.colour import linear_to_srgb, srgb_to_linear
 from skylight.sphere.frame import pixel_from_direction
 from skylight.sphere.grid import DirectionGrid
 from tests.studio.browser.known_light import REGION, SIZE
+from tests.studio.browser.waiting import expect, gathered
 
 pytestmark = pytest.mark.slow
 
@@ -123,7 +124,6 @@ def test_the_matte_ball_shows_the_irradiance_over_pi(show: Callable[..., "Page"]
     radiance[0] = torch.tensor([60.0, 30.0, 0.0])
     radiance[35:38, 95:98] = torch.tensor([0.0, 8.0, 16.0])
     page = show(radiance)
-    page.wait_for_timeout(100)  # the exposure's repainting
     ball = pixels(page, ".balls figure:nth-child(3) canvas")
     middle, radius = len(ball) / 2, len(ball) / 2 - 1
     grid = DirectionGrid.latlong(64)
@@ -141,9 +141,7 @@ def test_the_matte_ball_shows_the_irradiance_over_pi(show: Callable[..., "Page"]
 
 def finished(page: "Page", share: float) -> np.ndarray:
     """The picture with the object, once at least this share of its light is in."""
-    canvas = page.locator("canvas.composite")
-    while float(canvas.get_attribute("data-share") or 0) < share:
-        page.wait_for_timeout(50)
+    gathered(page, share)
     return pixels(page, "canvas.composite")
 
 
@@ -201,11 +199,10 @@ def test_the_object_moves_by_pointer_and_by_keys(show: Callable[..., "Page"]) ->
     canvas.focus()
     page.keyboard.press("ArrowRight")
     status = page.locator("[role=status]", has_text="metres away")
-    before = status.text_content()
     for key in ("ArrowUp", "+", "."):
+        before = status.text_content() or ""
         page.keyboard.press(key)
-        assert status.text_content() != before
-        before = status.text_content()
+        expect(status).not_to_have_text(before)
 
 
 def test_a_model_of_ones_own_stays_in_the_page(show: Callable[..., "Page"], tmp_path: Path) -> None:
@@ -243,19 +240,18 @@ def test_other_pages_offer_a_found_light_until_its_photo_goes(
     page = show(torch.full((64, 128, 3), 0.6))
     found = page.get_by_label("Light", exact=True).locator("option", has_text="Found: photo.png")
 
-    def offered() -> int:
+    def offers(count: int) -> None:
         page.evaluate("location.hash = '#/codes'")
         page.get_by_role("heading", level=1, name="Sparse codes").wait_for()
-        count = found.count()
+        expect(found).to_have_count(count)
         page.evaluate("location.hash = '#/face'")
         page.get_by_role("heading", level=1, name="Light from a face").wait_for()
-        return count
 
-    assert offered() == 1
+    offers(1)
     Image.fromarray(astronaut()[:, ::-1]).save(tmp_path / "other.png")
     page.set_input_files("input[type=file][accept^='image']", tmp_path / "other.png")
     page.get_by_alt_text("other.png").wait_for()
-    assert offered() == 0
+    offers(0)
 
 
 def test_a_light_that_cannot_be_fetched_says_so(show: Callable[..., "Page"]) -> None:
@@ -264,5 +260,5 @@ def test_a_light_that_cannot_be_fetched_says_so(show: Callable[..., "Page"]) -> 
     again = page.get_by_role("button", name="Find this light too")
     again.click()
     page.get_by_role("alert").get_by_text("The studio does not answer").wait_for()
-    assert again.is_enabled()
-    assert page.locator(".result").count() == 1
+    expect(again).to_be_enabled()
+    expect(page.locator(".result")).to_have_count(1)

@@ -21,7 +21,7 @@ from skylight.sphere.envmap import EnvironmentMap
 from skylight.studio.own_folder import PREFIX
 from skylight.studio.state import clean_name
 from skylight.studio.tasks.picture_headers import pixel_count
-from tests.studio.conftest import UPLOAD_MB, Served
+from tests.studio.conftest import PATIENCE_S, UPLOAD_MB, Served
 
 
 def test_a_photograph_is_shown_with_its_face(client: httpx.Client, portrait: bytes) -> None:
@@ -84,7 +84,7 @@ def test_a_photograph_cut_short_is_one_line(client: httpx.Client, portrait: byte
 
 def test_too_large_uploads_are_refused_by_what_they_say(client: httpx.Client) -> None:
     host, port = client.base_url.host, client.base_url.port
-    with closing(HTTPConnection(host, port, timeout=60)) as connection:
+    with closing(HTTPConnection(host, port, timeout=PATIENCE_S)) as connection:
         connection.putrequest("POST", "/api/photos")
         connection.putheader("Content-Length", str(int(UPLOAD_MB * 1e6) + 1))
         connection.endheaders()  # and not a byte of it

@@ -7,7 +7,7 @@ from skylight.app.cameras.exposure_files import read_views
 from skylight.app.probes.mirror_balls.report import write_merge_report
 from skylight.app.probes.mirror_balls.summary import describe, summary, warnings
 from skylight.errors import InputError
-from skylight.io.files import write_environment_map
+from skylight.io.files import write_probe
 from skylight.io.json_files import write_json
 from skylight.probes.mirror_balls.merged import (
     BallOptions,
@@ -16,10 +16,9 @@ from skylight.probes.mirror_balls.merged import (
     merged_from_360,
     merged_from_ball,
 )
+from skylight.probes.radiance.probe_map import check_rows
 from skylight.work.progress import StageProgress, Tell
 from skylight.work.results_folder import results_folder
-
-_HEIGHTS = (16, 1024)
 
 
 def merge_probe(
@@ -57,8 +56,7 @@ def merge_probe(
         else:
             result = merged_from_ball(views, ball, height)
         progress("writing the results", 0.8)
-        write_environment_map(folder / "probe.exr", result.probe.environment)
-        write_environment_map(folder / "probe.hdr", result.probe.environment)
+        write_probe(folder, result.probe.environment)
         write_json(folder / "probe.json", describe(result))
         write_merge_report(folder / "report.png", result)
     for line in warnings(result, ball.turn_deg):
@@ -81,6 +79,4 @@ def _check(kind: Kind, second: Sequence[Path], ball: BallOptions, height: int) -
         raise InputError(f"--turn-deg must be 10 to 180 degrees either way, got {ball.turn_deg:g}")
     if not 0 < ball.reflectivity <= 1:
         raise InputError(f"--reflectivity must be above 0, 1 at most, got {ball.reflectivity:g}")
-    low, high = _HEIGHTS
-    if not low <= height <= high:
-        raise InputError(f"--height must be {low} to {high} rows, got {height}")
+    check_rows(height)

@@ -5,6 +5,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from skylight import __version__
+from skylight.cameras.response import describe_response
 from skylight.probes.mirror_balls.merged import MergedProbe
 from skylight.probes.mirror_balls.views import camera_distance_deg
 from skylight.sphere.envmap import luminance
@@ -63,7 +64,6 @@ def warnings(result: MergedProbe, turn_deg: float) -> list[str]:
 def describe(result: MergedProbe) -> dict[str, object]:
     """The content of probe.json."""
     merged = result.views[0].merged
-    curve = None if merged.response is None else merged.response.curve
     turn = result.turn
     return {
         "kind": "hdr probe",
@@ -78,11 +78,7 @@ def describe(result: MergedProbe) -> dict[str, object]:
             }
             for shots in result.views
         ],
-        "response": {
-            "kind": "linear" if merged.response is None else merged.response.kind,
-            "notes": merged.notes,
-            "curve": None if curve is None else curve.tolist(),
-        },
+        "response": {**describe_response(merged.response), "notes": merged.notes},
         "balls": [
             {
                 "circle_px": outline.ball.circle,

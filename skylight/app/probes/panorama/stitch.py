@@ -12,15 +12,15 @@ from skylight.app.probes.panorama.report import write_stitch_report
 from skylight.app.probes.panorama.summary import Stitched, describe, summary, warnings
 from skylight.cameras.response import Response
 from skylight.errors import InputError
-from skylight.io.files import write_environment_map
+from skylight.io.files import write_probe
 from skylight.io.json_files import write_json
 from skylight.probes.panorama.panorama import panorama_of
 from skylight.probes.panorama.shots import Shot, shot_of
 from skylight.probes.radiance.exposures import Choice, Exposure, common_response
+from skylight.probes.radiance.probe_map import check_rows
 from skylight.work.progress import StageProgress, Tell
 from skylight.work.results_folder import results_folder
 
-_HEIGHTS = (16, 1024)
 # Directions by which a response is judged, and px of their longer sides: as good as all
 _JUDGED, _JUDGED_SIDE = 8, 300
 
@@ -51,9 +51,7 @@ def stitch_probe(
     InputError
         Files or options that cannot be used, or shots that do not overlap; nothing is written.
     """
-    low, high = _HEIGHTS
-    if not low <= height <= high:
-        raise InputError(f"--height must be {low} to {high} rows, got {height}")
+    check_rows(height)
     if bracket is not None and bracket < 1:
         raise InputError(f"--bracket must be 1 or more, got {bracket}")
     if focal_length_px is not None and not (focal_length_px > 0 and math.isfinite(focal_length_px)):
@@ -73,8 +71,7 @@ def stitch_probe(
         )
         result = Stitched(brackets=brackets, shots=tuple(merged), panorama=panorama, response=curve)
         progress("writing the results", 0.0)
-        write_environment_map(folder / "probe.exr", panorama.probe.environment)
-        write_environment_map(folder / "probe.hdr", panorama.probe.environment)
+        write_probe(folder, panorama.probe.environment)
         write_json(folder / "probe.json", describe(result))
         write_stitch_report(folder / "report.png", result)
     for line in warnings(result):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from skylight import __version__
 from skylight.app.probes.panorama.brackets import Bracket
-from skylight.cameras.response import Response
+from skylight.cameras.response import Response, describe_response
 from skylight.probes.panorama.panorama import Panorama
 from skylight.probes.panorama.shots import Shot
 
@@ -64,7 +64,7 @@ def warnings(result: Stitched) -> list[str]:
             f"{100 * panorama.probe.unseen_share:.2g} % of the sphere is in no shot and was "
             "filled from what is beside it"
         )
-    if result.rms_px * result.shots[0].scale > _GOOD_PX:
+    if panorama.bundle.rms_px > _GOOD_PX:
         lines.append(
             f"matches are off by {result.rms_px:.1f} px: the camera moved as it turned, or things "
             "are near; turn it about its lens"
@@ -81,7 +81,7 @@ def warnings(result: Stitched) -> list[str]:
 
 def describe(result: Stitched) -> dict[str, object]:
     """The content of probe.json."""
-    panorama, response = result.panorama, result.response
+    panorama = result.panorama
     bundle = panorama.bundle
     return {
         "kind": "hdr probe",
@@ -100,12 +100,7 @@ def describe(result: Stitched) -> dict[str, object]:
             }
             for number, bracket in enumerate(result.brackets)
         ],
-        "response": {
-            "kind": "linear" if response is None else response.kind,
-            "curve": None
-            if response is None or response.curve is None
-            else response.curve.tolist(),
-        },
+        "response": describe_response(result.response),
         "lens": {"focal_length_px": result.focal_px, "k1": bundle.lens.k1},
         "matches": bundle.matches,
         "rms_px": result.rms_px,

@@ -12,15 +12,12 @@ from hypothesis import given
 from PIL import Image
 from skimage.data import astronaut
 
-from skylight.app.estimate import batch, results
-from skylight.app.estimate.batch import (
-    BatchSettings,
-    estimate_folder,
-    folder_name,
-    list_photos,
-    time_left_s,
-)
-from skylight.app.estimate.manifest import MANIFEST, Entry, read_manifest
+from skylight.app.estimate import results
+from skylight.app.estimate.folder import batch
+from skylight.app.estimate.folder.batch import estimate_folder, time_left_s
+from skylight.app.estimate.folder.listing import folder_name, list_photos
+from skylight.app.estimate.folder.manifest import MANIFEST, Entry, read_manifest
+from skylight.app.estimate.folder.settings import BatchSettings
 from skylight.app.estimate.photos import estimate
 from skylight.cli import main
 from skylight.errors import InputError, OutputError
@@ -61,7 +58,7 @@ def here(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     def share(work: Callable, arguments: Iterable[tuple], **_: object) -> Iterable:
         for one in arguments:
-            sources.append(one[1])
+            sources.append(one[0].source)
             yield work(*one)
 
     monkeypatch.setattr(batch, "share_work", share)

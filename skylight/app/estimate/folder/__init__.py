@@ -1,0 +1,1 @@
+"""Folders of photographs: resumable, one by one or solved together."""

@@ -1,0 +1,1 @@
+"""Occlusion by PyTorch: a bounding volume hierarchy, and rays through it on any device."""
