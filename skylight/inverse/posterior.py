@@ -45,6 +45,7 @@ import torch
 from jaxtyping import Bool, Float
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from skylight.inverse.scale import GLOSS_SPREAD
@@ -313,9 +314,9 @@ def region_parts(
     height = 2 * math.pi / grid.layout[1]  # of a row, as of a column at the horizon
     directions = grid.directions[region]
     mass = (density * grid.solid_angles)[region]
-    near = directions @ directions.T > math.cos(_NEIGHBOURS * height)
-    places = near.nonzero().T.numpy()
-    graph = coo_array((np.ones(places.shape[1]), tuple(places)), shape=tuple(near.shape))
+    chord = 2 * math.sin(_NEIGHBOURS * height / 2)
+    near = cKDTree(directions.numpy()).query_pairs(chord, output_type="ndarray")
+    graph = coo_array((np.ones(len(near)), tuple(near.T)), shape=(len(mass), len(mass)))
     count, labels = connected_components(graph, directed=False)
     parts = []
     for label in range(count):

@@ -13,6 +13,7 @@ from uuid import uuid4
 from skylight import __version__
 from skylight.errors import DependencyError, InputError, OutputError, SkylightError
 from skylight.io.atomic import PARTIAL
+from skylight.work.garbage import release_memory
 
 Result = TypeVar("Result")
 CONNECT_S = 30
@@ -119,7 +120,9 @@ def _run(
     torch.set_num_threads(1)  # the workers already share the cores
     if prepare is not None:
         prepare_once(prepare)
-    return work(*one)
+    result = work(*one)
+    release_memory()
+    return result
 
 
 @cache

@@ -25,7 +25,7 @@ from skylight.errors import InputError, OutputError, SkylightError
 from skylight.io.atomic import PARTIAL
 from skylight.io.json_files import write_json
 from skylight.work.cluster import Cluster, prepare_once, share_on_cluster
-from skylight.work.garbage import collect_seldom
+from skylight.work.garbage import collect_seldom, release_memory
 
 SETTINGS = "settings.json"  # the note of :func:`settle`
 Result = TypeVar("Result")
@@ -207,7 +207,9 @@ def _share_here(
 def _run(prepare: Callable[[], None] | None, work: Callable[..., Result], one: tuple) -> Result:
     if prepare is not None:
         prepare_once(prepare)
-    return work(*one)
+    result = work(*one)
+    release_memory()
+    return result
 
 
 def _process(finish: bool) -> ProcessPoolExecutor:

@@ -154,6 +154,21 @@ def test_parts_are_found_across_the_seam_and_over_the_zenith():
     assert first.share > second.share
 
 
+def test_parts_are_those_of_neighbouring_cells():
+    generator = torch.Generator().manual_seed(0)
+    density = torch.rand(len(GRID.directions), generator=generator, dtype=torch.float64)
+    region = torch.rand(len(density), generator=generator) < 0.2
+    shares = [part.share for part in region_parts(GRID, density, region)]
+    directions, mass = GRID.directions[region], (density * GRID.solid_angles)[region]
+    near = directions @ directions.T > math.cos(1.6 * 2 * math.pi / GRID.layout[1])
+    reached = near
+    while not torch.equal(further := (reached.double() @ near.double()) > 0, reached):
+        reached = further
+    expected = sorted({round(float(mass[row].sum()), 12) for row in reached}, reverse=True)
+    assert len(expected) > 20
+    assert shares == pytest.approx(expected, abs=1e-9)
+
+
 def test_two_suns_that_explain_a_face_alike_are_several_directions():
     suns = towards(110.0, 50.0), towards(-110.0, 50.0)
     found = posterior_of(evidence_of(*suns, kappa=150.0))

@@ -1,9 +1,13 @@
-"""Searches for cycles: seldom, and none when a process ends; cycles are still found."""
+"""Searches for cycles: seldom, and none when a process ends; cycles are still found, and their memory
+goes back."""
 
 import gc
+import platform
 import subprocess
 import sys
 import weakref
+
+import pytest
 
 SCRIPT = """
 import gc, sys
@@ -12,6 +16,29 @@ skylight.cli.main = lambda: 3  # the command itself
 from skylight.__main__ import main
 code = main()
 print(code, gc.get_threshold()[0], gc.get_freeze_count() > 1000)
+"""
+
+# blocks of less than malloc maps by itself, held by cycles; the last of all keeps the heap's end
+RELEASING = """
+import gc
+from skylight.work.garbage import collect_seldom, release_memory
+
+def resident_mb():
+    return int(open("/proc/self/statm").read().split()[1]) * 4096 / 1e6
+
+collect_seldom()
+for _ in range(2):
+    release_memory()
+    before = resident_mb()
+    cycles = [[bytearray(100_000)] for _ in range(2000)]
+    for cycle in cycles:
+        cycle.append(cycle)
+    end = bytearray(100_000)
+    full = resident_mb()
+    del cycle, cycles
+    kept = resident_mb()
+    release_memory()
+    print(full - before, kept - before, resident_mb() - before)
 """
 
 
@@ -39,3 +66,14 @@ def test_cycles_are_still_found() -> None:
         assert len(kept) == 30_000
     finally:
         gc.set_threshold(*before)
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="memory goes back by glibc only")
+def test_memory_of_cycles_goes_back_to_the_system() -> None:
+    told = subprocess.run(
+        [sys.executable, "-c", RELEASING], capture_output=True, text=True, check=True
+    )
+    for line in told.stdout.splitlines():
+        full, kept, released = map(float, line.split())
+        assert full > 190 and kept > 190
+        assert released < 10
