@@ -13,7 +13,8 @@ _PAIRS_CPU, _PAIRS_GPU = 2**12, 2**20
 # By such a factor float32 may place the exit of a box too near: 1 + 2 g, g = 3 e / (1 - 3 e) (Ize
 # 2013, "Robust BVH ray traversal", J. of Computer Graphics Techniques 2(2))
 _EXIT = 1 + 2 * 3 * 2.0**-24
-_BESIDE = 2.0**-21  # four times what one product is rounded by
+# Of |d|_1 max|p - q| max|p + q|, which bounds a volume's terms: twelve roundings by 2^-24 at most
+_BESIDE = 2.0**-21
 _LEAST = 1e-30  # of a direction's coordinates: their inverses are finite
 
 
@@ -34,7 +35,7 @@ class TorchRaycaster:
 
     each computed so that the two triangles at an edge see the same number with opposite signs: no
     ray passes between them. Nor does one through a vertex, where the signs at several edges are but
-    rounding: what is beyond an edge by :data:`_BESIDE` of the three volumes' sum is on it.
+    rounding: a volume of less than it may be rounded by has both signs.
 
     Of at most ``pairs`` at a time; scratch memory is 500 bytes each, by default 2 MB on the CPU and
     0.5 GB on a GPU.
@@ -102,23 +103,27 @@ def _meets(
     """Which rays meet one of their triangles."""
     a, b, c = (corners - start[:, None, None]).unbind(2)
     towards = along[:, None].expand_as(a)
-    volumes = [_volume(towards, *edge) for edge in ((a, b), (b, c), (c, a))]
-    least = torch.minimum(torch.minimum(volumes[0], volumes[1]), volumes[2])
-    most = torch.maximum(torch.maximum(volumes[0], volumes[1]), volumes[2])
+    left = right = torch.ones(a.shape[:2], dtype=torch.bool, device=a.device)
+    for edge in ((a, b), (b, c), (c, a)):
+        volume, rounding = _volume(towards, *edge)
+        left, right = left & (volume >= -rounding), right & (volume <= rounding)
     normal = torch.linalg.cross(b - a, c - a)
-    ahead = (a * normal).sum(2) * (towards * normal).sum(2) > 0
-    beside = _BESIDE * (volumes[0] + volumes[1] + volumes[2]).abs()
-    return (((least >= -beside) | (most <= beside)) & ahead).any(1)
+    height, slope = (a * normal).sum(2), (towards * normal).sum(2)
+    # by both signs: their product may be too small for single precision
+    ahead = ((height > 0) & (slope > 0)) | ((height < 0) & (slope < 0))
+    return ((left | right) & ahead).any(1)
 
 
 def _volume(
     d: Float[Tensor, "k t 3"], p: Float[Tensor, "k t 3"], q: Float[Tensor, "k t 3"]
-) -> Float[Tensor, "k t"]:
-    """2 d . (p x q), with the sign turned exactly where p and q are exchanged.
+) -> tuple[Float[Tensor, "k t"], Float[Tensor, "k t"]]:
+    """(2 d . (p x q), what it may be rounded by); the sign turns exactly where p and q are exchanged.
 
     By differences and sums, since p and q are nearly parallel where a triangle is far away.
     """
-    return (d * torch.linalg.cross(p - q, p + q)).sum(2)
+    apart, both = p - q, p + q
+    size = d.abs().sum(2) * apart.abs().amax(2) * both.abs().amax(2)
+    return (d * torch.linalg.cross(apart, both)).sum(2), _BESIDE * size
 
 
 def _tensor(array: Float[np.ndarray, "*s"]) -> Float[Tensor, "*s"]:

@@ -16,7 +16,7 @@ class Hierarchy:
 
     Child k of node i is node ``c i + k`` of the next level, and of the last level leaf ``c i + k``:
     ``leaves`` (l, t, 3, 3) are the corners of its triangles. All leaves have as many: some
-    triangles are there twice. Few triangles are one leaf, without levels.
+    triangles, evenly chosen, are there twice. Few triangles are one leaf, without levels.
     """
 
     levels: tuple[Float[np.ndarray, "_ _ 2 3"], ...]
@@ -44,7 +44,7 @@ def _halved(centres: Float[np.ndarray, "f 3"], halvings: int) -> Int[np.ndarray,
     """The triangles of each of ``2**halvings`` leaves, some repeated so that all have as many."""
     count = 2**halvings
     size = math.ceil(len(centres) / count)
-    order = np.minimum(np.arange(count * size), len(centres) - 1)[None]
+    order = (np.arange(count * size) * len(centres) // (count * size))[None]
     for _ in range(halvings):
         there = centres[order]
         longest = (there.max(1) - there.min(1)).argmax(1)

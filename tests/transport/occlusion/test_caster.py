@@ -9,7 +9,7 @@ from skylight.faces.model import HeadModel
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.adaptive import adaptive_visibility
 from skylight.transport.gbuffer import vertex_normals
-from skylight.transport.occlusion.caster import TorchRaycaster
+from skylight.transport.occlusion.caster import TorchRaycaster, _enters
 from skylight.transport.raycast import Raycaster
 from tests.oracles.raycasting import occluded
 from tests.transport.shapes import icosphere
@@ -66,13 +66,17 @@ def test_a_sphere_hides_what_passes_it_nearer_than_its_radius(device: torch.devi
     assert 0.05 < float(hit.float().mean()) < 0.5
 
 
-def test_nothing_leaves_a_closed_mesh(device: torch.device) -> None:
+@pytest.mark.parametrize("inside", [(0.1, -0.2, 0.05), (0.5, 0.3, -0.4), (0.0, 0.0, 0.85)])
+@pytest.mark.parametrize("level", [3, 5])
+def test_nothing_leaves_a_closed_mesh(
+    level: int, inside: tuple[float, ...], device: torch.device
+) -> None:
     """No ray slips between triangles, towards its vertices and edges least of all."""
-    vertices, faces = icosphere(3)
-    inside = torch.tensor([0.1, -0.2, 0.05])
+    vertices, faces = icosphere(level)
+    inside = torch.tensor(inside)
     corners = vertices[faces]
     middles = torch.cat([(corners + corners.roll(1, 1)).flatten(0, 1) / 2, vertices])
-    towards = torch.cat([middles.float() - inside, random_rays(100_000)[1]])
+    towards = torch.cat([middles.float() - inside, random_rays(20_000)[1]])
     caster = TorchRaycaster(vertices, faces, device)
     assert bool(caster.occluded(inside.expand(len(towards), 3), towards).all())
 
@@ -100,6 +104,23 @@ def test_rays_along_axes_and_in_planes_of_boxes(device: torch.device) -> None:
         assert torch.equal(
             caster.occluded(starts + 1e-4, axis[None]), embree.occluded(starts + 1e-4, axis[None])
         )
+
+
+def test_no_box_is_missed_by_rays_to_its_corners_and_edges(device: torch.device) -> None:
+    """Boxes that are flat in one or two coordinates too, whose near and far planes meet."""
+    random = np.random.default_rng(2)
+    low = random.uniform(-1, 1, size=(20_000, 3))
+    size = random.uniform(0, 0.5, size=(20_000, 3)) * (random.random((20_000, 3)) > 0.3)
+    boxes = torch.from_numpy(np.stack([low, low + size], 1)).float().to(device)
+    start = torch.from_numpy(random.uniform(-3, 3, size=(20_000, 3))).float().to(device)
+    share = torch.from_numpy(random.choice([0.0, 1.0, 0.5], size=(20_000, 3))).to(device)
+    target = boxes[:, 0].double() + share * (boxes[:, 1] - boxes[:, 0]).double()
+    along = (target - start).float()
+    planes = (boxes.double() - start.double()[:, None]) / along.double()[:, None]
+    near, far = planes.amin(1).amax(1), planes.amax(1).amin(1)
+    passes = (near <= far) & (far >= 0)  # all but exactly, of these rays
+    assert 0.3 < float(passes.float().mean()) < 0.9
+    assert bool(_enters(start, along, boxes[:, None])[passes].all())
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-3, 1e3])

@@ -20,6 +20,13 @@ def test_leaves_hold_every_triangle(count: int) -> None:
     assert there == {triangle.tobytes() for triangle in corners}
 
 
+@pytest.mark.parametrize("count", [9, 1000, 4097])
+def test_no_triangle_is_there_three_times(count: int) -> None:
+    leaves = Hierarchy.over(soup(count)).leaves.reshape(-1, 9)
+    _, often = np.unique(leaves, axis=0, return_counts=True)
+    assert often.max() <= 2
+
+
 @pytest.mark.parametrize("count", [5, 64, 1000, 5000])
 def test_boxes_are_those_of_what_is_below(count: int) -> None:
     tree = Hierarchy.over(soup(count))
