@@ -68,7 +68,7 @@ def evaluate_all(
                 problem = str(error)
             done.append(_Done(name, time.monotonic() - begun, problem))
             with atomic_path(out / PAGE) as temporary:
-                temporary.write_text(_page(out, done, quick))
+                temporary.write_text(_page(out, done, quick), encoding="utf-8")
     if all(one.problem for one in done):
         raise InputError(f"nothing could be evaluated; {out / PAGE} says why")
     return out / PAGE
@@ -81,10 +81,10 @@ def _data_of(name: str, data: Path | None) -> Path | None:
 
 
 def _page(out: Path, done: list[_Done], quick: bool) -> str:
-    """What was run, for how long, and each evaluation's own page below."""
+    """What was run, for how long (by the last command), and each evaluation's own page below."""
     how = ", small runs that show the form of the results" if quick else ""
     lines = [f"# All evaluations{how}", "", f"Commit {commit()}.", ""]
-    lines += ["| evaluation | minutes | |", "|---|---|---|"]
+    lines += ["| evaluation | minutes of the last run | |", "|---|---|---|"]
     for one in done:
         told = f"left out: {one.problem}" if one.problem else f"[results](#{one.name})"
         lines.append(f"| {one.name} | {one.seconds / 60:.1f} | {told.replace('|', '/')} |")
@@ -95,7 +95,7 @@ def _page(out: Path, done: list[_Done], quick: bool) -> str:
 
 
 def _section(out: Path, name: str) -> list[str]:
-    _, _, own = (out / name / PAGE).read_text().partition("\n")  # without its title
+    _, _, own = (out / name / PAGE).read_text(encoding="utf-8").partition("\n")  # without its title
     pictures = sorted(path.name for path in (out / name).glob("*.png"))
     return [
         f"## {name}",

@@ -256,7 +256,7 @@ def run_evaluation(
     }
     write_json(out / "results.json", results)
     with atomic_path(out / "results.md") as temporary:
-        temporary.write_text(markdown(results))
+        temporary.write_text(markdown(results), encoding="utf-8")
     write_curves(out, rows)
     strips = [picture_of(out, item.name) for item in items[:SHEET_STRIPS]]
     write_sheet(out / "sheet.png", strips)

@@ -20,7 +20,13 @@ from skylight.inverse.sun_prior import SunPrior
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.bundle import LightBundle, load_bundle
 from skylight.models.harmonic import HarmonicLight
-from skylight.models.names import DEFAULT_LIGHT, LightName, check_is_trained, check_light_name
+from skylight.models.names import (
+    DEFAULT_LIGHT,
+    SKY_LIGHTS,
+    LightName,
+    check_is_trained,
+    check_light_name,
+)
 from skylight.models.prior import GaussianMixture
 from skylight.models.sunsky import SunSky
 from skylight.transport.observation import Observation
@@ -152,7 +158,7 @@ def estimate_each(
     InputError
         As :func:`estimate_light`, for all where it is wrong with one.
     """
-    if choose_device(device).type != "cpu" and light in ("auto", "autoencoder", "sunsky"):
+    if choose_device(device).type != "cpu" and light in SKY_LIGHTS:
         many = light_problems(len(observations), light, model=model, options=options, device=device)
         for problem, observation in zip(many, observations, strict=True):
             problem.add(observation)

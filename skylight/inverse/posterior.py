@@ -45,7 +45,7 @@ import torch
 from jaxtyping import Bool, Float
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from skylight.inverse.scale import GLOSS_SPREAD
@@ -315,7 +315,7 @@ def region_parts(
     directions = grid.directions[region]
     mass = (density * grid.solid_angles)[region]
     chord = 2 * math.sin(_NEIGHBOURS * height / 2)
-    near = cKDTree(directions.numpy()).query_pairs(chord, output_type="ndarray")
+    near = KDTree(directions.numpy()).query_pairs(chord, output_type="ndarray")
     graph = coo_array((np.ones(len(near)), tuple(near.T)), shape=(len(mass), len(mass)))
     count, labels = connected_components(graph, directed=False)
     parts = []

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from skylight.errors import InputError
 from skylight.io.json_files import read_number, read_object, require_keys, write_json
-from skylight.models.names import LightName
+from skylight.models.names import SKY_LIGHTS, LightName
 
 USUAL_SPREAD = 0.1
 _KIND = "ground albedo"
@@ -35,7 +35,7 @@ class KnownGround:
 
     def option(self) -> str:
         """As ``--ground-albedo`` takes it."""
-        return ",".join(f"{value:.3f}" for value in (*self.albedo, self.spread))
+        return ",".join(f"{value:.3g}" for value in (*self.albedo, self.spread))
 
     def save(self, path: Path, facts: dict[str, object]) -> None:
         """Write it as JSON, with ``facts`` of how it was measured."""
@@ -68,7 +68,7 @@ class KnownGround:
 
 def check_has_ground(light: LightName, ground: KnownGround | None) -> None:
     """:class:`InputError` for a ground and a light without one."""
-    if ground is not None and light not in ("auto", "autoencoder", "sunsky"):
+    if ground is not None and light not in SKY_LIGHTS:
         raise InputError(
             f"--ground-albedo is for skies over a ground, and {light} has none: leave it out, or "
             "choose --light autoencoder or sunsky"

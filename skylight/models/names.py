@@ -8,7 +8,8 @@ LightName = Literal["auto", "autoencoder", "sunsky", "lamps", "sh9", "sh25"]
 # Not "auto": without exposures that takes half of the photographs under an open sky for lamps
 DEFAULT_LIGHT: LightName = "autoencoder"
 LIGHT_NAMES: tuple[LightName, ...] = get_args(LightName)
-
+# Skies above a ground ("auto" may choose one)
+SKY_LIGHTS: tuple[LightName, ...] = ("auto", "autoencoder", "sunsky")
 
 # Of skies: from where a scan finds the sun, or as in the thesis, B.1
 SolverName = Literal["scan", "thesis"]
@@ -34,7 +35,7 @@ def check_solver_name(name: str, light: LightName) -> SolverName:
 
 def is_trained(light: LightName) -> bool:
     """Whether a light model's folder has anything for this light: a network, or a prior."""
-    return light in ("auto", "autoencoder", "sunsky")
+    return light in SKY_LIGHTS
 
 
 def check_is_trained(light: LightName) -> None:

@@ -27,8 +27,8 @@ def collect_no_more() -> None:
 def release_memory() -> None:
     """For workers, between two pieces of work: gives the system what is not used any more.
 
-    Cycles of objects (figures, graphs of operations) and blocks that glibc keeps grow to 0.2 GB over
-    60 photographs. It takes 0.02 s: what there is at the first call, imports above all, is not
+    Cycles of objects (figures, graphs of operations) and blocks that glibc keeps grow to 0.2 GB
+    over 60 photographs. It takes 0.02 s: what there is at the first call, imports above all, is not
     searched again.
     """
     gc.collect()

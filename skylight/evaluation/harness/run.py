@@ -142,7 +142,7 @@ def _measure(evaluation: Evaluation, name: str, picture: Path) -> Item:
 
 def _read_cache(path: Path, config: dict[str, object]) -> dict[str, Item]:
     """Items of an earlier run with exactly this configuration; otherwise a fresh cache."""
-    lines = path.read_text().splitlines() if path.is_file() else []
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
     items: dict[str, Item] = {}
     kept = [json.dumps(config, sort_keys=True)]
     if lines[:1] == kept:
@@ -154,7 +154,7 @@ def _read_cache(path: Path, config: dict[str, object]) -> dict[str, Item]:
             items[item.name] = item
             kept.append(line)
     with atomic_path(path) as temporary:
-        temporary.write_text("\n".join(kept) + "\n")
+        temporary.write_text("\n".join(kept) + "\n", encoding="utf-8")
     return items
 
 

@@ -15,8 +15,9 @@ from skylight.cli import main
 from skylight.errors import InputError
 from skylight.imaging.colour import linear_to_srgb
 from skylight.models.known_ground import KnownGround
+from skylight.probes.chart.chart import GREYS, GreyLine
 from skylight.probes.chart.ground import MeasuredGround, flat_field, measure_ground
-from tests.drawn_chart import lay_chart
+from tests.drawn_chart import grey_albedos, lay_chart
 
 GRASS = np.array([0.09, 0.10, 0.03])  # thesis, Fig. B.4
 SUN = np.array([0.95, 0.9, 0.8])
@@ -32,14 +33,16 @@ def vignetting() -> np.ndarray:
 
 
 @cache
-def photo(*, dark_corners: bool = True, brightness: float = 1.0, level: float = 1.0) -> np.ndarray:
+def photo(
+    *, dark_corners: bool = True, brightness: float = 1.0, level: float = 1.0, new: bool = False
+) -> np.ndarray:
     """Codes in sRGB: grass whose tufts vary by a third, the chart on it, a pixel's noise."""
     rng = np.random.default_rng(1)
     tufts = cv2.GaussianBlur(rng.standard_normal(SIZE).astype(np.float32), (0, 0), 6)
     tufts = 0.33 * tufts / tufts.std()
     scene = (GRASS * np.exp(tufts - tufts.var() / 2)[..., None]).astype(np.float32)
     scene *= GRASS / scene.mean((0, 1))
-    lay_chart(scene, CHART)
+    lay_chart(scene, CHART, new=new)
     light = level * scene * SUN * brightness * (vignetting() if dark_corners else 1)
     return noisy(light, rng)
 
@@ -71,6 +74,19 @@ def test_grass_is_told_through_a_lens_that_darkens() -> None:
     assert (found.error < 0.05 * GRASS + 0.002).all()
     # all but the chart and what is round it
     assert 0.6 < found.share < 0.8
+
+
+def test_greys_are_those_that_were_published() -> None:
+    np.testing.assert_allclose(GREYS, grey_albedos()[1:], atol=6e-5)
+
+
+def test_newer_charts_tell_the_same_to_a_fortieth() -> None:
+    """Exactly, without a picture's noise; by white too it would be a fifth."""
+    line = GreyLine.through(grey_albedos(new=True)[1:], np.ones(5, bool))
+    for albedo in (GRASS, np.full(3, 0.05), np.full(3, 0.8)):
+        found, _ = line.albedo(albedo, np.zeros(3))
+        np.testing.assert_allclose(found, albedo, rtol=0.025)
+    np.testing.assert_allclose(measured(photo(new=True)).rgb, GRASS, rtol=0.06)
 
 
 def test_without_a_flat_field_it_comes_out_too_dark() -> None:

@@ -66,14 +66,14 @@ def test_a_sphere_hides_what_passes_it_nearer_than_its_radius(device: torch.devi
     assert 0.05 < float(hit.float().mean()) < 0.5
 
 
-@pytest.mark.parametrize("inside", [(0.1, -0.2, 0.05), (0.5, 0.3, -0.4), (0.0, 0.0, 0.85)])
+@pytest.mark.parametrize("start", [(0.1, -0.2, 0.05), (0.5, 0.3, -0.4), (0.0, 0.0, 0.85)])
 @pytest.mark.parametrize("level", [3, 5])
 def test_nothing_leaves_a_closed_mesh(
-    level: int, inside: tuple[float, ...], device: torch.device
+    level: int, start: tuple[float, ...], device: torch.device
 ) -> None:
     """No ray slips between triangles, towards its vertices and edges least of all."""
     vertices, faces = icosphere(level)
-    inside = torch.tensor(inside)
+    inside = torch.tensor(start)
     corners = vertices[faces]
     middles = torch.cat([(corners + corners.roll(1, 1)).flatten(0, 1) / 2, vertices])
     towards = torch.cat([middles.float() - inside, random_rays(20_000)[1]])

@@ -20,13 +20,12 @@ from skylight.app.estimate.folder.one import Piece, estimate_one, lost
 from skylight.app.estimate.folder.settings import BatchSettings
 from skylight.errors import InputError
 from skylight.faces.detection.landmarkers import choose_landmarker
-from skylight.models.names import LightName
+from skylight.models.names import SKY_LIGHTS
 from skylight.work.cluster import Cluster
 from skylight.work.device import choose_device
 from skylight.work.progress import StageProgress
 from skylight.work.resumable import SETTINGS, Workers, claimed, settle, share_work
 
-TOGETHER: tuple[LightName, ...] = ("auto", "autoencoder", "sunsky")  # may be solved so
 GPU_BATCH = 16  # photos
 
 
@@ -98,14 +97,14 @@ def estimate_folder(
 
 def _batch(settings: BatchSettings, workers: Workers, asked: int | None) -> int:
     """How many photos are solved together."""
-    can = settings.light in TOGETHER and not isinstance(workers, Cluster)
+    can = settings.light in SKY_LIGHTS and not isinstance(workers, Cluster)
     if asked is None:
         return GPU_BATCH if can and choose_device(settings.device).type != "cpu" else 1
     if asked < 1:
         raise InputError(f"--batch must be 1 or more, got {asked}")
-    if asked > 1 and settings.light not in TOGETHER:
+    if asked > 1 and settings.light not in SKY_LIGHTS:
         raise InputError(
-            f"--batch is for --light {', '.join(TOGETHER)}: {settings.light} is solved photo by "
+            f"--batch is for --light {', '.join(SKY_LIGHTS)}: {settings.light} is solved photo by "
             "photo; leave it out"
         )
     if asked > 1 and not can:

@@ -66,7 +66,7 @@ def albedo_beside_chart(
 ) -> KernelAlbedo:
     """From a ColorChecker in the photo and a rectangle (x, y, width, height) of the material.
 
-    A straight line through the six greys, ``s = a + k rho`` in each colour, tells the light k and
+    A straight line through the five greys, ``s = a + k rho`` in each colour, tells the light k and
     what stray light adds, and ``rho = (s - a) / k``. The error is that of a value read off a line
     with ordinary least squares.
     """

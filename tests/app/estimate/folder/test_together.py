@@ -202,6 +202,6 @@ def test_a_gpu_solves_many_together_unless_it_cannot(monkeypatch: pytest.MonkeyP
 
     assert [choice("sunsky"), choice("autoencoder")] == [1, 1] or torch.cuda.is_available()
     monkeypatch.setattr(batch, "choose_device", lambda _: torch.device("cuda"))
-    assert {choice(light) for light in batch.TOGETHER} == {batch.GPU_BATCH}
+    assert {choice(light) for light in batch.SKY_LIGHTS} == {batch.GPU_BATCH}
     assert {choice(light) for light in ("sh9", "sh25", "lamps")} == {1}
     assert choice("sunsky", Cluster(address="tcp://there:1", folder=Path())) == 1
