@@ -71,7 +71,8 @@ def main() -> None:
         name="stitching",
         what=f"{len(rows)} captured maps of 256 rows photographed in 12 x 5 directions, "
         f"{LENS.width}x{LENS.height} pixels",
-        command="python -m tools.measure_stitching",
+        command=f"python -m tools.measure_stitching --maps {arguments.maps.name} --names "
+        + " ".join(arguments.names),
         begun=begun,
         facts=facts,
     )
