@@ -10,8 +10,10 @@ Maps are compared on 128 rows in the true world's frame, in which the found turn
 whole: ``..._median_error`` and ``..._mean_error`` are |L - L'| over L, the mean of its channels, of
 the median pixel and over all light, outside of 13 degrees from the sun where there is one;
 ``sun_irradiance_error`` is that of the light within four degrees of the sun on a surface that faces
-it. ``rotation_error_deg`` is the median, of shots with matches. ``unhinted_...`` are without hints;
-``unhinted_up_error_deg`` is how far the vertical that is found then is off.
+it. ``rotation_error_deg`` is the median, of shots with matches; ``unmatched_share`` is the share of
+shots without any, which stay where the head's turns put them. ``unhinted_...`` are without hints;
+``unhinted_up_error_deg`` is how far the vertical that is found then is off. ``unmatched_share``,
+``rms_px``, ``unseen_share`` and ``unhinted_...`` are of the shots of 16 bits alone.
 """
 
 import argparse
@@ -69,7 +71,8 @@ def main() -> None:
         name="stitching",
         what=f"{len(rows)} captured maps of 256 rows photographed in 12 x 5 directions, "
         f"{LENS.width}x{LENS.height} pixels",
-        command="python -m tools.measure_stitching",
+        command=f"python -m tools.measure_stitching --maps {arguments.maps.name} --names "
+        + " ".join(arguments.names),
         begun=begun,
         facts=facts,
     )
@@ -103,7 +106,7 @@ def measure(environment: EnvironmentMap, sunny: bool) -> dict[str, float]:
     frame = [rotations[k] @ turns[k].T for k in rotations]
     up = Rotation.from_matrix(frame).mean().as_matrix()[:, 1]
     return facts | {
-        "matched_share": 1 - len(found.by_hint) / len(shots),
+        "unmatched_share": len(found.by_hint) / len(shots),
         "rms_px": found.bundle.rms_px,
         "unseen_share": found.probe.unseen_share,
         "unhinted_unseen_share": alone.probe.unseen_share,

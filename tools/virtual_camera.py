@@ -102,7 +102,7 @@ def expose(
 def bracket(brightest: float, usual: float, stops: float = 2.0) -> tuple[float, ...]:
     """Times from one that holds ``brightest`` to one at which ``usual`` is half of full.
 
-    In equal steps of at most so many ``stops``; all but those of the map's own light are real.
+    In equal steps of at most so many ``stops``.
     """
     shortest, longest = 0.7 / brightest, 0.5 / usual
     count = max(2, 1 + math.ceil(math.log2(longest / shortest) / stops))

@@ -1,5 +1,6 @@
 """Camera calibration: boards to print, intrinsics and response curves; files to files."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -143,7 +144,13 @@ def recover_camera_response(
 
 
 def exposure_times(text: str) -> list[float]:
-    """Seconds of a list such as "1/60,0.5,2"."""
+    """Seconds of a list such as "1/60,0.5,2".
+
+    Raises
+    ------
+    InputError
+        A part is no number, or not finite and above 0.
+    """
     out = []
     for part in text.split(","):
         above, _, below = part.partition("/")
@@ -153,6 +160,8 @@ def exposure_times(text: str) -> list[float]:
             raise InputError(
                 f"exposure times must be a list such as 1/60,1/30,0.5, got {text!r}"
             ) from None
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(f"exposure times must be above 0, got {part.strip()} in {text!r}")
         out.append(value)
     return out
 

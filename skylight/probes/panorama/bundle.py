@@ -6,8 +6,8 @@ match of place p in shot i and q in shot j is off by ::
     e = P(R_i^T R_j r(q)) - p,     sum rho(|e|^2) -> min
 
 rho(s) = 2 c^2 (sqrt(1 + s / c^2) - 1), which grows as ``|e|`` does (Brown & Lowe 2007, "Automatic
-panoramic image stitching using invariant features", section 4). From the widest spanning tree of
-pairwise turns on; matches are chosen anew, ever nearer, as the lens becomes known.
+panoramic image stitching using invariant features", section 4). From the maximum spanning tree
+of pairwise turns on; matches are chosen anew, ever nearer, as the lens becomes known.
 """
 
 from collections.abc import Mapping, Sequence
@@ -51,10 +51,11 @@ class Bundle:
     rms_px: float
 
 
-def spanning_tree(turned: Sequence[Turned]) -> dict[int, Float[np.ndarray, "3 3"]]:
-    """Rotations of the shots that hang together, most of them, from one that has most matches.
+def spanning_trees(turned: Sequence[Turned]) -> list[dict[int, Float[np.ndarray, "3 3"]]]:
+    """Rotations of each group of shots that hang together, the largest group first.
 
-    Along the spanning tree of most matches; the world is that shot's frame.
+    Along the maximum spanning tree by number of matches; a group's world is the frame of its shot
+    that has most matches.
     """
     count = 1 + max(each.link.end for each in turned)
     matches = np.zeros((count, count))
@@ -64,17 +65,19 @@ def spanning_tree(turned: Sequence[Turned]) -> dict[int, Float[np.ndarray, "3 3"
         matches[pair] = len(each.link.before)
         by_pair[pair] = each.rotation
     _, labels = connected_components(csr_array(matches), directed=False)
-    linked = matches.any(0) | matches.any(1)
-    largest = np.bincount(labels[linked]).argmax()
-    strength = (matches + matches.T).sum(1) * (labels == largest)
-    tree = minimum_spanning_tree(csr_array(-matches))
-    order, before = breadth_first_order(tree, int(strength.argmax()), directed=False)
-    world = {int(order[0]): np.eye(3)}
-    for shot in map(int, order[1:]):
-        parent = int(before[shot])
-        turn = by_pair[parent, shot] if parent < shot else by_pair[shot, parent].T
-        world[shot] = world[parent] @ turn
-    return world
+    strength = (matches + matches.T).sum(1)
+    forest = minimum_spanning_tree(csr_array(-matches))
+    groups = []
+    for label in np.unique(labels[strength > 0]):
+        first = int((strength * (labels == label)).argmax())
+        order, before = breadth_first_order(forest, first, directed=False)
+        world = {first: np.eye(3)}
+        for shot in map(int, order[1:]):
+            parent = int(before[shot])
+            turn = by_pair[parent, shot] if parent < shot else by_pair[shot, parent].T
+            world[shot] = world[parent] @ turn
+        groups.append(world)
+    return sorted(groups, key=len, reverse=True)
 
 
 def adjust(

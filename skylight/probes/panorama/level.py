@@ -1,5 +1,7 @@
 """The world of a panorama: upright, with the first shot ahead, or as hints say."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from jaxtyping import Float
 
@@ -35,7 +37,8 @@ def levelled(
 
 
 def aligned(
-    rotations: dict[int, Float[np.ndarray, "3 3"]], hints: dict[int, Float[np.ndarray, "3 3"]]
+    rotations: Mapping[int, Float[np.ndarray, "3 3"]],
+    hints: Mapping[int, Float[np.ndarray, "3 3"]],
 ) -> dict[int, Float[np.ndarray, "3 3"]]:
     """The same rotations, turned together to meet the hints best, in the least-squares sense."""
     both = [shot for shot in rotations if shot in hints]

@@ -9,10 +9,11 @@ from jaxtyping import Float
 
 from skylight.cameras.turns import focal_from_turns
 from skylight.errors import InputError
-from skylight.probes.panorama.bundle import Bundle, adjust, spanning_tree
+from skylight.probes.panorama.bundle import Bundle, adjust, spanning_trees
 from skylight.probes.panorama.lens import Lens
 from skylight.probes.panorama.level import aligned, levelled
 from skylight.probes.panorama.matches import (
+    Turned,
     find_features,
     lamp_links,
     link_shots,
@@ -38,7 +39,7 @@ class Panorama:
     """The probe and how it came about.
 
     ``by_hint`` are shots that match no other and were placed by their hints alone; ``left_out``
-    those that match no other and have none.
+    those without a hint that no matches link to the largest group of shots, or to a shot with one.
     """
 
     probe: ProbeMap
@@ -69,7 +70,8 @@ def panorama_of(
     Raises
     ------
     InputError
-        Fewer than two shots, sizes that differ, too few features, or no overlap.
+        Fewer than two shots, sizes that differ, too few features, no overlap, or hints of which
+        none is for the largest group of shots that match.
     """
     hints = dict(hints or {})
     _check(shots)
@@ -94,26 +96,42 @@ def panorama_of(
     turned = turned_links(links, lens)
     if not turned:
         raise InputError(_why_none(shots, [len(each.places) for each in features]))
-    start = spanning_tree(turned)
-    together = set(start)
-    if any(shot in hints for shot in start):
-        start = {**hints, **aligned(start, hints)}
-    elif hints:
-        start = {**hints}
-    bundle = adjust(turned, lamp_links(shots), start, lens, hints)
+    bundle = adjust(turned, lamp_links(shots), _start(turned, hints, shots), lens, hints)
     if not hints:
         bundle = replace(bundle, rotations=levelled(bundle.rotations))
     probe = stitch(
         shots, bundle.rotations, bundle.lens, height, lambda share: progress("stitching", share)
     )
     placed = bundle.rotations
+    matched = {shot for each in turned for shot in (each.link.start, each.link.end)}
     return Panorama(
         probe=probe,
         bundle=bundle,
         clipping=find_clipping(probe),
-        by_hint=tuple(number for number in sorted(placed) if number not in together),
+        by_hint=tuple(number for number in sorted(placed) if number not in matched),
         left_out=tuple(number for number in range(len(shots)) if number not in placed),
     )
+
+
+def _start(turned: Sequence[Turned], hints: Turns, shots: Sequence[Shot]) -> Turns:
+    """Rotations from matches, in the hints' world where there are any, and the hints.
+
+    Groups of shots that hang together by matches are turned as a whole to meet their hints. A
+    smaller group without hints is left out: nothing tells how it is turned against the others.
+    """
+    largest, *_ = groups = spanning_trees(turned)
+    if not hints:
+        return largest
+    if not largest.keys() & hints.keys():
+        raise InputError(
+            f"none of the {len(largest)} shots that match each other, the most that do, has a row "
+            f"in --turns: give one of them, such as {shots[min(largest)].name}"
+        )
+    start = dict(hints)
+    for group in groups:
+        if group.keys() & hints.keys():
+            start |= aligned(group, hints)
+    return start
 
 
 def _check(shots: Sequence[Shot]) -> None:

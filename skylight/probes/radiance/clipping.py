@@ -78,8 +78,14 @@ def find_clipping(probe: ProbeMap) -> Clipping | None:
 
 
 def _regions(mask: np.ndarray) -> tuple[np.ndarray, int]:
-    """Labels from 1 of connected pixels, also across the left and right edge, and their number."""
+    """Labels from 1 of connected pixels, and their number.
+
+    Pixels connect across the left and right edge as well, and all of the first and of the last row
+    at a pole, where they meet.
+    """
     labels = np.asarray(label(mask, connectivity=1))
+    for row in (labels[0], labels[-1]):
+        labels[np.isin(labels, row[row > 0])] = row.max()
     for row in labels:
         left, right = row[0], row[-1]
         if left and right:

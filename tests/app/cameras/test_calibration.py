@@ -157,6 +157,9 @@ class TestResponse:
         for text in ("", "1/0", "fast"):
             with pytest.raises(InputError, match="must be a list"):
                 exposure_times(text)
+        for part in ("0", "-1", "nan", "inf", "1e-400", "1/inf"):
+            with pytest.raises(InputError, match=f"must be above 0, got {part} in '1/4, {part}'"):
+                exposure_times(f"1/4, {part}")
         with pytest.raises(InputError, match="cannot read"):
             exif_exposures([tmp_path / "none.jpg"])
 

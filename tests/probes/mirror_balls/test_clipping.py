@@ -64,6 +64,28 @@ def test_regions_join_across_the_edge_of_the_map() -> None:
     assert found.light_share == pytest.approx(want / (4 * math.pi))
 
 
+def test_pixels_at_a_pole_are_one_region() -> None:
+    """Opposite ones in the first row meet at the zenith; so do three in the last, at the nadir."""
+    share = torch.zeros(8, 16)
+    share[0, [2, 10]] = 1
+    share[1, 2] = 1
+    share[7, [0, 5, 11]] = 0.1
+    probe = ProbeMap(
+        environment=EnvironmentMap(radiance=torch.ones(8, 16, 3)),
+        clipped=share,
+        seen=torch.ones(8, 16),
+    )
+    found = find_clipping(probe)
+    assert found is not None
+    assert found.regions == 2
+    # the sum of the three pixels' directions; rows' middles are 11.25 and 33.75 degrees from +Y
+    sizes = probe.environment.grid.solid_angles.reshape(8, 16)[:, 0].tolist()
+    low, high = math.radians(11.25), math.radians(33.75)
+    aside = sizes[1] * math.sin(high)
+    up = 2 * sizes[0] * math.cos(low) + sizes[1] * math.cos(high)
+    assert found.zenith_deg == pytest.approx(math.degrees(math.atan2(aside, up)), abs=1e-4)
+
+
 def test_nothing_clipped() -> None:
     probe = ProbeMap(
         environment=EnvironmentMap(radiance=torch.ones(8, 16, 3)),

@@ -1,11 +1,12 @@
 """Turns and lens from matches that are exact, or partly wrong."""
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from skylight.cameras.turns import Link
-from skylight.probes.panorama.bundle import Bundle, adjust, spanning_tree
+from skylight.probes.panorama.bundle import Bundle, adjust, spanning_trees
 from skylight.probes.panorama.lens import Lens
 from skylight.probes.panorama.level import hinted
 from skylight.probes.panorama.matches import Turned, turned_links
@@ -94,8 +95,8 @@ def test_a_lamp_places_what_else_only_hints_do() -> None:
         assert np.degrees(np.arccos(one @ two)) == pytest.approx(left_deg, abs=0.1)
 
 
-def test_the_spanning_tree_is_that_of_most_matches() -> None:
-    """A weak and wrong link is not used where strong ones lead, and the larger group is taken."""
+def test_spanning_trees_are_those_of_most_matches() -> None:
+    """A weak and wrong link is not used where strong ones lead; the larger group is the first."""
 
     def turned(one: int, two: int, count: int, rotation: np.ndarray) -> Turned:
         nothing = np.zeros((count, 2))
@@ -105,8 +106,10 @@ def test_the_spanning_tree_is_that_of_most_matches() -> None:
     true = [turned(one, two, 100, TRUE[one].T @ TRUE[two]) for one, two in ((0, 1), (1, 2), (2, 3))]
     wrong = turned(0, 3, 20, np.eye(3))
     apart = turned(5, 6, 500, TRUE[5].T @ TRUE[6])
-    found = spanning_tree([*true, wrong, apart])
+    found, other = spanning_trees([*true, wrong, apart])
     assert sorted(found) == [0, 1, 2, 3]
+    assert sorted(other) == [5, 6]
+    np.testing.assert_allclose(other[5].T @ other[6], TRUE[5].T @ TRUE[6], atol=1e-12)
     for k in range(4):
         np.testing.assert_allclose(
             found[0].T @ found[k], TRUE[0].T @ TRUE[k], atol=1e-12, err_msg=str(k)
@@ -118,6 +121,16 @@ class TestLens:
         places = np.random.default_rng(0).uniform([0, 0], [300, 200], (50, 2))
         np.testing.assert_allclose(LENS.project(LENS.rays(places)), places, atol=1e-9)
         assert LENS.ahead(LENS.rays(places)).all()
+
+    def test_it_is_that_of_opencv(self) -> None:
+        """cv2.projectPoints; its camera looks along +Z with Y down, its pixel centres are whole."""
+        rays = np.array([[0.0, 0, -1], [0.4, 0.2, -0.9], [-0.5, 0.3, -1], [0.1, -0.6, -1.2]])
+        matrix = np.array([[220.0, 0, 149.5], [0, 220, 99.5], [0, 0, 1]])
+        distortion = np.array([-0.08, 0, 0, 0, 0])
+        want, _ = cv2.projectPoints(
+            rays * [1, -1, -1], np.zeros(3), np.zeros(3), matrix, distortion
+        )
+        np.testing.assert_allclose(LENS.project(rays), want[:, 0] + 0.5, atol=1e-9)
 
     def test_the_middle_looks_ahead_and_right_is_right(self) -> None:
         ahead, right, up = LENS.rays(np.array([[150.0, 100], [200, 100], [150, 50]]))

@@ -118,6 +118,36 @@ class TestHints:
         assert without.left_out == (20,)
         assert without.probe.unseen_share > with_hints.probe.unseen_share + 0.001
 
+    def test_two_groups(self) -> None:
+        """Shots at azimuths 0, 45 and 90 match, and those at 180 and 225, but not one of both."""
+        which = [8, 9, 10, 12, 13]
+        some = [shots()[k] for k in which]
+        true = [pictures()[0][k] for k in which]
+        told = {k: HEAD.told()[each] for k, each in enumerate(which)}
+
+        def made(hints: dict[int, np.ndarray]) -> Panorama:
+            return panorama_of(some, ROWS, focal_px=LENS.focal_px, hints=hints)
+
+        without = made({})
+        assert (without.left_out, without.by_hint) == ((3, 4), ())
+        for hints in (told, {0: told[0], 3: told[3]}):
+            found = made(hints)
+            assert (found.left_out, found.by_hint) == ((), ())
+            got = found.bundle.rotations
+            # matches, not hints that err by two degrees, tell the turn within the second group
+            assert angle_deg(got[3].T @ got[4], true[3].T @ true[4]) < 0.5
+        assert angle_deg(told[3].T @ told[4], true[3].T @ true[4]) > 1
+        assert made({0: told[0]}).left_out == (3, 4)
+
+    def test_hints_of_none_of_those_that_match(self) -> None:
+        """The hint of a shot alone, or of the smaller group, says nothing of the others."""
+        some = [shots()[k] for k in (8, 9, 10, 12, 13, 20)]
+        for only in (3, 5):
+            with pytest.raises(
+                InputError, match=r"none of the 3 shots that match .* such as shot 8"
+            ):
+                panorama_of(some, ROWS, focal_px=LENS.focal_px, hints={only: HEAD.told()[only]})
+
     def test_a_world_without_roll_is_levelled_exactly(self) -> None:
         """Whatever frame it came in; azimuths count from the first shot, or one less steep."""
         angles = [(30.0, 20.0), (100.0, -40.0), (200.0, 60.0), (290.0, 0.0)]

@@ -45,7 +45,7 @@ def find_brackets(
     Raises
     ------
     InputError
-        No pictures, a folder beside files, times that are missing or do not repeat.
+        No pictures, files beside folders of pictures, times that are missing or do not repeat.
     """
     groups = _folders(sources)
     if groups is None:
@@ -83,7 +83,8 @@ def read_turns(path: Path, count: int) -> dict[int, Float[np.ndarray, "3 3"]]:
     """World from camera of each shot, by a table of azimuth_deg and elevation_deg.
 
     Azimuth 0 becomes the map's middle, + is to the right; elevation + is up. A row for each
-    direction, in the order of the shots; an empty one for a direction that is not known.
+    direction, in the order of the shots; an empty one for a direction that is not known. Empty
+    rows beyond the last direction do not count.
 
     Raises
     ------
@@ -91,17 +92,21 @@ def read_turns(path: Path, count: int) -> dict[int, Float[np.ndarray, "3 3"]]:
         No such file, other columns, no numbers, or another count.
     """
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file, skipinitialspace=True))
+        # Excel begins its UTF-8 with a byte order mark
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            lines = list(csv.reader(file, skipinitialspace=True))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"cannot read {path} ({error}); give a table as CSV") from error
-    if not rows or not set(_COLUMNS) <= set(rows[0]):
+    if not lines or not set(_COLUMNS) <= set(lines[0]):
         raise InputError(f"{path}: it needs the columns {' and '.join(_COLUMNS)}")
+    rows = [dict(zip(lines[0], line, strict=False)) for line in lines[1:]]
+    while len(rows) > count and not any(rows[-1].values()):
+        rows.pop()
     if len(rows) != count:
         raise InputError(f"{path}: {len(rows)} rows for {count} directions: give one each")
     turns = {}
     for number, row in enumerate(rows):
-        told = [str(row[name] or "").strip() for name in _COLUMNS]
+        told = [row.get(name, "").strip() for name in _COLUMNS]
         if not any(told):
             continue
         try:
@@ -128,7 +133,14 @@ def _folders(sources: Sequence[Path]) -> list[list[Path]] | None:
         raise InputError("give folders or files, not both")
     if len(folders) == 1:
         inner = sorted(p for p in folders[0].iterdir() if p.is_dir() and p.name[0] != ".")
-        if visible_files(folders[0], PHOTO_SUFFIXES):
+        inner = [folder for folder in inner if visible_files(folder, PHOTO_SUFFIXES)]
+        loose = visible_files(folders[0], PHOTO_SUFFIXES)
+        if loose and inner:
+            raise InputError(
+                f"{folders[0]}: it holds pictures ({loose[0].name}) and folders of pictures "
+                f"({inner[0].name}): move one or the other elsewhere"
+            )
+        if loose:
             return None
         folders = inner
     groups = [visible_files(folder, PHOTO_SUFFIXES) for folder in folders]

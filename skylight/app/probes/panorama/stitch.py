@@ -87,7 +87,8 @@ def _common_response(
 ) -> tuple[Response | Choice, str]:
     """(what linearises all shots, why), from some directions with the exposures of the first.
 
-    A direction alone may show sky or ground only, and too few codes.
+    A direction alone may show sky or ground only, and too few codes. These files are read once more
+    when they are merged: eight whole brackets would take gigabytes until then.
     """
     first = brackets[0].seconds
     if isinstance(wanted, Response) or wanted == "srgb" or first is None or len(first) < 2:

@@ -51,8 +51,8 @@ def warnings(result: Stitched) -> list[str]:
     panorama, lines = result.panorama, []
     if panorama.left_out:
         lines.append(
-            f"left out, as they match no other shot: {_names(result, panorama.left_out)}; say "
-            "where they look with --turns"
+            "left out, as they are not linked to the largest group of shots: "
+            f"{_names(result, panorama.left_out)}; say where they look with --turns"
         )
     if panorama.by_hint:
         lines.append(
@@ -88,7 +88,9 @@ def describe(result: Stitched) -> dict[str, object]:
         "source": "turning camera",
         "frame": "lat-long, skylight's: +Y is up, the centre shows where the first shot looked, "
         "or azimuth 0 of the turns that were given",
-        "unit": "1 saturates the longest exposure",
+        "unit": "that of the merged files"
+        if result.brackets[0].seconds is None
+        else "1 saturates the longest exposure",
         "views": [
             {
                 "files": [str(path) for path in bracket.files],

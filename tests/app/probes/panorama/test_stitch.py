@@ -12,6 +12,7 @@ from skylight.app.probes.panorama.brackets import find_brackets, read_turns
 from skylight.cli import main
 from skylight.errors import InputError
 from skylight.io.files import read_environment_map
+from skylight.io.hdr import write_radiance
 from tests.turning_camera import HEAD, LENS, SUN_IRRADIANCE, TIMES, pictures, sun_irradiance
 from tools.virtual_camera import expose
 
@@ -70,6 +71,38 @@ class TestResults:
         lit = sun_irradiance(read_environment_map(out / "probe.exr"), turn)
         np.testing.assert_allclose(lit, SUN_IRRADIANCE * TIMES[-1], rtol=0.06)
 
+    def test_exposures_of_their_own(self, out: Path, folder: Path, tmp_path: Path) -> None:
+        """One direction's bracket is half as long: the light is the same."""
+        odd, rng = 11, np.random.default_rng(2)
+        for number in LEVEL:
+            inner = tmp_path / "shots" / f"{number:02d}"
+            inner.mkdir(parents=True)
+            for at, time in enumerate(TIMES):
+                if number == odd:
+                    image = expose(pictures()[1][number], time / 2, rng, 8, "").image
+                    save(inner / f"{at}.png", image, time / 2)
+                else:
+                    shutil.copy(folder / f"{number:02d}_{at}.png", inner)
+        made = tmp_path / "made"
+        arguments = ["probe", "stitch", str(tmp_path / "shots"), "--height", "64"]
+        assert main([*arguments, "--out", str(made)]) == 0
+        same, light = (read_environment_map(each / "probe.exr") for each in (out, made))
+        told = json.loads((made / "probe.json").read_text())["views"][odd - LEVEL[0]]
+        assert told["seconds"] == pytest.approx([time / 2 for time in TIMES], rel=1e-3)
+        ahead = -np.array(told["world_from_camera"])[:, 2]
+        near = light.grid.directions.numpy() @ ahead > np.cos(np.radians(15))
+        ratio = light.flat.numpy()[near] / same.flat.numpy()[near]
+        assert np.median(ratio) == pytest.approx(1, abs=0.02)
+
+    def test_a_unit_of_merged_files(self, out: Path, tmp_path: Path) -> None:
+        for number in LEVEL[:2]:
+            light = pictures()[1][number]
+            write_radiance(tmp_path / f"{number:02d}.hdr", light)
+        made = tmp_path / "made"
+        assert main(["probe", "stitch", str(tmp_path), "--height", "32", "--out", str(made)]) == 0
+        units = [json.loads((each / "probe.json").read_text())["unit"] for each in (made, out)]
+        assert units == ["that of the merged files", "1 saturates the longest exposure"]
+
     def test_doubts(self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         """One exposure, a folder for each shot, and turns that name where they looked."""
         shots = tmp_path / "shots"
@@ -116,6 +149,19 @@ class TestBrackets:
         found = find_brackets([tmp_path], None, None)
         assert [each.seconds for each in found] == [None, None]
 
+    def test_pictures_beside_folders_of_pictures(self, folder: Path, tmp_path: Path) -> None:
+        inner = tmp_path / "00"
+        inner.mkdir()
+        for at in range(4):
+            shutil.copy(folder / f"08_{at}.png", inner)
+        shutil.copy(folder / "09_0.png", tmp_path / "stray.png")
+        with pytest.raises(InputError, match=r"pictures \(stray.png\) and folders .* \(00\)"):
+            find_brackets([tmp_path], None, None)
+        # a folder of something else does not matter
+        (tmp_path / "stray.png").unlink()
+        (tmp_path / "notes").mkdir()
+        assert len(find_brackets([tmp_path], None, None)) == 1
+
     @pytest.mark.parametrize(
         ("text", "message"),
         [
@@ -132,10 +178,17 @@ class TestBrackets:
         with pytest.raises(InputError, match=message):
             read_turns(path, 2)
 
-    def test_a_turn_that_is_not_known(self, tmp_path: Path) -> None:
+    @pytest.mark.parametrize("row", [",", "", " , ", "  "])
+    @pytest.mark.parametrize("end", ["", "\n", "\n\n"])
+    def test_a_turn_that_is_not_known(self, row: str, end: str, tmp_path: Path) -> None:
         path = tmp_path / "turns.csv"
-        path.write_text("azimuth_deg,elevation_deg\n,\n90,0\n")
+        path.write_text(f"azimuth_deg,elevation_deg\n{row}\n90,0{end}")
         assert list(read_turns(path, 2)) == [1]
+
+    def test_turns_as_excel_writes_them(self, tmp_path: Path) -> None:
+        path = tmp_path / "turns.csv"
+        path.write_bytes(b"\xef\xbb\xbfazimuth_deg,elevation_deg\r\n0,0\r\n90,0\r\n")
+        assert list(read_turns(path, 2)) == [0, 1]
 
 
 class TestRefusals:
@@ -146,6 +199,8 @@ class TestRefusals:
         assert "--height must be" in failure(capsys, folder, *out, "--height", "4")
         assert "--bracket must be" in failure(capsys, folder, *out, "--bracket", "0")
         assert "--focal-length-px must" in failure(capsys, folder, *out, "--focal-length-px", "-1")
+        lone = folder / "08_0.png", folder / "09_0.png", "--bracket", "1"
+        assert "must be above 0, got 0 in" in failure(capsys, *lone, *out, "--times", "0")
         assert "No such file" in failure(capsys, tmp_path / "none.png", *out, "--times", "1")
         assert not (tmp_path / "out").exists()
 
