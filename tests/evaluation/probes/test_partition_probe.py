@@ -18,7 +18,10 @@ from skylight.evaluation.probes.partition_probe import (
 )
 from skylight.evaluation.probes.partition_scene import ALBEDO, MODELS, partition_scene
 from skylight.io.files import write_environment_map
+from skylight.probes.partitions.cells import Cells
 from skylight.probes.partitions.design.designs import named_design
+from skylight.probes.partitions.probe import PartitionProbe
+from skylight.probes.partitions.seeds import ProbeDesign
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import angle_between
 
@@ -64,8 +67,6 @@ def test_uniform_light_is_drawn_right_by_all_that_know_shadows(data: Path, tmp_p
 
 
 def named_facing(name: str) -> float:
-    from skylight.probes.partitions.cells import Cells
-
     facing = Cells.of(named_design(name)).facing
     assert float(facing.max() - facing.min()) < 1e-9
     return float(facing[0])
@@ -79,6 +80,32 @@ def test_a_sun_on_the_path_casts_shadows_that_even_cells_miss(data: Path, tmp_pa
     assert found["14d_outdoor"]["rmse_sunny"] < 0.8 * found["6d"]["rmse_sunny"]
     assert all(set(scores) == {f"{s.removesuffix('_sunny')}_sunny" for s in scores}
                for scores in found.values())  # fmt: skip
+
+
+def test_errors_are_means_over_azimuths_of_the_probe(data: Path, tmp_path: Path) -> None:
+    once, twice = (replace(small(data), turns=turns) for turns in (1, 2))
+    first, mean = (
+        one.measure("day.exr", tmp_path / "c.png").metrics["6d"]["mae_sunny"]
+        for one in (once, twice)
+    )
+    scene = partition_scene(once.meshes, once.width)
+    light = with_sun_in_the_east(sunny().resize(128))
+    angle = math.radians(180 + 45)
+    around = torch.tensor(
+        [
+            [math.cos(angle), 0, math.sin(angle)],
+            [0, 1, 0],
+            [-math.sin(angle), 0, math.cos(angle)],
+        ],
+        dtype=torch.float64,
+    )
+    design = ProbeDesign.of("turned", named_design("6d").seeds @ around.T)
+    probe = PartitionProbe(Cells.of(design))
+    lit = scene.relighting(design, once.rays, 0)(probe.light(probe.encode_map(light)))
+    truth, _ = scene.traced(light, once.samples, once.seed)
+    second = scored(scene, lit.detach(), truth)["mae"]
+    assert abs(second / first - 1) > 0.05
+    assert mean == pytest.approx((first + second) / 2, rel=1e-4)
 
 
 @pytest.mark.slow
