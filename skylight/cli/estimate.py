@@ -105,7 +105,7 @@ def estimate(
             spread is relative, 0.1 without it), or the file of `skylight probe ground`; by
             default what is usual of grounds.
         workers: Of a folder: processes that work at the same time; 0 for one per core. Each takes
-            up to 1.1 GB.
+            up to 0.9 GB.
         cluster: Of a folder: a dask scheduler's address, whose workers do it instead.
         batch: Of a folder, for --light auto, autoencoder or sunsky: so many pictures are solved
             together on the device by one process, while the workers do the rest; by default 16 by

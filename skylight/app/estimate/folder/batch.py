@@ -51,7 +51,7 @@ def estimate_folder(
     (:func:`~skylight.app.estimate.folder.together.estimate_together`); by default
     :data:`GPU_BATCH` on a GPU for the lights that can be, else each by its worker.
 
-    Memory: each worker takes up to 1.1 GB.
+    Memory: each worker takes up to 0.9 GB.
 
     Raises
     ------
