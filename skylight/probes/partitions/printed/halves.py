@@ -18,14 +18,12 @@ from skylight.probes.partitions.printed.solids import (
     WallEnds,
     WallNet,
     along_axis,
-    bend_solids,
     core_solid,
     corners_of,
-    face_radii,
     kernel_solid,
-    wall_solid,
 )
 from skylight.probes.partitions.printed.split import Split, choose_split
+from skylight.probes.partitions.printed.walls import bend_solids, rim_halves, wall_solid
 
 _SEGMENTS = 48
 _DOWN = np.array([0.0, -1.0, 0.0])
@@ -125,7 +123,7 @@ def probe_parts(
         The sizes do not fit the design: cells too narrow, kernel too large, nowhere to cut.
     """
     net = WallNet.of(cells, rotation)
-    face_radii(net, sizes)
+    rims = rim_halves(net, sizes)
     kernel = kernel_solid(net, sizes)
     ends = WallEnds.of(net, corners_of(kernel))
     foot = Foot.of(net, sizes, pole_mm)
@@ -134,9 +132,17 @@ def probe_parts(
     split = choose_split(
         ends, sizes, foot=foot.joint, foot_mm=foot.radius_mm + boss, pin_mm=2 * boss
     )
-    lower, upper = (_half(ends, split, sizes, upper=flag) for flag in (False, True))
+    lower, upper = (_half(ends, split, rims, sizes, upper=flag) for flag in (False, True))
     for wall in split.pinned.tolist():
-        joint = _PinJoint(split.way_in, sizes.radius_mm * net.middles[wall], pin, boss, sizes)
+        joint = _PinJoint(
+            axis=split.way_in,
+            place=sizes.radius_mm * net.middles[wall],
+            pole=net.poles[wall],
+            width=pin,
+            radius=boss,
+            clear_mm=max(boss, float(rims[wall].max())) + sizes.wall_mm,
+            sizes=sizes,
+        )
         lower = lower + joint.boss(-1) - joint.keep_clear(1) + joint.pin()
         upper = upper + joint.boss(1) - joint.keep_clear(-1) - joint.hole()
     lower = _with_socket(lower, foot, sizes)
@@ -151,7 +157,14 @@ def probe_parts(
     )
 
 
-def _half(ends: WallEnds, split: Split, sizes: ProbeSizes, *, upper: bool) -> Manifold:
+def _half(
+    ends: WallEnds,
+    split: Split,
+    rims: Float[np.ndarray, "e 2"],
+    sizes: ProbeSizes,
+    *,
+    upper: bool,
+) -> Manifold:
     net = ends.net
     own = split.upper == upper
     walls = []
@@ -159,25 +172,31 @@ def _half(ends: WallEnds, split: Split, sizes: ProbeSizes, *, upper: bool) -> Ma
         mine = own[[net.starts[wall], net.ends[wall]]]
         if not mine.any():
             continue
-        solid = wall_solid(pair, net.poles[wall], sizes)
+        solid = wall_solid(pair, net.poles[wall], rims[wall], sizes)
         if split.cut[wall]:
             keep = np.cross(net.poles[wall], net.middles[wall])  # towards the wall's end
             keep = keep if mine[1] else -keep
             solid = solid.trim_by_plane(tuple(keep.tolist()), sizes.clearance_mm / 2)
         walls.append(solid)
-    walls += bend_solids(net, np.flatnonzero(own).tolist(), sizes)
+    walls += bend_solids(net, np.flatnonzero(own).tolist(), rims, sizes)
     way = -split.way_in if upper else split.way_in
     return Manifold.batch_boolean(walls, OpType.Add) - core_solid(ends, sizes.clearance_mm, way)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class _PinJoint:
-    """A boss on either side of the cut at ``place``, a pin on the lower, its hole in the upper."""
+    """A boss on either side of the cut at ``place``, a pin on the lower, its hole in the upper.
+
+    Bosses are kept clear as far as ``clear_mm`` from the wall's plane, of unit normal ``pole``: so
+    far that nothing thin is left of the other half beside them.
+    """
 
     axis: Float[np.ndarray, "3"]
     place: Float[np.ndarray, "3"]
+    pole: Float[np.ndarray, "3"]
     width: float
     radius: float
+    clear_mm: float
     sizes: ProbeSizes
 
     @property
@@ -193,8 +212,13 @@ class _PinJoint:
     def keep_clear(self, side: int) -> Manifold:
         """What the other half must leave to that boss."""
         gap, height = self.sizes.clearance_mm, self.length + 3 * self.sizes.wall_mm
-        radius = self.radius + gap
-        return self._rod(radius, *sorted((-side * gap / 2, side * height)))
+        low, high = sorted((-side * gap / 2, side * height))
+        across = np.cross(self.pole, self.axis)
+        across /= np.linalg.norm(across)
+        turn = np.stack([across, np.cross(self.axis, across), self.axis], 1)
+        size = (2 * (self.radius + gap), 2 * self.clear_mm, high - low)
+        block = Manifold.cube(size, True).translate((0.0, 0.0, (low + high) / 2))
+        return block.transform(np.concatenate([turn, self.place[:, None]], 1))
 
     def pin(self) -> Manifold:
         gap = self.sizes.clearance_mm / 2
