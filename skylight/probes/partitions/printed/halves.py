@@ -26,6 +26,7 @@ from skylight.probes.partitions.printed.split import Split, choose_split
 from skylight.probes.partitions.printed.walls import bend_solids, rim_halves, wall_solid
 
 _SEGMENTS = 48
+_SPECK_MM3 = 1e-3
 _DOWN = np.array([0.0, -1.0, 0.0])
 _STEEPEST_FOOT_COS = 0.5  # the pole's joint lies within 60 degrees of straight down
 _JOINT_MM = 6.0  # depth to which the pole's socket holds the walls
@@ -88,6 +89,30 @@ class ProbeParts:
         return self.lower, self.kernel, self.upper
 
 
+@dataclass(frozen=True, kw_only=True)
+class ShellPlan:
+    """What is decided of a probe before its solids are made: whether its sizes fit the design."""
+
+    rims: Float[np.ndarray, "e 2"]
+    kernel: Manifold
+    ends: WallEnds
+    foot: Foot
+    split: Split
+
+    @staticmethod
+    def of(net: WallNet, sizes: ProbeSizes, pole_mm: float) -> "ShellPlan":
+        """Raises :class:`InputError` where the sizes do not fit the design."""
+        rims = rim_halves(net, sizes)
+        kernel = kernel_solid(net, sizes)
+        ends = WallEnds.of(net, corners_of(kernel))
+        foot = Foot.of(net, sizes, pole_mm)
+        boss = _boss_mm(sizes)
+        split = choose_split(
+            ends, sizes, foot=foot.joint, foot_mm=foot.radius_mm + boss, pin_mm=2 * boss
+        )
+        return ShellPlan(rims=rims, kernel=kernel, ends=ends, foot=foot, split=split)
+
+
 def standing_rotation(cells: Cells) -> Float[np.ndarray, "3 3"]:
     """The smallest turn that brings the lowest junction of walls straight down.
 
@@ -123,24 +148,17 @@ def probe_parts(
         The sizes do not fit the design: cells too narrow, kernel too large, nowhere to cut.
     """
     net = WallNet.of(cells, rotation)
-    rims = rim_halves(net, sizes)
-    kernel = kernel_solid(net, sizes)
-    ends = WallEnds.of(net, corners_of(kernel))
-    foot = Foot.of(net, sizes, pole_mm)
-    pin = _PIN_WALLS * sizes.wall_mm
-    boss = pin / 2 + sizes.clearance_mm + sizes.wall_mm
-    split = choose_split(
-        ends, sizes, foot=foot.joint, foot_mm=foot.radius_mm + boss, pin_mm=2 * boss
-    )
+    plan = ShellPlan.of(net, sizes, pole_mm)
+    ends, split, foot, rims = plan.ends, plan.split, plan.foot, plan.rims
     lower, upper = (_half(ends, split, rims, sizes, upper=flag) for flag in (False, True))
     for wall in split.pinned.tolist():
         joint = _PinJoint(
             axis=split.way_in,
             place=sizes.radius_mm * net.middles[wall],
             pole=net.poles[wall],
-            width=pin,
-            radius=boss,
-            clear_mm=max(boss, float(rims[wall].max())) + sizes.wall_mm,
+            width=_PIN_WALLS * sizes.wall_mm,
+            radius=_boss_mm(sizes),
+            clear_mm=max(_boss_mm(sizes), float(rims[wall].max())) + sizes.wall_mm,
             sizes=sizes,
         )
         lower = lower + joint.boss(-1) - joint.keep_clear(1) + joint.pin()
@@ -149,9 +167,9 @@ def probe_parts(
     return ProbeParts(
         net=net,
         rotation=rotation,
-        lower=part_of("shell_lower", lower, (0, 1, 0)),
-        upper=part_of("shell_upper", upper, (0, 1, 0)),
-        kernel=part_of("kernel", kernel, (0, 1, 0)),
+        lower=part_of("shell_lower", _without_specks(lower), (0, 1, 0)),
+        upper=part_of("shell_upper", _without_specks(upper), (0, 1, 0)),
+        kernel=part_of("kernel", plan.kernel, (0, 1, 0)),
         split=split,
         foot=foot,
     )
@@ -181,6 +199,11 @@ def _half(
     walls += bend_solids(net, np.flatnonzero(own).tolist(), rims, sizes)
     way = -split.way_in if upper else split.way_in
     return Manifold.batch_boolean(walls, OpType.Add) - core_solid(ends, sizes.clearance_mm, way)
+
+
+def _boss_mm(sizes: ProbeSizes) -> float:
+    """Radius of what holds a pin."""
+    return _PIN_WALLS * sizes.wall_mm / 2 + sizes.clearance_mm + sizes.wall_mm
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -216,7 +239,8 @@ class _PinJoint:
         across = np.cross(self.pole, self.axis)
         across /= np.linalg.norm(across)
         turn = np.stack([across, np.cross(self.axis, across), self.axis], 1)
-        size = (2 * (self.radius + gap), 2 * self.clear_mm, high - low)
+        reach = self.radius / math.cos(math.pi / _SEGMENTS) + gap
+        size = (2 * reach, 2 * self.clear_mm, high - low)
         block = Manifold.cube(size, True).translate((0.0, 0.0, (low + high) / 2))
         return block.transform(np.concatenate([turn, self.place[:, None]], 1))
 
@@ -240,6 +264,12 @@ def _with_socket(lower: Manifold, foot: Foot, sizes: ProbeSizes) -> Manifold:
     holder = _upright(foot, foot.radius_mm, foot.bottom_mm, high)
     bore = _upright(foot, foot.bore_mm, foot.bottom_mm - 1.0, foot.top_mm)
     return lower + holder - bore
+
+
+def _without_specks(solid: Manifold) -> Manifold:
+    """Booleans of surfaces that nearly meet leave pieces without a volume."""
+    pieces = solid.decompose()
+    return Manifold.compose([piece for piece in pieces if piece.volume() > _SPECK_MM3])
 
 
 def _upright(foot: Foot, radius: float, low: float, high: float) -> Manifold:

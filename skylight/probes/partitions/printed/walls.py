@@ -22,6 +22,7 @@ _RIM_STEP_RAD = math.radians(2.0)
 _ROUND = 48  # sides of what is round at the bends of walls
 _STRAIGHT = 1e-6
 _FLARE_FROM = 1.25  # kernel radii from the centre, where walls begin to grow thicker
+_FLARED_WALLS = 4.0  # walls' thicknesses, the length of the shortest rim that is widened
 _RIM_WALLS = 2.5  # walls from the rim inwards, where they are as thick as there
 
 
@@ -34,7 +35,8 @@ def rim_halves(net: WallNet, sizes: ProbeSizes) -> Float[np.ndarray, "e 2"]:
 
         w + flare * max(0, kernel_mm <n, p> - r sqrt(1 - <n, p>^2) - w)
 
-    which for flare 1 is the distance of the disc from the wall's plane.
+    which for flare 1 is the distance of the disc from the wall's plane. Walls whose rims are
+    shorter than four walls' thickness stay thin, or they would stand out as thin blades.
 
     Raises
     ------
@@ -43,12 +45,11 @@ def rim_halves(net: WallNet, sizes: ProbeSizes) -> Float[np.ndarray, "e 2"]:
     """
     seen = SEEN_DISC * face_radii(net, sizes)
     half = sizes.wall_mm / 2
-    sides = []
-    for sign, cell in ((1.0, net.left), (-1.0, net.right)):
-        sine = sign * (net.normals[cell] * net.poles).sum(1)
-        away = sizes.kernel_mm * sine - seen[cell] * np.sqrt(np.maximum(1 - sine**2, 0))
-        sides.append(half + sizes.flare * np.maximum(away - half, 0))
-    return np.stack(sides, 1)
+    cells = np.stack([net.left, net.right], 1)
+    sine = (net.normals[cells] * (np.array([[1.0], [-1.0]]) * net.poles[:, None])).sum(2)
+    away = sizes.kernel_mm * sine - seen[cells] * np.sqrt(np.maximum(1 - sine**2, 0))
+    long = net.lengths_rad * sizes.radius_mm >= _FLARED_WALLS * sizes.wall_mm
+    return half + sizes.flare * np.where(long[:, None], np.maximum(away - half, 0), 0.0)
 
 
 def wall_solid(
