@@ -23,6 +23,7 @@ _ROUND = 48  # sides of what is round at the bends of walls
 _STRAIGHT = 1e-6
 _FLARE_FROM = 1.25  # kernel radii from the centre, where walls begin to grow thicker
 _FLARED_WALLS = 4.0  # walls' thicknesses, the length of the shortest rim that is widened
+_CONVERGENCE = 0.9
 _RIM_WALLS = 2.5  # walls from the rim inwards, where they are as thick as there
 
 
@@ -33,9 +34,11 @@ def rim_halves(net: WallNet, sizes: ProbeSizes) -> Float[np.ndarray, "e 2"]:
     normal of that cell's face and r the radius of the disc about the face's centre that must see
     the whole cell (``SEEN_DISC`` of the free radius)::
 
-        w + flare * max(0, kernel_mm <n, p> - r sqrt(1 - <n, p>^2) - w)
+        w + flare * max(0, c (kernel_mm <n, p> - r sqrt(1 - <n, p>^2)) - w)
 
-    which for flare 1 is the distance of the disc from the wall's plane. Walls whose rims are
+    The bracket is the distance of the disc from the wall's plane. A camera in that plane sees the
+    whole disc past a rim of c = 0.9 of it where it is ten radii of the shell from the centre, or
+    farther. Walls whose rims are
     shorter than four walls' thickness stay thin, or they would stand out as thin blades.
 
     Raises
@@ -49,7 +52,9 @@ def rim_halves(net: WallNet, sizes: ProbeSizes) -> Float[np.ndarray, "e 2"]:
     sine = (net.normals[cells] * (np.array([[1.0], [-1.0]]) * net.poles[:, None])).sum(2)
     away = sizes.kernel_mm * sine - seen[cells] * np.sqrt(np.maximum(1 - sine**2, 0))
     long = net.lengths_rad * sizes.radius_mm >= _FLARED_WALLS * sizes.wall_mm
-    return half + sizes.flare * np.where(long[:, None], np.maximum(away - half, 0), 0.0)
+    return half + sizes.flare * np.where(
+        long[:, None], np.maximum(_CONVERGENCE * away - half, 0), 0.0
+    )
 
 
 def wall_solid(

@@ -181,5 +181,5 @@ def test_rims_keep_out_others_light_and_none_of_a_cells_own(name: str) -> None:
     )
     assert (flared.leak < half.leak).all()
     assert (half.leak < plain.leak).all()
-    assert float(flared.leak.mean()) < 0.65 * float(plain.leak.mean())
+    assert float(flared.leak.mean()) < 0.75 * float(plain.leak.mean())
     torch.testing.assert_close(flared.loss, plain.loss, atol=2e-3, rtol=0)

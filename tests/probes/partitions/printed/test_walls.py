@@ -58,17 +58,16 @@ def test_the_rims_of_a_cube() -> None:
     """A face's centre is r sin 45 from its walls' planes, and so is its disc by that less."""
     half = 9 * np.sqrt(0.5)
     disc = SEEN_DISC * (half - 0.8)
-    np.testing.assert_allclose(rim_halves(net_of("6d"), FLARED), half - disc * np.sqrt(0.5))
+    widest = 0.9 * (half - disc * np.sqrt(0.5))
+    np.testing.assert_allclose(rim_halves(net_of("6d"), FLARED), widest)
     np.testing.assert_allclose(rim_halves(net_of("6d"), SIZES), 0.8)
     some = ProbeSizes(outer_mm=60.0, kernel_mm=9.0, flare=0.5)
-    np.testing.assert_allclose(
-        rim_halves(net_of("6d"), some), (half - disc * np.sqrt(0.5) + 0.8) / 2
-    )
+    np.testing.assert_allclose(rim_halves(net_of("6d"), some), (widest + 0.8) / 2)
 
 
 @pytest.mark.parametrize("name", ["14d", "14d-indoor", "14d-outdoor"])
-def test_rims_reach_the_line_of_sight_of_each_disc(name: str) -> None:
-    """No point of a disc is nearer to the wall's plane than its rim; one is as near."""
+def test_rims_reach_nine_tenths_of_the_way_to_the_line_of_sight_of_each_disc(name: str) -> None:
+    """Of the point of the disc that is nearest to the wall's plane."""
     sizes = ProbeSizes(outer_mm=130.0, kernel_mm=13.0, flare=1.0)
     net = net_of(name)
     rims, discs = rim_halves(net, sizes), SEEN_DISC * face_radii(net, sizes)
@@ -80,4 +79,4 @@ def test_rims_reach_the_line_of_sight_of_each_disc(name: str) -> None:
             circle = np.stack([np.cos(turn), np.sin(turn)], 1) @ across
             points = 13.0 * normal + discs[cell] * circle
             nearest = float((points @ (sign * net.poles[wall])).min())
-            assert rims[wall, side] == pytest.approx(max(nearest, 0.8), abs=1e-3)
+            assert rims[wall, side] == pytest.approx(max(0.9 * nearest, 0.8), abs=1e-3)
