@@ -102,7 +102,7 @@ def _draw(path: Path, swept: dict[str, dict[float, list[float]]]) -> None:
                 axes.plot(ratio, percent, "o-", color=colour, label=name)
             axes.set_title(design.upper())
             axes.set_xlabel("radius of the shell / of the kernel")
-            axes.set_ylim(bottom=0)
+        panels[0].set_ylim(bottom=0)
         panels[0].set_ylabel("light of other cells, %")
         panels[-1].legend(frameon=False)
         figure.tight_layout()
