@@ -60,10 +60,12 @@ def print_partitions(
     lon: float | None = None,
     date: str | None = None,
     path_cells: int = 12,
-    outer_mm: float = 80.0,
-    kernel_mm: float = 8.0,
-    wall_mm: float = 1.6,
+    outer_mm: float | None = None,
+    kernel_mm: float | None = None,
+    wall_mm: float | None = None,
+    flare: float | None = None,
     clearance_mm: float = 0.15,
+    bed_mm: float = 220.0,
     pole_mm: float = 6.0,
     pole_length_mm: float = 190.0,
     board_width_mm: float = 175.0,
@@ -76,6 +78,8 @@ def print_partitions(
     ChArUco board and the pole), assembly.json (how the probe stands on the board, what its faces
     see, and the order of assembly), report.json (what was measured) and assembly.png.
 
+    Sizes that are not given are chosen: the smallest that can be printed and read.
+
     Args:
         design: A named design (`cells` lists them) or a design file.
         out: Folder for the results.
@@ -83,10 +87,14 @@ def print_partitions(
         lon: Longitude, east positive.
         date: Day of the sun path, such as 2026-06-21.
         path_cells: Cells along the sun path.
-        outer_mm: Diameter of the shell.
-        kernel_mm: Distance of the kernel's faces from the centre.
-        wall_mm: Thickness of the walls.
+        outer_mm: Diameter of the shell; 80 or more, ten times the kernel's distance.
+        kernel_mm: Distance of the kernel's faces from the centre: the smaller, the less light of
+            other cells a face sees, and the harder it is to read.
+        wall_mm: Thickness of the walls; 1.6, or 0.8 for shells that would not fit on the bed.
+        flare: How far walls grow thicker outwards, so that less light of other cells comes in: 0
+            not at all, 1 as far as hides nothing of a cell from its face.
         clearance_mm: Gap per side between parts that meet.
+        bed_mm: Side of the printer's bed; what does not fit on it is told.
         pole_mm: Diameter of the pole, a round rod.
         pole_length_mm: Length of the pole; longer for a larger shell, so that cameras that look
             into the upper cells see the board beside it.
@@ -100,21 +108,27 @@ def print_partitions(
     )
     from skylight.app.progress import stage_bar
     from skylight.fabrication.mount import MarkerBoard, Pole
-    from skylight.probes.partitions.printed.printing import print_partition_probe
-    from skylight.probes.partitions.printed.sizes import ProbeSizes
+    from skylight.probes.partitions.printed.fitting import AskedSizes
+    from skylight.probes.partitions.printed.printing import print_fitted
     from skylight.work.results_folder import results_folder
 
     found = find_design(design, _sun(lat, lon, date), path_cells)
-    sizes = ProbeSizes(
-        outer_mm=outer_mm, kernel_mm=kernel_mm, wall_mm=wall_mm, clearance_mm=clearance_mm
+    asked = AskedSizes(
+        outer_mm=outer_mm,
+        kernel_mm=kernel_mm,
+        wall_mm=wall_mm,
+        clearance_mm=clearance_mm,
+        flare=flare,
     )
     pole = Pole(diameter_mm=pole_mm, length_mm=pole_length_mm)
     board = MarkerBoard(width_mm=board_width_mm, height_mm=board_height_mm)
     with stage_bar() as progress, results_folder(out) as folder:
-        result = print_partition_probe(found, sizes, pole=pole, board=board, progress=progress)
+        result = print_fitted(
+            found, asked, pole=pole, board=board, bed_mm=bed_mm, progress=progress
+        )
         progress("writing the results", 0.9)
         write_printed_partitions(folder, result)
-    for problem in [*result.report.problems, *result.warnings]:
+    for problem in [*result.report.problems, *result.too_large(bed_mm), *result.warnings]:
         take_care(problem)
     print(summarise_partition_print(result))
     print(f"written into {out}: parts.stl, parts.3mf, assembly.png and others")

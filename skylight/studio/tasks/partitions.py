@@ -13,13 +13,12 @@ from skylight.app.probes.partitions.printing import (
     describe_partition_print,
     write_printed_partitions,
 )
-from skylight.errors import InputError
 from skylight.io.files import write_png
 from skylight.probes.partitions.cells import Cells
 from skylight.probes.partitions.design.designs import design_names, named_design
 from skylight.probes.partitions.picture import cell_colours, draw_cells
-from skylight.probes.partitions.printed.printing import print_partition_probe
-from skylight.probes.partitions.printed.sizes import ProbeSizes
+from skylight.probes.partitions.printed.fitting import AskedSizes
+from skylight.probes.partitions.printed.printing import print_fitted
 from skylight.probes.partitions.probe import PartitionProbe
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.grid import DirectionGrid
@@ -29,18 +28,17 @@ from skylight.studio.tasks.voxel import STARS
 from skylight.work.progress import StageProgress
 
 ALBEDO = 0.8  # of the white kernel
-_KERNEL_SHARE = 0.1  # its distance from the middle, of the shell's diameter
 _SIZE_MM = 80.0
-# designs whose narrowest cells a common nozzle cannot print at that size; in steps of 20 mm
+# designs whose narrowest cells need larger shells
 _LARGER_MM = {
     "110d": 140.0,
-    "14d-outdoor": 140.0,
-    "6d-sun-6": 300.0,
-    "6d-sun-12": 140.0,
-    "6d-tilted-sun-12": 140.0,
+    "14d-outdoor": 130.0,
+    "6d-sun-6": 200.0,
+    "6d-sun-12": 130.0,
+    "6d-tilted-sun-12": 130.0,
     "14d-sun-6": 180.0,
-    "14d-sun-12": 140.0,
-    "14d-tilted-sun-12": 160.0,
+    "14d-sun-12": 130.0,
+    "14d-tilted-sun-12": 150.0,
 }
 _PREVIEW_ROWS = 256
 _DIGITS = 4
@@ -67,13 +65,8 @@ def describe_designs(*, tell: StageProgress) -> dict[str, Any]:
 
 
 def size_of(design: str) -> float:
-    """A diameter of the shell at which the named design can be printed, mm."""
+    """The diameter of the shell that the named design has where none is named, mm."""
     return _LARGER_MM.get(design, _SIZE_MM)
-
-
-def sizes_for(size_mm: float) -> ProbeSizes:
-    """The sizes of a shell of that diameter."""
-    return ProbeSizes(outer_mm=size_mm, kernel_mm=_KERNEL_SHARE * size_mm)
 
 
 def make_partition_probe(
@@ -81,20 +74,16 @@ def make_partition_probe(
 ) -> dict[str, Any]:
     """Print files of a named design, and its cells under a light.
 
-    ``size_mm`` is the diameter of the shell, by default :func:`size_of` the design; the kernel's
-    size goes with it.
+    ``size_mm`` is the diameter of the shell, by default :func:`size_of` the design; the other sizes
+    are chosen (:func:`~skylight.probes.partitions.printed.fitting.fitted_sizes`).
 
     Directions are in the design's axes, which for a light are those of its map. Of each cell:
     ``direction`` in which its face looks, ``outline`` (polygons of unit vectors), ``colour`` in
     pictures and, with a light, the ``shading`` of its face and the mean ``radiance`` it tells of.
     """
     out = Path(folder)
-    sizes = sizes_for(size_of(design) if size_mm is None else size_mm)
-    try:
-        printed = print_partition_probe(named_design(design), sizes, progress=tell)
-    except InputError as error:
-        line = f"{error}; here kernel_mm is a tenth of outer_mm, so ask for a larger probe"
-        raise InputError(line) from error
+    asked = AskedSizes(outer_mm=size_mm)
+    printed = print_fitted(named_design(design), asked, progress=tell)
     tell("writing the results", 0.9)
     write_printed_partitions(out, printed)
     write_png(out / "cells.png", draw_cells(printed.cells))

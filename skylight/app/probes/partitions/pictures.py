@@ -90,6 +90,7 @@ def _rows(result: PrintedPartitions) -> list[tuple[str, str]]:
     report, printed, seen = result.report, result.printed, result.visibility
     least, largest = report.clearances_mm
     width, depth, height = result.bed.size_mm
+    rims = result.rims_mm.sum(1)
     black = printed.lower.volume_mm3 + printed.upper.volume_mm3
     return [
         ("cells", f"{result.cells.count}"),
@@ -103,6 +104,7 @@ def _rows(result: PrintedPartitions) -> list[tuple[str, str]]:
         ("discs that are free on the faces", free_discs(result.face_radii_mm)),
         ("own light lost, mean and most", _shares(seen.loss)),
         ("others' light let in, mean and most", _shares(seen.leak)),
+        ("rims of the walls", f"{rims.min():.1f} to {rims.max():.1f} mm"),
         ("pins", f"{len(printed.split.pinned)}"),
         ("pole", f"{result.pole.diameter_mm:g} × {result.pole.length_mm:g} mm"),
         ("hole in the marker's paper", f"{result.paper_hole_mm:.1f} mm"),

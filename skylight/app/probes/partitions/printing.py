@@ -60,6 +60,7 @@ def describe_partition_print(result: PrintedPartitions) -> dict[str, object]:
         "parts_mm3": {part.name: part.volume_mm3 for part in result.printed.parts},
         "marker_base_mm3": result.base.volume_mm3,
         "bed_mm": list(result.bed.size_mm),
+        "rims_mm": result.rims_mm.sum(1).tolist(),
         "pins": len(result.printed.split.pinned),
         "facing": visibility.facing.tolist(),
         "loss": visibility.loss.tolist(),
@@ -75,10 +76,13 @@ def summarise_partition_print(result: PrintedPartitions) -> str:
     report, visibility = result.report, result.visibility
     least, largest = report.clearances_mm
     width, depth, height = result.bed.size_mm
-    loss, leak = visibility.loss, visibility.leak
+    loss, leak, sizes = visibility.loss, visibility.leak, result.sizes
     shell = sum(part.volume_mm3 for part in (result.printed.lower, result.printed.upper))
     return "\n".join(
         [
+            f"sizes       shell {sizes.outer_mm:g} mm, kernel {sizes.kernel_mm:g} mm from its "
+            f"centre, walls {sizes.wall_mm:g} mm, at the rims up to "
+            f"{result.rims_mm.sum(1).max():.1f} mm",
             f"parts       two half shells with {len(result.printed.split.pinned)} pins and a "
             f"kernel, on {width:.0f} x {depth:.0f} mm, {height:.0f} mm high",
             f"material    {shell / 1000:.1f} cm3 black, "

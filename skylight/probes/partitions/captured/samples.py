@@ -14,11 +14,11 @@ from skylight.cameras.response import Response, saturated
 from skylight.cameras.view import Picture, camera_centre, in_frame, part_around
 from skylight.probes.partitions.captured.capture import ProbeCapture
 from skylight.probes.partitions.printed.assembly import PlacedPartitions
+from skylight.probes.partitions.printed.sizes import SEEN_DISC
 from skylight.sphere.rigid_transform import RigidTransform
 
 _GRAZING = 0.17  # cosine: faces seen under less than 10 degrees tell little
 _DISC = 0.5  # of a face's free radius: the rest is for poses that are off by little
-_GUARD = 0.75  # of it: how far round its centre a face must be seen
 _SAMPLES, _RIM = 64, 16
 _MOST_CLIPPED = 0.1  # share of a disc
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
@@ -59,7 +59,7 @@ class FaceDiscs:
         ring = _circle(np.arange(_RIM) * (2 * np.pi / _RIM))
         self.inside = self._on_faces(_DISC * spiral)
         self.rim = self._on_faces(_DISC * ring)
-        self.guard = self._on_faces(np.concatenate([_GUARD * ring, np.zeros((1, 2))]))
+        self.guard = self._on_faces(np.concatenate([SEEN_DISC * ring, np.zeros((1, 2))]))
 
     def _on_faces(self, plane: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "n k 3"]:
         """Places in the plane of each face, in units of its free radius."""

@@ -18,16 +18,15 @@ from skylight.probes.partitions.printed.solids import (
     WallEnds,
     WallNet,
     along_axis,
-    bend_solids,
     core_solid,
     corners_of,
-    face_radii,
     kernel_solid,
-    wall_solid,
 )
 from skylight.probes.partitions.printed.split import Split, choose_split
+from skylight.probes.partitions.printed.walls import bend_solids, rim_halves, wall_solid
 
 _SEGMENTS = 48
+_SPECK_MM3 = 1e-3
 _DOWN = np.array([0.0, -1.0, 0.0])
 _STEEPEST_FOOT_COS = 0.5  # the pole's joint lies within 60 degrees of straight down
 _JOINT_MM = 6.0  # depth to which the pole's socket holds the walls
@@ -90,6 +89,30 @@ class ProbeParts:
         return self.lower, self.kernel, self.upper
 
 
+@dataclass(frozen=True, kw_only=True)
+class ShellPlan:
+    """What is decided of a probe before its solids are made: whether its sizes fit the design."""
+
+    rims: Float[np.ndarray, "e 2"]
+    kernel: Manifold
+    ends: WallEnds
+    foot: Foot
+    split: Split
+
+    @staticmethod
+    def of(net: WallNet, sizes: ProbeSizes, pole_mm: float) -> "ShellPlan":
+        """Raises :class:`InputError` where the sizes do not fit the design."""
+        rims = rim_halves(net, sizes)
+        kernel = kernel_solid(net, sizes)
+        ends = WallEnds.of(net, corners_of(kernel))
+        foot = Foot.of(net, sizes, pole_mm)
+        boss = _boss_mm(sizes)
+        split = choose_split(
+            ends, sizes, foot=foot.joint, foot_mm=foot.radius_mm + boss, pin_mm=2 * boss
+        )
+        return ShellPlan(rims=rims, kernel=kernel, ends=ends, foot=foot, split=split)
+
+
 def standing_rotation(cells: Cells) -> Float[np.ndarray, "3 3"]:
     """The smallest turn that brings the lowest junction of walls straight down.
 
@@ -125,33 +148,41 @@ def probe_parts(
         The sizes do not fit the design: cells too narrow, kernel too large, nowhere to cut.
     """
     net = WallNet.of(cells, rotation)
-    face_radii(net, sizes)
-    kernel = kernel_solid(net, sizes)
-    ends = WallEnds.of(net, corners_of(kernel))
-    foot = Foot.of(net, sizes, pole_mm)
-    pin = _PIN_WALLS * sizes.wall_mm
-    boss = pin / 2 + sizes.clearance_mm + sizes.wall_mm
-    split = choose_split(
-        ends, sizes, foot=foot.joint, foot_mm=foot.radius_mm + boss, pin_mm=2 * boss
-    )
-    lower, upper = (_half(ends, split, sizes, upper=flag) for flag in (False, True))
+    plan = ShellPlan.of(net, sizes, pole_mm)
+    ends, split, foot, rims = plan.ends, plan.split, plan.foot, plan.rims
+    lower, upper = (_half(ends, split, rims, sizes, upper=flag) for flag in (False, True))
     for wall in split.pinned.tolist():
-        joint = _PinJoint(split.way_in, sizes.radius_mm * net.middles[wall], pin, boss, sizes)
+        joint = _PinJoint(
+            axis=split.way_in,
+            place=sizes.radius_mm * net.middles[wall],
+            pole=net.poles[wall],
+            width=_PIN_WALLS * sizes.wall_mm,
+            radius=_boss_mm(sizes),
+            clear_mm=max(_boss_mm(sizes), float(rims[wall].max())) + sizes.wall_mm,
+            sizes=sizes,
+        )
         lower = lower + joint.boss(-1) - joint.keep_clear(1) + joint.pin()
         upper = upper + joint.boss(1) - joint.keep_clear(-1) - joint.hole()
     lower = _with_socket(lower, foot, sizes)
     return ProbeParts(
         net=net,
         rotation=rotation,
-        lower=part_of("shell_lower", lower, (0, 1, 0)),
-        upper=part_of("shell_upper", upper, (0, 1, 0)),
-        kernel=part_of("kernel", kernel, (0, 1, 0)),
+        lower=part_of("shell_lower", _without_specks(lower), (0, 1, 0)),
+        upper=part_of("shell_upper", _without_specks(upper), (0, 1, 0)),
+        kernel=part_of("kernel", plan.kernel, (0, 1, 0)),
         split=split,
         foot=foot,
     )
 
 
-def _half(ends: WallEnds, split: Split, sizes: ProbeSizes, *, upper: bool) -> Manifold:
+def _half(
+    ends: WallEnds,
+    split: Split,
+    rims: Float[np.ndarray, "e 2"],
+    sizes: ProbeSizes,
+    *,
+    upper: bool,
+) -> Manifold:
     net = ends.net
     own = split.upper == upper
     walls = []
@@ -159,25 +190,36 @@ def _half(ends: WallEnds, split: Split, sizes: ProbeSizes, *, upper: bool) -> Ma
         mine = own[[net.starts[wall], net.ends[wall]]]
         if not mine.any():
             continue
-        solid = wall_solid(pair, net.poles[wall], sizes)
+        solid = wall_solid(pair, net.poles[wall], rims[wall], sizes)
         if split.cut[wall]:
             keep = np.cross(net.poles[wall], net.middles[wall])  # towards the wall's end
             keep = keep if mine[1] else -keep
             solid = solid.trim_by_plane(tuple(keep.tolist()), sizes.clearance_mm / 2)
         walls.append(solid)
-    walls += bend_solids(net, np.flatnonzero(own).tolist(), sizes)
+    walls += bend_solids(net, np.flatnonzero(own).tolist(), rims, sizes)
     way = -split.way_in if upper else split.way_in
     return Manifold.batch_boolean(walls, OpType.Add) - core_solid(ends, sizes.clearance_mm, way)
 
 
-@dataclass(frozen=True)
+def _boss_mm(sizes: ProbeSizes) -> float:
+    """Radius of what holds a pin."""
+    return _PIN_WALLS * sizes.wall_mm / 2 + sizes.clearance_mm + sizes.wall_mm
+
+
+@dataclass(frozen=True, kw_only=True)
 class _PinJoint:
-    """A boss on either side of the cut at ``place``, a pin on the lower, its hole in the upper."""
+    """A boss on either side of the cut at ``place``, a pin on the lower, its hole in the upper.
+
+    Bosses are kept clear as far as ``clear_mm`` from the wall's plane, of unit normal ``pole``: so
+    far that nothing thin is left of the other half beside them.
+    """
 
     axis: Float[np.ndarray, "3"]
     place: Float[np.ndarray, "3"]
+    pole: Float[np.ndarray, "3"]
     width: float
     radius: float
+    clear_mm: float
     sizes: ProbeSizes
 
     @property
@@ -193,8 +235,14 @@ class _PinJoint:
     def keep_clear(self, side: int) -> Manifold:
         """What the other half must leave to that boss."""
         gap, height = self.sizes.clearance_mm, self.length + 3 * self.sizes.wall_mm
-        radius = self.radius + gap
-        return self._rod(radius, *sorted((-side * gap / 2, side * height)))
+        low, high = sorted((-side * gap / 2, side * height))
+        across = np.cross(self.pole, self.axis)
+        across /= np.linalg.norm(across)
+        turn = np.stack([across, np.cross(self.axis, across), self.axis], 1)
+        reach = self.radius / math.cos(math.pi / _SEGMENTS) + gap
+        size = (2 * reach, 2 * self.clear_mm, high - low)
+        block = Manifold.cube(size, True).translate((0.0, 0.0, (low + high) / 2))
+        return block.transform(np.concatenate([turn, self.place[:, None]], 1))
 
     def pin(self) -> Manifold:
         gap = self.sizes.clearance_mm / 2
@@ -216,6 +264,12 @@ def _with_socket(lower: Manifold, foot: Foot, sizes: ProbeSizes) -> Manifold:
     holder = _upright(foot, foot.radius_mm, foot.bottom_mm, high)
     bore = _upright(foot, foot.bore_mm, foot.bottom_mm - 1.0, foot.top_mm)
     return lower + holder - bore
+
+
+def _without_specks(solid: Manifold) -> Manifold:
+    """Booleans of surfaces that nearly meet leave pieces without a volume."""
+    pieces = solid.decompose()
+    return Manifold.compose([piece for piece in pieces if piece.volume() > _SPECK_MM3])
 
 
 def _upright(foot: Foot, radius: float, low: float, high: float) -> Manifold:

@@ -18,6 +18,12 @@ from skylight.fabrication.mount import (
 from skylight.fabrication.part import PrintedPart
 from skylight.probes.partitions.cells import Cells
 from skylight.probes.partitions.printed.assembly import PartitionAssembly, placed_parts
+from skylight.probes.partitions.printed.fitting import (
+    BED_MM,
+    FLARES,
+    AskedSizes,
+    fitted_sizes,
+)
 from skylight.probes.partitions.printed.halves import ProbeParts, probe_parts, standing_rotation
 from skylight.probes.partitions.printed.print_checks import (
     PartitionPrintReport,
@@ -25,6 +31,7 @@ from skylight.probes.partitions.printed.print_checks import (
 )
 from skylight.probes.partitions.printed.sizes import ProbeSizes
 from skylight.probes.partitions.printed.visibility import Visibility, measure_visibility
+from skylight.probes.partitions.printed.walls import rim_halves
 from skylight.probes.partitions.seeds import ProbeDesign
 from skylight.sphere.rigid_transform import RigidTransform
 from skylight.work.progress import StageProgress
@@ -56,6 +63,32 @@ class PrintedPartitions:
         )
 
     @property
+    def rims_mm(self) -> Float[np.ndarray, "e 2"]:
+        """See :func:`~skylight.probes.partitions.printed.walls.rim_halves`."""
+        return rim_halves(self.printed.net, self.sizes)
+
+    def too_large(self, bed_mm: float) -> list[str]:
+        """Sentences about what does not fit on a square bed of that side, and what to do."""
+        found = []
+        mends = dict.fromkeys((part.name for part in self.bed.parts), "choose thinner walls")
+        mends[self.base.name] = "choose a smaller board"
+        for part in (*self.bed.parts, *lay_out([self.base]).parts):
+            width, depth, _ = np.ptp(part.bounds, axis=0)
+            if max(width, depth) > bed_mm:
+                found.append(
+                    f"{part.name} is {width:.0f} x {depth:.0f} mm, larger than a bed of "
+                    f"{bed_mm:g} mm: {mends[part.name]}, or cut it in the slicer and glue the "
+                    "pieces"
+                )
+        width, depth, _ = self.bed.size_mm
+        if not found and max(width, depth) > bed_mm:
+            found.append(
+                f"parts.stl and parts.3mf are {width:.0f} x {depth:.0f} mm, larger than a bed of "
+                f"{bed_mm:g} mm: print its parts one by one, from the files of their names"
+            )
+        return found
+
+    @property
     def warnings(self) -> list[str]:
         """Sentences about what can be printed but will be hard to use."""
         good = _good_pole_mm(self.sizes, self.board)
@@ -65,6 +98,36 @@ class PrintedPartitions:
             f"on a pole of {self.pole.length_mm:g} mm the shell hides part of the board from "
             f"cameras that look into it from above: make it {good:.0f} mm or longer"
         ]
+
+
+def print_fitted(
+    design: ProbeDesign,
+    asked: AskedSizes,
+    *,
+    pole: Pole | None = None,
+    board: MarkerBoard | None = None,
+    bed_mm: float = BED_MM,
+    progress: StageProgress | None = None,
+) -> PrintedPartitions:
+    """A design with the sizes that were asked for, and the others chosen so that it can be printed.
+
+    See :func:`~skylight.probes.partitions.printed.fitting.fitted_sizes`. Where no flare was named,
+    rims are as wide as leaves nothing thinner than the walls.
+
+    Raises
+    ------
+    InputError
+        What was asked for does not fit the design; the message names sizes that do.
+    """
+    pole = pole or Pole()
+    sizes = fitted_sizes(Cells.of(design), asked, pole_mm=pole.diameter_mm, bed_mm=bed_mm)
+    for flare in FLARES if asked.flare is None else (asked.flare,):
+        result = print_partition_probe(
+            design, replace(sizes, flare=flare), pole=pole, board=board, progress=progress
+        )
+        if result.report.sound:
+            break
+    return result
 
 
 def print_partition_probe(

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from skylight.errors import InputError
 
 NOZZLE_MM = 0.4  # the common one
+# of a face's free radius: how far round its centre captures look at it
+SEEN_DISC = 0.75
 _LEAST_SHELL_MM = 5.0  # from the kernel's faces to the outside
 
 
@@ -14,19 +16,24 @@ class ProbeSizes:
     """Diameter of the shell, distance of the kernel's faces from its centre, and fits; mm.
 
     ``wall_mm`` is the thickness of the walls between cells, ``clearance_mm`` the gap per side
-    between parts that meet.
+    between parts that meet. ``flare``: walls grow thicker outwards, from 0, not at all, to 1, as
+    far as hides nothing of a cell's light from a disc of ``SEEN_DISC`` of its face's free radius
+    (:func:`~skylight.probes.partitions.printed.walls.rim_halves`).
     """
 
     outer_mm: float = 80.0
     kernel_mm: float = 8.0
     wall_mm: float = 1.6
     clearance_mm: float = 0.15
+    flare: float = 0.0  # of probes whose files do not say
 
     def __post_init__(self) -> None:
         for name in ("outer_mm", "kernel_mm", "wall_mm", "clearance_mm"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise InputError(f"{name} must be a length above 0 mm, got {value:g}")
+        if not 0 <= self.flare <= 1:
+            raise InputError(f"flare must be 0 to 1, got {self.flare:g}")
         if self.clearance_mm >= self.wall_mm / 2:
             raise InputError(
                 f"clearance_mm {self.clearance_mm:g} must be below half of wall_mm "

@@ -1,12 +1,11 @@
-"""A partition probe's walls and kernel as solids, in millimetres about the probe's centre.
+"""A partition probe's net of walls and its kernel, in millimetres about the probe's centre.
 
-The outer shell is nothing but the walls between cells, ``wall_mm`` thick about the planes through
-the centre that bound the cells. Walls end flat above the kernel's edges, at right angles to their
-own plane, so that nothing is thinner than they are.
+The outer shell is nothing but the walls between cells, about the planes through the centre that
+bound the cells (:mod:`~skylight.probes.partitions.printed.walls`). Walls end flat above the
+kernel's edges, at right angles to their own plane, so that nothing is thinner than they are.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,11 +16,8 @@ from skylight.errors import InputError
 from skylight.probes.partitions.cells import Cells
 from skylight.probes.partitions.printed.sizes import NOZZLE_MM, ProbeSizes
 
-_RIM_STEP_RAD = math.radians(2.0)
-_ROUND = 48  # sides of what is round at the bends of walls
 _LEAST_OPENING_MM = 2 * NOZZLE_MM  # a narrower gap closes when printed
 _LEAST_WALL_DEPTH_MM = 4.0
-_STRAIGHT = 1e-6
 _FLAT_RAD = math.radians(25.0)  # faces are flat that far / 2 at least, seen from the centre
 _STEEPEST_RAD, _DIRECTIONS = math.radians(80.0), 321
 
@@ -233,51 +229,12 @@ def _unit(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
-def wall_solid(
-    ends: Float[np.ndarray, "2 3"], pole: Float[np.ndarray, "3"], sizes: ProbeSizes
-) -> Manifold:
-    """A wall from the centre to the shell's radius, square at both directions and at its rim."""
-    a, b = ends
-    angle = math.atan2(float(np.linalg.norm(np.cross(a, b))), float(a @ b))
-    at = np.linspace(0, angle, 2 + int(angle / _RIM_STEP_RAD))[:, None]
-    rim = sizes.radius_mm * (np.cos(at) * a + np.sin(at) * np.cross(pole, a))
-    # level near both ends, where it meets the rims of others
-    level = [
-        rim[0] + sizes.wall_mm * np.cross(pole, a),
-        rim[-1] - sizes.wall_mm * np.cross(pole, b),
-    ]
-    sheet = np.concatenate([np.zeros((1, 3)), rim, level])
-    shift = sizes.wall_mm / 2 * pole
-    return Manifold.hull_points(np.concatenate([sheet - shift, sheet + shift]))
-
-
-def bend_solids(net: WallNet, vertices: Sequence[int], sizes: ProbeSizes) -> list[Manifold]:
-    """Round edges where walls leave more than half a turn open, as at the bends of merged cells."""
-    found = []
-    for vertex in vertices:
-        axis = net.vertices[vertex]
-        there = (net.starts == vertex) | (net.ends == vertex)
-        other = np.where(net.starts == vertex, net.ends, net.starts)[there]
-        if len(other) and _widest_gap(axis, net.vertices[other]) > np.pi + _STRAIGHT:
-            radius = sizes.wall_mm / 2 / np.cos(np.pi / _ROUND)
-            rod = Manifold.cylinder(sizes.radius_mm, radius, radius, _ROUND)
-            found.append(along_axis(rod, axis))
-    return found
-
-
 def along_axis(solid: Manifold, axis: Float[np.ndarray, "3"]) -> Manifold:
     """Turned so that its +Z points along a unit vector."""
     across = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
     across = across / np.linalg.norm(across)
     turn = np.stack([across, np.cross(axis, across), axis], 1)
     return solid.transform(np.concatenate([turn, np.zeros((3, 1))], 1))
-
-
-def _widest_gap(axis: np.ndarray, others: np.ndarray) -> float:
-    across = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-    along = np.cross(axis, across)
-    angle = np.sort(np.arctan2(others @ along, others @ across))
-    return float(np.diff([*angle, angle[0] + 2 * np.pi]).max())
 
 
 def sector_distance(

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from skylight.errors import InputError
 from skylight.probes.partitions.printed.sizes import ProbeSizes
@@ -93,10 +95,21 @@ def _split(
     least = (1.75 * sizes.wall_mm + 2.5 * sizes.clearance_mm) / sizes.kernel_mm
     if not cut.any() or net.lengths_rad[cut].min() < least:
         return None
+    if _pieces(net, ~cut) > 2:  # a half would fall apart
+        return None
     pinned = _pins(net, np.flatnonzero(cut), way_in, sizes, pin_mm)
     if len(pinned) < _LEAST_PINS:
         return None
     return Split(way_in=way_in, upper=upper, cut=cut, pinned=pinned)
+
+
+def _pieces(net: WallNet, kept: Bool[np.ndarray, " e"]) -> int:
+    """Into how many pieces the net falls with these walls alone."""
+    count = len(net.vertices)
+    ends = (net.starts[kept], net.ends[kept])
+    joined = coo_array((np.ones(len(ends[0])), ends), shape=(count, count))
+    _, piece = connected_components(joined, directed=False)
+    return len(np.unique(piece[net.meeting > 0]))
 
 
 def _pins(

@@ -1,6 +1,7 @@
 """Where a probe stands: files there and back, what is seen, and what is refused."""
 
 import json
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import torch
 
 from skylight.errors import InputError
 from skylight.io.json_files import write_json
+from skylight.probes.partitions.captured.samples import FaceDiscs
 from skylight.probes.partitions.cells import Cells
 from skylight.probes.partitions.design.designs import named_design
 from skylight.probes.partitions.printed.assembly import (
@@ -116,3 +118,25 @@ def test_oriented_probes_are_not_turned() -> None:
             board_mm=(175.0, 125.0),
             response=torch.eye(14).double(),
         )
+
+
+def test_flared_rims_leave_three_whole_discs_over_a_junction() -> None:
+    """To cameras ten radii of the shell away and farther; nearer ones see less than the discs."""
+    probe = replace(standing(), sizes=ProbeSizes(kernel_mm=4.0, flare=1.0))
+    discs = FaceDiscs(probe.placed())
+    above = np.array([0.0, 1.0, 0.0])  # the cube stands on its corner, and the pole is below
+    middle = probe.board_from_probe.translation.numpy()
+    for radii, whole in ((10.5, 3), (15.0, 3), (200.0, 3), (2.0, 0)):
+        eye = middle + radii * 40 * above
+        seen = discs.probe.sees(eye, discs.guard).numpy().all(1)
+        assert seen.sum() == whole
+
+
+def test_files_without_a_flare_are_of_plain_walls(tmp_path: Path) -> None:
+    """Those of probes that were printed before there was any."""
+    path = tmp_path / "assembly.json"
+    told = standing().to_json()
+    sizes = dict(asdict(standing().sizes))
+    assert sizes.pop("flare") == 0
+    write_json(path, told | {"sizes": sizes})
+    assert load_partition_assembly(path).sizes == standing().sizes

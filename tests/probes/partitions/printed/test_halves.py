@@ -125,3 +125,12 @@ def test_an_outdoor_probe_can_be_printed() -> None:
 def test_shells_without_room_for_a_cut_are_refused() -> None:
     with pytest.raises(InputError, match="cut in two"):
         parts_of("14d", ProbeSizes(outer_mm=30.0, kernel_mm=8.0, wall_mm=2.4))
+
+
+def test_halves_are_of_one_piece() -> None:
+    """The plane with the smallest gaps alone would leave this upper half in three."""
+    parts = parts_of("6d-tilted-sun-12", ProbeSizes(outer_mm=130.0, kernel_mm=13.0, flare=1.0))
+    for part in parts.parts:
+        solid = part.solid()
+        assert solid is not None
+        assert len(solid.decompose()) == 1

@@ -16,7 +16,6 @@ from skylight.probes.partitions.printed.solids import (
     face_radii,
     kernel_planes,
     kernel_solid,
-    wall_solid,
 )
 
 SIZES = ProbeSizes(outer_mm=60.0, kernel_mm=9.0)
@@ -55,15 +54,6 @@ def test_free_radius_of_a_cube() -> None:
     """The walls' planes are at 45 degrees to the face: r sin 45 less half a wall."""
     expected = 9.0 * np.sqrt(0.5) - 0.8
     np.testing.assert_allclose(face_radii(net_of("6d"), SIZES), expected)
-
-
-def test_wall_is_a_sector() -> None:
-    ends = np.array([[1.0, 0, 0], [0, 1.0, 0]])
-    wall = wall_solid(ends, np.array([0.0, 0, 1.0]), SIZES)
-    assert wall.volume() == pytest.approx(np.pi * 30**2 / 4 * 1.6, rel=1e-3)
-    low, high = np.array(wall.bounding_box()).reshape(2, 3)
-    np.testing.assert_allclose(low, [0, 0, -0.8], atol=1e-9)
-    np.testing.assert_allclose(high, [30, 30, 0.8], atol=1e-9)
 
 
 def test_bounded_by_planes() -> None:
@@ -123,6 +113,7 @@ def test_kernels_that_reach_outside_are_refused() -> None:
         ({"kernel_mm": float("nan")}, "kernel_mm"),
         ({"wall_mm": 0.5}, "too thin to print"),
         ({"clearance_mm": 0.9}, "light passes"),
+        ({"flare": 1.5}, "flare must be 0 to 1"),
         ({"outer_mm": 20.0}, "no room for walls"),
     ],
 )
