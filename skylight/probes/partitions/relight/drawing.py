@@ -49,8 +49,11 @@ class SceneRenderer:
         found = torch.nonzero(face >= 0)[:, 0]
         place = self._barycentric(eye, face[found], directions[found])
         if self._real is not None:
-            points = self.scene.interpolated(self.scene.vertices, face[found], place)
-            free = self._real.behind(rays.reshape(-1, 3)[found], (points - eye).norm(dim=1), pose)
+            rays = rays.reshape(-1, 3)[found]
+            met = self._real.met(rays, pose)
+            points = self.scene.interpolated(self.scene.vertices, face[found[met]], place[met])
+            free = torch.ones(len(found), dtype=torch.bool)
+            free[met] = self._real.distance(rays[met], pose) > (points - eye).norm(dim=1)
             found, place = found[free], place[free]
         colours = torch.zeros(height * width * samples, 4)
         colours[found, :3] = self._shading(radiance.float(), face[found], place)
@@ -83,9 +86,8 @@ class SceneRenderer:
         )
         inner = rays[rows, columns]
         if inner.numel():
-            eye, directions = _cast(inner, pose)
-            hit = self._real.caster.occluded(eye.float().expand(len(directions), 3), directions)
-            share[rows, columns] = 1 - hit.float().reshape(inner.shape[:3]).mean(2)
+            met = self._real.met(inner, pose).float()
+            share[rows, columns] = 1 - met.reshape(inner.shape[:3]).mean(2)
         return share
 
     def _barycentric(
@@ -122,19 +124,19 @@ class _Real:
 
     def __init__(self, mesh: Mesh) -> None:
         vertices, faces = map(torch.from_numpy, mesh)
-        self.caster = Raycaster(vertices, faces)
+        self._caster = Raycaster(vertices, faces)
         self.box: Float[np.ndarray, "n 3"] = box_edges(*vertices.aminmax(dim=0)).numpy()
 
-    def behind(
-        self,
-        rays: Float[Tensor, "r 3"],
-        distance: Float[Tensor, " r"],
-        pose: RigidTransform,
-    ) -> Bool[Tensor, " r"]:
-        """Whether it is nowhere before that distance along unit rays of a camera."""
+    def met(self, rays: Float[Tensor, "*_ 3"], pose: RigidTransform) -> Bool[Tensor, " r"]:
+        """Which of a camera's rays meet it."""
         eye, directions = _cast(rays, pose)
-        hits = self.caster.intersect(eye.float().expand(len(directions), 3), directions)
-        return hits.distance > distance
+        return self._caster.occluded(eye.float().expand(len(directions), 3), directions)
+
+    def distance(self, rays: Float[Tensor, "r 3"], pose: RigidTransform) -> Float[Tensor, " r"]:
+        """How far it is along unit rays."""
+        eye, directions = _cast(rays, pose)
+        hits = self._caster.intersect(eye.float().expand(len(directions), 3), directions)
+        return hits.distance
 
 
 def _cast(
