@@ -2,7 +2,7 @@
 
     python -m tools.measure_turning --data DIR
 
-A cow of 50 mm on its ground is traced at 72 angles (256 rays, two bounces). Of those, K are knots,
+A cow of 50 mm on its ground is traced at 96 angles (256 rays, two bounces). Of those, K are knots,
 and the angles half way between two are compared, by the 14D or another probe's cells in eight
 captured maps: root mean square over the mean of the cow's radiance, and over that of bare ground.
 Part of it is noise of the rays.
@@ -27,8 +27,8 @@ from skylight.probes.partitions.relight.transfer import TransferSampling
 from skylight.probes.partitions.relight.turning import Turn, turning_coefficients
 from tools.measured import write_measured
 
-_TRACED = 72
-_KNOTS = (6, 12, 18, 36)
+_TRACED = 96
+_KNOTS = (6, 8, 12, 16, 24, 48)
 _MAPS = (
     "abandoned_games_room_02", "industrial_sunset_puresky", "kloofendal_43d_clear_puresky",
     "forest_slope", "brown_photostudio_02", "dikhololo_night", "canary_wharf", "autoshop_01",
