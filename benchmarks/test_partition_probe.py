@@ -7,9 +7,10 @@ import trimesh
 from skylight.probes.partitions.cells import Cells
 from skylight.probes.partitions.design.designs import named_design
 from skylight.probes.partitions.relight.refine import refined
-from skylight.probes.partitions.relight.relit import Relighting
+from skylight.probes.partitions.relight.relit import Relighting, TurningRelighting
 from skylight.probes.partitions.relight.scene import Scene
 from skylight.probes.partitions.relight.transfer import TransferCoefficients, transfer_coefficients
+from skylight.probes.partitions.relight.turning import TurningCoefficients
 
 VERTICES = 100_000
 
@@ -47,3 +48,15 @@ def test_relight_many_vertices(benchmark) -> None:
     with torch.no_grad():
         found = benchmark(relighting, light)
     assert found.shape == (1, VERTICES, 3)
+
+
+def test_relight_many_vertices_turned(benchmark) -> None:
+    """The same at any angle, by a spline through 24: four times the coefficients are read."""
+    values = torch.rand(24, VERTICES, 14, 3, generator=torch.Generator().manual_seed(0))
+    relighting = TurningRelighting(TurningCoefficients(values=values, orders=torch.ones(1)))
+    del values
+    light = torch.rand(1, 14, 3, generator=torch.Generator().manual_seed(1))
+    with torch.no_grad():
+        found = benchmark(relighting, light, 1.0)
+    assert found.shape == (1, VERTICES, 3)
+    benchmark.extra_info["coefficients_mb"] = relighting.spline.nbytes / 1e6

@@ -47,7 +47,7 @@ class SceneOptions:
     cache: Path | None = None
     workers: int = 2
 
-    def read(self, out: Path) -> "VirtualScene":
+    def read(self, out: Path, angles: int | None = None) -> "VirtualScene":
         from skylight.app.probes.partitions.relight import ScenePlacement, VirtualScene
         from skylight.probes.partitions.relight.transfer import TransferSampling
 
@@ -66,6 +66,7 @@ class SceneOptions:
             edge_mm=self.edge_mm,
             sampling=TransferSampling(rays=self.rays, bounces=self.bounces),
             workers=self.workers,
+            angles=angles,
         )  # fmt: skip
 
 
@@ -77,6 +78,7 @@ def relight(
     camera: Path = Path("camera.json"),
     board: Path = Path("board.json"),
     response: Path | None = None,
+    angles: int | None = None,
     out: Path = Path("scene.png"),
 ) -> None:
     """Put a virtual scene into a photo of the board, in the light that the probe captured.
@@ -91,13 +93,15 @@ def relight(
         camera: The camera that took the photo, as `skylight camera calibrate` wrote it.
         board: The board's measures, as `skylight camera board` wrote them.
         response: The camera's response; otherwise sRGB.
+        angles: Keep transfer coefficients of so many angles of a whole turn, as `live` does, so
+            that any --turn-deg is drawn from them without casting rays again.
         out: The .png to write.
     """
     from skylight.app.cameras.board_pictures import read_setup
     from skylight.app.probes.partitions.relight import relight_scene
 
     relight_scene(
-        virtual.read(out),
+        virtual.read(out, angles),
         photo,
         out,
         assembly=probe,
@@ -117,6 +121,8 @@ def live(
     camera: Path = Path("camera.json"),
     board: Path = Path("board.json"),
     response: Path | None = None,
+    turn_deg_per_s: float = 0.0,
+    angles: int = 24,
     out: Path = Path("live.mp4"),
     frames: int | None = None,
 ) -> None:
@@ -135,6 +141,10 @@ def live(
         camera: The camera, as `skylight camera calibrate` wrote it.
         board: The board's measures, as `skylight camera board` wrote them.
         response: The camera's response; otherwise sRGB.
+        turn_deg_per_s: The scene turns by so much about the vertical, counter-clockwise seen from
+            above, in the film's own time (a webcam's frames are 30 a second), from --turn-deg on.
+        angles: Of a scene that turns: the angles of a whole turn at which transfer coefficients are
+            made; light is interpolated in between.
         out: The film to write: .mp4.
         frames: Stop after so many.
     """
@@ -147,10 +157,11 @@ def live(
     live_scene(
         film_source(video, webcam),
         out,
-        scene=virtual.read(out),
+        scene=virtual.read(out, angles if turn_deg_per_s else None),
         setup=read_setup(camera, board, response),
         assembly=probe,
         capture=capture,
+        turn_deg_per_s=turn_deg_per_s,
         albedo=read_albedo(kernel_albedo).rgb,
         most=frames,
         warn=take_care,

@@ -12,7 +12,12 @@ import torch
 
 from skylight.errors import InputError
 from skylight.probes.partitions.relight.transfer import TransferCoefficients
-from skylight.probes.partitions.relight.transfer_file import load_transfer, save_transfer
+from skylight.probes.partitions.relight.transfer_file import (
+    load_transfer,
+    load_turning_transfer,
+    save_transfer,
+)
+from skylight.probes.partitions.relight.turning import TurningCoefficients
 from skylight.probes.voxel.lightmap import Lightmap, load_lightmap
 from skylight.relight.runtime import relight
 from skylight.relight.scene_file import PrecomputedScene, load_scene
@@ -23,6 +28,7 @@ _MARK = b"--member--"
 
 def seeds() -> list[bytes]:
     transfer = TransferCoefficients(values=torch.rand(4, 6, 3), orders=torch.rand(2).double())
+    turning = TurningCoefficients(values=torch.rand(4, 2, 6, 3), orders=torch.rand(2).double())
     rows, columns = 2, 4
     scene = PrecomputedScene(
         layout=(6, 8),
@@ -41,6 +47,7 @@ def seeds() -> list[bytes]:
         written("a.npz", Lightmap.blank(2).save),
         written("b.npz", lambda path: save_transfer(path, transfer, "key")),
         written("c.npz", scene.save),
+        written("d.npz", lambda path: save_transfer(path, turning, "key")),
     ]
     return [*whole, *(_unpacked(each) for each in whole)]
 
@@ -49,7 +56,7 @@ def read(content: bytes) -> None:
     path = as_file(content if content[:2] == b"PK" else _packed(content), "a.npz")
     refused: InputError | None = None
     done = 0
-    for reader in (load_lightmap, load_transfer, load_scene):
+    for reader in (load_lightmap, load_transfer, load_turning_transfer, load_scene):
         try:
             found = reader(path)
         except InputError as error:

@@ -1,5 +1,6 @@
 """Video with a virtual scene lit by the partition probe that it shows."""
 
+import math
 from pathlib import Path
 
 from jaxtyping import Float
@@ -8,6 +9,8 @@ from torch import Tensor
 from skylight.app.cameras.board_pictures import Setup
 from skylight.app.cameras.live_film import LiveReport, check_film, write_film
 from skylight.app.probes.partitions.relight import VirtualScene, read_probe
+from skylight.errors import InputError
+from skylight.imaging.film import film_rate
 from skylight.probes.partitions.relight.live import PartitionLiveView, RunningShading
 from skylight.work.progress import Tell
 
@@ -21,6 +24,7 @@ def live_scene(
     assembly: Path,
     capture: Path | None = None,
     albedo: Float[Tensor, "3"] | None = None,
+    turn_deg_per_s: float = 0.0,
     most: int | None = None,
     tell: Tell = print,
     warn: Tell = print,
@@ -28,7 +32,9 @@ def live_scene(
     """Write ``out`` (.mp4) with the scene drawn into each frame of a video or webcam.
 
     ``capture`` is what is known of the light at first; without it, the scene appears once half of
-    the cells were seen, and ``albedo`` is the kernel's. Ctrl-C ends a webcam's film, which is kept.
+    the cells were seen, and ``albedo`` is the kernel's. A scene of several angles turns, in the
+    film's own time, counter-clockwise seen from above; a webcam's frames are 30 a second. Ctrl-C
+    ends a webcam's film, which is kept.
 
     Raises
     ------
@@ -36,6 +42,8 @@ def live_scene(
         The source or another file cannot be used, or no frame shows the board.
     """
     check_film(source, out, most)
+    if not math.isfinite(turn_deg_per_s):
+        raise InputError(f"a scene turns by a finite number of degrees, got {turn_deg_per_s}")
     scene.require(out)
     printed, probe, captured = read_probe(assembly, capture, albedo)
     printed.require_board(setup.board.size_mm)
@@ -49,6 +57,8 @@ def live_scene(
         probe=probe,
         scene=on_board,
         shading=RunningShading(captured.shading, captured.known),
+        start_rad=math.radians(scene.placement.turn_deg),
+        step_rad=math.radians(turn_deg_per_s) / film_rate(source),
     )
     size = setup.intrinsics.width, setup.intrinsics.height
     report = write_film(source, out, view.show, size=size, most=most)

@@ -1,7 +1,9 @@
 """Virtual scenes in a photograph, lit by a captured partition probe; files to files."""
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -33,7 +35,13 @@ from skylight.probes.partitions.printed.assembly import (
     load_partition_assembly,
 )
 from skylight.probes.partitions.probe import PartitionProbe
-from skylight.probes.partitions.relight.composite import SceneOnBoard, board_transfer, meets
+from skylight.probes.partitions.relight.composite import (
+    SceneOnBoard,
+    TurningSceneOnBoard,
+    board_transfer,
+    meets,
+    turning_board_transfer,
+)
 from skylight.probes.partitions.relight.drawing import Mesh
 from skylight.probes.partitions.relight.ground import Ground
 from skylight.probes.partitions.relight.refine import refined
@@ -41,7 +49,7 @@ from skylight.probes.partitions.relight.scene import Scene
 from skylight.probes.partitions.relight.scene_files import DEFAULT_ALBEDO, read_scene
 from skylight.probes.partitions.relight.transfer import TransferSampling
 from skylight.sphere.rigid_transform import RigidTransform
-from skylight.work.progress import Tell
+from skylight.work.progress import Progress, Tell
 
 _UNEXPLAINED = 0.02  # of the shading, root mean square; noise of a capture is below
 SAMPLES = 3  # along each side of a pixel
@@ -100,7 +108,9 @@ class VirtualScene:
     """A mesh file, its placement, and how its transfer coefficients are computed.
 
     ``albedo`` is for meshes without colours. No edge is left longer than ``edge_mm``, so that
-    shadows show on large triangles. The coefficients are kept in the file ``cache``.
+    shadows show on large triangles. The coefficients are kept in the file ``cache``; those of so
+    many ``angles`` of a turn about the vertical let a scene turn, to begin with by
+    ``placement.turn_deg``.
     """
 
     mesh: Path
@@ -111,6 +121,7 @@ class VirtualScene:
     edge_mm: float = 4.0
     sampling: TransferSampling = field(default_factory=TransferSampling)
     workers: int = 1
+    angles: int | None = None
 
     def require(self, out: Path) -> None:
         """Refuse what cannot be used, before any work: ``out``, the cache's place, the mesh."""
@@ -121,7 +132,8 @@ class VirtualScene:
     @cached_property
     def placed(self) -> tuple[Scene, Ground]:
         """In millimetres of the board, in triangles that are small enough, and what is below."""
-        scene = refined(self.placement.placed(read_scene(self.mesh, self.albedo)), self.edge_mm)
+        placement = self.placement if self.angles is None else replace(self.placement, turn_deg=0.0)
+        scene = refined(placement.placed(read_scene(self.mesh, self.albedo)), self.edge_mm)
         return scene, Ground.under(scene, albedo=self.ground_albedo)
 
     def is_seen(self, pose: RigidTransform, intrinsics: Intrinsics) -> bool:
@@ -135,19 +147,27 @@ class VirtualScene:
 
     def beside(
         self, real: PlacedPartitions, cells: Cells, rotation: Float[Tensor, "3 3"], warn: Tell
-    ) -> SceneOnBoard:
-        """:meth:`on_board`, hidden by the real probe; says where they are in one place."""
+    ) -> SceneOnBoard | TurningSceneOnBoard:
+        """Hidden by the real probe; says where a scene and that are in one place."""
         mesh = real.vertices, real.triangles
-        if meets(self.placed[0], mesh):
+        if self.angles is None:
+            made, meeting = self.on_board(cells, rotation, mesh), meets(self.placed[0], mesh)
+        else:
+            made = self._turning_on_board(cells, rotation, mesh, self.angles)
+            meeting = any(
+                meets(self.placed[0], (made.turned(-angle).points(mesh[0]), mesh[1]))
+                for angle in np.linspace(0, 2 * np.pi, self.angles, endpoint=False)
+            )
+        if meeting:
             warn("the scene and the probe or its pole are in one place: see --at-mm")
-        return self.on_board(cells, rotation, mesh)
+        return made
 
     def on_board(
         self, cells: Cells, rotation: Float[Tensor, "3 3"], real: Mesh | None = None
     ) -> SceneOnBoard:
         """Ready to be lit by a probe that is turned like that, and hidden by its mesh."""
         scene, ground = self.placed
-        with stage_bar() as progress:
+        with _progress() as progress:
             transfer = board_transfer(
                 self.cache,
                 scene,
@@ -156,9 +176,33 @@ class VirtualScene:
                 rotation,
                 sampling=self.sampling,
                 workers=self.workers,
-                progress=lambda share: progress("transfer coefficients", share),
+                progress=progress,
             )
         return SceneOnBoard(scene, ground, transfer, cells, rotation, real)
+
+    def _turning_on_board(
+        self, cells: Cells, rotation: Float[Tensor, "3 3"], real: Mesh, angles: int
+    ) -> TurningSceneOnBoard:
+        scene, ground = self.placed
+        with _progress() as progress:
+            transfer = turning_board_transfer(
+                self.cache,
+                scene,
+                ground,
+                cells,
+                rotation,
+                angles=angles,
+                sampling=self.sampling,
+                workers=self.workers,
+                progress=progress,
+            )
+        return TurningSceneOnBoard(scene, ground, transfer, cells, rotation, real)
+
+
+@contextmanager
+def _progress() -> Iterator[Progress]:
+    with stage_bar() as progress:
+        yield lambda share: progress("transfer coefficients", share)
 
 
 def read_probe(
@@ -225,7 +269,10 @@ def relight_scene(
     light = captured_light(captured, printed, probe, warn)
     rotation = printed.board_from_probe.rotation
     on_board = scene.beside(printed.placed(), probe.cells, rotation, warn)
-    lit = on_board.lit(light)
+    if isinstance(on_board, TurningSceneOnBoard):
+        lit = on_board.lit(light, math.radians(scene.placement.turn_deg))
+    else:
+        lit = on_board.lit(light)
     picture = on_board.put_into(
         image,
         lit,

@@ -14,7 +14,11 @@ from skylight.probes.partitions.captured.capture import complete_shading, nonneg
 from skylight.probes.partitions.captured.samples import FaceDiscs, FaceSample, read_samples
 from skylight.probes.partitions.printed.assembly import PlacedPartitions
 from skylight.probes.partitions.probe import PartitionProbe
-from skylight.probes.partitions.relight.composite import LitScene, SceneOnBoard
+from skylight.probes.partitions.relight.composite import (
+    LitScene,
+    SceneOnBoard,
+    TurningSceneOnBoard,
+)
 
 STAGES = ("track", "capture", "relight", "draw")
 NEWER = 0.2  # weight of a new sample: light follows within five frames or so
@@ -47,7 +51,8 @@ class RunningShading:
 class PartitionLiveView:
     """Camera frames to frames with the scene composited, one after the other.
 
-    ``probe`` makes light of the shading of ``placed``, which ``shading`` begins with.
+    ``probe`` makes light of the shading of ``placed``, which ``shading`` begins with. A scene that
+    turns is at ``start_rad`` in the first frame, and ``step_rad`` further in each one after it.
     """
 
     def __init__(
@@ -58,18 +63,23 @@ class PartitionLiveView:
         response: Response,
         placed: PlacedPartitions,
         probe: PartitionProbe,
-        scene: SceneOnBoard,
+        scene: SceneOnBoard | TurningSceneOnBoard,
         shading: RunningShading,
+        start_rad: float = 0.0,
+        step_rad: float = 0.0,
     ) -> None:
         self._intrinsics, self._response = intrinsics, response
         self._tracker = BoardTracker(board, intrinsics)
         self._discs, self._probe = FaceDiscs(placed), probe
         self._scene, self.shading = scene, shading
+        self._angle_rad, self._step_rad = start_rad - step_rad, step_rad
         self._rays = lens_rays(intrinsics).float()
+        self._light: Float[Tensor, "n 3"] | None = None
         self._lit: LitScene | None = None
 
     def show(self, image: UInt8[np.ndarray, "h w 3"]) -> LiveFrame:
         """The frame with the scene in it, as soon as half of the cells were seen."""
+        self._angle_rad += self._step_rad
         clock = Clock()
         found = self._tracker.pose(image)
         clock.mark("track")
@@ -78,7 +88,9 @@ class PartitionLiveView:
         samples = read_samples(image, self._response, self._discs, found.pose, self._intrinsics)
         taken = self.shading.add(samples)
         clock.mark("capture")
-        if taken or self._lit is None:
+        if taken or self._light is None:
+            self._read_light()
+        if taken or self._lit is None or self._step_rad != 0:
             self._relight()
         if self._lit is None:
             return self._frame(image, True, clock)
@@ -89,12 +101,20 @@ class PartitionLiveView:
         clock.mark("draw")
         return self._frame(picture, True, clock)
 
-    def _relight(self) -> None:
+    def _read_light(self) -> None:
         known = self.shading.known
         if 2 * int(known.sum()) < len(known):
             return
         shading = complete_shading(self.shading.shading, known, self._probe)
-        self._lit = self._scene.lit(nonnegative_light(shading, self._probe)[0])
+        self._light = nonnegative_light(shading, self._probe)[0]
+
+    def _relight(self) -> None:
+        if self._light is None:
+            return
+        if isinstance(self._scene, TurningSceneOnBoard):
+            self._lit = self._scene.lit(self._light, self._angle_rad)
+        else:
+            self._lit = self._scene.lit(self._light)
 
     def _frame(self, picture: np.ndarray, tracked: bool, clock: Clock) -> LiveFrame:
         known = int(self.shading.known.sum())

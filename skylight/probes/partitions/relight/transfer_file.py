@@ -2,8 +2,9 @@
 
 import hashlib
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -20,10 +21,16 @@ from skylight.probes.partitions.relight.transfer import (
     TransferSampling,
     transfer_coefficients,
 )
+from skylight.probes.partitions.relight.turning import (
+    Turn,
+    TurningCoefficients,
+    turning_coefficients,
+)
 from skylight.work.progress import Progress
 
 _VERSION = 1  # one more whenever the numbers change that the same scene gives
 _NAMES = ("version", "key", "values", "orders")
+Coefficients = TypeVar("Coefficients", TransferCoefficients, TurningCoefficients)
 
 
 def transfer_key(
@@ -32,8 +39,9 @@ def transfer_key(
     receivers: Receivers | None = None,
     *,
     sampling: TransferSampling | None = None,
+    turn: Turn | None = None,
 ) -> str:
-    """SHA-256 of the scene, the cells, the receivers and the sampling; equal keys, equal numbers.
+    """SHA-256 of scene, cells, receivers, sampling and turn; equal keys, equal numbers.
 
     A design's name and the names of files are no part of it.
     """
@@ -47,6 +55,8 @@ def transfer_key(
         fields = {name: getattr(part, name) for name in part.__dataclass_fields__}
         _add(digest, fields)
     _add(digest, design)
+    if turn is not None:
+        digest.update(str(turn).encode())
     return digest.hexdigest()
 
 
@@ -57,9 +67,15 @@ def _add(digest: "hashlib._Hash", tensors: Mapping[str, Tensor | None]) -> None:
             digest.update(np.ascontiguousarray(tensor.numpy()).tobytes())
 
 
-def save_transfer(path: str | Path, coefficients: TransferCoefficients, key: str) -> None:
-    """As float16: 6 n bytes for each receiver, to 0.05 % or 3e-8, whichever is more."""
-    largest = float(coefficients.values.abs().amax()) if len(coefficients) else 0.0
+def save_transfer(
+    path: str | Path, coefficients: TransferCoefficients | TurningCoefficients, key: str
+) -> None:
+    """As float16: 6 n bytes for each receiver and angle, to 0.05 % or 3e-8, whichever is more.
+
+    ``values`` of the file are (m,n,3), or (K,m,n,3) of a turning scene.
+    """
+    values = coefficients.values
+    largest = float(values.abs().amax()) if values.numel() else 0.0
     if largest > torch.finfo(torch.float16).max:
         raise InputError(f"coefficients of {largest:g} do not fit: albedos must be below 1")
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
@@ -67,19 +83,31 @@ def save_transfer(path: str | Path, coefficients: TransferCoefficients, key: str
             stream,
             version=np.array(_VERSION),
             key=np.array(key),
-            values=coefficients.values.numpy().astype(np.float16),
+            values=values.numpy().astype(np.float16),
             orders=coefficients.orders.numpy().astype(np.float64),
         )
 
 
 def load_transfer(path: str | Path, key: str | None = None) -> TransferCoefficients:
-    """What :func:`save_transfer` wrote.
+    """What :func:`save_transfer` wrote of a scene that stands still.
 
     Raises
     ------
     InputError
         No such file, a damaged one, or one of another ``key``.
     """
+    values, orders = _read(path, key, 3)
+    return TransferCoefficients(values=values, orders=orders)
+
+
+def load_turning_transfer(path: str | Path, key: str | None = None) -> TurningCoefficients:
+    """As :func:`load_transfer`, of a scene that turns."""
+    values, orders = _read(path, key, 4)
+    return TurningCoefficients(values=values, orders=orders)
+
+
+def _read(path: str | Path, key: str | None, dimensions: int) -> tuple[Tensor, Tensor]:
+    """(values, orders)."""
     try:
         content = load_arrays(Path(path), _NAMES)
         version, found = int(content["version"]), str(content["key"])
@@ -95,13 +123,11 @@ def load_transfer(path: str | Path, key: str | None = None) -> TransferCoefficie
         raise InputError(
             f"{path}: made for another scene, probe or sampling than these; make them again"
         )
-    if values.dtype != np.float16 or values.ndim != 3 or values.shape[2] != 3:
+    if values.dtype != np.float16 or values.ndim != dimensions or values.shape[-1] != 3:
         raise InputError(f"{path}: the transfer coefficients have a wrong shape")
     if orders.dtype != np.float64 or orders.ndim != 1:
         raise InputError(f"{path}: the sums of the bounces have a wrong shape")
-    return TransferCoefficients(
-        values=torch.from_numpy(values.astype(np.float32)), orders=torch.from_numpy(orders)
-    )
+    return torch.from_numpy(values.astype(np.float32)), torch.from_numpy(orders)
 
 
 def kept_transfer(
@@ -124,17 +150,50 @@ def kept_transfer(
         The file holds something else, or is damaged; it stays as it is.
     """
     key = transfer_key(scene, cells, receivers, sampling=sampling)
+
+    def make() -> TransferCoefficients:
+        return transfer_coefficients(
+            scene, cells, receivers, sampling=sampling, workers=workers, progress=progress
+        )
+
+    return _kept(path, key, make, load_transfer)
+
+
+def kept_turning_transfer(
+    path: str | Path,
+    scene: Scene,
+    cells: Cells,
+    turn: Turn,
+    *,
+    sampling: TransferSampling | None = None,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> TurningCoefficients:
+    """:func:`turning_coefficients`, cached as :func:`kept_transfer` does."""
+    key = transfer_key(scene, cells, sampling=sampling, turn=turn)
+
+    def make() -> TurningCoefficients:
+        return turning_coefficients(
+            scene, cells, turn, sampling=sampling, workers=workers, progress=progress
+        )
+
+    return _kept(path, key, make, load_turning_transfer)
+
+
+def _kept(
+    path: str | Path,
+    key: str,
+    make: Callable[[], Coefficients],
+    load: Callable[[str | Path, str], Coefficients],
+) -> Coefficients:
     if Path(path).exists():
         _require_ours(path)
         try:
-            return load_transfer(path, key)
+            return load(path, key)
         except InputError:
             pass  # stale
-    made = transfer_coefficients(
-        scene, cells, receivers, sampling=sampling, workers=workers, progress=progress
-    )
-    save_transfer(path, made, key)
-    return load_transfer(path, key)  # the same numbers the first time and later
+    save_transfer(path, make(), key)
+    return load(path, key)  # the same numbers the first time and later
 
 
 def _require_ours(path: str | Path) -> None:

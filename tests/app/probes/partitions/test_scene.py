@@ -146,6 +146,26 @@ def test_coefficients_are_kept(folder: Path) -> None:
     assert (folder / "one.png").read_bytes() == (folder / "two.png").read_bytes()
 
 
+def test_any_turn_is_drawn_from_the_coefficients_of_a_few(folder: Path) -> None:
+    """At 30 degrees, between two of eight angles, as when it is placed so; rays are cast once."""
+    photo, kept = ["--photo", str(folder / "photo.png")], folder / "turns.npz"
+    angles = [*photo, "--angles", "8", "--cache", str(kept)]
+    assert main(command(folder, "relight", "still.png", *angles, names=ALL)) == 0
+    written = kept.stat().st_mtime_ns
+    turn = ["--turn-deg", "30"]
+    assert main(command(folder, "relight", "turned.png", *angles, *turn, names=ALL)) == 0
+    assert kept.stat().st_mtime_ns == written
+    placed = [*photo, *turn, "--cache", str(folder / "placed.npz")]
+    assert main(command(folder, "relight", "placed.png", *placed, names=ALL)) == 0
+    still, turned, expected, before = (
+        np.asarray(Image.open(folder / name)).astype(float)
+        for name in ("still.png", "turned.png", "placed.png", "photo.png")
+    )
+    changed = (np.abs(expected - before) > 5).any(2)
+    assert np.abs(turned - expected)[changed].mean() < 4
+    assert np.abs(still - expected)[changed].mean() > 8
+
+
 def test_what_cannot_be_done_is_said_in_a_line(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -155,6 +175,7 @@ def test_what_cannot_be_done_is_said_in_a_line(
         ("a.png", [*photo, "--at-mm", "9000", "0", "9000"], "outside of the picture"),
         ("a.png", [*photo, "--scale", "2"], "not both"),
         ("a.png", [*photo, "--at-mm", "60", "-5", "90"], "below the board"),
+        ("a.png", [*photo, "--angles", "3"], "4 to 360 angles"),
         ("none/a.png", photo, "none/a.png: no such folder"),
         ("a.png", [*photo, "--cache", str(folder / "no" / "c.npz")], "c.npz: no such folder"),
         ("a.png", ["--photo", str(folder / "b.png"), "--scene", "no.obj"], "no.obj"),
@@ -246,9 +267,9 @@ def test_export_has_the_same_light(folder: Path) -> None:
     np.testing.assert_allclose(read.bounds, [[-0.015, 0, -0.015], [0.015, 0.03, 0.015]], atol=1e-7)
 
 
-def test_film_shows_the_scene_once_enough_cells_were_seen(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture(scope="module")
+def film(folder: Path) -> Path:
+    """Four frames that show more and more of the cells."""
     placed = standing().placed()
     film = folder / "film.avi"
     writer = cv2.VideoWriter(
@@ -265,6 +286,12 @@ def test_film_shows_the_scene_once_enough_cells_were_seen(
         light = picture_of_faces(placed, shine, LENS, where, behind)
         writer.write(cv2.cvtColor(response.encode(torch.from_numpy(light)), cv2.COLOR_RGB2BGR))
     writer.release()
+    return film
+
+
+def test_film_shows_the_scene_once_enough_cells_were_seen(
+    folder: Path, film: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     arguments = command(
         folder, "live", "live.mp4", "--video", str(film), names=("camera", "board", "probe")
     )
@@ -283,6 +310,24 @@ def test_film_shows_the_scene_once_enough_cells_were_seen(
     ]
     assert changed[0] == changed[1] == 0
     assert changed[3] > 0.005
+
+
+def test_a_cube_turns_in_a_film(folder: Path, film: Path) -> None:
+    """In the fourth of 25 frames a second, a quarter turn looks like none, half of it does not."""
+    last = {}
+    for name, speed in (("still", 0.0), ("half", 375.0), ("quarter", 750.0)):
+        more = ["--video", str(film), "--turn-deg-per-s", str(speed), "--angles", "8"]
+        cache = ["--cache", str(folder / ("still.npz" if name == "still" else "turning.npz"))]
+        names = ("camera", "board", "probe")
+        assert main(command(folder, "live", f"{name}.mp4", *more, *cache, names=names)) == 0
+        made = cv2.VideoCapture(str(folder / f"{name}.mp4"))
+        last[name] = [made.read()[1].astype(float) for _ in range(4)][-1]
+    plain = cv2.VideoCapture(str(film))
+    before = [plain.read()[1].astype(float) for _ in range(4)][-1]
+    changed = (np.abs(last["still"] - before) > 15).any(2)
+    assert changed.mean() > 0.005
+    assert np.abs(last["quarter"] - last["still"])[changed].mean() < 4
+    assert np.abs(last["half"] - last["still"])[changed].mean() > 8
 
 
 def test_a_placement_says_how_large_and_where() -> None:

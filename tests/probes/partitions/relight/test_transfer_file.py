@@ -14,13 +14,17 @@ from skylight.probes.partitions.relight.transfer import (
 )
 from skylight.probes.partitions.relight.transfer_file import (
     kept_transfer,
+    kept_turning_transfer,
     load_transfer,
+    load_turning_transfer,
     save_transfer,
     transfer_key,
 )
+from skylight.probes.partitions.relight.turning import Turn, TurningCoefficients
 from tests.probes.partitions.shapes import AXES, corner, six_cells
 
 SAMPLING = TransferSampling(rays=32, bounces=1)
+ORDERS = torch.tensor([0.5, 0.1]).double()
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +62,9 @@ def test_the_key_tells_everything_that_changes_the_numbers(scene):
         transfer_key(scene, cells, sampling=replace(SAMPLING, rays=33)),
         transfer_key(scene, cells, sampling=replace(SAMPLING, bounces=2)),
         transfer_key(scene, cells, sampling=replace(SAMPLING, seed=1)),
+        transfer_key(scene, cells, sampling=SAMPLING, turn=Turn()),
+        transfer_key(scene, cells, sampling=SAMPLING, turn=Turn(angles=12)),
+        transfer_key(scene, cells, sampling=SAMPLING, turn=Turn(axis=(1.0, 0.0, 0.0))),
     ]
     assert len(set(keys)) == len(keys)
     again = corner((0.5, 0.4, 0.3), (0.8, 0.1, 0.1), 0.4)
@@ -113,3 +120,30 @@ def test_files_that_are_refused(tmp_path, made):
         load_transfer(path)
     with pytest.raises(OutputError, match="folder"):
         save_transfer(tmp_path / "none" / "t.npz", made, "key")
+
+
+def test_coefficients_of_a_turn_there_and_back(tmp_path):
+    values = torch.rand(5, 7, 6, 3, generator=torch.Generator().manual_seed(0))
+    save_transfer(tmp_path / "t.npz", TurningCoefficients(values=values, orders=ORDERS), "key")
+    back = load_turning_transfer(tmp_path / "t.npz", "key")
+    torch.testing.assert_close(back.values, values, rtol=5e-4, atol=3e-8)
+    assert back.orders.equal(ORDERS)
+    with pytest.raises(InputError, match="shape"):
+        load_transfer(tmp_path / "t.npz", "key")
+    still = TransferCoefficients(values=values[0], orders=ORDERS)
+    save_transfer(tmp_path / "t.npz", still, "key")
+    with pytest.raises(InputError, match="shape"):
+        load_turning_transfer(tmp_path / "t.npz", "key")
+
+
+def test_a_kept_turn_is_used_and_begins_with_what_stands_still(tmp_path, scene, monkeypatch):
+    path, cells = tmp_path / "t.npz", six_cells()
+    still = kept_transfer(path, scene, cells, sampling=SAMPLING)
+    turn = Turn(angles=4)
+    first = kept_turning_transfer(path, scene, cells, turn, sampling=SAMPLING)
+    assert first.values[0].equal(still.values)
+    assert not first.values[1].equal(still.values)
+    with monkeypatch.context() as patch:
+        patch.setattr(transfer_file, "turning_coefficients", None)  # not to be called
+        again = kept_turning_transfer(path, scene, cells, turn, sampling=SAMPLING)
+    assert again.values.equal(first.values)
