@@ -7,7 +7,7 @@ import gc
 from collections.abc import Callable
 from functools import cache
 
-_CREATED = 20_000  # objects after which the youngest are searched; 700 by default
+_CREATED = 20_000  # objects after which the youngest are searched; 700 by default in Python 3.11
 
 
 def collect_seldom() -> None:

@@ -30,7 +30,7 @@ class SceneOptions:
         rays: How many leave each vertex.
         bounces: How often light may bounce.
         cache: File for the transfer coefficients, used again for the same scene and probe; without
-            it, OUT with the ending .transfer.npz.
+            it, OUT with the ending .transfer.npz, or .turning.npz of a scene that turns.
         workers: Processes that cast rays.
     """
 
@@ -60,7 +60,7 @@ class SceneOptions:
                 x_mm=x, y_mm=y, z_mm=z,
                 height_mm=self.height_mm, scale=self.scale, turn_deg=self.turn_deg,
             ),
-            cache=self.cache or out.with_suffix(".transfer.npz"),
+            cache=self.cache or out.with_suffix(".turning.npz" if angles else ".transfer.npz"),
             albedo=self.albedo,
             ground_albedo=self.ground_albedo,
             edge_mm=self.edge_mm,
@@ -94,7 +94,7 @@ def relight(
         board: The board's measures, as `skylight camera board` wrote them.
         response: The camera's response; otherwise sRGB.
         angles: Keep transfer coefficients of so many angles of a whole turn, as `live` does, so
-            that any --turn-deg is drawn from them without casting rays again.
+            that any --turn-deg with the same --cache is drawn without casting rays again.
         out: The .png to write.
     """
     from skylight.app.cameras.board_pictures import read_setup

@@ -87,7 +87,7 @@ def print_partitions(
         lon: Longitude, east positive.
         date: Day of the sun path, such as 2026-06-21.
         path_cells: Cells along the sun path.
-        outer_mm: Diameter of the shell; 80 or more, ten times the kernel's distance.
+        outer_mm: Diameter of the shell; without it 80 or more, ten times the kernel's distance.
         kernel_mm: Distance of the kernel's faces from the centre: the smaller, the less light of
             other cells a face sees, and the harder it is to read.
         wall_mm: Thickness of the walls; 1.6, or 0.8 for shells that would not fit on the bed.

@@ -95,6 +95,8 @@ class PartitionProbeTable:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        if self.turns < 1:
+            raise InputError(f"a probe has 1 azimuth or more, got turns={self.turns}")
         _ = self.meshes
         if not self.items():
             raise InputError(
@@ -311,7 +313,7 @@ def _turns(design: ProbeDesign, count: int) -> tuple[ProbeDesign, ...]:
     if design.oriented:
         return (design,)
     up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
-    angles = [2 * math.pi * k / count + math.pi / 2 * k / count for k in range(count)]
+    angles = [math.pi / 2 * (k + k / count) for k in range(count)]
     seeds = [design.seeds @ rotation_about(up, angle).T for angle in angles]
     return (design, *(replace(design, seeds=one) for one in seeds[1:]))
 

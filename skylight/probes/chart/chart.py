@@ -15,7 +15,8 @@ _LEAST_GREYS = 4
 # Linear Rec.709 under D65 of neutral 8, 6.5, 5, 3.5 and black 2 of the ColorChecker: the averages
 # over 30 charts (Pascale, "The ColorChecker", BabelColor 2012, xyY under D50), adapted to D65 by
 # Bradford's matrix. The colours of charts made since November 2014 are others: by these greys what
-# they tell of albedos from 0.03 to 0.8 is up to 2.5 % off, but with white, 4 % darker there, 20 %.
+# they tell of albedos from 0.03 to 0.8 is up to 2.5 % off. White is left out: it is 4 % darker
+# there, and with it a dark albedo would be 20 % off.
 GREYS = np.array(
     [
         [0.5811, 0.5911, 0.5851],
@@ -48,11 +49,11 @@ class Chart:
         greys, fit = [], []
         for quad in self.corners[_FIRST_GREY:]:
             inner = quad.mean(0) + _PATCH_SHARE * (quad - quad.mean(0))
+            if inner.min() < 0 or (inner.max(0) > np.array(burnt.shape[::-1]) - 1).any():
+                raise InputError("part of the ColorChecker is out of the photo: take all of it")
             mask = np.zeros(burnt.shape, np.uint8)
             cv2.fillConvexPoly(mask, np.rint(inner).astype(np.int32), 1)
             inside = mask.astype(bool)
-            if not inside.any():
-                raise InputError("part of the ColorChecker is out of the photo: take all of it")
             greys.append(light[inside].mean(0, dtype=np.float64))
             fit.append(burnt[inside].mean() <= MOST_CLIPPED)
         return np.array(greys), np.array(fit)
@@ -112,7 +113,8 @@ class GreyLine:
         slope = ((known - middle) * greys[fit]).sum(0) / spread
         if slope.min() < LEAST_LIGHT:
             raise InputError(
-                "the chart's greys do not differ as they should: see that it lies flat"
+                "the chart's greys do not differ as they should: see that it lies flat, or expose "
+                "longer"
             )
         start = greys[fit].mean(0) - slope * middle
         off = greys[fit] - start - slope * known

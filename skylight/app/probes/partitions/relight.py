@@ -48,6 +48,7 @@ from skylight.probes.partitions.relight.refine import refined
 from skylight.probes.partitions.relight.scene import Scene
 from skylight.probes.partitions.relight.scene_files import DEFAULT_ALBEDO, read_scene
 from skylight.probes.partitions.relight.transfer import TransferSampling
+from skylight.probes.partitions.relight.turning import Turn
 from skylight.sphere.rigid_transform import RigidTransform
 from skylight.work.progress import Progress, Tell
 
@@ -127,6 +128,8 @@ class VirtualScene:
         """Refuse what cannot be used, before any work: ``out``, the cache's place, the mesh."""
         require_place(out)
         require_place(self.cache)
+        if self.angles is not None:
+            Turn(angles=self.angles)
         _ = self.placed
 
     @cached_property
@@ -146,17 +149,27 @@ class VirtualScene:
         )
 
     def beside(
-        self, real: PlacedPartitions, cells: Cells, rotation: Float[Tensor, "3 3"], warn: Tell
+        self,
+        real: PlacedPartitions,
+        cells: Cells,
+        rotation: Float[Tensor, "3 3"],
+        warn: Tell,
+        *,
+        drawn_rad: float | None = None,
     ) -> SceneOnBoard | TurningSceneOnBoard:
-        """Hidden by the real probe; says where a scene and that are in one place."""
+        """Hidden by the real probe; says where a scene and that are in one place.
+
+        A turning scene is looked at where it is drawn, or at all its angles.
+        """
         mesh = real.vertices, real.triangles
         if self.angles is None:
             made, meeting = self.on_board(cells, rotation, mesh), meets(self.placed[0], mesh)
         else:
             made = self._turning_on_board(cells, rotation, mesh, self.angles)
+            every = np.linspace(0, 2 * np.pi, self.angles, endpoint=False)
             meeting = any(
                 meets(self.placed[0], (made.turned(-angle).points(mesh[0]), mesh[1]))
-                for angle in np.linspace(0, 2 * np.pi, self.angles, endpoint=False)
+                for angle in (every if drawn_rad is None else [drawn_rad])
             )
         if meeting:
             warn("the scene and the probe or its pole are in one place: see --at-mm")
@@ -268,9 +281,10 @@ def relight_scene(
     printed.require_board(setup.board.size_mm)
     light = captured_light(captured, printed, probe, warn)
     rotation = printed.board_from_probe.rotation
-    on_board = scene.beside(printed.placed(), probe.cells, rotation, warn)
+    turn_rad = math.radians(scene.placement.turn_deg)
+    on_board = scene.beside(printed.placed(), probe.cells, rotation, warn, drawn_rad=turn_rad)
     if isinstance(on_board, TurningSceneOnBoard):
-        lit = on_board.lit(light, math.radians(scene.placement.turn_deg))
+        lit = on_board.lit(light, turn_rad)
     else:
         lit = on_board.lit(light)
     picture = on_board.put_into(

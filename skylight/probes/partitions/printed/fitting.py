@@ -34,6 +34,12 @@ class AskedSizes:
     clearance_mm: float = 0.15
     flare: float | None = None
 
+    def __post_init__(self) -> None:
+        for name in ("outer_mm", "kernel_mm", "wall_mm"):
+            value = getattr(self, name)
+            if value is not None and not math.isfinite(value):
+                raise InputError(f"{name} must be a length above 0 mm, got {value:g}")
+
     @property
     def free(self) -> bool:
         """Whether the design decides on all that it has to fit."""
@@ -55,6 +61,8 @@ def fitted_sizes(
     InputError
         What was asked for cannot be printed; the message names sizes that can be.
     """
+    if not (math.isfinite(bed_mm) and bed_mm > 0):
+        raise InputError(f"bed_mm must be a length above 0 mm, got {bed_mm:g}")
     net = WallNet.of(cells, standing_rotation(cells))
     walls = _WALLS_MM if asked.wall_mm is None else (asked.wall_mm,)
     found: list[ProbeSizes] = []
@@ -127,5 +135,8 @@ def _readable(net: WallNet, sizes: ProbeSizes, pole_mm: float) -> ProbeSizes:
         if _SHELL_TO_KERNEL * kernel_mm > sizes.outer_mm:
             break
         larger = replace(larger, kernel_mm=kernel_mm)
-    ShellPlan.of(net, larger, pole_mm)
+    try:
+        ShellPlan.of(net, larger, pole_mm)
+    except InputError:
+        return sizes
     return larger

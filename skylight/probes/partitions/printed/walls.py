@@ -38,8 +38,8 @@ def rim_halves(net: WallNet, sizes: ProbeSizes) -> Float[np.ndarray, "e 2"]:
 
     The bracket is the distance of the disc from the wall's plane. A camera in that plane sees the
     whole disc past a rim of c = 0.9 of it where it is ten radii of the shell from the centre, or
-    farther. Walls whose rims are
-    shorter than four walls' thickness stay thin, or they would stand out as thin blades.
+    farther. Walls whose rims are shorter than four walls' thickness stay thin, or they would stand
+    out as thin blades.
 
     Raises
     ------

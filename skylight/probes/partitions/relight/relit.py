@@ -73,8 +73,9 @@ class TurningRelighting(nn.Module):
         """
         count = len(self.spline)
         place = torch.as_tensor(angle_rad, dtype=torch.float64) / (2 * math.pi) * count
-        first = math.floor(place.detach())
-        weights = _b_spline(place - first).to(self.spline)
+        below = place.detach().floor()
+        weights = _b_spline(place - below).to(self.spline)
+        first = int(below) % count
         lights = light.to(self.spline.dtype).reshape(-1, *light.shape[-2:]).permute(2, 0, 1)
         radiance = torch.bmm(weights[0] * lights, self.spline[(first - 1) % count])  # (3, b, m)
         for j in (1, 2, 3):

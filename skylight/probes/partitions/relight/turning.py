@@ -2,9 +2,9 @@
 
 A scene that is turned by a under cells that stand still is, in its own frame, one that stands still
 under cells that are turned by -a. So the coefficients at K angles are those of one scene under K
-sets of cells, from the same rays, whose noise turns with the scene and does not flicker. A ground
-that takes the scene's shadow turns along: what it has of contact shadow is the same at all angles,
-and only where the light comes from is interpolated.
+sets of cells, from the same rays, whose noise keeps its place on the scene and changes smoothly
+with the angle. A ground that takes the scene's shadow turns along: what it has of contact shadow is
+the same at all angles, and only where the light comes from is interpolated.
 """
 
 import math

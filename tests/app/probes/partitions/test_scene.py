@@ -313,11 +313,19 @@ def test_film_shows_the_scene_once_enough_cells_were_seen(
 
 
 def test_a_cube_turns_in_a_film(folder: Path, film: Path) -> None:
-    """In the fourth of 25 frames a second, a quarter turn looks like none, half of it does not."""
+    """In the fourth of 25 frames a second, a quarter turn looks like none, half of it does not.
+
+    A third of a quarter turn is that of a cube placed so, which one the other way is not; some of
+    it may be there from the start.
+    """
     last = {}
-    for name, speed in (("still", 0.0), ("half", 375.0), ("quarter", 750.0)):
-        more = ["--video", str(film), "--turn-deg-per-s", str(speed), "--angles", "8"]
-        cache = ["--cache", str(folder / ("still.npz" if name == "still" else "turning.npz"))]
+    for name, start, speed in (
+        ("still", 0.0, 0.0), ("half", 0.0, 375.0), ("quarter", 0.0, 750.0),
+        ("placed", 30.0, 0.0), ("third", 0.0, 250.0), ("begun", 15.0, 125.0),
+    ):  # fmt: skip
+        more = ["--video", str(film), "--turn-deg-per-s", str(speed), "--angles", "16"]
+        more += ["--turn-deg", str(start)]
+        cache = ["--cache", str(folder / ("turning.npz" if speed else f"{name}.npz"))]
         names = ("camera", "board", "probe")
         assert main(command(folder, "live", f"{name}.mp4", *more, *cache, names=names)) == 0
         made = cv2.VideoCapture(str(folder / f"{name}.mp4"))
@@ -328,6 +336,9 @@ def test_a_cube_turns_in_a_film(folder: Path, film: Path) -> None:
     assert changed.mean() > 0.005
     assert np.abs(last["quarter"] - last["still"])[changed].mean() < 4
     assert np.abs(last["half"] - last["still"])[changed].mean() > 8
+    wrong = np.abs(last["placed"] - last["half"])[changed].mean()
+    assert np.abs(last["third"] - last["placed"])[changed].mean() < 0.4 * wrong
+    assert np.abs(last["begun"] - last["placed"])[changed].mean() < 0.4 * wrong
 
 
 def test_a_placement_says_how_large_and_where() -> None:

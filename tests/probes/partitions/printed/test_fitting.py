@@ -1,5 +1,6 @@
 """Sizes that are chosen: every named design prints, and what was asked for stays or is refused."""
 
+import math
 import re
 
 import numpy as np
@@ -126,6 +127,13 @@ def test_refusals_name_sizes_that_print(asked: dict[str, float], reason: str) ->
     again = fitted("14d-outdoor", **{name: float(value) for name, value in told.items()})
     assert len(told) == 3
     assert again == fitted("14d-outdoor")
+
+
+@pytest.mark.parametrize("name", ["outer_mm", "kernel_mm", "wall_mm", "bed_mm"])
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_lengths_that_are_no_numbers(name: str, value: float) -> None:
+    with pytest.raises(InputError, match=f"{name} must be a length above 0 mm, got {value}"):
+        fitted("6d", **{name: value})
 
 
 def test_what_is_larger_than_the_bed_is_told() -> None:
