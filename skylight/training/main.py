@@ -38,6 +38,11 @@ def main(arguments: list[str] | None = None) -> None:
     except KeyboardInterrupt:
         print(f"{name}: interrupted; the same command goes on from here", file=sys.stderr)
         raise SystemExit(1) from None
+    if "LOCAL_RANK" in os.environ:
+        # gloo's threads outlive its process group now and then, and ending Python would abort then
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(0)
 
 
 def run(config: Config) -> None:
