@@ -118,15 +118,22 @@ def _run(
     import torch  # slow to import, for those who only share out pieces
 
     torch.set_num_threads(1)  # the workers already share the cores
+    return run_piece(prepare, work, one)
+
+
+def run_piece(
+    prepare: Callable[[], None] | None, work: Callable[..., Result], one: tuple
+) -> Result:
+    """``work(*one)`` in a worker, prepared for it once and without memory that was used for it."""
     if prepare is not None:
-        prepare_once(prepare)
+        _prepare_once(prepare)
     result = work(*one)
     release_memory()
     return result
 
 
 @cache
-def prepare_once(prepare: Callable[[], None]) -> None:
+def _prepare_once(prepare: Callable[[], None]) -> None:
     """``prepare()`` if this process has not done so yet."""
     prepare()
 

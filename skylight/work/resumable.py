@@ -24,8 +24,8 @@ from typing import IO, TypeVar
 from skylight.errors import InputError, OutputError, SkylightError
 from skylight.io.atomic import PARTIAL
 from skylight.io.json_files import write_json
-from skylight.work.cluster import Cluster, prepare_once, share_on_cluster
-from skylight.work.garbage import collect_seldom, release_memory
+from skylight.work.cluster import Cluster, run_piece, share_on_cluster
+from skylight.work.garbage import collect_seldom
 
 SETTINGS = "settings.json"  # the note of :func:`settle`
 Result = TypeVar("Result")
@@ -170,7 +170,7 @@ def _share_here(
                 one, losses = again.pop() if again else (pieces.popleft(), 0)
                 with _for_new_processes():
                     try:
-                        busy[pool.submit(_run, prepare, work, one)] = pool, one, losses
+                        busy[pool.submit(run_piece, prepare, work, one)] = pool, one, losses
                     except BrokenProcessPool:  # killed while idle
                         again.append((one, losses))
             for future in wait(busy, return_when=FIRST_COMPLETED).done:
@@ -202,14 +202,6 @@ def _share_here(
     finally:
         for pool in (*idle, *(pool for pool, _, _ in busy.values())):
             pool.shutdown(cancel_futures=True)
-
-
-def _run(prepare: Callable[[], None] | None, work: Callable[..., Result], one: tuple) -> Result:
-    if prepare is not None:
-        prepare_once(prepare)
-    result = work(*one)
-    release_memory()
-    return result
 
 
 def _process(finish: bool) -> ProcessPoolExecutor:

@@ -12,7 +12,8 @@ from skylight.errors import InputError
 from skylight.imaging.colour import tone_map
 from skylight.io.hdr import SUFFIXES as HDR_SUFFIXES
 from skylight.models.known_ground import USUAL_SPREAD, KnownGround
-from skylight.probes.chart.ground import MeasuredGround, Rectangle, flat_field, measure_ground
+from skylight.probes.chart.chart import Rectangle
+from skylight.probes.chart.ground import MeasuredGround, flat_field, measure_ground
 from skylight.work.progress import Tell
 
 _UNSURE = 0.1  # relative error of an albedo

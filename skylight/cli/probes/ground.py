@@ -4,10 +4,8 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
+from skylight.cli.probes.partitions import Box
 from skylight.cli.sources import take_care
-
-# Rectangle: x, y of the upper left corner, width, height in pixels.
-Box = tuple[int, int, int, int]
 
 
 def ground(

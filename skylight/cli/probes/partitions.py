@@ -12,7 +12,7 @@ from skylight.errors import InputError
 
 partitions = tyro.extras.SubcommandApp()
 
-Box = tuple[int, int, int, int]
+Box = tuple[int, int, int, int]  # x, y of the upper left corner, width, height; px
 
 
 @partitions.command(name="cells")

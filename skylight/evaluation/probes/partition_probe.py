@@ -22,7 +22,7 @@ in the picture of the finest probe, over the square root of 2; both are relative
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -314,8 +314,7 @@ def _turns(design: ProbeDesign, count: int) -> tuple[ProbeDesign, ...]:
         return (design,)
     up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
     angles = [math.pi / 2 * (k + k / count) for k in range(count)]
-    seeds = [design.seeds @ rotation_about(up, angle).T for angle in angles]
-    return (design, *(replace(design, seeds=one) for one in seeds[1:]))
+    return (design, *(design.turned(rotation_about(up, angle)) for angle in angles[1:]))
 
 
 @cache

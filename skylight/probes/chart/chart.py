@@ -26,6 +26,7 @@ GREYS = np.array(
         [0.0318, 0.0320, 0.0327],
     ]
 )
+Rectangle = tuple[int, int, int, int]  # x, y of the upper left corner, width, height; px
 _FIRST_GREY = 19  # of 24 patches, row by row: white, before it, is not used
 
 

@@ -7,15 +7,13 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from skylight.errors import InputError
-from skylight.probes.chart.chart import LEAST_LIGHT, MOST_CLIPPED, GreyLine, find_chart
+from skylight.probes.chart.chart import LEAST_LIGHT, MOST_CLIPPED, GreyLine, Rectangle, find_chart
 
 _BLOCKS = 12  # along each side of the photo, to tell how even the ground is
 _CLEAR = 1.3  # times the chart, whose frame and shadow lie round its patches
 _SMOOTH = 0.015  # of a flat field's longer side: the noise and texture of its surface
 _LEAST_SHARE = 0.02  # of the photo
 _DARKEST = 0.05  # of a flat field, against its brightest
-
-Rectangle = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, kw_only=True)

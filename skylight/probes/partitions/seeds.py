@@ -8,7 +8,7 @@ in the list, from 0::
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ import torch
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from skylight.errors import InputError
 from skylight.io.json_files import read_object, read_whole, require_keys, write_json
@@ -84,6 +85,10 @@ class ProbeDesign:
         """Seeds of every cell that has more than one."""
         cells = [torch.nonzero(self.labels == i)[:, 0].tolist() for i in range(self.count)]
         return [cell for cell in cells if len(cell) > 1]
+
+    def turned(self, rotation: Float[Tensor, "3 3"]) -> "ProbeDesign":
+        """The same cells, their directions turned."""
+        return replace(self, seeds=normalize(self.seeds @ rotation.T, dim=1))
 
     def to_json(self) -> dict[str, Any]:
         """What a design file holds."""

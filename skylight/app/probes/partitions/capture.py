@@ -21,6 +21,7 @@ from skylight.cameras.response import Response, load_response
 from skylight.errors import InputError
 from skylight.io.bounded import json_content
 from skylight.io.json_files import write_json
+from skylight.probes.chart.chart import Rectangle
 from skylight.probes.partitions.captured.alignment import (
     PartitionAligner,
     PartitionAlignment,
@@ -34,7 +35,6 @@ from skylight.probes.partitions.captured.capture import (
 )
 from skylight.probes.partitions.captured.kernel_albedo import (
     KernelAlbedo,
-    Rectangle,
     albedo_beside_card,
     albedo_beside_chart,
     save_albedo,

@@ -166,10 +166,11 @@ class VirtualScene:
             made, meeting = self.on_board(cells, rotation, mesh), meets(self.placed[0], mesh)
         else:
             made = self._turning_on_board(cells, rotation, mesh, self.angles)
-            every = np.linspace(0, 2 * np.pi, self.angles, endpoint=False)
             meeting = any(
                 meets(self.placed[0], (made.turned(-angle).points(mesh[0]), mesh[1]))
-                for angle in (every if drawn_rad is None else [drawn_rad])
+                for angle in (
+                    Turn(angles=self.angles).angles_rad if drawn_rad is None else [drawn_rad]
+                )
             )
         if meeting:
             warn("the scene and the probe or its pole are in one place: see --at-mm")

@@ -11,14 +11,12 @@ from torch import Tensor
 from skylight.cameras.response import Response, saturated
 from skylight.errors import InputError
 from skylight.io.json_files import read_object, require_keys, write_json
-from skylight.probes.chart.chart import LEAST_LIGHT, MOST_CLIPPED, GreyLine, find_chart
+from skylight.probes.chart.chart import LEAST_LIGHT, MOST_CLIPPED, GreyLine, Rectangle, find_chart
 
 USUAL = 0.8  # of white filament, where nobody says or measures it
 _KIND, _FORMAT = "kernel albedo", 1
 _BLOCKS = 4  # along each side of a patch, to tell how even it is
 _LEAST_SIDE_PX = 2 * _BLOCKS
-
-Rectangle = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

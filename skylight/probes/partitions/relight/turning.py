@@ -8,7 +8,7 @@ the same at all angles, and only where the light comes from is interpolated.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -40,6 +40,10 @@ class Turn:
             raise InputError(f"a turn has {_FEWEST} to {_MOST} angles, got {self.angles}")
         if not all(map(math.isfinite, self.axis)) or not any(self.axis):
             raise InputError(f"an axis has a direction in finite numbers, got {self.axis}")
+
+    @property
+    def angles_rad(self) -> list[float]:
+        return [2 * math.pi * k / self.angles for k in range(self.angles)]
 
     def rotation(self, angle_rad: float) -> RigidTransform:
         """About the axis through the origin."""
@@ -79,10 +83,11 @@ def turning_coefficients(
     tell = progress or (lambda _share: None)
     values = torch.empty(turn.angles, len(scene.vertices), cells.count, 3)
     orders = []
-    for k in range(turn.angles):
+    for k, angle_rad in enumerate(turn.angles_rad):
+        back = turn.rotation(-angle_rad).rotation
         made = transfer_coefficients(
             scene,
-            _turned(cells, turn.rotation(-2 * math.pi * k / turn.angles)) if k else cells,
+            Cells.of(cells.design.turned(back)) if k else cells,
             sampling=sampling,
             workers=workers,
             progress=lambda share, k=k: tell((k + share) / turn.angles),
@@ -90,8 +95,3 @@ def turning_coefficients(
         values[k] = made.values
         orders.append(made.orders)
     return TurningCoefficients(values=values, orders=torch.stack(orders).mean(0))
-
-
-def _turned(cells: Cells, rotation: RigidTransform) -> Cells:
-    seeds = normalize(rotation.directions(cells.design.seeds), dim=1)
-    return Cells.of(replace(cells.design, seeds=seeds))
