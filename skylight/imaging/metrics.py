@@ -54,18 +54,22 @@ def ssim(
     pred: Float[Tensor, "h w 3"],
     true: Float[Tensor, "h w 3"],
     mask: Bool[Tensor, "h w"] | None = None,
+    *,
+    white: float | None = None,
 ) -> float:
     """Structural similarity of the pictures as shown, averaged within the mask and over channels.
 
-    Both renders are divided by one white, the 98 % quantile of the truth's luminance within the
-    mask, clamped to [0, 1] and sRGB-encoded (data range 1); outside the mask both are black.
-    Gaussian window of 11 pixels, sigma 1.5, K1 = 0.01, K2 = 0.03 (Wang et al. 2004).
+    Both renders are divided by one ``white``, by default the 98 % quantile of the truth's luminance
+    within the mask, clamped to [0, 1] and sRGB-encoded (data range 1); outside the mask both are
+    black. Gaussian window of 11 pixels, sigma 1.5, K1 = 0.01, K2 = 0.03 (Wang et al. 2004).
     """
     if min(true.shape[:2]) < SSIM_WINDOW:
         raise InputError(f"SSIM needs {SSIM_WINDOW} pixels a side, got {tuple(true.shape[:2])}")
     mask = torch.ones(true.shape[:2], dtype=torch.bool) if mask is None else mask
-    level = luminance(true.double())[mask].sort().values
-    white = level[round(0.98 * (len(level) - 1))].clamp(min=1e-30)
+    if white is None:
+        level = luminance(true.double())[mask].sort().values
+        white = float(level[round(0.98 * (len(level) - 1))])
+    white = max(white, 1e-30)
     shown = [
         (linear_to_srgb((x.double() / white).clamp(0, 1)) * mask[..., None]).movedim(-1, 0)[None]
         for x in (pred, true)

@@ -127,6 +127,9 @@ def test_ssim_is_scikit_images() -> None:
     score = ssim(pred, true)
     assert score == pytest.approx(np.mean(want), abs=5e-3)  # borders are padded differently
     assert score < 0.2
+    assert ssim(pred, true, white=float(level)) == pytest.approx(score)
+    assert ssim(3 * pred, 3 * true, white=float(3 * level)) == pytest.approx(score)
+    assert ssim(pred, true, white=float(4 * level)) > score + 0.05  # darker pictures differ less
 
 
 def test_black_truth_and_empty_mask_are_refused() -> None:
