@@ -122,7 +122,7 @@ def live(
     board: Path = Path("board.json"),
     response: Path | None = None,
     turn_deg_per_s: float = 0.0,
-    angles: int = 24,
+    angles: int | None = None,
     out: Path = Path("live.mp4"),
     frames: int | None = None,
 ) -> None:
@@ -143,21 +143,24 @@ def live(
         response: The camera's response; otherwise sRGB.
         turn_deg_per_s: The scene turns by so much about the vertical, counter-clockwise seen from
             above, in the film's own time (a webcam's frames are 30 a second), from --turn-deg on.
-        angles: Of a scene that turns: the angles of a whole turn at which transfer coefficients are
-            made; light is interpolated in between.
+        angles: With --turn-deg-per-s: at how many angles of a whole turn transfer coefficients are
+            made (24 unless given); light is interpolated in between.
         out: The film to write: .mp4.
         frames: Stop after so many.
     """
     from skylight.app.cameras.board_pictures import read_setup
     from skylight.app.probes.partitions.live import live_scene
     from skylight.probes.partitions.captured.kernel_albedo import read_albedo
+    from skylight.probes.partitions.relight.turning import Turn
 
     if capture is not None and kernel_albedo is not None:
         raise InputError("the capture has the kernel's albedo: give it without --kernel-albedo")
+    if angles is not None and not turn_deg_per_s:
+        raise InputError("--angles is for scenes that turn: give it with --turn-deg-per-s")
     live_scene(
         film_source(video, webcam),
         out,
-        scene=virtual.read(out, angles if turn_deg_per_s else None),
+        scene=virtual.read(out, (angles or Turn().angles) if turn_deg_per_s else None),
         setup=read_setup(camera, board, response),
         assembly=probe,
         capture=capture,

@@ -323,7 +323,8 @@ def test_a_cube_turns_in_a_film(folder: Path, film: Path) -> None:
         ("still", 0.0, 0.0), ("half", 0.0, 375.0), ("quarter", 0.0, 750.0),
         ("placed", 30.0, 0.0), ("third", 0.0, 250.0), ("begun", 15.0, 125.0),
     ):  # fmt: skip
-        more = ["--video", str(film), "--turn-deg-per-s", str(speed), "--angles", "16"]
+        more = ["--video", str(film), "--turn-deg-per-s", str(speed)]
+        more += ["--angles", "16"] if speed else []
         more += ["--turn-deg", str(start)]
         cache = ["--cache", str(folder / ("turning.npz" if speed else f"{name}.npz"))]
         names = ("camera", "board", "probe")
@@ -339,6 +340,16 @@ def test_a_cube_turns_in_a_film(folder: Path, film: Path) -> None:
     wrong = np.abs(last["placed"] - last["half"])[changed].mean()
     assert np.abs(last["third"] - last["placed"])[changed].mean() < 0.4 * wrong
     assert np.abs(last["begun"] - last["placed"])[changed].mean() < 0.4 * wrong
+
+
+def test_angles_without_a_turn_are_refused(
+    folder: Path, film: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    more = ["--video", str(film), "--angles", "16"]
+    names = ("camera", "board", "probe")
+    assert main(command(folder, "live", "refused.mp4", *more, names=names)) == 2
+    assert "give it with --turn-deg-per-s" in capsys.readouterr().err
+    assert not (folder / "refused.mp4").exists()
 
 
 def test_a_placement_says_how_large_and_where() -> None:
