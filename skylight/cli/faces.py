@@ -68,7 +68,7 @@ def render_faces(
     who = who_works(workers, cluster, out)
     from skylight.app.progress import stage_bar, with_time_left
     from skylight.evaluation.rendered_faces.batch import render_folder
-    from skylight.evaluation.rendered_faces.light.map_folder import MapFolder
+    from skylight.evaluation.rendered_faces.map_folder import MapFolder
     from skylight.evaluation.rendered_faces.options import RenderOptions
 
     options = RenderOptions(

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.evaluation.rendered_faces.light.map_folder import TurnedMap
+from skylight.evaluation.rendered_faces.map_folder import TurnedMap
 from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.evaluation.rendered_faces.render import RenderedFace
 from skylight.faces.fit import FaceFit

@@ -24,7 +24,7 @@ from skylight.evaluation.rendered_faces.photograph import (
     exposure_for,
     photograph,
 )
-from skylight.evaluation.rendered_faces.skin_points import patches_in_reach
+from skylight.evaluation.rendered_faces.skin_patches import patches_in_reach
 from skylight.evaluation.rendered_faces.subsurface import REACH_MM
 from skylight.evaluation.rendered_faces.trace import trace
 from skylight.sphere.envmap import EnvironmentMap

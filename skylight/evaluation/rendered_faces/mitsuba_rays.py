@@ -10,27 +10,34 @@ from skylight.evaluation.rendered_faces.independent_render import mitsuba_varian
 def radiance_along(
     scene,
     integrator,
-    origins: Float[ndarray, "n 3"],
-    directions: Float[ndarray, "n 3"],
+    origins: Float[ndarray, "n s 3"],
+    directions: Float[ndarray, "n s 3"],
     seed: int,
-) -> Float[ndarray, "n 3"]:
-    """What ``integrator`` finds that comes along each ray, one light path each."""
+) -> Float[ndarray, "n s 3"]:
+    """What ``integrator`` finds that comes along each ray, one light path each.
+
+    The s paths of one of the n places are spread evenly (a multi-jittered s, a square number).
+    """
     mi = mitsuba_variant()
     import drjit as dr
 
-    sampler = mi.load_dict({"type": "independent"})
-    starts, ways = origins.astype(np.float32), directions.astype(np.float32)
+    many = origins.shape[1]
+    sampler = mi.load_dict({"type": "multijitter", "sample_count": many})
+    starts, ways = (x.astype(np.float32).reshape(-1, 3) for x in (origins, directions))
     if not dr.is_jit_v(mi.Float):
-        sampler.seed(seed)
-        rays = (
-            mi.RayDifferential3f(o, d) for o, d in zip(starts.tolist(), ways.tolist(), strict=True)
-        )
-        found = [integrator.sample(scene, sampler, ray)[0] for ray in rays]
-        return np.array(found, dtype=np.float64).reshape(-1, 3)
+        found = []
+        for n, (start, way) in enumerate(zip(starts.tolist(), ways.tolist(), strict=True)):
+            if n % many == 0:
+                sampler.seed(seed + n)
+            ray = mi.RayDifferential3f(mi.Point3f(start), mi.Vector3f(way))
+            found.append(integrator.sample(scene, sampler, ray)[0])
+            sampler.advance()
+        return np.array(found, dtype=np.float64).reshape(origins.shape)
+    sampler.set_samples_per_wavefront(many)
     sampler.seed(seed, len(starts))
     rays = mi.RayDifferential3f(mi.Point3f(starts.T.copy()), mi.Vector3f(ways.T.copy()))
     found, _, _ = integrator.sample(scene, sampler, rays)
-    return np.array(found, dtype=np.float64).T
+    return np.array(found, dtype=np.float64).T.reshape(origins.shape)
 
 
 def emitted(emitter, directions: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:

@@ -3,7 +3,7 @@
 from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
-from skylight.evaluation.rendered_faces.light.map_folder import MapFolder
+from skylight.evaluation.rendered_faces.map_folder import MapFolder
 
 # Whose skies: skylight's simulator's, or the clear ones of a model that it does not share.
 Skies = Literal["simulated", "hosek-wilkie"]

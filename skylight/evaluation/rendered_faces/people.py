@@ -103,14 +103,18 @@ def bare_skin() -> Bool[ndarray, " m"]:
     return SmoothHead.load().belongs[Region.FACE] > 0.99
 
 
-def no_skin() -> Bool[ndarray, " m"]:
-    """The smooth head's vertices that are mostly eyeball or inside of the mouth."""
-    return SmoothHead.load().belongs[[Region.EYEBALL, Region.MOUTH]].sum(0) > 0.5
+def outer_skin() -> Bool[ndarray, " m"]:
+    """The smooth head's vertices of skin that is not in a hole: nostril, mouth or eye socket.
+
+    The holes' walls in the head model are no anatomy: some lie a millimetre behind the face.
+    """
+    holes = [Region.EYEBALL, Region.MOUTH, Region.HIDDEN]
+    return SmoothHead.load().belongs[holes].sum(0) <= 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class Seen:
-    """What the centre of each pixel shows: ``skin`` of any kind, ``bare`` skin of the face, hair.
+    """What the centre of each pixel shows: outer ``skin``, ``bare`` skin of the face, hair.
 
     ``positions`` are the surface's, in metres and the camera's frame, 0 where nobody is.
     """
@@ -132,7 +136,7 @@ def seen_parts(person: Person) -> Seen:
     surface = rasterize(person.truth.camera, mesh, triangles, Raycaster(mesh, triangles))
     of_head = len(head.faces)
     kinds = np.zeros((len(faces), 3))
-    kinds[:of_head, 0] = ~no_skin()[head.faces].any(1)
+    kinds[:of_head, 0] = outer_skin()[head.faces].all(1)
     kinds[:of_head, 1] = bare_skin()[head.faces].all(1)
     kinds[of_head:, 2] = 1
     shown = torch.from_numpy(kinds)[surface.faces]

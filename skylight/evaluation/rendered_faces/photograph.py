@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from skylight.evaluation.rendered_faces.light.distant_light import DistantLight
 from skylight.evaluation.rendered_faces.people import Person, Seen, bare_skin
-from skylight.evaluation.rendered_faces.skin_points import SkinPatches
+from skylight.evaluation.rendered_faces.skin_patches import SkinPatches
 from skylight.evaluation.rendered_faces.smooth_head import SmoothHead, normals_of
 from skylight.evaluation.rendered_faces.subsurface import scattered
 from skylight.evaluation.rendered_faces.trace import Layers

@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 from torch import Tensor
 
-from skylight.evaluation.rendered_faces.light.map_folder import TurnedMap
 from skylight.evaluation.rendered_faces.light.scene_light import scene_light
+from skylight.evaluation.rendered_faces.map_folder import TurnedMap
 from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.evaluation.rendered_faces.people import person, seen_parts
 from skylight.evaluation.rendered_faces.photograph import (
@@ -18,7 +18,7 @@ from skylight.evaluation.rendered_faces.photograph import (
     exposure_for,
     photograph,
 )
-from skylight.evaluation.rendered_faces.skin_points import patches_in_reach
+from skylight.evaluation.rendered_faces.skin_patches import patches_in_reach
 from skylight.evaluation.rendered_faces.subsurface import REACH_MM
 from skylight.evaluation.rendered_faces.trace import trace
 from skylight.faces.fit import landmarks_of

@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import KDTree
 
-from skylight.evaluation.rendered_faces.skin_points import SkinPatches
+from skylight.evaluation.rendered_faces.skin_patches import SkinPatches
 
 # "Skin 1" of Jensen, Marschner, Levoy & Hanrahan 2001 ("A Practical Model for Subsurface Light
 # Transport", figure 5), red, green and blue, per mm: reduced scattering and absorption.

@@ -1,5 +1,6 @@
 """Diffuse and specular radiance of a person, by Mitsuba."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from skylight.evaluation.rendered_faces.independent_render import mitsuba_varian
 from skylight.evaluation.rendered_faces.light.distant_light import DistantLight, camera_frame
 from skylight.evaluation.rendered_faces.mitsuba_rays import radiance_along
 from skylight.evaluation.rendered_faces.people import Person
-from skylight.evaluation.rendered_faces.skin_points import SkinPatches
+from skylight.evaluation.rendered_faces.skin_patches import SkinPatches
 from skylight.evaluation.rendered_faces.smooth_head import SmoothHead, normals_of
 from skylight.faces.model import Region
 from skylight.sphere.envmap import EnvironmentMap
@@ -25,7 +26,7 @@ _FINER = 8  # columns of the light's map given to Mitsuba, per column of ours
 _MARGIN = 3  # px round the head
 
 
-_PATCH_SAMPLES = 8  # light paths of a pixel to one of a patch of skin
+_PATCH_SAMPLES = 4  # light paths of a pixel to one of a patch of skin that none shows
 _LIFT_M = 2e-5  # where rays to a patch begin, above it
 
 
@@ -56,9 +57,9 @@ def trace(
     """Two renders of the head under the light, which a turned camera sees turned.
 
     The inside is Lambertian, path traced with the light that skin throws onto skin, in the picture
-    and, with an eighth of the paths, at random places of each patch. The surface is a GGX lobe
-    with Fresnel's reflectance (Mitsuba's ``principled``, black), direct light only: it does not
-    show the face mirrored in itself.
+    and, with a quarter of the paths, at places of each patch that no pixel shows. The surface is
+    a GGX lobe with Fresnel's reflectance (Mitsuba's ``principled``, black), direct light only: it
+    does not show the face mirrored in itself.
     """
     mi = mitsuba_variant()
     lights = _lights(mi, person, light, world_from_camera)
@@ -79,9 +80,6 @@ def trace(
     albedo_too = {"type": "aov", "aovs": "albedo:albedo", "paths": path}
     skin = _scene(mi, person, lights, inner_bsdf())
     inside = _render(mi, skin, sensor, albedo_too, 2 * seed)
-    entering = _entering(
-        skin, mi.load_dict(path), person, patches, max(1, samples // _PATCH_SAMPLES), seed
-    )
     direct = {"type": "path", "max_depth": 2, "hide_emitters": True}
     surface = _render(mi, _scene(mi, person, lights, surface_bsdf()), sensor, direct, 2 * seed + 1)
 
@@ -90,10 +88,19 @@ def trace(
         out[top : top + height, left : left + width] = part
         return out
 
+    diffuse, albedo = whole(inside[..., :3]), whole(inside[..., 4:7])
+    entering = np.empty((len(patches.areas), 3))
+    shown = patches.pixel >= 0
+    of_pixel = patches.pixel[shown]
+    entering[shown] = (diffuse.reshape(-1, 3) / albedo.reshape(-1, 3).clip(1e-6))[of_pixel]
+    by_side = max(1, round(math.sqrt(samples / _PATCH_SAMPLES)))
+    entering[~shown] = _entering(
+        skin, mi.load_dict(path), person, patches, ~shown, by_side**2, seed
+    )
     return Layers(
-        diffuse=whole(inside[..., :3]),
+        diffuse=diffuse,
         gloss=whole(surface[..., :3]),
-        albedo=whole(inside[..., 4:7]),
+        albedo=albedo,
         cover=whole(inside[..., 3:4])[..., 0],
         entering=entering,
     )
@@ -115,25 +122,25 @@ def _lights(
 
 
 def _entering(
-    scene, path, person: Person, patches: SkinPatches, samples: int, seed: int
-) -> Float[ndarray, "k 3"]:
-    """Irradiance / pi of each patch, over random places on it: the radiance it sends back / albedo.
+    scene, path, person: Person, patches: SkinPatches, chosen, samples: int, seed: int
+) -> Float[ndarray, "c 3"]:
+    """Irradiance / pi of the ``chosen`` patches: the radiance that each sends back, / albedo.
 
-    Rays start just above it, where nothing comes between, so it makes no difference whether the
-    camera sees it.
+    The mean over random places of a patch. Rays start so little above it that nothing comes
+    between, whatever the camera sees.
     """
+    corners, of_face = patches.corners[chosen], patches.of_face[chosen]
     rng = np.random.default_rng((seed, 7))
-    shares = rng.dirichlet(np.ones(3), (len(patches.areas), samples))  # even over a triangle
-    inside = np.einsum("ksc,kcv->ksv", shares, patches.corners)
-    vertices = SmoothHead.load().faces[patches.of_face]
-    corners = person.points[vertices]
-    upright = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    shares = rng.dirichlet(np.ones(3), (len(of_face), samples))  # even over a triangle
+    inside = np.einsum("ksc,kcv->ksv", shares, corners)
+    vertices = SmoothHead.load().faces[of_face]
+    ends = person.points[vertices]
+    upright = np.cross(ends[:, 1] - ends[:, 0], ends[:, 2] - ends[:, 0])
     upright /= np.linalg.norm(upright, axis=1, keepdims=True)
-    starts = inside @ corners + _LIFT_M * upright[:, None]
-    albedo = inside @ person.paint.albedo[vertices]
+    starts = inside @ ends + _LIFT_M * upright[:, None]
     down = np.broadcast_to(-upright[:, None], starts.shape)
-    sent = radiance_along(scene, path, starts.reshape(-1, 3), down.reshape(-1, 3), seed)
-    return (sent.reshape(starts.shape) / albedo).mean(1)
+    sent = radiance_along(scene, path, starts, down, seed)
+    return (sent / (inside @ person.paint.albedo[vertices])).mean(1)
 
 
 def fine_map(environment: EnvironmentMap) -> Float[ndarray, "h w 3"]:

@@ -27,7 +27,7 @@ from skylight.evaluation.harness.run import Item
 from skylight.evaluation.harness.tables import summarise
 from skylight.evaluation.main import evaluate
 from skylight.evaluation.rendered_faces.files import write_rendered_face
-from skylight.evaluation.rendered_faces.light.map_folder import TurnedMap
+from skylight.evaluation.rendered_faces.map_folder import TurnedMap
 from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.evaluation.rendered_faces.render import RenderedFace
 from skylight.evaluation.scores.main_lamps import MapLamp, find_lamps

@@ -16,7 +16,7 @@ from skylight.evaluation.faces.known_faces import read_face
 from skylight.evaluation.rendered_faces import batch
 from skylight.evaluation.rendered_faces.batch import render_folder
 from skylight.evaluation.rendered_faces.files import read_rendered_face, rendered_faces
-from skylight.evaluation.rendered_faces.light.map_folder import MapFolder, TurnedMap
+from skylight.evaluation.rendered_faces.map_folder import MapFolder, TurnedMap
 from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.faces.fit import camera_project
 from skylight.faces.model import HeadModel

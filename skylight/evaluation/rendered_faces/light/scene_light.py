@@ -15,7 +15,7 @@ from skylight.evaluation.rendered_faces.light.hosek_wilkie import (
     TURBIDITIES,
     hosek_wilkie_sky,
 )
-from skylight.evaluation.rendered_faces.light.map_folder import ROWS, TurnedMap
+from skylight.evaluation.rendered_faces.map_folder import ROWS, TurnedMap
 from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.models.ground import GROUND_ALBEDOS, LambertianGround
 from skylight.skies.simulated import evaluation_skies

@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import KDTree
 
-from skylight.evaluation.rendered_faces.people import Person, Seen, no_skin
+from skylight.evaluation.rendered_faces.people import Person, Seen, outer_skin
 from skylight.evaluation.rendered_faces.smooth_head import SmoothHead
 
 
@@ -15,21 +15,15 @@ from skylight.evaluation.rendered_faces.smooth_head import SmoothHead
 class SkinPatches:
     """k triangles: ``of_face`` of the head, between ``corners`` in its barycentric coordinates.
 
-    ``positions`` are their middles, ``areas`` in the square of the positions' unit.
+    ``positions`` are their middles, ``areas`` in the square of the positions' unit. ``pixel`` is
+    the one, row by row, that shows it, or -1.
     """
 
     of_face: Int[ndarray, " k"]
     corners: Float[ndarray, "k 3 3"]
     positions: Float[ndarray, "k 3"]
     areas: Float[ndarray, " k"]
-
-    def among(self, chosen) -> "SkinPatches":
-        return SkinPatches(
-            of_face=self.of_face[chosen],
-            corners=self.corners[chosen],
-            positions=self.positions[chosen],
-            areas=self.areas[chosen],
-        )
+    pixel: Int[ndarray, " k"]
 
 
 def patches(
@@ -59,22 +53,36 @@ def patches(
         corners=inside,
         positions=np.einsum("kc,kcx->kx", inside.mean(1), corners[owner]),
         areas=np.concatenate(areas),
+        pixel=np.full(len(owner), -1),
     )
 
 
 def patches_in_reach(person: Person, seen: Seen, reach_m: float) -> SkinPatches:
-    """Patches as large as a pixel, of all skin within ``reach_m`` of skin that the camera sees."""
-    head = SmoothHead.load()
+    """Patches as large as a pixel, of all outer skin within ``reach_m`` of what the camera sees.
+
+    A pixel shows a patch whose middle is less than its own width from the pixel's, so at a slant
+    of more than about 60 degrees few are shown.
+    """
+    head, camera = SmoothHead.load(), person.truth.camera
     skin = seen.positions[seen.skin]
-    pixel = float(np.median(-skin[:, 2])) / person.truth.camera.focal_px
+    width = float(np.median(-skin[:, 2])) / camera.focal_px
     corners = person.points[head.faces]
     middles = corners.mean(1)
     around = np.linalg.norm(corners - middles[:, None], axis=2).max(1)
     tree = KDTree(skin)
     near = tree.query(middles)[0] < reach_m + around
-    chosen = np.flatnonzero(near & ~no_skin()[head.faces].any(1))
-    all_of_them = patches(person.points, head.faces, chosen, pixel**2)
-    return all_of_them.among(tree.query(all_of_them.positions)[0] < reach_m)
+    chosen = np.flatnonzero(near & outer_skin()[head.faces].all(1))
+    found = patches(person.points, head.faces, chosen, width**2)
+    distance, nearest = tree.query(found.positions)
+    kept = distance < reach_m
+    shown = np.where(distance < width, np.flatnonzero(seen.skin)[nearest], -1)
+    return SkinPatches(
+        of_face=found.of_face[kept],
+        corners=found.corners[kept],
+        positions=found.positions[kept],
+        areas=found.areas[kept],
+        pixel=shown[kept],
+    )
 
 
 def _divided(n: int) -> Float[ndarray, "k 3 3"]:
