@@ -41,7 +41,7 @@ def patches(
     whole = np.linalg.norm(sides, axis=1) / 2
     parts = np.maximum(1, np.rint(np.sqrt(whole / area))).astype(int)
     of_face, places, areas = [], [], []
-    for n in np.unique(parts):
+    for n in np.unique(parts).tolist():
         here = np.flatnonzero(parts == n)
         inner = _divided(n)
         of_face.append(np.repeat(here, n * n))

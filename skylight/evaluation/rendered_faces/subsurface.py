@@ -41,12 +41,6 @@ def profile(r_mm: Float[ndarray, " n"]) -> Float[ndarray, "n 3"]:
     return (np.exp(-r / D_MM) + np.exp(-r / (3 * D_MM))) / (8 * math.pi * D_MM * r)
 
 
-def share_within(r_mm: Float[ndarray, " n"]) -> Float[ndarray, "n 3"]:
-    """P(r): the share that leaves within r of where it entered."""
-    r = r_mm[:, None]
-    return 1 - np.exp(-r / D_MM) / 4 - 3 * np.exp(-r / (3 * D_MM)) / 4
-
-
 def scattered(
     irradiance: Float[ndarray, "n 3"],
     positions_m: Float[ndarray, "n 3"],
