@@ -5,7 +5,7 @@ from typing import Literal
 
 from skylight.evaluation.rendered_faces.map_folder import MapFolder
 
-# Whose skies: skylight's simulator's, or the clear ones of a model that it does not share.
+# Whose skies: those of the simulator that light models are fitted to, or another model's.
 Skies = Literal["simulated", "hosek-wilkie"]
 
 

@@ -1,4 +1,4 @@
-"""Clear skies of a model that skylight's simulator and light models do not know.
+"""Clear skies of a model other than the simulator that skylight's light models are fitted to.
 
 Hosek & Wilkie 2012, "An Analytic Model for Full Spectral Sky-Dome Radiance", and 2013, "Adding a
 Solar-Radiance Function to the Hosek-Wilkie Skylight Model", as Mitsuba's emitter ``sunsky`` has
