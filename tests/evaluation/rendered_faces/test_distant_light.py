@@ -89,7 +89,7 @@ def lit_plane(sun: SunDisc, occluder: dict[str, object]) -> np.ndarray:
     place = np.array([0.0, 0.0, -0.5])
     sensor = mi.load_dict(pinhole(camera, np.eye(3), place, samples=576, film=film))
     path = mi.load_dict({"type": "path", "max_depth": 2})
-    picture = np.array(mi.render(scene, sensor=sensor, integrator=path, seed=1))
+    picture = np.array(mi.render(scene, sensor=sensor, integrator=path, seed=mi.UInt32(1)))
     return math.pi * picture.mean(0)
 
 

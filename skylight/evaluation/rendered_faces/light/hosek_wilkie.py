@@ -20,7 +20,7 @@ from skylight.sphere.grid import DirectionGrid
 
 TURBIDITIES = 2.0, 8.0  # clear mountain air to haze
 SUN_ELEVATIONS_DEG = 5.0, 75.0
-_FINER = 6  # directions across a pixel, over which the sky is averaged
+_FINER = 4  # directions across a pixel, over which the sky is averaged
 _APERTURE_DEG = 0.5358  # the sun's diameter by the model
 
 
