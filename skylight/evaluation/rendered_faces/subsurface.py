@@ -52,9 +52,10 @@ def scattered(
 
     w_ij = a_j R(r_ij) f(r_ij), where f is the part of one pixel's disc, of radius rho, that lies
     outside another r away (the lens formula): what leaves within a pixel stays in it, for flat
-    skin exactly. Even light therefore stays even, nothing gets brighter than what lights it, and
-    a fold, where more than a plane's skin is in reach, shares out the same power. Patches beyond
-    5 mm count as clusters of 3 mm, which changes no pixel by more than 1 % of the light's range.
+    skin exactly. Even light therefore stays even, and nothing gets brighter than what lights it:
+    where more skin is in reach than a plane's, as in a fold, the weights are scaled to sum to 1. A
+    plane keeps its power to 1 %. Patches beyond 5 mm count as clusters of 3 mm, which changes no
+    pixel by more than 1 % of the light's range.
     """
     rho = pixel_mm / math.sqrt(math.pi)
     clusters = _clustered(1000 * patches.positions, 1e6 * patches.areas, entering)
