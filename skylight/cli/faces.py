@@ -1,12 +1,15 @@
 """``skylight faces``: faces under known illumination, rendered or captured."""
 
 from pathlib import Path
+from typing import Literal
 
 import tyro
 from tyro.conf import Positional
 
 from skylight.cli.workers import who_works
 from skylight.errors import InputError
+
+Skies = Literal["simulated", "hosek-wilkie"]  # a test compares it with the options' own
 
 faces = tyro.extras.SubcommandApp()
 
@@ -21,6 +24,7 @@ def render_faces(
     per_scene: int = 1,
     hair: bool = False,
     sunny: bool = False,
+    skies: Skies = "simulated",
     maps: Path | None = None,
     workers: int = 0,
     cluster: str | None = None,
@@ -40,6 +44,8 @@ def render_faces(
         per_scene: So many faces in a row share sky, ground, camera direction and exposure.
         hair: Give heads a cap of hair that casts shadow and hides the scalp.
         sunny: Only skies whose sun is visible.
+        skies: 'simulated' ones have clouds; 'hosek-wilkie' are clear ones of Hosek & Wilkie 2013,
+            of turbidities 2 to 8, independent of the simulator that light models are trained on.
         maps: Folder of lat-long maps (.exr, .hdr): scene i is lit by map i modulo their count, in
             the order of their names, turned about the vertical at random, instead of by a sky.
         workers: Processes that work at the same time; 0 for one per core.
@@ -54,8 +60,11 @@ def render_faces(
     ):
         if value < least:
             raise InputError(f"--{name} must be {least} or more, got {value}")
-    if sunny and maps is not None:
-        raise InputError("--sunny chooses among simulated skies: leave it out with --maps")
+    if sunny and (maps is not None or skies != "simulated"):
+        other = "--maps" if maps is not None else f"--skies {skies}"
+        raise InputError(f"--sunny chooses among simulated skies: leave it out with {other}")
+    if maps is not None and skies != "simulated":
+        raise InputError(f"--maps replaces the skies: leave out --skies {skies}")
     who = who_works(workers, cluster, out)
     from skylight.app.progress import stage_bar, with_time_left
     from skylight.evaluation.rendered_faces.batch import render_folder
@@ -69,6 +78,7 @@ def render_faces(
         per_scene=per_scene,
         hair=hair,
         sunny=sunny,
+        skies=skies,
         maps=None if maps is None else MapFolder.read(maps),
     )
     with stage_bar() as progress:

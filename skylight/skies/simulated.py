@@ -94,6 +94,16 @@ def simulate_folder(
 def simulated_skies(
     count: int, *, first_seed: int, lowest_transmittance: float = 0.0
 ) -> list[tuple[SkyRecord, EnvironmentMap]]:
+    """The maps of :func:`evaluation_skies`."""
+    found = evaluation_skies(
+        count, first_seed=first_seed, lowest_transmittance=lowest_transmittance
+    )
+    return [(record, simulated.sky) for record, simulated in found]
+
+
+def evaluation_skies(
+    count: int, *, first_seed: int, lowest_transmittance: float = 0.0
+) -> list[tuple[SkyRecord, SimulatedSky]]:
     """``count`` skies simulated on the spot: one random sky a day, the sun above 2 degrees.
 
     Seeds run upwards from :data:`EVALUATION_SEEDS` + ``first_seed``; skies whose sun gets
@@ -101,7 +111,7 @@ def simulated_skies(
     """
     if first_seed < 0:
         raise InputError(f"first_seed must be at least 0, got {first_seed}")
-    found: list[tuple[SkyRecord, EnvironmentMap]] = []
+    found: list[tuple[SkyRecord, SimulatedSky]] = []
     seed = EVALUATION_SEEDS + first_seed
     while len(found) < count:
         day = draw_day(seed)
@@ -112,7 +122,7 @@ def simulated_skies(
         for i in rng.permutation(len(moments))[:6]:
             sky = simulate_sky(day, clear, *moments[i], height=32)
             if sky.sun_transmittance >= lowest_transmittance:
-                found.append((_record(day, sky, "", 32), sky.sky))
+                found.append((_record(day, sky, "", 32), sky))
                 break
     return found
 

@@ -47,9 +47,15 @@ class Day:
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedSky:
-    """An upper-hemisphere map with the sun in the centre column, and where the sun really was."""
+    """An upper-hemisphere map with the sun in the centre column, and where the sun really was.
+
+    ``sky`` is ``sunless`` and the ``sun_irradiance`` of the disc, behind clouds, on a plane that
+    faces it, in the pixels that the disc covers.
+    """
 
     sky: EnvironmentMap
+    sunless: EnvironmentMap
+    sun_irradiance: Float[Tensor, "3"]
     time: datetime
     sun_azimuth_rad: float  # clockwise from north
     sun_zenith_rad: float
@@ -253,10 +259,12 @@ def simulate_sky(
         sky = haze + (sky - haze).clamp(min=0) * passed + air * own
         sharp = sharp * torch.exp(-light.depth[len(directions) :])
     fine_map = EnvironmentMap(radiance=sky.reshape(fine, 4 * fine, 3))
-    radiance = fine_map.resize(height).radiance
-    radiance = _add_disc(radiance, disc, share * sharp, direct)
+    sunless = fine_map.resize(height).radiance
+    radiance = _add_disc(sunless, disc, share * sharp, direct)
     return SimulatedSky(
         sky=EnvironmentMap(radiance=radiance.cpu()),
+        sunless=EnvironmentMap(radiance=sunless.cpu()),
+        sun_irradiance=((share * sharp).sum() * direct).cpu(),
         time=time,
         sun_azimuth_rad=sun_azimuth_rad,
         sun_zenith_rad=sun_zenith_rad,

@@ -165,6 +165,19 @@ def test_twilight_fades_as_measured(height_deg: float, low: float, high: float) 
     assert low <= illuminance <= 1.6 * high
 
 
+def test_a_sky_is_what_is_without_the_sun_and_the_suns_irradiance() -> None:
+    """Under clouds too: the disc's pixels hold what a plane that faces the sun receives of it."""
+    seen = []
+    for seed in range(6):
+        sky = next(simulate_day(draw_day(seed), interval_min=200.0, height=16))
+        disc = EnvironmentMap(radiance=sky.sky.radiance - sky.sunless.radiance)
+        torch.testing.assert_close(disc.integrate(), sky.sun_irradiance, rtol=1e-3, atol=1e-4)
+        assert ((disc.radiance > 1e-3).sum((0, 1)) <= 4).all()
+        seen.append(sky.sun_transmittance)
+    assert min(seen) < 0.1
+    assert max(seen) > 0.9
+
+
 def test_a_set_sun_is_not_in_the_map(clear_day: Day, clear_air: ClearSky) -> None:
     """Nor are clouds after dusk lit from below the horizon by more than before it."""
     set_ = sky_under(clear_day, clear_air, 92.0)

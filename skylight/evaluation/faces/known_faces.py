@@ -13,7 +13,7 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.evaluation.rendered_faces.files import read_rendered_face, rendered_faces
-from skylight.evaluation.rendered_faces.scene_light import LOWEST_TRANSMITTANCE
+from skylight.evaluation.rendered_faces.light.scene_light import LOWEST_TRANSMITTANCE
 from skylight.faces.fit import FaceFit
 from skylight.faces.synthetic import SyntheticFace, render_face
 from skylight.models.ground import GROUND_ALBEDOS

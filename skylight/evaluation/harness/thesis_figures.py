@@ -77,5 +77,6 @@ BESIDE = {
     "sky-models": TABLE_5_1,
     "synthetic-faces": TABLE_5_2,
     "rendered-faces": TABLE_5_2,
+    "rendered-faces-hosek-wilkie": TABLE_5_2,
     "captured-faces": TABLE_5_3,
 }

@@ -67,6 +67,7 @@ def write_rendered_face(folder: Path, face: RenderedFace, options: RenderOptions
             "albedo": face.albedo.tolist(),
             "ground_albedo": _listed(face.ground_albedo),
             "sun_direction": _listed(face.sun_direction),
+            "turbidity": face.turbidity,
             "options": options.settings(),
         }
         | _map_facts(face.turned_map),
@@ -95,6 +96,7 @@ def read_rendered_face(folder: Path) -> RenderedFace:
         plain = {name: facts[name] for name in _FACTS}
         albedo, ground = torch.tensor(facts["albedo"]), _vector(facts["ground_albedo"])
         sun = _vector(facts["sun_direction"], torch.float64)
+        turbidity = facts.get("turbidity")  # faces of simulated skies alone once had none
         turned_map = _turned_map(facts)
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise InputError(f"{folder}: no complete rendered face ({error})") from error
@@ -112,6 +114,7 @@ def read_rendered_face(folder: Path) -> RenderedFace:
         landmarks=landmarks,
         hair=hair,
         sun_direction=sun,
+        turbidity=turbidity,
         turned_map=turned_map,
         **plain,
     )

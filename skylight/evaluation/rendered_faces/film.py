@@ -14,6 +14,8 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
+from skylight.evaluation.rendered_faces.light.distant_light import DistantLight
+from skylight.evaluation.rendered_faces.light.scene_light import SceneLight, scene_light
 from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.evaluation.rendered_faces.people import Cap, Person, person, seen_parts
 from skylight.evaluation.rendered_faces.photograph import (
@@ -22,7 +24,8 @@ from skylight.evaluation.rendered_faces.photograph import (
     exposure_for,
     photograph,
 )
-from skylight.evaluation.rendered_faces.scene_light import SceneLight, scene_light
+from skylight.evaluation.rendered_faces.skin_patches import patches_in_reach
+from skylight.evaluation.rendered_faces.subsurface import REACH_MM
 from skylight.evaluation.rendered_faces.trace import trace
 from skylight.sphere.envmap import EnvironmentMap
 
@@ -39,7 +42,7 @@ _TEXTURE_SPREAD = 0.25  # of the logarithm, of each octave
 class FilmTruth:
     """What a film was made from: ``world_from_camera`` (3,3) and ``exposure`` of each frame.
 
-    ``environment`` is in the world's frame and the light's own units.
+    The light is in the world's frame and units of its own.
     """
 
     light: SceneLight
@@ -50,10 +53,10 @@ class FilmTruth:
 
 def film_truth(number: int, frames: int, options: RenderOptions) -> FilmTruth:
     """Film ``number``: its light, and how its camera turns."""
-    light = scene_light(number, options)
-    who = person(number, light.focal, options)
+    lit = scene_light(number, options)
+    who = person(number, lit.focal, options)
     rng = np.random.default_rng((options.seed, number, 3))
-    exposure = exposure_for([who], light.environment, rng)
+    exposure = exposure_for([who], lit.light.environment, rng)
     turns, exposures = [], []
     for k in range(frames):
         share = k / max(frames - 1, 1)
@@ -65,7 +68,7 @@ def film_truth(number: int, frames: int, options: RenderOptions) -> FilmTruth:
         turns.append(Rotation.from_euler("yxz", [pan, tilt, roll], degrees=True).as_matrix())
         exposures.append(exposure * math.exp(_AUTO_EXPOSURE * math.sin(5 * math.pi * share)))
     focal_px = who.truth.camera.focal_px
-    return FilmTruth(light=light, focal_px=focal_px, world_from_camera=turns, exposures=exposures)
+    return FilmTruth(light=lit, focal_px=focal_px, world_from_camera=turns, exposures=exposures)
 
 
 def film_frame(
@@ -73,15 +76,16 @@ def film_frame(
 ) -> UInt8[ndarray, "h w 3"]:
     """The codes of one frame, from the numbers and options alone."""
     truth = film_truth(number, frames, options)
-    turn, light = truth.world_from_camera[frame], truth.light
-    who = _turned_head(person(number, light.focal, options), frame / max(frames - 1, 1))
+    turn, lit = truth.world_from_camera[frame], truth.light
+    who = _turned_head(person(number, lit.focal, options), frame / max(frames - 1, 1))
     seed = int(np.random.default_rng((options.seed, number, frame, 4)).integers(2**30))
+    seen, camera = seen_parts(who), who.truth.camera
+    patches = patches_in_reach(who, seen, REACH_MM / 1000)
     layers = trace(
-        who, light.environment, samples=options.samples, seed=seed, world_from_camera=turn
+        who, lit.light, patches, samples=options.samples, seed=seed, world_from_camera=turn
     )
-    parts, camera = seen_parts(who), who.truth.camera
-    backdrop = background(textured(light.environment, number), camera, turn)
-    linear = compose(layers, parts.depth_m, parts.skin, camera, backdrop)
+    behind = DistantLight(textured(lit.light.diffuse, number), lit.light.sun)
+    linear = compose(layers, seen, patches, camera, background(behind, camera, turn))
     rng = np.random.default_rng((options.seed, number, frame, 5))
     return photograph(truth.exposures[frame] * linear, rng)
 

@@ -1,8 +1,12 @@
 """Options of rendered faces."""
 
 from dataclasses import asdict, dataclass, replace
+from typing import Literal
 
 from skylight.evaluation.rendered_faces.map_folder import MapFolder
+
+# Whose skies: those of the simulator that light models are fitted to, or another model's.
+Skies = Literal["simulated", "hosek-wilkie"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -10,9 +14,9 @@ class RenderOptions:
     """``size`` px square, ``samples`` light paths per pixel and layer.
 
     Face i belongs to scene i // ``per_scene``: one sky, ground, camera and exposure. ``hair`` puts
-    a cap on every head. Test days are of all kinds, as the thesis scores them (5.5.1); ``sunny``
-    keeps those whose sun is visible. With ``maps``, scene i is lit by map i modulo their count,
-    turned about the vertical by a random angle, in place of a simulated sky.
+    a cap on every head. Simulated days are of all kinds, as the thesis scores them (5.5.1);
+    ``sunny`` keeps those whose sun is visible. With ``maps``, scene i is lit by map i modulo their
+    count, turned about the vertical by a random angle, in place of a sky.
     """
 
     size: int = 288
@@ -21,6 +25,7 @@ class RenderOptions:
     per_scene: int = 1
     hair: bool = False
     sunny: bool = False
+    skies: Skies = "simulated"
     maps: MapFolder | None = None
 
     def settings(self) -> dict[str, object]:

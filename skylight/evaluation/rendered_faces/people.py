@@ -103,20 +103,29 @@ def bare_skin() -> Bool[ndarray, " m"]:
     return SmoothHead.load().belongs[Region.FACE] > 0.99
 
 
-@dataclass(frozen=True, kw_only=True)
-class Parts:
-    """What the centre of each pixel shows: ``skin`` of any kind, ``bare`` skin of the face, hair.
+def outer_skin() -> Bool[ndarray, " m"]:
+    """The smooth head's vertices of skin that is not in a hole: nostril, mouth or eye socket.
 
-    ``depth_m`` is the distance along the camera's axis, 0 where nobody is.
+    The holes' walls in the head model are no anatomy: some lie a millimetre behind the face.
+    """
+    holes = [Region.EYEBALL, Region.MOUTH, Region.HIDDEN]
+    return SmoothHead.load().belongs[holes].sum(0) <= 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """What the centre of each pixel shows: outer ``skin``, ``bare`` skin of the face, hair.
+
+    ``positions`` are the surface's, in metres and the camera's frame, 0 where nobody is.
     """
 
-    depth_m: Float[ndarray, "h w"]
+    positions: Float[ndarray, "h w 3"]
     skin: Bool[ndarray, "h w"]
     bare: Bool[ndarray, "h w"]
     hair: Bool[ndarray, "h w"]
 
 
-def seen_parts(person: Person) -> Parts:
+def seen_parts(person: Person) -> Seen:
     """By casting one ray a pixel at head and cap."""
     head = SmoothHead.load()
     points, faces = person.points, head.faces
@@ -126,17 +135,15 @@ def seen_parts(person: Person) -> Parts:
     mesh, triangles = torch.from_numpy(points), torch.from_numpy(faces.copy())
     surface = rasterize(person.truth.camera, mesh, triangles, Raycaster(mesh, triangles))
     of_head = len(head.faces)
-    no_skin = head.belongs[[Region.EYEBALL, Region.MOUTH]].sum(0) > 0.5
-    kinds = np.zeros((len(faces), 4))
-    kinds[:of_head, 1] = ~no_skin[head.faces].any(1)
-    kinds[:of_head, 2] = bare_skin()[head.faces].all(1)
-    kinds[of_head:, 3] = 1
+    kinds = np.zeros((len(faces), 3))
+    kinds[:of_head, 0] = outer_skin()[head.faces].all(1)
+    kinds[:of_head, 1] = bare_skin()[head.faces].all(1)
+    kinds[of_head:, 2] = 1
     shown = torch.from_numpy(kinds)[surface.faces]
-    shown[:, 0] = -surface.positions[:, 2]
-    picture = surface.image(shown).numpy()
-    return Parts(
-        depth_m=picture[..., 0],
-        skin=picture[..., 1] > 0,
-        bare=picture[..., 2] > 0,
-        hair=picture[..., 3] > 0,
+    picture = surface.image(torch.cat([surface.positions, shown], 1)).numpy()
+    return Seen(
+        positions=picture[..., :3],
+        skin=picture[..., 3] > 0,
+        bare=picture[..., 4] > 0,
+        hair=picture[..., 5] > 0,
     )

@@ -1,14 +1,16 @@
-"""From radiance to an 8-bit photograph: subsurface blur, background, exposure, noise, sRGB."""
+"""From radiance to an 8-bit photograph: scattering, background, exposure, noise, sRGB."""
 
 from collections.abc import Sequence
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from skylight.evaluation.rendered_faces.people import Person, bare_skin
+from skylight.evaluation.rendered_faces.light.distant_light import DistantLight
+from skylight.evaluation.rendered_faces.people import Person, Seen, bare_skin
+from skylight.evaluation.rendered_faces.skin_patches import SkinPatches
 from skylight.evaluation.rendered_faces.smooth_head import SmoothHead, normals_of
 from skylight.evaluation.rendered_faces.subsurface import scattered
 from skylight.evaluation.rendered_faces.trace import Layers
@@ -24,37 +26,47 @@ _FACING = 0.2  # cosine to the camera above which skin counts for the exposure
 
 def compose(
     layers: Layers,
-    depth_m: Float[ndarray, "h w"],
-    skin: Bool[ndarray, "h w"],
+    seen: Seen,
+    patches: SkinPatches,
     camera: Camera,
     backdrop: Float[ndarray, "h w 3"],
 ) -> Float[ndarray, "h w 3"]:
     """albedo * scattered(diffuse / albedo) + gloss, before a backdrop."""
-    seen = layers.albedo > 1e-6
-    irradiance = np.where(seen, layers.diffuse / np.where(seen, layers.albedo, 1), 0)
-    spread = scattered(irradiance, depth_m, skin, camera.focal_px)
+    shown = layers.albedo > 1e-6
+    entered = np.where(shown, layers.diffuse / np.where(shown, layers.albedo, 1), 0)
+    left = entered.astype(np.float64)
+    where = seen.positions[seen.skin]
+    pixel_mm = 1000 * float(np.median(-where[:, 2])) / camera.focal_px
+    left[seen.skin] = scattered(left[seen.skin], where, pixel_mm, patches, layers.entering)
     behind = backdrop * (1 - layers.cover[..., None])
-    return (layers.albedo * spread + layers.gloss + behind).astype(np.float32)
+    return (layers.albedo * left + layers.gloss + behind).astype(np.float32)
 
 
 def background(
-    environment: EnvironmentMap,
+    light: DistantLight,
     camera: Camera,
     world_from_camera: Float[ndarray, "3 3"] | None = None,
 ) -> Float[ndarray, "h w 3"]:
-    """What a camera sees of the map, interpolated; a level one that looks ahead, or a turned."""
+    """What a camera sees of the light, a level one that looks ahead or a turned one.
+
+    The map is interpolated, the sun is a disc.
+    """
     rays = camera.rays()
     if world_from_camera is not None:
         rays = rays @ torch.from_numpy(world_from_camera.T.copy())
-    row, column = pixel_from_direction(rays, *environment.layout)
+    row, column = pixel_from_direction(rays, *light.diffuse.layout)
     shape = camera.height, camera.width
-    return cv2.remap(
-        np.ascontiguousarray(environment.radiance.float().numpy()),
+    sky = cv2.remap(
+        np.ascontiguousarray(light.diffuse.radiance.float().numpy()),
         column.reshape(shape).float().numpy(),
         row.reshape(shape).float().numpy(),
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_WRAP,
     )
+    if light.sun is None:
+        return sky
+    disc = light.sun.in_pixels(rays, 1 / camera.focal_px)
+    return sky + disc.reshape(*shape, 3).float().numpy()
 
 
 def brightest_skin(person: Person, environment: EnvironmentMap) -> float:

@@ -1,5 +1,6 @@
 """Folders of faces: whole, resumed, reproducible, and read as they were written."""
 
+import importlib
 import json
 import shutil
 from pathlib import Path
@@ -17,7 +18,7 @@ from skylight.evaluation.rendered_faces import batch
 from skylight.evaluation.rendered_faces.batch import render_folder
 from skylight.evaluation.rendered_faces.files import read_rendered_face, rendered_faces
 from skylight.evaluation.rendered_faces.map_folder import MapFolder, TurnedMap
-from skylight.evaluation.rendered_faces.options import RenderOptions
+from skylight.evaluation.rendered_faces.options import RenderOptions, Skies
 from skylight.faces.fit import camera_project
 from skylight.faces.model import HeadModel
 from skylight.io.files import write_environment_map
@@ -56,7 +57,7 @@ def test_the_truth_fits_together(folder: Path) -> None:
     points = camera_project(truth.camera, model.landmarks(truth.vertices))
     np.testing.assert_allclose(face.landmarks[17:], points[17:], atol=1e-6)
     assert face.environment.layout == (64, 128)
-    assert face.turned_map is None
+    assert face.turned_map is face.turbidity is None
     assert face.sky_seed is not None
     assert face.sun_direction is not None
     assert face.ground_albedo is not None
@@ -103,10 +104,27 @@ def test_a_lamp_to_one_side_lights_that_side(tmp_path: Path) -> None:
     assert (right > 1.2 * left) if np.sin(azimuth) > 0 else (left > 1.2 * right)
 
 
+def test_a_face_under_a_sky_of_hosek_and_wilkie(tmp_path: Path) -> None:
+    options = RenderOptions(size=40, samples=4, skies="hosek-wilkie")
+    out = tmp_path / "faces"
+    assert render_folder(out, 1, options) == 1
+    face = read_rendered_face(out / "face0000")
+    assert face.turbidity is not None
+    assert 2 <= face.turbidity <= 8
+    assert face.sky_seed is face.turned_map is None
+    assert face.sun_direction is not None
+    assert face.ground_albedo is not None
+    brightest = face.environment.brightest_direction()
+    assert float(torch.rad2deg(angle_between(face.sun_direction, brightest))) < 0.5
+    assert read_face(out / "face0000").sun_visible
+    with pytest.raises(InputError, match="another folder"):
+        render_folder(out, 1, RenderOptions(size=40, samples=4))
+
+
 def test_faces_from_before_there_were_maps_are_read(folder: Path, tmp_path: Path) -> None:
     face = shutil.copytree(folder / "face0000", tmp_path / "face0000")
     facts = json.loads((face / "face.json").read_text())
-    for name in ("map", "category", "turn_deg"):
+    for name in ("map", "category", "turn_deg", "turbidity"):
         assert facts.pop(name) is None
     (face / "face.json").write_text(json.dumps(facts))
     assert read_rendered_face(face).turned_map is None
@@ -193,3 +211,12 @@ def test_the_command_renders_and_refuses(
     assert "1 faces, 1 of them rendered now" in capsys.readouterr().out
     assert main(["faces", "render", "--count", "0", "--out", out]) == 2
     assert "--count must be 1 or more" in capsys.readouterr().err
+    other = ["faces", "render", "--out", out, "--skies", "hosek-wilkie"]
+    assert main([*other, "--sunny"]) == 2
+    assert "leave it out with --skies hosek-wilkie" in capsys.readouterr().err
+    assert main([*other, "--maps", str(tmp_path)]) == 2
+    assert "leave out --skies hosek-wilkie" in capsys.readouterr().err
+
+
+def test_the_commands_skies_are_the_options() -> None:
+    assert importlib.import_module("skylight.cli.faces").Skies == Skies

@@ -6,9 +6,11 @@ import numpy as np
 import torch
 
 from skylight.evaluation.rendered_faces.film import film_truth, textured
+from skylight.evaluation.rendered_faces.light.distant_light import DistantLight, SunDisc
 from skylight.evaluation.rendered_faces.options import RenderOptions
-from skylight.evaluation.rendered_faces.people import person
+from skylight.evaluation.rendered_faces.people import person, seen_parts
 from skylight.evaluation.rendered_faces.photograph import background
+from skylight.evaluation.rendered_faces.skin_patches import patches_in_reach
 from skylight.evaluation.rendered_faces.trace import trace
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import rotation_about
@@ -27,16 +29,22 @@ def uneven() -> EnvironmentMap:
 
 def test_light_and_backdrop_of_a_turned_camera() -> None:
     """A quarter turn to the left is the same as light that is turned to the right by one."""
-    turn, light = rotation_about(UP, math.pi / 2).numpy(), uneven()
-    around = light.rotate_azimuth(math.pi / 2)
+    turn = rotation_about(UP, math.pi / 2).numpy()
+    sun, sun_around = (
+        SunDisc(direction=torch.tensor(towards).double(), irradiance=torch.tensor([0.5, 0.4, 0.3]))
+        for towards in ([0.0, 0.6, 0.8], [-0.8, 0.6, 0.0])
+    )
+    light = DistantLight(uneven(), sun)
+    around = DistantLight(light.diffuse.rotate_azimuth(math.pi / 2), sun_around)
     who = person(0, 2.0, OPTIONS)
     camera = who.truth.camera
     np.testing.assert_allclose(
         background(light, camera, turn), background(around, camera), atol=2e-3
     )
-    moved = trace(who, light, samples=16, seed=1, world_from_camera=turn)
-    instead = trace(who, around, samples=16, seed=1)
-    still = trace(who, light, samples=16, seed=1)
+    patches = patches_in_reach(who, seen_parts(who), 0.01)
+    moved = trace(who, light, patches, samples=16, seed=1, world_from_camera=turn)
+    instead = trace(who, around, patches, samples=16, seed=1)
+    still = trace(who, light, patches, samples=16, seed=1)
     skin = instead.cover > 0.99
     alike = np.corrcoef(moved.diffuse[skin, 1], instead.diffuse[skin, 1])[0, 1]
     assert alike > 0.99

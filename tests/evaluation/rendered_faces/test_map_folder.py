@@ -11,9 +11,9 @@ from scipy import stats
 
 from skylight.cli import main
 from skylight.errors import InputError
+from skylight.evaluation.rendered_faces.light.scene_light import scene_light
 from skylight.evaluation.rendered_faces.map_folder import MapFolder
 from skylight.evaluation.rendered_faces.options import RenderOptions
-from skylight.evaluation.rendered_faces.scene_light import scene_light
 from skylight.io.files import write_environment_map
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import angle_between

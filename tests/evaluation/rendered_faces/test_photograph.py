@@ -8,8 +8,9 @@ import torch
 
 pytest.importorskip("mitsuba", reason="mitsuba is not installed")
 
+from skylight.evaluation.rendered_faces.light.distant_light import DistantLight, SunDisc
 from skylight.evaluation.rendered_faces.options import RenderOptions
-from skylight.evaluation.rendered_faces.people import person
+from skylight.evaluation.rendered_faces.people import Seen, person
 from skylight.evaluation.rendered_faces.photograph import (
     background,
     brightest_skin,
@@ -17,6 +18,7 @@ from skylight.evaluation.rendered_faces.photograph import (
     exposure_for,
     photograph,
 )
+from skylight.evaluation.rendered_faces.skin_patches import patches
 from skylight.evaluation.rendered_faces.trace import Layers
 from skylight.imaging.colour import srgb_to_linear
 from skylight.sphere.envmap import EnvironmentMap
@@ -31,26 +33,67 @@ def test_the_background_is_what_lies_ahead() -> None:
     plain = EnvironmentMap(radiance=torch.zeros(64, 128, 3))
     azimuth, zenith = angles_from_direction(plain.grid.directions)
     named = torch.stack([azimuth, zenith, zenith * 0], -1).reshape(64, 128, 3).float()
-    seen = background(EnvironmentMap(radiance=named), CAMERA)
+    seen = background(DistantLight(EnvironmentMap(radiance=named)), CAMERA)
     assert seen[24, 47, 0] == pytest.approx(math.atan(23.5 / 64), abs=0.005)
     assert seen[24, 0, 0] == pytest.approx(-math.atan(23.5 / 64), abs=0.005)
     assert seen[0, 24, 1] == pytest.approx(math.pi / 2 - math.atan(23.5 / 64), abs=0.005)
 
 
+def test_the_sun_ahead_is_a_disc_in_the_background() -> None:
+    sun = SunDisc(direction=torch.tensor([0.0, 0.0, -1.0]).double(), irradiance=torch.ones(3))
+    dark = EnvironmentMap(radiance=torch.zeros(16, 32, 3))
+    camera = Camera(focal_px=2000.0, width=48, height=48, center_px=(24.0, 24.0))
+    seen = background(DistantLight(dark, sun), camera)
+    np.testing.assert_allclose(seen.sum((0, 1)) / 2000**2, 1, rtol=0.01)
+    rows, columns = np.nonzero(seen[..., 0])
+    assert rows.max() - rows.min() + 1 == pytest.approx(2 * 2000 * math.tan(0.00465), abs=1.5)
+    assert columns.min() + columns.max() == 47
+
+
+def facing_square(depth_m: float) -> tuple[Seen, np.ndarray, np.ndarray]:
+    """Pixels of a square that faces the camera, 10 of its 48 columns empty, and its two faces."""
+    width = depth_m / CAMERA.focal_px
+    x, y = np.meshgrid((np.arange(48) - 23.5) * width, (23.5 - np.arange(48)) * width)
+    skin = np.ones((48, 48), bool)
+    skin[:, :10] = False
+    places = np.where(skin[..., None], np.stack([x, y, np.full_like(x, -depth_m)], -1), 0)
+    left, right, end = -14 * width, 24 * width, 24 * width
+    corners = np.array([[left, -end, 0], [right, -end, 0], [right, end, 0], [left, end, 0]])
+    corners[:, 2] = -depth_m
+    seen = Seen(positions=places, skin=skin, bare=skin, hair=~skin)
+    return seen, corners, np.array([[0, 1, 2], [0, 2, 3]])
+
+
 def test_layers_add_up() -> None:
+    """Even light, so that scattering changes nothing; without it a shadow's edge is blurred."""
     rng = np.random.default_rng(0)
     albedo = rng.uniform(0.1, 0.6, (48, 48, 3))
     cover = np.ones((48, 48))
     cover[:, :10] = 0
     albedo[:, :10] = 0
-    layers = Layers(
-        diffuse=albedo * 2.0, gloss=np.full((48, 48, 3), 0.25), albedo=albedo, cover=cover
-    )
+    seen, corners, faces = facing_square(0.064)  # pixels of 1 mm
+    skin = patches(corners, faces, np.arange(2), 1e-6)
     light = EnvironmentMap(radiance=torch.full((16, 32, 3), 3.0))
-    skin = cover > 0
-    picture = compose(layers, np.ones((48, 48)), skin, CAMERA, background(light, CAMERA))
-    np.testing.assert_allclose(picture[:, 10:], albedo[:, 10:] * 2 + 0.25, rtol=1e-5)
-    np.testing.assert_allclose(picture[:, :10], 3.25, rtol=1e-5)
+    backdrop = background(DistantLight(light), CAMERA)
+
+    def picture(lit: np.ndarray, entering: np.ndarray) -> np.ndarray:
+        layers = Layers(
+            diffuse=albedo * lit,
+            gloss=np.full((48, 48, 3), 0.25),
+            albedo=albedo,
+            cover=cover,
+            entering=entering,
+        )
+        return compose(layers, seen, skin, CAMERA, backdrop)
+
+    even = picture(np.full((48, 48, 3), 2.0), np.full((len(skin.areas), 3), 2.0))
+    np.testing.assert_allclose(even[:, 10:], albedo[:, 10:] * 2 + 0.25, rtol=1e-5)
+    np.testing.assert_allclose(even[:, :10], 3.25, rtol=1e-5)
+    right = np.repeat(seen.positions[..., :1] > 0, 3, -1).astype(float)
+    half = picture(right, np.repeat(skin.positions[:, :1] > 0, 3, 1).astype(float))
+    left = (half[:, 10:] - 0.25) / albedo[:, 10:]
+    red, green, blue = left[20:28, 13].mean(0)  # half a millimetre into the shadow
+    assert 0.5 > red > green > blue > 0.02
 
 
 def test_skin_in_even_light_is_as_bright_as_its_albedo_and_exposed_below_white() -> None:

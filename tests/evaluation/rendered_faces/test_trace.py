@@ -10,10 +10,12 @@ import torch
 
 pytest.importorskip("mitsuba", reason="mitsuba is not installed")
 
+from skylight.evaluation.rendered_faces.light.distant_light import DistantLight, SunDisc
 from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.evaluation.rendered_faces.people import Person, person, seen_parts
+from skylight.evaluation.rendered_faces.skin_patches import SkinPatches, patches_in_reach
 from skylight.evaluation.rendered_faces.smooth_head import SmoothHead
-from skylight.evaluation.rendered_faces.trace import INDEX, fine_map, trace, window
+from skylight.evaluation.rendered_faces.trace import INDEX, Layers, fine_map, trace, window
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import convert_latlong
 from skylight.transport.gbuffer import rasterize
@@ -34,6 +36,17 @@ def grey_person(albedo: float, number: int = 4) -> Person:
     return replace(who, paint=colours)
 
 
+@cache
+def patches_of(who: int) -> SkinPatches:
+    """Their geometry is that of the person of that number, whatever the colours."""
+    someone = person(who, 2.0, OPTIONS)
+    return patches_in_reach(someone, seen_parts(someone), 0.01)
+
+
+def layers_of(who: Person, light: EnvironmentMap, *, samples: int, seed: int) -> Layers:
+    return trace(who, DistantLight(light), patches_of(4), samples=samples, seed=seed)
+
+
 def sunny(row: int, column: int) -> EnvironmentMap:
     """A bluish sky over brown ground with a sun of one pixel, of the sky's power."""
     radiance = torch.tensor([0.5, 0.7, 1.0]).expand(16, 32, 3).clone()
@@ -45,7 +58,7 @@ def sunny(row: int, column: int) -> EnvironmentMap:
 @pytest.mark.parametrize("column", [3, 20, 28])
 def test_layers_agree_with_our_own_renderer(column: int) -> None:
     who, light = grey_person(0.05), sunny(5, column)
-    layers = trace(who, light, samples=64, seed=0)
+    layers = layers_of(who, light, samples=144, seed=0)
     mesh, faces = torch.from_numpy(who.points), torch.from_numpy(SmoothHead.load().faces.copy())
     caster = Raycaster(mesh, faces)
     surface = rasterize(who.truth.camera, mesh, faces, caster)
@@ -73,7 +86,7 @@ def test_the_sun_lights_its_own_side() -> None:
     columns = np.nonzero(bare)[1]
     left = bare & (np.arange(48)[None] < np.median(columns))
     for column, brighter in ((6, left), (26, bare & ~left)):  # a sun behind the camera
-        light = trace(who, sunny(4, column), samples=16, seed=1).diffuse.mean(2)
+        light = layers_of(who, sunny(4, column), samples=16, seed=1).diffuse.mean(2)
         other = bare & ~brighter
         assert light[brighter].mean() > 1.2 * light[other].mean()
 
@@ -82,7 +95,7 @@ def test_skin_throws_light_onto_skin() -> None:
     """An even light makes a convex body as bright as its albedo, a face darker: less so if pale."""
     white = EnvironmentMap(radiance=torch.ones(16, 32, 3))
     pale, dark = (
-        trace(grey_person(albedo), white, samples=32, seed=2).diffuse / albedo
+        layers_of(grey_person(albedo), white, samples=32, seed=2).diffuse / albedo
         for albedo in (0.8, 0.05)
     )
     bare = seen_parts(grey_person(0.8)).bare
@@ -91,7 +104,7 @@ def test_skin_throws_light_onto_skin() -> None:
 
 
 def test_layers_say_what_colour_they_show_and_what_they_cover() -> None:
-    layers = trace(grey_person(0.3), sunny(5, 3), samples=16, seed=3)
+    layers = layers_of(grey_person(0.3), sunny(5, 3), samples=16, seed=3)
     np.testing.assert_allclose(layers.albedo, 0.3 * layers.cover[..., None].repeat(3, 2), atol=1e-5)
     assert layers.cover.max() == 1
     assert layers.cover[0, 0] == 0
@@ -118,3 +131,41 @@ def test_the_finer_map_interpolated_as_mitsuba_does_keeps_each_pixels_light() ->
     got = np.einsum("r,rwc->c", weight, line) / columns
     np.testing.assert_allclose(got, want, rtol=3e-3)
     np.testing.assert_array_equal(fine[4::8][:8, 4::8], ours)
+
+
+def test_what_enters_patches_is_what_the_pixels_that_show_them_send_back() -> None:
+    """And those that none shows get theirs by rays of their own: checked where both are known."""
+    who, light, known = grey_person(0.3), sunny(5, 20), patches_of(4)
+    shown = np.flatnonzero(known.pixel >= 0)
+    layers = layers_of(who, light, samples=64, seed=4)
+    sent = layers.diffuse.reshape(-1, 3) / layers.albedo.reshape(-1, 3).clip(1e-6)
+    np.testing.assert_allclose(layers.entering[shown], sent[known.pixel[shown]])
+    blind = replace(known, pixel=np.full_like(known.pixel, -1))
+    own = trace(who, DistantLight(light), blind, samples=64, seed=5).entering
+    assert own[shown].mean() / layers.entering[shown].mean() == pytest.approx(1, abs=0.03)
+    assert np.corrcoef(own[shown, 1], layers.entering[shown, 1])[0, 1] > 0.9
+    hidden = np.flatnonzero(known.pixel < 0)
+    assert own[hidden].mean() / layers.entering[hidden].mean() == pytest.approx(1, abs=0.02)
+
+
+def test_a_sun_as_a_disc_gives_what_one_in_a_pixel_gives() -> None:
+    """The same irradiance from the middle of that pixel, so alike but for the shadows' edges."""
+    who, pixel = grey_person(0.05), 21 * 128 + 80
+    below = sunny(5, 20).resize(64).radiance.contiguous()
+    below[20:24, 80:84] = torch.tensor([0.5, 0.7, 1.0])
+    radiance = below.clone()
+    radiance.view(-1, 3)[pixel] = 2000.0
+    light = EnvironmentMap(radiance=radiance)
+    grid = light.grid
+    irradiance = (2000.0 - below.view(-1, 3)[pixel]) * grid.solid_angles[pixel].float()
+    disc = SunDisc(direction=grid.directions[pixel], irradiance=irradiance)
+    parted = DistantLight(EnvironmentMap(radiance=below), disc)
+    torch.testing.assert_close(parted.environment.radiance, light.radiance, rtol=1e-3, atol=1e-3)
+    one = layers_of(who, light, samples=64, seed=6)
+    two = trace(who, parted, patches_of(4), samples=64, seed=6)
+    bare = seen_parts(who).bare
+    for name in ("diffuse", "gloss"):
+        a, b = getattr(one, name)[bare], getattr(two, name)[bare]
+        assert b.mean() / a.mean() == pytest.approx(1, abs=0.03)
+    assert np.corrcoef(one.diffuse[bare, 1], two.diffuse[bare, 1])[0, 1] > 0.95
+    np.testing.assert_array_equal(one.cover, two.cover)  # the disc hides nothing
