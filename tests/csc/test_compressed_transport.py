@@ -14,7 +14,7 @@ from skylight.csc.compressed_transport import (
 from skylight.csc.correlation.positions import Positions
 from skylight.csc.dictionary import FilterBank, isotropic
 from skylight.csc.pursuit.greedy import Support
-from skylight.csc.sub_dictionaries import Part, PixelDictionary, SubDictionary
+from skylight.csc.sub_dictionaries import BoxDictionary, Part, SubDictionary
 from skylight.errors import InputError
 from skylight.sphere import harmonics
 from skylight.sphere.grid import DirectionGrid
@@ -41,7 +41,7 @@ def parts_of_three_kinds() -> list[Part]:
     return [
         SubDictionary(wide, POSITIONS),
         SubDictionary(narrow, Positions(rows=16, twists=1), len(wide)),
-        PixelDictionary(16, len(wide) + len(narrow), 8),
+        BoxDictionary(16, len(wide) + len(narrow), 8),
     ]
 
 

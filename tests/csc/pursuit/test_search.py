@@ -13,7 +13,7 @@ from skylight.csc.correlation.rotated import rotated_filters
 from skylight.csc.correlation.wigner import RotationCorrelation
 from skylight.csc.dictionary import FilterBank
 from skylight.csc.pursuit.search import Atom, Query, Search
-from skylight.csc.sub_dictionaries import PixelDictionary, SubDictionary
+from skylight.csc.sub_dictionaries import BoxDictionary, SubDictionary
 from skylight.sphere.grid import DirectionGrid
 from skylight.sphere.latlong_transform import LatLongTransform
 
@@ -26,7 +26,7 @@ def random(*shape: int, seed: int = 0) -> torch.Tensor:
 
 
 @cache
-def parts() -> tuple[SubDictionary, SubDictionary, PixelDictionary]:
+def parts() -> tuple[SubDictionary, SubDictionary, BoxDictionary]:
     """Filters with and without symmetry, the constant; round ones at other places; pixels."""
     bank = FilterBank(
         torch.cat([dictionary.anisotropic(DEGREE, 4).coefficients[:3], random(2, 49)]), "mixed"
@@ -36,7 +36,7 @@ def parts() -> tuple[SubDictionary, SubDictionary, PixelDictionary]:
     round_ = SubDictionary(
         FilterBank(rows, "round"), Positions(rows=9, twists=1), first=5, dtype=F64
     )
-    return turned, round_, PixelDictionary(10, 8, DEGREE)
+    return turned, round_, BoxDictionary(10, 8, DEGREE)
 
 
 @cache
