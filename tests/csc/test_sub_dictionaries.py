@@ -76,6 +76,17 @@ def test_iso_stays_isotropic_and_vmf_the_single_lobe() -> None:
     assert len(multiresolution(FilterBank(round_.coefficients[:2], "vmf"), 128)) == 1
 
 
+def test_box_has_boxes_at_any_height_in_the_pixels_place() -> None:
+    few, boxes = multiresolution(bank("box"), 32)
+    assert isinstance(boxes, BoxDictionary)
+    assert (few.count, boxes.first, boxes.count) == (8, 8, 36)
+    assert boxes.coordinates == slice(81, 81 + 32 * 64)
+    fine, pixels = multiresolution(bank("box"), 128), multiresolution(bank(), 128)
+    assert [type(each) for each in fine] == [type(each) for each in pixels]
+    assert [each.first for each in fine] == [each.first for each in pixels]
+    assert (fine[-1].count, pixels[-1].count) == (36, 1)
+
+
 # SubDictionary
 
 
