@@ -104,7 +104,7 @@ class CodeSampler:
         shares = torch.cat([share[None], power[round_], power[shapes.are_boxes]])
         return CodeSampler(
             lobes=lobes,
-            boxes=shapes.boxes,
+            boxes=shapes.boxes.to(torch.int16),  # a sampler is kept in place of a table
             height=coder.height,
             shares=shares.to(dtype),
         )
@@ -180,7 +180,7 @@ class CodeSampler:
         """Uniform directions in boxes of the map's pixels."""
         height, width = self._layout
         edges = row_edges_cos(height, width).to(self.shares)
-        top, rows, left, columns = boxes.unbind(1)
+        top, rows, left, columns = boxes.long().unbind(1)
         down, along = torch.rand(
             2, len(boxes), generator=generator, dtype=edges.dtype, device=edges.device
         )
@@ -189,7 +189,7 @@ class CodeSampler:
 
 
 def _solid_angles(boxes: Int[Tensor, "p 4"], height: int) -> Float[Tensor, " p"]:
-    top, rows, _, columns = boxes.unbind(1)
+    top, rows, _, columns = boxes.long().unbind(1)
     edges = row_edges_cos(height, 2 * height).to(boxes.device)
     return (edges[top] - edges[top + rows]) * columns * (math.pi / height)
 

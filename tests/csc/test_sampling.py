@@ -166,7 +166,7 @@ def test_pixels_are_drawn_within_themselves_with_their_share() -> None:
     only = replace(sampler, shares=torch.cat([0 * sampler.shares[:-2], sampler.shares[-2:]]))
     only = replace(only, shares=only.shares / only.shares.sum())
     directions = only.sample(2000, torch.Generator().manual_seed(0))
-    pixels = sampler.boxes[:, 0] * 128 + sampler.boxes[:, 2]
+    pixels = sampler.boxes[:, 0].long() * 128 + sampler.boxes[:, 2]
     angles = DirectionGrid.latlong(64).solid_angles[pixels]
     torch.testing.assert_close(
         only.pdf(directions).unique(), (only.shares[-2:] / angles).unique(), rtol=1e-12, atol=0
@@ -226,7 +226,7 @@ def test_a_sun_does_not_leave_its_pixel_by_rounding() -> None:
     last = coder().count - 1
     sampler = CodeSampler.of(code([last, last], seed=3), coder(), uniform=0.01)
     bright = torch.zeros(64 * 128)
-    bright[sampler.boxes[:, 0] * 128 + sampler.boxes[:, 2]] = 1
+    bright[sampler.boxes[:, 0].long() * 128 + sampler.boxes[:, 2]] = 1
     fine = bright.view(64, 128).repeat_interleave(2, 0).repeat_interleave(2, 1).flatten()
     directions = sampler.sample(1_000_000, torch.Generator().manual_seed(0))
     lit = fine[pixel_of(directions.double(), (128, 256))] > 0
