@@ -214,7 +214,7 @@ def small_table(environment: EnvironmentMap, most: int) -> TableSampler:
 def numbers(sampler: CodeSampler) -> int:
     """What sampling and densities need: axes, precisions and the integral of each lobe, shares."""
     lobes = sampler.lobes
-    stored = (lobes.axes, lobes.precisions, lobes.normaliser, sampler.shares, sampler.pixels)
+    stored = (lobes.axes, lobes.precisions, lobes.normaliser, sampler.shares, sampler.boxes)
     return sum(tensor.numel() for tensor in stored)
 
 

@@ -26,8 +26,8 @@ def code_probe(
     Args:
         probe: .exr or .hdr lat-long map of the whole sphere (width 2 heights).
         out: The .json file.
-        dictionary: Anisotropic Gaussians (ani), isotropic ones (iso), equal lobes (vmf), or the
-            file of a learnt dictionary.
+        dictionary: Anisotropic Gaussians (ani), the same and boxes of pixels (box), isotropic ones
+            (iso), equal lobes (vmf), or the file of a learnt dictionary.
         activations: Most lobes to use; a simple map gets fewer.
         weights: Of either sign with a weak L1 norm, none below 0, or plain least squares.
         height: Rows to average the map down to; by default its own, 128 at most.

@@ -1,5 +1,6 @@
 """Maps to sparse codes and back."""
 
+import math
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -18,8 +19,8 @@ from skylight.csc.pursuit.exchange import pursue, pursue_together
 from skylight.csc.pursuit.greedy import Pursuit, PursuitOptions, Support
 from skylight.csc.pursuit.quadratic import SampledSignal
 from skylight.csc.sub_dictionaries import (
+    BoxDictionary,
     Part,
-    PixelDictionary,
     SearchPlan,
     SubDictionary,
     degree_of,
@@ -28,11 +29,13 @@ from skylight.csc.sub_dictionaries import (
     rotated_atoms,
 )
 from skylight.errors import InputError
+from skylight.sphere.envmap import averaged
 from skylight.sphere.frame import pixel_from_direction
 from skylight.sphere.latlong_transform import LatLongTransform
 from skylight.work.progress import Progress
 
 _TOGETHER = 32  # maps whose activations are searched for together, 3 MB each and more
+_BOXES_AT_ONCE = 32  # as maps, of 0.8 MB at 128 rows in three colours
 _RIDGE = 1e-12  # of a Gram matrix: atoms that have become dependent leave it solvable
 
 
@@ -50,7 +53,8 @@ class SphericalSparseCoder(nn.Module):
     Parameters
     ----------
     dictionary
-        "iso", "ani", "vmf", a file that a dictionary was saved to, or a bank of filters.
+        "iso", "ani", "vmf", "box" (the filters of "ani" and boxes of the map's pixels), a file that
+        a dictionary was saved to, or a bank of filters.
     height
         Rows of the lat-long maps to code.
     activations
@@ -107,7 +111,7 @@ class SphericalSparseCoder(nn.Module):
     @property
     def parts(self) -> list[Part]:
         """The sub-dictionaries: the dictionary itself, then sharper ones of finer maps."""
-        return [p for p in self.sub_dictionaries if isinstance(p, SubDictionary | PixelDictionary)]
+        return [p for p in self.sub_dictionaries if isinstance(p, SubDictionary | BoxDictionary)]
 
     @property
     def bank(self) -> FilterBank:
@@ -241,6 +245,9 @@ class SphericalSparseCoder(nn.Module):
     ) -> Float[Tensor, "*batch h w c"]:
         """The coded maps at any number of rows; negative where weights of either sign make it so.
 
+        Boxes of pixels are constant within their borders, at any height; a pixel that a border
+        crosses gets its mean.
+
         Differentiable in weights, rotations and filters.
         """
         if isinstance(codes, SparseCode):
@@ -252,11 +259,7 @@ class SphericalSparseCoder(nn.Module):
         coefficients = self.coefficients(codes)
         maps = transform.synthesise(coefficients.mT).movedim(-3, -1)
         if has_pixels(self.parts):
-            pixel, radiance = self._pixels(codes, transform)
-            dots = torch.zeros_like(maps.flatten(-3, -2))
-            values = radiance[..., None] * codes.weights.to(radiance)
-            index = pixel[..., None].expand_as(values)
-            maps = maps + dots.scatter_add(-2, index, values.to(dots)).view_as(maps)
+            maps = maps + averaged(self._decoded_boxes(codes), maps.shape[-3]).to(maps)
         return maps.to(codes.weights.dtype)
 
     def coefficients(self, codes: CodeTensors) -> Float[Tensor, "*batch k c"]:
@@ -267,27 +270,32 @@ class SphericalSparseCoder(nn.Module):
     def _sampled_atoms(self, codes: CodeTensors) -> Float[Tensor, "*batch s h w"]:
         """The atoms on the pixels of the coder's maps."""
         atoms = self.transform.synthesise(rotated_atoms(self.parts, codes))
-        if not has_pixels(self.parts):
-            return atoms
-        pixel, radiance = self._pixels(codes, self.transform)
-        flat = atoms.flatten(-2)
-        return flat.scatter_add(-1, pixel[..., None], radiance[..., None].to(flat)).view_as(atoms)
+        flat = atoms.flatten(0, -3)
+        for some, boxes in self._boxes(codes):
+            flat = flat.index_add(0, some, boxes.to(flat))
+        return flat.view_as(atoms)
 
-    def _pixels(
-        self, codes: CodeTensors, transform: LatLongTransform
-    ) -> tuple[Int[Tensor, "*batch s"], Float[Tensor, "*batch s"]]:
-        """The pixel in which each activation of a pixel shows, and its radiance for a weight of 1.
+    def _decoded_boxes(self, codes: CodeTensors) -> Float[Tensor, "*batch h w c"]:
+        """The sum of a code's boxes, at the coder's own height."""
+        weights = codes.weights.flatten(0, -2).double()
+        batch, size = codes.filters.shape[:-1], codes.filters.shape[-1]
+        out = weights.new_zeros(math.prod(batch), self.height, 2 * self.height, weights.shape[1])
+        for some, boxes in self._boxes(codes):
+            coloured = boxes[..., None] * weights[some, None, None]
+            out = out.index_add(0, some // size, coloured)
+        return out.view(*batch, *out.shape[1:])
 
-        The energy of the coder's pixel goes to the nearest one of ``transform``'s grid; all other
-        activations have radiance 0.
-        """
-        coarse, fine = self.transform.grid, transform.grid
-        directions = centres_of(codes.rotations)
-        pixel, source = pixel_of(directions, fine.layout), pixel_of(directions, coarse.layout)
-        device = codes.rotations.device
-        energy = coarse.solid_angles.to(device)[source].sqrt()
-        last = codes.filters == self.count - 1
-        return pixel, last * codes.used * energy / fine.solid_angles.to(device)[pixel]
+    def _boxes(
+        self, codes: CodeTensors
+    ) -> Iterator[tuple[Int[Tensor, " s"], Float[Tensor, "s h w"]]]:
+        """Activations of boxes, numbered through the batch, and their atoms; some at a time."""
+        filters, rotations = codes.filters.flatten(), codes.rotations.flatten(0, -2)
+        for part in self.parts:
+            if isinstance(part, BoxDictionary):  # it is the last part
+                mine = torch.nonzero((filters >= part.first) & codes.used.flatten())[:, 0]
+                for some in mine.split(_BOXES_AT_ONCE):
+                    boxes = part(filters[some], rotations[some])
+                    yield some, boxes.unflatten(-1, (self.height, -1))
 
     def sparse_code(self, code: CodeTensors, relative_error: float) -> SparseCode:
         """One unbatched code with all that a file of it says."""

@@ -12,8 +12,8 @@ from skylight.csc.pursuit.exchange import pursue
 from skylight.csc.pursuit.greedy import Pursuit, PursuitOptions, Support
 from skylight.csc.pursuit.quadratic import SampledSignal
 from skylight.csc.sub_dictionaries import (
+    BoxDictionary,
     Part,
-    PixelDictionary,
     degree_of,
     has_pixels,
     part_of,
@@ -101,11 +101,9 @@ class CompressedTransport:
         weights = code.weights[:, 0]
         coordinates = [weights @ rotated_atoms(self.parts, code)]
         for part in self.parts:
-            if isinstance(part, PixelDictionary):
-                mine = code.used & (code.filters == part.first)
-                places = part.positions.places(code.rotations[mine])
-                pixels = part.correlation.rotated(code.filters[mine] - part.first, places)
-                coordinates.append(weights[mine] @ pixels)
+            if isinstance(part, BoxDictionary):
+                mine = code.used & (code.filters >= part.first)  # it is the last part
+                coordinates.append(weights[mine] @ part(code.filters[mine], code.rotations[mine]))
         return torch.cat(coordinates)
 
 

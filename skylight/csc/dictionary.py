@@ -21,7 +21,7 @@ from skylight.errors import InputError
 from skylight.io.tensors import read_tensors, write_tensors
 from skylight.sphere import harmonics, lobes
 
-BuiltinName = Literal["iso", "ani", "vmf"]
+BuiltinName = Literal["iso", "ani", "vmf", "box"]
 PolarFunction = Callable[[Tensor, Tensor], Tensor]
 
 DEGREE = 40
@@ -357,7 +357,10 @@ def von_mises_fisher(degree: int = DEGREE, kappa: float = 80.0) -> FilterBank:
 
 
 def builtin(name: BuiltinName, degree: int = DEGREE) -> FilterBank:
-    """A hand-made dictionary of the thesis; computed once a process."""
+    """A hand-made dictionary, of the thesis but for "box"; computed once a process.
+
+    A coder of "box" has boxes of its map's pixels besides these filters, which are those of "ani".
+    """
     if name not in get_args(BuiltinName):
         raise InputError(
             f"unknown dictionary {name!r}: choose one of {', '.join(get_args(BuiltinName))}"
@@ -381,7 +384,8 @@ def load_dictionary(name_or_path: str, degree: int = DEGREE) -> FilterBank:
 
 @cache
 def _builtin_coefficients(name: BuiltinName, degree: int) -> Float[Tensor, "m k"]:
-    builders = {"iso": isotropic, "ani": anisotropic, "vmf": von_mises_fisher}
+    # "box" adds to the filters of "ani" what has no coefficients: boxes of a map's own pixels
+    builders = {"iso": isotropic, "ani": anisotropic, "vmf": von_mises_fisher, "box": anisotropic}
     return builders[name](degree).coefficients.detach()
 
 

@@ -10,9 +10,8 @@ from torch import Tensor
 
 from skylight.csc.code import CodeTensors, SparseCode
 from skylight.csc.coder import SphericalSparseCoder, pixel_of
-from skylight.csc.correlation.positions import centres_of
 from skylight.csc.gaussian_lobes import GaussianLobes, fitted_lobes
-from skylight.csc.sub_dictionaries import PixelDictionary
+from skylight.csc.sub_dictionaries import BoxDictionary
 from skylight.errors import InputError
 from skylight.sphere.envmap import luminance
 from skylight.sphere.frame import direction_from_angles
@@ -29,15 +28,15 @@ _AT_ONCE = 2**14  # directions whose densities are evaluated together
 class CodeSampler:
     """Draws directions with a density close to the luminance of a sparse code::
 
-        pdf(w) = s_0 / (4 pi) + sum_j s_j f_j(w) + sum_i s_i [w in pixel i] / solid angle_i
+        pdf(w) = s_0 / (4 pi) + sum_j s_j f_j(w) + sum_i s_i [w in box i] / solid angle_i
 
     with ``shares`` s that sum to 1. f_0 = 1 / (4 pi) and the f_j are :class:`GaussianLobes`, the
-    lobes of the code's filters; ``pixels`` are the activations of a fine coder that are pixels of
-    a lat-long map of ``height`` rows. Everything is drawn exactly, so ``mean(g / pdf)`` is an
-    unbiased estimate of any integral of g over the sphere. Which pixel a direction is in is told in
-    double precision; where g is a map it should be looked up so too, or border samples of a sun
-    differ. ``pdf`` is differentiable in the directions and in the weights and rotations of
-    :meth:`of`.
+    lobes of the code's filters; ``boxes`` (first row, rows, first column, columns) are the
+    activations that are boxes of pixels of a lat-long map of ``height`` rows. Everything is drawn
+    exactly, so ``mean(g / pdf)`` is an unbiased estimate of any integral of g over the sphere.
+    Which box a direction is in is told in double precision; where g is a map it should be looked
+    up so too, or border samples of a sun differ. ``pdf`` is differentiable in the directions and in
+    the weights and rotations of :meth:`of`.
 
     A share is the power of its activation, luminance of the weight times the integral of the
     filter. Two things of the decoded map are not in the density: activations of negative
@@ -48,7 +47,7 @@ class CodeSampler:
     """
 
     lobes: GaussianLobes
-    pixels: Int[Tensor, " p"]
+    boxes: Int[Tensor, "p 4"]
     height: int
     shares: Float[Tensor, " c"]
 
@@ -83,17 +82,16 @@ class CodeSampler:
             raise InputError("a sampler is of one code: give one of the batch")
         used = code.used
         filters, rotations = code.filters[used], code.rotations[used].double()
-        pixel = pixel_of(centres_of(rotations), (coder.height, 2 * coder.height))
-        shapes = _Shapes.of(coder, filters, pixel)
+        shapes = _Shapes.of(coder, filters, rotations)
         power = luminance(code.weights[used].double()).clamp(min=0) * shapes.integrals
         total = power.sum()
         if not float(total.detach()) > 0:
             raise InputError("the code has no activation of positive luminance: code another map")
-        even = ~shapes.are_pixels & (shapes.precisions[:, 1] == 0)
+        even = ~shapes.are_boxes & (shapes.precisions[:, 1] == 0)
         share = (power[even].sum() / total).clamp(min=uniform)
         rest = power[~even].sum()
         power = power * (1 - share) / torch.where(rest > 0, rest, 1.0)
-        round_ = ~even & ~shapes.are_pixels
+        round_ = ~even & ~shapes.are_boxes
         alpha, beta, gamma = rotations[round_].unbind(1)
         turned = matrix_from_euler(alpha, beta, gamma + shapes.longitudes[round_])
         # about the zenith: (z, x, y) takes the place of (x, y, z)
@@ -103,10 +101,10 @@ class CodeSampler:
             axes=torch.cat([torch.eye(3).to(axes)[:, None], axes], 1).to(dtype),
             precisions=torch.cat([precisions.new_zeros(1, 2), precisions]).to(dtype),
         )
-        shares = torch.cat([share[None], power[round_], power[shapes.are_pixels]])
+        shares = torch.cat([share[None], power[round_], power[shapes.are_boxes]])
         return CodeSampler(
             lobes=lobes,
-            pixels=pixel[shapes.are_pixels],
+            boxes=shapes.boxes.to(torch.int16),  # a sampler is kept in place of a table
             height=coder.height,
             shares=shares.to(dtype),
         )
@@ -117,12 +115,12 @@ class CodeSampler:
 
     def _pdf(self, directions: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         lobes = self.lobes.density(directions.to(self.shares)) @ self.shares[: self._lobes]
-        if not len(self.pixels):
+        if not len(self.boxes):
             return lobes
         # a sun that single precision puts beyond the border of its pixel would be a rare bright
         # sample: on one map it made integrals 1 % too large
-        within = pixel_of(directions.double(), self._layout)[:, None] == self.pixels
-        angles = DirectionGrid.latlong(self.height).solid_angles.to(self.shares)[self.pixels]
+        within = self._within(pixel_of(directions.double(), self._layout))
+        angles = _solid_angles(self.boxes, self.height).to(self.shares)
         return lobes + within.to(lobes) @ (self.shares[self._lobes :] / angles)
 
     @torch.no_grad()
@@ -135,14 +133,14 @@ class CodeSampler:
         (round_,) = torch.nonzero(which < self._lobes, as_tuple=True)
         out[round_] = self.lobes.draw(which[round_], generator)
         (dots,) = torch.nonzero(which >= self._lobes, as_tuple=True)
-        out[dots] = self._within_pixels(self.pixels[which[dots] - self._lobes], generator)
+        out[dots] = self._in_boxes(self.boxes[which[dots] - self._lobes], generator)
         return out
 
     def towards(self, normal: Float[Tensor, "3"]) -> "CodeSampler":
         """The sampler for the irradiance of a surface of unit ``normal``.
 
-        Shares are multiplied by the mean of ``max(<n, w>, 0)`` under each lobe, as if ``<n, w>``
-        were normally distributed with its mean m and standard deviation s there:
+        Shares are multiplied by the mean of ``max(<n, w>, 0)`` over a box's pixels, and under each
+        lobe, as if ``<n, w>`` were normally distributed with its mean m and standard deviation s:
         ``m Phi(m / s) + s phi(m / s)``. The density stays exact and positive.
         """
         normal = normal.to(self.shares)
@@ -153,8 +151,12 @@ class CodeSampler:
         ratio = centre / spread
         bell = torch.exp(-0.5 * ratio.square()) / math.sqrt(2 * math.pi)
         lobes = centre * torch.special.ndtr(ratio) + spread * bell
-        dots = DirectionGrid.latlong(self.height).directions.to(normal)[self.pixels] @ normal
-        shares = self.shares * torch.cat([lobes.clamp(min=0), dots.clamp(min=0)])
+        grid = DirectionGrid.latlong(self.height)
+        cosine = grid.solid_angles.to(normal) * (grid.directions.to(normal) @ normal).clamp(min=0)
+        pixel = torch.arange(len(grid), device=self.boxes.device)
+        boxes = cosine @ self._within(pixel).to(normal)
+        boxes = boxes / _solid_angles(self.boxes, self.height).to(normal)
+        shares = self.shares * torch.cat([lobes.clamp(min=0), boxes])
         return replace(self, shares=shares / shares.sum())
 
     @property
@@ -165,48 +167,62 @@ class CodeSampler:
     def _layout(self) -> tuple[int, int]:
         return self.height, 2 * self.height
 
-    def _within_pixels(
-        self, pixels: Int[Tensor, " n"], generator: torch.Generator | None
+    def _within(self, pixels: Int[Tensor, " n"]) -> Bool[Tensor, "n p"]:
+        """Which boxes each pixel of the map is in."""
+        width = self._layout[1]
+        top, rows, left, columns = self.boxes.unbind(1)
+        row, column = pixels[:, None] // width - top, (pixels[:, None] - left) % width
+        return (row >= 0) & (row < rows) & (column < columns)
+
+    def _in_boxes(
+        self, boxes: Int[Tensor, "n 4"], generator: torch.Generator | None
     ) -> Float[Tensor, "n 3"]:
-        """Uniform directions in pixels of the map."""
+        """Uniform directions in boxes of the map's pixels."""
         height, width = self._layout
         edges = row_edges_cos(height, width).to(self.shares)
-        row, column = pixels // width, pixels % width
+        top, rows, left, columns = boxes.long().unbind(1)
         down, along = torch.rand(
-            2, len(pixels), generator=generator, dtype=edges.dtype, device=edges.device
+            2, len(boxes), generator=generator, dtype=edges.dtype, device=edges.device
         )
-        zenith = torch.acos(torch.lerp(edges[row], edges[row + 1], down))
-        return direction_from_angles(2 * math.pi * ((column + along) / width - 0.5), zenith)
+        zenith = torch.acos(torch.lerp(edges[top], edges[top + rows], down))
+        return direction_from_angles(2 * math.pi * ((left + columns * along) / width - 0.5), zenith)
+
+
+def _solid_angles(boxes: Int[Tensor, "p 4"], height: int) -> Float[Tensor, " p"]:
+    top, rows, _, columns = boxes.long().unbind(1)
+    edges = row_edges_cos(height, 2 * height).to(boxes.device)
+    return (edges[top] - edges[top + rows]) * columns * (math.pi / height)
 
 
 class _Shapes(NamedTuple):
-    """What lobes activations have: which are pixels, and the Gaussians of the others.
+    """What activations are: which are boxes, those, and the Gaussians of the others.
 
     ``integrals`` are those of the filters over the sphere, 0 where they are negative.
     """
 
-    are_pixels: Bool[Tensor, " s"]
+    are_boxes: Bool[Tensor, " s"]
+    boxes: Int[Tensor, "p 4"]
     precisions: Float[Tensor, "s 2"]
     longitudes: Float[Tensor, " s"]
     integrals: Float[Tensor, " s"]
 
     @staticmethod
     def of(
-        coder: SphericalSparseCoder, filters: Int[Tensor, " s"], pixel: Int[Tensor, " s"]
+        coder: SphericalSparseCoder, filters: Int[Tensor, " s"], rotations: Float[Tensor, "s 3"]
     ) -> "_Shapes":
         blank = torch.zeros(len(filters), dtype=torch.float64, device=filters.device)
-        are_pixels, integrals = torch.zeros_like(filters, dtype=torch.bool), blank.clone()
+        are_boxes, integrals = torch.zeros_like(filters, dtype=torch.bool), blank.clone()
+        boxes = filters.new_zeros(0, 4)
         precisions, longitudes = blank[:, None].repeat(1, 2), blank.clone()
-        angles = DirectionGrid.latlong(coder.height).solid_angles.to(blank)
         for part in coder.parts:
             mine = (filters >= part.first) & (filters < part.first + part.count)
-            if isinstance(part, PixelDictionary):
-                are_pixels = mine
-                integrals[mine] = angles[pixel[mine]].sqrt()
+            if isinstance(part, BoxDictionary):
+                are_boxes, boxes = mine, part.spans(filters[mine], rotations[mine])
+                integrals[mine] = _solid_angles(boxes, coder.height).sqrt()
             else:
                 own = filters[mine] - part.first
                 precisions[mine], longitudes[mine] = fitted_lobes(part.bank, own)
                 # Y_00 = 1 / sqrt(4 pi)
                 mean = part.bank.coefficients.detach()[own, 0].to(blank)
                 integrals[mine] = (math.sqrt(4 * math.pi) * mean).clamp(min=0)
-        return _Shapes(are_pixels, precisions, longitudes, integrals)
+        return _Shapes(are_boxes, boxes, precisions, longitudes, integrals)

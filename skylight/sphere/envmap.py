@@ -122,18 +122,7 @@ class EnvironmentMap:
 
     def resize(self, height: int) -> "EnvironmentMap":
         """Average radiance over each new pixel's solid angle: energy is kept exactly."""
-        width = height * self.layout[1] // self.layout[0]
-        rows = _overlap(row_edges_cos(*self.layout).flip(0), row_edges_cos(height, width).flip(0))
-        rows = rows.flip(0, 1)
-        unit = torch.float64
-        columns = _overlap(
-            torch.linspace(0, 1, self.layout[1] + 1, dtype=unit),
-            torch.linspace(0, 1, width + 1, dtype=unit),
-        )
-        # float64 sums: a sun is 1e5 times brighter than what it is averaged with
-        wide = torch.einsum("ih,hwc->iwc", rows.to(self.radiance.device), self.radiance.double())
-        out = torch.einsum("jw,iwc->ijc", columns.to(self.radiance.device), wide)
-        return EnvironmentMap(radiance=out.to(self.radiance.dtype))
+        return EnvironmentMap(radiance=averaged(self.radiance, height))
 
     def upper(self) -> "EnvironmentMap":
         """The sky half of a full map."""
@@ -163,6 +152,23 @@ def shift_columns(
     index = index[..., None, :, None].expand_as(images)
     moved = torch.gather(images, -2, index)
     return (1 - part) * moved + part * torch.roll(moved, 1, dims=-2)
+
+
+def averaged(images: Float[Tensor, "*batch h w c"], height: int) -> Float[Tensor, "*batch k l c"]:
+    """Lat-long images at ``height`` rows: means over each new pixel's solid angle."""
+    layout = images.shape[-3], images.shape[-2]
+    width = height * layout[1] // layout[0]
+    rows = _overlap(row_edges_cos(*layout).flip(0), row_edges_cos(height, width).flip(0))
+    rows = rows.flip(0, 1)
+    unit = torch.float64
+    columns = _overlap(
+        torch.linspace(0, 1, layout[1] + 1, dtype=unit),
+        torch.linspace(0, 1, width + 1, dtype=unit),
+    )
+    # float64 sums: a sun is 1e5 times brighter than what it is averaged with
+    wide = torch.einsum("ih,...hwc->...iwc", rows.to(images.device), images.double())
+    out = torch.einsum("jw,...iwc->...ijc", columns.to(images.device), wide)
+    return out.to(images.dtype)
 
 
 def _overlap(source: Float[Tensor, " m"], target: Float[Tensor, " n"]) -> Float[Tensor, "k l"]:

@@ -18,6 +18,7 @@ DICTIONARIES = {
     "ani": "Anisotropic Gaussians",
     "iso": "Isotropic Gaussians",
     "vmf": "Lobes of one width",
+    "box": "Anisotropic Gaussians and boxes",
 }
 
 Token = Annotated[str, Field(max_length=64)]
@@ -47,7 +48,7 @@ class CodeRequest(_LitRequest):
     """A map of light as a sparse code."""
 
     kind: Literal["code"]
-    dictionary: Literal["ani", "iso", "vmf"] = "ani"
+    dictionary: Literal["ani", "iso", "vmf", "box"] = "ani"
     activations: Annotated[int, Field(ge=1, le=256)] = 64
 
 

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -15,13 +16,15 @@ from skylight.cli import main
 from skylight.cli.sparse_codes import CodeWeights
 from skylight.csc.code import SparseCode
 from skylight.csc.coder import SphericalSparseCoder
-from skylight.csc.dictionary import builtin, isotropic
+from skylight.csc.correlation.positions import centres_of
+from skylight.csc.dictionary import FilterBank, builtin, isotropic
 from skylight.csc.pursuit.greedy import Sign
+from skylight.csc.sub_dictionaries import BOX_SIZES
 from skylight.io.files import read_environment_map, write_environment_map
 from skylight.io.hdr import write_exr
 from skylight.sphere import harmonics
 from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.frame import angle_between, direction_from_angles
+from skylight.sphere.frame import angle_between, direction_from_angles, pixel_from_direction
 from skylight.sphere.grid import DirectionGrid
 from tests.cli.test_cli import one_line
 
@@ -319,6 +322,28 @@ class TestOutlines:
 
     def test_constants_have_none(self, coder: SphericalSparseCoder) -> None:
         assert outlines(coder, self.code(coder, 0, [1, 0, 0])) == [None]
+
+    def test_a_box_has_its_border(self) -> None:
+        """2 rows of 3 columns about row 10 and column 0, and round the seam; a pixel has none."""
+        coder = SphericalSparseCoder(FilterBank(builtin("iso", 8).coefficients, "box"))
+        boxes = coder.parts[-1]
+        place = torch.tensor([[10, 0, 0]])
+        code = replace(
+            self.code(coder, boxes.first + BOX_SIZES.index((2, 3)), [1, 0, 0]),
+            directions=centres_of(boxes.positions.rotations(place)),
+        )
+        (found,) = outlines(coder, code)
+        assert found is not None
+        assert found.axis is None
+        row, column = pixel_from_direction(found.around, 32, 64)
+        assert float(row.min()) == pytest.approx(9.5)
+        assert float(row.max()) == pytest.approx(11.5)
+        column = (column + 10) % 64 - 10
+        assert float(column.min()) == pytest.approx(-1.5)
+        assert float(column.max()) == pytest.approx(1.5)
+        torch.testing.assert_close(found.around[0], found.around[-1])
+        pixel = replace(code, filters=torch.tensor([boxes.first]))
+        assert outlines(coder, pixel) == [None]
 
     def test_no_seam(self) -> None:
         """A circle about the middle of the seam: no stroke crosses the map."""

@@ -14,7 +14,7 @@ from skylight.csc.compressed_transport import (
 from skylight.csc.correlation.positions import Positions
 from skylight.csc.dictionary import FilterBank, isotropic
 from skylight.csc.pursuit.greedy import Support
-from skylight.csc.sub_dictionaries import Part, PixelDictionary, SubDictionary
+from skylight.csc.sub_dictionaries import BoxDictionary, Part, SubDictionary
 from skylight.errors import InputError
 from skylight.sphere import harmonics
 from skylight.sphere.grid import DirectionGrid
@@ -33,7 +33,7 @@ def unshadowed(height: int = 16) -> TransportMatrix:
 
 
 def parts_of_three_kinds() -> list[Part]:
-    """Filters without any symmetry, isotropic ones above them, and pixels."""
+    """Filters without any symmetry, isotropic ones above them, and boxes."""
     bands = 1 + harmonics.bands(6)
     skewed = torch.randn(3, 49, generator=torch.Generator().manual_seed(0)).double() / bands**2
     wide = FilterBank(torch.cat([skewed, -skewed]), "skewed")
@@ -41,7 +41,7 @@ def parts_of_three_kinds() -> list[Part]:
     return [
         SubDictionary(wide, POSITIONS),
         SubDictionary(narrow, Positions(rows=16, twists=1), len(wide)),
-        PixelDictionary(16, len(wide) + len(narrow), 8),
+        BoxDictionary(16, len(wide) + len(narrow), 8, sizes=((1, 1), (3, 2))),
     ]
 
 
@@ -60,9 +60,9 @@ def test_relighting_is_the_expanded_matrix_times_the_light(compressed: Compresse
 def test_every_layer_is_read_where_its_atoms_stand():
     parts, transform = parts_of_three_kinds(), transform_for(parts_of_three_kinds(), 16)
     code = Support(
-        filters=torch.tensor([0, 0, 4, 7, parts[2].first]),
-        places=torch.tensor([[2, 5, 3], [2, 5, 7], [7, 15, 0], [9, 31, 0], [4, 30, 0]]),
-        weights=torch.tensor([[1.0], [-0.5], [2], [0.7], [0.1]]).double(),
+        filters=torch.tensor([0, 0, 4, 7, parts[2].first, parts[2].first + 1]),
+        places=torch.tensor([[2, 5, 3], [2, 5, 7], [7, 15, 0], [9, 31, 0], [4, 30, 0], [5, 0, 0]]),
+        weights=torch.tensor([[1.0], [-0.5], [2], [0.7], [0.1], [0.3]]).double(),
         error=0.0,
     )
     compressed = CompressedTransport.of([code], parts, transform)

@@ -17,7 +17,7 @@ from skylight.sphere import harmonics, lobes
 from skylight.sphere.grid import DirectionGrid
 
 F64 = torch.float64
-SIZES = {"iso": 101, "ani": 201, "vmf": 2}
+SIZES = {"iso": 101, "ani": 201, "vmf": 2, "box": 201}
 
 
 def number(value: float) -> torch.Tensor:
@@ -151,7 +151,7 @@ def test_twice_the_samples_give_the_same_anisotropic_filters() -> None:
 # the dictionaries
 
 
-@pytest.mark.parametrize("name", ["iso", "ani", "vmf"])
+@pytest.mark.parametrize("name", list(SIZES))
 def test_builtin_has_unit_filters_and_the_constant_first(name: str) -> None:
     bank = load_dictionary(name)
     assert (bank.name, len(bank), bank.degree) == (name, SIZES[name], 40)
@@ -174,6 +174,7 @@ def test_symmetry_is_exact() -> None:
     assert torch.count_nonzero(ani[:, (m < 0) | (m % 2 != 0)]) == 0
     assert (ani[1:101, (m > 0) & (m % 2 == 0)].abs().amax(dim=1) > 1e-3).all()
     assert torch.equal(ani[101:], builtin("iso").coefficients[1:])
+    assert torch.equal(builtin("box").coefficients, ani)
 
 
 def test_filters_hardly_ring() -> None:

@@ -11,9 +11,10 @@ from scipy.stats import chi2
 
 from skylight.csc.code import CodeTensors
 from skylight.csc.coder import SphericalSparseCoder, pixel_of
+from skylight.csc.dictionary import FilterBank, builtin
 from skylight.csc.gaussian_lobes import fitted_lobes
 from skylight.csc.sampling import CodeSampler
-from skylight.csc.sub_dictionaries import SubDictionary
+from skylight.csc.sub_dictionaries import BOX_SIZES, SubDictionary
 from skylight.errors import InputError
 from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.sphere.grid import DirectionGrid
@@ -165,9 +166,58 @@ def test_pixels_are_drawn_within_themselves_with_their_share() -> None:
     only = replace(sampler, shares=torch.cat([0 * sampler.shares[:-2], sampler.shares[-2:]]))
     only = replace(only, shares=only.shares / only.shares.sum())
     directions = only.sample(2000, torch.Generator().manual_seed(0))
-    angles = DirectionGrid.latlong(64).solid_angles[sampler.pixels]
+    pixels = sampler.boxes[:, 0].long() * 128 + sampler.boxes[:, 2]
+    angles = DirectionGrid.latlong(64).solid_angles[pixels]
     torch.testing.assert_close(
         only.pdf(directions).unique(), (only.shares[-2:] / angles).unique(), rtol=1e-12, atol=0
+    )
+
+
+def of_boxes() -> tuple[CodeTensors, SphericalSparseCoder]:
+    """Three boxes, one at a pole and one across the seam."""
+    coder = SphericalSparseCoder(FilterBank(builtin("iso", 20).coefficients, "box"))
+    boxes = coder.parts[-1]
+    filters = [boxes.first + BOX_SIZES.index(size) for size in ((3, 4), (2, 1), (1, 8))]
+    places = torch.tensor([[9, 20, 0], [0, 0, 0], [20, 62, 0]])
+    weights = torch.tensor([[1.0, 2, 3], [0.5, 0.1, 0.2], [1, 1, 1]], dtype=F64)
+    rotations = boxes.positions.rotations(places)
+    return CodeTensors(torch.tensor(filters), rotations, weights, torch.tensor(3)), coder
+
+
+def test_boxes_are_drawn_within_themselves() -> None:
+    """The density is the decoded luminance, and every sample lies where there is light."""
+    code, coder = of_boxes()
+    sampler = CodeSampler.of(code, coder, uniform=1e-9, dtype=F64)
+    decoded = luminance(coder.decode(code, 128).detach()).flatten()
+    expected = decoded / (decoded @ FINE.solid_angles)
+    torch.testing.assert_close(sampler.pdf(FINE.directions), expected, atol=1e-8, rtol=1e-8)
+    drawn = sampler.sample(20_000, torch.Generator().manual_seed(0))
+    assert (decoded[pixel_of(drawn, (128, 256))] > 0).all()
+    assert float(sampler.pdf(drawn).reciprocal().mean()) == pytest.approx(
+        float(FINE.solid_angles[decoded > 0].sum()), rel=0.05
+    )
+
+
+def test_boxes_towards_a_normal_count_by_their_mean_cosine() -> None:
+    code, coder = of_boxes()
+    normal = torch.tensor([0.6, 0.64, -0.48], dtype=F64)
+    sampler = CodeSampler.of(code, coder, dtype=F64)
+    cosine = (FINE.directions @ normal).clamp(min=0) * FINE.solid_angles
+    means = []
+    for n in range(3):
+        one = CodeTensors(
+            code.filters[n : n + 1],
+            code.rotations[n : n + 1],
+            code.weights[n : n + 1],
+            torch.tensor(1),
+        )
+        light = luminance(coder.decode(one, 128).detach()).flatten()
+        means.append(float(light @ cosine / (light @ FINE.solid_angles)))
+    found = sampler.towards(normal).shares[-3:] / sampler.shares[-3:]
+    expected = torch.tensor(means, dtype=F64)
+    assert expected.max() > 2 * expected.min()
+    torch.testing.assert_close(
+        found / found.max(), expected / expected.max(), rtol=0.02, atol=0.005
     )
 
 
@@ -176,7 +226,7 @@ def test_a_sun_does_not_leave_its_pixel_by_rounding() -> None:
     last = coder().count - 1
     sampler = CodeSampler.of(code([last, last], seed=3), coder(), uniform=0.01)
     bright = torch.zeros(64 * 128)
-    bright[sampler.pixels] = 1
+    bright[sampler.boxes[:, 0].long() * 128 + sampler.boxes[:, 2]] = 1
     fine = bright.view(64, 128).repeat_interleave(2, 0).repeat_interleave(2, 1).flatten()
     directions = sampler.sample(1_000_000, torch.Generator().manual_seed(0))
     lit = fine[pixel_of(directions.double(), (128, 256))] > 0

@@ -10,7 +10,7 @@ from skylight.csc.correlation.zonal import ZonalCorrelation, is_zonal
 from skylight.csc.dictionary import FilterBank
 from skylight.csc.pursuit.quadratic import SampledSignal
 from skylight.csc.sub_dictionaries import (
-    PixelDictionary,
+    BoxDictionary,
     SubDictionary,
     degree_of,
     multiresolution,
@@ -56,7 +56,7 @@ def test_finer_maps_get_sharper_filters_and_the_pixel() -> None:
     assert isinstance(fine.plan().correlation, ZonalCorrelation)
     assert fine.positions == Positions(rows=64, twists=1)
     assert fine.bank.degree == degree_of(parts) == 48
-    assert isinstance(pixel, PixelDictionary)
+    assert isinstance(pixel, BoxDictionary)
     assert [each.first for each in parts] == [0, 8, 8 + fine.count]
     assert pixel.coordinates == slice(49**2, 49**2 + 64 * 128)
     owners = [part_of(parts, f) for f in range(8 + fine.count + 1)]
@@ -68,12 +68,23 @@ def test_finer_maps_get_sharper_filters_and_the_pixel() -> None:
 def test_iso_stays_isotropic_and_vmf_the_single_lobe() -> None:
     round_ = FilterBank(dictionary.isotropic(8, 3).coefficients, "iso")
     parts = multiresolution(round_, 200)
-    assert [type(each) for each in parts] == [SubDictionary, SubDictionary, PixelDictionary]
+    assert [type(each) for each in parts] == [SubDictionary, SubDictionary, BoxDictionary]
     assert all(is_zonal(each.bank.coefficients) for each in parts[:2])  # type: ignore[union-attr]
     # what has a band limit ends at 128 rows; the pixel does not
     assert degree_of(parts) == 96
     assert [each.positions.rows for each in parts] == [32, 128, 200]
     assert len(multiresolution(FilterBank(round_.coefficients[:2], "vmf"), 128)) == 1
+
+
+def test_box_has_boxes_at_any_height_in_the_pixels_place() -> None:
+    few, boxes = multiresolution(bank("box"), 32)
+    assert isinstance(boxes, BoxDictionary)
+    assert (few.count, boxes.first, boxes.count) == (8, 8, 36)
+    assert boxes.coordinates == slice(81, 81 + 32 * 64)
+    fine, pixels = multiresolution(bank("box"), 128), multiresolution(bank(), 128)
+    assert [type(each) for each in fine] == [type(each) for each in pixels]
+    assert [each.first for each in fine] == [each.first for each in pixels]
+    assert (fine[-1].count, pixels[-1].count) == (36, 1)
 
 
 # SubDictionary
@@ -143,12 +154,12 @@ def test_plans_follow_the_search_precision() -> None:
     assert part.double().plan().correlation.by_group(random(49))[0].dtype == F64
 
 
-# PixelDictionary
+# BoxDictionary
 
 
 def test_pixels_are_unit_atoms_of_one_place() -> None:
     rows, degree = 6, 3
-    part, transform = PixelDictionary(rows, 9, degree), LatLongTransform(degree, rows)
+    part, transform = BoxDictionary(rows, 9, degree), LatLongTransform(degree, rows)
     places = torch.tensor([[0, 0, 0], [5, 11, 0], [2, 7, 0]])
     maps = part.correlation.rotated(torch.zeros(3, dtype=torch.long), places).reshape(3, 6, 12)
     assert [int(i) for i in maps.flatten(1).argmax(1)] == [0, 71, 31]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from skylight.app.figures.exposure import white_of
@@ -17,7 +17,7 @@ from skylight.csc.code import SparseCode
 from skylight.csc.coder import SphericalSparseCoder, coder_for
 from skylight.csc.dictionary import BuiltinName
 from skylight.csc.pursuit.greedy import PursuitOptions, Sign
-from skylight.csc.sub_dictionaries import PixelDictionary
+from skylight.csc.sub_dictionaries import BoxDictionary
 from skylight.errors import InputError
 from skylight.imaging.colour import linear_to_srgb, tone_map
 from skylight.io.files import read_environment_map, write_environment_map
@@ -57,7 +57,7 @@ class CodedMap:
 
 @dataclass(frozen=True, kw_only=True)
 class Outline:
-    """Where a rotated filter has about half its height, as directions in the world.
+    """Where a rotated filter has about half its height, or a box its border: world directions.
 
     ``axis`` is a stroke along its longest extent; None for a filter that is round.
     """
@@ -167,15 +167,23 @@ def decode_file(
 def outlines(coder: SphericalSparseCoder, code: SparseCode) -> list[Outline | None]:
     """Of each activation; None where the filter is a pixel, or the same everywhere.
 
-    An ellipse of the second moments of the filter's square about the zenith, in angles
-    from there; rotated as the activation is. A Gaussian's is where it has half its height.
+    The border of a box of pixels; else an ellipse of the second moments of the filter's square
+    about the zenith, in angles from there; rotated as the activation is. A Gaussian's is where it
+    has half its height.
     """
     found: list[Outline | None] = [None] * len(code)
     last = coder.count
     for part in reversed(coder.parts):
         mine = torch.nonzero((code.filters >= part.first) & (code.filters < last))[:, 0]
         last = part.first
-        if isinstance(part, PixelDictionary) or not len(mine):
+        if not len(mine):
+            continue
+        if isinstance(part, BoxDictionary):
+            for number, span in zip(
+                mine.tolist(), part.spans(code.filters[mine], code.rotations[mine]), strict=True
+            ):
+                if int(span[1] * span[3]) > 1:
+                    found[number] = Outline(around=_border(span, coder.height), axis=None)
             continue
         filters, degree = part.bank.coefficients.detach().cpu(), part.bank.degree
         transform = LatLongTransform(degree, 2 * degree + 2)
@@ -209,6 +217,17 @@ def _outline(
         around=_on_sphere(centre + circle @ axes.T, turn),
         axis=None if is_round else _on_sphere(centre + along * radii[1] * axes[:, 1], turn),
     )
+
+
+def _border(span: Int[Tensor, "4"], height: int) -> Float[Tensor, "n 3"]:
+    """The border of a box (first row, rows, first column, columns) of a map's pixels."""
+    top, rows, left, columns = span.double()
+    step = torch.linspace(0, 1, _AROUND // 4 + 1, dtype=torch.float64)[:-1]
+    still = torch.zeros_like(step)
+    down = torch.cat([still, step, still + 1, 1 - step, still[:1]])
+    along = torch.cat([step, still + 1, 1 - step, still, still[:1]])
+    azimuth = math.pi * ((left + along * columns) / height - 1)
+    return direction_from_angles(azimuth, math.pi * (top + down * rows) / height)
 
 
 def _on_sphere(place: Float[Tensor, "n 2"], turn: Float[Tensor, "3 3"]) -> Float[Tensor, "n 3"]:

@@ -20,7 +20,7 @@ from skylight.csc.pursuit import greedy as pursuit
 from skylight.csc.pursuit.exchange import exchange, exchange_pair, pursue
 from skylight.csc.pursuit.greedy import Atom, Pursuit, PursuitOptions, Sign, Support
 from skylight.csc.pursuit.quadratic import SampledSignal
-from skylight.csc.sub_dictionaries import PixelDictionary, SubDictionary
+from skylight.csc.sub_dictionaries import BoxDictionary, SubDictionary
 from skylight.errors import InputError
 from skylight.sphere.latlong_transform import LatLongTransform
 
@@ -492,7 +492,7 @@ def test_progress_ends_at_one() -> None:
 def test_two_layers_are_one_dictionary() -> None:
     """A lamp of one pixel in a smooth room: the pixel part explains it, the lobes the room."""
     it = setting()
-    pixel = PixelDictionary(ROWS, len(it.bank), DEGREE)
+    pixel = BoxDictionary(ROWS, len(it.bank), DEGREE)
     room: Atom = (1, (4, 4, 1))
     maps = it.maps([room], torch.ones(1, 3, dtype=F64))
     maps[2, 7] += 30

@@ -13,7 +13,7 @@ from skylight.csc.correlation.rotated import rotated_filters
 from skylight.csc.correlation.wigner import RotationCorrelation
 from skylight.csc.dictionary import FilterBank
 from skylight.csc.pursuit.search import Atom, Query, Search
-from skylight.csc.sub_dictionaries import PixelDictionary, SubDictionary
+from skylight.csc.sub_dictionaries import BoxDictionary, SubDictionary
 from skylight.sphere.grid import DirectionGrid
 from skylight.sphere.latlong_transform import LatLongTransform
 
@@ -26,8 +26,8 @@ def random(*shape: int, seed: int = 0) -> torch.Tensor:
 
 
 @cache
-def parts() -> tuple[SubDictionary, SubDictionary, PixelDictionary]:
-    """Filters with and without symmetry, the constant; round ones at other places; pixels."""
+def parts() -> tuple[SubDictionary, SubDictionary, BoxDictionary]:
+    """Filters with and without symmetry, the constant; round ones at other places; boxes."""
     bank = FilterBank(
         torch.cat([dictionary.anisotropic(DEGREE, 4).coefficients[:3], random(2, 49)]), "mixed"
     )
@@ -36,13 +36,13 @@ def parts() -> tuple[SubDictionary, SubDictionary, PixelDictionary]:
     round_ = SubDictionary(
         FilterBank(rows, "round"), Positions(rows=9, twists=1), first=5, dtype=F64
     )
-    return turned, round_, PixelDictionary(10, 8, DEGREE)
+    return turned, round_, BoxDictionary(10, 8, DEGREE, sizes=((1, 1), (1, 2)))
 
 
 @cache
 def columns() -> tuple[list[Atom], torch.Tensor]:
     """Every atom that differs from those before it, and its coordinates, without correlation."""
-    turned, round_, pixels = parts()
+    turned, round_, boxes = parts()
     atoms: list[Atom] = []
     coordinates = []
     for part, repeats in ((turned, [1, 2, 2, 4, 4]), (round_, [1] * 3)):
@@ -54,8 +54,13 @@ def columns() -> tuple[list[Atom], torch.Tensor]:
             coordinates.append(torch.nn.functional.pad(rotated, (0, 200)))
             atoms += [(part.first + place, tuple(at)) for at in places.tolist()]
     root = DirectionGrid.latlong(10).solid_angles.sqrt()
-    coordinates.append(torch.nn.functional.pad(torch.diag(1 / root), (49, 0)))
-    atoms += [(pixels.first, (row, column, 0)) for row in range(10) for column in range(20)]
+    pixels = torch.eye(200, dtype=F64).view(10, 20, 200)
+    pairs = (pixels + pixels.roll(-1, 1)) * 0.5**0.5
+    for place, each in enumerate((pixels.flatten(0, 1), pairs.flatten(0, 1))):
+        coordinates.append(torch.nn.functional.pad(each / root[:, None], (49, 0)))
+        atoms += [
+            (boxes.first + place, (row, column, 0)) for row in range(10) for column in range(20)
+        ]
     return atoms, torch.cat(coordinates)
 
 
