@@ -49,7 +49,7 @@ from tools.planar_coder import Map, PlanarDictionary, pursued, refitted, solid_a
 HEIGHT = 64
 ACTIVATIONS: list[int] = list(COUNTS)
 TURNED = math.radians(45)
-MAPS = {"indoor": 6, "outdoor": 3}
+MAPS = {"indoor": 5, "outdoor": 3}
 TWISTS, EVERY = 4, 5
 PENALTIES = (0.3, 0.07)  # of the largest correlation; the second goes on from the first
 ITERATIONS = 40  # of each: the objective is within 2 % of what 60 and other steps reach
