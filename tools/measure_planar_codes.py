@@ -18,7 +18,7 @@ planar code is refitted by least squares in that norm:
 The planar dictionary has ``ani``'s filters as they look on the equator at four twists
 (:mod:`tools.planar_coder`), for sporco every fifth of them: all take a minute for ten iterations.
 
-Rows ``turned`` are of the same maps turned by 45 degrees about a horizontal axis, and ``change``
+Columns ``turned`` are of the same maps turned by 45 degrees about a horizontal axis, and ``change``
 is the mean over maps of how far the two errors are apart. Each map's errors are kept in
 ``--errors``, so that a stopped run goes on.
 """
@@ -48,12 +48,12 @@ from tools.planar_coder import Map, PlanarDictionary, pursued, refitted, solid_a
 
 HEIGHT = 64
 ACTIVATIONS: list[int] = list(COUNTS)
-TURNED = math.radians(45)
-MAPS = {"indoor": 5, "outdoor": 3}
+TURNED, COMPARED = math.radians(45), 64
+MAPS = {"indoor": 4, "outdoor": 2}
 TWISTS, EVERY = 4, 5
 PENALTIES = (0.3, 0.07)  # of the largest correlation; the second goes on from the first
 ITERATIONS = 40  # of each: the objective is within 2 % of what 60 and other steps reach
-Coder = Callable[[Map], list[Map]]
+Coder = Callable[[Map, list[int]], list[Map]]
 Errors = dict[str, list[float]]  # method -> an error for each count
 
 
@@ -72,6 +72,7 @@ def main() -> None:
     for kind, count in MAPS.items():
         names = sorted(n for n, category in index.items() if category.startswith(kind))
         for name in names[:: len(names) // count][:count]:
+            arguments.errors.mkdir(parents=True, exist_ok=True)
             kept = arguments.errors / f"{Path(name).stem}.json"
             if not kept.exists():
                 write_json(kept, measured(arguments.data / name, coders))
@@ -100,11 +101,11 @@ def summary(maps: list[Errors]) -> dict[str, dict[str, float]]:
         for method in maps[0]
         if not method.endswith(" turned")
     }
-    at = ACTIVATIONS.index(64)
+    at = ACTIVATIONS.index(COMPARED)
     for method in found:
         pairs = [(m[method][at], m[f"{method} turned"][at]) for m in maps]
-        found[method]["64 turned"] = fmean(after for _, after in pairs)
-        found[method]["64 change"] = fmean(abs(after - before) for before, after in pairs)
+        found[method][f"{COMPARED} turned"] = fmean(after for _, after in pairs)
+        found[method][f"{COMPARED} change"] = fmean(abs(after - before) for before, after in pairs)
     return found
 
 
@@ -115,10 +116,14 @@ def measured(path: Path, coders: dict[str, Coder]) -> Errors:
     given = read_environment_map(path)
     scale = solid_angles(HEIGHT)[:, :1, None]
     errors = {}
-    for suffix, environment in (("", given), (" turned", given.rotate(about_x))):
+    upto = ACTIVATIONS[: ACTIVATIONS.index(COMPARED) + 1]
+    for suffix, environment, counts in (
+        ("", given, ACTIVATIONS),
+        (" turned", given.rotate(about_x), upto),
+    ):
         truth = environment.resize(HEIGHT).radiance.double()
         for method, code in coders.items():
-            fits = code(truth)
+            fits = code(truth, counts)
             errors[method + suffix] = [relative_error(fit, truth, scale) for fit in fits]
     return errors
 
@@ -129,14 +134,14 @@ def all_coders() -> dict[str, Coder]:
 
     def spherical(banded: bool) -> Coder:
         coder = SphericalSparseCoder("ani", height=HEIGHT, banded=banded)
-        return lambda truth: [
-            coder.decode(code).detach() for code in coder.path(truth, ACTIVATIONS)
+        return lambda truth, counts: [
+            coder.decode(code).detach() for code in coder.path(truth, counts)
         ]
 
     return {
-        "planar": lambda truth: thresholded(truth, few, equal),
-        "planar weighted": lambda truth: thresholded(truth, few, weight),
-        "planar pursuit": lambda truth: pursued(truth, every, ACTIVATIONS, weight),
+        "planar": lambda truth, counts: thresholded(truth, few, counts, equal),
+        "planar weighted": lambda truth, counts: thresholded(truth, few, counts, weight),
+        "planar pursuit": lambda truth, counts: pursued(truth, every, counts, weight),
         "spherical": spherical(banded=True),
         "spherical fine": spherical(banded=False),
     }
@@ -151,7 +156,9 @@ def few_filters() -> PlanarDictionary:
     return PlanarDictionary(FilterBank(rows[::EVERY], "every fifth"), HEIGHT, twists=TWISTS)
 
 
-def thresholded(truth: Map, dictionary: PlanarDictionary, weight: Tensor) -> list[Map]:
+def thresholded(
+    truth: Map, dictionary: PlanarDictionary, counts: list[int], weight: Tensor
+) -> list[Map]:
     """The fits of sporco's largest activations, for each count the better penalty's."""
     try:
         from sporco.admm.cbpdn import ConvBPDNJoint  # pyright: ignore[reportMissingImports]
@@ -178,7 +185,7 @@ def thresholded(truth: Map, dictionary: PlanarDictionary, weight: Tensor) -> lis
         solver.solve()
         options |= {"Y0": solver.Y, "U0": solver.U, "rho": solver.rho}
         sizes = torch.from_numpy(np.linalg.norm(solver.Y[:, :, :, 0], axis=2))
-        atoms = strongest(sizes, ACTIVATIONS, HEIGHT)
+        atoms = strongest(sizes, counts, HEIGHT)
         fits = [refitted(truth, dictionary, some) for some in atoms]
         pairs = zip(best or fits, fits, strict=True)
         best = [min(pair, key=lambda fit: relative_error(fit, truth, scale)) for pair in pairs]

@@ -2,7 +2,7 @@
 
     OMP_NUM_THREADS=1 python -m tools.measure_voxel_table --data DIR
 
-From the settings of ``skylight evaluate voxel-probe``, but the 3-probe, three maps and 64 paths for
+From the settings of ``skylight evaluate voxel-probe``, but the 3-probe, two maps and 64 paths for
 each pixel, one thing is changed at a time: the maps, how finely models are voxelised, from where
 they are seen, the albedo, paths, bounces, and how sharp the light is. Errors are means over maps,
 three models and two views, of the model's pixels:
@@ -82,7 +82,7 @@ class Setting:
     """What is measured with what."""
 
     maps: str = "evaluated"
-    count: int = 3
+    count: int = 2
     resolution: int = RESOLUTION
     views_deg: Views = VIEWS_DEG
     albedo: float = ALBEDO
@@ -115,7 +115,7 @@ VARIATIONS: dict[str, Setting] = {
     "light of 16 rows": replace(BASE, light_rows=16),
 }
 COARSE = "coarse models"
-THESIS = Setting(count=MAPS, resolution=12, traced=512, baked=512, probes=PROBES)
+THESIS = Setting(count=MAPS, resolution=12, traced=256, baked=256, probes=PROBES)
 NOISE = 0.001  # of a transfer coefficient; those of free faces are 0.7 at most
 MODEL_NAMES = [name.split(".")[0].removeprefix("stanford_") for name in MODELS]
 
@@ -128,6 +128,7 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     begun = time.time()
+    arguments.rows.mkdir(parents=True, exist_ok=True)
     rows = {}
     for name, setting in {**VARIATIONS, COARSE: THESIS}.items():
         kept = arguments.rows / f"{name.replace(' ', '_').replace(':', '')}.json"

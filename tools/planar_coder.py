@@ -90,7 +90,7 @@ def refitted(truth: Map, dictionary: PlanarDictionary, atoms: list[Atom]) -> Map
     columns = basis.flatten(1).T
     scale = solid_angles(dictionary.height).reshape(-1, 1).sqrt()
     target = truth.double().flatten(0, 1)
-    weights = torch.linalg.lstsq(columns * scale, target * scale, driver="gelsd").solution
+    weights = torch.linalg.lstsq(columns * scale, target * scale, driver="gelsy").solution
     return (columns @ weights).reshape(truth.shape)
 
 
