@@ -2,10 +2,10 @@
 
     OMP_NUM_THREADS=1 python -m tools.measure_voxel_table --data DIR
 
-From the settings of ``skylight evaluate voxel-probe``, but the 3-probe, two maps and 64 paths for
-each pixel, one thing is changed at a time: the maps, how finely models are voxelised, from where
-they are seen, the albedo, paths, bounces, and how sharp the light is. Errors are means over maps,
-three models and two views, of the model's pixels:
+From the settings of ``skylight evaluate voxel-probe``, but the 3-probe, two maps (four of each
+kind) and 64 paths for each pixel, one thing is changed at a time: the maps, how finely models are
+voxelised, from where they are seen, the albedo, paths, bounces, and how sharp the light is. Errors
+are means over maps, three models and two views, of the model's pixels:
 
 ``mae``        mean |p - t| over the truth's mean
 ``mae_white``  mean |p - t| over the white of SSIM, the truth's 98 % quantile of luminance
@@ -103,7 +103,7 @@ KINDS_OF_MAPS = {
 BASE = Setting()
 VARIATIONS: dict[str, Setting] = {
     "base": replace(BASE, every_slot=True),
-    **{f"maps: {kind}": replace(BASE, maps=kind) for kind in ("rooms", "cloudy", "sunny")},
+    **{f"maps: {kind}": replace(BASE, maps=kind, count=4) for kind in ("rooms", "cloudy", "sunny")},
     **{f"resolution {n}": replace(BASE, resolution=n) for n in (8, 16)},
     "from the front and the right": replace(BASE, views_deg=((0.0, 25.0), (90.0, 25.0))),
     "from a height of 50 deg": replace(BASE, views_deg=((35.0, 50.0), (215.0, 50.0))),
@@ -115,7 +115,7 @@ VARIATIONS: dict[str, Setting] = {
     "light of 16 rows": replace(BASE, light_rows=16),
 }
 COARSE = "coarse models"
-THESIS = Setting(count=MAPS, resolution=12, traced=256, baked=256, probes=PROBES)
+THESIS = Setting(count=MAPS, resolution=12, traced=512, baked=512, probes=PROBES)
 NOISE = 0.001  # of a transfer coefficient; those of free faces are 0.7 at most
 MODEL_NAMES = [name.split(".")[0].removeprefix("stanford_") for name in MODELS]
 
