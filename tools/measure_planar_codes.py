@@ -88,7 +88,11 @@ def main() -> None:
         facts={
             "maps": {kind: len(of) for kind, of in errors.items()},
             "filters": {"pursuit": len(every_filter()), "sporco": len(few_filters())},
-            **{kind: summary(list(of.values())) for kind, of in errors.items()},
+            **{
+                f"{kind} {method}": means
+                for kind, of in errors.items()
+                for method, means in summary(list(of.values())).items()
+            },
             "errors": errors,
         },
     )
