@@ -18,9 +18,10 @@ planar code is refitted by least squares in that norm:
 The planar dictionary has ``ani``'s filters as they look on the equator at four twists
 (:mod:`tools.planar_coder`), for sporco every fifth of them: all take a minute for ten iterations.
 
-Columns ``turned`` are of the same maps turned by 45 degrees about a horizontal axis, and ``change``
-is the mean over maps of how far the two errors are apart. Each map's errors are kept in
-``--errors``, so that a stopped run goes on.
+``smooth`` is the map without its sharpest detail (harmonics up to degree 60 under a Hann window),
+``turned`` the same turned by 45 degrees about a horizontal axis, which is exact for such maps, and
+``change`` the mean over maps of how far the two errors are apart. Errors are kept in ``--errors``,
+so that a stopped run goes on.
 """
 
 import argparse
@@ -43,12 +44,16 @@ from skylight.io.bounded import json_content
 from skylight.io.collection import read_categories
 from skylight.io.files import read_environment_map
 from skylight.io.json_files import write_json
+from skylight.sphere import harmonics
+from skylight.sphere.latlong_transform import LatLongTransform
+from skylight.sphere.rotation import rotate
 from tools.measured import write_measured
 from tools.planar_coder import Map, PlanarDictionary, pursued, refitted, solid_angles, strongest
 
 HEIGHT = 64
 ACTIVATIONS: list[int] = list(COUNTS)
-TURNED, COMPARED = math.radians(45), 64
+TURNED, COMPARED, DEGREE = math.radians(45), 64, 60
+METHODS = ("planar", "planar weighted", "planar pursuit", "spherical", "spherical fine")
 MAPS = {"indoor": 4, "outdoor": 2}
 TWISTS, EVERY = 4, 5
 PENALTIES = (0.3, 0.07)  # of the largest correlation; the second goes on from the first
@@ -72,17 +77,21 @@ def main() -> None:
     for kind, count in MAPS.items():
         names = sorted(n for n, category in index.items() if category.startswith(kind))
         for name in names[:: len(names) // count][:count]:
-            arguments.errors.mkdir(parents=True, exist_ok=True)
-            kept = arguments.errors / f"{Path(name).stem}.json"
-            if not kept.exists():
-                write_json(kept, measured(arguments.data / name, coders))
-            errors.setdefault(kind, {})[name] = json_content(kept)
+            truth = read_environment_map(arguments.data / name).resize(HEIGHT).radiance.double()
+            found = {}
+            for part, measured in {"as_is": as_is, "turned": turned}.items():
+                kept = arguments.errors / part / f"{Path(name).stem}.json"
+                kept.parent.mkdir(parents=True, exist_ok=True)
+                if not kept.exists():
+                    write_json(kept, measured(truth, coders))
+                found |= json_content(kept)
+            errors.setdefault(kind, {})[name] = found
             print(f"{name} {time.process_time():.0f} s", flush=True)
     write_measured(
         arguments.out,
         name="planar-codes",
         what="relative error |x - y| / |x| by K activations on 64 x 128, mean over maps, and the "
-        "mean change of the error with a turn of the map by 45 degrees about a horizontal axis",
+        "mean change of the error with a turn of the smooth map by 45 degrees",
         command="OMP_NUM_THREADS=1 python -m tools.measure_planar_codes --data hdr",
         begun=begun,
         facts={
@@ -99,37 +108,44 @@ def main() -> None:
 
 
 def summary(maps: list[Errors]) -> dict[str, dict[str, float]]:
-    """Method -> K -> mean over maps; of 64 activations also turned, and the change."""
-    found = {
-        method: {str(k): fmean(m[method][i] for m in maps) for i, k in enumerate(ACTIVATIONS)}
-        for method in maps[0]
-        if not method.endswith(" turned")
-    }
-    at = ACTIVATIONS.index(COMPARED)
-    for method in found:
-        pairs = [(m[method][at], m[f"{method} turned"][at]) for m in maps]
-        found[method][f"{COMPARED} turned"] = fmean(after for _, after in pairs)
-        found[method][f"{COMPARED} change"] = fmean(abs(after - before) for before, after in pairs)
+    """Method -> K -> mean over maps; by 64 also of smooth and turned ones, and their change."""
+    found = {}
+    for method in METHODS:
+        found[method] = {
+            str(k): fmean(m[method][i] for m in maps) for i, k in enumerate(ACTIVATIONS)
+        }
+        pairs = [(m[f"{method} smooth"][0], m[f"{method} turned"][0]) for m in maps]
+        found[method] |= {
+            f"{COMPARED} smooth": fmean(before for before, _ in pairs),
+            f"{COMPARED} turned": fmean(after for _, after in pairs),
+            f"{COMPARED} change": fmean(abs(after - before) for before, after in pairs),
+        }
     return found
 
 
-def measured(path: Path, coders: dict[str, Coder]) -> Errors:
-    """One map's errors, as it is and turned."""
+def as_is(truth: Map, coders: dict[str, Coder]) -> Errors:
+    return {method: errors_of(truth, code, ACTIVATIONS) for method, code in coders.items()}
+
+
+def turned(truth: Map, coders: dict[str, Coder]) -> Errors:
+    """Of 64 activations, of the smooth map before and after the turn."""
+    transform = LatLongTransform(DEGREE, HEIGHT)
+    factors = harmonics.window(DEGREE, "hann")[harmonics.bands(DEGREE)]
+    given = transform.analyse(truth.movedim(-1, 0)) * factors
+    # the polar axis of the coefficients is the zenith, their x is level
     cosine, sine = math.cos(TURNED), math.sin(TURNED)
     about_x = torch.tensor([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]], dtype=torch.float64)
-    given = read_environment_map(path)
-    scale = solid_angles(HEIGHT)[:, :1, None]
-    errors = {}
-    upto = ACTIVATIONS[: ACTIVATIONS.index(COMPARED) + 1]
-    for suffix, environment, counts in (
-        ("", given, ACTIVATIONS),
-        (" turned", given.rotate(about_x), upto),
-    ):
-        truth = environment.resize(HEIGHT).radiance.double()
+    found = {}
+    for name, coefficients in {"smooth": given, "turned": rotate(given, about_x)}.items():
+        smooth = transform.synthesise(coefficients).movedim(0, -1)
         for method, code in coders.items():
-            fits = code(truth, counts)
-            errors[method + suffix] = [relative_error(fit, truth, scale) for fit in fits]
-    return errors
+            found[f"{method} {name}"] = errors_of(smooth, code, [COMPARED])
+    return found
+
+
+def errors_of(truth: Map, code: Coder, counts: list[int]) -> list[float]:
+    scale = solid_angles(HEIGHT)[:, :1, None]
+    return [relative_error(fit, truth, scale) for fit in code(truth, counts)]
 
 
 def all_coders() -> dict[str, Coder]:
@@ -142,13 +158,14 @@ def all_coders() -> dict[str, Coder]:
             coder.decode(code).detach() for code in coder.path(truth, counts)
         ]
 
-    return {
-        "planar": lambda truth, counts: thresholded(truth, few, counts, equal),
-        "planar weighted": lambda truth, counts: thresholded(truth, few, counts, weight),
-        "planar pursuit": lambda truth, counts: pursued(truth, every, counts, weight),
-        "spherical": spherical(banded=True),
-        "spherical fine": spherical(banded=False),
-    }
+    coders = (
+        lambda truth, counts: thresholded(truth, few, counts, equal),
+        lambda truth, counts: thresholded(truth, few, counts, weight),
+        lambda truth, counts: pursued(truth, every, counts, weight),
+        spherical(banded=True),
+        spherical(banded=False),
+    )
+    return dict(zip(METHODS, coders, strict=True))
 
 
 def every_filter() -> PlanarDictionary:
