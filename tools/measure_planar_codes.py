@@ -12,7 +12,8 @@ planar code is refitted by least squares in that norm:
                      better of two penalties for each K and map
 ``planar weighted``  the same, searched in the map times sqrt(cos latitude)
 ``planar pursuit``   orthogonal matching pursuit in weighted squares, by all filters
-``spherical``        ``ani`` of 40 bands at 32 x 64 x 16 rotations, banded=True
+``spherical``        ``ani`` of 40 bands at 32 x 64 x 32 rotations, banded=True
+``spherical dense``  the same at every pixel, 64 x 128 x 32 rotations, as the planar codes have
 ``spherical fine``   the default, which has sharper filters too
 
 The planar dictionary has ``ani``'s filters as they look on the equator at four twists
@@ -37,7 +38,9 @@ import torch
 from torch import Tensor
 
 from skylight.csc.coder import SphericalSparseCoder
+from skylight.csc.correlation.positions import Positions
 from skylight.csc.dictionary import FilterBank, builtin
+from skylight.csc.sub_dictionaries import SubDictionary
 from skylight.errors import InputError
 from skylight.evaluation.codes.sparse_coding import COUNTS, relative_error
 from skylight.io.bounded import json_content
@@ -53,7 +56,9 @@ from tools.planar_coder import Map, PlanarDictionary, pursued, refitted, solid_a
 HEIGHT = 64
 ACTIVATIONS: list[int] = list(COUNTS)
 TURNED, COMPARED, DEGREE = math.radians(45), 64, 60
-METHODS = ("planar", "planar weighted", "planar pursuit", "spherical", "spherical fine")
+METHODS = (
+    "planar", "planar weighted", "planar pursuit", "spherical", "spherical dense", "spherical fine",
+)  # fmt: skip
 MAPS = {"indoor": 4, "outdoor": 2}
 TWISTS, EVERY = 4, 5
 PENALTIES = (0.3, 0.07)  # of the largest correlation; the second goes on from the first
@@ -124,6 +129,7 @@ def summary(maps: list[Errors]) -> dict[str, dict[str, float]]:
 
 
 def as_is(truth: Map, coders: dict[str, Coder]) -> Errors:
+    """Of all numbers of activations."""
     return {method: errors_of(truth, code, ACTIVATIONS) for method, code in coders.items()}
 
 
@@ -152,8 +158,12 @@ def all_coders() -> dict[str, Coder]:
     every, few = every_filter(), few_filters()
     weight, equal = solid_angles(HEIGHT), torch.ones(HEIGHT, 2 * HEIGHT, dtype=torch.float64)
 
-    def spherical(banded: bool) -> Coder:
+    def spherical(banded: bool, rows: int = 32) -> Coder:
         coder = SphericalSparseCoder("ani", height=HEIGHT, banded=banded)
+        if banded:
+            positions = Positions(rows=rows)
+            part = SubDictionary(builtin("ani"), positions, dtype=torch.float32)
+            coder.sub_dictionaries = torch.nn.ModuleList([part])
         return lambda truth, counts: [
             coder.decode(code).detach() for code in coder.path(truth, counts)
         ]
@@ -163,6 +173,7 @@ def all_coders() -> dict[str, Coder]:
         lambda truth, counts: thresholded(truth, few, counts, weight),
         lambda truth, counts: pursued(truth, every, counts, weight),
         spherical(banded=True),
+        spherical(banded=True, rows=HEIGHT),
         spherical(banded=False),
     )
     return dict(zip(METHODS, coders, strict=True))
