@@ -1,5 +1,6 @@
 """Voxel models rendered from a probe's lightmap and by path tracing (thesis, 3.6.1)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -36,31 +37,38 @@ class View:
 
 @dataclass(frozen=True, kw_only=True)
 class VoxelScene:
-    """A model, and how it is looked at."""
+    """A model of one albedo, and how it is looked at."""
 
     model: VoxelModel
+    albedo: float
     renderer: VoxelRenderer
     scene: DiffuseScene
     poses: tuple[RigidTransform, ...]
     camera: Camera
 
     @staticmethod
-    def of(model: VoxelModel) -> "VoxelScene":
-        """From the two sides of :data:`VIEWS_DEG`, filling the picture."""
+    def of(
+        model: VoxelModel,
+        *,
+        albedo: float = ALBEDO,
+        views_deg: Sequence[tuple[float, float]] = VIEWS_DEG,
+    ) -> "VoxelScene":
+        """From azimuths and elevations, filling the picture."""
         renderer = VoxelRenderer(model)
         vertices, triangles = exposed_faces(model).triangles()
         size = torch.tensor(model.occupied.shape, dtype=torch.float64)
         middle, distance = size / 2, 2.0 * float(size.norm())
         focal = 0.95 * PIXELS * distance / float(size.norm())
         poses = []
-        for azimuth, elevation in torch.tensor(VIEWS_DEG, dtype=torch.float64).deg2rad():
+        for azimuth, elevation in torch.tensor(views_deg, dtype=torch.float64).deg2rad():
             flat = elevation.cos()
             offset = torch.stack([flat * azimuth.sin(), elevation.sin(), flat * azimuth.cos()])
             poses.append(looking_at(middle + distance * offset, middle))
         return VoxelScene(
             model=model,
+            albedo=albedo,
             renderer=renderer,
-            scene=DiffuseScene.uniform(vertices, triangles, ALBEDO),
+            scene=DiffuseScene.uniform(vertices, triangles, albedo),
             poses=tuple(poses),
             camera=Camera(
                 focal_px=focal, width=PIXELS, height=PIXELS, center_px=(PIXELS / 2, PIXELS / 2)
@@ -82,7 +90,7 @@ class VoxelScene:
             torch.cat([view.normals for view in views]),
             self.scene,
             environment,
-            albedo=ALBEDO,
+            albedo=self.albedo,
             sampling=sampling,
             generator=torch.Generator().manual_seed(seed),
         )
@@ -114,7 +122,14 @@ def voxel_scene(mesh: Path) -> VoxelScene:
     return VoxelScene.of(voxelise(mesh, RESOLUTION))
 
 
-def baked(size: int, environment: EnvironmentMap, sampling: Sampling, seed: int) -> Lightmap:
+def baked(
+    size: int,
+    environment: EnvironmentMap,
+    sampling: Sampling,
+    seed: int,
+    *,
+    albedo: float = ALBEDO,
+) -> Lightmap:
     """The lightmap of a perfect capture of the N-probe: path-traced shading of its faces.
 
     Where several faces have one configuration, their mean.
@@ -125,9 +140,9 @@ def baked(size: int, environment: EnvironmentMap, sampling: Sampling, seed: int)
     found = shade(
         points.reshape(-1, 3),
         normals.repeat_interleave(SIZE * SIZE, 0),
-        DiffuseScene.uniform(*faces.triangles(), ALBEDO),
+        DiffuseScene.uniform(*faces.triangles(), albedo),
         environment,
-        albedo=ALBEDO,
+        albedo=albedo,
         sampling=sampling,
         generator=torch.Generator().manual_seed(seed),
     ).mean.reshape(len(faces), SIZE, SIZE, 3)
