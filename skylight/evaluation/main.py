@@ -49,7 +49,7 @@ PROBES_AND_MESHES = "a folder hdr of light probes with an index.csv, and a folde
 
 def _synthetic_faces(quick: bool, data: Path | None) -> Evaluation:
     if quick:
-        return SyntheticFaces(count=24, data=data, methods=("sh9", "autoencoder"))
+        return SyntheticFaces(count=8, data=data, methods=("sh9", "autoencoder"))
     return SyntheticFaces(count=150 if data is None else None, data=data)
 
 
