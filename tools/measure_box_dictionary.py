@@ -30,7 +30,7 @@ from tools.measured import write_measured
 
 HEIGHT = 32
 COUNTS = [16, 36, 64]
-TURN = (0.7, 0.6, 2.1)  # Euler angles in radians: the zenith moves by 34 degrees
+TURN = (0.7, 0.6, 2.1)  # Euler angles in radians: the zenith moves by 148 degrees
 FINER = {64: 2, 128: 1}  # rows: rooms, and as many other maps
 Errors = dict[str, list[float]]  # dictionary -> relative errors, at COUNTS
 
@@ -38,7 +38,9 @@ Errors = dict[str, list[float]]  # dictionary -> relative errors, at COUNTS
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--data", type=Path, required=True)
-    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument(
+        "--out", type=Path, default=Path("benchmarks/results/csc-box-dictionary.json")
+    )
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     begun = time.time()

@@ -62,7 +62,7 @@ METHODS = (
 MAPS = {"indoor": 4, "outdoor": 2}
 TWISTS, EVERY = 4, 5
 PENALTIES = (0.3, 0.07)  # of the largest correlation; the second goes on from the first
-ITERATIONS = 40  # of each: the objective is within 2 % of what 60 and other steps reach
+ITERATIONS = 40  # of each
 Coder = Callable[[Map, list[int]], list[Map]]
 Errors = dict[str, list[float]]  # method -> an error for each count
 

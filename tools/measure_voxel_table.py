@@ -8,7 +8,7 @@ voxelised, from where they are seen, the albedo, paths, bounces, and how sharp t
 are means over maps, three models and two views, of the model's pixels:
 
 ``mae``        mean |p - t| over the truth's mean
-``mae_white``  mean |p - t| over the white of SSIM, the truth's 98 % quantile of luminance
+``mae_white``  mean |p - t| over a white, the 98 % quantile of the luminance of the truth's model
 ``mae_shown``  mean |p - t| of sRGB values from 0 to 1 with that white
 ``ssim``       of the pictures as shown, background and all
 

@@ -60,7 +60,8 @@ for code in codes:
 # -----------------------------------
 # The error is relative and weighted by solid angle. Harmonics of degree n take ``3 (n + 1)^2``
 # numbers; an activation takes four (three colours, and one word for position, twist and filter).
-# Other dictionaries: ``iso`` has isotropic Gaussians only, ``vmf`` lobes of one width.
+# Other dictionaries: ``iso`` has isotropic Gaussians only, ``vmf`` lobes of one width, ``box`` the
+# filters of ``ani`` and boxes of pixels.
 
 target = light.flat.double()
 weight = light.grid.solid_angles[:, None]

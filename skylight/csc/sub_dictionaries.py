@@ -169,8 +169,7 @@ class BoxDictionary(nn.Module):
         return self.boxes.rotated(filters - self.first, self.positions.places(rotations))
 
 
-# Rows by columns, of a dictionary "box". Without the larger ones errors of finer maps are larger:
-# by 8 % at 64 rows and 64 activations for 4 x 4 at most.
+# Rows by columns, of a dictionary "box". Files of codes number them in this order: never change it.
 BOX_SIZES = tuple((rows, columns) for rows in (1, 2, 3, 4, 6, 8) for columns in (1, 2, 3, 4, 6, 8))
 _AT_ONCE = 32  # atoms rotated together, whose Wigner matrices take up to 0.7 MB each at degree 40
 Part = SubDictionary | BoxDictionary

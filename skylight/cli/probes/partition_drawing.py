@@ -160,7 +160,9 @@ def live(
     live_scene(
         film_source(video, webcam),
         out,
-        scene=virtual.read(out, (angles or Turn().angles) if turn_deg_per_s else None),
+        scene=virtual.read(
+            out, (Turn().angles if angles is None else angles) if turn_deg_per_s else None
+        ),
         setup=read_setup(camera, board, response),
         assembly=probe,
         capture=capture,

@@ -26,8 +26,8 @@ from skylight.evaluation.rendered_faces.skin_patches import SkinPatches
 # Transport", figure 5), red, green and blue, per mm: reduced scattering and absorption.
 _SCATTERING, _ABSORPTION = np.array([0.74, 0.88, 1.01]), np.array([0.032, 0.17, 0.48])
 _ALBEDO = np.array([0.44, 0.22, 0.13])
-MEAN_FREE_PATH_MM = 1 / np.sqrt(3 * _ABSORPTION * (_ABSORPTION + _SCATTERING))
-D_MM = MEAN_FREE_PATH_MM / (3.5 + 100 * (_ALBEDO - 0.33) ** 4)
+DIFFUSE_MEAN_FREE_PATH_MM = 1 / np.sqrt(3 * _ABSORPTION * (_ABSORPTION + _SCATTERING))
+D_MM = DIFFUSE_MEAN_FREE_PATH_MM / (3.5 + 100 * (_ALBEDO - 0.33) ** 4)
 
 REACH_MM = 10.0  # 3 % of red go further; they are taken to leave where they entered
 _NEAR_MM = 5.0  # beyond that, patches count in clusters

@@ -15,8 +15,10 @@ from skylight.evaluation.rendered_faces.light.distant_light import (
     SunDisc,
     camera_frame,
 )
+from skylight.evaluation.rendered_faces.light.scene_light import FAINT_SUN, scene_light
+from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.skies.sun import SUN_RADIUS_RAD
-from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.sphere.frame import angle_between, direction_from_angles, rotation_about
 from skylight.transport.camera import Camera
 
@@ -138,3 +140,15 @@ def test_an_even_disc_is_within_three_percent_of_one_that_darkens_to_its_limb() 
         even = (math.acos(u) - u * math.sqrt(1 - u * u)) / math.pi
         apart.append(abs(true - even))
     assert 0.015 < max(apart) < 0.03
+
+
+def test_a_sun_behind_dense_clouds_is_in_the_map_alone() -> None:
+    """Scene 2 is overcast: an emitter with a millionth of the light would take half the samples."""
+    options = RenderOptions()
+    lit = [scene_light(scene, options) for scene in range(4)]
+    assert lit[2].light.sun is None
+    assert any(one.light.sun is not None for one in lit)
+    for one in lit:
+        if one.light.sun is not None:
+            sky = float(luminance(one.light.diffuse.upper().integrate()))
+            assert float(luminance(one.light.sun.irradiance)) > 0.9 * FAINT_SUN * sky

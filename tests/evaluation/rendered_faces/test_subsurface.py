@@ -11,7 +11,7 @@ from skylight.evaluation.rendered_faces import subsurface
 from skylight.evaluation.rendered_faces.skin_patches import SkinPatches, patches
 from skylight.evaluation.rendered_faces.subsurface import (
     D_MM,
-    MEAN_FREE_PATH_MM,
+    DIFFUSE_MEAN_FREE_PATH_MM,
     REACH_MM,
     profile,
     scattered,
@@ -36,8 +36,9 @@ def plane(side_mm: float) -> tuple[ndarray, SkinPatches]:
 
 
 def test_the_profile_is_of_the_measured_skin_and_integrates_as_its_formula_says() -> None:
-    # Jensen et al. 2001 give 3.67, 1.37 and 0.68 mm
-    np.testing.assert_allclose(MEAN_FREE_PATH_MM, [3.67, 1.37, 0.68], atol=0.006)
+    # 1 / sqrt(3 a (a + s)) of the coefficients of Jensen et al. 2001, and over 3.5 + 100 (A - .33)^4
+    np.testing.assert_allclose(DIFFUSE_MEAN_FREE_PATH_MM, [3.67, 1.37, 0.68], atol=0.006)
+    np.testing.assert_allclose(D_MM, [1.0451, 0.3888, 0.1865], atol=2e-4)
     for channel in range(3):
 
         def ring(r: float, c: int = channel) -> float:
@@ -160,4 +161,6 @@ def test_light_from_behind_comes_round_and_a_thin_sheet_gets_no_brighter_than_it
     red, green, blue = left[middle].mean(0)
     assert 1 > red > 1.2 * green > 1.5 * blue > 0
     assert red > 0.3
-    assert left.max() <= 1
+    entering[:] = 1.0  # twice a plane's skin is in reach, all of it lit
+    most = scattered(np.zeros(pixels.shape), pixels, PIXEL_MM, both, entering).max()
+    assert 0.99 < most <= 1 + 1e-9

@@ -19,10 +19,13 @@ from skylight.evaluation.rendered_faces.map_folder import ROWS, TurnedMap
 from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.models.ground import GROUND_ALBEDOS, LambertianGround
 from skylight.skies.simulated import evaluation_skies
-from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.sphere.frame import direction_from_angles
 
 LOWEST_TRANSMITTANCE = 0.5  # the sun is visible
+# Of all the sky's light: a fainter sun is in the map alone, since half of all light samples would go
+# to it where it is an emitter.
+FAINT_SUN = 1e-3
 FOCAL_LENGTHS = 1.4, 2.8  # over the picture's side
 # Test skies of these faces start here (beyond those that nothing may be trained on), so that
 # they are none of the other evaluations' days either.
@@ -80,10 +83,12 @@ def _simulated_light(scene: int, options: RenderOptions) -> SceneLight:
     rng = np.random.default_rng((options.seed, scene, 0))
     turn, albedo, focal = _drawn(rng)
     direction = _direction(math.radians(record.map_azimuth_deg) + turn, record.sun_zenith_deg)
-    lit = bool(simulated.sun_irradiance.any())
-    sun = SunDisc(direction=direction, irradiance=simulated.sun_irradiance) if lit else None
+    sun = SunDisc(direction=direction, irradiance=simulated.sun_irradiance)
+    light = over_ground(simulated.sunless.rotate_azimuth(turn), sun, albedo)
+    if luminance(sun.irradiance) < FAINT_SUN * luminance(simulated.sunless.integrate()):
+        light = DistantLight(light.environment)
     return SceneLight(
-        light=over_ground(simulated.sunless.rotate_azimuth(turn), sun, albedo),
+        light=light,
         ground_albedo=albedo,
         sun=direction,
         transmittance=record.sun_transmittance,
