@@ -157,12 +157,12 @@ def live(
         raise InputError("the capture has the kernel's albedo: give it without --kernel-albedo")
     if angles is not None and not turn_deg_per_s:
         raise InputError("--angles is for scenes that turn: give it with --turn-deg-per-s")
+    if turn_deg_per_s and angles is None:
+        angles = Turn().angles
     live_scene(
         film_source(video, webcam),
         out,
-        scene=virtual.read(
-            out, (Turn().angles if angles is None else angles) if turn_deg_per_s else None
-        ),
+        scene=virtual.read(out, angles),
         setup=read_setup(camera, board, response),
         assembly=probe,
         capture=capture,

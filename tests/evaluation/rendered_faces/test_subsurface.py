@@ -36,7 +36,7 @@ def plane(side_mm: float) -> tuple[ndarray, SkinPatches]:
 
 
 def test_the_profile_is_of_the_measured_skin_and_integrates_as_its_formula_says() -> None:
-    # 1 / sqrt(3 a (a + s)) of the coefficients of Jensen et al. 2001, and over 3.5 + 100 (A - .33)^4
+    # 1 / sqrt(3 a (a + s)) of Jensen et al.'s coefficients, and that over 3.5 + 100 (A - 0.33)^4
     np.testing.assert_allclose(DIFFUSE_MEAN_FREE_PATH_MM, [3.67, 1.37, 0.68], atol=0.006)
     np.testing.assert_allclose(D_MM, [1.0451, 0.3888, 0.1865], atol=2e-4)
     for channel in range(3):

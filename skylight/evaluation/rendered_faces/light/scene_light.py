@@ -23,8 +23,8 @@ from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.sphere.frame import direction_from_angles
 
 LOWEST_TRANSMITTANCE = 0.5  # the sun is visible
-# Of all the sky's light: a fainter sun is in the map alone, since half of all light samples would go
-# to it where it is an emitter.
+# Of the sky's light: a fainter sun is in the map alone, since half of all light samples would go to
+# it where it is an emitter.
 FAINT_SUN = 1e-3
 FOCAL_LENGTHS = 1.4, 2.8  # over the picture's side
 # Test skies of these faces start here (beyond those that nothing may be trained on), so that
