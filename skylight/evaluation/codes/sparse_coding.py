@@ -31,6 +31,7 @@ from skylight.csc.learning.patches import learn_patches
 from skylight.csc.pursuit.greedy import PursuitOptions, Sign
 from skylight.errors import InputError
 from skylight.evaluation.codes.free_gaussians import fit_gaussians, lobes_of
+from skylight.evaluation.codes.sparse_curves import write_sparse_curves
 from skylight.evaluation.harness.pictures import captioned_rows
 from skylight.evaluation.harness.run import Check, Item
 from skylight.imaging.colour import tone_map
@@ -216,6 +217,12 @@ class SparseCoding:
                 mean("box_l1", l2), mean("ani_l1", l2), "ani_l1"
             )
         return checks
+
+    def illustrate(
+        self, out: Path, rows: dict[str, dict[str, dict[str, float]]], items: list[Item]
+    ) -> None:
+        """``figure_6_8.png``, which has Fig. 6.9 too."""
+        write_sparse_curves(out / "figure_6_8.png", rows)
 
 
 def _row(dictionary: str, sign: str, *, banded: bool) -> str:

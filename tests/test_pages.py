@@ -1,0 +1,47 @@
+"""Pages that tools write: they say what the recorded results say."""
+
+import pytest
+
+from tools import build_figures, build_measurements
+
+ROWS = {"a": 0.2, "b": 0.3, "c": 0.1}
+
+
+@pytest.fixture
+def rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    def results(_: str) -> dict:
+        return {"rows": {name: {"l2": {"mean": value}} for name, value in ROWS.items()}}
+
+    monkeypatch.setattr(build_figures, "results", results)
+
+
+def test_the_tables_are_those_of_the_results() -> None:
+    page = build_figures.PAGE.read_text(encoding="utf-8")
+    assert build_figures.table() in page, "run python -m tools.build_figures"
+    written = (build_figures.ROOT / "docs" / "measurements.md").read_text(encoding="utf-8")
+    results = build_figures.ROOT / "benchmarks" / "results"
+    assert build_measurements.page(results) == written, "run python tools/build_measurements.py"
+
+
+@pytest.mark.parametrize(("ours", "met"), [(0.088, True), (0.0881, False), (0.05, True)])
+def test_a_number_is_at_or_past_the_thesis(ours: float, met: bool) -> None:
+    compared = build_figures.Compared
+    assert compared(thesis=0.088, ours=ours).met == met
+    assert compared(thesis=-0.088, ours=-ours, more_is_better=True).met == met
+
+
+@pytest.mark.usefixtures("rows")
+def test_orderings_are_compared_best_first() -> None:
+    def met(*order: str, rises: bool = False, last: tuple[str, ...] = ()) -> bool | None:
+        return build_figures.ordered("Fig.", "", "any", "l2", order, "", rises=rises, last=last).met
+
+    assert met("c", "a", "b")
+    assert not met("a", "c", "b")
+    assert met("b", "a", "c", rises=True)
+    assert met("c", "b", "a", last=("b", "a"))
+    assert not met("a", "b", "c", last=("b", "c"))
+
+
+def test_a_fall_is_one_at_every_step() -> None:
+    assert build_figures.falls([3.0, 2.0, 1.0])
+    assert not build_figures.falls([3.0, 1.0, 1.0])
