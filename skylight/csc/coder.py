@@ -324,6 +324,14 @@ class SphericalSparseCoder(nn.Module):
             )
         if len(code) and not 0 <= int(code.filters.min()) <= int(code.filters.max()) < self.count:
             raise InputError(f"the code names filters that {self.bank.name!r} does not have")
+        for part in self.parts:
+            if isinstance(part, BoxDictionary):
+                mine = code.filters >= part.first  # it is the last part
+                top, rows, _, _ = part.spans(code.filters[mine], code.rotations[mine]).unbind(1)
+                if bool(((top < 0) | (top + rows > self.height)).any()):
+                    raise InputError(
+                        "the code has a box over a pole: it is damaged; code the map again"
+                    )
 
 
 def pixel_of(

@@ -13,6 +13,7 @@ from skylight.csc.coder import SphericalSparseCoder, coder_for
 from skylight.csc.correlation.positions import centres_of
 from skylight.csc.dictionary import FilterBank
 from skylight.csc.pursuit.greedy import PursuitOptions
+from skylight.csc.sampling import CodeSampler
 from skylight.csc.sub_dictionaries import BOX_SIZES
 from skylight.errors import InputError
 from skylight.sphere import harmonics
@@ -658,6 +659,30 @@ def test_filters_that_are_not_there_are_refused(filter_: int) -> None:
     code.filters[3] = filter_
     with pytest.raises(InputError, match="'small' does not"):
         small().decode(code)
+
+
+@pytest.mark.parametrize(("row", "fits"), [(1, False), (2, True), (28, True), (29, False)])
+def test_boxes_over_a_pole_are_refused(row: int, fits: bool) -> None:
+    """Boxes of 6 rows about the third: of rows 2 and 28 they end at a pole."""
+    size = BOX_SIZES.index((6, 1))
+    code = SparseCode(
+        dictionary="box",
+        fingerprint=box().bank.fingerprint,
+        height=32,
+        banded=False,
+        filters=torch.tensor([0, len(box().bank) + size]),
+        directions=DirectionGrid.latlong(32).directions[[0, 64 * row + 20]],
+        twists_rad=torch.zeros(2, dtype=F64),
+        weights=torch.ones(2, 3, dtype=F64),
+        relative_error=0.1,
+    )
+    if fits:
+        lit = torch.nonzero(box().decode(code)[:, 20, 0] > 0.5)[:, 0]
+        assert lit.tolist() == list(range(row - 2, row + 4))
+        return
+    for use in (box().decode, lambda bad: CodeSampler.of(bad, box())):
+        with pytest.raises(InputError, match="a box over a pole"):
+            use(code)
 
 
 def test_a_dictionary_that_is_no_file_is_refused() -> None:

@@ -82,6 +82,41 @@ def test_pursuit_finds_planted_atoms(dictionary: PlanarDictionary) -> None:
     assert errors[2] < 0.02
 
 
+def test_the_next_atom_has_the_largest_weighted_correlation_for_its_weighted_norm() -> None:
+    """Of all, by direct sums over 8 rows; each search that leaves out one factor takes another."""
+    height = 8
+    small = PlanarDictionary(anisotropic(4, count=4), height, twists=2)
+    places = [
+        Atom(filter=f, row=r, column=c)
+        for f in range(len(small))
+        for r in range(height)
+        for c in range(2 * height)
+    ]
+    every, weight = small.drawn(places), solid_angles(height)
+    generator = torch.Generator().manual_seed(7)
+    truth = torch.rand(height, 2 * height, 3, generator=generator, dtype=torch.float64)
+    residual = truth - refitted(truth, small, [])
+
+    def best(residual_weight: torch.Tensor, squared_norms: torch.Tensor) -> int:
+        left = residual * residual_weight[..., None]
+        colour = torch.linalg.eigh(torch.einsum("hwc,hwd->cd", left, left)).eigenvectors[:, -1]
+        scores = torch.einsum("khw,hwc,c->k", every, left, colour).abs() / squared_norms.sqrt()
+        first, second = scores.topk(2).values
+        assert first > 1.005 * second  # no matter of rounding
+        return int(scores.argmax())
+
+    weighted = (every.square() * weight).sum((1, 2))
+    chosen = best(weight, weighted)
+    (found,) = pursued(truth, small, [2], weight)
+    torch.testing.assert_close(found, refitted(truth, small, [places[chosen]]))
+    for other in (
+        best(weight, torch.ones_like(weighted)),
+        best(weight, every.square().sum((1, 2))),
+        best(torch.ones_like(weight), weighted),
+    ):
+        assert (found - refitted(truth, small, [places[other]])).abs().max() > 0.01
+
+
 def test_the_strongest_activations_are_kept_without_those_at_zero() -> None:
     activations = torch.zeros(HEIGHT, 2 * HEIGHT, 3)
     activations[2, 5, 1], activations[9, 31, 0] = 2.0, 3.0
