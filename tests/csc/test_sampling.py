@@ -213,7 +213,7 @@ def test_draws_are_uniform_within_a_box(box: int) -> None:
     drawn = only.sample(20_000, torch.Generator().manual_seed(0))
     upper, lower = (math.cos(math.pi * edge / 32) for edge in (row, row + rows))
     down = (upper - drawn[:, 1]) / (upper - lower)
-    # columns run from -180 degrees on, where z is negative in the middle
+    # columns begin at -180 degrees, with -z in the middle
     azimuth = torch.atan2(drawn[:, 0], -drawn[:, 2])
     along = ((azimuth / (2 * math.pi) + 0.5) * 64 - left) / columns
     for fraction in (down, along):
