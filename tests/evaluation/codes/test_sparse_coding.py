@@ -87,6 +87,12 @@ def as_in_the_thesis() -> dict[str, dict[str, dict[str, float]]]:
         ),
         (
             "kmeans_nnls",
+            "l2_64",
+            0.85,
+            {"l2_64: vmf_k40_nnls is the worst, of sharper filters"},
+        ),
+        (
+            "kmeans_nnls",
             "ssim_mean_64",
             0.6,
             {"ssim_mean_64: kmeans_nnls > kmeans_l1", "ssim_mean_64: kmeans_nnls > sh"},
