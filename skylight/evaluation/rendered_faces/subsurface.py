@@ -1,7 +1,7 @@
 """Subsurface scattering: diffusion of irradiance over the skin's surface.
 
-What leaves a place x diffusely is albedo(x) times the integral of R(|x - y|) E(y) over the skin,
-with the normalised diffusion of Christensen & Burley 2015 ("Approximate Reflectance Profiles for
+What leaves a place x diffusely is albedo(x) times the integral of R(r) E(y) over all places y of
+the skin, r from x, with the normalised diffusion of Christensen & Burley 2015 ("Approximate Reflectance Profiles for
 Efficient Subsurface Scattering", Pixar Technical Memo 15-04)::
 
     R(r) = (exp(-r / d) + exp(-r / (3 d))) / (8 pi d r)
