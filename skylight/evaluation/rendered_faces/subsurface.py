@@ -1,8 +1,8 @@
 """Subsurface scattering: diffusion of irradiance over the skin's surface.
 
 What leaves a place x diffusely is albedo(x) times the integral of R(r) E(y) over all places y of
-the skin, r from x, with the normalised diffusion of Christensen & Burley 2015 ("Approximate Reflectance Profiles for
-Efficient Subsurface Scattering", Pixar Technical Memo 15-04)::
+the skin, r from x, with the normalised diffusion of Christensen & Burley 2015 ("Approximate
+Reflectance Profiles for Efficient Subsurface Scattering", Pixar Technical Memo 15-04)::
 
     R(r) = (exp(-r / d) + exp(-r / (3 d))) / (8 pi d r)
 
