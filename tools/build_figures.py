@@ -7,7 +7,7 @@ and captions (its plots have no numbers, so of those only orderings can be compa
 """
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -21,6 +21,7 @@ from skylight.evaluation.harness.thesis_figures import (
     TABLE_5_2,
     ThesisTable,
 )
+from skylight.evaluation.probes.voxel_probe import THESIS_L1
 from skylight.io.atomic import atomic_path
 from skylight.probes.voxel.faces import exposed_faces
 from skylight.probes.voxel.model import star_probe
@@ -29,7 +30,8 @@ from skylight.probes.voxel.reconstruct import ranks
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "figures.md"
 BEGIN, END = "<!-- written by tools/build_figures.py: -->", "<!-- until here -->"
-_KINDS: tuple[str, ...] = ("probe3_direct", "probe3_global", "probe5_direct", "probe5_global")
+# Table 3.2, in the order of THESIS_L1
+_MAE, _SSIM = (0.088, 0.084, 0.083, 0.081), (0.954, 0.957, 0.956, 0.959)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +56,7 @@ class Compared:
 
     @property
     def met(self) -> bool:
-        ours = round(self.ours, 10)
-        return ours >= self.thesis if self.more_is_better else ours <= self.thesis
+        return self.ours >= self.thesis if self.more_is_better else self.ours <= self.thesis
 
 
 def main() -> None:
@@ -95,17 +96,10 @@ def table() -> str:
 def voxel_probe() -> list[Figure]:
     evaluation = "`evaluate voxel-probe`"
     facts = results("voxel-probe")["items"]["transfer"]
-    l1 = dict(zip(_KINDS, (0.0115, 0.0113, 0.0113, 0.0094), strict=True))
-    mae = dict(zip(_KINDS, (0.088, 0.084, 0.083, 0.081), strict=True))
-    ssim = dict(zip(_KINDS, (0.954, 0.957, 0.956, 0.959), strict=True))
 
-    def of(metric: str, thesis: dict[str, float], *, more: bool = False) -> list[Compared]:
-        found = {kind: mean("voxel-probe", kind, metric) for kind in thesis}
-        return [
-            Compared(thesis=t, ours=found[kind], more_is_better=more) for kind, t in thesis.items()
-        ]
+    def of(metric: str) -> list[float]:
+        return [mean("voxel-probe", kind, metric) for kind in THESIS_L1]
 
-    transfer, errors, alike = of("transfer_l1", l1), of("mae", mae), of("ssim", ssim, more=True)
     end_to_end = results("voxel-end-to-end")
     mask = exposed_faces(star_probe(3)).counts() > 0
     known = mask.sum(1)
@@ -157,13 +151,13 @@ def voxel_probe() -> list[Figure]:
             met=bool((known == 5).all()),
             where="`skylight probe voxel inspect --probe 3`",
         ),
-        Figure(
-            name="Fig. 3.9",
-            shows="L1 error of transfer: 3-probe direct, global, 5-probe direct, global",
-            thesis=numbers(l1.values(), 4),
-            ours=numbers((c.ours for c in transfer), 4),
-            met=all(c.met for c in transfer),
-            where=f"{evaluation}, {drawn.rpartition(', ')[2]}",
+        beside(
+            "Fig. 3.9",
+            "L1 error of transfer: 3-probe direct, global, 5-probe direct, global",
+            tuple(THESIS_L1.values()),
+            of("transfer_l1"),
+            f"{evaluation}, {drawn.rpartition(', ')[2]}",
+            digits=4,
         ),
         Figure(
             name="Fig. 3.10",
@@ -178,23 +172,9 @@ def voxel_probe() -> list[Figure]:
             f"{end_to_end['pose_error_deg_median']:.2f}°",
             where="`python -m tools.measure_voxel_end_to_end`",
         ),
-        Figure(
-            name="Table 3.2, MAE",
-            shows="relit models, order as in 3.9",
-            thesis=numbers(mae.values(), 3),
-            ours=numbers((c.ours for c in errors), 3),
-            met=all(c.met for c in errors),
-            where=evaluation,
-        ),
-        Figure(
-            name="Table 3.2, SSIM",
-            shows="the same",
-            thesis=numbers(ssim.values(), 3),
-            ours=numbers((c.ours for c in alike), 3),
-            met=all(c.met for c in alike),
-            where=evaluation,
-        ),
-        *_coarse_models(mae, ssim),
+        beside("Table 3.2, MAE", "relit models, order as in 3.9", _MAE, of("mae"), evaluation),
+        beside("Table 3.2, SSIM", "the same", _SSIM, of("ssim"), evaluation, more_is_better=True),
+        *_coarse_models(),
         Figure(
             name="Fig. 3.12",
             shows="relit models beside path tracing",
@@ -212,31 +192,22 @@ def voxel_probe() -> list[Figure]:
     ]
 
 
-def _coarse_models(mae: dict[str, float], ssim: dict[str, float]) -> list[Figure]:
+def _coarse_models() -> list[Figure]:
     """Table 3.2 with models of 12 voxels and 512 paths: the thesis states neither number."""
     found = results("voxel-table")["coarse models"]
-    rows = []
-    for metric, thesis in (("mae", mae), ("ssim", ssim)):
-        more = metric == "ssim"
-        compared = [
-            Compared(
-                thesis=value,
-                ours=found[kind.removeprefix("probe").replace("_", "-")][f"{metric} mean"],
-                more_is_better=more,
-            )
-            for kind, value in thesis.items()
-        ]
-        rows.append(
-            Figure(
-                name=f"Table 3.2, {metric.upper()}",
-                shows="the same, models of 12 voxels, 512 paths",
-                thesis=numbers(thesis.values(), 3),
-                ours=numbers((c.ours for c in compared), 3),
-                met=all(c.met for c in compared),
-                where="`python -m tools.measure_voxel_table`",
-            )
-        )
-    return rows
+    shows, where = (
+        "the same, models of 12 voxels, 512 paths",
+        "`python -m tools.measure_voxel_table`",
+    )
+
+    def of(metric: str) -> list[float]:
+        kinds = (kind.removeprefix("probe").replace("_", "-") for kind in THESIS_L1)
+        return [found[kind][f"{metric} mean"] for kind in kinds]
+
+    return [
+        beside("Table 3.2, MAE", shows, _MAE, of("mae"), where),
+        beside("Table 3.2, SSIM", shows, _SSIM, of("ssim"), where, more_is_better=True),
+    ]
 
 
 def partitions_probe() -> list[Figure]:
@@ -252,33 +223,24 @@ def partitions_probe() -> list[Figure]:
         "110d": (0.114, 0.100, 0.991),
         "6d_np_corr": (0.694, 0.478, 0.946),
     }
-    rows, alike = [], {}
-    for row, (*errors, ssim) in thesis.items():
-        compared = [
-            Compared(thesis=value, ours=mean("partition-probe", row, metric))
-            for metric, value in zip(("mae_thesis", "rmse_thesis"), errors, strict=True)
-        ]
-        alike[row] = Compared(
-            thesis=ssim, ours=mean("partition-probe", row, "ssim"), more_is_better=True
+    rows = [
+        beside(
+            f"Table 4.1, {row}",
+            "MAE, RMSE",
+            errors,
+            [mean("partition-probe", row, metric) for metric in ("mae_thesis", "rmse_thesis")],
+            evaluation,
         )
-        rows.append(
-            Figure(
-                name=f"Table 4.1, {row}",
-                shows="MAE, RMSE",
-                thesis=numbers(errors, 3),
-                ours=numbers((c.ours for c in compared), 3),
-                met=all(c.met for c in compared),
-                where=evaluation,
-            )
-        )
+        for row, (*errors, _) in thesis.items()
+    ]
     rows.append(
-        Figure(
-            name="Table 4.1, SSIM",
-            shows="all of these, in this order",
-            thesis=numbers((c.thesis for c in alike.values()), 3),
-            ours=numbers((c.ours for c in alike.values()), 3),
-            met=all(c.met for c in alike.values()),
-            where=evaluation,
+        beside(
+            "Table 4.1, SSIM",
+            "all of these, in this order",
+            [figures[-1] for figures in thesis.values()],
+            [mean("partition-probe", row, "ssim") for row in thesis],
+            evaluation,
+            more_is_better=True,
         )
     )
     captured = results("partition-end-to-end-6d")
@@ -520,6 +482,28 @@ def _beyond_filters() -> list[Figure]:
             where="`python -m tools.measure_box_dictionary`",
         ),
     ]
+
+
+def beside(
+    name: str,
+    shows: str,
+    thesis: Sequence[float],
+    ours: Sequence[float],
+    where: str,
+    *,
+    digits: int = 3,
+    more_is_better: bool = False,
+) -> Figure:
+    """Numbers beside the thesis', met where each one is."""
+    pairs = zip(thesis, ours, strict=True)
+    return Figure(
+        name=name,
+        shows=shows,
+        thesis=numbers(thesis, digits),
+        ours=numbers(ours, digits),
+        met=all(Compared(thesis=t, ours=o, more_is_better=more_is_better).met for t, o in pairs),
+        where=where,
+    )
 
 
 def ordered(

@@ -128,7 +128,7 @@ def draw_filters() -> Figure:
         _map(axis, one, f"rotated by α {a:g}, β {b:g}, γ {c:g}")
     ahead = torch.tensor([[math.pi, math.pi / 2, 0.0]]).double()
     for row, (name, bank) in enumerate(banks.items(), start=1):
-        chosen = [i for i in FILTERS if i < len(bank)] if len(bank) > max(FILTERS) else [0, 1]
+        chosen = FILTERS if len(bank) > max(FILTERS) else (0, 1)
         for axis, index in zip(axes[row], chosen, strict=False):
             one = bank.coefficients[index].detach().double()[None]
             _map(axis, rotated_filters(one, ahead)[0], f"{name} {index}")

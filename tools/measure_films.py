@@ -17,12 +17,12 @@ is followed only.
 """
 
 import argparse
-import json
 import os
 import shutil
 import statistics
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -41,9 +41,8 @@ from skylight.evaluation.rendered_faces.options import RenderOptions
 from skylight.inverse.sky.film import SHARE_OF_START
 from skylight.io.atomic import atomic_path
 from skylight.io.files import write_png
-from skylight.io.json_files import write_json
 from skylight.sphere.envmap import EnvironmentMap
-from tools.measured import write_measured
+from tools.measured import kept, write_measured
 
 RATE = 8.0  # frames a second
 
@@ -63,10 +62,8 @@ def main() -> None:
         folder = arguments.folder / f"film{number}"
         render(folder, number, arguments.frames, options)
         truth = film_truth(number, arguments.frames, options)
-        kept = arguments.folder / f"film{number}.json"
-        if not kept.exists():
-            write_json(kept, measure(folder, truth, arguments.every))
-        rows.append(json.loads(kept.read_text()))
+        path = arguments.folder / f"film{number}.json"
+        rows.append(kept(path, partial(measure, folder, truth, arguments.every)))
         print(f"film {number}: {rows[-1]}", flush=True)
     facts = {name: statistics.median(row[name] for row in rows) for name in rows[0]}
     write_measured(
@@ -166,9 +163,9 @@ def estimated(folder: Path, truth: FilmTruth, keyframes: int, clock: _Clock) -> 
 
 def singles(folder: Path, truth: FilmTruth, every: int) -> Directions:
     """Frames as photographs, turned into the world."""
-    kept = folder.with_name(f"{folder.name}_frames_{every}.npz")
-    if kept.exists():
-        with np.load(kept) as stored:
+    path = folder.with_name(f"{folder.name}_frames_{every}.npz")
+    if path.exists():
+        with np.load(path) as stored:
             return Directions(sun=stored["sun"], sky=stored["sky"])
     suns, skies = [], []
     for k in range(0, len(truth.exposures), every):
@@ -180,7 +177,7 @@ def singles(folder: Path, truth: FilmTruth, every: int) -> Directions:
             continue
         suns.append(turn @ found.sun_direction.numpy())
         skies.append(_sky(found.environment, turn))
-    with atomic_path(kept) as temporary, temporary.open("wb") as file:
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
         np.savez(file, sun=np.array(suns), sky=np.array(skies))
     return Directions(sun=np.array(suns), sky=np.array(skies))
 

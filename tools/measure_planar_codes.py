@@ -30,6 +30,7 @@ import math
 import time
 import warnings
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from statistics import fmean
 
@@ -43,14 +44,12 @@ from skylight.csc.dictionary import FilterBank, builtin
 from skylight.csc.sub_dictionaries import SubDictionary
 from skylight.errors import InputError
 from skylight.evaluation.codes.sparse_coding import COUNTS, relative_error
-from skylight.io.bounded import json_content
 from skylight.io.collection import read_categories
 from skylight.io.files import read_environment_map
-from skylight.io.json_files import write_json
 from skylight.sphere import harmonics
 from skylight.sphere.latlong_transform import LatLongTransform
 from skylight.sphere.rotation import rotate
-from tools.measured import write_measured
+from tools.measured import kept, write_measured
 from tools.planar_coder import Map, PlanarDictionary, pursued, refitted, solid_angles, strongest
 
 HEIGHT = 64
@@ -85,11 +84,8 @@ def main() -> None:
             truth = read_environment_map(arguments.data / name).resize(HEIGHT).radiance.double()
             found = {}
             for part, measured in {"as_is": as_is, "turned": turned}.items():
-                kept = arguments.errors / part / f"{Path(name).stem}.json"
-                kept.parent.mkdir(parents=True, exist_ok=True)
-                if not kept.exists():
-                    write_json(kept, measured(truth, coders))
-                found |= json_content(kept)
+                path = arguments.errors / part / f"{Path(name).stem}.json"
+                found |= kept(path, partial(measured, truth, coders))
             errors.setdefault(kind, {})[name] = found
             print(f"{name} {time.process_time():.0f} s", flush=True)
     write_measured(

@@ -27,7 +27,7 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from statistics import fmean, pstdev
 
@@ -49,10 +49,8 @@ from skylight.evaluation.probes.voxel_scene import (
 )
 from skylight.imaging.colour import linear_to_srgb
 from skylight.imaging.metrics import mae, ssim
-from skylight.io.bounded import json_content
 from skylight.io.collection import read_categories
 from skylight.io.files import read_environment_map
-from skylight.io.json_files import write_json
 from skylight.probes.voxel.analysis import transfer_error
 from skylight.probes.voxel.faces import (
     CONFIGURATIONS,
@@ -70,7 +68,7 @@ from skylight.probes.voxel.model import VoxelModel, star_probe, voxelise
 from skylight.probes.voxel.reconstruct import DirectReconstruction, SlotReconstruction
 from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.transport.indirect.path_tracer import DiffuseScene, Sampling, shade
-from tools.measured import write_measured
+from tools.measured import kept, write_measured
 
 Views = tuple[tuple[float, float], ...]
 Picture = Float[Tensor, "h w 3"]
@@ -128,13 +126,10 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     begun = time.time()
-    arguments.rows.mkdir(parents=True, exist_ok=True)
     rows = {}
     for name, setting in {**VARIATIONS, COARSE: THESIS}.items():
-        kept = arguments.rows / f"{name.replace(' ', '_').replace(':', '')}.json"
-        if not kept.exists():
-            write_json(kept, measured(arguments.data, setting))
-        rows[name] = json_content(kept)
+        path = arguments.rows / f"{name.replace(' ', '_').replace(':', '')}.json"
+        rows[name] = kept(path, partial(measured, arguments.data, setting))
         print(f"{name} {time.process_time():.0f} s", flush=True)
     means = {
         name: {method: {k: fmean(v) for k, v in of.items()} for method, of in scores.items()}

@@ -3,14 +3,24 @@
 import json
 import platform
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import torch
 
 from skylight.evaluation.main import commit
+from skylight.io.bounded import json_content
 from skylight.io.json_files import write_json
+
+
+def kept(path: Path, measure: Callable[[], Any]) -> Any:
+    """What ``measure`` gives, from the JSON file of an earlier run where there is one."""
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_json(path, measure())
+    return json_content(path)
 
 
 def write_measured(

@@ -270,10 +270,11 @@ class SphericalSparseCoder(nn.Module):
     def _sampled_atoms(self, codes: CodeTensors) -> Float[Tensor, "*batch s h w"]:
         """The atoms on the pixels of the coder's maps."""
         atoms = self.transform.synthesise(rotated_atoms(self.parts, codes))
-        flat = atoms.flatten(0, -3)
-        for some, boxes in self._boxes(codes):
-            flat = flat.index_add(0, some, boxes.to(flat))
-        return flat.view_as(atoms)
+        found = list(self._boxes(codes))
+        if not found:
+            return atoms
+        some, boxes = (torch.cat(part) for part in zip(*found, strict=True))
+        return atoms.flatten(0, -3).index_add(0, some, boxes.to(atoms)).view_as(atoms)
 
     def _decoded_boxes(self, codes: CodeTensors) -> Float[Tensor, "*batch h w c"]:
         """The sum of a code's boxes, at the coder's own height."""

@@ -52,7 +52,7 @@ Map = Float[Tensor, "h w 3"]
 CODERS = ("iso", "ani", "kmeans", "vmf")
 SIGNS: dict[str, Sign] = {"nnls": "nonnegative", "l1": "l1"}
 BANDS = {"vmf": (True,), "box": (False,)}  # the others: as the thesis' coder, and with sharper ones
-TONE_MAPS = ("ssim", "ssim_mean", "ssim_unit")
+OTHER_WHITES = ("ssim_mean", "ssim_unit")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,10 +104,8 @@ class SparseCoding:
         metrics: dict[str, dict[str, float]] = {}
         shown = {"truth": truth}
         brightness = float(luminance(truth).mean())
-        whites = {
-            "ssim_mean": brightness,
-            "ssim_unit": float((truth.square() * scale).sum().sqrt()),
-        }
+        length = float((truth.square() * scale).sum().sqrt())
+        whites = dict(zip(OTHER_WHITES, (brightness, length), strict=True))
 
         def score(method: str, fits: list[Map]) -> None:
             name = method if indoor else f"{method}_outdoor"
@@ -118,8 +116,7 @@ class SparseCoding:
             if SHOWN in self.counts:
                 shown[method] = fits[self.counts.index(SHOWN)]
                 for tones, white in whites.items():
-                    score = ssim(shown[method], truth, white=white)
-                    metrics[name][f"{tones}_{SHOWN}"] = score
+                    metrics[name][f"{tones}_{SHOWN}"] = ssim(shown[method], truth, white=white)
 
         score("sh", self._harmonics(truth, windowed=False))
         score("sh_windowed", self._harmonics(truth, windowed=True))
@@ -195,7 +192,7 @@ class SparseCoding:
                 share = mean(coder["ani", "l1"], l2) / mean("sh", l2)
                 checks[f"{l2}: {coder['ani', 'l1']} / sh"] = Check.at_most(share, 0.7)
             tones = [f"ssim_{count}" for count in (SHOWN, 100) if count in self.counts]
-            tones += [f"{t}_{SHOWN}" for t in TONE_MAPS[1:] if SHOWN in self.counts]
+            tones += [f"{t}_{SHOWN}" for t in OTHER_WHITES if SHOWN in self.counts]
             for metric in tones:
                 for dictionary in CODERS:
                     signed, positive = coder[dictionary, "l1"], coder[dictionary, "nnls"]

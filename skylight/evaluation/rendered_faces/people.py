@@ -124,6 +124,10 @@ class Seen:
     bare: Bool[ndarray, "h w"]
     hair: Bool[ndarray, "h w"]
 
+    def pixel_m(self, camera: Camera) -> float:
+        """A pixel's side at the median depth of the skin, metres."""
+        return float(np.median(-self.positions[self.skin][:, 2])) / camera.focal_px
+
 
 def seen_parts(person: Person) -> Seen:
     """By casting one ray a pixel at head and cap."""

@@ -35,8 +35,7 @@ def compose(
     shown = layers.albedo > 1e-6
     entered = np.where(shown, layers.diffuse / np.where(shown, layers.albedo, 1), 0)
     left = entered.astype(np.float64)
-    where = seen.positions[seen.skin]
-    pixel_mm = 1000 * float(np.median(-where[:, 2])) / camera.focal_px
+    where, pixel_mm = seen.positions[seen.skin], 1000 * seen.pixel_m(camera)
     left[seen.skin] = scattered(left[seen.skin], where, pixel_mm, patches, layers.entering)
     behind = backdrop * (1 - layers.cover[..., None])
     return (layers.albedo * left + layers.gloss + behind).astype(np.float32)

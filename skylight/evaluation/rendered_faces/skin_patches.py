@@ -63,9 +63,8 @@ def patches_in_reach(person: Person, seen: Seen, reach_m: float) -> SkinPatches:
     A pixel shows a patch whose middle is less than its own width from the pixel's, so at a slant
     of more than about 60 degrees few are shown.
     """
-    head, camera = SmoothHead.load(), person.truth.camera
-    skin = seen.positions[seen.skin]
-    width = float(np.median(-skin[:, 2])) / camera.focal_px
+    head = SmoothHead.load()
+    skin, width = seen.positions[seen.skin], seen.pixel_m(person.truth.camera)
     corners = person.points[head.faces]
     middles = corners.mean(1)
     around = np.linalg.norm(corners - middles[:, None], axis=2).max(1)

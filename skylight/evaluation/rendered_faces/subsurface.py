@@ -75,13 +75,19 @@ def scattered(
 
 @dataclass(frozen=True)
 class _Patches:
-    """Patches, millimetres, and their clusters: cluster c is patches ``first[c]`` on, so many."""
+    """Patches, millimetres, and their clusters: cluster c is patches ``first[c]`` on, so many.
+
+    ``areas_of`` and ``light_of`` are the clusters'; ``tree`` holds their mean places.
+    """
 
     places: Float[ndarray, "k 3"]
     areas: Float[ndarray, " k"]
     light: Float[ndarray, "k 3"]
     first: Int[ndarray, " g"]
     count: Int[ndarray, " g"]
+    areas_of: Float[ndarray, " g"]
+    light_of: Float[ndarray, "g 3"]
+    tree: KDTree
 
 
 def _clustered(
@@ -91,22 +97,22 @@ def _clustered(
     cubes = np.floor(places / _CLUSTER_MM).astype(int)
     _, cube, count = np.unique(cubes, axis=0, return_inverse=True, return_counts=True)
     order = np.argsort(cube.ravel(), kind="stable")
-    return _Patches(places[order], areas[order], light[order], np.cumsum(count) - count, count)
+    first = np.cumsum(count) - count
+    places, areas, light = places[order], areas[order], light[order]
+    areas_of = np.add.reduceat(areas, first)
+    weighted = areas[:, None] * np.concatenate([places, light], 1)
+    mean = np.add.reduceat(weighted, first) / areas_of[:, None]
+    return _Patches(places, areas, light, first, count, areas_of, mean[:, 3:], KDTree(mean[:, :3]))
 
 
 def _pairs(
     pixels: Float[ndarray, "n 3"], near: _Patches
 ) -> Iterator[tuple[ndarray, ndarray, ndarray, ndarray]]:
     """(pixel, distance, area, light) of all pairs: clusters as one patch, then single ones."""
-    area = np.add.reduceat(near.areas, near.first)
-    weighted = near.areas[:, None] * np.concatenate([near.places, near.light], 1)
-    mean = np.add.reduceat(weighted, near.first) / area[:, None]
-    pair = KDTree(pixels).sparse_distance_matrix(
-        KDTree(mean[:, :3]), REACH_MM, output_type="ndarray"
-    )
+    pair = KDTree(pixels).sparse_distance_matrix(near.tree, REACH_MM, output_type="ndarray")
     pixel, cluster = pair["i"], pair["j"]
     far = pair["v"] >= _NEAR_MM
-    yield pixel[far], pair["v"][far], area[cluster[far]], mean[cluster[far], 3:]
+    yield pixel[far], pair["v"][far], near.areas_of[cluster[far]], near.light_of[cluster[far]]
     pixel, cluster = pixel[~far], cluster[~far]
     many = near.count[cluster]
     within = np.arange(many.sum()) - np.repeat(np.cumsum(many) - many, many)

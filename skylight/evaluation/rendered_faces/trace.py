@@ -24,8 +24,6 @@ HAIR_ROUGHNESS = 0.55
 _DEPTH = 5  # path vertices of diffuse light; what is left out lies below 1 % in deep corners
 _FINER = 8  # columns of the light's map given to Mitsuba, per column of ours
 _MARGIN = 3  # px round the head
-
-
 _PATCH_SAMPLES = 4  # light paths of a pixel to one of a patch of skin that none shows
 _LIFT_M = 2e-5  # where rays to a patch begin, above it
 

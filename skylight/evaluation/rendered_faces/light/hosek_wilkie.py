@@ -34,12 +34,12 @@ def hosek_wilkie_sky(
     """
     grid = DirectionGrid.sky(_FINER * height)
     up_is_z = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])  # Mitsuba's zenith is +Z
+    towards = up_is_z @ sun.double().numpy()
     fine = emitted(
-        _emitter(turbidity, ground_albedo, up_is_z @ sun.double().numpy(), sky=True),
+        _emitter(turbidity, ground_albedo, towards, sky=True),
         grid.directions.numpy() @ up_is_z.T,
     )
     radiance = torch.from_numpy(fine).float().reshape(_FINER * height, -1, 3)
-    towards = up_is_z @ sun.double().numpy()
     disc = emitted(_emitter(turbidity, ground_albedo, towards, sky=False), towards[None])[0]
     irradiance = math.pi * math.sin(math.radians(_APERTURE_DEG / 2)) ** 2 * disc
     return (
