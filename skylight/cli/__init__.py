@@ -121,7 +121,7 @@ def evaluate(
         out: Folder for the results.
         quick: A small run that shows the form of the result in minutes.
         data: Folder of collected data, where the evaluation needs any; of all, one with folders
-            hdr, meshes, faces, lamps, scenes and indoor, as far as they are there.
+            hdr, meshes, faces, lamps, scenes, indoor and relit, as far as they are there.
         model: Of faces and skies: folder of a trained model of your own instead of the one that
             comes with skylight.
         device: Of faces: where their light is optimised.

@@ -3,20 +3,16 @@
 import os
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from skylight.app.estimate.types import PhotoEstimate
-from skylight.app.portrait.lights import NewLight, light_in_photo
-from skylight.faces.model import HeadModel
-from skylight.faces.observe import hair_of
-from skylight.faces.segmentation.person import person_matte
+from skylight.app.portrait.lights import NewLight
 from skylight.imaging.colour import linear_to_srgb
+from skylight.inverse.portrait.photograph import portrait_of
 from skylight.inverse.portrait.relit import Keep, Portrait
-from skylight.inverse.portrait.surface import BUST, PersonSurface
 from skylight.work.progress import Progress
 
 KNEE = 0.8  # of white: brighter than this (or than it was) a picture approaches white softly
@@ -68,27 +64,8 @@ def taken_apart(
     result: PhotoEstimate, *, workers: int = 1, progress: Progress | None = None
 ) -> Portrait:
     """The (first) face's photograph as a :class:`~skylight.inverse.portrait.relit.Portrait`."""
-    photo, face = result.photos[result.seen[0].photo], result.estimate.faces[0]
-    person = PersonSurface.of(result.fit, face.turns, workers=workers, progress=progress)
-    hair = hair_of(photo.pixels, HeadModel.load(), result.fit)
-    regions = person.region_image()
-    small = cv2.resize(hair, regions.shape[::-1], interpolation=cv2.INTER_AREA)
-    matte = person_matte(
-        photo.encoded,
-        (regions >= 0) & (regions != BUST),
-        regions == BUST,
-        small,
-        person.face_px,
-    )
-    return Portrait.of(
-        photo.pixels,
-        person,
-        light_in_photo(result.estimate),
-        face.gloss,
-        hair,
-        matte,
-        grey=photo.grey,
-    )
+    photo = result.photos[result.seen[0].photo]
+    return portrait_of(photo, result.fit, result.estimate, workers=workers, progress=progress)
 
 
 def shown(relit: RelitPortrait) -> UInt8[ndarray, "h w 3"]:
