@@ -16,6 +16,7 @@ from skylight.cli.estimate import estimate, estimate_object
 from skylight.cli.export import export
 from skylight.cli.export_light import export_light
 from skylight.cli.faces import faces
+from skylight.cli.portrait import relight_portrait
 from skylight.cli.probes.voxel import probe
 from skylight.cli.score import score
 from skylight.cli.skies import skies
@@ -145,6 +146,7 @@ app.command(name="estimate-object")(estimate_object)
 app.command(name="code")(code_probe)
 app.command(name="decode")(decode_code)
 app.command(relight)
+app.command(name="relight-portrait")(relight_portrait)
 app.command(convert)
 app.command(score)
 app.command(train)
