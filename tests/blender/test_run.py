@@ -102,7 +102,7 @@ def test_a_check_of_what_was_printed_stops_the_run() -> None:
     step = python("print('skylight 0.9.0')")
     run = Run([Step(step.stage, step.command, check_version), python("print()", stage="never")])
     assert ended(run) == "failed"
-    assert run.error == "skylight 0.9.0: this extension needs skylight 0.1 to below 0.2"
+    assert run.error == "skylight 0.9.0: this extension needs skylight 0.2 to below 0.3"
     assert run.stage == "starting"
 
 
@@ -172,11 +172,11 @@ def test_the_version_that_there_is_is_compatible() -> None:
 
 @pytest.mark.parametrize(
     "printed",
-    ["skylight 0.0.9", "skylight 0.2.0", "skylight 1.1.0", "skylight", "", "Python 0.1.0"],
+    ["skylight 0.1.0", "skylight 0.3.0", "skylight 1.1.0", "skylight", "", "Python 0.1.0"],
 )
 def test_other_versions_are_refused(printed: str) -> None:
-    assert COMPATIBLE == ((0, 1), (0, 2))
-    with pytest.raises(Failure, match=r"needs skylight 0\.1 to below 0\.2"):
+    assert COMPATIBLE == ((0, 2), (0, 3))
+    with pytest.raises(Failure, match=r"needs skylight 0\.2 to below 0\.3"):
         check_version(printed)
 
 
