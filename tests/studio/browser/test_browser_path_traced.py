@@ -1,4 +1,4 @@
-"""The composite against a path tracer that knows the scene: a person on the ground, and an object."""
+"""The composite against a path tracer that knows the scene: a person, ground, and an object."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
