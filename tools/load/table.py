@@ -14,7 +14,7 @@ from skylight.io.bounded import json_content
 ROOT = Path(__file__).parents[2]
 RECORD = ROOT / "benchmarks" / "results" / "studio-load.json"
 PAGE = ROOT / "docs" / "hardening.md"
-_BEGIN, _END = "<!-- begin: studio-load -->\n", "<!-- end: studio-load -->"
+_BEGIN, _END = "<!-- written by tools/load/table.py: -->\n", "<!-- until here -->"
 _PROCESSES = {
     "server": "server",
     "jobs": "worker of jobs",
