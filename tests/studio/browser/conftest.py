@@ -12,7 +12,7 @@ from PIL import Image
 from skimage.data import astronaut
 from torch import Tensor
 
-from tests.studio.browser.known_light import answers
+from tests.studio.browser.known_light import EYES, answers
 from tests.studio.browser.waiting import PATIENCE_MS, gathered, painted
 from tests.studio.conftest import Served, start
 
@@ -107,12 +107,15 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def show(new_page: "Callable[..., Page]", tmp_path: Path) -> "Callable[..., Page]":
-    """Makes a page that has found the given light, (64, 128, 3), in a photo of one face."""
+    """Makes a page that has found the given light, (64, 128, 3), in a photo of one face.
 
-    def shown(radiance: Tensor, **options: Any) -> "Page":
+    Below its row 300 the photo is even ground.
+    """
+
+    def shown(radiance: Tensor, eyes: tuple[float, float, float] = EYES, **options: Any) -> "Page":
         page = new_page(**options)
         page.get_by_role("region", name="Try one of these").wait_for()  # what is below stays there
-        answer = answers(radiance, tmp_path)
+        answer = answers(radiance, tmp_path, eyes)
         page.route("**/api/jobs/**", answer)
         page.route("**/api/jobs", answer)
         picture = astronaut().copy()
