@@ -8,15 +8,20 @@ import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from numpy import ndarray
+from torch import Tensor
 
 from skylight.app.estimate.types import PhotoEstimate
 from skylight.app.portrait.lights import NewLight, light_in_photo
+from skylight.faces.fit import FaceFit
 from skylight.faces.model import HeadModel
 from skylight.faces.observe import hair_of
 from skylight.faces.segmentation.person import person_matte
 from skylight.imaging.colour import linear_to_srgb
+from skylight.imaging.photo import Photo
 from skylight.inverse.portrait.relit import Keep, Portrait
-from skylight.inverse.portrait.surface import BUST, PersonSurface
+from skylight.inverse.portrait.surface import BUST, FACE_PX, PersonSurface
+from skylight.inverse.result import Estimate
+from skylight.sphere.envmap import EnvironmentMap
 from skylight.work.progress import Progress
 
 KNEE = 0.8  # of white: brighter than this (or than it was) a picture approaches white softly
@@ -53,24 +58,69 @@ def relit_portrait(
     """
     portrait = taken_apart(result, workers=workers or os.cpu_count() or 1, progress=progress)
     picture, used = portrait.under(light.environment, exposure, keep=keep)
-    verdict = result.estimate.posterior.verdict
-    doubtful = verdict.startswith(("unreliable", "doubtful"))
     return RelitPortrait(
         picture=picture,
         photo=portrait.photo,
         exposure=used,
-        warning=f"the light that was found is {verdict}" if doubtful else "",
+        warning=warning_of(result.estimate),
         notes=light.notes,
     )
+
+
+def warning_of(estimate: Estimate) -> str:
+    """Why not to trust a portrait that was lit by it; empty where nothing is against it."""
+    verdict = estimate.posterior.verdict
+    doubtful = verdict.startswith(("unreliable", "doubtful"))
+    return f"the light that was found is {verdict}" if doubtful else ""
 
 
 def taken_apart(
     result: PhotoEstimate, *, workers: int = 1, progress: Progress | None = None
 ) -> Portrait:
     """The (first) face's photograph as a :class:`~skylight.inverse.portrait.relit.Portrait`."""
-    photo, face = result.photos[result.seen[0].photo], result.estimate.faces[0]
-    person = PersonSurface.of(result.fit, face.turns, workers=workers, progress=progress)
-    hair = hair_of(photo.pixels, HeadModel.load(), result.fit)
+    return portrait_of(
+        result.photos[result.seen[0].photo],
+        result.fit,
+        FaceReflection.of(result.estimate),
+        light_in_photo(result.estimate),
+        workers=workers,
+        progress=progress,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceReflection:
+    """What an estimate tells of a face beside its light: ``gloss`` and ``turns`` of
+    :class:`~skylight.inverse.result.FaceLight`."""
+
+    gloss: float
+    turns: Float[Tensor, " j"] | None
+
+    @staticmethod
+    def of(estimate: Estimate) -> "FaceReflection":
+        """The (first) face's."""
+        face = estimate.faces[0]
+        return FaceReflection(gloss=face.gloss, turns=face.turns)
+
+
+def portrait_of(
+    photo: Photo,
+    fit: FaceFit,
+    reflection: FaceReflection,
+    found: EnvironmentMap,
+    *,
+    face_px: int = FACE_PX,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> Portrait:
+    """A photograph of a fitted head under the light ``found``, in its colours and units.
+
+    Shading is computed where the face is ``face_px`` high at most.
+    """
+    person = PersonSurface.of(
+        fit, reflection.turns, face_px=face_px, workers=workers, progress=progress
+    )
+    hair = hair_of(photo.pixels, HeadModel.load(), fit)
     regions = person.region_image()
     small = cv2.resize(hair, regions.shape[::-1], interpolation=cv2.INTER_AREA)
     matte = person_matte(
@@ -80,15 +130,7 @@ def taken_apart(
         small,
         person.face_px,
     )
-    return Portrait.of(
-        photo.pixels,
-        person,
-        light_in_photo(result.estimate),
-        face.gloss,
-        hair,
-        matte,
-        grey=photo.grey,
-    )
+    return Portrait.of(photo.pixels, person, found, reflection.gloss, hair, matte, grey=photo.grey)
 
 
 def shown(relit: RelitPortrait) -> UInt8[ndarray, "h w 3"]:
