@@ -27,8 +27,9 @@ class KeptPerson:
     """The (first) face of an estimate; ``found`` and ``sun`` are in its photograph's units.
 
     ``facts`` are for the page: ``command``, the words of a command line up to its sun;
-    ``is_alone``, whether the light is that of this face only; ``is_lamp``; ``strength``, the sun's
-    luminance as a multiple of the rest's on a horizontal surface; ``warning``.
+    ``is_alone``, whether the light is that of this face only; ``is_lamp``; ``was_found``;
+    ``strength``, the sun's luminance as a multiple of the rest's on a horizontal surface, None
+    where that is black; ``warning``.
     """
 
     fit: FaceFit
@@ -71,7 +72,7 @@ def keep_person(folder: Path, result: PhotoEstimate, command: dict[str, Any]) ->
     facts = command | {
         "is_lamp": bool(estimate.lamps),
         "was_found": sun.was_found,
-        "strength": float(luminance(sun.irradiance)) / sun.level,
+        "strength": float(luminance(sun.irradiance)) / sun.level if sun.level > 0 else None,
         "level": sun.level,
         "gloss": reflection.gloss,
         "landmark_error": fit.landmark_error,

@@ -123,7 +123,9 @@ def test_the_sun_is_dragged_and_the_person_follows_as_the_command_has_it(
     bright = relit(page)[skin].mean()
     strength = page.get_by_label("Strength of the sun")
     strength.fill("0")
-    page.wait_for_function("() => JSON.parse(document.querySelector('.relit').dataset.shows)[2] === 0")
+    page.wait_for_function(
+        "() => JSON.parse(document.querySelector('.relit').dataset.shows)[2] === 0"
+    )
     assert relit(page)[skin].mean() < bright - 10
     words = shlex.split(page.locator(".command code").text_content() or "")
     assert words[:3] == ["skylight", "relight-portrait", photo.name]

@@ -111,6 +111,7 @@ function relitView(
       changed();
     },
   });
+  strength.element.hidden = facts.strength === null; // a multiple of nothing
   const reset = el("button", { type: "button" }, "Reset");
   reset.addEventListener("click", () => {
     Object.assign(sun, found);
@@ -182,7 +183,7 @@ function holdButton(picture: RelitPicture): HTMLElement {
 /** The words that make the same picture in a terminal. */
 function commandOf(facts: Facts, { azimuth_deg, zenith_deg }: Angles, times: number): string {
   const place = `--sun=${azimuth_deg.toFixed(1)},${(90 - zenith_deg).toFixed(1)}`;
-  const strength = times === 1 ? "" : ` --strength ${(times * facts.strength).toPrecision(4)}`;
+  const strength = times === 1 ? "" : ` --strength ${(times * (facts.strength ?? 0)).toPrecision(4)}`;
   return `${facts.command} ${place}${strength} --out relit.png`;
 }
 

@@ -9,7 +9,7 @@ export interface Facts {
   is_alone: boolean;
   is_lamp: boolean;
   was_found: boolean;
-  strength: number;
+  strength: number | null;
   warning: string;
   size: [width: number, height: number];
   crop: [left: number, top: number, width: number, height: number];

@@ -33,21 +33,24 @@ void main() {
   color = vec4(seen.rgb, 1.0);
   if (isBefore || seen.a == 0.0) return;
   vec3 p = linear(seen.rgb);
+  vec3 person = p * exp(texture(ratio, (at - wholeFrom) / wholeSize).rgb);
   vec2 place = (at - skinFrom) / skinSize;
-  vec4 dark = texture(was, place);
-  vec3 usual = texture(local, place).rgb;
-  vec3 shone = texture(shine, place).rgb;
-  vec3 shading = texture(lit, place).rgb;
-  vec3 gloss = texture(glossy, place).rgb;
-  vec3 other = p * exp(texture(ratio, (at - wholeFrom) / wholeSize).rgb);
-  vec3 albedo = (max(p - shone, 0.0) * dark.rgb + least * usual) / (dark.rgb * dark.rgb + least);
-  albedo = min(albedo, brightest * usual);
-  vec3 residual = p - albedo * dark.rgb - shone;
-  vec3 skin = albedo * shading + gloss + common_ * residual;
-  vec3 person = mix(other, skin, dark.a);
+  // branches: where no graphics card is, most of the time goes into looking textures up
+  if (place == clamp(place, 0.0, 1.0)) {
+    vec4 dark = texture(was, place);
+    if (dark.a > 0.0) {
+      vec3 usual = texture(local, place).rgb;
+      vec3 shone = texture(shine, place).rgb;
+      vec3 albedo = (max(p - shone, 0.0) * dark.rgb + least * usual) / (dark.rgb * dark.rgb + least);
+      albedo = min(albedo, brightest * usual);
+      vec3 residual = p - albedo * dark.rgb - shone;
+      vec3 skin = albedo * texture(lit, place).rgb + texture(glossy, place).rgb + common_ * residual;
+      person = mix(person, skin, dark.a);
+    }
+  }
   vec3 light = max(mix(p, person, seen.a), 0.0);
   vec3 k = clamp(p, knee, 1.0 - 1e-6);
-  light = min(light, k) + (1.0 - k) * tanh_(max(light - k, 0.0) / (1.0 - k));
+  if (any(greaterThan(light, k))) light = min(light, k) + (1.0 - k) * tanh_(max(light - k, 0.0) / (1.0 - k));
   color = vec4(encoded(clamp(light, 0.0, 1.0)), 1.0);
 }`;
 
@@ -100,6 +103,11 @@ export class RelitPicture {
     }
     this.setConstants(facts, number);
     gl.viewport(0, 0, picture.width, picture.height);
+    this.show(true);
+    // from now on only what holds some of the person
+    const { left, top, width, height } = box(picture);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(left, picture.height - top - height, width, height);
   }
 
   draw({ shading, glossy, ratio, common }: Lit): void {
@@ -138,6 +146,20 @@ export class RelitPicture {
     if (!place) this.uniforms.set(name, (place = this.gl.getUniformLocation(this.program, name)!));
     return place;
   }
+}
+
+/** The rectangle that holds all of the matte. */
+function box({ width, height, codes }: Person["picture"]): { left: number; top: number; width: number; height: number } {
+  let [left, top, right, foot] = [width, height, 0, 0];
+  for (let row = 0, at = 3; row < height; row++)
+    for (let column = 0; column < width; column++, at += 4) {
+      if (codes[at] === 0) continue;
+      left = Math.min(left, column);
+      right = Math.max(right, column + 1);
+      top = Math.min(top, row);
+      foot = row + 1;
+    }
+  return { left, top, width: Math.max(0, right - left), height: Math.max(0, foot - top) };
 }
 
 function program(gl: WebGL2RenderingContext): WebGLProgram {
