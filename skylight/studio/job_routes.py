@@ -82,12 +82,14 @@ def _light(
 @jobs.get("/{token}")
 async def describe(request: Request, token: str) -> dict[str, Any]:
     """How far it is; with its result once it is done."""
-    return _job(request, token).describe()
+    job = _job(request, token)
+    _studio(request).jobs.heard(job)
+    return job.describe()
 
 
 @jobs.get("/{token}/events")
 async def events(request: Request, token: str) -> StreamingResponse:
-    """The same whenever it changes, as server-sent events."""
+    """The same whenever it changes and as a heartbeat, as server-sent events."""
     studio, job = _studio(request), _job(request, token)
 
     async def stream() -> AsyncIterator[str]:

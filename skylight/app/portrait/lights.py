@@ -11,6 +11,7 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.inverse.lamps.relighting import LampLight
+from skylight.inverse.portrait.photograph import light_in_photo
 from skylight.inverse.result import Estimate
 from skylight.io.files import read_environment_map
 from skylight.relight.main_light import split_main_light
@@ -28,21 +29,6 @@ class NewLight:
 
     environment: EnvironmentMap
     notes: tuple[str, ...] = ()
-
-
-def light_in_photo(estimate: Estimate, light: EnvironmentMap | None = None) -> EnvironmentMap:
-    """The light found (or one like it) in the colours and units of the (first) face's photograph.
-
-    An estimate's map has the light's own colours, of which the photograph shows gains.
-    """
-    light = light or estimate.environment
-    return EnvironmentMap(radiance=light.radiance * gains_of(estimate))
-
-
-def gains_of(estimate: Estimate) -> Float[Tensor, "3"]:
-    """What the (first) face's photograph shows of the map, in each channel."""
-    face = estimate.faces[0]
-    return face.white_balance * (face.exposure / estimate.exposure)
 
 
 def light_of_map(path: Path) -> NewLight:

@@ -3,25 +3,16 @@
 import os
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from numpy import ndarray
-from torch import Tensor
 
 from skylight.app.estimate.types import PhotoEstimate
-from skylight.app.portrait.lights import NewLight, light_in_photo
-from skylight.faces.fit import FaceFit
-from skylight.faces.model import HeadModel
-from skylight.faces.observe import hair_of
-from skylight.faces.segmentation.person import person_matte
+from skylight.app.portrait.lights import NewLight
 from skylight.imaging.colour import linear_to_srgb
-from skylight.imaging.photo import Photo
+from skylight.inverse.portrait.photograph import FaceReflection, light_in_photo, portrait_of
 from skylight.inverse.portrait.relit import Keep, Portrait
-from skylight.inverse.portrait.surface import BUST, FACE_PX, PersonSurface
-from skylight.inverse.result import Estimate
-from skylight.sphere.envmap import EnvironmentMap
 from skylight.work.progress import Progress
 
 KNEE = 0.8  # of white: brighter than this (or than it was) a picture approaches white softly
@@ -86,51 +77,6 @@ def taken_apart(
         workers=workers,
         progress=progress,
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class FaceReflection:
-    """What an estimate tells of a face beside its light: ``gloss`` and ``turns`` of
-    :class:`~skylight.inverse.result.FaceLight`."""
-
-    gloss: float
-    turns: Float[Tensor, " j"] | None
-
-    @staticmethod
-    def of(estimate: Estimate) -> "FaceReflection":
-        """The (first) face's."""
-        face = estimate.faces[0]
-        return FaceReflection(gloss=face.gloss, turns=face.turns)
-
-
-def portrait_of(
-    photo: Photo,
-    fit: FaceFit,
-    reflection: FaceReflection,
-    found: EnvironmentMap,
-    *,
-    face_px: int = FACE_PX,
-    workers: int = 1,
-    progress: Progress | None = None,
-) -> Portrait:
-    """A photograph of a fitted head under the light ``found``, in its colours and units.
-
-    Shading is computed where the face is ``face_px`` high at most.
-    """
-    person = PersonSurface.of(
-        fit, reflection.turns, face_px=face_px, workers=workers, progress=progress
-    )
-    hair = hair_of(photo.pixels, HeadModel.load(), fit)
-    regions = person.region_image()
-    small = cv2.resize(hair, regions.shape[::-1], interpolation=cv2.INTER_AREA)
-    matte = person_matte(
-        photo.encoded,
-        (regions >= 0) & (regions != BUST),
-        regions == BUST,
-        small,
-        person.face_px,
-    )
-    return Portrait.of(photo.pixels, person, found, reflection.gloss, hair, matte, grey=photo.grey)
 
 
 def shown(relit: RelitPortrait) -> UInt8[ndarray, "h w 3"]:

@@ -10,9 +10,10 @@ import torch
 from torch import Tensor
 
 from skylight.app.estimate.types import PhotoEstimate
-from skylight.app.portrait.lights import MovableSun, gains_of, light_in_photo
-from skylight.app.portrait.relit import FaceReflection, warning_of
+from skylight.app.portrait.lights import MovableSun
+from skylight.app.portrait.relit import warning_of
 from skylight.faces.fit import FaceFit
+from skylight.inverse.portrait.photograph import FaceReflection, gains_of, light_in_photo
 from skylight.io.tensors import read_tensors, write_tensors
 from skylight.models.names import LightName
 from skylight.sphere.envmap import EnvironmentMap, luminance

@@ -24,11 +24,12 @@ from jaxtyping import UInt8
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from skylight.app.portrait.relit import KNEE, portrait_of
+from skylight.app.portrait.relit import KNEE
 from skylight.faces.fit import FaceFit
 from skylight.faces.observe import SKIN_GLOSS
 from skylight.imaging.colour import linear_to_srgb
 from skylight.imaging.photo import Photo
+from skylight.inverse.portrait.photograph import portrait_of
 from skylight.inverse.portrait.relit import (
     BASE,
     BRIGHTEST,

@@ -100,3 +100,20 @@ def answers(
             route.fulfill(status=204)
 
     return answer
+
+
+def taken_photo(path: Path, eyes: tuple[float, float, float]) -> "Callable[[Route], None]":
+    """The part of the server that takes photos: one is there, with the face at its place."""
+    scale = FOCAL / -eyes[2]
+    left, top = SIZE / 2 + scale * (eyes[0] - HEAD[0]), SIZE / 2 - scale * (eyes[1] + HEAD[1])
+    box = [left, top, 2 * scale * HEAD[0], 2 * scale * HEAD[1]]
+    photo = {"photo": "it", "name": path.name, "width": SIZE, "height": SIZE}
+    photo["faces"] = [{"number": 1, "box": box}]
+
+    def answer(route: "Route") -> None:
+        if route.request.method == "POST":
+            route.fulfill(status=201, json=photo)
+        else:
+            route.fulfill(body=path.read_bytes(), content_type="image/png")
+
+    return answer

@@ -13,9 +13,10 @@ import torch
 from jaxtyping import Float
 
 from skylight.app.portrait.lights import light_with_sun_at
-from skylight.app.portrait.relit import portrait_of, taken_apart
+from skylight.app.portrait.relit import taken_apart
 from skylight.imaging.photo import read_photo
 from skylight.inverse.portrait.fill import blurred, filled
+from skylight.inverse.portrait.photograph import portrait_of
 from skylight.inverse.portrait.relit import BASE, HAIR_COUNTS, SOFT, Portrait, shared_light
 from skylight.io.tensors import read_tensors
 from skylight.sphere.envmap import LUMINANCE, EnvironmentMap
