@@ -1,4 +1,4 @@
-"""``skylight export``: the files of ``skylight relight``."""
+"""``skylight export``: what other programs read of light and scenes."""
 
 import math
 from pathlib import Path
@@ -57,3 +57,25 @@ def export_scene(
             progress=lambda share: progress("tracing light", share),
         )
     print(f"{out}: {len(scene.pixels)} pixels lit from {len(scene.directions)} directions")
+
+
+@export.command(name="blender")
+def export_blender(
+    estimate: Positional[Path], out: Positional[Path], photo: Path | None = None
+) -> None:
+    """Write a portrait's light, camera, head and photograph for Blender's extension.
+
+    The extension "World from Portrait" runs this itself; docs/blender.md tells how to get it.
+    Writes blender_scene.json, blender_light.hdr (the light without the sun or lamps, which
+    blender_scene.json has), photograph.png (upright, as sRGB shows its light) and head.obj.
+
+    Args:
+        estimate: Folder that skylight estimate wrote for a photograph, or its estimate.json. Of
+            several faces the first one's head and camera are taken.
+        out: Folder for the files.
+        photo: The photograph, if it is not any more where it was.
+    """
+    from skylight.app.maps.blender_scene import export_blender_scene
+
+    files = export_blender_scene(estimate, out, photo=photo)
+    print(f"written into {out}: {', '.join(files)}")

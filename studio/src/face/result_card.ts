@@ -8,11 +8,13 @@ import { loadRadianceMap, type RadianceMap } from "../shared/radiance_map";
 import { lampEditor } from "./lamp_editor";
 import { drawOutline, outline, posteriorOf } from "./posterior";
 import { posteriorBall } from "./posterior_ball";
+import { relitPanel } from "./relit/panel";
 
 export interface ResultCard {
   element: HTMLElement;
   map: RadianceMap;
   setExposure: (factor: number) => void;
+  leave: () => void;
 }
 
 /** One estimate: its light as panorama and balls, where the sun may stand, numbers, files. */
@@ -54,6 +56,7 @@ export async function resultCard(title: string, job: Job<EstimateResult>): Promi
   const legend = sees
     ? `Middle: where the camera looks. Ring: the ${main} as found${result.lamps.length > 1 ? ", white the others" : ""}. Line: where it stands with about ${Math.round(100 * result.posterior.share)} % certainty.`
     : "Middle: where the camera looks. Ring: the brightest place; no sun was seen.";
+  const relit = relitPanel(job.job, title, main);
   const element = el(
     "article",
     { class: "card stack result", "aria-label": title },
@@ -64,6 +67,7 @@ export async function resultCard(title: string, job: Job<EstimateResult>): Promi
       el("figure", { class: "result-map" }, view.element, el("figcaption", {}, legend)),
       shown.element,
       ...(result.lamp_facts ? [lampEditor(job.job, result.lamps, result.lamp_facts, view.element, showEdited)] : []),
+      relit.element,
       numbers(result, words, sees ? main : "brightest"),
       el(
         "div",
@@ -76,6 +80,7 @@ export async function resultCard(title: string, job: Job<EstimateResult>): Promi
   return {
     element,
     map,
+    leave: relit.leave,
     setExposure: (factor) => {
       view.setExposure(factor);
       shown.setExposure(factor);
