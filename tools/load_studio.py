@@ -52,7 +52,7 @@ def main() -> None:
         facts = loaded(options, Path(folder))
     write_measured(
         options.out,
-        name="studio-load",
+        name=options.out.stem,
         what="The studio with many pages at once, which upload, ask for jobs, cancel and go away; "
         "memory in 10^6 bytes, its slope over the second half of the time",
         command=f"python -m tools.load_studio --browsers {options.browsers} "
