@@ -79,7 +79,7 @@ export interface EstimateResult {
     region_parts: ({ share: number } & Angles)[];
   };
   advice: string[];
-  faces: { number: number; residual: number; albedo: [number, number, number] }[];
+  faces: { number: number; residual: number }[];
   seconds: Record<string, number>;
   camera: { focal_px: number; width: number; height: number; principal: [number, number] };
   faces_at: { position: [number, number, number] }[];

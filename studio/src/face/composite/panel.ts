@@ -14,6 +14,8 @@ export interface CompositePanel {
   element: HTMLElement;
   /** Adds a light that the object can stand in, and shows it. */
   addLight: (title: string, map: RadianceMap) => void;
+  /** Puts a model of one's own, .obj or .glb, in the object's place. */
+  showModel: (file: File) => void;
   dispose: () => void;
 }
 
@@ -21,7 +23,11 @@ const MOST_PIXELS_WIDE = 1024;
 const OWN = "own";
 
 /** The photo with an object in it: the picture, and everything to move and change the object. */
-export function compositePanel(photo: Photo, image: HTMLImageElement, result: EstimateResult): CompositePanel {
+export function compositePanel(
+  photo: Pick<Photo, "width" | "height">,
+  image: HTMLImageElement,
+  result: EstimateResult,
+): CompositePanel {
   const { camera, faces_at } = result;
   const width = Math.min(photo.width, MOST_PIXELS_WIDE);
   const canvas = el("canvas", { width, height: Math.round((width * photo.height) / photo.width) });
@@ -39,7 +45,7 @@ export function compositePanel(photo: Photo, image: HTMLImageElement, result: Es
     const line =
       "This browser offers no WebGL 2 with float targets, so no object can be drawn into the photo; " +
       "the light and its files are not affected.";
-    return { element: el("p", { class: "care" }, line), addLight: () => {}, dispose: () => {} };
+    return { element: el("p", { class: "care" }, line), addLight: () => {}, showModel: () => {}, dispose: () => {} };
   }
 
   const placement = firstPlacement(camera, faces_at[0]?.position);
@@ -78,23 +84,24 @@ export function compositePanel(photo: Photo, image: HTMLImageElement, result: Es
       dress();
     },
   );
+  const showModel = (file: File): void => {
+    alert.clear();
+    readModel(file).then((read) => {
+      model = read;
+      own.disabled = false;
+      setFinish(OWN);
+      models.select.querySelector("[value=file]")?.remove();
+      models.select.append(el("option", { value: "file", disabled: true, selected: true }, file.name));
+      dress();
+    }, alert.show);
+  };
   const drop = fileDrop({
     prompt: "",
     button: "Your own model",
     accept: ".obj,.glb",
     hint: ".obj or .glb, or drop it here. It stays in this page.",
     small: true,
-    chosen: (file) => {
-      alert.clear();
-      readModel(file).then((read) => {
-        model = read;
-        own.disabled = false;
-        setFinish(OWN);
-        models.select.querySelector("[value=file]")?.remove();
-        models.select.append(el("option", { value: "file", disabled: true, selected: true }, file.name));
-        dress();
-      }, alert.show);
-    },
+    chosen: showModel,
   });
 
   const size = slider({
@@ -207,6 +214,7 @@ export function compositePanel(photo: Photo, image: HTMLImageElement, result: Es
       lights.element.hidden = maps.size < 2;
       view.setLight(map);
     },
+    showModel,
     dispose: () => {
       drop.leave();
       view.dispose();
