@@ -33,12 +33,20 @@ def read_light(path: Path, convention: Convention) -> tuple[EnvironmentMap, tupl
             f"{path}: an estimate's map is in skylight's convention, not {convention}'s: leave "
             "--from-convention out"
         )
-    numbers = path / NUMBERS if path.is_dir() else path
-    lamps = _lamps(numbers)
+    numbers, content = read_numbers(path)
+    lamps = _lamps(numbers, content)
     return read_environment_map(numbers.parent / MAP), lamps
 
 
-def _lamps(path: Path) -> tuple[Lamp, ...]:
+def read_numbers(path: Path) -> tuple[Path, dict[str, Any]]:
+    """The estimate.json of a folder, or that file itself, and what it holds.
+
+    Raises
+    ------
+    InputError
+        The file is missing or damaged, or is that of something else.
+    """
+    path = path / NUMBERS if path.is_dir() else path
     try:
         content = json_content(path)
     except FileNotFoundError as error:
@@ -52,6 +60,10 @@ def _lamps(path: Path) -> tuple[Lamp, ...]:
         raise InputError(f"{path}: not JSON ({error})") from error
     if not isinstance(content, dict) or "light" not in content:
         raise InputError(f'{path}: these are not the numbers of an estimate: "light" is missing')
+    return path, content
+
+
+def _lamps(path: Path, content: dict[str, Any]) -> tuple[Lamp, ...]:
     listed = content.get("lamps", [])
     if not isinstance(listed, list):
         raise InputError(f'{path}: "lamps" must be a list, got a {type(listed).__name__}')

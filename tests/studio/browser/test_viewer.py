@@ -1,0 +1,248 @@
+"""The page of ``skylight export viewer`` as somebody opens it who has nothing but the file."""
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from skylight.cli import main
+from skylight.io.files import write_environment_map
+from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.frame import pixel_from_direction
+from tests.estimated import estimated, rewrite
+from tests.studio.browser.test_browser import FOR_DOCUMENTATION, picture
+from tests.studio.browser.test_browser_access import CONTRASTS, NAMELESS, OVERFLOW
+from tests.studio.browser.test_browser_light import (
+    codes,
+    directions_as_colours,
+    exposure,
+    finished,
+    pixels,
+)
+from tests.studio.browser.waiting import PATIENCE_MS, expect, gathered, painted
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+SIZE = 512  # of the photograph
+FOOT = np.array([0.75 * SIZE, 0.9 * SIZE])  # of the object at first: right of a face on the left
+HEIGHT = 0.2 * SIZE
+
+# what the page asks for or tries to run against its policy
+_WATCH = """() => {
+    window.refused = [];
+    addEventListener("securitypolicyviolation", (event) => refused.push(event.effectiveDirective));
+}"""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A photograph and the folder of its estimate."""
+    light = "autoencoder" if FOR_DOCUMENTATION else "sh9"
+    return estimated(tmp_path_factory.mktemp("estimated"), light)
+
+
+@pytest.fixture
+def estimate(made: tuple[Path, Path], tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made[1], tmp_path / "light"))
+
+
+class Opener:
+    """Opens pages from their files, without network, and keeps what they ask for and say."""
+
+    def __init__(self, chromium: "Browser", folder: Path) -> None:
+        self.chromium, self.folder = chromium, folder
+        self.pages: list[Page] = []
+        self.asked: list[str] = []
+        self.said: list[str] = []
+
+    def __call__(self, estimate: Path, *options: object, **context: Any) -> "Page":
+        """Exports an estimate, and opens it."""
+        out = self.folder / f"page {len(self.pages)}.html"
+        export = ["export", "viewer", str(estimate), "--out", str(out), *map(str, options)]
+        assert main(export) == 0
+        return self.show(out, **context)
+
+    def show(self, path: Path, **context: Any) -> "Page":
+        options = {"viewport": {"width": 1280, "height": 900}, "offline": True, **context}
+        page = self.chromium.new_context(**options).new_page()
+        self.pages.append(page)
+        page.set_default_timeout(PATIENCE_MS)
+        page.on("request", lambda request: self.asked.append(request.url))
+        page.on("pageerror", lambda error: self.said.append(str(error)))
+        page.on("console", lambda line: self.said.append(line.text))
+        page.add_init_script(f"({_WATCH})()")
+        page.goto(path.as_uri())
+        gathered(page, 1 / 64)
+        painted(page)
+        return page
+
+
+@pytest.fixture
+def opened(chromium: "Browser", tmp_path: Path) -> Iterator[Opener]:
+    """At the end: pages asked for nothing but themselves, and neither complained nor failed."""
+    opener = Opener(chromium, tmp_path)
+    yield opener
+    for page in opener.pages:
+        assert page.evaluate("refused") == []
+        page.context.close()
+    # Chromium's own words where it has no graphics card
+    assert [line for line in opener.said if "GL Driver Message" not in line] == []
+    others = [url for url in opener.asked if not url.startswith(("data:", "blob:"))]
+    assert all(url.startswith(tmp_path.as_uri()) and url.endswith(".html") for url in others)
+
+
+def lit(estimate: Path, radiance: torch.Tensor) -> Path:
+    write_environment_map(estimate / "probe.exr", EnvironmentMap(radiance=radiance))
+    return estimate
+
+
+def photo_pixels(made: tuple[Path, Path]) -> np.ndarray:
+    with Image.open(made[0]) as photo:
+        return np.asarray(photo).astype(int)
+
+
+def test_the_page_opens_from_its_file_and_the_object_moves(
+    estimate: Path,
+    made: tuple[Path, Path],
+    opened: Opener,
+    pictures: Path,
+) -> None:
+    page = opened(estimate)
+    expect(page.get_by_role("heading", level=1)).to_have_text("The light of portrait.jpg")
+    assert page.title() == "The light of portrait.jpg"
+    verdict = json.loads((estimate / "estimate.json").read_text())["posterior"]["verdict"]
+    expect(page.locator(".verdict")).to_contain_text(verdict[1:])
+    page.get_by_label("Surface", exact=True).select_option("glazed")
+    gathered(page, 1 if FOR_DOCUMENTATION else 1 / 64)
+    page.set_viewport_size({"width": 1280, "height": 1200})
+    picture(page, pictures / "viewer.png")
+
+    page.get_by_label("Object", exact=True).select_option("box")
+    page.get_by_label("Surface", exact=True).select_option("matte")
+    photo, before = photo_pixels(made), finished(page, 1 / 64)[..., :3]
+    assert np.abs(before[: SIZE // 4] - photo[: SIZE // 4]).mean() < 4  # JPEG, twice
+    column, row = (round(part) for part in FOOT - (0, HEIGHT / 2))
+    here = np.s_[row - 8 : row + 8, column - 8 : column + 8]
+    assert np.ptp(before[here], axis=(0, 1)).max() < 60
+    assert np.abs(before[here] - photo[here]).mean() > 20
+
+    canvas = page.locator("canvas.composite")
+    canvas.scroll_into_view_if_needed()
+    box = canvas.bounding_box()
+    assert box is not None
+    scale = box["width"] / SIZE
+    x, y = box["x"] + column * scale, box["y"] + row * scale
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x - 256 * scale, y, steps=4)
+    page.mouse.up()
+    after = finished(page, 1 / 64)[..., :3]
+    there = np.s_[row - 8 : row + 8, column - 264 : column - 248]
+    assert np.abs(after[here] - photo[here]).mean() < 8
+    assert np.abs(after[there] - before[there]).mean() > 20
+
+
+@pytest.mark.slow
+def test_each_axis_is_on_its_side(estimate: Path, opened: Opener) -> None:
+    page = opened(lit(estimate, directions_as_colours()))
+    scale = exposure(page)
+    panorama = pixels(page, ".panorama canvas")
+    height, width = panorama.shape[:2]
+    for direction in np.vstack([np.eye(3), -np.eye(3)]):
+        towards = torch.as_tensor(direction + 0.02)  # off the seam and the poles
+        row, column = pixel_from_direction(towards / towards.norm(), height, width)
+        seen = panorama[round(float(row)), round(float(column)), :3]
+        want = codes(scale * (np.asarray(towards / towards.norm()) + 1) / 2)
+        assert np.abs(seen - want).max() < 8, direction
+    page.get_by_label("Object", exact=True).select_option("ball")
+    page.get_by_label("Surface", exact=True).select_option("mirror")
+    in_photo = finished(page, 1 / 64)
+    column, row = (round(part) for part in FOOT - (0, HEIGHT / 2))
+    side = round(0.3 * HEIGHT)
+    assert in_photo[row, column + side, 0] > in_photo[row, column - side, 0] + 60
+    assert in_photo[row - side, column, 1] > in_photo[row + side, column, 1] + 60
+
+
+@pytest.mark.slow
+def test_what_may_not_be_trusted_says_so_first(estimate: Path, opened: Opener) -> None:
+    rewrite(estimate, posterior={"verdict": "unreliable: hardly a face", "is_seen": True})
+    verdict = opened(estimate).locator(".verdict")
+    expect(verdict).to_have_class("verdict care")
+    expect(verdict).to_contain_text("Unreliable: hardly a face. Do not trust this light")
+    rewrite(estimate, posterior={"verdict": "reliable"})
+    expect(opened(estimate).locator(".verdict")).to_have_class("verdict")
+
+
+@pytest.mark.slow
+def test_text_is_shown_as_text(estimate: Path, made: tuple[Path, Path], opened: Opener) -> None:
+    bad = "</script><script>window.hacked = 1</script><img src=x onerror='window.hacked = 1'>"
+    name = "<img src=x onerror='window.hacked = 1'>.jpg"
+    shutil.copy(made[0], estimate / name)
+    rewrite(estimate, advice=[bad], posterior={"verdict": bad})
+    page = opened(estimate, "--photo", estimate / name)
+    expect(page.get_by_role("heading", level=1)).to_have_text(f"The light of {name}")
+    expect(page.locator(".verdict")).to_contain_text(bad)
+    expect(page.locator(".care", has_text=bad).last).to_be_visible()
+    assert page.evaluate("window.hacked") is None
+
+
+@pytest.mark.slow
+def test_a_script_that_is_added_does_not_run(
+    estimate: Path, opened: Opener, tmp_path: Path
+) -> None:
+    opened(estimate)
+    spoilt = tmp_path / "spoilt.html"
+    text = (tmp_path / "page 0.html").read_text(encoding="utf-8")
+    added = "<script>window.hacked = 1</script>"
+    spoilt.write_text(text.replace("</body>", f"{added}</body>"), encoding="utf-8")
+    page = opened.show(spoilt)
+    page.evaluate("fetch('https://example.org/').catch(() => {})")
+    page.wait_for_function("() => refused.length === 2")
+    assert page.evaluate("[window.hacked ?? 0, ...refused]") == [
+        0,
+        "script-src-elem",
+        "connect-src",
+    ]
+    page.evaluate("refused.length = 0")
+    opened.said.clear()
+
+
+@pytest.mark.slow
+def test_a_model_with_its_texture_stands_there_first(estimate: Path, opened: Opener) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    green = Image.new("RGB", (8, 8), (0, 255, 0))
+    box = trimesh.creation.box((1, 1, 1))
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=green, metallicFactor=0.0, roughnessFactor=1.0
+    )
+    box.visual = trimesh.visual.TextureVisuals(uv=np.full((8, 2), 0.5), material=material)
+    path = estimate / "a box.glb"
+    box.export(path)
+    page = opened(lit(estimate, torch.full((64, 128, 3), 0.6)), "--object", path)
+    option = page.locator("option[value=file]", has_text="a box.glb")
+    option.wait_for(state="attached")
+    column, row = (round(part) for part in FOOT - (0, HEIGHT / 2))
+    red, seen, blue = finished(page, 1 / 64)[row, column, :3]
+    assert seen > 120 > 80 > max(red, blue)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_page_is_for_everybody(
+    estimate: Path, opened: Opener, scheme: Literal["light", "dark"]
+) -> None:
+    rewrite(estimate, posterior={"verdict": "ambiguous: back-lit"})
+    narrow = {"width": 390, "height": 844}
+    page = opened(estimate, viewport=narrow, has_touch=True, color_scheme=scheme)
+    assert page.evaluate(OVERFLOW) == 0
+    assert page.evaluate(NAMELESS) == []
+    contrasts = page.evaluate(CONTRASTS)
+    assert len(contrasts) > 25
+    assert [(ratio, text) for ratio, text in contrasts if ratio < 4.5] == []
