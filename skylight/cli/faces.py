@@ -26,6 +26,7 @@ def render_faces(
     sunny: bool = False,
     skies: Skies = "simulated",
     maps: Path | None = None,
+    light_seed: int | None = None,
     workers: int = 0,
     cluster: str | None = None,
 ) -> None:
@@ -48,6 +49,8 @@ def render_faces(
             of turbidities 2 to 8, independent of the simulator that light models are trained on.
         maps: Folder of lat-long maps (.exr, .hdr): scene i is lit by map i modulo their count, in
             the order of their names, turned about the vertical at random, instead of by a sky.
+        light_seed: The light of this other seed on the people, poses and cameras of --seed: the
+            same pictures in another light.
         workers: Processes that work at the same time; 0 for one per core.
         cluster: A dask scheduler's address, whose workers do it instead.
     """
@@ -65,6 +68,8 @@ def render_faces(
         raise InputError(f"--sunny chooses among simulated skies: leave it out with {other}")
     if maps is not None and skies != "simulated":
         raise InputError(f"--maps replaces the skies: leave out --skies {skies}")
+    if light_seed is not None and light_seed < 0:
+        raise InputError(f"--light-seed must be 0 or more, got {light_seed}")
     who = who_works(workers, cluster, out)
     from skylight.app.progress import stage_bar, with_time_left
     from skylight.evaluation.rendered_faces.batch import render_folder
@@ -80,6 +85,7 @@ def render_faces(
         sunny=sunny,
         skies=skies,
         maps=None if maps is None else MapFolder.read(maps),
+        light_seed=light_seed,
     )
     with stage_bar() as progress:
         made = render_folder(

@@ -16,7 +16,8 @@ class RenderOptions:
     Face i belongs to scene i // ``per_scene``: one sky, ground, camera and exposure. ``hair`` puts
     a cap on every head. Simulated days are of all kinds, as the thesis scores them (5.5.1);
     ``sunny`` keeps those whose sun is visible. With ``maps``, scene i is lit by map i modulo their
-    count, turned about the vertical by a random angle, in place of a sky.
+    count, turned about the vertical by a random angle, in place of a sky. With ``light_seed`` the
+    light is that of this other seed, while people, poses and cameras stay those of ``seed``.
     """
 
     size: int = 288
@@ -27,11 +28,14 @@ class RenderOptions:
     sunny: bool = False
     skies: Skies = "simulated"
     maps: MapFolder | None = None
+    light_seed: int | None = None
 
     def settings(self) -> dict[str, object]:
         """What faces depend on, for files: maps by their content, wherever they lie."""
         settings = asdict(replace(self, maps=None))
         del settings["maps"]
+        if self.light_seed is None:  # as faces had it that were rendered before it existed
+            del settings["light_seed"]
         if self.maps is not None:
             settings["maps"] = {"count": len(self.maps.files), "sha256": self.maps.sha256}
         return settings

@@ -3,6 +3,7 @@
 import importlib
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,10 @@ from skylight.evaluation.faces.known_faces import read_face
 from skylight.evaluation.rendered_faces import batch
 from skylight.evaluation.rendered_faces.batch import render_folder
 from skylight.evaluation.rendered_faces.files import read_rendered_face, rendered_faces
+from skylight.evaluation.rendered_faces.light.scene_light import scene_light
 from skylight.evaluation.rendered_faces.map_folder import MapFolder, TurnedMap
 from skylight.evaluation.rendered_faces.options import RenderOptions, Skies
+from skylight.evaluation.rendered_faces.people import person
 from skylight.faces.fit import camera_project
 from skylight.faces.model import HeadModel
 from skylight.io.files import write_environment_map
@@ -119,6 +122,20 @@ def test_a_face_under_a_sky_of_hosek_and_wilkie(tmp_path: Path) -> None:
     assert read_face(out / "face0000").sun_visible
     with pytest.raises(InputError, match="another folder"):
         render_folder(out, 1, RenderOptions(size=40, samples=4))
+
+
+def test_the_same_people_in_the_light_of_another_seed() -> None:
+    options = RenderOptions(size=32, seed=3)
+    other = replace(options, light_seed=4)
+    here, there = scene_light(1, options), scene_light(1, other)
+    assert there.focal == here.focal
+    assert there.sky_seed == scene_light(1, RenderOptions(size=32, seed=4)).sky_seed
+    assert there.sky_seed != here.sky_seed
+    np.testing.assert_array_equal(
+        person(1, there.focal, other).points, person(1, here.focal, options).points
+    )
+    assert "light_seed" not in options.settings()
+    assert other.settings()["light_seed"] == 4
 
 
 def test_faces_from_before_there_were_maps_are_read(folder: Path, tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """The illumination of a scene: a sky over one of nine grounds, or a given map."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -57,6 +57,14 @@ class SceneLight:
 @lru_cache(maxsize=4)  # finding a day may take seconds
 def scene_light(scene: int, options: RenderOptions) -> SceneLight:
     """Light, its azimuth and the focal length follow from the options and ``scene``."""
+    light = _light_of_seed(scene, options)
+    if options.light_seed is None:
+        return light
+    other = _light_of_seed(scene, replace(options, seed=options.light_seed))
+    return replace(other, focal=light.focal)
+
+
+def _light_of_seed(scene: int, options: RenderOptions) -> SceneLight:
     if options.maps is not None:
         return _map_light(scene, options)
     if options.skies == "hosek-wilkie":
