@@ -22,7 +22,7 @@ async function show(main: HTMLElement, data: ViewerData): Promise<void> {
     el("strong", {}, `${sentence(result.posterior.verdict)}.`),
     ` ${words}`,
   );
-  const picture = el("div", {});
+  const picture = el("div", { class: "stack" });
   const light = el("div", { class: "stack" });
   main.append(
     el("div", {}, el("h1", {}, `The light of ${name}`), el("p", { class: "lead" }, lead)),
@@ -32,11 +32,12 @@ async function show(main: HTMLElement, data: ViewerData): Promise<void> {
     el("footer", { class: "muted small" }, `Made by skylight ${data.version}.`),
   );
 
-  const image = el("img", { alt: "" });
+  const image = el("img", { class: "picture", alt: "The photograph" });
   image.src = `data:image/jpeg;base64,${data.photo.jpeg}`;
   await image.decode();
   const composite = compositePanel(data.photo, image, result);
   picture.append(composite.element);
+  if (!composite.element.querySelector("canvas")) picture.append(image); // it says why it cannot draw
   const map = decodeMap(data.probe);
   composite.addLight("the estimate", map);
   if (data.object) composite.showModel(new File([bytesOf(data.object.content)], data.object.name));

@@ -234,6 +234,25 @@ def test_a_model_with_its_texture_stands_there_first(estimate: Path, opened: Ope
 
 
 @pytest.mark.slow
+def test_without_webgl_photograph_and_light_are_there(
+    estimate: Path, opened: Opener, tmp_path: Path
+) -> None:
+    opened(estimate)
+    page = opened.chromium.new_context(offline=True).new_page()
+    page.add_init_script(
+        """const get = HTMLCanvasElement.prototype.getContext;
+        HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+            return kind.startsWith("webgl") ? null : get.call(this, kind, ...more);
+        };"""
+    )
+    page.goto((tmp_path / "page 0.html").as_uri())
+    expect(page.get_by_text("no object can be drawn into the photo")).to_be_visible()
+    expect(page.get_by_alt_text("The photograph")).to_be_visible()
+    expect(page.locator(".panorama canvas")).to_be_visible()
+    page.context.close()
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_the_page_is_for_everybody(
     estimate: Path, opened: Opener, scheme: Literal["light", "dark"]
