@@ -16,6 +16,7 @@ from skylight.cli.estimate import estimate, estimate_object
 from skylight.cli.export import export
 from skylight.cli.export_light import export_light
 from skylight.cli.faces import faces
+from skylight.cli.portrait import relight_portrait
 from skylight.cli.probes.voxel import probe
 from skylight.cli.score import score
 from skylight.cli.skies import skies
@@ -120,7 +121,7 @@ def evaluate(
         out: Folder for the results.
         quick: A small run that shows the form of the result in minutes.
         data: Folder of collected data, where the evaluation needs any; of all, one with folders
-            hdr, meshes, faces, lamps, scenes and indoor, as far as they are there.
+            hdr, meshes, faces, lamps, scenes, indoor and relit, as far as they are there.
         model: Of faces and skies: folder of a trained model of your own instead of the one that
             comes with skylight.
         device: Of faces: where their light is optimised.
@@ -145,6 +146,7 @@ app.command(name="estimate-object")(estimate_object)
 app.command(name="code")(code_probe)
 app.command(name="decode")(decode_code)
 app.command(relight)
+app.command(name="relight-portrait")(relight_portrait)
 app.command(convert)
 app.command(score)
 app.command(train)

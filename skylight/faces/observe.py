@@ -114,7 +114,7 @@ def observe_face(
     normals may be wrong by a quarter of it.
     """
     vertices, faces = torch.from_numpy(fit.vertices), torch.from_numpy(model.faces.copy())
-    hair = hair_probability(picture, _around_head(model, fit))
+    hair = hair_of(picture, model, fit)
     image, camera, (clipped_share, hair_share) = _cut_out(
         picture, [clipped.float().numpy(), hair], model, fit, face_height_px
     )
@@ -260,15 +260,21 @@ def _skin_seen(model: HeadModel, fit: FaceFit) -> Float[np.ndarray, "k 2"]:
     return fit.camera.project(torch.from_numpy(fit.vertices[model.regions == Region.FACE])).numpy()
 
 
-def _around_head(model: HeadModel, fit: FaceFit) -> Square:
-    """The square in which hair is looked for: about the face, and upright with it."""
+def hair_of(
+    picture: Float[Tensor, "h w 3"], model: HeadModel, fit: FaceFit
+) -> Float[np.ndarray, "h w"]:
+    """How likely each pixel shows the person's hair (:func:`hair_probability`).
+
+    It is looked for in a square about the face, upright with it, :data:`HAIR_SQUARE` as large.
+    """
     skin = _skin_seen(model, fit)
     right, up = fit.rotation[:2, 0]  # where the head's own left points to: +X right, +Y up
-    return Square(
+    square = Square(
         centre=(skin.min(0) + skin.max(0)) / 2,
         side=float(HAIR_SQUARE * np.ptp(skin, axis=0).max()),
         angle_rad=float(np.arctan2(-up, right)),
     )
+    return hair_probability(picture, square)
 
 
 def _bare_skin(

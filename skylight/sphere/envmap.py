@@ -120,6 +120,25 @@ class EnvironmentMap:
         total = weight.reshape(height, samples, width, samples, 1).sum((1, 3))
         return EnvironmentMap(radiance=blocks / total)
 
+    def with_light(
+        self, direction: Float[Tensor, "3"], irradiance: Float[Tensor, "3"]
+    ) -> "EnvironmentMap":
+        """A full map and a distant light that gives a plane which faces it ``irradiance``.
+
+        L += E share / dw in up to four pixels round its unit ``direction``, with the shares of
+        bilinear interpolation, so that the irradiance is kept and the centroid is where the light
+        stands, but for one that is above the horizon by less than half a row, which stays above it.
+        """
+        height, width = self.layout
+        row, column = pixel_from_direction(direction[None], height, width)
+        if direction[1] > 0:
+            row = row.clamp(max=height // 2 - 1)
+        index, share = bilinear_taps(height, width, row, column)
+        weight = share[0] / self.grid.solid_angles[index[0]]
+        flat = self.flat.clone()
+        flat.index_add_(0, index[0], (weight[:, None] * irradiance).to(flat))
+        return EnvironmentMap(radiance=flat.reshape(height, width, 3))
+
     def resize(self, height: int) -> "EnvironmentMap":
         """Average radiance over each new pixel's solid angle: energy is kept exactly."""
         return EnvironmentMap(radiance=averaged(self.radiance, height))

@@ -43,7 +43,7 @@ class GlossyTransport(DiffuseTransport):
     def _compute(self) -> Float[Tensor, "m n"]:
         normals = normalize(self.normals, dim=1)
         light, views = self.directions.to(normals), self.views.to(normals)
-        return math.pi * _lobe(normals, views, light, self.specular) * super()._compute()
+        return math.pi * specular_lobe(normals, views, light, self.specular) * super()._compute()
 
 
 def glossy_transport(
@@ -62,7 +62,7 @@ def glossy_transport(
     block = max(1, _BLOCK // len(light))
     for start in range(0, len(normals), block):
         rows = slice(start, start + block)
-        lobe = _lobe(normals[rows].float(), views[rows].float(), light, specular)
+        lobe = specular_lobe(normals[rows].float(), views[rows].float(), light, specular)
         out[rows] = math.pi * lobe * transport.matrix[rows]
     return TransportMatrix(matrix=out, grid=transport.grid)
 
@@ -83,12 +83,12 @@ def camera_lamp(
     return torch.stack([facing, gloss], 1)
 
 
-def _lobe(
+def specular_lobe(
     normals: Float[Tensor, "m 3"],
     views: Float[Tensor, "m 3"],
     light: Float[Tensor, "n 3"],
     specular: Specular,
 ) -> Float[Tensor, "m n"]:
-    """f_s(n_p, w, v_p)."""
+    """f_s(n_p, w, v_p) in 1/sr; all three are unit vectors, ``views`` towards the camera."""
     n_v = (normals * views).sum(1).clamp(min=1e-2)
     return ggx((light @ normals.T).clamp(min=0), n_v, light @ views.T, specular).T

@@ -82,6 +82,20 @@ def light_samples(
     of 64 rows) of a grid of ``fine_height`` rows, each with its exact solid angle; what is left
     is averaged onto 32 rows. Both keep the energy. Black directions are left out.
     """
+    smooth, fine, power = split_bright(environment, fine_height)
+    directions = torch.cat([smooth.grid.directions, fine])
+    flux = torch.cat([smooth.flat * smooth.grid.solid_angles[:, None], power])
+    lit = flux.sum(1) > 0
+    return directions[lit], flux[lit]
+
+
+def split_bright(
+    environment: EnvironmentMap, fine_height: int = FINE_HEIGHT
+) -> tuple[EnvironmentMap, Float[Tensor, "k 3"], Float[Tensor, "k 3"]]:
+    """(a map of the rest on 32 rows or fewer, directions and L(w) dw of the bright pixels).
+
+    :func:`light_samples` says which pixels are bright, and how they are divided.
+    """
     if environment.is_sky:
         raise ValueError("a sky alone leaves the ground unknown: add one with .with_ground()")
     if environment.layout[0] > fine_height:
@@ -99,16 +113,7 @@ def light_samples(
     inside = inside.repeat_interleave(split, 0).repeat_interleave(split, 1).reshape(-1)
     owner = torch.arange(height * width).reshape(height, width)
     owner = owner.repeat_interleave(split, 0).repeat_interleave(split, 1).reshape(-1)[inside]
-
-    directions = torch.cat([smooth.grid.directions, fine.directions[inside]])
-    flux = torch.cat(
-        [
-            smooth.flat * smooth.grid.solid_angles[:, None],
-            radiance[owner] * fine.solid_angles[inside, None],
-        ]
-    )
-    lit = flux.sum(1) > 0
-    return directions[lit], flux[lit]
+    return smooth, fine.directions[inside], radiance[owner] * fine.solid_angles[inside, None]
 
 
 def ggx(

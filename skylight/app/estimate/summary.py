@@ -74,6 +74,7 @@ def _describe_face(seen: SeenFace, light: FaceLight, source: str) -> dict[str, o
         "picture_px": [fit.camera.width, fit.camera.height],
         # metres, in the camera's frame: the head's own origin, mid-head at the height of the eyes
         "eyes": fit.translation.tolist(),
+        "forward": fit.rotation[:, 2].tolist(),  # where the face looks, a unit vector
         "fit_converged": fit.converged,
         "pixels_used": len(seen.view.blocks),
     }

@@ -21,13 +21,15 @@ SPREADS_DEG = 0.01, 42.0
 def read_light(path: Path, convention: Convention) -> tuple[EnvironmentMap, tuple[Lamp, ...]]:
     """A map's light without lamps; that of an estimate's folder or estimate.json with its lamps.
 
+    A sky alone gets a black lower half.
+
     Raises
     ------
     InputError
         A file is missing or damaged, or a map of an estimate is said to have another convention.
     """
     if not path.is_dir() and path.suffix.lower() != ".json":
-        return read_environment_map(path, convention=convention), ()
+        return whole_sphere(read_environment_map(path, convention=convention)), ()
     if convention != "skylight":
         raise InputError(
             f"{path}: an estimate's map is in skylight's convention, not {convention}'s: leave "
@@ -35,7 +37,7 @@ def read_light(path: Path, convention: Convention) -> tuple[EnvironmentMap, tupl
         )
     numbers, content = read_numbers(path)
     lamps = _lamps(numbers, content)
-    return read_environment_map(numbers.parent / MAP), lamps
+    return whole_sphere(read_environment_map(numbers.parent / MAP)), lamps
 
 
 def read_numbers(path: Path) -> tuple[Path, dict[str, Any]]:
@@ -61,6 +63,25 @@ def read_numbers(path: Path) -> tuple[Path, dict[str, Any]]:
     if not isinstance(content, dict) or "light" not in content:
         raise InputError(f'{path}: these are not the numbers of an estimate: "light" is missing')
     return path, content
+
+
+def head_file(numbers: Path, place: int, *, of: int) -> Path:
+    """The mesh of one of so many faces of an estimate.json, at a place from 0 in its list.
+
+    Raises
+    ------
+    InputError
+        It is not there.
+    """
+    path = numbers.parent / ("mesh.obj" if of == 1 else f"mesh_{place + 1}.obj")
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file; estimate the photograph again")
+    return path
+
+
+def whole_sphere(light: EnvironmentMap) -> EnvironmentMap:
+    """The light, a sky alone with a black lower half."""
+    return light.with_ground(torch.zeros(3)) if light.is_sky else light
 
 
 def _lamps(path: Path, content: dict[str, Any]) -> tuple[Lamp, ...]:

@@ -1,4 +1,6 @@
+import { BufferAttribute, BufferGeometry } from "three";
 import type { EstimateResult } from "../api";
+import type { Person } from "../face/composite/people";
 import type { RadianceMap } from "../shared/radiance_map";
 
 /** A map as base64 of Radiance's codes: red, green, blue and the exponent of all three. */
@@ -6,6 +8,12 @@ export interface StoredMap {
   width: number;
   height: number;
   rgbe: string;
+}
+/** A head: base64 of codes of 16 bits, `scale` metres each, from the eyes, and of its triangles. */
+export interface StoredHead {
+  scale: number;
+  vertices: string;
+  faces: string;
 }
 /** What `skylight export viewer` writes into the page. */
 export interface ViewerData {
@@ -16,9 +24,11 @@ export interface ViewerData {
   probe: StoredMap;
   /** Where the sun or main lamp may stand; null where none was seen. */
   posterior: StoredMap | null;
+  /** One for each of the result's faces; null for those of other photographs. */
+  heads: (StoredHead | null)[];
   /** A model to begin with, base64 of its file. */
   object: { name: string; content: string } | null;
-  /** The camera is that of the picture in the page. */
+  /** Camera and white balance are those of the picture in the page. */
   result: EstimateResult;
 }
 
@@ -40,4 +50,18 @@ export function decodeMap({ width, height, rgbe }: StoredMap): RadianceMap {
     for (let k = 0; k < 3; k++) data[to + k] = codes[from + k]! * scale;
   }
   return { width, height, data };
+}
+
+/** Those in the photograph whose heads are known. */
+export function peopleOf({ heads, result }: ViewerData): Person[] {
+  return result.faces.flatMap(({ eyes, forward, albedo }, i) => {
+    const stored = heads[i];
+    if (!stored) return [];
+    const codes = new Int16Array(bytesOf(stored.vertices).buffer);
+    const places = Float32Array.from(codes, (code, k) => eyes[k % 3]! + stored.scale * code);
+    const head = new BufferGeometry()
+      .setAttribute("position", new BufferAttribute(places, 3))
+      .setIndex(new BufferAttribute(new Uint16Array(bytesOf(stored.faces).buffer), 1));
+    return [{ head, eyes, forward, albedo }];
+  });
 }

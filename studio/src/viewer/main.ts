@@ -4,7 +4,8 @@ import { firstStops, lightView, sentence } from "../face/light_view";
 import { alertBox } from "../shared/alert";
 import { el } from "../shared/dom";
 import { exposureSlider } from "../shared/fields";
-import { bytesOf, decodeMap, readData, type ViewerData } from "./data";
+import { tinted } from "../shared/radiance_map";
+import { bytesOf, decodeMap, peopleOf, readData, type ViewerData } from "./data";
 import { inPlainWords } from "./verdict";
 import "./viewer.css";
 
@@ -35,11 +36,11 @@ async function show(main: HTMLElement, data: ViewerData): Promise<void> {
   const image = el("img", { class: "picture", alt: "The photograph" });
   image.src = `data:image/jpeg;base64,${data.photo.jpeg}`;
   await image.decode();
-  const composite = compositePanel(data.photo, image, result);
+  const composite = compositePanel({ image, camera: result.camera, people: peopleOf(data), faces: [] });
   picture.append(composite.element);
   if (!composite.element.querySelector("canvas")) picture.append(image); // it says why it cannot draw
   const map = decodeMap(data.probe);
-  composite.addLight("the estimate", map);
+  composite.addLight("the estimate", tinted(map, result.white_balance));
   if (data.object) composite.showModel(new File([bytesOf(data.object.content)], data.object.name));
 
   const view = lightView(name, result, map, data.posterior && decodeMap(data.posterior));

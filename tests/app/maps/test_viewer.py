@@ -19,6 +19,7 @@ import pytest
 import torch
 import trimesh
 from PIL import Image
+from scipy.spatial import KDTree
 
 from skylight.app.maps.viewer.page import PAGE_BYTES_MAX
 from skylight.cli import main
@@ -165,13 +166,35 @@ def test_the_camera_is_that_of_the_picture_in_the_page(estimate: Path) -> None:
     assert picture.size == (512, 512) == (camera["width"], camera["height"])
     assert camera["focal_px"] == pytest.approx(told["focal_length_px"])
     assert camera["principal"] == [256, 256]
-    # the head's own origin is within the head that mesh.obj holds
+
+
+def triangles(stored: dict[str, Any], eyes: list[float]) -> np.ndarray:
+    """The corners of a head's triangles, (f, 3, 3), metres, as the page places them."""
+    codes = np.frombuffer(base64.b64decode(stored["vertices"]), "<i2").reshape(-1, 3)
+    faces = np.frombuffer(base64.b64decode(stored["faces"]), "<u2").reshape(-1, 3)
+    return (np.array(eyes) + stored["scale"] * codes)[faces]
+
+
+def test_the_head_is_that_of_the_mesh_to_micrometres(estimate: Path) -> None:
+    data = export(estimate).data
     mesh = (estimate / "mesh.obj").read_text(encoding="utf-8")
-    vertices = [line.split()[1:] for line in mesh.splitlines() if line.startswith("v ")]
-    head = np.array(vertices, dtype=float)
-    (at,) = data["result"]["faces_at"]
-    assert (head.min(0) < at["position"]).all()
-    assert (at["position"] < head.max(0)).all()
+    rows = [line.split() for line in mesh.splitlines()]
+    vertices = np.array([row[1:] for row in rows if row[0] == "v"], dtype=float)
+    faces = np.array([row[1:] for row in rows if row[0] == "f"], dtype=int) - 1
+    (stored,), (face,) = data["heads"], data["result"]["faces"]
+    head = triangles(stored, face["eyes"])
+    want = vertices[faces]
+    assert head.shape == want.shape
+    # in whatever order: each triangle beside the one whose middle is nearest
+    _, nearest = KDTree(want.mean(1)).query(head.mean(1))
+    assert len(np.unique(nearest)) == len(want)
+    turned = np.stack([np.roll(want[nearest], k, axis=1) for k in range(3)])
+    assert np.abs(turned - head).max((2, 3)).min(0).max() < 6e-6
+    # the head's own origin is within it, and the face looks out of it
+    assert (head.min((0, 1)) < face["eyes"]).all()
+    assert (face["eyes"] < head.max((0, 1))).all()
+    assert np.linalg.norm(face["forward"]) == pytest.approx(1)
+    assert all(0 < channel < 1 for channel in face["albedo"])
 
 
 def test_the_photograph_may_come_in_another_size(estimate: Path, made: Path) -> None:
@@ -260,13 +283,27 @@ def test_every_verdict_is_explained() -> None:
 
 def test_of_several_pictures_one_is_shown(estimate: Path, made: Path) -> None:
     told = json.loads((estimate / "estimate.json").read_text(encoding="utf-8"))
-    other = {**told["faces"][0], "source": "far/b.jpg", "eyes": [0.25, 0.0, -2.0]}
-    rewrite(estimate, faces=[*told["faces"], other])
-    assert export(estimate).data["name"] == "portrait.jpg"
+    (face,) = told["faces"]
+    other = {**face, "source": "far/b.jpg", "exposure": 3 * face["exposure"]}
+    other |= {"eyes": [0.25, 0.0, -2.0], "white_balance": [2.0, 1.0, 0.5]}
+    rewrite(estimate, faces=[face, other])
+    (estimate / "mesh.obj").rename(estimate / "mesh_1.obj")
+    trimesh.creation.box((0.2, 0.2, 0.2)).apply_translation((0.25, 0, -2)).export(
+        estimate / "mesh_2.obj"
+    )
+    data = export(estimate).data
+    assert data["name"] == "portrait.jpg"
+    assert data["result"]["white_balance"] == pytest.approx(face["white_balance"])
+    assert [head is None for head in data["heads"]] == [False, True]
     shutil.copy(made.parent / "portrait.jpg", estimate / "b.jpg")
     data = export(estimate, "--photo", estimate / "b.jpg").data
-    assert data["result"]["faces_at"] == [{"position": [0.25, 0.0, -2.0]}]
+    # the map is in the first photograph's units, and this one was exposed longer
+    assert data["result"]["white_balance"] == pytest.approx([6.0, 3.0, 1.5])
+    assert data["heads"][0] is None
     assert len(data["result"]["faces"]) == 2
+    corners = triangles(data["heads"][1], data["result"]["faces"][1]["eyes"])
+    assert corners.min((0, 1)) == pytest.approx([0.15, -0.1, -2.1], abs=1e-5)
+    assert corners.max((0, 1)) == pytest.approx([0.35, 0.1, -1.9], abs=1e-5)
     shutil.copy(made.parent / "portrait.jpg", estimate / "c.jpg")
     assert "portrait.jpg, b.jpg: name one" in refused(estimate, "--photo", estimate / "c.jpg")
 
@@ -402,9 +439,19 @@ def of_an_object(folder: Path) -> None:
     rewrite(folder, faces=[])
 
 
-def of_an_earlier_version(folder: Path) -> None:
-    told = json.loads((folder / "estimate.json").read_text(encoding="utf-8"))
-    rewrite(folder, faces=[{k: v for k, v in told["faces"][0].items() if k != "picture_px"}])
+def with_face(**changed: Any) -> Callable[[Path], None]:
+    """Other values of the face; None for what was not there in an earlier version."""
+
+    def change(folder: Path) -> None:
+        told = json.loads((folder / "estimate.json").read_text(encoding="utf-8"))
+        face = told["faces"][0] | changed
+        rewrite(folder, faces=[{k: v for k, v in face.items() if v is not None}])
+
+    return change
+
+
+def of_many_vertices(folder: Path) -> None:
+    trimesh.creation.icosphere(subdivisions=7).export(folder / "mesh.obj")
 
 
 def without(name: str) -> Callable[[Path], None]:
@@ -435,7 +482,12 @@ def with_nan(folder: Path) -> None:
         (holding("estimate.json", b"[]"), '"light" is missing'),
         (holding("probe.exr", b"nothing"), "damaged"),
         (of_an_object, '"faces" is empty'),
-        (of_an_earlier_version, '"picture_px" is missing; the page shows estimates of faces'),
+        (with_face(picture_px=None), '"picture_px" is missing; the page shows estimates of faces'),
+        (with_face(forward=None), '"forward" is missing; the page shows estimates of faces'),
+        (with_face(exposure=0.0), '"exposure" is not above 0'),
+        (without("mesh.obj"), "mesh.obj: there is no such file; estimate the photograph again"),
+        (holding("mesh.obj", b"v 0 0 nothing"), "mesh.obj: damaged"),
+        (of_many_vertices, "mesh.obj: 163842 vertices are more than the 65536 of a head"),
         (of_a_gigabyte, "smaller by skylight convert --height 128"),
         (with_nan, '"region_radius_deg" is no finite number'),
         (lambda folder: rewrite(folder, advice="x"), '"advice" is no list'),

@@ -16,23 +16,16 @@ from skylight.io.files import write_environment_map
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import pixel_from_direction
 from tests.estimated import estimated, rewrite
+from tests.studio.browser.pictures import codes, finished, pixels
 from tests.studio.browser.test_browser import FOR_DOCUMENTATION, picture
 from tests.studio.browser.test_browser_access import CONTRASTS, NAMELESS, OVERFLOW
-from tests.studio.browser.test_browser_light import (
-    codes,
-    directions_as_colours,
-    exposure,
-    finished,
-    pixels,
-)
+from tests.studio.browser.test_browser_light import directions_as_colours, exposure
 from tests.studio.browser.waiting import PATIENCE_MS, expect, gathered, painted
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
 SIZE = 512  # of the photograph
-FOOT = np.array([0.75 * SIZE, 0.9 * SIZE])  # of the object at first: right of a face on the left
-HEIGHT = 0.2 * SIZE
 
 # what the page asks for or tries to run against its policy
 _WATCH = """() => {
@@ -103,6 +96,23 @@ def lit(estimate: Path, radiance: torch.Tensor) -> Path:
     return estimate
 
 
+class Placed:
+    """The object as the page says where it is, and where the page's camera sees it."""
+
+    def __init__(self, page: "Page") -> None:
+        told = json.loads(page.locator(".composite").get_attribute("data-placement") or "")
+        self.foot, self.size = np.array(told["foot"]), float(told["size"])
+        self.focal = page.evaluate(
+            "JSON.parse(document.getElementById('estimate').textContent).result.camera.focal_px"
+        )
+
+    def seen(self, *point: float) -> tuple[int, int]:
+        """Row and column of a point from the foot, in sizes of the object."""
+        x, y, z = self.foot + self.size * np.array(point)
+        row, column = SIZE / 2 + self.focal * y / z, SIZE / 2 - self.focal * x / z
+        return round(row - 0.5), round(column - 0.5)
+
+
 def photo_pixels(made: tuple[Path, Path]) -> np.ndarray:
     with Image.open(made[0]) as photo:
         return np.asarray(photo).astype(int)
@@ -119,7 +129,7 @@ def test_the_page_opens_from_its_file_and_the_object_moves(
     assert page.title() == "The light of portrait.jpg"
     verdict = json.loads((estimate / "estimate.json").read_text())["posterior"]["verdict"]
     expect(page.locator(".verdict")).to_contain_text(verdict[1:])
-    page.get_by_label("Surface", exact=True).select_option("glazed")
+    expect(page.get_by_label("Object", exact=True)).to_have_value("balls")
     gathered(page, 1 if FOR_DOCUMENTATION else 1 / 64)
     page.set_viewport_size({"width": 1280, "height": 1200})
     picture(page, pictures / "viewer.png")
@@ -127,26 +137,72 @@ def test_the_page_opens_from_its_file_and_the_object_moves(
     page.get_by_label("Object", exact=True).select_option("box")
     page.get_by_label("Surface", exact=True).select_option("matte")
     photo, before = photo_pixels(made), finished(page, 1 / 64)[..., :3]
-    assert np.abs(before[: SIZE // 4] - photo[: SIZE // 4]).mean() < 4  # JPEG, twice
-    column, row = (round(part) for part in FOOT - (0, HEIGHT / 2))
+    box = Placed(page)
+    row, column = box.seen(0, 0.5, 0.5)
+    assert column < SIZE / 4  # on the side of the face with more room
+    assert np.abs(before[:, SIZE // 2 :] - photo[:, SIZE // 2 :]).mean() < 4  # JPEG, twice
     here = np.s_[row - 8 : row + 8, column - 8 : column + 8]
     assert np.ptp(before[here], axis=(0, 1)).max() < 60
     assert np.abs(before[here] - photo[here]).mean() > 20
 
     canvas = page.locator("canvas.composite")
     canvas.scroll_into_view_if_needed()
-    box = canvas.bounding_box()
-    assert box is not None
-    scale = box["width"] / SIZE
-    x, y = box["x"] + column * scale, box["y"] + row * scale
+    bounds = canvas.bounding_box()
+    assert bounds is not None
+    scale = bounds["width"] / SIZE
+    x, y = bounds["x"] + column * scale, bounds["y"] + row * scale
     page.mouse.move(x, y)
     page.mouse.down()
-    page.mouse.move(x - 256 * scale, y, steps=4)
+    page.mouse.move(x + 256 * scale, y, steps=4)
     page.mouse.up()
     after = finished(page, 1 / 64)[..., :3]
-    there = np.s_[row - 8 : row + 8, column - 264 : column - 248]
+    there = np.s_[row - 8 : row + 8, column + 248 : column + 264]
     assert np.abs(after[here] - photo[here]).mean() < 8
     assert np.abs(after[there] - before[there]).mean() > 20
+    moved = Placed(page)
+    assert moved.size == box.size
+    assert moved.foot - box.foot == pytest.approx([-256 * box.foot[2] / box.focal, 0, 0], abs=0.01)
+
+
+@pytest.mark.slow
+def test_the_head_hides_what_is_behind_it(
+    estimate: Path, made: tuple[Path, Path], opened: Opener
+) -> None:
+    page = opened(estimate)
+    page.get_by_label("Object", exact=True).select_option("box")
+    page.get_by_label("Surface", exact=True).select_option("matte")
+    placed, photo = Placed(page), photo_pixels(made)
+    told = json.loads((estimate / "estimate.json").read_text())["faces"][0]
+    inside = placed.seen(*((np.array(told["eyes"]) - placed.foot) / placed.size))
+    canvas = page.locator("canvas.composite")
+    canvas.scroll_into_view_if_needed()
+    bounds = canvas.bounding_box()
+    assert bounds is not None
+    scale = bounds["width"] / SIZE
+    for move, (row, column) in ("down", placed.seen(0, 0.5, 0)), ("up", inside):
+        page.mouse.move(bounds["x"] + column * scale, bounds["y"] + row * scale)
+        getattr(page.mouse, move)()
+    seen = finished(page, 1 / 64)[..., :3]
+    assert Placed(page).seen(0, 0.5, 0) == pytest.approx(inside, abs=3)
+    row, column = inside
+    head = np.s_[row - 8 : row + 8, column - 8 : column + 8]
+    assert np.abs(seen[head] - photo[head]).mean() < 8
+    row, column = Placed(page).seen(0, -0.2 / placed.size, 0)  # its rod, below the chin
+    assert np.abs(seen[row, column] - photo[row, column]).max() > 20
+
+
+@pytest.mark.slow
+def test_the_object_has_the_photographs_white_balance(estimate: Path, opened: Opener) -> None:
+    told = json.loads((estimate / "estimate.json").read_text())["faces"]
+    gains = [1.25, 1.0, 0.8]
+    rewrite(estimate, faces=[{**told[0], "white_balance": gains}])
+    page = opened(lit(estimate, torch.full((64, 128, 3), 0.5)))
+    page.get_by_label("Object", exact=True).select_option("ball")
+    page.get_by_label("Surface", exact=True).select_option("mirror")
+    row, column = Placed(page).seen(0, 0.5, 0.5)
+    seen = finished(page, 1 / 64)[row, column, :3]
+    want = codes(0.5 * np.array(gains))
+    assert np.abs(seen / seen[1] - want / want[1]).max() < 0.03, (seen, want)
 
 
 @pytest.mark.slow
@@ -163,11 +219,11 @@ def test_each_axis_is_on_its_side(estimate: Path, opened: Opener) -> None:
         assert np.abs(seen - want).max() < 8, direction
     page.get_by_label("Object", exact=True).select_option("ball")
     page.get_by_label("Surface", exact=True).select_option("mirror")
-    in_photo = finished(page, 1 / 64)
-    column, row = (round(part) for part in FOOT - (0, HEIGHT / 2))
-    side = round(0.3 * HEIGHT)
-    assert in_photo[row, column + side, 0] > in_photo[row, column - side, 0] + 60
-    assert in_photo[row - side, column, 1] > in_photo[row + side, column, 1] + 60
+    in_photo, ball = finished(page, 1 / 64), Placed(page)
+    left, right = ball.seen(-0.3, 0.5, 0.4), ball.seen(0.3, 0.5, 0.4)
+    low, high = ball.seen(0, 0.2, 0.4), ball.seen(0, 0.8, 0.4)
+    assert in_photo[right][0] > in_photo[left][0] + 60
+    assert in_photo[high][1] > in_photo[low][1] + 60
 
 
 @pytest.mark.slow
@@ -228,8 +284,8 @@ def test_a_model_with_its_texture_stands_there_first(estimate: Path, opened: Ope
     page = opened(lit(estimate, torch.full((64, 128, 3), 0.6)), "--object", path)
     option = page.locator("option[value=file]", has_text="a box.glb")
     option.wait_for(state="attached")
-    column, row = (round(part) for part in FOOT - (0, HEIGHT / 2))
-    red, seen, blue = finished(page, 1 / 64)[row, column, :3]
+    gathered(page, 1 / 64)
+    red, seen, blue = finished(page, 1 / 64)[Placed(page).seen(0, 0.5, 0.5)][:3]
     assert seen > 120 > 80 > max(red, blue)
 
 

@@ -20,14 +20,22 @@ SHOWN = {
         "region_parts": [{**_ANGLES, "share": float}],
     },
     "advice": [str],
-    "faces": [{"number": int, "residual": float}],
+    "faces": [
+        {"number": int, "residual": float, "albedo": _RGB, "eyes": _XYZ, "forward": _XYZ},
+    ],
     "seconds": {str: float},
 }
 # What the page is made of besides.
 SEEN = {
     "sources": [str],
     "faces": [
-        {"source": str, "focal_length_px": float, "picture_px": [int, int], "eyes": _XYZ},
+        {
+            "source": str,
+            "focal_length_px": float,
+            "picture_px": [int, int],
+            "exposure": float,
+            "white_balance": _RGB,
+        },
     ],
 }
 

@@ -8,14 +8,14 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import torch
 from jaxtyping import UInt8
 from numpy import ndarray
 from PIL import Image
 
 from skylight import __version__
-from skylight.app.maps.estimated_light import MAP, NUMBERS, read_numbers
+from skylight.app.maps.estimated_light import MAP, NUMBERS, head_file, read_numbers, whole_sphere
 from skylight.app.maps.viewer.facts import SEEN, SHOWN, picked
+from skylight.app.maps.viewer.head import stored_head
 from skylight.app.maps.viewer.model_file import read_model
 from skylight.errors import InputError
 from skylight.imaging.photo import read_photo
@@ -36,11 +36,12 @@ _PLACE = '<script type="application/json" id="estimate">'
 
 @dataclass(frozen=True, kw_only=True)
 class ExportedViewer:
-    """Bytes of the page, and those of it that are the photograph, the light and the model."""
+    """Bytes of the page, and those of it that are photograph, light, heads and model."""
 
     size: int
     photo: int
     light: int
+    heads: int
     model: int
 
 
@@ -50,9 +51,12 @@ def export_viewer(
     """Write a page that shows the results of ``skylight estimate`` in the folder ``estimate``.
 
     The page holds the viewer (``studio/src/viewer``), the photograph as a JPEG of at most 1280
-    pixels a side, the probe, where a sun or lamp was seen its posterior, and ``model``, a .glb or
-    .obj that stands in the photograph first. Of estimate.json it holds what it shows
+    pixels a side, the fitted heads in it (:func:`~skylight.app.maps.viewer.head.stored_head`), the
+    probe, where a sun or lamp was seen its posterior, and ``model``, a .glb or .obj that stands in
+    the photograph first. Of estimate.json it holds what it shows
     (:data:`~skylight.app.maps.viewer.facts.SHOWN`), of the photograph pixels and name alone.
+    The composite is lit by the probe times the photograph's white balance and, where several share
+    the light, its exposure over the first one's.
 
     Maps are stored as RGBE (:func:`~skylight.io.hdr.rgbe_codes`). So the irradiance of any surface
     differs in each channel from the probe's by at most ::
@@ -67,8 +71,8 @@ def export_viewer(
     Raises
     ------
     InputError
-        No estimate of a face, no photograph or one of other proportions than the estimate's, a map
-        or model that cannot be read, or more than 3 MB.
+        No estimate of a face, no photograph or one of other proportions than the estimate's, a
+        head, map or model that cannot be read, or more than 3 MB.
     OutputError
         ``out`` cannot be written; found out before the work where it can be.
     """
@@ -86,6 +90,8 @@ def export_viewer(
         seen = known["faces"]
         if not seen:
             raise ValueError('"faces" is empty')
+        if not all(face["exposure"] > 0 for face in seen):
+            raise ValueError('"exposure" is not above 0')
     except ValueError as error:
         raise InputError(
             f"{path}: {error}; the page shows estimates of faces, as this version "
@@ -94,16 +100,24 @@ def export_viewer(
     content = b"" if model is None else read_model(model, most=3 * PAGE_BYTES_MAX // 4)
     name, file = _photo_of(seen, photo, estimate)
     picture = read_photo(file).encoded
-    faces = [face for face in seen if face["source"] == name]
-    _require_proportions(picture, faces[0]["picture_px"], file)
+    first = next(face for face in seen if face["source"] == name)
+    _require_proportions(picture, first["picture_px"], file)
     small = _small(picture)
     result["camera"] = {
-        "focal_px": faces[0]["focal_length_px"] * small.width / faces[0]["picture_px"][0],
+        "focal_px": first["focal_length_px"] * small.width / first["picture_px"][0],
         "width": small.width,
         "height": small.height,
         "principal": [small.width / 2, small.height / 2],  # as heads are fitted
     }
-    result["faces_at"] = [{"position": face["eyes"]} for face in faces]
+    # the map is in the units of the first picture
+    brighter = first["exposure"] / seen[0]["exposure"]
+    result["white_balance"] = [brighter * gain for gain in first["white_balance"]]
+    heads = [
+        stored_head(head_file(path, place, of=len(seen)), result["faces"][place]["eyes"])
+        if face["source"] == name
+        else None
+        for place, face in enumerate(seen)
+    ]
     result["advice"] = [_without_folders(line, known["sources"]) for line in result["advice"]]
     probe = _stored(estimate / MAP)
     posterior = _stored(estimate / _POSTERIOR) if result["posterior"]["is_seen"] else None
@@ -115,15 +129,21 @@ def export_viewer(
             "photo": {"width": small.width, "height": small.height, "jpeg": jpeg},
             "probe": probe,
             "posterior": posterior,
+            "heads": heads,
             "object": None if model is None else _named(model, content),
             "result": result,
         }
     )
     if len(page) > PAGE_BYTES_MAX:
-        most = len(content) - 3 * (len(page) - PAGE_BYTES_MAX) / 4
+        most = max(0.0, len(content) - 3 * (len(page) - PAGE_BYTES_MAX) / 4)
+        remedy = (
+            "give a smaller copy of the photograph by --photo"
+            if model is None
+            else f"simplify {model} to {most / 1e6:.1f} MB, or leave --object out"
+        )
         raise InputError(
             f"the page would have {len(page) / 1e6:.1f} MB, more than the 3 MB that it may have: "
-            f"simplify {model} to {max(0.0, most) / 1e6:.1f} MB, or leave --object out"
+            + remedy
         )
     with atomic_path(out) as temporary:
         temporary.write_bytes(page)
@@ -131,6 +151,7 @@ def export_viewer(
         size=len(page),
         photo=len(jpeg),
         light=sum(len(each["rgbe"]) for each in (probe, posterior) if each is not None),
+        heads=sum(len(head["vertices"] + head["faces"]) for head in heads if head is not None),
         model=len(_base64(content)),
     )
 
@@ -189,9 +210,7 @@ def _stored(path: Path) -> dict[str, Any]:
             f"{path}: {size} bytes are more than the {MAP_BYTES_MAX} that go into a page: make it "
             f"smaller by skylight convert --height {MAP_ROWS}"
         )
-    light = read_environment_map(path)
-    if light.is_sky:
-        light = light.with_ground(torch.zeros(3))
+    light = whole_sphere(read_environment_map(path))
     if light.layout[0] > MAP_ROWS:
         light = light.resize(MAP_ROWS)
     radiance = light.radiance.numpy()

@@ -10,8 +10,8 @@ from numpy import ndarray
 from torch import Tensor
 
 from skylight.skies.sun import SUN_RADIUS_RAD
-from skylight.sphere.envmap import EnvironmentMap, bilinear_taps
-from skylight.sphere.frame import angle_between, pixel_from_direction
+from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere.frame import angle_between
 
 _SUN_M = 1000.0  # how far off the sun stands: to a head, its parallax is below 0.01 degrees
 
@@ -68,23 +68,10 @@ class DistantLight:
 
     @cached_property
     def environment(self) -> EnvironmentMap:
-        """The map of all light: the sun in up to four pixels round its direction.
-
-        L += E share / dw with the shares of bilinear interpolation, so that its irradiance is kept
-        and its centroid is where it stands, but for a sun lower than half a row of pixels, which
-        stays above the horizon.
-        """
+        """The map of all light, of :meth:`~skylight.sphere.envmap.EnvironmentMap.with_light`."""
         if self.sun is None:
             return self.diffuse
-        height, width = self.diffuse.layout
-        row, column = pixel_from_direction(self.sun.direction[None], height, width)
-        if self.sun.direction[1] > 0:
-            row = row.clamp(max=height // 2 - 1)
-        index, share = bilinear_taps(height, width, row, column)
-        weight = share[0] / self.diffuse.grid.solid_angles[index[0]]
-        flat = self.diffuse.flat.clone()
-        flat.index_add_(0, index[0], (weight[:, None] * self.sun.irradiance).to(flat))
-        return EnvironmentMap(radiance=flat.reshape(height, width, 3))
+        return self.diffuse.with_light(self.sun.direction, self.sun.irradiance)
 
 
 def camera_frame(

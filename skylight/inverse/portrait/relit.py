@@ -1,0 +1,232 @@
+"""A photograph of a person in another light.
+
+With S the diffuse shading of albedo 1 and g the gloss, both of the fitted head and in the colours
+of the picture, the photograph I under the light found (A) is ``I = rho S_A + g_A``. The albedo ::
+
+    rho = ((I - g_A) S_A + l rho_0) / (S_A^2 + l)
+
+is regularised towards a local mean rho_0 where shading is dark, and the picture under light B is ::
+
+    rho S_B + g_B + c (I - rho S_A - g_A),
+
+c being what the two lights share: their own residual stays where the light stays. Shadows of A that
+lie elsewhere than the fitted head, or hair, has them stay in the albedo.
+
+Hair, clothes and what else of a person is no skin are multiplied by the ratio of the smoothed
+shadings of head and bust, filled beyond these. What lies behind is multiplied by the ratio of the
+lights' irradiances of vertical surfaces, in the mean over all azimuths.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32, Shaped
+from numpy import ndarray
+from torch import Tensor
+
+from skylight.errors import InputError
+from skylight.faces.model import Region
+from skylight.faces.observe import SKIN_GLOSS
+from skylight.inverse.portrait.fill import blurred, filled
+from skylight.inverse.portrait.surface import PersonSurface
+from skylight.sphere.envmap import LUMINANCE, EnvironmentMap, luminance
+
+# Lengths are in heights of the face.
+LOCAL = 0.12  # standard deviation of the Gaussian of local means of albedo
+SOFT = 0.06  # and of the shading of hair and clothes
+DARK = 0.1  # of the mean shading: l is its square
+BASE = 0.05  # of the mean shading: what ratios of smoothed shadings have in addition
+BRIGHTEST = 1.6  # times the local albedo: what is brighter is a highlight that stays behind
+SKIN = (Region.FACE, Region.LIPS, Region.EAR, Region.NECK, Region.BROW)
+# Of the old picture: nothing more than is no light, the skin's brightness, or all of the place but
+# where its light comes from.
+Keep = Literal["nothing", "brightness", "place"]
+_LUMINANCE = np.array(LUMINANCE, np.float32)
+SHARED_ROWS = 16  # cells of 11 degrees: how far a lamp moves until it is another one
+
+
+@dataclass(frozen=True, kw_only=True)
+class Portrait:
+    """A photograph taken apart, so that any light can be put in the place of ``found``.
+
+    ``albedo``, ``residual`` (h,w,3) and ``skin`` (h,w), how much of a pixel shows skin, are at the
+    photograph's pixels, as is ``matte``, how much of one is the person's. At the pixels of
+    ``person``, ``soft`` (p,q,3) is the smoothed S_A, ``bare`` where skin is and ``covered`` where
+    there is any surface. ``mean`` (3,) is the mean S_A of skin.
+    """
+
+    photo: Float[ndarray, "h w 3"]
+    person: PersonSurface
+    found: EnvironmentMap
+    gloss: float
+    grey: bool
+    albedo: Float[ndarray, "h w 3"]
+    residual: Float[ndarray, "h w 3"]
+    skin: Float[ndarray, "h w"]
+    matte: Float[ndarray, "h w"]
+    soft: Float[ndarray, "p q 3"]
+    bare: Float[ndarray, "p q"]
+    covered: Float[ndarray, "p q"]
+    mean: Float[ndarray, "3"]
+
+    @staticmethod
+    def of(
+        photo: Float[Tensor, "h w 3"],
+        person: PersonSurface,
+        found: EnvironmentMap,
+        gloss: float,
+        hair: Float[ndarray, "h w"],
+        matte: Float[ndarray, "h w"],
+        *,
+        grey: bool = False,
+    ) -> "Portrait":
+        """From a linear photograph, the light ``found`` in its colours and units, the ``gloss``.
+
+        ``hair`` is how likely a pixel shows hair.
+        """
+        picture = _float32(photo.numpy())
+        shading, glossy = _images(person, found, gloss, grey=grey)
+        small, hairy = (
+            cv2.resize(_float32(image), shading.shape[1::-1], interpolation=cv2.INTER_AREA)
+            for image in (picture, hair)
+        )
+        regions = person.region_image()
+        on_skin = np.isin(regions, SKIN) & (hairy < 0.5)
+        if not on_skin.any():
+            raise InputError("the face is turned away or covered: no skin of it can be relit")
+        bare, covered = _float32(on_skin), _float32(regions >= 0)
+        lit, face_px = np.maximum(small - glossy, 0), person.face_px
+        local = blurred(lit * shading, bare, LOCAL * face_px) / np.maximum(
+            blurred(shading**2, bare, LOCAL * face_px), 1e-12
+        )
+        mean = shading[on_skin].mean(0)
+        inside = cv2.erode(bare, np.ones((3, 3), np.uint8))
+        inside = np.minimum(cv2.GaussianBlur(inside, (0, 0), 1.5), bare)
+
+        size, known = picture.shape[:2], _from_skin(bare, covered)
+        dark, usual = _enlarged(shading, known, size), _enlarged(local, known, size)
+        shine = _enlarged(glossy, known, size)
+        least = (DARK * float(mean @ _LUMINANCE)) ** 2
+        albedo = (np.maximum(picture - shine, 0) * dark + least * usual) / (dark**2 + least)
+        albedo = np.minimum(albedo, BRIGHTEST * usual)
+        return Portrait(
+            photo=picture,
+            person=person,
+            found=found,
+            gloss=gloss,
+            grey=grey,
+            albedo=albedo,
+            residual=picture - albedo * dark - shine,
+            skin=_resized(inside[..., None], size)[..., 0],
+            matte=_float32(matte),
+            soft=blurred(shading, covered, SOFT * face_px),
+            bare=bare,
+            covered=covered,
+            mean=mean,
+        )
+
+    def under(
+        self, light: EnvironmentMap, exposure: float = 1.0, *, keep: Keep = "nothing"
+    ) -> tuple[Float[ndarray, "h w 3"], float]:
+        """The photograph in another light times an exposure, linear, and that exposure.
+
+        ``keep``: "brightness" multiplies ``exposure`` by what leaves the mean shading of skin as
+        bright as it was. "place", of the light found but moved: white is balanced so that the mean
+        shading of skin keeps its colour, and what lies behind is not relit. Neither can be had of
+        light that does not reach the skin, which is shown as it is.
+        """
+        size, known = self.photo.shape[:2], _from_skin(self.bare, self.covered)
+        shading, glossy = _images(self.person, light, self.gloss, grey=self.grey)
+        received = shading[self.bare > 0].mean(0)
+        gains = np.ones(3, np.float32)
+        if keep == "brightness" and received.any():
+            exposure *= float(self.mean @ _LUMINANCE / (received @ _LUMINANCE))
+        if keep == "place" and received.all():
+            gains = self.mean / received
+            gains *= (received @ _LUMINANCE) / ((gains * received) @ _LUMINANCE)
+        shading, glossy = exposure * gains * shading, exposure * gains * glossy
+        common = shared_light(self.found, light)
+        lit = _enlarged(shading, known, size)
+        skin = self.albedo * lit + _enlarged(glossy, known, size) + common * self.residual
+        soft = blurred(shading, self.covered, SOFT * self.person.face_px)
+        base = BASE * float(self.mean @ _LUMINANCE)
+        ratio = np.log((soft + base) / (self.soft + base))
+        other = self.photo * np.exp(_enlarged(ratio, self.covered, size))
+        share, within = self.skin[..., None], self.matte[..., None]
+        person = share * skin + (1 - share) * other
+        behind = self.photo * exposure
+        if keep != "place":
+            behind = behind * self._behind(light)
+        return np.maximum(within * person + (1 - within) * behind, 0), exposure
+
+    def _behind(self, light: EnvironmentMap) -> Float[ndarray, "3"]:
+        """How much brighter what lies behind becomes."""
+        before, after = (upright_irradiance(each) for each in (self.found, light))
+        if self.grey:
+            before, after = luminance(before), luminance(after)
+        return _float32((after / before).expand(3).numpy())
+
+
+def shared_light(one: EnvironmentMap, other: EnvironmentMap) -> float:
+    """How much of two lights is the same, whatever their strengths: ``max(0, 1 - |p - q|_1)``.
+
+    p and q are their luminances on 16 rows, each of sum 1; 0 where half of the light is elsewhere.
+    """
+
+    def spread(light: EnvironmentMap) -> Float[Tensor, " n"]:
+        coarse = light.resize(min(SHARED_ROWS, light.layout[0]))
+        power = luminance(coarse.flat).double() * coarse.grid.solid_angles
+        return power / power.sum()
+
+    return max(0.0, 1.0 - float((spread(one) - spread(other)).abs().sum()))
+
+
+def upright_irradiance(light: EnvironmentMap) -> Float[Tensor, "3"]:
+    """Of vertical surfaces, in the mean over their azimuths: ``sum_w L(w) sin(zenith) dw / pi``."""
+    across = light.grid.directions[:, [0, 2]].norm(dim=1)
+    weight = across * light.grid.solid_angles / math.pi
+    return weight @ light.flat.double()
+
+
+def _images(
+    person: PersonSurface,
+    light: EnvironmentMap,
+    gloss: float,
+    *,
+    grey: bool,
+) -> tuple[Float[ndarray, "p q 3"], Float[ndarray, "p q 3"]]:
+    """(S, g) of the module's text as pictures, 0 where there is no surface."""
+    shading = person.shade(light, SKIN_GLOSS)
+    diffuse, glossy = (
+        _float32(person.surface.image(each).numpy())
+        for each in (shading.diffuse, gloss * shading.glossy)
+    )
+    if grey:
+        diffuse, glossy = (np.repeat((x @ _LUMINANCE)[..., None], 3, 2) for x in (diffuse, glossy))
+    return diffuse, glossy
+
+
+def _from_skin(
+    bare: Float[ndarray, "p q"], covered: Float[ndarray, "p q"]
+) -> Float[ndarray, "p q"]:
+    """Weights to fill from: skin's shading goes on beyond its border before that of hair does."""
+    return np.maximum(bare, 1e-3 * covered)
+
+
+def _enlarged(
+    picture: Float[ndarray, "p q c"], known: Float[ndarray, "p q"], size: tuple[int, int]
+) -> Float[ndarray, "h w c"]:
+    return _resized(filled(picture, known), size)
+
+
+def _resized(picture: Float[ndarray, "p q c"], size: tuple[int, int]) -> Float[ndarray, "h w c"]:
+    return cv2.resize(_float32(picture), size[::-1], interpolation=cv2.INTER_LINEAR).reshape(
+        *size, -1
+    )
+
+
+def _float32(picture: Shaped[ndarray, "*s"]) -> Float32[ndarray, "*s"]:
+    return np.ascontiguousarray(picture, np.float32)

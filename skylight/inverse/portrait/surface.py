@@ -1,0 +1,152 @@
+"""Head and bust of a person as the camera sees them, and their shading by any distant light."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from skylight.faces.fit import FaceFit
+from skylight.faces.model import HeadModel, Region
+from skylight.faces.normal_errors import normal_error_modes
+from skylight.inverse.portrait.bust import bust
+from skylight.sphere.envmap import EnvironmentMap
+from skylight.transport.adaptive import adaptive_visibility
+from skylight.transport.camera import Camera
+from skylight.transport.gbuffer import GBuffer, rasterize
+from skylight.transport.gloss import specular_lobe
+from skylight.transport.matrix import BLOCK_DIRECTIONS, SeenDirections, SurfaceRays
+from skylight.transport.raycast import Raycaster
+from skylight.transport.render import SMOOTH_HEIGHT, Specular, split_bright
+from skylight.work.progress import Progress
+
+FACE_PX = 144  # height of the face's skin where shading is computed; photographs are not enlarged
+BUST = 255  # among the regions
+FINE_ROWS = 128  # of the grid of bright pixels: cells of 1.4 degrees
+_BLOCK_POINTS = 256
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shading:
+    """What points of albedo 1 send to the camera: ``diffuse`` (m,3) and, by gloss, ``glossy``."""
+
+    diffuse: Float[Tensor, "m 3"]
+    glossy: Float[Tensor, "m 3"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PersonSurface:
+    """The surface at the pixels of ``camera``, whose face is ``face_px`` high.
+
+    ``normals`` are the head's as an estimate has turned them; ``regions`` (m,) are values of
+    :class:`~skylight.faces.model.Region`, or :data:`BUST`.
+    """
+
+    surface: GBuffer
+    camera: Camera
+    face_px: float
+    normals: Float[Tensor, "m 3"]
+    regions: UInt8[Tensor, " m"]
+    sight: SeenDirections
+    rays: SurfaceRays
+
+    @staticmethod
+    def of(
+        fit: FaceFit,
+        turns: Float[Tensor, " j"] | None = None,
+        *,
+        face_px: int = FACE_PX,
+        workers: int = 1,
+        progress: Progress | None = None,
+    ) -> "PersonSurface":
+        """Of a fitted head whose face is at most ``face_px`` high; ``turns`` are those of
+        :class:`~skylight.inverse.result.FaceLight`.
+
+        Visibility is that of 32 rows of directions; m * 2048 bytes, 80 MB of 40,000 pixels.
+        """
+        model = HeadModel.load()
+        skin = fit.camera.project(torch.from_numpy(fit.vertices[model.regions == Region.FACE]))
+        height = float(np.ptp(skin[:, 1].numpy()))
+        scale = min(1.0, face_px / height)
+        camera = scaled(fit.camera, scale)
+        body, body_faces = bust(fit)
+        vertices = torch.from_numpy(np.concatenate([fit.vertices, body]))
+        faces = torch.from_numpy(np.concatenate([model.faces, body_faces + len(fit.vertices)]))
+        raycaster = Raycaster(vertices, faces)
+        surface = rasterize(camera, vertices, faces, raycaster)
+        of_vertices = np.concatenate([model.regions, np.full(len(body), BUST, np.uint8)])
+        nearest = surface.barycentric.argmax(1, keepdim=True)
+        corners = faces[surface.faces].gather(1, nearest)[:, 0]
+        normals = surface.normals.clone()
+        on_head = (surface.faces < len(model.faces)).nonzero()[:, 0]
+        modes = None if turns is None else normal_error_modes(model, fit, surface, on_head)
+        if turns is not None and modes is not None:
+            bent = normals[on_head] + modes.double() @ turns.double()
+            normals[on_head] = normalize(bent, dim=1)
+        sight = adaptive_visibility(
+            surface.origins,
+            normals,
+            surface.geometric_normals,
+            raycaster,
+            SMOOTH_HEIGHT,
+            workers=workers,
+            progress=progress,
+        )
+        return PersonSurface(
+            surface=surface,
+            camera=camera,
+            face_px=scale * height,
+            normals=normals,
+            regions=torch.from_numpy(of_vertices)[corners],
+            sight=sight,
+            rays=SurfaceRays.leaving(
+                surface.origins, normals, surface.geometric_normals, raycaster
+            ),
+        )
+
+    def region_image(self) -> Int[np.ndarray, "h w"]:
+        """The regions as a picture, -1 where there is no surface."""
+        shown = self.surface.image(self.regions[:, None].float() + 1)
+        return shown[..., 0].long().numpy() - 1
+
+    def shade(self, light: EnvironmentMap, specular: Specular) -> Shading:
+        """Direct light with shadows: ``sum_w V <n, w>+ L dw / pi``, and so with f_s for 1 / pi.
+
+        Bright pixels of the map are cast one by one on 128 rows, the rest is averaged onto 32.
+        """
+        smooth, directions, flux = split_bright(light, FINE_ROWS)
+        if smooth.layout[0] != SMOOTH_HEIGHT:
+            raise ValueError(f"a map needs {SMOOTH_HEIGHT} rows or more, got {light.layout[0]}")
+        normals = self.normals.float()
+        views = -normalize(self.surface.positions, dim=1).float()
+        diffuse, glossy = torch.zeros(2, len(normals), 3)
+        towards, radiance = self.sight.grid.directions.float(), smooth.flat.float()
+        for points in torch.arange(len(normals)).split(_BLOCK_POINTS):
+            transport = self.sight[points]  # V <n, w>+ dw / pi
+            lobe = specular_lobe(normals[points], views[points], towards, specular)
+            diffuse[points] = transport @ radiance
+            glossy[points] = (math.pi * transport * lobe) @ radiance
+        for some, sent in zip(
+            directions.float().split(BLOCK_DIRECTIONS),
+            flux.float().split(BLOCK_DIRECTIONS),
+            strict=True,
+        ):
+            seen = torch.from_numpy(self.rays.visible_cosines(some.numpy())).T
+            diffuse += seen @ sent / math.pi
+            glossy += (seen * specular_lobe(normals, views, some, specular)) @ sent
+        return Shading(diffuse=diffuse, glossy=glossy)
+
+
+def scaled(camera: Camera, scale: float) -> Camera:
+    """The camera of the same picture at ``scale`` times its size, in whole pixels."""
+    width, height = (max(1, round(side * scale)) for side in (camera.width, camera.height))
+    across, down = width / camera.width, height / camera.height
+    return Camera(
+        focal_px=camera.focal_px * (across + down) / 2,
+        width=width,
+        height=height,
+        center_px=(camera.center_px[0] * across, camera.center_px[1] * down),
+    )

@@ -1,0 +1,122 @@
+"""``skylight relight-portrait`` from photograph to picture."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from skylight.app.portrait import files
+from skylight.app.portrait.relit import KNEE, RelitPortrait, shown
+from skylight.cli import main
+from skylight.imaging.colour import linear_to_srgb
+from skylight.io.files import write_environment_map, write_png
+from skylight.io.hdr import read_linear
+from skylight.sphere.envmap import EnvironmentMap
+from tests.sunny_face import direction, sunny_face
+
+
+@pytest.fixture(scope="module")
+def photo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("photo") / "me.png"
+    write_png(path, sunny_face(40.0, 50.0).encoded)
+    return path
+
+
+def sides(path: Path) -> tuple[float, float]:
+    """Mean codes of the face's left and right halves in the picture."""
+    codes = np.array(Image.open(path).convert("RGB")).astype(float)
+    face = codes[90:190, 78:178]
+    return face[:, :40].mean(), face[:, 60:].mean()
+
+
+def test_the_sun_goes_to_the_other_side(
+    photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "left.png"
+    arguments = ["relight-portrait", str(photo), "--light", "sunsky", "--out", str(out)]
+    assert main([*arguments, "--sun=-60,40"]) == 0
+    said = capsys.readouterr()
+    assert "verdict" in said.out
+    assert str(out) in said.out
+    before, after = sides(photo), sides(out)
+    assert before[1] > before[0]
+    assert after[0] > after[1]
+
+
+def test_under_a_map_the_face_is_as_bright_as_it_was(photo: Path, tmp_path: Path) -> None:
+    probe, out = tmp_path / "map.exr", tmp_path / "under.exr"
+    dim = EnvironmentMap(radiance=torch.full((32, 64, 3), 0.001))
+    write_environment_map(probe, dim.with_light(direction(-50.0, 60.0), torch.full((3,), 0.004)))
+    command = ["relight-portrait", str(photo), "--light", "sunsky", "--under", str(probe)]
+    assert main([*command, "--out", str(out)]) == 0
+    picture = read_linear(out)
+    old = sunny_face(40.0, 50.0).picture.numpy()
+    face = np.s_[90:190, 78:178]
+    assert picture[face].mean() == pytest.approx(old[face].mean(), rel=0.15)
+    assert main([*command, "--ev", "1", "--out", str(tmp_path / "more.exr")]) == 0
+    ratio = read_linear(tmp_path / "more.exr")[face].mean() / picture[face].mean()
+    assert ratio == pytest.approx(2.0, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--sun", "here"], "AZ,EL"),
+        (["--sun", "10,-20"], "has set"),
+        (["--turn", "20", "--strength", "2"], "--strength"),
+        (["--turn", "20", "--ev", "90"], "--ev"),
+        (["--turn", "20", "--out", "x.gif"], ".png"),
+        (["--under", "nowhere.exr"], "nowhere.exr"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line(
+    options: list[str],
+    said: str,
+    photo: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["relight-portrait", str(photo), "--light", "sunsky", *options]) == 2
+    line = capsys.readouterr().err.strip().splitlines()[-1]
+    assert said in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def relit(picture: np.ndarray, photo: np.ndarray, warning: str = "") -> RelitPortrait:
+    return RelitPortrait(
+        picture=picture.astype(np.float32),
+        photo=photo.astype(np.float32),
+        exposure=1.0,
+        warning=warning,
+        notes=(),
+    )
+
+
+def test_highlights_roll_off_and_what_is_unchanged_is_as_it_was() -> None:
+    photo = np.linspace(0, 1, 300).reshape(10, 10, 3)
+    codes = shown(relit(photo, photo))
+    want = (linear_to_srgb(torch.from_numpy(photo)) * 255).round().numpy()
+    np.testing.assert_allclose(codes, want, atol=1)
+    ramp = np.linspace(0, 5, 300).reshape(10, 10, 3)
+    brighter = shown(relit(ramp, np.zeros_like(ramp)))
+    steps = np.diff(brighter.reshape(-1).astype(int))
+    assert steps.min() >= 0
+    below = ramp < KNEE
+    want = (linear_to_srgb(torch.from_numpy(ramp)) * 255).round().numpy()
+    np.testing.assert_allclose(brighter[below], want[below], atol=1)
+    assert brighter.max() == 255
+
+
+def test_doubt_is_said_below_the_picture(tmp_path: Path) -> None:
+    picture = np.full((80, 200, 3), 0.5)
+    files.write_relit(tmp_path / "a.png", relit(picture, picture))
+    files.write_relit(tmp_path / "b.png", relit(picture, picture, "the light is unreliable"))
+    plain, doubtful = (np.array(Image.open(tmp_path / name)) for name in ("a.png", "b.png"))
+    assert plain.shape == (80, 200, 3)
+    assert doubtful.shape[0] > 90
+    np.testing.assert_array_equal(doubtful[:80], plain)
+    assert len(np.unique(doubtful[80:].reshape(-1, 3), axis=0)) > 5  # letters
