@@ -8,6 +8,7 @@ def studio(
     port: int = 8600,
     no_browser: bool = False,
     upload_mb: float = 50.0,
+    upload_s: float = 600.0,
     megapixels: float = 50.0,
     jobs: int = 4,
     model: Path | None = None,
@@ -22,6 +23,7 @@ def studio(
         port: Port to listen at; 0 takes one that is free.
         no_browser: Only say where the page is.
         upload_mb: Largest file that it takes.
+        upload_s: Longest time in seconds that a file may take to come in.
         megapixels: Largest picture that it takes; reading it takes 32 MB of memory a megapixel.
         jobs: Most jobs that may wait or run.
         model: Folder of a trained model of your own to estimate with.
@@ -29,5 +31,5 @@ def studio(
     from skylight.studio.limits import Limits
     from skylight.studio.server import serve
 
-    limits = Limits(upload_mb=upload_mb, megapixels=megapixels, jobs=jobs)
+    limits = Limits(upload_mb=upload_mb, upload_s=upload_s, megapixels=megapixels, jobs=jobs)
     serve(host=host, port=port, browser=not no_browser, limits=limits, model=model)

@@ -41,7 +41,7 @@ def make_application(studio: Studio, *, host: str) -> ASGIApp:
     app.add_exception_handler(Exception, answer_failure)
     for router in (uploads, examples, jobs, pages):
         app.include_router(router)
-    return Guard(app, host, studio.limits.upload_bytes)
+    return Guard(app, host, studio.limits)
 
 
 async def _answer_invalid(_request: Request, error: Exception) -> JSONResponse:

@@ -1,10 +1,11 @@
-"""Access control: origins, request sizes, security headers.
+"""Access control: origins, sizes of requests and the time that they take, security headers.
 
 A page of another site can send requests to 127.0.0.1, and by DNS rebinding even from a name that it
 chose for that address. So the Host must be a name that the server goes by, and whatever changes
 something must come from its own page (the Origin that browsers send) or from no page at all.
 """
 
+import asyncio
 import ipaddress
 import socket
 from urllib.parse import urlsplit
@@ -12,10 +13,13 @@ from urllib.parse import urlsplit
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from skylight.studio.limits import Limits
 from skylight.studio.refusals import Refused, refusal
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 JSON_BYTES = 65_536  # of a request for a job
+GRACE_S = 10.0  # before the rate of a body counts
+LEAST_BYTES_PER_S = 10_000  # on average, after that
 _SAFE = ("GET", "HEAD", "OPTIONS")
 _ALWAYS = {
     "Content-Security-Policy": "; ".join(
@@ -41,10 +45,10 @@ _ALWAYS = {
 
 
 class Guard:
-    """ASGI middleware: foreign hosts and pages get 403, too long bodies 413."""
+    """ASGI middleware: foreign hosts and pages get 403, too long bodies 413, too slow ones 408."""
 
-    def __init__(self, app: ASGIApp, host: str, upload_bytes: int) -> None:
-        self._app, self._host, self._upload_bytes = app, host, upload_bytes
+    def __init__(self, app: ASGIApp, host: str, limits: Limits) -> None:
+        self._app, self._host, self._limits = app, host, limits
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -61,14 +65,15 @@ class Guard:
             await refusal(415, line)(scope, receive, told)
             return
         is_upload = scope["path"] in ("/api/photos", "/api/maps")
-        most = self._upload_bytes if is_upload else JSON_BYTES
+        most = self._limits.upload_bytes if is_upload else JSON_BYTES
         length = headers.get("content-length", "0")
         if not length.isdecimal() or int(length) > most:
             await refusal(413, _too_large(most))(scope, receive, told)
             return
         # files go out whole: what a wrong Range gets from the framework is no JSON
         whole = [pair for pair in scope["headers"] if pair[0] != b"range"]
-        await self._app({**scope, "headers": whole}, _counted(receive, most), told)
+        body = _bounded(receive, most, self._limits.upload_s)
+        await self._app({**scope, "headers": whole}, body, told)
 
     def _why_foreign(self, method: str, headers: Headers) -> str | None:
         host = headers.get("host", "")
@@ -120,19 +125,37 @@ def _is_address(name: str) -> bool:
     return True
 
 
-def _counted(receive: Receive, most: int) -> Receive:
-    """Refuses a body that turns out longer than the headers said, or that said nothing."""
-    total = 0
+def _bounded(receive: Receive, most: int, most_s: float) -> Receive:
+    """Refuses a body longer than ``most``, whatever the headers said, and one that dawdles.
 
-    async def counted() -> Message:
-        nonlocal total
-        message = await receive()
+    After ``GRACE_S + n / LEAST_BYTES_PER_S`` seconds more than n bytes must be in, and all of them
+    after ``most_s``.
+    """
+    total, is_in = 0, False
+    begun = asyncio.get_running_loop().time()
+
+    async def bounded() -> Message:
+        nonlocal total, is_in
+        if is_in:  # what is waited for now is that the client goes
+            return await receive()
+        last = begun + min(most_s, GRACE_S + total / LEAST_BYTES_PER_S)
+        try:
+            async with asyncio.timeout_at(last):
+                message = await receive()
+        except TimeoutError as error:
+            raise Refused(408, _too_slow(most_s), {"Connection": "close"}) from error
         total += len(message.get("body", b""))
         if total > most:
             raise Refused(413, _too_large(most))
+        is_in = not message.get("more_body", False)
         return message
 
-    return counted
+    return bounded
+
+
+def _too_slow(most_s: float) -> str:
+    rate = f"{LEAST_BYTES_PER_S / 1000:g} kB a second"
+    return f"the request came in too slowly: send at least {rate}, and all within {most_s:g} s"
 
 
 def _too_large(most: int) -> str:

@@ -3,6 +3,7 @@
 import asyncio
 import traceback
 from collections.abc import AsyncIterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -13,12 +14,17 @@ from skylight.studio.worker_process import TaskFailed, TaskStopped, WorkerProces
 
 State = Literal["waiting", "running", "done", "failed", "cancelled"]
 GONE_S = 5.0  # how long a page may be away before its job is cancelled
+UNHEARD_S = 60.0  # how long a job runs of which no page has opened the events, nor asks otherwise
+HEARTBEAT_S = 15.0  # between events where nothing changes
 _FILES = "files"
 
 
 @dataclass(kw_only=True)
 class Job(Item):
-    """One piece of work; ``uses`` are the ids of the uploads and jobs whose files it reads."""
+    """One piece of work; ``uses`` are the ids of the uploads and jobs whose files it reads.
+
+    While it waits, ``before`` is how many others are done before it, with the one that runs.
+    """
 
     kind: str
     arguments: dict[str, Any]
@@ -26,9 +32,11 @@ class Job(Item):
     state: State = "waiting"
     stage: str = ""
     share: float = 0.0
+    before: int = 0
     error: str | None = None
     result: dict[str, Any] | None = None
     watchers: int = 0
+    was_watched: bool = False
     farewell: asyncio.TimerHandle | None = None
     changed: asyncio.Event = field(default_factory=asyncio.Event)
 
@@ -52,6 +60,8 @@ class Job(Item):
             "stage": self.stage,
             "share": self.share,
         }
+        if self.state == "waiting":
+            told["before"] = self.before
         if self.error is not None:
             told["error"] = self.error
         if self.state == "done":
@@ -94,8 +104,15 @@ class Jobs:
         job = Job(folder=folder, kind=kind, arguments=arguments, uses=uses)
         self.kept.add(job)
         self.kept.make_room(lambda other: not other.is_over or self.is_used(other))
+        self._count()
         self._queue.put_nowait(job)
+        self.heard(job)
         return job
+
+    def heard(self, job: Job) -> None:
+        """Its owner asked for it: without a stream of events it goes on for :data:`UNHEARD_S`."""
+        if not job.was_watched and not job.is_over:
+            self._cancel_after(UNHEARD_S, job)
 
     def is_used(self, item: Item) -> bool:
         """Whether a job that is not over reads its files."""
@@ -107,6 +124,7 @@ class Jobs:
             return
         was_running = job.state == "running"
         job.update(state="cancelled")
+        self._count()
         if was_running:
             self._worker.stop()
 
@@ -143,13 +161,26 @@ class Jobs:
             outcome = {"state": "done", "share": 1.0, "result": result}
         if job.state == "running":
             job.update(**outcome)
+            self._count()
+
+    def _count(self) -> None:
+        """Tell those that wait how many are before them."""
+        others = [job for job in self.kept if not job.is_over]  # the oldest first, as in the queue
+        for before, job in enumerate(others):
+            if job.state == "waiting" and job.before != before:
+                job.update(before=before)
+
+    def _cancel_after(self, seconds: float, job: Job) -> None:
+        if job.farewell is not None:
+            job.farewell.cancel()
+        job.farewell = asyncio.get_running_loop().call_later(seconds, self.cancel, job)
 
     async def events(self, job: Job) -> AsyncIterator[dict[str, Any]]:
-        """Its description whenever it changes, to the end.
+        """Its description whenever it changes and every :data:`HEARTBEAT_S`, to the end.
 
         When the last who listen have been gone for :data:`GONE_S` it is cancelled.
         """
-        job.watchers += 1
+        job.watchers, job.was_watched = job.watchers + 1, True
         if job.farewell is not None:
             job.farewell.cancel()
         try:
@@ -158,9 +189,9 @@ class Jobs:
                 yield job.describe()
                 if job.is_over:
                     return
-                await changed.wait()
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(changed.wait(), HEARTBEAT_S)
         finally:
             job.watchers -= 1
             if not job.is_over and job.watchers == 0:
-                loop = asyncio.get_running_loop()
-                job.farewell = loop.call_later(GONE_S, self.cancel, job)
+                self._cancel_after(GONE_S, job)

@@ -13,6 +13,8 @@ MEGAPIXEL = 1_000_000
 class Limits:
     """``upload_mb`` (10^6 bytes) and ``megapixels`` of one file; ``jobs`` waiting or running.
 
+    ``upload_s`` is how long a request may take to come in.
+
     A picture takes up to about 32 bytes a pixel until its light is known: 1.6 GB for 50 megapixels.
 
     Photographs and maps are each kept until there are more than ``uploads`` of them or more than
@@ -21,6 +23,7 @@ class Limits:
     """
 
     upload_mb: float = 50.0
+    upload_s: float = 600.0
     megapixels: float = 50.0
     jobs: int = 4
     uploads: int = 32
@@ -28,7 +31,7 @@ class Limits:
     kept_mb: float = 2000.0
 
     def __post_init__(self) -> None:
-        for name in ("upload_mb", "megapixels", "kept_mb"):
+        for name in ("upload_mb", "upload_s", "megapixels", "kept_mb"):
             value = getattr(self, name)
             if not 0 < value < math.inf:
                 raise InputError(f"{name} must be above 0 and finite, got {value}")

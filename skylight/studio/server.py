@@ -22,6 +22,7 @@ from skylight.studio.state import Studio
 from skylight.work.progress import Tell
 
 _FAREWELL_S = 1  # that open connections have when the server ends
+_UNACKNOWLEDGED_MS = 30_000  # after which a client that no longer answers is gone
 
 _say = partial(print, flush=True)  # at once, also to a pipe
 
@@ -110,6 +111,10 @@ def _listening(host: str, port: int) -> socket.socket:
         if os.name == "posix":
             # a server that has just ended leaves its port in waiting
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if hasattr(socket, "TCP_USER_TIMEOUT"):  # accepted sockets inherit it
+            # else the system writes to a machine that vanished for a quarter of an hour
+            limit = socket.TCP_USER_TIMEOUT
+            listener.setsockopt(socket.IPPROTO_TCP, limit, _UNACKNOWLEDGED_MS)
         listener.bind(where)
         listener.listen()  # so that a browser may come before the server is ready
     except OSError as error:

@@ -52,9 +52,10 @@ class Studio:
         self.photos: Kept[Upload] = kept("photo", limits.uploads)
         self.maps: Kept[Upload] = kept("map", limits.uploads)
         results: Kept[Job] = kept("job", limits.results)
-        self._worker = WorkerProcess(_JOB_MODULES)
+        (temporary := folder / "temporary").mkdir()
+        self._worker = WorkerProcess(_JOB_MODULES, temporary)
         # of its own, so that uploads are answered while a job runs
-        self._reader = WorkerProcess(_READER_MODULES)
+        self._reader = WorkerProcess(_READER_MODULES, temporary)
         self.jobs = Jobs(results, self._worker, most=limits.jobs)
         self._uploading = 0
         self._asked: dict[str, dict[str, Any]] = {}

@@ -6,12 +6,14 @@ import os
 import signal
 import sys
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from skylight.work.progress import StageProgress
 
 _LINE_BYTES = 64_000_000  # the longest answer
 _WARM = "warm"
+_TEMPORARY = ("TMPDIR", "TEMP", "TMP")  # that Python and others look at
 
 
 class TaskFailed(Exception):
@@ -30,10 +32,11 @@ class WorkerProcess:
     """Runs tasks of :mod:`skylight.studio.tasks.worker`, in a process that is started when needed.
 
     ``modules`` are imported as soon as it starts, so that the first task need not wait for them.
+    What its libraries leave behind, or a task that is stopped, is in the folder ``temporary``.
     """
 
-    def __init__(self, modules: list[str]) -> None:
-        self._modules = modules
+    def __init__(self, modules: list[str], temporary: Path) -> None:
+        self._modules, self._temporary = modules, str(temporary)
         self._process: asyncio.subprocess.Process | None = None
         self._is_stopped = self._is_closed = False
         self._turn = asyncio.Lock()
@@ -118,6 +121,8 @@ class WorkerProcess:
                 "-P",  # modules in the folder where the user happens to be are not ours
                 "-m",
                 "skylight.studio.tasks.worker",
+                *self._modules,  # for people who list processes
+                env={**os.environ, **dict.fromkeys(_TEMPORARY, self._temporary)},
                 stdin=asyncio.subprocess.PIPE,
                 stdout=asyncio.subprocess.PIPE,
                 limit=_LINE_BYTES,

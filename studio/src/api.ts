@@ -40,6 +40,8 @@ export interface Job<Result = unknown> {
   state: "waiting" | "running" | "done" | "failed" | "cancelled";
   stage: string;
   share: number;
+  /** While it waits: how many jobs are done before it. */
+  before?: number;
   error?: string;
   result?: Result;
   files?: JobFile[];
@@ -107,6 +109,8 @@ const GONE = "the studio does not answer: see whether `skylight studio` still ru
 
 /** How long a broken stream may take to come back: longer and the server has cancelled the job. */
 const PATIENCE_MS = 5000;
+/** How long a stream may be silent: the server tells of every job each 15 s, changed or not. */
+const SILENCE_MS = 60_000;
 
 /** fetch, with the server's own line as the error, or one that says that it is gone. */
 async function ask(path: string, init?: RequestInit): Promise<Response> {
@@ -193,9 +197,11 @@ export function followJob<Result>(
   return new Promise((resolve, reject) => {
     const stream = new EventSource(`/api/jobs/${id}/events`);
     let patience = 0;
+    let silence = 0;
     const end = (): void => {
       stream.close();
       clearTimeout(patience);
+      clearTimeout(silence);
       signal.removeEventListener("abort", aborted);
     };
     const aborted = (): void => {
@@ -204,9 +210,19 @@ export function followJob<Result>(
     };
     signal.addEventListener("abort", aborted);
     if (signal.aborted) return aborted();
+    const gone = (): void => {
+      end();
+      reject(new ApiError(GONE, 0));
+    };
+    const heard = (): void => {
+      clearTimeout(silence);
+      silence = window.setTimeout(gone, SILENCE_MS);
+    };
+    heard();
     stream.onmessage = (event: MessageEvent<string>) => {
       clearTimeout(patience);
       patience = 0;
+      heard();
       const job = JSON.parse(event.data) as Job<Result>;
       changed(job);
       if (job.state === "waiting" || job.state === "running") return;
@@ -217,10 +233,6 @@ export function followJob<Result>(
         else getJson<Job<Result>>(`/api/jobs/${id}`).then(resolve, reject);
       } else if (job.state === "cancelled") reject(new DOMException("cancelled", "AbortError"));
       else reject(new ApiError(job.error ?? "the job failed", 500));
-    };
-    const gone = (): void => {
-      end();
-      reject(new ApiError(GONE, 0));
     };
     // a stream that broke is opened again by the browser; it is gone where that does not help
     stream.onerror = () => {

@@ -46,7 +46,9 @@ def test_ids_are_not_guessed_and_not_folders(tmp_path: Path) -> None:
     assert refused.value.status_code == 404
 
 
-@pytest.mark.parametrize("wrong", [{"jobs": 0}, {"upload_mb": 0.0}, {"megapixels": float("nan")}])
+@pytest.mark.parametrize(
+    "wrong", [{"jobs": 0}, {"upload_s": 0.0}, {"upload_mb": 0.0}, {"megapixels": float("nan")}]
+)
 def test_limits_are_above_nothing(wrong: dict[str, float]) -> None:
     with pytest.raises(InputError, match=next(iter(wrong))):
         Limits(**wrong)  # pyright: ignore[reportArgumentType]

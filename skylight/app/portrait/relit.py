@@ -11,7 +11,7 @@ from numpy import ndarray
 from skylight.app.estimate.types import PhotoEstimate
 from skylight.app.portrait.lights import NewLight
 from skylight.imaging.colour import linear_to_srgb
-from skylight.inverse.portrait.photograph import portrait_of
+from skylight.inverse.portrait.photograph import FaceReflection, light_in_photo, portrait_of
 from skylight.inverse.portrait.relit import Keep, Portrait
 from skylight.work.progress import Progress
 
@@ -49,23 +49,34 @@ def relit_portrait(
     """
     portrait = taken_apart(result, workers=workers or os.cpu_count() or 1, progress=progress)
     picture, used = portrait.under(light.environment, exposure, keep=keep)
-    verdict = result.estimate.posterior.verdict
-    doubtful = verdict.startswith(("unreliable", "doubtful"))
     return RelitPortrait(
         picture=picture,
         photo=portrait.photo,
         exposure=used,
-        warning=f"the light that was found is {verdict}" if doubtful else "",
+        warning=warning_of(result.estimate),
         notes=light.notes,
     )
+
+
+def warning_of(estimate: Estimate) -> str:
+    """Why not to trust a portrait that was lit by it; empty where nothing is against it."""
+    verdict = estimate.posterior.verdict
+    doubtful = verdict.startswith(("unreliable", "doubtful"))
+    return f"the light that was found is {verdict}" if doubtful else ""
 
 
 def taken_apart(
     result: PhotoEstimate, *, workers: int = 1, progress: Progress | None = None
 ) -> Portrait:
     """The (first) face's photograph as a :class:`~skylight.inverse.portrait.relit.Portrait`."""
-    photo = result.photos[result.seen[0].photo]
-    return portrait_of(photo, result.fit, result.estimate, workers=workers, progress=progress)
+    return portrait_of(
+        result.photos[result.seen[0].photo],
+        result.fit,
+        FaceReflection.of(result.estimate),
+        light_in_photo(result.estimate),
+        workers=workers,
+        progress=progress,
+    )
 
 
 def shown(relit: RelitPortrait) -> UInt8[ndarray, "h w 3"]:

@@ -21,7 +21,7 @@ from skylight.evaluation.rendered_faces.files import RenderedFace, read_rendered
 from skylight.faces.model import HeadModel
 from skylight.imaging.colour import linear_to_srgb, srgb_to_linear
 from skylight.imaging.photo import photo_from_codes
-from skylight.inverse.portrait.photograph import portrait_of
+from skylight.inverse.portrait.photograph import FaceReflection, light_in_photo, portrait_of
 from skylight.io.files import write_png
 from skylight.models.names import LightName
 from skylight.transport.gbuffer import rasterize
@@ -96,14 +96,13 @@ class RelitPortraits:
 
         truth = _encoded(new.linear.numpy())
         person, skin = person_masks(old)
-        own = estimate.faces[0]
-        told = replace(own, white_balance=torch.ones(3), exposure=estimate.exposure)
-        known = replace(estimate, environment=old.environment, faces=(told,))
+        reflection = FaceReflection.of(estimate)
+        lights = {RELIT: light_in_photo(estimate), TRUE_LIGHT: old.environment}
         pictures = {
-            RELIT: portrait_of(photo, fit, estimate).under(new.environment)[0],
-            TRUE_LIGHT: portrait_of(photo, fit, known).under(new.environment)[0],
-            UNCHANGED: old.picture.numpy(),
+            name: portrait_of(photo, fit, reflection, light).under(new.environment)[0]
+            for name, light in lights.items()
         }
+        pictures[UNCHANGED] = old.picture.numpy()
         shown = {
             name: _encoded(nearest_exposure(one, truth, person) * one)
             for name, one in pictures.items()

@@ -9,6 +9,7 @@ from skylight.app.estimate.results import write_results
 from skylight.app.estimate.types import PhotoEstimate
 from skylight.models.names import LightName
 from skylight.studio.tasks.lamps import keep_lamps
+from skylight.studio.tasks.person import command_of, keep_person
 from skylight.studio.tasks.uploads import open_photo, preview_scale
 from skylight.work.progress import StageProgress
 
@@ -33,8 +34,10 @@ def estimate_light(
     result = estimate_photo(photo, names=[name], light=light, model=model, face=face, progress=tell)
     tell("writing the results", 0.0)
     write_results(Path(folder), result)
+    # beside the folder, as the page offers all files in it
+    keep_person(Path(folder).parent, result, command_of(name, light, face, model))
     described = json.loads((Path(folder) / "estimate.json").read_text(encoding="utf-8"))
-    if result.estimate.lamps:  # beside the folder, as the page offers all files in it
+    if result.estimate.lamps:
         described["lamp_facts"] = keep_lamps(Path(folder).parent, result)
     return described | {"camera": _preview_camera(result, preview_scale(photo))}
 

@@ -179,6 +179,7 @@ function photoWork(photo: Photo): { element: HTMLElement; leave: () => void } {
       isLeft = true;
       job.cancel();
       composite?.dispose();
+      for (const card of cards) card.leave();
       for (const one of jobs) {
         forgetJob(one);
         forgetLight(one);

@@ -24,7 +24,8 @@ export function jobPanel(): JobPanel {
   let stop: AbortController | null = null;
 
   const show = (job: Job): void => {
-    const words = job.state === "waiting" ? "Waiting for another job" : job.stage || "Starting";
+    const jobs = job.before === 1 ? "job" : "jobs";
+    const words = job.before ? `${job.before} ${jobs} before yours` : job.stage || "Starting";
     const line = `${words.charAt(0).toUpperCase()}${words.slice(1)} …`;
     if (stage.textContent !== line) stage.textContent = line; // said once, not at every step
     bar.value = job.share;

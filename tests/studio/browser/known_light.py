@@ -43,7 +43,8 @@ def head(eyes: tuple[float, float, float]) -> str:
 def answers(
     radiance: torch.Tensor, folder: Path, eyes: tuple[float, float, float] = EYES
 ) -> "Callable[[Route], None]":
-    """The part of the server that estimates, its estimate done."""
+    """The part of the server that estimates, its estimate done; of ``folder`` every file is the
+    job's."""
     names = ("probe.exr", "posterior.exr", "mesh.obj")
     (folder / "mesh.obj").write_text(head(eyes))
     write_environment_map(folder / "probe.exr", EnvironmentMap(radiance=radiance))
@@ -93,7 +94,7 @@ def answers(
         elif path.endswith("/events"):
             body = f"data: {json.dumps(done)}\n\n"
             route.fulfill(body=body, content_type="text/event-stream")
-        elif path.rpartition("/")[2] in names:
+        elif (folder / path.rpartition("/")[2]).is_file():
             route.fulfill(body=(folder / path.rpartition("/")[2]).read_bytes())
         else:
             route.fulfill(status=204)

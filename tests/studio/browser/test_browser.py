@@ -305,6 +305,46 @@ def test_too_many_jobs_and_a_cancelled_one(
     expect(first.locator(LINE)).to_have_count(0)  # it was the user's wish
 
 
+def test_who_waits_sees_how_many_are_before(new_page: MakePage, portrait: Path) -> None:
+    told = {"job": "it", "kind": "estimate", "state": "waiting", "stage": "", "share": 0}
+
+    def wait_behind(before: int) -> None:
+        body = f"data: {json.dumps({**told, 'before': before})}\n\n"
+        page.unroute_all()
+        page.route(  # the page asks again and again
+            "**/events", lambda route: route.fulfill(body=body, content_type="text/event-stream")
+        )
+
+    page = new_page()
+    choose_photo(page, portrait)
+    wait_behind(2)
+    page.get_by_role("button", name="Find the light").click()
+    status = page.locator(".job [role=status]")
+    expect(status).to_have_text("2 jobs before yours …")
+    wait_behind(1)
+    expect(status).to_have_text("1 job before yours …")
+    wait_behind(0)
+    expect(status).to_have_text("Starting …")
+    page.get_by_role("button", name="Cancel").click()
+    expect(status).to_be_hidden()
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="looks for processes in /proc")
+def test_a_stream_that_falls_silent(new_page: MakePage, studio: Served, portrait: Path) -> None:
+    page = new_page()
+    choose_photo(page, portrait)
+    page.get_by_role("button", name="Find the light").wait_for()
+    page.clock.install()
+    with studio.held():
+        with page.expect_response("**/events"):
+            page.get_by_role("button", name="Find the light").click()
+        page.clock.fast_forward(55_000)
+        expect(page.locator(".job [role=status]")).to_have_text("Starting …")
+        expect(page.locator(LINE)).to_have_count(0)
+        page.clock.fast_forward(61_000)
+        page.locator(LINE).get_by_text("The studio does not answer").wait_for()
+
+
 def test_a_narrow_screen_needs_no_sideways_scroll(new_page: MakePage, portrait: Path) -> None:
     page = new_page(viewport={"width": 360, "height": 740})
     page.get_by_role("region", name="Try one of these").wait_for()

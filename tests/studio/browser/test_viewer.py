@@ -227,13 +227,24 @@ def test_each_axis_is_on_its_side(estimate: Path, opened: Opener) -> None:
 
 
 @pytest.mark.slow
-def test_what_may_not_be_trusted_says_so_first(estimate: Path, opened: Opener) -> None:
-    rewrite(estimate, posterior={"verdict": "unreliable: hardly a face", "is_seen": True})
-    verdict = opened(estimate).locator(".verdict")
-    expect(verdict).to_have_class("verdict care")
-    expect(verdict).to_contain_text("Unreliable: hardly a face. Do not trust this light")
-    rewrite(estimate, posterior={"verdict": "reliable"})
-    expect(opened(estimate).locator(".verdict")).to_have_class("verdict")
+@pytest.mark.parametrize(
+    ("verdict", "class_", "told"),
+    [
+        (
+            "unreliable: hardly a face",
+            "verdict care",
+            "Unreliable: hardly a face. Do not trust this light",
+        ),
+        ("reliable", "verdict", "Reliable. The face tells where the light came from"),
+    ],
+)
+def test_what_may_not_be_trusted_says_so_first(
+    estimate: Path, opened: Opener, verdict: str, class_: str, told: str
+) -> None:
+    rewrite(estimate, posterior={"verdict": verdict, "is_seen": True})
+    shown = opened(estimate).locator(".verdict")
+    expect(shown).to_have_class(class_)
+    expect(shown).to_contain_text(told)
 
 
 @pytest.mark.slow
