@@ -7,7 +7,7 @@
 #   make bench    timings
 #   make docs     the documentation as a site, its walk-throughs run: see out/site/index.html
 #   make wheel    the package for pip in dist/, tried in an empty environment
-#   make studio   the studio's page built anew from studio/; needs Node.js 20 or newer
+#   make studio   the studio's page and the viewer built anew from studio/; needs Node.js 20 or newer
 #   make blender  the extension for Blender 4.2 and newer as a zip in dist/
 #   make fuzz     every reader and the studio, 5 minutes each; SECONDS_EACH=3600 for longer
 #   make clean    forget the environment and everything made; runs/ (training) stays

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from skylight.app.maps.estimated_light import read_light, read_numbers
+from skylight.app.maps.estimated_light import head_file, read_light, read_numbers
 from skylight.errors import InputError
 from skylight.faces.observe import SKIN_GLOSS
 from skylight.imaging.colour import linear_to_srgb
@@ -60,9 +60,7 @@ def export_blender_scene(estimate: Path, out: Path, *, photo: Path | None = None
         )
     light, lamps = read_light(numbers, "skylight")
     ambient, named = _named_lights(light, lamps)
-    head = numbers.parent / ("mesh.obj" if told.faces == 1 else "mesh_1.obj")
-    if not head.is_file():
-        raise InputError(f"{head}: there is no such file; estimate the photograph again")
+    head = head_file(numbers, 0, of=told.faces)
     shown = told.white_balance
     scene = PortraitScene(
         ambient=EnvironmentMap(radiance=ambient.radiance * shown.to(ambient.radiance)),

@@ -29,7 +29,7 @@ def read_light(path: Path, convention: Convention) -> tuple[EnvironmentMap, tupl
         A file is missing or damaged, or a map of an estimate is said to have another convention.
     """
     if not path.is_dir() and path.suffix.lower() != ".json":
-        return _whole_sphere(read_environment_map(path, convention=convention)), ()
+        return whole_sphere(read_environment_map(path, convention=convention)), ()
     if convention != "skylight":
         raise InputError(
             f"{path}: an estimate's map is in skylight's convention, not {convention}'s: leave "
@@ -37,7 +37,7 @@ def read_light(path: Path, convention: Convention) -> tuple[EnvironmentMap, tupl
         )
     numbers, content = read_numbers(path)
     lamps = _lamps(numbers, content)
-    return _whole_sphere(read_environment_map(numbers.parent / MAP)), lamps
+    return whole_sphere(read_environment_map(numbers.parent / MAP)), lamps
 
 
 def read_numbers(path: Path) -> tuple[Path, dict[str, Any]]:
@@ -65,7 +65,22 @@ def read_numbers(path: Path) -> tuple[Path, dict[str, Any]]:
     return path, content
 
 
-def _whole_sphere(light: EnvironmentMap) -> EnvironmentMap:
+def head_file(numbers: Path, place: int, *, of: int) -> Path:
+    """The mesh of one of so many faces of an estimate.json, at a place from 0 in its list.
+
+    Raises
+    ------
+    InputError
+        It is not there.
+    """
+    path = numbers.parent / ("mesh.obj" if of == 1 else f"mesh_{place + 1}.obj")
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file; estimate the photograph again")
+    return path
+
+
+def whole_sphere(light: EnvironmentMap) -> EnvironmentMap:
+    """The light, a sky alone with a black lower half."""
     return light.with_ground(torch.zeros(3)) if light.is_sky else light
 
 

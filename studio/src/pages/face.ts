@@ -5,6 +5,7 @@ import { exampleRow } from "../face/example_row";
 import "../face/face.css";
 import { faceChooser, type FaceChooser } from "../face/face_chooser";
 import { lightChoice } from "../face/light_choice";
+import { firstStops } from "../face/light_view";
 import { resultCard, type ResultCard } from "../face/result_card";
 import type { Page } from "../page";
 import { alertBox } from "../shared/alert";
@@ -12,7 +13,6 @@ import { el } from "../shared/dom";
 import { exposureSlider } from "../shared/fields";
 import { fileDrop } from "../shared/file_drop";
 import { jobPanel } from "../shared/job_panel";
-import { prefilter } from "../shared/prefilter";
 import { tinted } from "../shared/radiance_map";
 import { forgetLight, rememberLight } from "../shared/session";
 
@@ -139,9 +139,7 @@ function photoWork(photo: Photo): { element: HTMLElement; leave: () => void } {
     if (isLeft) return;
     rememberLight({ job: done.job, title: `${photo.name}: ${name_}` });
     if (cards.length === 0) {
-      // white balls just reach white: what is seen of them is their shading
-      const most = prefilter(card.map, 1).data.reduce((a, b) => Math.max(a, b), 0);
-      exposure.set(Math.min(0, Math.floor(-4 * Math.log2(most || 1)) / 4));
+      exposure.set(firstStops(card.map));
       factor = 2 ** exposure.value;
       composite = compositePanel({
         image: chooser.image,
