@@ -1,5 +1,6 @@
 """JSON files of sky latents; without torch."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -70,7 +71,7 @@ def read_latent(path: str | Path, count: int = LATENT) -> Latent:
     )
 
 
-def _version_of(content: dict[str, object]) -> str:
+def _version_of(content: Mapping[str, object]) -> str:
     """Of skylight, in an estimate.json; "" elsewhere."""
     versions = content.get("versions")
     version = versions.get("skylight") if isinstance(versions, dict) else None
