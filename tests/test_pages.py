@@ -3,6 +3,7 @@
 import pytest
 
 from tools import build_figures, build_measurements
+from tools.load import table
 
 ROWS = {"a": 0.2, "b": 0.3, "c": 0.1}
 
@@ -21,6 +22,11 @@ def test_the_tables_are_those_of_the_results() -> None:
     written = (build_figures.ROOT / "docs" / "measurements.md").read_text(encoding="utf-8")
     results = build_figures.ROOT / "benchmarks" / "results"
     assert build_measurements.page(results) == written, "run python tools/build_measurements.py"
+
+
+def test_the_table_of_the_studio_under_load_is_that_of_its_record() -> None:
+    written = table.PAGE.read_text(encoding="utf-8")
+    assert table.section(table.records()) in written, "run python -m tools.load.table"
 
 
 @pytest.mark.parametrize(("ours", "met"), [(0.088, True), (0.0881, False), (0.05, True)])

@@ -52,7 +52,7 @@ def main() -> None:
         facts = loaded(options, Path(folder))
     write_measured(
         options.out,
-        name="studio-load",
+        name=options.out.stem,
         what="The studio with many pages at once, which upload, ask for jobs, cancel and go away; "
         "memory in 10^6 bytes, its slope over the second half of the time",
         command=f"python -m tools.load_studio --browsers {options.browsers} "
@@ -94,7 +94,9 @@ def loaded(options: argparse.Namespace, folder: Path) -> dict[str, object]:
         code = studio.wait(timeout=60)
     said, left = errors.read_text(), sorted(path.name for path in temporary.iterdir())
     if code != 0 or said or left:
-        tally.failures.append(f"the server ended with {code}, left {left}, said: {said[-2000:]}")
+        print(said, file=sys.stderr)
+        lines = [line for line in said.replace(f"{folder}/", "").splitlines() if line[:1] != " "]
+        tally.failures.append(f"the server ended with {code}, left {left}, said: {lines}")
     memory = {
         name: {**trend(samples), "minute_process_mb": [list(astuple(one)) for one in samples]}
         for name, samples in sampler.samples.items()

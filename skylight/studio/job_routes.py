@@ -8,11 +8,12 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
-from starlette.responses import FileResponse, JSONResponse, Response, StreamingResponse
+from starlette.responses import JSONResponse, Response, StreamingResponse
 
 from skylight.io.atomic import atomic_path
 from skylight.models.names import is_trained
 from skylight.studio.jobs import Job
+from skylight.studio.kept import KeptFile
 from skylight.studio.refusals import Refused
 from skylight.studio.requests import (
     CodeRequest,
@@ -111,24 +112,27 @@ async def cancel_or_forget(request: Request, token: str) -> Response:
 
 
 @jobs.get("/{token}/files.zip")
-async def packed_files(request: Request, token: str, download: bool = False) -> FileResponse:
+async def packed_files(request: Request, token: str, download: bool = False) -> KeptFile:
     """All its files."""
-    job = _job(request, token)
+    studio, job = _studio(request), _job(request, token)
     if not job.files:
         raise Refused(409, "this job has no files (yet)")
     path = job.folder / _PACKED
     if not path.exists():
-        await run_in_threadpool(_pack, job, path)
-    return _file(path, _PACKED, download)
+        with studio.jobs.kept.reading(job):
+            await run_in_threadpool(_pack, job, path)
+        _job(request, token)  # 404 where it was forgotten meanwhile
+    return _file(studio, job, path, download)
 
 
 @jobs.get("/{token}/files/{name}")
-async def one_file(request: Request, token: str, name: str, download: bool = False) -> FileResponse:
+async def one_file(request: Request, token: str, name: str, download: bool = False) -> KeptFile:
     """One of its files, by the name in its own list."""
-    files = _job(request, token).files
+    studio, job = _studio(request), _job(request, token)
+    files = job.files
     if name not in files:
         raise Refused(404, "this job has no file of that name (yet)")
-    return _file(files[name], name, download)
+    return _file(studio, job, files[name], download)
 
 
 @jobs.get("/{token}/lamps/{name}")
@@ -152,9 +156,10 @@ async def under_edited_lamps(
     return Response(content, media_type=media, headers=headers)
 
 
-def _file(path: Path, name: str, download: bool) -> FileResponse:
+def _file(studio: Studio, job: Job, path: Path, download: bool) -> KeptFile:
     kind = "attachment" if download else "inline"
-    return FileResponse(path, filename=name, content_disposition_type=kind)
+    kept = studio.jobs.kept
+    return KeptFile(kept, job, path, filename=path.name, content_disposition_type=kind)
 
 
 def _pack(job: Job, path: Path) -> None:

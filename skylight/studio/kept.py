@@ -3,10 +3,14 @@
 import secrets
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
+
+from starlette.responses import FileResponse
+from starlette.types import Receive, Scope, Send
 
 from skylight.studio.refusals import Refused
 
@@ -19,6 +23,7 @@ class Item:
 
     id: str = field(default_factory=lambda: secrets.token_urlsafe(_TOKEN_BYTES))
     folder: Path
+    readers: int = 0
 
     @property
     def bytes(self) -> int:
@@ -61,9 +66,21 @@ class Kept(Generic[AnyItem]):
         return self._items[token]
 
     def forget(self, item: AnyItem) -> None:
-        """With its files."""
+        """With its files; these as soon as nobody is :meth:`reading` them."""
         self._items.pop(item.id, None)
-        self.remove(item.folder)
+        if item.readers == 0:
+            self.remove(item.folder)
+
+    @contextmanager
+    def reading(self, item: AnyItem) -> Iterator[None]:
+        """Meanwhile its files stay, also where it is forgotten."""
+        item.readers += 1
+        try:
+            yield
+        finally:
+            item.readers -= 1
+            if item.readers == 0 and item.id not in self._items:
+                self.remove(item.folder)
 
     def remove(self, folder: Path) -> None:
         """A folder that :meth:`new_folder` made."""
@@ -79,3 +96,15 @@ class Kept(Generic[AnyItem]):
             if not is_used(item):
                 self.forget(item)
                 count, total = count - 1, total - sizes[item.id]
+
+
+class KeptFile(FileResponse):
+    """A file of an item as an answer: it goes out whole, also where the item is forgotten."""
+
+    def __init__(self, kept: Kept[AnyItem], item: AnyItem, path: Path, **options: Any) -> None:
+        super().__init__(path, **options)
+        self._reading = partial(kept.reading, item)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        with self._reading():
+            await super().__call__(scope, receive, send)

@@ -96,7 +96,8 @@ class Studio:
             "file": file,
             **edit.model_dump(exclude={"download"}),
         }
-        return b64decode((await self._read("lamps", arguments))["content"])
+        with self.jobs.kept.reading(job):
+            return b64decode((await self._read("lamps", arguments))["content"])
 
     async def take_photo(self, request: Request, name: str) -> Upload:
         """A photograph from a request's body, with its preview and faces."""

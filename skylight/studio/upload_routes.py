@@ -3,8 +3,9 @@
 from typing import Any
 
 from fastapi import APIRouter, Request
-from starlette.responses import FileResponse, JSONResponse
+from starlette.responses import JSONResponse
 
+from skylight.studio.kept import KeptFile
 from skylight.studio.state import Studio, Upload
 
 uploads = APIRouter(prefix="/api")
@@ -18,9 +19,11 @@ async def take_photo(request: Request, name: str = "") -> JSONResponse:
 
 
 @uploads.get("/photos/{token}/preview.jpg")
-async def preview(request: Request, token: str) -> FileResponse:
+async def preview(request: Request, token: str) -> KeptFile:
     """The photograph, upright, its longest side 1600 pixels at most."""
-    return FileResponse(_studio(request).photos.get(token).preview, media_type="image/jpeg")
+    photos = _studio(request).photos
+    photo = photos.get(token)
+    return KeptFile(photos, photo, photo.preview, media_type="image/jpeg")
 
 
 @uploads.post("/maps")

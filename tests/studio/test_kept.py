@@ -1,13 +1,20 @@
 """What a server keeps, and when it forgets."""
 
+import asyncio
+from base64 import b64encode
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from starlette.types import Message
 
 from skylight.errors import InputError
-from skylight.studio.kept import Item, Kept
+from skylight.studio.jobs import Job
+from skylight.studio.kept import Item, Kept, KeptFile
 from skylight.studio.limits import Limits
 from skylight.studio.refusals import Refused
+from skylight.studio.requests import LampsEdit
+from skylight.studio.state import Studio
 
 
 def _kept(tmp_path: Path, sizes: list[int], *, most: int, most_bytes: int) -> Kept[Item]:
@@ -34,6 +41,59 @@ def test_what_is_in_use_stays(tmp_path: Path) -> None:
     kept = _kept(tmp_path, [10, 20, 30], most=1, most_bytes=10**6)
     kept.make_room(lambda item: item.bytes == 10)
     assert [item.bytes for item in kept] == [10]
+
+
+def test_files_that_are_read_outlive_their_item(tmp_path: Path) -> None:
+    kept = _kept(tmp_path, [10], most=1, most_bytes=99)
+    (item,) = kept
+    with kept.reading(item):
+        with kept.reading(item):
+            kept.forget(item)
+        assert (item.folder / "file").exists()
+        with pytest.raises(Refused):
+            kept.get(item.id)
+    assert not item.folder.exists()
+
+
+def test_a_file_that_is_forgotten_while_it_is_sent_goes_out_whole(tmp_path: Path) -> None:
+    kept = _kept(tmp_path, [100_000], most=1, most_bytes=10**6)
+    (item,) = kept
+    answer = KeptFile(kept, item, item.folder / "file")
+    sent = b""
+
+    async def send(message: Message) -> None:
+        nonlocal sent
+        kept.forget(item)  # when nothing but its size is known yet
+        sent += message.get("body", b"")
+
+    async def receive() -> Message:
+        return await asyncio.Future()  # the client stays
+
+    scope = {"type": "http", "method": "GET", "headers": []}
+    with ThreadPoolExecutor(1) as thread:  # the main one may hold the loop of the browser's driver
+        thread.submit(asyncio.run, answer(scope, receive, send)).result()
+    assert sent == bytes(100_000)
+    assert not item.folder.exists()
+
+
+def test_lamps_are_edited_to_the_end_where_their_job_is_forgotten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    studio = Studio(tmp_path, Limits())
+    job = Job(folder=studio.jobs.kept.new_folder(), kind="estimate", arguments={}, state="done")
+    studio.jobs.kept.add(job)
+
+    async def read(task: str, arguments: dict[str, str]) -> dict[str, str]:
+        studio.jobs.forget(job)
+        assert (task, Path(arguments["folder"]).is_dir()) == ("lamps", True)
+        return {"content": b64encode(b"map").decode()}
+
+    monkeypatch.setattr(studio, "_read", read)
+    edit = LampsEdit(azimuth_deg=[0.0], zenith_deg=[0.0], on=[True], ambient=True)
+    with ThreadPoolExecutor(1) as thread:
+        edited = studio.under_edited_lamps(job, "probe.exr", edit)
+        assert thread.submit(asyncio.run, edited).result() == b"map"
+    assert not job.folder.exists()
 
 
 def test_ids_are_not_guessed_and_not_folders(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.inverse.lamps.relighting import LampLight
-from skylight.inverse.portrait.photograph import light_in_photo
+from skylight.inverse.portrait.photograph import gains_of, light_in_photo
 from skylight.inverse.result import Estimate
 from skylight.io.files import read_environment_map
 from skylight.relight.main_light import split_main_light
@@ -60,7 +60,8 @@ def turned_light(estimate: Estimate, turn_deg: float) -> NewLight:
 
 @dataclass(frozen=True, kw_only=True)
 class MovableSun:
-    """The light found, in its map's units, as its sun (or its main lamp) and all that is ``rest``.
+    """The light found, in the photograph's colours and units, as its sun (or its main lamp) and all
+    that is ``rest``.
 
     ``irradiance`` (3,) is what a surface that faces the sun receives, and ``level`` the luminance
     of what a horizontal one receives of the rest. Where no sun ``was_found`` it is one of the
@@ -83,6 +84,8 @@ class MovableSun:
         else:
             sun, rest = split_main_light(estimate.environment)
             direction, irradiance = sun.direction, sun.irradiance
+        irradiance = gains_of(estimate).double() * irradiance
+        rest = light_in_photo(estimate, rest)
         level = float(luminance(rest.irradiance(torch.tensor([0.0, 1.0, 0.0])).double()))
         was_found = float(irradiance.sum()) > 0
         if not was_found:
@@ -135,5 +138,4 @@ def light_with_sun_at(
     if not sun.was_found and strength is None:
         line = f"no sun was found: one is added, of {ADDED_SUN:g} times the sky's irradiance"
         notes = (line,)
-    moved = sun.at(direction, strength)
-    return NewLight(environment=light_in_photo(estimate, moved), notes=notes)
+    return NewLight(environment=sun.at(direction, strength), notes=notes)

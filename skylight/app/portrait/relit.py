@@ -13,6 +13,7 @@ from skylight.app.portrait.lights import NewLight
 from skylight.imaging.colour import linear_to_srgb
 from skylight.inverse.portrait.photograph import FaceReflection, light_in_photo, portrait_of
 from skylight.inverse.portrait.relit import Keep, Portrait
+from skylight.inverse.result import Estimate
 from skylight.work.progress import Progress
 
 KNEE = 0.8  # of white: brighter than this (or than it was) a picture approaches white softly

@@ -13,7 +13,7 @@ from skylight.app.estimate.types import PhotoEstimate
 from skylight.app.portrait.lights import MovableSun
 from skylight.app.portrait.relit import warning_of
 from skylight.faces.fit import FaceFit
-from skylight.inverse.portrait.photograph import FaceReflection, gains_of, light_in_photo
+from skylight.inverse.portrait.photograph import FaceReflection, light_in_photo
 from skylight.io.tensors import read_tensors, write_tensors
 from skylight.models.names import LightName
 from skylight.sphere.envmap import EnvironmentMap, luminance
@@ -54,17 +54,15 @@ def keep_person(folder: Path, result: PhotoEstimate, command: dict[str, Any]) ->
     """Write what :func:`kept_person` reads."""
     fit, estimate = result.fit, result.estimate
     sun, reflection = MovableSun.of(estimate), FaceReflection.of(estimate)
-    rest = light_in_photo(estimate, sun.rest)
-    irradiance = gains_of(estimate).double() * sun.irradiance
     tensors = {name: torch.from_numpy(getattr(fit, name)) for name in _OF_FIT}
     tensors |= {
         "camera": torch.tensor(
             [fit.camera.focal_px, fit.camera.width, fit.camera.height, *fit.camera.center_px]
         ).double(),
         "found": light_in_photo(estimate).radiance,
-        "rest": rest.radiance,
+        "rest": sun.rest.radiance,
         "direction": sun.direction.double(),
-        "irradiance": irradiance,
+        "irradiance": sun.irradiance,
     }
     if fit.covariance is not None:
         tensors["covariance"] = torch.from_numpy(fit.covariance)

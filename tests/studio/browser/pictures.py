@@ -2,6 +2,8 @@
 
 import base64
 import io
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +14,10 @@ from skylight.imaging.colour import linear_to_srgb
 from tests.studio.browser.waiting import gathered
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Page
+    from playwright.sync_api import Locator, Page
+
+# the documentation's pictures are worth waiting for: of the best light, with all of it in
+FOR_DOCUMENTATION = "SKYLIGHT_STUDIO_PICTURES" in os.environ
 
 
 def pixels(page: "Page", selector: str) -> np.ndarray:
@@ -47,3 +52,11 @@ def finished(page: "Page", share: float) -> np.ndarray:
     """The picture with the object, once at least this share of its light is in."""
     gathered(page, share)
     return pixels(page, "canvas.composite")
+
+
+def picture(shown: "Page | Locator", path: Path) -> None:
+    """A screenshot as the documentation has it: 900 pixels wide at most, of 256 colours."""
+    full = Image.open(io.BytesIO(shown.screenshot())).convert("RGB")
+    full.thumbnail((900, 2000), Image.Resampling.LANCZOS)
+    palette = full.quantize(256)
+    full.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG).save(path, optimize=True)

@@ -3,20 +3,27 @@
 The light, the camera and the head are the test's own; the page is the real one.
 """
 
-import json
 import math
 import struct
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 import torch
 
-from skylight.imaging.colour import srgb_to_linear
 from skylight.sphere.grid import DirectionGrid
 from tests.oracles.lit_balls import Body, Light
+from tests.studio.browser.composite_page import (
+    choose,
+    click_corners,
+    linear,
+    moved,
+    pixel,
+    placement,
+    sunlight,
+)
 from tests.studio.browser.known_light import EYES, FAR_EYES, FOCAL, GAINS, HEAD, SIZE, SKIN
 from tests.studio.browser.pictures import codes, finished, photo_pixels
 from tests.studio.browser.waiting import expect, gathered
@@ -30,39 +37,6 @@ GROUND = FAR_EYES[1] - 1.6
 EVEN = torch.full((64, 128, 3), 0.5)
 GREY = 0.18  # of the matt ball
 CHROME = (0.55, 0.556, 0.554)
-
-
-def placement(page: "Page") -> dict[str, Any]:
-    """Where the page says the object is: foot and size in metres."""
-    return json.loads(page.locator(".composite").get_attribute("data-placement") or "")
-
-
-def pixel(point: Any) -> tuple[int, int]:
-    """Row and column at which a point is seen."""
-    x, y, z = point
-    return round(SIZE / 2 + FOCAL * y / z - 0.5), round(SIZE / 2 - FOCAL * x / z - 0.5)
-
-
-def moved(point: Any, *by: float) -> np.ndarray:
-    return np.array(point) + np.array(by)
-
-
-def choose(page: "Page", label: str, value: str) -> None:
-    page.get_by_label(label, exact=True).select_option(value)
-
-
-def sunlight(azimuth_deg: float, zenith_deg: float, sky: float = 0.0) -> torch.Tensor:
-    """Two pixels of sun that give a surface facing them an irradiance of 3."""
-    radiance = torch.full((64, 128, 3), sky)
-    row, column = int(zenith_deg / 180 * 64), int((azimuth_deg / 360 + 0.5) * 128) % 128
-    pair = [column, (column + 1) % 128]
-    solid_angle = DirectionGrid.latlong(64).solid_angles.reshape(64, 128)[row, pair].sum()
-    radiance[row, pair] += float(3 / solid_angle)
-    return radiance
-
-
-def linear(seen: np.ndarray) -> np.ndarray:
-    return srgb_to_linear(torch.as_tensor(seen / 255)).numpy()
 
 
 def light_of(radiance: torch.Tensor) -> Light:
@@ -98,8 +72,10 @@ def test_balls_hang_beside_the_face_and_show_the_light(show: Callable[..., "Page
         irradiance = light.irradiance(point, normal, [face, chrome])
         want = GREY / math.pi * irradiance
         seen = linear(picture[row - 1 : row + 2, column - 1 : column + 2]).mean((0, 1))
-        # 8 bits are a percent of this; the shoulders, which the oracle leaves out, another
-        assert np.abs(seen / want - 1).max() < 0.04, (x, y, seen / want)
+        # 8 bits are a percent of this, the shoulders, which the oracle leaves out, another; and the
+        # light that the head returns is that of spheres, of an average head
+        most = 0.06 if x * towards_head > 0.5 else 0.04
+        assert np.abs(seen / want - 1).max() < most, (x, y, seen / want)
     side = np.array([0.8 * towards_head, 0.0, 0.6])
     alone = light.irradiance(low + radius * side, side, [])
     among = light.irradiance(low + radius * side, side, [face, chrome])
@@ -268,19 +244,6 @@ def test_dragging_along_the_ground_keeps_the_size_in_metres(show: Callable[..., 
 TABLE = np.array(
     [[-0.1, -0.25, -1.0], [0.25, -0.25, -1.0], [0.25, -0.25, -1.6], [-0.1, -0.25, -1.6]]
 )
-
-
-def click_corners(page: "Page", points: np.ndarray) -> None:
-    layer = page.locator(".corners")
-    layer.wait_for()
-    layer.scroll_into_view_if_needed()
-    box = layer.bounding_box()
-    assert box is not None
-    for x, y, z in points:
-        column, row = SIZE / 2 - FOCAL * x / z, SIZE / 2 + FOCAL * y / z
-        page.mouse.click(
-            box["x"] + column / SIZE * box["width"], box["y"] + row / SIZE * box["height"]
-        )
 
 
 def test_four_clicks_give_a_table_to_stand_on(show: Callable[..., "Page"]) -> None:

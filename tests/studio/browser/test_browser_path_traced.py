@@ -1,6 +1,8 @@
 """The composite against a path tracer that knows the scene: a person, ground, and an object."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -8,12 +10,21 @@ import pytest
 import torch
 
 from skylight.evaluation.rendered_faces.independent_render import IndependentScene, Solid
+from skylight.faces.model import HeadModel
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.grid import DirectionGrid
 from skylight.transport.camera import Camera
+from tests.studio.browser.composite_page import (
+    choose,
+    click_corners,
+    linear,
+    moved,
+    pixel,
+    placement,
+    sunlight,
+)
 from tests.studio.browser.known_light import FAR_EYES, FOCAL, GAINS, HEAD, SIZE
-from tests.studio.browser.pictures import codes, finished
-from tests.studio.browser.test_browser_composite import choose, linear, moved, pixel, placement
+from tests.studio.browser.pictures import FOR_DOCUMENTATION, codes, finished, picture
 
 pytest.importorskip("mitsuba", reason="mitsuba is not installed")
 trimesh = pytest.importorskip("trimesh")
@@ -33,13 +44,11 @@ def person() -> list[Solid]:
     head = trimesh.creation.icosphere(4)
     head.apply_scale(HEAD)
     head.apply_translation(FAR_EYES)
-    shoulders = trimesh.creation.capsule(0.29, 0.08)
-    shoulders.apply_translation([0, 0, -0.145])
-    shoulders.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [0, 1, 0]))
-    shoulders.apply_translation([x, y - 0.28, z - 0.03])
-    trunk = trimesh.creation.capsule(1.36 - 0.28, 0.14)
-    trunk.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0]))
-    trunk.apply_translation([x, y - 1.6 + 0.14, z - 0.03])
+    shoulders, trunk = trimesh.creation.capsule(0.29, 0.08), trimesh.creation.capsule(1.08, 0.14)
+    for part, axis, below in ((shoulders, [0, 1, 0], 0.28), (trunk, [1, 0, 0], 0.92)):
+        part.apply_translation(-part.bounds.mean(0))
+        part.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, axis))
+        part.apply_translation([x, y - below, z - 0.03])
     return [solid(mesh, 0.3) for mesh in (head, shoulders, trunk)]
 
 
@@ -88,8 +97,9 @@ def test_an_object_on_the_ground_looks_as_if_it_had_been_there(
     before = traced()
     photo = np.full((SIZE, SIZE, 3), 128, np.uint8)
     photo[crop] = coded(before)
-    # the page gives the light the photo's white balance
-    page = show(radiance / torch.tensor(GAINS), eyes=FAR_EYES, photo=photo)
+    estimated = radiance / torch.tensor(GAINS)  # the page gives it the photo's white balance
+    estimated[32:] /= 2  # the ground's own light is taken from the photo
+    page = show(estimated, eyes=FAR_EYES, photo=photo)
     choose(page, "Object", model)
     choose(page, "Surface", "matte")
     seen = linear(finished(page, 1)[crop][..., :3])
@@ -106,3 +116,66 @@ def test_an_object_on_the_ground_looks_as_if_it_had_been_there(
     assert float(np.quantile(error, 0.99)) < 0.2
     # without the object 3 % of the pixels are wrong by twice as much, and more
     assert float(np.quantile(np.abs(seen - before) / before.mean(), 0.97)) > 0.4
+
+
+BUST = (-0.19, 0.0, -1.05)  # where its eyes are; its neck stands on the table
+TABLE = -0.18
+MAT = np.array([0.06, TABLE, -0.98]), 0.3, 0.24, 12.0  # middle, sides, turned by degrees
+
+
+def painted(mesh: Any, colour: tuple[float, float, float]) -> Solid:
+    paint, uv = np.full((1, 1, 3), colour, np.float32), np.zeros((len(mesh.vertices), 2))
+    return replace(solid(mesh, 0.0), paint=paint, uv=uv)
+
+
+def on_a_table(radiance: torch.Tensor, samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """A photo of a plaster bust on a table beside a red mat, and the mat's corners."""
+    model = HeadModel.load()
+    shape = model.vertices(model.average, np.zeros(len(model.expression_names)))
+    bust = Solid(vertices=shape + np.array(BUST), triangles=model.faces, albedo=0.6)
+    top, mat = trimesh.creation.box([3, 0.04, 1.2]), trimesh.creation.box([MAT[1], 0.002, MAT[2]])
+    top.apply_translation([0, TABLE - 0.02, -1.1])
+    turn = trimesh.transformations.rotation_matrix(np.radians(MAT[3]), [0, 1, 0])
+    mat.apply_transform(turn)
+    mat.apply_translation(MAT[0])
+    scene = IndependentScene(
+        [bust, painted(top, (0.4, 0.27, 0.16)), painted(mat, (0.5, 0.08, 0.06))],
+        EnvironmentMap(radiance=radiance),
+    )
+    camera = Camera(focal_px=FOCAL, width=SIZE, height=SIZE, center_px=(SIZE / 2, SIZE / 2))
+    photo = coded(scene.radiance(camera, np.eye(3), np.zeros(3), samples=samples))
+    around = np.array([[-1, 0, 1], [1, 0, 1], [1, 0, -1], [-1, 0, -1]]) / 2
+    corners = around * [MAT[1], 0, MAT[2]] @ turn[:3, :3].T + MAT[0]
+    return photo, corners
+
+
+def test_a_teapot_stands_on_a_mat_whose_corners_are_clicked(
+    show: "Callable[..., Page]", pictures: Path
+) -> None:
+    sky = torch.tensor([0.3, 0.4, 0.55]).expand(64, 128, 3)
+    radiance = sky + 0.6 * sunlight(110, 50) * torch.tensor([1.0, 0.9, 0.75])
+    photo, corners = on_a_table(radiance, samples=144 if FOR_DOCUMENTATION else 16)
+    page = show(radiance / torch.tensor(GAINS), eyes=BUST, photo=photo, color_scheme="light")
+    choose(page, "It stands", "rectangle")
+    click_corners(page, corners)
+    told = page.get_by_text("Tilted by")
+    told.wait_for()
+    assert float((told.text_content() or "").split()[2].rstrip("°")) <= 2
+    side = page.get_by_label("From the first corner to the second, cm")
+    side.fill(str(100 * MAT[1]))
+    side.blur()
+    assert placement(page)["foot"] == pytest.approx(MAT[0], abs=0.02)
+    choose(page, "Object", "teapot")
+    choose(page, "Surface", "clay")
+    seen = finished(page, 1 if FOR_DOCUMENTATION else 1 / 8)[..., :3]
+    foot, size = np.array(placement(page)["foot"]), placement(page)["size"]
+    # the sun is on the right and behind the camera
+    shadow, lit = (
+        pixel(moved(foot, -1.3 * size, 0, -0.4 * size)),
+        pixel(moved(foot, 0, 0, 1.3 * size)),
+    )
+    if FOR_DOCUMENTATION:
+        section = page.get_by_role("region", name="In your photo")
+        picture(section, pictures / "studio_table.png")
+    assert linear(seen[shadow]).sum() < 0.7 * linear(photo[shadow]).sum()
+    assert linear(seen[lit]).sum() > 0.95 * linear(photo[lit]).sum()

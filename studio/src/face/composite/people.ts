@@ -9,6 +9,7 @@ import {
 } from "three";
 import { OBJLoader } from "three/addons/loaders/OBJLoader.js";
 import type { Vec3 } from "../../shared/frame";
+import { times } from "./plane";
 
 /** Somebody in the photo, in the camera's frame, metres. */
 export interface Person {
@@ -26,12 +27,15 @@ export interface Person {
 export const EYE_HEIGHT = 1.6;
 
 // In the head's own frame (metres, the face looks along +Z): spheres that stand for the head where
-// exactness does not count, in mirrors and for the light that skin reflects. From directions beside
-// the face they cover the head's mesh to a tenth of its solid angle.
+// exactness does not count, in mirrors and for the light that skin reflects: skull, jaw and neck. Seen
+// from beside the face they cover the directions that the average head covers, but for a tenth.
 export const HEAD_SPHERES: readonly (readonly [x: number, y: number, z: number, radius: number])[] = [
-  [0, 0.02, -0.035, 0.091],
-  [0, -0.06, 0.02, 0.062],
+  [0, 0.01, -0.03, 0.1],
+  [0, -0.058, 0.007, 0.067],
+  [0, -0.13, -0.063, 0.066],
 ];
+/** What the three cover together, as part of the sum: the light of each is as much less. */
+export const TOGETHER = 0.77;
 // Shoulders, and what is below them, turned with the face but upright: a capsule across and one down
 // to the ground, of the widths and heights of a middle-sized adult (Gordon et al. 2014: 0.45 m over
 // the upper arms, the shoulders' top 0.2 m below the eyes).
@@ -44,7 +48,7 @@ export class People {
   readonly heads = new Group();
   readonly shoulders = new Group();
   readonly trunks = new Group();
-  /** Centre and radius of the spheres that stand for them, the nearest people's first; albedos. */
+  /** Centre and radius of the spheres that stand for them, in the order of the people; their albedos. */
   readonly spheres: Vector4[] = [];
   readonly albedos: Vector3[] = [];
 
@@ -70,7 +74,7 @@ export class People {
         this.spheres.push(new Vector4(right, up, back, r));
         this.albedos.push(new Vector3(...shade));
       };
-      for (const [x, y, z, r] of HEAD_SPHERES) add(turned, x, y, z, r, albedo);
+      for (const [x, y, z, r] of HEAD_SPHERES) add(turned, x, y, z, r, times(albedo, TOGETHER));
       for (const x of [-0.13, 0.13]) add(place, x, -below, -behind, 0.1, [CLOTHES, CLOTHES, CLOTHES]);
     }
   }

@@ -25,7 +25,7 @@ export interface StandChoice {
   picker: CornerPicker;
   name: () => StandName;
   stand: () => Stand;
-  /** The middle of the clicked rectangle in the photo, and how large an object on it may be. */
+  /** The middle of the clicked rectangle in the photo, and how wide an object on it may be. */
   rectangle: () => { middle: Pixel; most: number } | null;
 }
 
@@ -153,7 +153,7 @@ export function standChoice(
       if (name !== "rectangle" || at.kind !== "plane") return null;
       const places = rectangle!.corners.map((corner) => planeAt(at.plane, camera, corner)!);
       const sides = [1, 2].map((i) => Math.hypot(...places[i]!.map((part, k) => part - places[i - 1]![k]!)));
-      return { middle: crossing(rectangle!.corners), most: 0.4 * Math.min(...sides) };
+      return { middle: crossing(rectangle!.corners), most: 0.7 * Math.min(...sides) };
     },
   };
 }

@@ -95,9 +95,9 @@ export const OBJECT_VERTEX = /* glsl */ `
 `;
 
 // Lambert's share of the lights, each with its shadows, and the mirrored environment: sharp at
-// roughness 0, silver at 0.5, a cosine lobe at 1, in between mixed. Light from below the plane
-// comes off the plane, which lies in the object's own shade. Mirrors show other balls, and people as
-// spheres with the photo on them: their hair and clothes on the side that the camera sees.
+// roughness 0, silver at 0.5, a cosine lobe at 1, in between mixed. What the map has below the plane
+// gives way to the plane that the photo shows, in the object's own shade. Mirrors show other balls,
+// and people as spheres with the photo on them: hair and clothes on the side that the camera sees.
 export const OBJECT_FRAGMENT = /* glsl */ `
   ${LIGHTING}
   ${SPHERES}
@@ -122,15 +122,23 @@ export const OBJECT_FRAGMENT = /* glsl */ `
   in vec3 colorAt;
   layout(location = 0) out vec4 radiance;
 
+  const vec3 MOST_GAIN = vec3(8.0); // of the plane over the map, which may be black there
+
   bool isOutside(vec4 sphere) {
     return sphere.w > 0.0 && distance(point, sphere.xyz) > 1.03 * sphere.w;
   }
 
-  // How much less the plane reflects where it is met, for the object that stands on it.
-  float planeShade(vec3 direction) {
-    float along = dot(plane.xyz, direction);
-    float high = dot(plane.xyz, point) - plane.w;
-    return along < 0.0 ? openSky(point - max(high, 0.0) / along * direction) : 1.0;
+  bool meetsPlane(vec3 direction) {
+    return dot(plane.xyz, direction) < 0.0;
+  }
+
+  // What the plane sends along a ray that meets it: what the photo shows there, or at its edge next
+  // to there, less what the object's own shade takes of an even sky's light.
+  vec3 planeSeen(vec3 direction) {
+    float high = max(0.0, dot(plane.xyz, point) - plane.w);
+    vec3 at = point - high / dot(plane.xyz, direction) * direction;
+    vec2 place = clamp(pinhole.zw + pinhole.xy * at.xy / max(-at.z, 0.05), 0.003, 0.997);
+    return openSky(at) * decoded(textureLod(photo, place, 0.0).rgb);
   }
 
   vec3 environment(vec3 direction) {
@@ -157,7 +165,10 @@ export const OBJECT_FRAGMENT = /* glsl */ `
         ? otherAlbedo[k] * textureLod(matteMap, onMap(normal), 0.0).rgb
         : decoded(textureLod(photo, pinhole.zw + pinhole.xy * at.xy / max(-at.z, 1e-3), 0.0).rgb);
     }
-    return nearest < 1e9 ? seen : planeShade(direction) * environment(direction);
+    if (nearest < 1e9) return seen;
+    if (!meetsPlane(direction)) return environment(direction);
+    vec3 sharp = planeSeen(direction);
+    return mix(sharp, environment(direction), smoothstep(0.5, 1.0, roughness));
   }
 
   void main() {
@@ -172,7 +183,10 @@ export const OBJECT_FRAGMENT = /* glsl */ `
       if (cosine <= 0.0) continue;
       float seen = visible(objectAtlas, objectBounds, i, start);
       if (amongPeople > 0.0) seen *= visible(personAtlas, personBounds, i, point);
-      irradiance += flux[i] * cosine * seen * planeShade(towards[i]);
+      vec3 light = flux[i];
+      if (meetsPlane(towards[i]))
+        light *= min(planeSeen(towards[i]) / max(textureLod(mirrorMap, onMap(towards[i]), 0.0).rgb, 1e-4), MOST_GAIN);
+      irradiance += light * cosine * seen;
     }
     if (amongPeople > 0.0)
       for (int k = 0; k < ${OTHERS}; k++)
