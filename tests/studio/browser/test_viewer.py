@@ -16,8 +16,8 @@ from skylight.io.files import write_environment_map
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.sphere.frame import pixel_from_direction
 from tests.estimated import estimated, rewrite
-from tests.studio.browser.pictures import codes, finished, pixels
-from tests.studio.browser.test_browser import FOR_DOCUMENTATION, picture
+from tests.studio.browser.composite_page import choose, placement
+from tests.studio.browser.pictures import FOR_DOCUMENTATION, codes, finished, picture, pixels
 from tests.studio.browser.test_browser_access import CONTRASTS, NAMELESS, OVERFLOW
 from tests.studio.browser.test_browser_light import directions_as_colours, exposure
 from tests.studio.browser.waiting import PATIENCE_MS, expect, gathered, painted
@@ -100,7 +100,7 @@ class Placed:
     """The object as the page says where it is, and where the page's camera sees it."""
 
     def __init__(self, page: "Page") -> None:
-        told = json.loads(page.locator(".composite").get_attribute("data-placement") or "")
+        told = placement(page)
         self.foot, self.size = np.array(told["foot"]), float(told["size"])
         self.focal = page.evaluate(
             "JSON.parse(document.getElementById('estimate').textContent).result.camera.focal_px"
@@ -134,8 +134,8 @@ def test_the_page_opens_from_its_file_and_the_object_moves(
     page.set_viewport_size({"width": 1280, "height": 1200})
     picture(page, pictures / "viewer.png")
 
-    page.get_by_label("Object", exact=True).select_option("box")
-    page.get_by_label("Surface", exact=True).select_option("matte")
+    choose(page, "Object", "box")
+    choose(page, "Surface", "matte")
     photo, before = photo_pixels(made), finished(page, 1 / 64)[..., :3]
     box = Placed(page)
     row, column = box.seen(0, 0.5, 0.5)
@@ -169,8 +169,8 @@ def test_the_head_hides_what_is_behind_it(
     estimate: Path, made: tuple[Path, Path], opened: Opener
 ) -> None:
     page = opened(estimate)
-    page.get_by_label("Object", exact=True).select_option("box")
-    page.get_by_label("Surface", exact=True).select_option("matte")
+    choose(page, "Object", "box")
+    choose(page, "Surface", "matte")
     placed, photo = Placed(page), photo_pixels(made)
     told = json.loads((estimate / "estimate.json").read_text())["faces"][0]
     inside = placed.seen(*((np.array(told["eyes"]) - placed.foot) / placed.size))
@@ -197,8 +197,8 @@ def test_the_object_has_the_photographs_white_balance(estimate: Path, opened: Op
     gains = [1.25, 1.0, 0.8]
     rewrite(estimate, faces=[{**told[0], "white_balance": gains}])
     page = opened(lit(estimate, torch.full((64, 128, 3), 0.5)))
-    page.get_by_label("Object", exact=True).select_option("ball")
-    page.get_by_label("Surface", exact=True).select_option("mirror")
+    choose(page, "Object", "ball")
+    choose(page, "Surface", "mirror")
     row, column = Placed(page).seen(0, 0.5, 0.5)
     seen = finished(page, 1 / 64)[row, column, :3]
     want = codes(0.5 * np.array(gains))
@@ -217,8 +217,8 @@ def test_each_axis_is_on_its_side(estimate: Path, opened: Opener) -> None:
         seen = panorama[round(float(row)), round(float(column)), :3]
         want = codes(scale * (np.asarray(towards / towards.norm()) + 1) / 2)
         assert np.abs(seen - want).max() < 8, direction
-    page.get_by_label("Object", exact=True).select_option("ball")
-    page.get_by_label("Surface", exact=True).select_option("mirror")
+    choose(page, "Object", "ball")
+    choose(page, "Surface", "mirror")
     in_photo, ball = finished(page, 1 / 64), Placed(page)
     left, right = ball.seen(-0.3, 0.5, 0.4), ball.seen(0.3, 0.5, 0.4)
     low, high = ball.seen(0, 0.2, 0.4), ball.seen(0, 0.8, 0.4)
