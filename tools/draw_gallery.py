@@ -1,0 +1,160 @@
+"""Draws the gallery: photographs, the light found, and the same portraits in other light.
+
+    python -m tools.draw_gallery --photos FOLDER --map MAP.exr
+
+``FOLDER`` holds the photographs of :data:`SHOWN` and :data:`FAILED`, and an index.json that tells
+each one's source and licence. Writes a strip for each into ``docs/images/gallery`` and the page
+``docs/gallery.md``. A strip that is there already is not drawn again; the page is written anew.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tyro
+from jaxtyping import UInt8
+from numpy import ndarray
+from PIL import Image
+from rich.progress import track
+
+from skylight.app.estimate.photos import estimate_photo
+from skylight.app.figures.angles import angles_deg
+from skylight.app.portrait.lights import light_of_map, light_with_sun_at, turned_light
+from skylight.app.portrait.relit import RelitPortrait, relit_portrait, shown
+from skylight.imaging.colour import tone_map
+from skylight.io.atomic import atomic_path
+from skylight.sphere.envmap import luminance
+from skylight.transport.scene.evaluation import evaluation_scene
+from tools.measured import kept
+
+SHOWN = (
+    "inter020.jpg",
+    "inter037.jpg",
+    "inter041.jpg",
+    "inter011.jpg",
+    "inter028.jpg",
+    "inter025.jpg",
+    "inter045.jpg",
+    "inter001.jpg",
+    "inter066.jpg",
+    "inter082.jpg",
+    "inter062.jpg",
+    "inter072.jpg",
+)
+FAILED = {
+    "inter021.jpg": "Hair dapples the face. The fitted head has no hair, so its shadows stay in "
+    "the skin wherever the new light comes from, and the light found explains them wrongly.",
+    "inter050.jpg": "Glasses and a beard cast shadows that the head does not have, and the dark "
+    "shape below the nose stays when its light has gone to the other side.",
+}
+HEIGHT = 300
+LEFT, RIGHT, ELEVATION = -65.0, 65.0, 30.0
+COLUMNS = (
+    "the photograph",
+    "the light found, and objects in it",
+    f"its sun, or main lamp, at {LEFT:g}°",
+    f"at {RIGHT:g}°",
+    "its light turned by 180°",
+    "under a captured map",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Draw the gallery and its page."""
+
+    photos: Path
+    """Folder of photographs with an index.json."""
+    map: Path
+    """Captured lat-long map of the last column."""
+    out: Path = Path("docs")
+    """Folder of the page; pictures go into images/gallery below it."""
+
+
+def main(options: Options) -> None:
+    sources = json.loads((options.photos / "index.json").read_text(encoding="utf-8"))
+    folder = options.out / "images" / "gallery"
+    folder.mkdir(parents=True, exist_ok=True)
+    told = {}
+    for name in track((*SHOWN, *FAILED), description="gallery"):
+        strip = folder / name
+        facts = strip.with_suffix(".json")
+        told[name] = kept(facts, lambda n=name, s=strip: draw(options.photos / n, options.map, s))
+    page = _page(told, sources, options.map.name)
+    with atomic_path(options.out / "gallery.md") as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def draw(photo: Path, map_path: Path, strip: Path) -> dict[str, object]:
+    """Write the strip; what the page says of it."""
+    result = estimate_photo(photo, light="auto")
+    estimate = result.estimate
+    pictures = [result.photos[0].encoded, _light(result)]
+    for light, keep in (
+        (light_with_sun_at(estimate, LEFT, ELEVATION), "place"),
+        (light_with_sun_at(estimate, RIGHT, ELEVATION), "place"),
+        (turned_light(estimate, 180.0), "place"),
+        (light_of_map(map_path), "brightness"),
+    ):
+        relit: RelitPortrait = relit_portrait(result, light, keep=keep)  # type: ignore[arg-type]
+        pictures.append(shown(relit))
+    row = np.hstack([_sized(picture) for picture in pictures])
+    with atomic_path(strip) as temporary:
+        Image.fromarray(row).save(temporary, format="JPEG", quality=85)
+    azimuth, zenith = angles_deg(estimate.sun_direction)
+    return {
+        "light": estimate.light,
+        "verdict": estimate.posterior.verdict,
+        "azimuth_deg": azimuth,
+        "elevation_deg": 90 - zenith,
+    }
+
+
+def _light(result) -> UInt8[ndarray, "h w 3"]:
+    """The panorama above a scene of objects, each exposed by itself."""
+    environment, scene = result.estimate.environment, evaluation_scene()
+    mean = float(luminance(scene.shade(environment)).mean())
+    above = tone_map(environment.radiance, white=3 * mean)
+    below = tone_map(scene.relight(environment), white=2 * mean)
+    width = below.shape[1]
+    above = cv2.resize(above, (width, width // 2), interpolation=cv2.INTER_AREA)
+    return np.vstack([above, below])
+
+
+def _sized(picture: UInt8[ndarray, "h w 3"]) -> UInt8[ndarray, "k l 3"]:
+    width = round(picture.shape[1] * HEIGHT / picture.shape[0])
+    return cv2.resize(picture, (width, HEIGHT), interpolation=cv2.INTER_AREA)
+
+
+def _page(told: dict[str, dict], sources: dict[str, dict], map_name: str) -> str:
+    lines = [
+        "# Gallery",
+        "",
+        "Photographs of people whom skylight has never seen, the light that it found in each with "
+        "`--light auto`, and the same portraits [in other light](portraits.md). They were chosen "
+        "for their kinds of light, the two failures at the end for their results; nothing was "
+        "retouched. From left to right: " + "; ".join(COLUMNS) + f" (`{map_name}`).",
+        "",
+        "`python -m tools.draw_gallery --photos FOLDER --map MAP` draws all of it.",
+    ]
+    for name in SHOWN:
+        lines += ["", *_entry(name, told[name], sources[name])]
+    lines += ["", "## Where it fails"]
+    for name, why in FAILED.items():
+        lines += ["", *_entry(name, told[name], sources[name]), "", why]
+    return "\n".join(lines) + "\n"
+
+
+def _entry(name: str, facts: dict, source: dict) -> list[str]:
+    side = "ahead" if abs(facts["azimuth_deg"]) < 22.5 else f"at {facts['azimuth_deg']:+.0f}°"
+    height = facts["elevation_deg"]
+    light = f"{facts['light']}: {facts['verdict']}; brightest {side}, {height:.0f}° high"
+    credit = f"[source]({source['original']}), CC0" if source["original"] else "public domain"
+    alt = "a portrait, the light found in it, and the portrait in four other lights"
+    return [f"![{alt}](images/gallery/{name})", "", f"{light}. Photograph: {credit}."]
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))
