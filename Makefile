@@ -7,7 +7,8 @@
 #   make bench    timings
 #   make docs     the documentation as a site, its walk-throughs run: see out/site/index.html
 #   make wheel    the package for pip in dist/, tried in an empty environment
-#   make studio   the studio's page built anew from studio/; needs Node.js 20 or newer
+#   make studio   the studio's page and the viewer built anew from studio/; needs Node.js 20 or newer
+#   make blender  the extension for Blender 4.2 and newer as a zip in dist/
 #   make fuzz     every reader and the studio, 5 minutes each; SECONDS_EACH=3600 for longer
 #   make clean    forget the environment and everything made; runs/ (training) stays
 # Another Python:  make PYTHON=python3.12 test
@@ -21,7 +22,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-all lint format bench docs wheel studio fuzz clean
+.PHONY: help demo test test-all lint format bench docs wheel studio blender fuzz clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -60,6 +61,9 @@ fuzz: $(VENV)/.dev
 
 studio:
 	cd studio && npm ci && npm run build
+
+blender:
+	$(PYTHON) tools/build_blender_extension.py
 
 clean:
 	rm -rf docs/_walkthroughs docs/_drawings docs/api/_modules studio/node_modules

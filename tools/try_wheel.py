@@ -53,6 +53,7 @@ def main() -> int:
         say(started, f"an estimate; the wheel's and the tree's differ by {difference:.1g}")
         run(bin_ / "skylight", "convert", "from_wheel/probe.exr", "blender.hdr",
             "--convention", "blender", cwd=home)  # fmt: skip
+        run(bin_ / "skylight", "export", "viewer", "from_wheel", "--out", "page.html", cwd=home)
         studio(bin_ / "skylight", home)
         say(started, "the studio answers")
         (ROOT / "dist").mkdir(exist_ok=True)

@@ -1,15 +1,26 @@
-"""Progress bars on standard error where it is a terminal."""
+"""Progress on standard error: a bar where it is a terminal, or lines for other programs."""
 
+import json
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from skylight.work.progress import CountProgress, StageProgress
+from skylight.work.progress import CountProgress, ProgressForm, StageProgress
+
+LEAST_STEP = 0.01  # of a stage's share: less is no news
 
 
 @contextmanager
-def stage_bar() -> Iterator[StageProgress]:
-    """A bar that shows a stage's name and its share done; nothing where nobody watches."""
+def stage_bar(form: ProgressForm = "bar") -> Iterator[StageProgress]:
+    """Shows a stage's name and its share done.
+
+    "bar": where standard error is a terminal, else nothing. "json": an object on a line of its own
+    for each new stage and each hundredth of it, ``{"stage": "tracing light", "share": 0.25}``.
+    """
+    if form == "json":
+        yield _json_lines()
+        return
     from rich.console import Console
     from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
@@ -28,6 +39,19 @@ def stage_bar() -> Iterator[StageProgress]:
             bar.update(task, description=stage, completed=share)
 
         yield tell
+
+
+def _json_lines() -> StageProgress:
+    told = "", 0.0
+
+    def tell(stage: str, share: float) -> None:
+        nonlocal told
+        if stage != told[0] or abs(share - told[1]) >= LEAST_STEP:
+            told = stage, share
+            line = json.dumps({"stage": stage, "share": round(share, 4)})
+            print(line, file=sys.stderr, flush=True)
+
+    return tell
 
 
 def with_time_left(thing: str, tell: StageProgress) -> CountProgress:

@@ -121,7 +121,7 @@ def evaluate(
         out: Folder for the results.
         quick: A small run that shows the form of the result in minutes.
         data: Folder of collected data, where the evaluation needs any; of all, one with folders
-            hdr, meshes, faces, lamps, scenes and indoor, as far as they are there.
+            hdr, meshes, faces, lamps, scenes, indoor and relit, as far as they are there.
         model: Of faces and skies: folder of a trained model of your own instead of the one that
             comes with skylight.
         device: Of faces: where their light is optimised.
@@ -153,7 +153,7 @@ app.command(train)
 app.command(studio)
 app.command(skies, name="skies", help="Simulate skies, or index a folder of captured ones.")
 export.command(name="light")(export_light)
-app.command(export, name="export", help="Write what relighting without torch needs.")
+app.command(export, name="export", help="Write what other programs and browsers need.")
 app.command(probe, name="probe", help="Make light probes, and use them.")
 app.command(faces, name="faces", help="Faces whose light is known: render or calibrate.")
 app.command(camera, name="camera", help="Measure a camera: a board to print, lens and response.")

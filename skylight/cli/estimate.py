@@ -12,6 +12,7 @@ from skylight.cli.taken import taken_by_hand
 from skylight.cli.workers import who_works
 from skylight.errors import InputError, SkylightError
 from skylight.work.device import Device
+from skylight.work.progress import ProgressForm
 
 # Parsing must not import torch, so the choices stand here again; a test compares the two.
 Light = Literal["auto", "autoencoder", "sunsky", "lamps", "sh9", "sh25"]
@@ -50,6 +51,7 @@ def estimate(
     video: bool = False,
     keyframes: int = 24,
     rate: float = 30.0,
+    progress: ProgressForm = "bar",
 ) -> None:
     """Recover the light in which a face was photographed, or several.
 
@@ -114,6 +116,8 @@ def estimate(
         video: PHOTO is a film (mp4, mov, ...) of up to ten minutes, or a folder of its frames.
         keyframes: Of a film: estimate the light at so many frames at most.
         rate: Of a folder of a film's frames: so many are shown in a second.
+        progress: A bar on a terminal; or, for programs that start this, lines of JSON on standard
+            error, {"stage": "tracing light", "share": 0.25}.
     """
     from skylight.models.known_ground import KnownGround
 
@@ -136,6 +140,7 @@ def estimate(
                 or batch is not None
                 or retry_failed,
             },
+            progress=progress,
             light=light,
             model=model,
             face=1 if face is None else face,
@@ -169,6 +174,7 @@ def estimate(
             cluster=cluster,
             batch=batch,
             retry_failed=retry_failed,
+            progress=progress,
             device=device,
             light=light,
             model=model,
@@ -213,7 +219,7 @@ def estimate(
     pictures = [read_photo(path, decode=decode) for path in paths]
     choose_device(device)
     landmarker = choose_landmarker(landmarks)
-    with stage_bar() as progress, results_folder(out, MESHES) as folder:
+    with stage_bar(progress) as tell, results_folder(out, MESHES) as folder:
         result = estimate_photo(
             *pictures,
             light=light,
@@ -227,9 +233,9 @@ def estimate(
             ignore_exif_sun=ignore_exif_sun,
             ground=ground,
             names=[str(path) for path in paths],
-            progress=progress,
+            progress=tell,
         )
-        progress("writing the results", 0.0)
+        tell("writing the results", 0.0)
         write_results(folder, result, keep_place=keep_place)
     for advice in result.estimate.advice:
         take_care(advice)
@@ -239,7 +245,14 @@ def estimate(
     print(f"written into {out}: {files}")
 
 
-def _estimate_film(film: Path, out: Path, contradictions: dict[str, bool], **settings: Any) -> None:
+def _estimate_film(
+    film: Path,
+    out: Path,
+    contradictions: dict[str, bool],
+    *,
+    progress: ProgressForm,
+    **settings: Any,
+) -> None:
     """``settings`` are those of :class:`skylight.app.estimate.film.FilmSettings`."""
     for option, is_given in contradictions.items():
         if is_given:
@@ -252,8 +265,8 @@ def _estimate_film(film: Path, out: Path, contradictions: dict[str, bool], **set
     choose_device(settings["device"])
     chosen = FilmSettings(**settings)
     try:
-        with stage_bar() as progress:
-            result = film_into(film, out, chosen, progress)
+        with stage_bar(progress) as tell:
+            result = film_into(film, out, chosen, tell)
     except KeyboardInterrupt:
         raise SkylightError(f"interrupted; the same command goes on with {out}") from None
     for advice in result.advice:
@@ -272,6 +285,7 @@ def _estimate_folder(
     cluster: str | None,
     batch: int | None,
     retry_failed: bool,
+    progress: ProgressForm,
     **settings: Any,
 ) -> None:
     """``settings`` are those of :class:`skylight.app.estimate.folder.settings.BatchSettings`."""
@@ -285,7 +299,7 @@ def _estimate_folder(
     who = who_works(workers, cluster, out)
     chosen = BatchSettings(**settings)
     try:
-        with stage_bar() as progress:
+        with stage_bar(progress) as tell:
             entries = estimate_folder(
                 photos,
                 out,
@@ -293,7 +307,7 @@ def _estimate_folder(
                 workers=who,
                 batch=batch,
                 retry_failed=retry_failed,
-                progress=progress,
+                progress=tell,
             )
     except KeyboardInterrupt:
         raise SkylightError(

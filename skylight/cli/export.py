@@ -1,8 +1,8 @@
-"""``skylight export``: the files of ``skylight relight``."""
+"""``skylight export``: what other programs and browsers read of light and scenes."""
 
 import math
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 from tyro.conf import Positional
@@ -57,3 +57,59 @@ def export_scene(
             progress=lambda share: progress("tracing light", share),
         )
     print(f"{out}: {len(scene.pixels)} pixels lit from {len(scene.directions)} directions")
+
+
+@export.command(name="blender")
+def export_blender(
+    estimate: Positional[Path], out: Positional[Path], photo: Path | None = None
+) -> None:
+    """Write a portrait's light, camera, head and photograph for Blender's extension.
+
+    The extension "World from Portrait" runs this itself; docs/blender.md tells how to get it.
+    Writes blender_scene.json, blender_light.hdr (the light without the sun or lamps, which
+    blender_scene.json has), photograph.png (upright, as sRGB shows its light) and head.obj.
+
+    Args:
+        estimate: Folder that skylight estimate wrote for a photograph, or its estimate.json. Of
+            several faces the first one's head and camera are taken.
+        out: Folder for the files.
+        photo: The photograph, if it is not any more where it was.
+    """
+    from skylight.app.maps.blender_scene import export_blender_scene
+
+    files = export_blender_scene(estimate, out, photo=photo)
+    print(f"written into {out}: {', '.join(files)}")
+
+
+@export.command(name="viewer")
+def export_viewer(
+    estimate: Positional[Path],
+    out: Path,
+    photo: Path | None = None,
+    object_: Annotated[Path | None, tyro.conf.arg(name="object")] = None,
+) -> None:
+    """Write an estimate as one web page, which opens without server or network and can be mailed.
+
+    It shows the photograph with an object in it to drag about, lit by the light that was found;
+    the light as a panorama and on balls; and how far to trust it. The page has 3 MB at most. It
+    holds the photograph, in 1280 pixels, its name and the fitted heads, but no EXIF data, paths,
+    time or place.
+
+    Args:
+        estimate: Folder that skylight estimate wrote for a photograph.
+        out: The .html file.
+        photo: The photograph, in any size; by default where it was when it was estimated. Of
+            several that share their light, one.
+        object_: A .glb or .obj of your own that stands in the photograph first.
+    """
+    from skylight.app.maps.viewer.page import export_viewer
+
+    written = export_viewer(estimate, out, photo=photo, model=object_)
+    parts = {
+        "photograph": written.photo,
+        "light": written.light,
+        "heads": written.heads,
+        "object": written.model,
+    }
+    told = ", ".join(f"{name} {size / 1e6:.2f}" for name, size in parts.items() if size)
+    print(f"{out}: {written.size / 1e6:.2f} MB ({told})")

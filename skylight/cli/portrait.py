@@ -24,6 +24,7 @@ def relight_portrait(
     strength: float | None = None,
     ev: float = 0.0,
     light: Light = "auto",
+    model: Path | None = None,
     face: int = 1,
     device: Device = "auto",
     out: Path | None = None,
@@ -49,6 +50,7 @@ def relight_portrait(
             light; by default what was found.
         ev: Exposure of the result in stops more.
         light: Light model of the estimate, as for `skylight estimate`.
+        model: Folder of a trained model of your own, as for `skylight estimate`.
         face: Whose: faces are counted from 1, the largest.
         device: Where light is traced and optimised.
         out: The picture: .png (8-bit sRGB) or .exr (linear, in the photograph's units); by default
@@ -77,7 +79,13 @@ def relight_portrait(
     picture = read_photo(photo, decode="linear" if linear else gamma)
     with stage_bar() as progress:
         result = estimate_photo(
-            picture, light=light, face=face, device=device, names=[str(photo)], progress=progress
+            picture,
+            light=light,
+            model=model,
+            face=face,
+            device=device,
+            names=[str(photo)],
+            progress=progress,
         )
         if given is not None:
             new = given

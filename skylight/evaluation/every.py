@@ -18,6 +18,7 @@ _FOLDERS = {
     "lamps": "lamps",
     "shared-light": "scenes",
     "any-light": "indoor",
+    "relit-portraits": "relit",
 }
 _WITHOUT = ("synthetic-faces", "face-sensitivity", "sky-models", "sky-representations")
 
@@ -40,9 +41,9 @@ def evaluate_all(
     """Run :func:`~skylight.evaluation.main.evaluate` for all, each into a folder of ``out``.
 
     ``data`` holds hdr (light probes and their index.csv), meshes, and the photographs and rendered
-    faces of some evaluations in faces, lamps, scenes and indoor. What cannot be evaluated (no such
-    data, no model of that kind) is left out, and the page says why. It is written again after
-    each; the same command goes on after an interruption. Returns the page, ``results.md``.
+    faces of some evaluations in faces, lamps, scenes, indoor and relit. What cannot be evaluated
+    (no such data, no model of that kind) is left out, and the page says why. It is written again
+    after each; the same command goes on after an interruption. Returns the page, ``results.md``.
 
     Raises
     ------

@@ -30,6 +30,7 @@ from skylight.evaluation.harness.data_folder import mesh_files, probes_folder
 from skylight.evaluation.harness.pictures import write_sheet
 from skylight.evaluation.harness.run import Evaluation, Illustrated, measure_all, picture_of
 from skylight.evaluation.harness.tables import markdown, summarise, summarise_groups
+from skylight.evaluation.portraits.relit_portraits import RelitPortraits
 from skylight.evaluation.probes.partition_probe import PartitionProbeTable
 from skylight.evaluation.probes.voxel_probe import VoxelProbe
 from skylight.evaluation.skies.known_skies import SkyEvaluation
@@ -140,6 +141,12 @@ def _partition_probe(quick: bool, data: Path | None) -> Evaluation:
     return PartitionProbeTable(data=data)
 
 
+def _relit_portraits(quick: bool, data: Path | None) -> Evaluation:
+    needed = "folders from and to of the same people, made by 'skylight faces render --light-seed'"
+    data = _data("relit-portraits", data, needed)
+    return RelitPortraits(data=data, count=4 if quick else None)
+
+
 EVALUATIONS: dict[str, Callable[[bool, Path | None], Evaluation]] = {
     "synthetic-faces": _synthetic_faces,
     "sky-models": _sky_models,
@@ -154,6 +161,7 @@ EVALUATIONS: dict[str, Callable[[bool, Path | None], Evaluation]] = {
     "shared-light": _shared_light,
     "any-light": _any_light,
     "face-sensitivity": _face_sensitivity,
+    "relit-portraits": _relit_portraits,
 }
 
 
@@ -203,7 +211,8 @@ def _with_options(name: str, evaluation: Evaluation, options: EstimateOptions) -
         | CapturedFaces
         | RealFaces
         | Lamps
-        | FaceSensitivity,
+        | FaceSensitivity
+        | RelitPortraits,
     ):
         choose_device(options.device)
         return replace(evaluation, options=options)

@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import OpenEXR
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from skylight.errors import InputError
 from skylight.io.bounded import (
@@ -86,7 +86,13 @@ def write_exr(
 
 
 def write_radiance(path: Path, rgb: Float[np.ndarray, "h w 3"]) -> None:
-    """Write a flat (uncompressed) Radiance RGBE file.
+    """Write a flat (uncompressed) Radiance RGBE file of :func:`rgbe_codes`."""
+    head = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {rgb.shape[0]} +X {rgb.shape[1]}\n"
+    path.write_bytes(head.encode("ascii") + rgbe_codes(rgb).tobytes())
+
+
+def rgbe_codes(rgb: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 4"]:
+    """Radiance's codes (m_R, m_G, m_B, e), which stand for ``m 2^(e - 136)``.
 
     Own code, because OpenCV truncates the 8-bit mantissas, which darkens a map by 0.3 % on
     average; these are rounded: channel error <= max(R, G, B) / 256, unbiased. Values above
@@ -99,8 +105,7 @@ def write_radiance(path: Path, rgb: Float[np.ndarray, "h w 3"]) -> None:
     visible = exponent > -128
     mantissa = np.rint(np.ldexp(rgb.astype(np.float64), 8 - exponent[..., None]))
     rgbe = np.concatenate([mantissa, exponent[..., None] + 128], -1) * visible[..., None]
-    head = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {rgb.shape[0]} +X {rgb.shape[1]}\n"
-    path.write_bytes(head.encode("ascii") + rgbe.astype(np.uint8).tobytes())
+    return rgbe.astype(np.uint8)
 
 
 def _read_exr(path: Path) -> Float[np.ndarray, "h w 3"]:

@@ -10,6 +10,7 @@ from skylight.errors import InputError
 from skylight.io.bounded import json_content
 
 LATENT = 64  # of the decoder that ships
+_OTHER_DECODER = "0.1."  # versions of skylight whose estimates are latents of another decoder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +42,12 @@ def read_latent(path: str | Path, count: int = LATENT) -> Latent:
             f"{path}: the estimate of another light model ({content['light']}); estimate with the "
             "autoencoder, or relight with the estimate's light probe"
         )
+    version = _version_of(content)
+    if version.startswith(_OTHER_DECODER):
+        raise InputError(
+            f"{path}: estimated by skylight {version}, whose sky decoder was another; relight with "
+            "the probe.exr beside it, or estimate again"
+        )
     if "latent" in content:
         values = _numbers(path, "latent", content["latent"], count)
     else:
@@ -61,6 +68,13 @@ def read_latent(path: str | Path, count: int = LATENT) -> Latent:
         exposure=exposure,
         ground_albedo=ground,
     )
+
+
+def _version_of(content: dict[str, object]) -> str:
+    """Of skylight, in an estimate.json; "" elsewhere."""
+    versions = content.get("versions")
+    version = versions.get("skylight") if isinstance(versions, dict) else None
+    return version if isinstance(version, str) else ""
 
 
 def _is_number(value: object) -> bool:

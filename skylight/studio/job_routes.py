@@ -17,8 +17,14 @@ from skylight.models.names import is_trained
 from skylight.studio.jobs import Job, Jobs, events
 from skylight.studio.kept import KeptFile
 from skylight.studio.refusals import Refused
-from skylight.studio.requests import CodeRequest, EstimateRequest, JobRequest, LampsEdit
-from skylight.studio.state import Studio
+from skylight.studio.requests import (
+    CodeRequest,
+    EstimateRequest,
+    JobRequest,
+    LampsEdit,
+    PortraitRequest,
+)
+from skylight.studio.state import Studio, Upload
 
 jobs = APIRouter(prefix="/api/jobs")
 _PACKED = "files.zip"
@@ -36,6 +42,11 @@ async def begin(request: Request, wanted: JobRequest) -> JSONResponse:
         if studio.model is not None and is_trained(wanted.light):
             arguments |= {"model": str(studio.model)}
         uses = (photo.id,)
+    elif isinstance(wanted, PortraitRequest):
+        photo, estimate = _estimated(studio, wanted.job)
+        arguments |= {"path": str(photo.path), "name": photo.name, "pixels": studio.limits.pixels}
+        arguments |= {"estimate": str(estimate.folder)}
+        uses = (photo.id, estimate.id)
     else:
         light, uses = _light(studio, wanted.map, wanted.job)
         if light is None and isinstance(wanted, CodeRequest):
@@ -43,6 +54,15 @@ async def begin(request: Request, wanted: JobRequest) -> JSONResponse:
         arguments |= {"light": light}
     job = studio.jobs.add(wanted.kind, arguments, uses)
     return JSONResponse({"job": job.id}, 202)
+
+
+def _estimated(studio: Studio, token: str) -> tuple[Upload, Job]:
+    """The photograph of an estimate that is done, and that estimate."""
+    job = studio.jobs.kept.get(token)
+    if job.kind != "estimate" or job.state != "done":
+        raise Refused(409, "that job has found no person's light; name an estimate that is done")
+    (photo,) = job.uses
+    return studio.photos.get(photo), job
 
 
 def _light(

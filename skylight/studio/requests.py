@@ -37,6 +37,13 @@ class EstimateRequest(_Request):
     light: Literal["auto", "autoencoder", "sunsky", "lamps", "sh9", "sh25"] = "autoencoder"
 
 
+class PortraitRequest(_Request):
+    """The person of an estimate that is done, taken apart for a page that moves the sun."""
+
+    kind: Literal["portrait"]
+    job: Token
+
+
 class _LitRequest(_Request):
     """With a light: an uploaded map, or the result of an estimate."""
 
@@ -81,7 +88,8 @@ class LampsEdit(BaseModel):
 
 
 JobRequest = Annotated[
-    EstimateRequest | CodeRequest | VoxelRequest | PartitionsRequest, Field(discriminator="kind")
+    EstimateRequest | PortraitRequest | CodeRequest | VoxelRequest | PartitionsRequest,
+    Field(discriminator="kind"),
 ]
 
 
@@ -90,7 +98,13 @@ def what_is_wrong(error: RequestValidationError) -> str:
     first = error.errors()[0]
     if first["type"] == "json_invalid":
         return "the request is no JSON"
-    kinds = {"estimate", "code", "voxel", "partitions"}  # pydantic names the branch that it took
+    kinds = {
+        "estimate",
+        "portrait",
+        "code",
+        "voxel",
+        "partitions",
+    }  # pydantic names the branch that it took
     _, *inside = first["loc"]  # of the body, the query or the path
     place = ".".join(str(part) for part in inside if part not in kinds)
     return f"{place or 'the request'}: {first['msg']}"

@@ -60,7 +60,7 @@ export interface LampFacts {
   ambient_irradiance: [number, number, number];
   diameters_deg: number[];
 }
-/** estimate.json, as far as the page reads it, and where the camera and the faces are. */
+/** estimate.json, as far as the page reads it, and the preview's camera. */
 export interface EstimateResult {
   light: string;
   /** What the light is, where open sky and lamps competed. */
@@ -81,10 +81,19 @@ export interface EstimateResult {
     region_parts: ({ share: number } & Angles)[];
   };
   advice: string[];
-  faces: { number: number; residual: number; albedo: [number, number, number] }[];
+  faces: {
+    number: number;
+    residual: number;
+    albedo: [number, number, number];
+    /** The head's own origin, mid-head at the height of the eyes: camera's frame, metres. */
+    eyes: [number, number, number];
+    /** Where the face looks, a unit vector. */
+    forward: [number, number, number];
+  }[];
+  /** The photo is these gains times what the map shades. */
+  white_balance: [number, number, number];
   seconds: Record<string, number>;
   camera: { focal_px: number; width: number; height: number; principal: [number, number] };
-  faces_at: { position: [number, number, number] }[];
 }
 
 export class ApiError extends Error {
@@ -123,6 +132,10 @@ export async function getJson<T>(path: string): Promise<T> {
 
 export async function getBytes(path: string): Promise<ArrayBuffer> {
   return (await ask(path)).arrayBuffer();
+}
+
+export async function getText(path: string): Promise<string> {
+  return (await ask(path)).text();
 }
 
 let asked: Promise<About> | undefined;

@@ -29,7 +29,7 @@ from skylight.faces.names import LandmarkerName
 from skylight.io.files import read_environment_map
 from skylight.models.names import DEFAULT_LIGHT, DEFAULT_SOLVER, LightName, SolverName
 from skylight.sphere.frame import angles_from_direction
-from skylight.work.progress import StageProgress
+from skylight.work.progress import ProgressForm, StageProgress
 
 RESULTS = {"probe.exr", "probe.hdr", "posterior.exr", "mesh.obj", "estimate.json", "report.png"}
 
@@ -219,7 +219,7 @@ class TestFailures:
         stages: list[str] = []
 
         @contextmanager
-        def interrupted_while_writing() -> Iterator[StageProgress]:
+        def interrupted_while_writing(_form: ProgressForm) -> Iterator[StageProgress]:
             def tell(stage: str, share: float) -> None:
                 stages.append(stage)
                 if stage == "writing the results":

@@ -1,6 +1,7 @@
 """Jobs from their request to their files: progress, limits, cancelling, and what they leave."""
 
 import json
+import math
 import os
 import signal
 import time
@@ -68,11 +69,15 @@ def test_an_estimate_s_result(client: httpx.Client, done: list[dict[str, Any]]) 
     assert result["light"] == "sh9"
     camera = result["camera"]
     assert (camera["width"], camera["height"], camera["principal"]) == (512, 512, [256, 256])
-    # the head's middle is seen where the face is
-    x, y, z = result["faces_at"][0]["position"]
+    # the head's middle is seen where the face is, which looks at the camera
+    x, y, z = result["faces"][0]["eyes"]
     column = camera["principal"][0] - camera["focal_px"] * x / z
     row = camera["principal"][1] + camera["focal_px"] * y / z
-    assert (180, 60) < (column, row) < (280, 220)
+    assert 180 < column < 280
+    assert 60 < row < 180
+    forward = result["faces"][0]["forward"]
+    assert math.hypot(*forward) == pytest.approx(1)
+    assert forward[2] > 0.8
 
 
 def test_an_estimate_s_files(client: httpx.Client, done: list[dict[str, Any]]) -> None:

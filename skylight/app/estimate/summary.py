@@ -71,6 +71,10 @@ def _describe_face(seen: SeenFace, light: FaceLight, source: str) -> dict[str, o
         "outer_eye_distance_px": eye_distance_px,
         "facing_angle_deg": math.degrees(fit.facing_angle_rad),
         "focal_length_px": fit.camera.focal_px,
+        "picture_px": [fit.camera.width, fit.camera.height],
+        # metres, in the camera's frame: the head's own origin, mid-head at the height of the eyes
+        "eyes": fit.translation.tolist(),
+        "forward": fit.rotation[:, 2].tolist(),  # where the face looks, a unit vector
         "fit_converged": fit.converged,
         "pixels_used": len(seen.view.blocks),
     }

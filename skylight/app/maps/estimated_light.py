@@ -21,24 +21,34 @@ SPREADS_DEG = 0.01, 42.0
 def read_light(path: Path, convention: Convention) -> tuple[EnvironmentMap, tuple[Lamp, ...]]:
     """A map's light without lamps; that of an estimate's folder or estimate.json with its lamps.
 
+    A sky alone gets a black lower half.
+
     Raises
     ------
     InputError
         A file is missing or damaged, or a map of an estimate is said to have another convention.
     """
     if not path.is_dir() and path.suffix.lower() != ".json":
-        return read_environment_map(path, convention=convention), ()
+        return whole_sphere(read_environment_map(path, convention=convention)), ()
     if convention != "skylight":
         raise InputError(
             f"{path}: an estimate's map is in skylight's convention, not {convention}'s: leave "
             "--from-convention out"
         )
-    numbers = path / NUMBERS if path.is_dir() else path
-    lamps = _lamps(numbers)
-    return read_environment_map(numbers.parent / MAP), lamps
+    numbers, content = read_numbers(path)
+    lamps = _lamps(numbers, content)
+    return whole_sphere(read_environment_map(numbers.parent / MAP)), lamps
 
 
-def _lamps(path: Path) -> tuple[Lamp, ...]:
+def read_numbers(path: Path) -> tuple[Path, dict[str, Any]]:
+    """The estimate.json of a folder, or that file itself, and what it holds.
+
+    Raises
+    ------
+    InputError
+        The file is missing or damaged, or is that of something else.
+    """
+    path = path / NUMBERS if path.is_dir() else path
     try:
         content = json_content(path)
     except FileNotFoundError as error:
@@ -52,6 +62,29 @@ def _lamps(path: Path) -> tuple[Lamp, ...]:
         raise InputError(f"{path}: not JSON ({error})") from error
     if not isinstance(content, dict) or "light" not in content:
         raise InputError(f'{path}: these are not the numbers of an estimate: "light" is missing')
+    return path, content
+
+
+def head_file(numbers: Path, place: int, *, of: int) -> Path:
+    """The mesh of one of so many faces of an estimate.json, at a place from 0 in its list.
+
+    Raises
+    ------
+    InputError
+        It is not there.
+    """
+    path = numbers.parent / ("mesh.obj" if of == 1 else f"mesh_{place + 1}.obj")
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file; estimate the photograph again")
+    return path
+
+
+def whole_sphere(light: EnvironmentMap) -> EnvironmentMap:
+    """The light, a sky alone with a black lower half."""
+    return light.with_ground(torch.zeros(3)) if light.is_sky else light
+
+
+def _lamps(path: Path, content: dict[str, Any]) -> tuple[Lamp, ...]:
     listed = content.get("lamps", [])
     if not isinstance(listed, list):
         raise InputError(f'{path}: "lamps" must be a list, got a {type(listed).__name__}')

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import torch
-
 from skylight.app.maps.estimated_light import read_light
 from skylight.errors import InputError
 from skylight.relight.lamp_lights import without_lamps
@@ -71,8 +69,6 @@ def export_light(
             f"wide, not {face}"
         )
     light, lamps = read_light(probe, convention)
-    if light.is_sky:
-        light = light.with_ground(torch.zeros(3))
     separate = lamps if set(targets) - WHOLE else ()
     rest = without_lamps(light, separate)
     size = face or default_face(light)

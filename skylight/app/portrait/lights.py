@@ -6,9 +6,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.inverse.lamps.relighting import LampLight
+from skylight.inverse.portrait.photograph import gains_of, light_in_photo
 from skylight.inverse.result import Estimate
 from skylight.io.files import read_environment_map
 from skylight.relight.main_light import split_main_light
@@ -26,17 +29,6 @@ class NewLight:
 
     environment: EnvironmentMap
     notes: tuple[str, ...] = ()
-
-
-def light_in_photo(estimate: Estimate, light: EnvironmentMap | None = None) -> EnvironmentMap:
-    """The light found (or one like it) in the colours and units of the (first) face's photograph.
-
-    An estimate's map has the light's own colours, of which the photograph shows gains.
-    """
-    face = estimate.faces[0]
-    gains = face.white_balance * (face.exposure / estimate.exposure)
-    light = light or estimate.environment
-    return EnvironmentMap(radiance=light.radiance * gains)
 
 
 def light_of_map(path: Path) -> NewLight:
@@ -66,6 +58,55 @@ def turned_light(estimate: Estimate, turn_deg: float) -> NewLight:
     return NewLight(environment=light_in_photo(estimate).rotate_azimuth(math.radians(turn_deg)))
 
 
+@dataclass(frozen=True, kw_only=True)
+class MovableSun:
+    """The light found, in the photograph's colours and units, as its sun (or its main lamp) and all
+    that is ``rest``.
+
+    ``irradiance`` (3,) is what a surface that faces the sun receives, and ``level`` the luminance
+    of what a horizontal one receives of the rest. Where no sun ``was_found`` it is one of the
+    rest's mean colour and :data:`ADDED_SUN` times that level, in the brightest direction.
+    """
+
+    direction: Float[Tensor, "3"]
+    irradiance: Float[Tensor, "3"]
+    rest: EnvironmentMap
+    level: float
+    was_found: bool
+
+    @staticmethod
+    def of(estimate: Estimate) -> "MovableSun":
+        if estimate.lamps:
+            light = LampLight.of(estimate)
+            main, others = light.lamps[0], light.lamps[1:]
+            direction, irradiance = main.direction.double(), main.irradiance.double()
+            rest = replace(light, lamps=others).environment(estimate.environment.layout[0])
+        else:
+            sun, rest = split_main_light(estimate.environment)
+            direction, irradiance = sun.direction, sun.irradiance
+        irradiance = gains_of(estimate).double() * irradiance
+        rest = light_in_photo(estimate, rest)
+        level = float(luminance(rest.irradiance(torch.tensor([0.0, 1.0, 0.0])).double()))
+        was_found = float(irradiance.sum()) > 0
+        if not was_found:
+            colour = rest.integrate().double()
+            irradiance = colour * (ADDED_SUN * level / luminance(colour))
+        return MovableSun(
+            direction=direction,
+            irradiance=irradiance,
+            rest=rest,
+            level=level,
+            was_found=was_found,
+        )
+
+    def at(self, direction: Float[Tensor, "3"], strength: float | None = None) -> EnvironmentMap:
+        """The map with the sun there, of its own or another strength."""
+        share = 1.0
+        if strength is not None:
+            share = strength * self.level / float(luminance(self.irradiance))
+        return self.rest.with_light(direction, share * self.irradiance)
+
+
 def light_with_sun_at(
     estimate: Estimate, azimuth_deg: float, elevation_deg: float, strength: float | None = None
 ) -> NewLight:
@@ -92,23 +133,9 @@ def light_with_sun_at(
     direction = direction_from_angles(
         *(torch.tensor(math.radians(angle), dtype=torch.float64) for angle in angles)
     )
+    sun = MovableSun.of(estimate)
     notes: tuple[str, ...] = ()
-    if estimate.lamps:
-        light = LampLight.of(estimate)
-        main, others = light.lamps[0], light.lamps[1:]
-        rows = estimate.environment.layout[0]
-        irradiance = main.irradiance.double()
-        rest = replace(light, lamps=others).environment(rows)
-    else:
-        main, rest = split_main_light(estimate.environment)
-        irradiance = main.irradiance
-    level = luminance(rest.irradiance(torch.tensor([0.0, 1.0, 0.0])).double())
-    if float(irradiance.sum()) == 0:
-        irradiance = rest.integrate().double()  # of which only the colour counts
-        if strength is None:
-            strength = ADDED_SUN
-            notes = (f"no sun was found: one is added, of {strength:g} times the sky's irradiance",)
-    if strength is not None:
-        irradiance = irradiance * (strength * level / luminance(irradiance))
-    moved = rest.with_light(direction, irradiance)
-    return NewLight(environment=light_in_photo(estimate, moved), notes=notes)
+    if not sun.was_found and strength is None:
+        line = f"no sun was found: one is added, of {ADDED_SUN:g} times the sky's irradiance"
+        notes = (line,)
+    return NewLight(environment=sun.at(direction, strength), notes=notes)

@@ -3,20 +3,17 @@
 import os
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from skylight.app.estimate.types import PhotoEstimate
-from skylight.app.portrait.lights import NewLight, light_in_photo
-from skylight.faces.model import HeadModel
-from skylight.faces.observe import hair_of
-from skylight.faces.segmentation.person import person_matte
+from skylight.app.portrait.lights import NewLight
 from skylight.imaging.colour import linear_to_srgb
+from skylight.inverse.portrait.photograph import FaceReflection, light_in_photo, portrait_of
 from skylight.inverse.portrait.relit import Keep, Portrait
-from skylight.inverse.portrait.surface import BUST, PersonSurface
+from skylight.inverse.result import Estimate
 from skylight.work.progress import Progress
 
 KNEE = 0.8  # of white: brighter than this (or than it was) a picture approaches white softly
@@ -53,41 +50,33 @@ def relit_portrait(
     """
     portrait = taken_apart(result, workers=workers or os.cpu_count() or 1, progress=progress)
     picture, used = portrait.under(light.environment, exposure, keep=keep)
-    verdict = result.estimate.posterior.verdict
-    doubtful = verdict.startswith(("unreliable", "doubtful"))
     return RelitPortrait(
         picture=picture,
         photo=portrait.photo,
         exposure=used,
-        warning=f"the light that was found is {verdict}" if doubtful else "",
+        warning=warning_of(result.estimate),
         notes=light.notes,
     )
+
+
+def warning_of(estimate: Estimate) -> str:
+    """Why not to trust a portrait that was lit by it; empty where nothing is against it."""
+    verdict = estimate.posterior.verdict
+    doubtful = verdict.startswith(("unreliable", "doubtful"))
+    return f"the light that was found is {verdict}" if doubtful else ""
 
 
 def taken_apart(
     result: PhotoEstimate, *, workers: int = 1, progress: Progress | None = None
 ) -> Portrait:
     """The (first) face's photograph as a :class:`~skylight.inverse.portrait.relit.Portrait`."""
-    photo, face = result.photos[result.seen[0].photo], result.estimate.faces[0]
-    person = PersonSurface.of(result.fit, face.turns, workers=workers, progress=progress)
-    hair = hair_of(photo.pixels, HeadModel.load(), result.fit)
-    regions = person.region_image()
-    small = cv2.resize(hair, regions.shape[::-1], interpolation=cv2.INTER_AREA)
-    matte = person_matte(
-        photo.encoded,
-        (regions >= 0) & (regions != BUST),
-        regions == BUST,
-        small,
-        person.face_px,
-    )
-    return Portrait.of(
-        photo.pixels,
-        person,
+    return portrait_of(
+        result.photos[result.seen[0].photo],
+        result.fit,
+        FaceReflection.of(result.estimate),
         light_in_photo(result.estimate),
-        face.gloss,
-        hair,
-        matte,
-        grey=photo.grey,
+        workers=workers,
+        progress=progress,
     )
 
 

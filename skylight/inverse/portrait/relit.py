@@ -40,6 +40,7 @@ SOFT = 0.06  # and of the shading of hair and clothes
 DARK = 0.1  # of the mean shading: l is its square
 BASE = 0.05  # of the mean shading: what ratios of smoothed shadings have in addition
 BRIGHTEST = 1.6  # times the local albedo: what is brighter is a highlight that stays behind
+HAIR_COUNTS = 1e-3  # where skin's shading is filled in from, what covered pixels without skin count
 SKIN = (Region.FACE, Region.LIPS, Region.EAR, Region.NECK, Region.BROW)
 # Of the old picture: nothing more than is no light, the skin's brightness, or all of the place but
 # where its light comes from.
@@ -54,8 +55,9 @@ class Portrait:
 
     ``albedo``, ``residual`` (h,w,3) and ``skin`` (h,w), how much of a pixel shows skin, are at the
     photograph's pixels, as is ``matte``, how much of one is the person's. At the pixels of
-    ``person``, ``soft`` (p,q,3) is the smoothed S_A, ``bare`` where skin is and ``covered`` where
-    there is any surface. ``mean`` (3,) is the mean S_A of skin.
+    ``person``, ``shading`` and ``glossy`` (p,q,3) are S_A and g_A, ``local`` is rho_0, ``soft`` the
+    smoothed S_A, ``bare`` where skin is, ``inside`` that without its border, which fades, and
+    ``covered`` where there is any surface. ``mean`` (3,) is the mean S_A of skin.
     """
 
     photo: Float[ndarray, "h w 3"]
@@ -67,8 +69,12 @@ class Portrait:
     residual: Float[ndarray, "h w 3"]
     skin: Float[ndarray, "h w"]
     matte: Float[ndarray, "h w"]
+    shading: Float[ndarray, "p q 3"]
+    glossy: Float[ndarray, "p q 3"]
+    local: Float[ndarray, "p q 3"]
     soft: Float[ndarray, "p q 3"]
     bare: Float[ndarray, "p q"]
+    inside: Float[ndarray, "p q"]
     covered: Float[ndarray, "p q"]
     mean: Float[ndarray, "3"]
 
@@ -122,8 +128,12 @@ class Portrait:
             residual=picture - albedo * dark - shine,
             skin=_resized(inside[..., None], size)[..., 0],
             matte=_float32(matte),
+            shading=shading,
+            glossy=glossy,
+            local=local,
             soft=blurred(shading, covered, SOFT * face_px),
             bare=bare,
+            inside=inside,
             covered=covered,
             mean=mean,
         )
@@ -139,7 +149,7 @@ class Portrait:
         light that does not reach the skin, which is shown as it is.
         """
         size, known = self.photo.shape[:2], _from_skin(self.bare, self.covered)
-        shading, glossy = _images(self.person, light, self.gloss, grey=self.grey)
+        shading, glossy = self.shaded_by(light)
         received = shading[self.bare > 0].mean(0)
         gains = np.ones(3, np.float32)
         if keep == "brightness" and received.any():
@@ -162,6 +172,12 @@ class Portrait:
             behind = behind * self._behind(light)
         return np.maximum(within * person + (1 - within) * behind, 0), exposure
 
+    def shaded_by(
+        self, light: EnvironmentMap
+    ) -> tuple[Float[ndarray, "p q 3"], Float[ndarray, "p q 3"]]:
+        """(S, g) of the module's text under a light, 0 where there is no surface."""
+        return _images(self.person, light, self.gloss, grey=self.grey)
+
     def _behind(self, light: EnvironmentMap) -> Float[ndarray, "3"]:
         """How much brighter what lies behind becomes."""
         before, after = (upright_irradiance(each) for each in (self.found, light))
@@ -176,12 +192,14 @@ def shared_light(one: EnvironmentMap, other: EnvironmentMap) -> float:
     p and q are their luminances on 16 rows, each of sum 1; 0 where half of the light is elsewhere.
     """
 
-    def spread(light: EnvironmentMap) -> Float[Tensor, " n"]:
-        coarse = light.resize(min(SHARED_ROWS, light.layout[0]))
-        power = luminance(coarse.flat).double() * coarse.grid.solid_angles
-        return power / power.sum()
+    parts = [power / power.sum() for power in (coarse_power(light) for light in (one, other))]
+    return max(0.0, 1.0 - float((parts[0] - parts[1]).abs().sum()))
 
-    return max(0.0, 1.0 - float((spread(one) - spread(other)).abs().sum()))
+
+def coarse_power(light: EnvironmentMap) -> Float[Tensor, " n"]:
+    """``L dw`` in luminance on :data:`SHARED_ROWS` rows, or as many as the light has."""
+    coarse = light.resize(min(SHARED_ROWS, light.layout[0]))
+    return luminance(coarse.flat).double() * coarse.grid.solid_angles
 
 
 def upright_irradiance(light: EnvironmentMap) -> Float[Tensor, "3"]:
@@ -213,7 +231,7 @@ def _from_skin(
     bare: Float[ndarray, "p q"], covered: Float[ndarray, "p q"]
 ) -> Float[ndarray, "p q"]:
     """Weights to fill from: skin's shading goes on beyond its border before that of hair does."""
-    return np.maximum(bare, 1e-3 * covered)
+    return np.maximum(bare, HAIR_COUNTS * covered)
 
 
 def _enlarged(

@@ -3,6 +3,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from jaxtyping import Float
+from torch import Tensor
+
 from skylight.inverse.result import Lamp
 from skylight.io.atomic import atomic_path
 from skylight.io.files import write_environment_map
@@ -73,8 +76,14 @@ def write_blender(
     return [SCRIPT, TEXTURE]
 
 
+def in_blenders_axes(direction: Float[Tensor, "3"]) -> tuple[float, float, float]:
+    """(x, -z, y): Blender has +Z up, and the camera of the picture looked along its +Y."""
+    x, y, z = direction.tolist()
+    return x, -z, y
+
+
 def _sun(number: int, lamp: Lamp) -> str:
-    x, y, z = lamp.direction.tolist()
+    towards = in_blenders_axes(lamp.direction)
     colour, strength = colour_and_strength(lamp.irradiance)
-    sun = f"lamp {number}", (x, -z, y), tuple(colour), strength, disc_diameter_rad(lamp.spread_rad)
+    sun = f"lamp {number}", towards, tuple(colour), strength, disc_diameter_rad(lamp.spread_rad)
     return f"    {sun},\n"

@@ -30,6 +30,7 @@ _TASKS = {
     "photo": ("skylight.studio.tasks.uploads", "see_photo"),
     "map": ("skylight.studio.tasks.uploads", "see_map"),
     "estimate": ("skylight.studio.tasks.estimate", "estimate_light"),
+    "portrait": ("skylight.studio.tasks.portrait", "take_apart"),
     "lamps": ("skylight.studio.tasks.lamps", "light_edited"),
     "code": ("skylight.studio.tasks.code", "code_light"),
     "voxel": ("skylight.studio.tasks.voxel", "make_voxel_probe"),

@@ -15,20 +15,23 @@ const whole = (degrees: number): string => `${Math.round(degrees)}°`;
 const placeInWords = ({ azimuth_deg, zenith_deg }: Angles): string =>
   `azimuth ${whole(Math.abs(azimuth_deg))} ${azimuth_deg < 0 ? "left" : "right"}, zenith ${whole(zenith_deg)}`;
 const turned = (degrees: number): number => ((((degrees + 180) % 360) + 360) % 360) - 180;
-const upright = (degrees: number): number => Math.min(180, Math.max(0, degrees));
 
 /**
- * A handle for each lamp over a panorama: dragged, or moved by a degree with the arrow keys.
- * `moved` hears of each change of `lamps`, `said` where a lamp is that was moved by a key.
+ * A handle for each lamp over a panorama: dragged, or moved by a degree with the arrow keys, by ten
+ * with Shift. `moved` hears of each change of `lamps`, `said` where a lamp is that was moved by a
+ * key. `named` is what a lamp is called and what its handle shows; none goes below `lowest`.
  */
 export function lampHandles(
   panorama: HTMLElement,
   lamps: MovedLamp[],
   moved: () => void,
   said: (line: string) => void,
+  named: (i: number) => [name: string, mark: string] = (i) => [`Lamp ${i + 1}`, String(i + 1)],
+  lowest = 180,
 ): LampHandles {
+  const upright = (degrees: number): number => Math.min(lowest, Math.max(0, degrees));
   const handles = lamps.map((lamp, i) => {
-    const handle = el("button", { type: "button", class: "lamp-handle" }, String(i + 1));
+    const handle = el("button", { type: "button", class: "lamp-handle" }, named(i)[1]);
     const move = (azimuth_deg: number, zenith_deg: number): void => {
       Object.assign(lamp, { azimuth_deg: turned(azimuth_deg), zenith_deg: upright(zenith_deg) });
       place();
@@ -62,7 +65,8 @@ export function lampHandles(
       const step = keys[event.key];
       if (!step || event.ctrlKey || event.metaKey || event.altKey) return;
       event.preventDefault();
-      move(lamp.azimuth_deg + step[0], lamp.zenith_deg + step[1]);
+      const by = event.shiftKey ? 10 : 1;
+      move(lamp.azimuth_deg + by * step[0], lamp.zenith_deg + by * step[1]);
       said(placeInWords(lamp));
     });
     panorama.append(handle);
@@ -76,7 +80,7 @@ export function lampHandles(
       handle.classList.toggle("off", !lamp.on);
       handle.setAttribute(
         "aria-label",
-        `Lamp ${i + 1}${lamp.on ? "" : ", off"}: ${placeInWords(lamp)}; arrow keys move it by a degree`,
+        `${named(i)[0]}${lamp.on ? "" : ", off"}: ${placeInWords(lamp)}; arrow keys move it by a degree, with Shift by ten`,
       );
     });
   };

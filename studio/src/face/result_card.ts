@@ -1,18 +1,16 @@
 import { fileUrl, type EstimateResult, type Job } from "../api";
-import { balls } from "../shared/ball";
 import { el } from "../shared/dom";
 import { downloads } from "../shared/downloads";
-import { fromAngles, inWords } from "../shared/frame";
-import { markDirection, panorama } from "../shared/panorama";
 import { loadRadianceMap, type RadianceMap } from "../shared/radiance_map";
 import { lampEditor } from "./lamp_editor";
-import { drawOutline, outline, posteriorOf } from "./posterior";
-import { posteriorBall } from "./posterior_ball";
+import { lightView } from "./light_view";
+import { relitPanel } from "./relit/panel";
 
 export interface ResultCard {
   element: HTMLElement;
   map: RadianceMap;
   setExposure: (factor: number) => void;
+  leave: () => void;
 }
 
 /** One estimate: its light as panorama and balls, where the sun may stand, numbers, files. */
@@ -22,38 +20,8 @@ export async function resultCard(title: string, job: Job<EstimateResult>): Promi
     loadRadianceMap(fileUrl(job.job, "probe.exr")),
     loadRadianceMap(fileUrl(job.job, "posterior.exr")),
   ]);
-  const { sun } = result;
-  const sees = result.posterior.is_seen;
-  const main = result.lamps.length > 0 ? "main lamp" : "sun";
-  const posterior = sees ? posteriorOf(density, result.posterior.region_edge_per_sr) : null;
-
-  const words = inWords(sun.azimuth_deg, sun.zenith_deg);
-  const view = panorama(
-    `${title}: the light around the camera as a panorama; ${sees ? main : "brightest"} ${words}`,
-  );
-  const towardsSun = fromAngles(sun.azimuth_deg, sun.zenith_deg);
-  const pieces = posterior ? outline(posterior) : [];
-  view.setOverlay((context, width, height) => {
-    if (posterior) drawOutline(context, posterior, pieces, width, height);
-    for (const lamp of result.lamps.slice(1)) {
-      markDirection(context, fromAngles(lamp.azimuth_deg, lamp.zenith_deg), width, height, "#ffffff");
-    }
-    markDirection(context, towardsSun, width, height, sees ? "#ffd23f" : "#ffffff");
-  });
-  view.setMap(map);
-  const shown = balls(title);
-  shown.setMap(map);
-  const ball = posteriorBall(map, posterior, sun, main);
-  shown.element.append(ball.element);
-
-  const showEdited = (edited: RadianceMap): void => {
-    view.setMap(edited);
-    shown.setMap(edited);
-  };
-
-  const legend = sees
-    ? `Middle: where the camera looks. Ring: the ${main} as found${result.lamps.length > 1 ? ", white the others" : ""}. Line: where it stands with about ${Math.round(100 * result.posterior.share)} % certainty.`
-    : "Middle: where the camera looks. Ring: the brightest place; no sun was seen.";
+  const view = lightView(title, result, map, result.posterior.is_seen ? density : null);
+  const relit = relitPanel(job.job, title, view.main);
   const element = el(
     "article",
     { class: "card stack result", "aria-label": title },
@@ -61,61 +29,13 @@ export async function resultCard(title: string, job: Job<EstimateResult>): Promi
     el(
       "div",
       { class: "result-grid" },
-      el("figure", { class: "result-map" }, view.element, el("figcaption", {}, legend)),
-      shown.element,
-      ...(result.lamp_facts ? [lampEditor(job.job, result.lamps, result.lamp_facts, view.element, showEdited)] : []),
-      numbers(result, words, sees ? main : "brightest"),
-      el(
-        "div",
-        { class: "stack" },
-        ...result.advice.map((line) => el("p", { class: "care" }, sentence(line))),
-        downloads(job.job, job.files ?? []),
-      ),
+      view.figure,
+      view.balls,
+      ...(result.lamp_facts ? [lampEditor(job.job, result.lamps, result.lamp_facts, view.panorama, view.setMap)] : []),
+      relit.element,
+      view.numbers,
+      el("div", { class: "stack" }, ...view.advice, downloads(job.job, job.files ?? [])),
     ),
   );
-  return {
-    element,
-    map,
-    setExposure: (factor) => {
-      view.setExposure(factor);
-      shown.setExposure(factor);
-      ball.setExposure(factor);
-    },
-  };
+  return { element, map, leave: relit.leave, setExposure: view.setExposure };
 }
-
-function numbers(result: EstimateResult, words: string, main: string): HTMLElement {
-  const { sun, posterior, faces, seconds } = result;
-  const degrees = (value: number): string => `${Math.round(value)}°`;
-  const elevation = 90 - sun.zenith_deg;
-  const sure = `${Math.round(100 * posterior.share)} % within a circle of ${degrees(posterior.region_radius_deg)} radius`;
-  const all = Object.values(seconds).reduce((sum, one) => sum + one, 0);
-  const lines: [string, string][] = [
-    ...(result.choice
-      ? ([["Light", `${sentence(result.choice.scene)}, ${Math.round(100 * result.choice.probability)} % sure`]] as [string, string][])
-      : []),
-    ["Verdict", sentence(posterior.verdict)],
-    [sentence(main), sentence(words)],
-    ["Azimuth", `${degrees(Math.abs(sun.azimuth_deg))} to the ${sun.azimuth_deg < 0 ? "left" : "right"} of the camera's view`],
-    ["Zenith angle", `${degrees(sun.zenith_deg)}, that is ${degrees(Math.abs(elevation))} ${elevation < 0 ? "below" : "above"} the horizon`],
-    ...(posterior.is_seen ? ([["How sure", sure]] as [string, string][]) : []),
-    ...result.lamps.map((lamp, i) => [`Lamp ${i + 1}`, lampInWords(lamp)] as [string, string]),
-    ...faces.map(
-      (face, i) =>
-        [
-          faces.length > 1 ? `Face ${i + 1}` : "Face",
-          `re-rendered to within ${Math.round(100 * face.residual)} % on average`,
-        ] as [string, string],
-    ),
-    ["Time", `${Math.round(all)} s`],
-  ];
-  return el("dl", { class: "numbers" }, ...lines.flatMap(([term, value]) => [el("dt", {}, term), el("dd", {}, value)]));
-}
-
-/** Where a lamp stands, what a surface that faces it receives, and its half width. */
-function lampInWords({ azimuth_deg, zenith_deg, irradiance, spread_deg }: EstimateResult["lamps"][number]): string {
-  const [red, green, blue] = irradiance.map((value) => value.toPrecision(2));
-  return `${inWords(azimuth_deg, zenith_deg)}; irradiance ${red}, ${green}, ${blue} (RGB); spread ${Math.round(spread_deg)}°`;
-}
-
-const sentence = (line: string): string => line.charAt(0).toUpperCase() + line.slice(1);

@@ -1,9 +1,11 @@
-import { about, forgetJob, uploadPhoto, type EstimateResult, type Photo } from "../api";
+import { about, fileUrl, forgetJob, getText, uploadPhoto, type EstimateResult, type Job, type Photo } from "../api";
 import { compositePanel, type CompositePanel } from "../face/composite/panel";
+import { headMesh, type Person } from "../face/composite/people";
 import { exampleRow } from "../face/example_row";
 import "../face/face.css";
 import { faceChooser, type FaceChooser } from "../face/face_chooser";
 import { lightChoice } from "../face/light_choice";
+import { firstStops } from "../face/light_view";
 import { resultCard, type ResultCard } from "../face/result_card";
 import type { Page } from "../page";
 import { alertBox } from "../shared/alert";
@@ -11,7 +13,7 @@ import { el } from "../shared/dom";
 import { exposureSlider } from "../shared/fields";
 import { fileDrop } from "../shared/file_drop";
 import { jobPanel } from "../shared/job_panel";
-import { prefilter } from "../shared/prefilter";
+import { tinted } from "../shared/radiance_map";
 import { forgetLight, rememberLight } from "../shared/session";
 
 // Built once and kept while the tab lives: who comes back from another page finds it as it was.
@@ -133,14 +135,18 @@ function photoWork(photo: Photo): { element: HTMLElement; leave: () => void } {
     names.push(title + of);
     const name_ = `${title}${of}${again ? ` (${again + 1})` : ""}`;
     const card = await resultCard(name_, done);
+    const people = composite ? [] : await peopleOf(done);
     if (isLeft) return;
     rememberLight({ job: done.job, title: `${photo.name}: ${name_}` });
     if (cards.length === 0) {
-      // white balls just reach white: what is seen of them is their shading
-      const most = prefilter(card.map, 1).data.reduce((a, b) => Math.max(a, b), 0);
-      exposure.set(Math.min(0, Math.floor(-4 * Math.log2(most || 1)) / 4));
+      exposure.set(firstStops(card.map));
       factor = 2 ** exposure.value;
-      composite = compositePanel(photo, chooser.image, done.result!);
+      composite = compositePanel({
+        image: chooser.image,
+        camera: done.result!.camera,
+        people,
+        faces: photo.faces.map(({ box }) => box),
+      });
       picture.append(composite.element);
       results.append(
         section("In your photo", picture),
@@ -152,7 +158,7 @@ function photoWork(photo: Photo): { element: HTMLElement; leave: () => void } {
     cards.push(card);
     card.setExposure(factor);
     columns.append(card.element);
-    composite!.addLight(name_, card.map);
+    composite!.addLight(name_, tinted(card.map, done.result!.white_balance));
     (cards.length === 1 ? results : card.element).querySelector<HTMLElement>("[tabindex='-1']")?.focus();
   };
   start.addEventListener("click", () => {
@@ -173,12 +179,27 @@ function photoWork(photo: Photo): { element: HTMLElement; leave: () => void } {
       isLeft = true;
       job.cancel();
       composite?.dispose();
+      for (const card of cards) card.leave();
       for (const one of jobs) {
         forgetJob(one);
         forgetLight(one);
       }
     },
   };
+}
+
+/** The people of an estimate, with their heads. */
+function peopleOf({ job, files, result }: Job<EstimateResult>): Promise<Person[]> {
+  const meshes = files!.map(({ name }) => name).filter((name) => name.endsWith(".obj"));
+  const numbered = meshes.sort((a, b) => a.localeCompare(b, "en", { numeric: true })); // in the faces' order
+  return Promise.all(
+    result!.faces.map(async ({ eyes, forward, albedo }, i) => ({
+      head: headMesh(await getText(fileUrl(job, numbered[i]!))),
+      eyes,
+      forward,
+      albedo,
+    })),
+  );
 }
 
 function section(title: string, ...children: HTMLElement[]): HTMLElement {

@@ -38,6 +38,11 @@ export async function loadRadianceMap(url: string): Promise<RadianceMap> {
   return decodeRadianceMap(await getBytes(url), new URL(url, location.href).pathname);
 }
 
+/** A map with each channel times its gain. */
+export function tinted(map: RadianceMap, gains: readonly [number, number, number]): RadianceMap {
+  return { ...map, data: map.data.map((value, i) => value * gains[i % 3]!) };
+}
+
 export const luminance = (r: number, g: number, b: number): number =>
   0.2126 * r + 0.7152 * g + 0.0722 * b;
 

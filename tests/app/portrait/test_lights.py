@@ -12,12 +12,12 @@ from skylight.app.estimate.photos import estimate_photo
 from skylight.app.estimate.types import PhotoEstimate
 from skylight.app.portrait.lights import (
     ADDED_SUN,
-    light_in_photo,
     light_of_map,
     light_with_sun_at,
     turned_light,
 )
 from skylight.errors import InputError
+from skylight.inverse.portrait.photograph import light_in_photo
 from skylight.inverse.result import Estimate
 from skylight.io.files import write_environment_map
 from skylight.relight.main_light import split_main_light

@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
+from jaxtyping import UInt8
 from PIL import Image
 from skimage.data import astronaut
 from torch import Tensor
 
-from tests.studio.browser.known_light import answers
+from tests.studio.browser.known_light import EYES, answers, taken_photo
 from tests.studio.browser.waiting import PATIENCE_MS, gathered, painted
 from tests.studio.conftest import Served, start
 
@@ -107,17 +109,30 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def show(new_page: "Callable[..., Page]", tmp_path: Path) -> "Callable[..., Page]":
-    """Makes a page that has found the given light, (64, 128, 3), in a photo of one face."""
+    """Makes a page that has found the given light, (64, 128, 3), in a photo of one face.
 
-    def shown(radiance: Tensor, **options: Any) -> "Page":
+    Below its row 300 the photo is even ground; another one is shown as if the face had been found.
+    """
+
+    def shown(
+        radiance: Tensor,
+        eyes: tuple[float, float, float] = EYES,
+        photo: UInt8[np.ndarray, "h w 3"] | None = None,
+        **options: Any,
+    ) -> "Page":
         page = new_page(**options)
         page.get_by_role("region", name="Try one of these").wait_for()  # what is below stays there
-        answer = answers(radiance, tmp_path)
+        answer = answers(radiance, tmp_path, eyes)
         page.route("**/api/jobs/**", answer)
         page.route("**/api/jobs", answer)
-        picture = astronaut().copy()
-        picture[300:] = 160  # even ground for shadows
+        picture = astronaut().copy() if photo is None else photo
+        if photo is None:
+            picture[300:] = 160  # even ground for shadows
         Image.fromarray(picture).save(tmp_path / "photo.png")
+        if photo is not None:
+            taken = taken_photo(tmp_path / "photo.png", eyes)
+            page.route("**/api/photos?*", taken)
+            page.route("**/api/photos/**", taken)
         page.set_input_files("input[type=file]", tmp_path / "photo.png")
         page.wait_for_function(_PREVIEW_IS_IN)
         page.get_by_role("button", name="Find the light").click()

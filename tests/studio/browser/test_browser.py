@@ -1,9 +1,7 @@
 """The whole path of a photo in a real browser, and what its owner sees when something fails."""
 
 import base64
-import io
 import json
-import os
 import re
 import urllib.request
 from collections.abc import Callable
@@ -17,14 +15,13 @@ from PIL import Image
 from skimage.data import astronaut, camera, coffee
 
 import skylight
+from tests.studio.browser.pictures import FOR_DOCUMENTATION, picture
 from tests.studio.browser.waiting import expect, gathered
 from tests.studio.conftest import Served
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Locator, Page, Route
+    from playwright.sync_api import Page, Route
 
-# the documentation's pictures are worth waiting for: of the best light, with all of it in
-FOR_DOCUMENTATION = "SKYLIGHT_STUDIO_PICTURES" in os.environ
 MakePage = Callable[..., "Page"]
 LINE = "[role=alert] .alert"
 
@@ -97,14 +94,6 @@ def asked(page: "Page", path: str) -> dict[str, Any]:
     return page.evaluate("path => fetch(path).then((answer) => answer.json())", path)
 
 
-def picture(shown: "Page | Locator", path: Path) -> None:
-    """A screenshot as the documentation has it: 900 pixels wide at most, of 256 colours."""
-    full = Image.open(io.BytesIO(shown.screenshot())).convert("RGB")
-    full.thumbnail((900, 2000), Image.Resampling.LANCZOS)
-    palette = full.quantize(256)
-    full.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG).save(path, optimize=True)
-
-
 def test_from_a_dropped_photo_to_a_downloaded_map(
     new_page: MakePage, studio_address: str, portrait: Path, tmp_path: Path, pictures: Path
 ) -> None:
@@ -160,7 +149,6 @@ def test_from_a_dropped_photo_to_a_downloaded_map(
     title = page.locator(".result h3").nth(1).text_content() or ""
     expect(page.get_by_label("Lit by")).to_have_value(title)
     expect(page.get_by_role("article", name=title, exact=True)).to_have_count(1)
-    page.get_by_label("Surface", exact=True).select_option("glazed")
     gathered(page, 1 if FOR_DOCUMENTATION else 1 / 8)
     if FOR_DOCUMENTATION:
         in_photo, light = (

@@ -10,6 +10,7 @@ import {
   RepeatWrapping,
   RGBAFormat,
   ShaderMaterial,
+  SRGBColorSpace,
   UnsignedByteType,
   type Material,
   type MeshStandardMaterial,
@@ -18,7 +19,7 @@ import {
 import { SILVER_EXPONENT } from "../../shared/ball";
 import { prefilter } from "../../shared/prefilter";
 import type { RadianceMap } from "../../shared/radiance_map";
-import { OBJECT_FRAGMENT, OBJECT_VERTEX } from "./shaders";
+import { OBJECT_FRAGMENT, OBJECT_VERTEX } from "./render/shaders";
 
 /** What a surface reflects: `gloss` is the head-on reflectance of what is no metal. */
 export interface Surface {
@@ -32,10 +33,13 @@ export interface Surface {
 
 const plain = { map: null, vertexColors: false };
 export const FINISHES: Record<string, Surface> = {
+  stand: { ...plain, color: new Color(0.1, 0.1, 0.1), roughness: 0.5, metalness: 0, gloss: 0.04 },
   clay: { ...plain, color: new Color(0.42, 0.34, 0.27), roughness: 1, metalness: 0, gloss: 0 },
+  chart: { ...plain, color: new Color(0.18, 0.18, 0.18), roughness: 1, metalness: 0, gloss: 0 }, // a film set's grey
   matte: { ...plain, color: new Color(0.8, 0.8, 0.8), roughness: 1, metalness: 0, gloss: 0 },
   glazed: { ...plain, color: new Color(0.5, 0.07, 0.04), roughness: 0.15, metalness: 0, gloss: 0.04 },
   silver: { ...plain, color: new Color(0.95, 0.95, 0.95), roughness: 0.5, metalness: 1, gloss: 0 },
+  chrome: { ...plain, color: new Color(0.55, 0.556, 0.554), roughness: 0, metalness: 1, gloss: 0 }, // chromium, head-on
   mirror: { ...plain, color: new Color(0.95, 0.95, 0.95), roughness: 0, metalness: 1, gloss: 0 },
 };
 
@@ -76,8 +80,26 @@ export class Reflections {
 const white = new DataTexture(new Uint8Array([255, 255, 255, 255]), 1, 1, RGBAFormat, UnsignedByteType);
 white.needsUpdate = true;
 
-/** The material of a surface; `shared` are the uniforms of the lights and of the reflections. */
-export function objectMaterial(surface: Surface, shared: Record<string, { value: unknown }>): ShaderMaterial {
+/** The mean of a surface's colour, linear: what its light has on average once it is reflected. */
+export function albedoOf({ color, map }: Surface): Color {
+  if (!map?.image) return color.clone();
+  const small = document.createElement("canvas");
+  small.width = small.height = 16;
+  const context = small.getContext("2d")!;
+  context.drawImage(map.image as CanvasImageSource, 0, 0, 16, 16);
+  const texels = context.getImageData(0, 0, 16, 16).data;
+  const mean = new Color(0, 0, 0);
+  for (let i = 0; i < texels.length; i += 4)
+    mean.add(new Color().setRGB(texels[i]! / 255, texels[i + 1]! / 255, texels[i + 2]! / 255, SRGBColorSpace));
+  return mean.multiplyScalar(4 / texels.length).multiply(color);
+}
+
+/** The material of a surface; `shared` are the uniforms of the lights and of what is around it. */
+export function objectMaterial(
+  surface: Surface,
+  shared: Record<string, { value: unknown }>,
+  amongPeople = true,
+): ShaderMaterial {
   return new ShaderMaterial({
     glslVersion: GLSL3,
     vertexShader: OBJECT_VERTEX,
@@ -91,6 +113,7 @@ export function objectMaterial(surface: Surface, shared: Record<string, { value:
       roughness: { value: surface.roughness },
       metalness: { value: surface.metalness },
       gloss: { value: surface.gloss },
+      amongPeople: { value: Number(amongPeople) },
     },
   });
 }

@@ -1,36 +1,47 @@
-import type { Object3D } from "three";
-import type { EstimateResult, Photo } from "../../api";
+import { Vector3 } from "three";
 import { alertBox } from "../../shared/alert";
 import { el, freshId } from "../../shared/dom";
 import { chooser, slider } from "../../shared/fields";
 import { fileDrop } from "../../shared/file_drop";
 import type { RadianceMap } from "../../shared/radiance_map";
+import { lengthField } from "./length_field";
 import { FINISHES } from "./materials";
-import { MODELS, ownModel, readModel } from "./models";
-import { firstPlacement, steer, type Steered } from "./steering";
-import { CompositeView, type Pinhole } from "./view";
+import { readModel } from "./model_file";
+import { MODELS, ownModel, type Model } from "./models";
+import type { Person } from "./people";
+import { besideFace, besideFeet, type Placement } from "./placement";
+import { pixelOf, type Pinhole, type Pixel } from "./plane";
+import { standChoice } from "./stand_choice";
+import { footAt, LARGEST, SMALLEST, steer } from "./steering";
+import { CompositeView, type SeenPhoto } from "./view";
 
 export interface CompositePanel {
   element: HTMLElement;
-  /** Adds a light that the object can stand in, and shows it. */
+  /** Adds a light that the object can stand in, radiance in the photo's units and colours, and shows it. */
   addLight: (title: string, map: RadianceMap) => void;
+  /** Puts a model of one's own, .obj or .glb, in the object's place. */
+  showModel: (file: File) => void;
   dispose: () => void;
 }
 
 const MOST_PIXELS_WIDE = 1024;
 const OWN = "own";
+/** How much larger things on the ground are than those in the hand or on a table. */
+const ON_GROUND = 2.5;
 
 /** The photo with an object in it: the picture, and everything to move and change the object. */
-export function compositePanel(photo: Photo, image: HTMLImageElement, result: EstimateResult): CompositePanel {
-  const { camera, faces_at } = result;
-  const width = Math.min(photo.width, MOST_PIXELS_WIDE);
-  const canvas = el("canvas", { width, height: Math.round((width * photo.height) / photo.width) });
+export function compositePanel(photo: SeenPhoto): CompositePanel {
+  const { camera, people } = photo;
+  const [person] = people;
+  const width = Math.min(camera.width, MOST_PIXELS_WIDE);
+  const canvas = el("canvas", { width, height: Math.round((width * camera.height) / camera.width) });
   canvas.className = "picture composite";
   const status = el("p", { class: "muted small figure", "aria-live": "off" });
   const alert = alertBox();
   let view: CompositeView;
   try {
-    view = new CompositeView(canvas, image, camera as Pinhole, (batches, all) => {
+    if (!person) throw new Error("nobody to stand beside");
+    view = new CompositeView(canvas, photo, (batches, all) => {
       canvas.dataset.share = String(batches / all);
       status.textContent =
         batches < all ? `Gathering light: ${Math.round((100 * batches) / all)} %` : "All light is in.";
@@ -39,24 +50,73 @@ export function compositePanel(photo: Photo, image: HTMLImageElement, result: Es
     const line =
       "This browser offers no WebGL 2 with float targets, so no object can be drawn into the photo; " +
       "the light and its files are not affected.";
-    return { element: el("p", { class: "care" }, line), addLight: () => {}, dispose: () => {} };
+    return { element: el("p", { class: "care" }, line), addLight: () => {}, showModel: () => {}, dispose: () => {} };
   }
 
-  const placement = firstPlacement(camera, faces_at[0]?.position);
-  const place = (): void => view.place(placement);
-  let model: Object3D = ownModel("teapot");
-  let finish = "clay";
-  const dress = (): void => view.setModel(model, finish === OWN ? null : FINISHES[finish]!);
+  const placement: Placement = { foot: [0, 0, -1], size: 0.1, turnDeg: 0 };
+  const heads = [...people.flatMap((one) => headPixels(camera, one)), ...photo.faces.flatMap(boxPixels)];
+  let name: string | null = MODELS[0]!.value; // null: the user's own
+  let isMoved = false;
+  let model: Model;
+  let finish = OWN;
+
+  const said = el("p", { class: "visually-hidden", role: "status" });
+  const asks = el("p", { class: "muted", role: "status" });
+  const stands = standChoice(
+    camera,
+    person,
+    (isOther) => {
+      if (isOther) {
+        isMoved = false;
+        if (name) model = ownModel(name, stands.stand().kind); // balls lie or hang
+        dress();
+        first();
+      } else {
+        placement.foot = footAt(stands.stand(), camera, pixelOf(camera, placement.foot)) ?? placement.foot;
+        if (!isMoved) first();
+      }
+      place();
+    },
+    (line) => {
+      asks.textContent = line;
+    },
+  );
+
+  const place = (): void => {
+    size.set(placement.size);
+    turn.set(Math.round(placement.turnDeg));
+    canvas.dataset.placement = JSON.stringify(placement);
+    view.place(placement, stands.stand());
+  };
+  /** Where the object stands before it is moved. */
+  const first = (): void => {
+    const stand = stands.stand();
+    const { usual } = model.extent;
+    if (stand.kind === "held") Object.assign(placement, besideFace(camera, person.eyes, heads, model.extent));
+    else if (stands.name() === "ground")
+      Object.assign(placement, besideFeet(camera, person.eyes, stand.plane, ON_GROUND * usual));
+    else {
+      const { middle, most } = stands.rectangle()!;
+      placement.foot = footAt(stand, camera, middle)!;
+      placement.size = Math.min(usual, most / model.extent.width, LARGEST);
+    }
+  };
+  const dress = (): void => {
+    view.setModel(model, finish === OWN ? null : FINISHES[finish]!);
+    size.setLabel(model.measure);
+    own.disabled = !model.isDressed;
+  };
 
   const finishes = chooser(
     "Surface",
     [
+      { value: OWN, title: "The model's own" },
       { value: "clay", title: "Clay" },
       { value: "matte", title: "Matte white" },
+      { value: "chart", title: "Matt grey, 18 %" },
       { value: "glazed", title: "Red glaze" },
       { value: "silver", title: "Silver" },
       { value: "mirror", title: "Mirror" },
-      { value: OWN, title: "The model's own" },
     ],
     (chosen) => {
       finish = chosen;
@@ -64,48 +124,46 @@ export function compositePanel(photo: Photo, image: HTMLImageElement, result: Es
     },
   );
   const own = finishes.select.querySelector<HTMLOptionElement>(`[value=${OWN}]`)!;
-  own.disabled = true;
-  const setFinish = (to: string): void => {
-    finish = finishes.select.value = to;
+  const setModel = (to: Model): void => {
+    const isFirst = !model;
+    model = to;
+    if (model.isDressed && (name === null || name === MODELS[0]!.value)) finish = OWN;
+    else if (finish === OWN) finish = "clay";
+    finishes.select.value = finish;
+    dress();
+    if (isFirst || !isMoved) first();
+    else placement.size = Math.min(placement.size, LARGEST);
+    place();
   };
-  const models = chooser(
-    "Object",
-    Object.entries(MODELS).map(([value, { title }]) => ({ value, title })),
-    (name) => {
-      model = ownModel(name);
-      own.disabled = true;
-      if (finish === OWN) setFinish("clay");
-      dress();
-    },
-  );
+  const models = chooser("Object", [...MODELS], (chosen) => {
+    name = chosen;
+    setModel(ownModel(chosen, stands.stand().kind));
+  });
+  const showModel = (file: File): void => {
+    alert.clear();
+    readModel(file).then((read) => {
+      name = null;
+      models.select.querySelector("[value=file]")?.remove();
+      models.select.append(el("option", { value: "file", disabled: true, selected: true }, file.name));
+      setModel(read);
+    }, alert.show);
+  };
   const drop = fileDrop({
     prompt: "",
     button: "Your own model",
     accept: ".obj,.glb",
     hint: ".obj or .glb, or drop it here. It stays in this page.",
     small: true,
-    chosen: (file) => {
-      alert.clear();
-      readModel(file).then((read) => {
-        model = read;
-        own.disabled = false;
-        setFinish(OWN);
-        models.select.querySelector("[value=file]")?.remove();
-        models.select.append(el("option", { value: "file", disabled: true, selected: true }, file.name));
-        dress();
-      }, alert.show);
-    },
+    chosen: showModel,
   });
 
-  const size = slider({
+  const size = lengthField({
     label: "Height of the object",
-    min: -2,
-    max: 1,
-    step: 0.01,
-    value: Math.log10(placement.size),
-    words: (power) => metres(10 ** power),
-    changed: (power) => {
-      placement.size = 10 ** power;
+    least: SMALLEST,
+    most: LARGEST,
+    value: placement.size,
+    changed: (metres) => {
+      placement.size = metres;
       place();
     },
   });
@@ -121,43 +179,25 @@ export function compositePanel(photo: Photo, image: HTMLImageElement, result: Es
       place();
     },
   });
-  const height = slider({
-    label: "Camera over the ground",
-    min: -1.5,
-    max: 1,
-    step: 0.01,
-    value: Math.log10(placement.cameraHeight),
-    words: (power) => metres(10 ** power),
-    changed: (power) => {
-      // the object's foot stays where it is in the picture
-      const scale = 10 ** power / placement.cameraHeight;
-      placement.cameraHeight *= scale;
-      placement.x *= scale;
-      placement.z *= scale;
-      place();
-    },
-  });
 
-  const said = el("p", { class: "visually-hidden", role: "status" });
-  const steered: Steered = {
-    view,
-    camera,
-    placement,
-    changed: () => {
-      place();
-      size.set(Math.log10(placement.size));
-      turn.set(Math.round(placement.turnDeg));
-    },
-    say: (line) => {
-      said.textContent = line;
-    },
-  };
   const help = freshId("help");
   canvas.tabIndex = 0;
   canvas.setAttribute("role", "application");
   canvas.setAttribute("aria-label", "Your photo with the object in it, movable");
   canvas.setAttribute("aria-describedby", help);
-  steer(canvas, steered);
+  steer(canvas, {
+    view,
+    camera,
+    placement,
+    stand: stands.stand,
+    changed: () => {
+      isMoved = true;
+      place();
+    },
+    say: (line) => {
+      said.textContent = line;
+    },
+  });
 
   const maps = new Map<string, RadianceMap>();
   const lights = chooser("Lit by", [], (title) => view.setLight(maps.get(title)!));
@@ -173,8 +213,7 @@ export function compositePanel(photo: Photo, image: HTMLImageElement, result: Es
     }),
   );
 
-  dress();
-  place();
+  setModel(ownModel(MODELS[0]!.value, stands.stand().kind));
   const controls = el(
     "div",
     { class: "stack" },
@@ -183,21 +222,16 @@ export function compositePanel(photo: Photo, image: HTMLImageElement, result: Es
     finishes.element,
     drop.element,
     alert.element,
+    stands.element,
     size.element,
     turn.element,
-    height.element,
     save,
   );
   const keys =
-    "Drag the object, or move it by the arrow keys; plus and minus change its height, the comma and the full stop turn it.";
-  const figure = el(
-    "figure",
-    {},
-    canvas,
-    el("figcaption", { id: help }, keys),
-    status,
-    said,
-  );
+    "Drag the object, or move it by the arrow keys; plus and minus change its size, the comma and the full stop turn it.";
+  const stage = el("div", { class: "stage" }, canvas);
+  stage.append(stands.picker.element);
+  const figure = el("figure", {}, stage, el("figcaption", { id: help }, keys), asks, status, said);
   return {
     element: el("div", { class: "beside" }, figure, controls),
     addLight: (title, map) => {
@@ -207,6 +241,7 @@ export function compositePanel(photo: Photo, image: HTMLImageElement, result: Es
       lights.element.hidden = maps.size < 2;
       view.setLight(map);
     },
+    showModel,
     dispose: () => {
       drop.leave();
       view.dispose();
@@ -214,6 +249,15 @@ export function compositePanel(photo: Photo, image: HTMLImageElement, result: Es
   };
 }
 
-function metres(length: number): string {
-  return length < 0.995 ? `${(100 * length).toPrecision(2)} cm` : `${length.toPrecision(2)} m`;
+/** Where a head's vertices are in the photo. */
+function headPixels(camera: Pinhole, { head }: Person): Pixel[] {
+  const at = head.getAttribute("position");
+  const places = Array.from({ length: at.count }, (_, i) => new Vector3().fromBufferAttribute(at, i));
+  return places.filter(({ z }) => z < 0).map((place) => pixelOf(camera, place.toArray()));
+}
+
+/** Places all over a face's box. */
+function boxPixels([x, y, width, height]: SeenPhoto["faces"][number]): Pixel[] {
+  const parts = [0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 1];
+  return parts.flatMap((across) => parts.map((down): Pixel => [x + across * width, y + down * height]));
 }

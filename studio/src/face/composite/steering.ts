@@ -1,9 +1,14 @@
-import type { CompositeView, Pinhole, Placement } from "./view";
+import type { Vec3 } from "../../shared/frame";
+import { pixelOf, planeAt, rayThrough, times, type Pinhole, type Pixel } from "./plane";
+import type { Placement, Stand } from "./placement";
+import type { CompositeView } from "./view";
 
 export interface Steered {
   view: CompositeView;
   camera: Pinhole;
   placement: Placement;
+  /** What the object stands on now. */
+  stand: () => Stand;
   /** The placement was changed. */
   changed: () => void;
   /** Tells a screen reader where the object is now. */
@@ -11,29 +16,21 @@ export interface Steered {
 }
 
 const FARTHEST = 200; // metres
+const REACH = 12; // pixels of the screen about the object that still move it
+/** Sizes that may be set, metres. */
+export const SMALLEST = 0.01;
+export const LARGEST = 10;
 
-/**
- * Where the object stands at first: its foot low in the picture, beside the face and as far away,
- * a fifth of the picture high. How far below the camera the ground lies follows from that.
- */
-export function firstPlacement(camera: Pinhole, face?: readonly number[]): Placement {
-  const { focal_px, width, height, principal } = camera;
-  const away = Math.max(0.2, face ? -face[2]! : 1);
-  const faceColumn = face ? principal[0] + (focal_px * face[0]!) / away : width / 2;
-  const column = faceColumn > width / 2 ? 0.25 * width : 0.75 * width;
-  const row = 0.9 * height;
-  return {
-    x: ((column - principal[0]) * away) / focal_px,
-    z: away,
-    size: (0.2 * Math.min(width, height) * away) / focal_px,
-    turnDeg: -20,
-    cameraHeight: ((row - principal[1]) * away) / focal_px,
-  };
+/** The place under a pixel that an object on the stand can have: the size in metres stays. */
+export function footAt(stand: Stand, camera: Pinhole, pixel: Pixel): Vec3 | null {
+  if (stand.kind === "held") return times(rayThrough(camera, pixel), stand.depth);
+  const place = planeAt(stand.plane, camera, pixel);
+  return place && -place[2] <= FARTHEST ? place : null;
 }
 
 /** Moves the object by pointer and by keys. */
 export function steer(canvas: HTMLCanvasElement, steered: Steered): void {
-  const { view, camera, placement, changed } = steered;
+  const { view, camera, placement, stand, changed } = steered;
   const pixel = (event: PointerEvent): [number, number] => {
     const box = canvas.getBoundingClientRect();
     return [
@@ -41,19 +38,18 @@ export function steer(canvas: HTMLCanvasElement, steered: Steered): void {
       ((event.clientY - box.top) / box.height) * camera.height,
     ];
   };
-  const footOf = ({ x, z, cameraHeight }: Placement): [number, number] => [
-    camera.principal[0] + (camera.focal_px * x) / z,
-    camera.principal[1] + (camera.focal_px * cameraHeight) / z,
-  ];
+  const moveTo = (to: Pixel): boolean => {
+    const foot = footAt(stand(), camera, to);
+    if (foot) placement.foot = foot;
+    return foot !== null;
+  };
 
   let grip: [number, number] | null = null; // from the pointer to the object's foot
   canvas.addEventListener("pointerdown", (event) => {
-    const [column, row] = pixel(event);
-    const foot = footOf(placement);
-    const high = (camera.focal_px * placement.size) / placement.z;
-    const isNear = Math.abs(column - foot[0]) < high && row - foot[1] < 0.4 * high && foot[1] - row < 1.3 * high;
-    if (!isNear) return;
-    grip = [foot[0] - column, foot[1] - row];
+    const at = pixel(event);
+    if (!view.isOnObject(at, (REACH * camera.width) / canvas.clientWidth)) return;
+    const foot = pixelOf(camera, placement.foot);
+    grip = [foot[0] - at[0], foot[1] - at[1]];
     canvas.setPointerCapture(event.pointerId);
   });
   canvas.addEventListener(
@@ -66,10 +62,7 @@ export function steer(canvas: HTMLCanvasElement, steered: Steered): void {
   canvas.addEventListener("pointermove", (event) => {
     if (!grip) return;
     const [column, row] = pixel(event);
-    const to = view.groundAt(column + grip[0], row + grip[1]);
-    if (!to || to.z > FARTHEST) return;
-    Object.assign(placement, to);
-    changed();
+    if (moveTo([column + grip[0], row + grip[1]])) changed();
   });
   for (const kind of ["pointerup", "pointercancel"] as const)
     canvas.addEventListener(kind, () => {
@@ -77,17 +70,16 @@ export function steer(canvas: HTMLCanvasElement, steered: Steered): void {
     });
 
   const step = (columns: number, rows: number): void => {
-    const [column, row] = footOf(placement);
-    const to = view.groundAt(column + columns * camera.width, row + rows * camera.height);
-    if (to && to.z <= FARTHEST) Object.assign(placement, to);
+    const [column, row] = pixelOf(camera, placement.foot);
+    moveTo([column + columns * camera.width, row + rows * camera.height]);
   };
   const keys: Record<string, () => void> = {
     ArrowLeft: () => step(-0.01, 0),
     ArrowRight: () => step(0.01, 0),
     ArrowUp: () => step(0, -0.01),
     ArrowDown: () => step(0, 0.01),
-    "+": () => void (placement.size = Math.min(10, placement.size * 1.05)),
-    "-": () => void (placement.size = Math.max(0.01, placement.size / 1.05)),
+    "+": () => void (placement.size = Math.min(LARGEST, placement.size * 1.05)),
+    "-": () => void (placement.size = Math.max(SMALLEST, placement.size / 1.05)),
     ",": () => void (placement.turnDeg = turned(placement.turnDeg - 5)),
     ".": () => void (placement.turnDeg = turned(placement.turnDeg + 5)),
   };
@@ -97,10 +89,11 @@ export function steer(canvas: HTMLCanvasElement, steered: Steered): void {
     event.preventDefault();
     act();
     changed();
-    const side = placement.x < 0 ? "left" : "right";
-    const [away, aside, high] = [placement.z, Math.abs(placement.x), placement.size].map((m) => m.toPrecision(3));
+    const [x, , z] = placement.foot;
+    const [away, aside] = [-z, Math.abs(x)].map((m) => m.toPrecision(3));
+    const size = (100 * placement.size).toPrecision(3);
     steered.say(
-      `${away} metres away, ${aside} to the ${side}, ${high} high, turned ${Math.round(placement.turnDeg)} degrees`,
+      `${away} metres away, ${aside} to the ${x < 0 ? "left" : "right"}, ${size} centimetres, turned ${Math.round(placement.turnDeg)} degrees`,
     );
   });
 }

@@ -4,8 +4,9 @@ import { Box2, Box3, Vector2, Vector3, type Camera, type Object3D, type Vector4 
 export const NEAR = 0.02;
 
 /** The eight corners of an object's box. */
-export function cornersOf(object: Object3D): Vector3[] {
-  const { min, max } = new Box3().setFromObject(object);
+export const cornersOf = (object: Object3D): Vector3[] => cornersOfBox(new Box3().setFromObject(object));
+
+export function cornersOfBox({ min, max }: Box3): Vector3[] {
   return [min.x, max.x].flatMap((x) =>
     [min.y, max.y].flatMap((y) => [min.z, max.z].map((z) => new Vector3(x, y, z))),
   );

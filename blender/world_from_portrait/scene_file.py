@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The files that ``skylight export blender`` writes, read strictly."""
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from .run import Failure
+
+NAME, KIND, VERSION = "blender_scene.json", "skylight blender scene", 1
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Sun:
+    """``towards`` it in Blender's axes; ``energy`` times ``colour`` is its irradiance."""
+
+    name: str
+    towards: Vector
+    colour: Vector
+    energy: float
+    angle_rad: float
+
+
+@dataclass(frozen=True)
+class PortraitScene:
+    """The camera is at the origin and looks along +Y, +Z up; its centre is the picture's middle.
+
+    ``albedo``, ``ior`` and ``roughness`` are the skin's, as of a Principled BSDF.
+    """
+
+    world: Path
+    suns: tuple[Sun, ...]
+    photograph: Path
+    photograph_px: tuple[int, int]
+    focal_length_px: float
+    head: Path
+    albedo: Vector
+    ior: float
+    roughness: float
+    verdict: str
+    advice: tuple[str, ...]
+
+
+def read_scene(folder: Path) -> PortraitScene:
+    """Raises :class:`Failure` where a file is missing, damaged or of another version."""
+    path = folder / NAME
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise Failure(f"{path}: cannot be read ({error.strerror}): estimate again") from error
+    except ValueError as error:
+        raise Failure(f"{path}: no JSON: estimate again") from error
+    if not isinstance(content, dict) or content.get("kind") != KIND:
+        raise Failure(f"{path}: not a scene that skylight wrote for Blender")
+    if content.get("version") != VERSION:
+        raise Failure(
+            f"{path}: version {content.get('version')}, this extension reads {VERSION}: "
+            "update the older one of extension and skylight"
+        )
+    try:
+        width, height = content["photograph_px"]
+        scene = PortraitScene(
+            world=folder / content["world"],
+            suns=tuple(_sun(told) for told in content["suns"]),
+            photograph=folder / content["photograph"],
+            photograph_px=(_whole(width), _whole(height)),
+            focal_length_px=_number(content["focal_length_px"], above=0),
+            head=folder / content["head"],
+            albedo=_vector(content["albedo"]),
+            ior=_number(content["ior"], least=1),
+            roughness=_number(content["roughness"], least=0),
+            verdict=str(content["verdict"]),
+            advice=tuple(str(line) for line in content["advice"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise Failure(f"{path}: damaged ({error}): estimate again") from error
+    for file in (scene.world, scene.photograph, scene.head):
+        if not file.is_file():
+            raise Failure(f"{file}: there is no such file: estimate again")
+    return scene
+
+
+def read_head(path: Path) -> tuple[list[Vector], list[tuple[int, ...]]]:
+    """Vertices in Blender's axes, and the faces, of the .obj that skylight writes.
+
+    An .obj has +Y up and looks along -Z, so its (x, y, z) is (x, -z, y) here.
+    """
+    vertices: list[Vector] = []
+    faces: list[tuple[int, ...]] = []
+    try:
+        for line in path.read_text(encoding="utf-8").splitlines():
+            kind, _, rest = line.partition(" ")
+            if kind == "v":
+                x, y, z = (_number(float(part)) for part in rest.split())
+                vertices.append((x, -z, y))
+            elif kind == "f":
+                faces.append(tuple(int(part) - 1 for part in rest.split()))
+    except (OSError, ValueError, TypeError) as error:
+        raise Failure(f"{path}: cannot be read ({error}): estimate again") from error
+    largest = len(vertices)
+    if not faces or not all(len(f) > 2 and 0 <= min(f) <= max(f) < largest for f in faces):
+        raise Failure(f"{path}: no whole mesh: estimate again")
+    return vertices, faces
+
+
+def _sun(told: dict[str, Any]) -> Sun:
+    return Sun(
+        name=str(told["name"]),
+        towards=_vector(told["towards"]),
+        colour=_vector(told["colour"]),
+        energy=_number(told["energy"], least=0),
+        angle_rad=_number(told["angle_rad"], least=0),
+    )
+
+
+def _vector(told: Any) -> Vector:
+    x, y, z = told
+    return _number(x), _number(y), _number(z)
+
+
+def _number(told: Any, *, above: float = -math.inf, least: float = -math.inf) -> float:
+    if isinstance(told, bool) or not isinstance(told, int | float) or not math.isfinite(told):
+        raise ValueError(f"a number was expected, not {told!r}")
+    if not above < told or told < least:
+        raise ValueError(f"{told!r} is too small")
+    return float(told)
+
+
+def _whole(told: Any) -> int:
+    if isinstance(told, bool) or not isinstance(told, int) or told < 1:
+        raise ValueError(f"a number of pixels was expected, not {told!r}")
+    return told

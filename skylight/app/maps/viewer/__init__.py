@@ -1,0 +1,1 @@
+"""An estimate as one web page that needs no server and no network."""

@@ -1,0 +1,1 @@
+"""Evaluations of portraits in another light."""

@@ -1,0 +1,82 @@
+"""A photograph with its estimate, taken apart for other light."""
+
+from dataclasses import dataclass
+
+import cv2
+from jaxtyping import Float
+from torch import Tensor
+
+from skylight.faces.fit import FaceFit
+from skylight.faces.model import HeadModel
+from skylight.faces.observe import hair_of
+from skylight.faces.segmentation.person import person_matte
+from skylight.imaging.photo import Photo
+from skylight.inverse.portrait.relit import Portrait
+from skylight.inverse.portrait.surface import BUST, FACE_PX, PersonSurface
+from skylight.inverse.result import Estimate
+from skylight.sphere.envmap import EnvironmentMap
+from skylight.work.progress import Progress
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceReflection:
+    """What an estimate tells of a face beside its light: ``gloss`` and ``turns`` of
+    :class:`~skylight.inverse.result.FaceLight`."""
+
+    gloss: float
+    turns: Float[Tensor, " j"] | None
+
+    @staticmethod
+    def of(estimate: Estimate) -> "FaceReflection":
+        """The (first) face's."""
+        face = estimate.faces[0]
+        return FaceReflection(gloss=face.gloss, turns=face.turns)
+
+
+def portrait_of(
+    photo: Photo,
+    fit: FaceFit,
+    reflection: FaceReflection,
+    found: EnvironmentMap,
+    *,
+    face_px: int = FACE_PX,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> Portrait:
+    """A photograph of a fitted head under the light ``found``, in its colours and units.
+
+    ``face_px`` and ``workers``: of :meth:`~skylight.inverse.portrait.surface.PersonSurface.of`.
+
+    Raises
+    ------
+    InputError
+        None of the face's skin is seen.
+    """
+    person = PersonSurface.of(
+        fit, reflection.turns, face_px=face_px, workers=workers, progress=progress
+    )
+    hair = hair_of(photo.pixels, HeadModel.load(), fit)
+    regions = person.region_image()
+    matte = person_matte(
+        photo.encoded,
+        (regions >= 0) & (regions != BUST),
+        regions == BUST,
+        cv2.resize(hair, regions.shape[::-1], interpolation=cv2.INTER_AREA),
+        person.face_px,
+    )
+    return Portrait.of(photo.pixels, person, found, reflection.gloss, hair, matte, grey=photo.grey)
+
+
+def light_in_photo(estimate: Estimate, light: EnvironmentMap | None = None) -> EnvironmentMap:
+    """The light found (or one like it) in the colours and units of the (first) face's photograph.
+
+    An estimate's map has the light's own colours, of which the photograph shows gains.
+    """
+    light = light or estimate.environment
+    return EnvironmentMap(radiance=light.radiance * gains_of(estimate))
+
+
+def gains_of(estimate: Estimate) -> Float[Tensor, "3"]:
+    """What the (first) face's photograph shows of the map, in each channel."""
+    face = estimate.faces[0]
+    return face.white_balance * (face.exposure / estimate.exposure)

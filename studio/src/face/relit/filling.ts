@@ -1,0 +1,208 @@
+/**
+ * Pictures of which only some pixels are known, filled and blurred as skylight.inverse.portrait.fill
+ * does. Channels are interleaved; unknown pixels are 0.
+ */
+
+/** Makes no garbage: 15 times a second that would be a hundred megabytes. */
+class Scratch {
+  private readonly kept = new Map<string, Float32Array>();
+  take(name: string, length: number): Float32Array {
+    let array = this.kept.get(name);
+    if (array?.length !== length) this.kept.set(name, (array = new Float32Array(length)));
+    return array;
+  }
+}
+
+interface Level {
+  width: number;
+  height: number;
+  /** 0 to 1. */
+  known: Float32Array;
+  /** One over the weights of the next level before they are cut off at 1. */
+  over: Float32Array;
+  scratch: Scratch;
+  across: Int32Array;
+  along: Int32Array;
+}
+
+/** The five pixels about each second one, reflected at the border. */
+function taps(length: number): Int32Array {
+  return Int32Array.from({ length: 5 * ((length + 1) >> 1) }, (_, i) =>
+    reflected(2 * Math.floor(i / 5) + (i % 5) - 2, length),
+  );
+}
+
+const reflected = (place: number, length: number): number => {
+  if (length === 1) return 0;
+  let at = place;
+  while (at < 0 || at >= length) at = at < 0 ? -at : 2 * length - 2 - at;
+  return at;
+};
+
+/** cv2.pyrDown: means with the binomial weights (1, 4, 6, 4, 1) / 16 along each axis. */
+function down(picture: Float32Array, level: Omit<Level, "known" | "over">, channels: number): Float32Array {
+  const { width, height, across, along, scratch } = level;
+  const line = (across.length / 5) * channels;
+  const half = scratch.take("half", line * height);
+  for (let row = 0, to = 0; row < height; row++) {
+    const start = row * width * channels;
+    for (let tap = 0; tap < across.length; tap += 5) {
+      const a = start + across[tap]! * channels;
+      const b = start + across[tap + 1]! * channels;
+      const c = start + across[tap + 2]! * channels;
+      const d = start + across[tap + 3]! * channels;
+      const e = start + across[tap + 4]! * channels;
+      for (let k = 0; k < channels; k++, to++)
+        half[to] =
+          picture[a + k]! + picture[e + k]! + 4 * (picture[b + k]! + picture[d + k]!) + 6 * picture[c + k]!;
+    }
+  }
+  const small = scratch.take("small", (line * along.length) / 5);
+  for (let tap = 0, to = 0; tap < along.length; tap += 5) {
+    const a = along[tap]! * line;
+    const b = along[tap + 1]! * line;
+    const c = along[tap + 2]! * line;
+    const d = along[tap + 3]! * line;
+    const e = along[tap + 4]! * line;
+    for (let x = 0; x < line; x++, to++)
+      small[to] =
+        (half[a + x]! + half[e + x]! + 4 * (half[b + x]! + half[d + x]!) + 6 * half[c + x]!) / 256;
+  }
+  return small;
+}
+
+/** cv2.pyrUp: four times the pixels, or a row or column less. */
+function up(small: Float32Array, { width, height, scratch }: Level, channels: number): Float32Array {
+  const [fromWidth, fromHeight] = [(width + 1) >> 1, (height + 1) >> 1];
+  const line = width * channels;
+  const wide = scratch.take("wide", line * fromHeight);
+  for (let row = 0; row < fromHeight; row++) {
+    const start = row * fromWidth * channels;
+    for (let x = 0, to = row * line; x < width; x++) {
+      const i = x >> 1;
+      const here = start + i * channels;
+      const after = start + Math.min(i + 1, fromWidth - 1) * channels;
+      const before = start + (i > 0 ? i - 1 : Math.min(1, fromWidth - 1)) * channels;
+      if (x & 1) for (let k = 0; k < channels; k++, to++) wide[to] = (small[here + k]! + small[after + k]!) / 2;
+      else
+        for (let k = 0; k < channels; k++, to++)
+          wide[to] = (small[before + k]! + 6 * small[here + k]! + small[after + k]!) / 8;
+    }
+  }
+  const large = scratch.take("large", line * height);
+  for (let y = 0, to = 0; y < height; y++) {
+    const i = y >> 1;
+    const here = i * line;
+    const after = Math.min(i + 1, fromHeight - 1) * line;
+    const before = (i > 0 ? i - 1 : Math.min(1, fromHeight - 1)) * line;
+    if (y & 1) for (let x = 0; x < line; x++, to++) large[to] = (wide[here + x]! + wide[after + x]!) / 2;
+    else
+      for (let x = 0; x < line; x++, to++)
+        large[to] = (wide[before + x]! + 6 * wide[here + x]! + wide[after + x]!) / 8;
+  }
+  return large;
+}
+
+/** Push and pull (Gortler et al. 1996) by weights that stay. */
+export class Filling {
+  private readonly levels: Level[] = [];
+
+  constructor(weights: Float32Array, width: number, height: number) {
+    let known = weights;
+    let [w, h] = [width, height];
+    for (;;) {
+      const level = { width: w, height: h, across: taps(w), along: taps(h), scratch: new Scratch() };
+      const below = down(known, level, 1).slice();
+      this.levels.push({ ...level, known, over: below.map((value) => 1 / Math.max(value, 1e-12)) });
+      if (Math.min(w, h) < 2) return;
+      known = below.map((value) => Math.min(4 * value, 1));
+      [w, h] = [(w + 1) >> 1, (h + 1) >> 1];
+    }
+  }
+
+  /** The picture with what is unknown, in part or wholly, from its surroundings; until the next call. */
+  fill(picture: Float32Array, channels: number, level = 0): Float32Array {
+    const here = this.levels[level]!;
+    const { known, over } = here;
+    if (Math.min(here.width, here.height) < 2) return meanFilled(picture, known, channels);
+    const masked = here.scratch.take("masked", picture.length);
+    for (let i = 0, at = 0; i < known.length; i++)
+      for (let k = 0; k < channels; k++, at++) masked[at] = known[i]! * picture[at]!;
+    const coarse = down(masked, here, channels);
+    for (let i = 0, at = 0; i < over.length; i++)
+      for (let k = 0; k < channels; k++, at++) coarse[at]! *= over[i]!;
+    const pulled = up(this.fill(coarse, channels, level + 1), here, channels);
+    for (let i = 0, at = 0; i < known.length; i++)
+      for (let k = 0; k < channels; k++, at++) masked[at]! += (1 - known[i]!) * pulled[at]!;
+    return masked;
+  }
+}
+
+function meanFilled(picture: Float32Array, known: Float32Array, channels: number): Float32Array {
+  const filled = picture.slice();
+  const total = known.reduce((sum, weight) => sum + weight, 0);
+  for (let k = 0; k < channels; k++) {
+    const mean = known.reduce((sum, weight, i) => sum + weight * picture[channels * i + k]!, 0) / total;
+    known.forEach((weight, i) => {
+      if (!(weight > 0)) filled[channels * i + k] = mean;
+    });
+  }
+  return filled;
+}
+
+/** Gaussian means over some cells of a grid, each over the weight of the cells near it. */
+export class Blur {
+  private readonly kernel: Float32Array;
+  private readonly below: Float32Array;
+  private readonly scratch = new Scratch();
+
+  constructor(
+    private readonly width: number,
+    private readonly height: number,
+    weights: Float32Array,
+    sigma: number,
+  ) {
+    const radius = Math.round(sigma * 8 + 1) >> 1; // as cv2.GaussianBlur chooses it
+    const bell = Float32Array.from({ length: 2 * radius + 1 }, (_, i) => Math.exp(-((i - radius) ** 2) / (2 * sigma ** 2)));
+    const total = bell.reduce((sum, value) => sum + value, 0);
+    this.kernel = bell.map((value) => value / total);
+    this.below = this.summed(weights).map((weight) => Math.max(weight, 1e-6));
+  }
+
+  /** Of weights times values, all over the grid; until the next call. */
+  of(weighted: Float32Array): Float32Array {
+    const sums = this.summed(weighted);
+    for (let i = 0; i < sums.length; i++) sums[i]! /= this.below[i]!;
+    return sums;
+  }
+
+  private summed(picture: Float32Array): Float32Array {
+    const { width, height, kernel, scratch } = this;
+    const radius = kernel.length >> 1;
+    const line = scratch.take("line", width + 2 * radius);
+    const across = scratch.take("across", width * (height + 2 * radius));
+    const out = scratch.take("out", width * height);
+    for (let row = 0; row < height; row++) {
+      for (let x = -radius; x < width + radius; x++)
+        line[x + radius] = picture[row * width + reflected(x, width)]!;
+      for (let x = 0, to = (row + radius) * width; x < width; x++, to++) {
+        let sum = 0;
+        for (let t = 0; t < kernel.length; t++) sum += kernel[t]! * line[x + t]!;
+        across[to] = sum;
+      }
+    }
+    for (let y = 1; y <= radius; y++)
+      for (const row of [-y, height - 1 + y]) {
+        const from = (reflected(row, height) + radius) * width;
+        across.copyWithin((row + radius) * width, from, from + width);
+      }
+    out.fill(0);
+    for (let row = 0; row < height; row++)
+      for (let t = 0; t < kernel.length; t++) {
+        const share = kernel[t]!;
+        for (let x = 0, to = row * width, from = (row + t) * width; x < width; x++, to++, from++)
+          out[to]! += share * across[from]!;
+      }
+    return out;
+  }
+}

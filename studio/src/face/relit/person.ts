@@ -1,0 +1,73 @@
+import type { Angles } from "../../api";
+import { readTensors } from "./tensors";
+
+type Rgb = [number, number, number];
+
+/** What skylight.studio.tasks.portrait says of a person; its text tells the fields. */
+export interface Facts {
+  command: string;
+  is_alone: boolean;
+  is_lamp: boolean;
+  was_found: boolean;
+  strength: number | null;
+  warning: string;
+  size: [width: number, height: number];
+  crop: [left: number, top: number, width: number, height: number];
+  sun: Angles;
+  irradiance: Rgb;
+  map_rows: number;
+  gloss: number;
+  lobe: { f0: number; alpha: number };
+  soft_px: number;
+  dark: number;
+  base: number;
+  brightest: number;
+  hair_counts: number;
+  knee: number;
+}
+
+/** The points of a person's surface (m of them) with all light but the sun's; row by row. */
+export interface Person {
+  facts: Facts;
+  picture: { width: number; height: number; codes: Uint8Array };
+  places: Int32Array;
+  normals: Float32Array;
+  views: Float32Array;
+  visible: Uint8Array;
+  shading: Float32Array;
+  glossy: Float32Array;
+  local: Float32Array;
+  restShading: Float32Array;
+  restGlossy: Float32Array;
+  inside: Float32Array;
+  bare: Float32Array;
+  foundPower: Float32Array;
+  restPower: Float32Array;
+  restMap: { width: number; height: number; data: Float32Array };
+}
+
+export function readPerson(file: ArrayBuffer): Person {
+  const tensors = readTensors(file);
+  const sized = (name: string): { width: number; height: number } => {
+    const [height, width] = tensors.shape(name) as [number, number];
+    return { width, height };
+  };
+  return {
+    facts: JSON.parse(tensors.text("facts")) as Facts,
+    picture: { ...sized("picture"), codes: tensors.bytes("picture") },
+    places: tensors.integers("places"),
+    normals: tensors.floats("normals"),
+    views: tensors.floats("views"),
+    visible: tensors.bytes("visible"),
+    shading: tensors.floats("shading"),
+    glossy: tensors.floats("glossy"),
+    local: tensors.floats("local"),
+    restShading: tensors.floats("rest_shading"),
+    restGlossy: tensors.floats("rest_glossy"),
+    inside: tensors.floats("inside"),
+    bare: tensors.floats("bare"),
+    foundPower: tensors.floats("found_power"),
+    restPower: tensors.floats("rest_power"),
+    restMap: { ...sized("rest_map"), data: tensors.floats("rest_map") },
+  };
+}

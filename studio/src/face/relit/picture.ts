@@ -1,0 +1,176 @@
+import type { Facts, Person } from "./person";
+import type { Grid, Lit, SunLight } from "./sun_light";
+
+const CORNERS = `#version 300 es
+void main() {
+  gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0);
+}`;
+
+// The formulas of skylight.inverse.portrait.relit, and of app.portrait.relit's shown()
+const PIXEL = `#version 300 es
+precision highp float;
+uniform highp sampler2D photo, was, local, shine, lit, glossy, ratio;
+uniform vec2 size, // of the picture; and where the grids of skin and of the whole person are in it
+  skinFrom, skinSize, wholeFrom, wholeSize;
+uniform float least, brightest, knee, common_;
+uniform bool isBefore;
+out vec4 color;
+
+vec3 linear(vec3 code) {
+  return mix(code / 12.92, pow((code + 0.055) / 1.055, vec3(2.4)), step(0.04045, code));
+}
+vec3 encoded(vec3 light) {
+  return mix(12.92 * light, 1.055 * pow(light, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, light));
+}
+// GLSL's own overflows for large numbers on some machines
+vec3 tanh_(vec3 x) {
+  vec3 e = exp(-2.0 * min(x, 20.0));
+  return (1.0 - e) / (1.0 + e);
+}
+void main() {
+  vec2 at = vec2(gl_FragCoord.x, size.y - gl_FragCoord.y);
+  vec4 seen = texelFetch(photo, ivec2(at), 0);
+  color = vec4(seen.rgb, 1.0);
+  if (isBefore || seen.a == 0.0) return;
+  vec3 p = linear(seen.rgb);
+  vec3 person = p * exp(texture(ratio, (at - wholeFrom) / wholeSize).rgb);
+  vec2 place = (at - skinFrom) / skinSize;
+  // branches: where no graphics card is, most of the time goes into looking textures up
+  if (place == clamp(place, 0.0, 1.0)) {
+    vec4 dark = texture(was, place);
+    if (dark.a > 0.0) {
+      vec3 usual = texture(local, place).rgb;
+      vec3 shone = texture(shine, place).rgb;
+      vec3 albedo = (max(p - shone, 0.0) * dark.rgb + least * usual) / (dark.rgb * dark.rgb + least);
+      albedo = min(albedo, brightest * usual);
+      vec3 residual = p - albedo * dark.rgb - shone;
+      vec3 skin = albedo * texture(lit, place).rgb + texture(glossy, place).rgb + common_ * residual;
+      person = mix(person, skin, dark.a);
+    }
+  }
+  vec3 light = max(mix(p, person, seen.a), 0.0);
+  vec3 k = clamp(p, knee, 1.0 - 1e-6);
+  if (any(greaterThan(light, k))) light = min(light, k) + (1.0 - k) * tanh_(max(light - k, 0.0) / (1.0 - k));
+  color = vec4(encoded(clamp(light, 0.0, 1.0)), 1.0);
+}`;
+
+/** Draws a person in a new light into a canvas of the picture's size. */
+export class RelitPicture {
+  private readonly gl: WebGL2RenderingContext;
+  private readonly uniforms = new Map<string, WebGLUniformLocation>();
+  private readonly program: WebGLProgram;
+
+  constructor(
+    canvas: HTMLCanvasElement,
+    { picture, facts }: Person,
+    private readonly light: SunLight,
+  ) {
+    const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false, preserveDrawingBuffer: true });
+    if (!gl) throw new Error("this browser offers no WebGL 2, so the person cannot be relit here");
+    this.gl = gl;
+    this.program = program(gl);
+    gl.useProgram(this.program);
+    const number = (name: string, ...values: number[]): void => {
+      const place = this.uniform(name);
+      if (values.length === 1) gl.uniform1f(place, values[0]!);
+      else gl.uniform2f(place, values[0]!, values[1]!);
+    };
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    ["photo", "was", "local", "shine", "lit", "glossy", "ratio"].forEach((name, unit) => {
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
+      const filter = unit === 0 ? gl.NEAREST : gl.LINEAR;
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, filter);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, filter);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
+      gl.uniform1i(this.uniform(name), unit);
+    });
+    gl.activeTexture(gl.TEXTURE0);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, picture.width, picture.height, 0, gl.RGBA, gl.UNSIGNED_BYTE, picture.codes);
+    const { shading, local, glossy, inside } = light.before;
+    this.upload(1, light.skin, Float32Array.from({ length: 4 * inside.length }, (_, i) =>
+      i % 4 === 3 ? inside[i >> 2]! : shading[3 * (i >> 2) + (i % 4)]!), 4);
+    this.upload(2, light.skin, local);
+    this.upload(3, light.skin, glossy);
+    const across = picture.width / facts.size[0];
+    const down = picture.height / facts.size[1];
+    number("size", picture.width, picture.height);
+    for (const name of ["skin", "whole"] as const) {
+      const { left, top, width, height, step } = light[name];
+      number(`${name}From`, left * across, top * down);
+      number(`${name}Size`, width * step * across, height * step * down);
+    }
+    this.setConstants(facts, number);
+    gl.viewport(0, 0, picture.width, picture.height);
+    this.show(true);
+    // from now on only what holds some of the person
+    const { left, top, width, height } = box(picture);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(left, picture.height - top - height, width, height);
+  }
+
+  draw({ shading, glossy, ratio, common }: Lit): void {
+    this.upload(4, this.light.skin, shading);
+    this.upload(5, this.light.skin, glossy);
+    this.upload(6, this.light.whole, ratio);
+    this.gl.uniform1f(this.uniform("common_"), common);
+    this.show(false);
+  }
+
+  /** The last picture, or the photograph as it was. */
+  show(isBefore: boolean): void {
+    this.gl.uniform1i(this.uniform("isBefore"), Number(isBefore));
+    this.gl.drawArrays(this.gl.TRIANGLES, 0, 3);
+  }
+
+  dispose(): void {
+    this.gl.getExtension("WEBGL_lose_context")?.loseContext();
+  }
+
+  private setConstants(facts: Facts, number: (name: string, value: number) => void): void {
+    number("least", (facts.dark * this.light.level) ** 2);
+    number("brightest", facts.brightest);
+    number("knee", facts.knee);
+  }
+
+  private upload(unit: number, { width, height }: Grid, values: Float32Array, channels: 3 | 4 = 3): void {
+    const { gl } = this;
+    const [kept, given] = channels === 4 ? [gl.RGBA16F, gl.RGBA] : [gl.RGB16F, gl.RGB];
+    gl.activeTexture(gl.TEXTURE0 + unit);
+    gl.texImage2D(gl.TEXTURE_2D, 0, kept, width, height, 0, given, gl.FLOAT, values);
+  }
+
+  private uniform(name: string): WebGLUniformLocation {
+    let place = this.uniforms.get(name);
+    if (!place) this.uniforms.set(name, (place = this.gl.getUniformLocation(this.program, name)!));
+    return place;
+  }
+}
+
+/** The rectangle that holds all of the matte. */
+function box({ width, height, codes }: Person["picture"]): { left: number; top: number; width: number; height: number } {
+  let [left, top, right, foot] = [width, height, 0, 0];
+  for (let row = 0, at = 3; row < height; row++)
+    for (let column = 0; column < width; column++, at += 4) {
+      if (codes[at] === 0) continue;
+      left = Math.min(left, column);
+      right = Math.max(right, column + 1);
+      top = Math.min(top, row);
+      foot = row + 1;
+    }
+  return { left, top, width: Math.max(0, right - left), height: Math.max(0, foot - top) };
+}
+
+function program(gl: WebGL2RenderingContext): WebGLProgram {
+  const made = gl.createProgram();
+  for (const [kind, source] of [[gl.VERTEX_SHADER, CORNERS], [gl.FRAGMENT_SHADER, PIXEL]] as const) {
+    const shader = gl.createShader(kind)!;
+    gl.shaderSource(shader, source);
+    gl.compileShader(shader);
+    gl.attachShader(made, shader);
+  }
+  gl.linkProgram(made);
+  if (!gl.getProgramParameter(made, gl.LINK_STATUS)) throw new Error("this browser's WebGL cannot relight the person");
+  return made;
+}

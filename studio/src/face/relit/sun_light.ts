@@ -1,0 +1,261 @@
+import { fromAngles, toPixel, type Vec3 } from "../../shared/frame";
+import { luminance } from "../../shared/radiance_map";
+import { Blur, Filling } from "./filling";
+import type { Person } from "./person";
+
+const ROWS = 32; // of the directions that points see or not
+const MARGIN = 4; // of the grid of skin
+const SHARED_ROWS = 16; // as in skylight.inverse.portrait.relit
+
+/** Some pixels of the shading's picture: what textures are made of. */
+export interface Grid {
+  left: number;
+  top: number;
+  width: number;
+  height: number;
+  /** Pixels a cell. */
+  step: number;
+}
+
+/** The person in a new light, three numbers a cell; until the next light. */
+export interface Lit {
+  /** On the grid of skin. */
+  shading: Float32Array;
+  glossy: Float32Array;
+  /** On that of the whole person: what hair and clothes are multiplied by, as a logarithm. */
+  ratio: Float32Array;
+  /** How much of the light is that of the photograph. */
+  common: number;
+}
+
+/**
+ * The four pixels of a lat-long grid about a direction, and their bilinear shares; beyond a pole is
+ * its own row, half a turn away.
+ */
+export function nearest(direction: Vec3, rows: number): [pixel: number, share: number][] {
+  const columns = 2 * rows;
+  const [column, row] = toPixel(direction, columns, rows);
+  const r0 = Math.floor(row);
+  const c0 = Math.floor(column);
+  return [0, 1].flatMap((below) =>
+    [0, 1].map((beside): [number, number] => {
+      const r = r0 + below;
+      const isBeyond = r < 0 || r >= rows;
+      const c = c0 + beside + (isBeyond ? rows : 0);
+      const pixel = Math.min(Math.max(r, 0), rows - 1) * columns + (((c % columns) + columns) % columns);
+      return [pixel, Math.abs(1 - below - (row - r0)) * Math.abs(1 - beside - (column - c0))];
+    }),
+  );
+}
+
+/** A person under all light but the sun's, and the sun wherever it is put. */
+export class SunLight {
+  /** About the skin, cell by pixel. */
+  readonly skin: Grid;
+  /** About all of the person, in cells of 2 x 2 pixels: what is blurred needs no more. */
+  readonly whole: Grid;
+  /** S_A, rho_0 and g_A of the photograph's own light, and how much skin there is, on the grid of skin. */
+  readonly before: { shading: Float32Array; local: Float32Array; glossy: Float32Array; inside: Float32Array };
+  /** The mean luminance of S_A on skin. */
+  readonly level: number;
+  /** Cells of the points, in either grid; -1 for none. */
+  private readonly onSkin: Int32Array;
+  private readonly onWhole: Int32Array;
+  private readonly fromSkin: Filling;
+  private readonly fromAll: Filling;
+  private readonly blur: Blur;
+  private readonly covered: Float32Array;
+  private readonly softBefore: Float32Array[];
+  private readonly softRest: Float32Array[];
+  private readonly restShading: Float32Array;
+  private readonly restGlossy: Float32Array;
+  private readonly meanBefore: Float32Array;
+  private readonly meanRest: Float32Array;
+
+  constructor(private readonly person: Person) {
+    const { facts, places, bare } = person;
+    const [left, top, width, height] = facts.crop;
+    this.skin = gridAbout(person);
+    this.whole = { left, top, width: (width + 1) >> 1, height: (height + 1) >> 1, step: 2 };
+    this.onSkin = this.cells(this.skin);
+    this.onWhole = this.cells(this.whole);
+    const skin = bare.map((share) => Math.max(share, facts.hair_counts));
+    this.fromSkin = new Filling(this.summed(skin, 1, this.skin, this.onSkin), this.skin.width, this.skin.height);
+    const counts = this.summed(new Float32Array(places.length).fill(1), 1, this.whole, this.onWhole);
+    this.covered = counts.map((count) => Number(count > 0));
+    this.fromAll = new Filling(this.covered, this.whole.width, this.whole.height);
+    this.blur = new Blur(this.whole.width, this.whole.height, counts, facts.soft_px / this.whole.step);
+    this.softBefore = [0, 1, 2].map((k) => this.soft(person.shading, 3, k).slice());
+    this.softRest = [0, 1, 2].map((k) => this.soft(person.restShading, 3, k).slice());
+    this.meanBefore = this.meanOnSkin(person.shading, 3);
+    this.meanRest = this.meanOnSkin(person.restShading, 3);
+    this.level = luminance(this.meanBefore[0]!, this.meanBefore[1]!, this.meanBefore[2]!);
+    const filled = (values: Float32Array): Float32Array =>
+      this.fromSkin.fill(this.summed(values, 3, this.skin, this.onSkin), 3).slice();
+    this.restShading = filled(person.restShading);
+    this.restGlossy = filled(person.restGlossy);
+    this.before = {
+      shading: filled(person.shading),
+      local: filled(person.local),
+      glossy: filled(person.glossy),
+      inside: this.summed(person.inside, 1, this.skin, this.onSkin),
+    };
+  }
+
+  /** `V <n, d>+ / pi` at each point, and as much of the gloss; two numbers a point. */
+  transport(direction: Vec3): Float32Array {
+    const { normals, views, visible, facts } = this.person;
+    const [x, y, z] = direction;
+    const bytes = (ROWS * ROWS * 2) / 8;
+    const near = nearest(direction, ROWS);
+    const a2 = facts.lobe.alpha ** 2;
+    const { f0 } = facts.lobe;
+    const out = new Float32Array((2 * normals.length) / 3);
+    for (let i = 0, at = 0; at < normals.length; i++, at += 3) {
+      const nx = normals[at]!;
+      const ny = normals[at + 1]!;
+      const nz = normals[at + 2]!;
+      const nl = nx * x + ny * y + nz * z;
+      if (nl <= 0) continue;
+      let seen = 0;
+      for (let k = 0; k < 4; k++) {
+        const [pixel, share] = near[k]!;
+        if ((visible[i * bytes + (pixel >> 3)]! >> (pixel & 7)) & 1) seen += share;
+      }
+      if (seen === 0) continue;
+      const vx = views[at]!;
+      const vy = views[at + 1]!;
+      const vz = views[at + 2]!;
+      const nv = Math.max(nx * vx + ny * vy + nz * vz, 1e-2);
+      const lv = vx * x + vy * y + vz * z;
+      // skylight.transport.render.ggx
+      const length = Math.sqrt(Math.max(2 + 2 * lv, 1e-6));
+      const nh = Math.min((nl + nv) / length, 1);
+      const density = a2 / (Math.PI * (nh * nh * (a2 - 1) + 1) ** 2);
+      const masking =
+        0.5 / (nl * Math.sqrt(nv * nv * (1 - a2) + a2) + nv * Math.sqrt(nl * nl * (1 - a2) + a2));
+      const fresnel = f0 + (1 - f0) * (1 - Math.min(length / 2, 1)) ** 5;
+      out[2 * i] = (seen * nl) / Math.PI;
+      out[2 * i + 1] = facts.gloss * seen * nl * density * masking * fresnel;
+    }
+    return out;
+  }
+
+  /** The person with the sun there, `times` as strong as it was found (or is by default). */
+  under(azimuthDeg: number, zenithDeg: number, times: number): Lit {
+    const { facts } = this.person;
+    const direction = fromAngles(azimuthDeg, zenithDeg);
+    const sun = facts.irradiance.map((value) => times * value) as [number, number, number];
+    const transport = this.transport(direction);
+    const gains = this.gains(transport, sun);
+    const filled = this.fromSkin.fill(this.summed(transport, 2, this.skin, this.onSkin), 2);
+    const shading = new Float32Array(this.restShading.length);
+    const glossy = new Float32Array(this.restGlossy.length);
+    for (let i = 0, at = 0; at < shading.length; i += 2)
+      for (let k = 0; k < 3; k++, at++) {
+        shading[at] = gains[k]! * (this.restShading[at]! + sun[k]! * filled[i]!);
+        glossy[at] = gains[k]! * (this.restGlossy[at]! + sun[k]! * filled[i + 1]!);
+      }
+    const soft = this.soft(transport, 2, 0);
+    const base = facts.base * this.level;
+    const ratio = new Float32Array(3 * soft.length);
+    for (let i = 0; i < soft.length; i++) {
+      if (this.covered[i] === 0) continue;
+      for (let k = 0; k < 3; k++) {
+        const now = gains[k]! * (this.softRest[k]![i]! + sun[k]! * soft[i]!);
+        ratio[3 * i + k] = Math.log((now + base) / (this.softBefore[k]![i]! + base));
+      }
+    }
+    return { shading, glossy, ratio: this.fromAll.fill(ratio, 3), common: this.common(direction, sun) };
+  }
+
+  /** One channel of the points' values, smoothed over the whole person. */
+  private soft(values: Float32Array, channels: number, channel: number): Float32Array {
+    const sums = new Float32Array(this.covered.length);
+    this.onWhole.forEach((cell, i) => (sums[cell]! += values[channels * i + channel]!));
+    return this.blur.of(sums);
+  }
+
+  /** White is balanced so that the mean shading of skin keeps its colour: it is the same place. */
+  private gains(transport: Float32Array, sun: [number, number, number]): number[] {
+    const lit = this.meanOnSkin(transport, 2)[0]!;
+    const received = sun.map((value, k) => this.meanRest[k]! + value * lit);
+    if (received.some((value) => value === 0)) return [1, 1, 1];
+    const gains = received.map((value, k) => this.meanBefore[k]! / value);
+    const [r, g, b] = received as [number, number, number];
+    const keep = luminance(r, g, b) / luminance(gains[0]! * r, gains[1]! * g, gains[2]! * b);
+    return gains.map((gain) => gain * keep);
+  }
+
+  /** `max(0, 1 - |p - q|_1)` of skylight.inverse.portrait.relit.shared_light. */
+  private common(direction: Vec3, sun: [number, number, number]): number {
+    const { foundPower, restPower, facts } = this.person;
+    const power = restPower.slice();
+    const rows = Math.min(SHARED_ROWS, facts.map_rows);
+    const block = facts.map_rows / rows;
+    // one above the horizon by less than half a row stays above it
+    const lowest = ((facts.map_rows / 2 - 0.5) / facts.map_rows) * 180;
+    const zenith = (Math.acos(Math.min(1, Math.max(-1, direction[1]))) * 180) / Math.PI;
+    const azimuth = (Math.atan2(direction[0], -direction[2]) * 180) / Math.PI;
+    const placed = zenith < 90 ? fromAngles(azimuth, Math.min(zenith, lowest)) : direction;
+    for (const [pixel, share] of nearest(placed, facts.map_rows)) {
+      const row = Math.floor(pixel / (2 * facts.map_rows) / block);
+      const column = Math.floor((pixel % (2 * facts.map_rows)) / block);
+      power[row * 2 * rows + column]! += share * luminance(...sun);
+    }
+    const sum = (of: Float32Array): number => of.reduce((total, value) => total + value, 0);
+    const [was, is] = [sum(foundPower), sum(power)];
+    let apart = 0;
+    power.forEach((value, i) => (apart += Math.abs(value / is - foundPower[i]! / was)));
+    return Math.max(0, 1 - apart);
+  }
+
+  private meanOnSkin(values: Float32Array, channels: number): Float32Array {
+    const sums = new Float64Array(channels);
+    let total = 0;
+    this.person.bare.forEach((share, i) => {
+      if (!(share > 0)) return;
+      total++;
+      for (let k = 0; k < channels; k++) sums[k]! += values[channels * i + k]!;
+    });
+    return Float32Array.from(sums, (sum) => sum / total);
+  }
+
+  /** In which cell each point is. */
+  private cells({ left, top, width, height, step }: Grid): Int32Array {
+    const [cropLeft, cropTop, cropWidth] = this.person.facts.crop;
+    return this.person.places.map((place) => {
+      const x = Math.floor(((place % cropWidth) + cropLeft - left) / step);
+      const y = Math.floor((Math.floor(place / cropWidth) + cropTop - top) / step);
+      return x < 0 || y < 0 || x >= width || y >= height ? -1 : y * width + x;
+    });
+  }
+
+  /** The points' values summed over the cells of a grid. */
+  private summed(values: Float32Array, channels: number, grid: Grid, cells: Int32Array): Float32Array {
+    const picture = new Float32Array(channels * grid.width * grid.height);
+    for (let i = 0; i < cells.length; i++) {
+      if (cells[i]! < 0) continue;
+      for (let k = 0; k < channels; k++) picture[channels * cells[i]! + k]! += values[channels * i + k]!;
+    }
+    return picture;
+  }
+}
+
+/** The pixels with skin and a few about them. */
+function gridAbout({ facts, places, bare }: Person): Grid {
+  const [cropLeft, cropTop, width, height] = facts.crop;
+  let [left, top, right, foot] = [width, height, 0, 0];
+  places.forEach((place, i) => {
+    if (!(bare[i]! > 0)) return;
+    left = Math.min(left, place % width);
+    right = Math.max(right, place % width);
+    top = Math.min(top, Math.floor(place / width));
+    foot = Math.max(foot, Math.floor(place / width));
+  });
+  left = Math.max(0, left - MARGIN);
+  top = Math.max(0, top - MARGIN);
+  right = Math.min(width, right + 1 + MARGIN);
+  foot = Math.min(height, foot + 1 + MARGIN);
+  return { left: cropLeft + left, top: cropTop + top, width: right - left, height: foot - top, step: 1 };
+}

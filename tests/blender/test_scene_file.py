@@ -1,0 +1,128 @@
+"""The files between skylight and the extension: what is read, and what is refused."""
+
+import json
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+
+from blender.world_from_portrait.run import Failure
+from blender.world_from_portrait.scene_file import KIND, NAME, VERSION, read_head, read_scene
+from blender.world_from_portrait.wording import UNKNOWN, of_verdict
+from skylight.inverse.posterior import Verdict
+from skylight.relight.light_files import blender_scene
+
+SUN: dict[str, Any] = {
+    "name": "sun",
+    "towards": [0, 0.6, 0.8],
+    "colour": [1, 0.9, 0.8],
+    "energy": 2.5,
+    "angle_rad": 0.0093,
+}
+GOOD: dict[str, Any] = {
+    "kind": KIND,
+    "version": VERSION,
+    "world": "light.hdr",
+    "suns": [SUN],
+    "photograph": "photograph.png",
+    "photograph_px": [60, 80],
+    "focal_length_px": 120.5,
+    "head": "head.obj",
+    "albedo": [0.5, 0.4, 0.3],
+    "ior": 1.4,
+    "roughness": 0.5,
+    "verdict": "ambiguous: wide region",
+    "advice": ["a", "b"],
+}
+HEAD = "# head\nv 0 0 -1\nv 1 0 -1\nv 0 1 -2\nf 1 2 3\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name, text in (("light.hdr", ""), ("photograph.png", ""), ("head.obj", HEAD)):
+        (tmp_path / name).write_text(text)
+    write(tmp_path)
+    return tmp_path
+
+
+def write(folder: Path, **changed: object) -> None:
+    (folder / NAME).write_text(json.dumps(GOOD | changed))
+
+
+def test_it_is_the_format_that_skylight_writes() -> None:
+    assert (NAME, KIND, VERSION) == (
+        blender_scene.SCENE,
+        blender_scene.KIND,
+        blender_scene.VERSION,
+    )
+
+
+def test_a_whole_scene_is_read(folder: Path) -> None:
+    scene = read_scene(folder)
+    (sun,) = scene.suns
+    assert (sun.name, sun.towards, sun.energy) == ("sun", (0, 0.6, 0.8), 2.5)
+    assert scene.photograph_px == (60, 80)
+    assert scene.world == folder / "light.hdr"
+    assert scene.advice == ("a", "b")
+    vertices, faces = read_head(scene.head)
+    assert vertices == [(0, 1, 0), (1, 1, 0), (0, 2, 1)]  # ahead, which is +Y, and up, +Z
+    assert faces == [(0, 1, 2)]
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"kind": "other"}, "not a scene that skylight wrote"),
+        ({"version": 2}, "version 2, this extension reads 1"),
+        ({"version": None}, "version None"),
+        ({"photograph_px": [60]}, "damaged"),
+        ({"photograph_px": [60, 0]}, "damaged"),
+        ({"photograph_px": [60.5, 80]}, "damaged"),
+        ({"focal_length_px": 0}, "too small"),
+        ({"focal_length_px": "12"}, "a number was expected"),
+        ({"albedo": [0.5, 0.4]}, "damaged"),
+        ({"albedo": [0.5, 0.4, True]}, "a number was expected"),
+        ({"ior": 0.9}, "too small"),
+        ({"roughness": "rough"}, "a number was expected"),
+        ({"suns": 3}, "damaged"),
+        ({"suns": [SUN | {"energy": -1}]}, "too small"),
+        ({"suns": [SUN | {"towards": [0, 1e400, 0]}]}, "a number was expected"),
+        ({"suns": [{"name": "sun"}]}, "damaged"),
+        ({"world": "missing.hdr"}, "missing.hdr: there is no such file"),
+        ({"head": 3}, "damaged"),
+    ],
+)
+def test_a_scene_that_cannot_be_is_one_line(
+    folder: Path, changed: dict[str, object], message: str
+) -> None:
+    write(folder, **changed)
+    with pytest.raises(Failure, match=message) as caught:
+        read_scene(folder)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_scene_is_one_line(folder: Path) -> None:
+    for text, message in (("[1]", "not a scene"), ("{", "no JSON"), ("[" * 99, "no JSON")):
+        (folder / NAME).write_text(text)
+        with pytest.raises(Failure, match=message):
+            read_scene(folder)
+    (folder / NAME).unlink()
+    with pytest.raises(Failure, match="cannot be read"):
+        read_scene(folder)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "v 0 0 0\n", HEAD + "f 1 2 4\n", HEAD + "f 0 1 2\n", HEAD + "f 1 2\n", HEAD + "v 1 2\n",
+     HEAD + "v 1 2 nan\n", HEAD + "f a b c\n", HEAD + "v 1 2 3 4\n"],
+)  # fmt: skip
+def test_a_head_that_cannot_be_is_refused(folder: Path, text: str) -> None:
+    (folder / "head.obj").write_text(text)
+    with pytest.raises(Failure, match="estimate again"):
+        read_head(folder / "head.obj")
+
+
+def test_every_verdict_has_its_words() -> None:
+    for verdict in get_args(Verdict):
+        assert of_verdict(verdict) != UNKNOWN
+    assert of_verdict("a new one: of a later version") == UNKNOWN

@@ -1,0 +1,35 @@
+"""An estimate as the command leaves it, of a photograph whose EXIF data tell much."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from PIL import ExifTags, Image
+from skimage.data import astronaut
+
+from skylight.cli import main
+from skylight.io.json_files import write_json
+
+MAKER = "Private Camera Maker"
+
+
+def estimated(folder: Path, light: str = "sh9") -> tuple[Path, Path]:
+    """(the photograph, the folder of its results); "sh9" is the quickest."""
+    exif = Image.Exif()
+    exif[ExifTags.Base.Make] = MAKER
+    place = exif.get_ifd(ExifTags.IFD.GPSInfo)
+    place[ExifTags.GPS.GPSLatitudeRef], place[ExifTags.GPS.GPSLatitude] = "N", (41.0, 53.0, 24.0)
+    place[ExifTags.GPS.GPSLongitudeRef], place[ExifTags.GPS.GPSLongitude] = "E", (12.0, 29.0, 32.0)
+    photo, results = folder / "portrait.jpg", folder / "portrait_light"
+    Image.fromarray(astronaut()).save(photo, quality=95, exif=exif)
+    options = ["--light", light, "--time", "2024-06-01T14:30+02:00", "--keep-place"]
+    assert main(["estimate", str(photo), *options, "--out", str(results)]) == 0
+    return photo, results
+
+
+def rewrite(results: Path, **changed: Any) -> None:
+    """Other values in estimate.json; of "posterior" those that are named."""
+    path = results / "estimate.json"
+    content = json.loads(path.read_text(encoding="utf-8"))
+    changed["posterior"] = content["posterior"] | changed.get("posterior", {})
+    write_json(path, content | changed)

@@ -1,0 +1,33 @@
+"""The spheres that stand for a head in mirrors, against the head itself."""
+
+import numpy as np
+import pytest
+import torch
+
+from skylight.faces.model import HeadModel
+from skylight.sphere.grid import DirectionGrid
+from skylight.transport.raycast import Raycaster
+from tests.studio.composite.composite_modules import called
+
+# where balls hang: 20 to 30 cm beside the head's middle, metres
+PLACES = [[0.2, 0.0, 0.0], [-0.2, 0.05, 0.05], [0.25, -0.1, 0.0], [-0.3, 0.1, -0.05]]
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_the_spheres_cover_what_the_head_covers(place: list[float]) -> None:
+    spheres, together = called("people", ("HEAD_SPHERES",), ("TOGETHER",))
+    model = HeadModel.load()
+    shape = model.vertices(model.average, np.zeros(len(model.expression_names)))
+    caster = Raycaster(torch.from_numpy(shape), torch.tensor(model.faces))
+    towards = DirectionGrid.hammersley(20_000).directions
+    origin = torch.tensor([place], dtype=torch.float64)
+    head = caster.occluded(origin.expand(len(towards), 3), towards).numpy()
+    covered, total = np.zeros(len(towards), bool), 0
+    for *centre, radius in spheres:
+        to = np.array(centre) - place
+        along = towards.numpy() @ to
+        hit = (along > 0) & (to @ to - along**2 < radius**2)
+        covered |= hit
+        total += hit.sum()
+    assert (covered ^ head).sum() / head.sum() < 0.1
+    assert covered.sum() / total == pytest.approx(together, abs=0.03)

@@ -1,0 +1,220 @@
+"""A person taken apart: what is kept and sent, and what the page's own program makes of it."""
+
+import base64
+import dataclasses
+import json
+from functools import lru_cache
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+import torch
+from jaxtyping import Float
+
+from skylight.app.portrait.lights import light_with_sun_at
+from skylight.app.portrait.relit import taken_apart
+from skylight.imaging.photo import read_photo
+from skylight.inverse.portrait.fill import blurred, filled
+from skylight.inverse.portrait.photograph import portrait_of
+from skylight.inverse.portrait.relit import BASE, HAIR_COUNTS, SOFT, Portrait, shared_light
+from skylight.io.tensors import read_tensors
+from skylight.sphere.envmap import LUMINANCE, EnvironmentMap
+from skylight.sphere.grid import DirectionGrid
+from skylight.studio.tasks.person import command_of, kept_person
+from skylight.studio.tasks.portrait import FACE_PX, packed
+from tests.studio.conftest import begin, finished
+from tests.studio.tasks.taken_apart import PHOTO, apart
+from tests.sunny_face import direction
+from tests.three_js import run_in_node
+
+# vite reads TypeScript, as in the build
+_PROGRAM = """
+import { text } from "node:stream/consumers";
+import { runnerImport } from "vite";
+const options = { configFile: false, logLevel: "silent" };
+const load = async (name) => (await runnerImport(`./src/face/relit/${name}.ts`, options)).module;
+const { readPerson } = await load("person");
+const { SunLight } = await load("sun_light");
+const { file, suns } = JSON.parse(await text(process.stdin));
+const light = new SunLight(readPerson(Uint8Array.from(Buffer.from(file, "base64")).buffer));
+const coded = ({ buffer, byteOffset, byteLength }) =>
+    Buffer.from(buffer, byteOffset, byteLength).toString("base64");
+const answers = suns.map(([azimuth, zenith, times]) => {
+    const { shading, glossy, ratio, common } = light.under(azimuth, zenith, times);
+    return { shading: coded(shading), glossy: coded(glossy), ratio: coded(ratio), common };
+});
+const told = JSON.stringify({ skin: light.skin, whole: light.whole, answers });
+process.stdout.write(told, () => process.exit(0));
+"""
+SUNS = ((-60.0, 35.0), (20.0, 60.0), (90.0, 10.0), (170.0, 40.0))  # azimuth, elevation
+
+
+@lru_cache(maxsize=1)
+def small() -> Portrait:
+    """The portrait at the page's size."""
+    kept = kept_person(apart().folder)
+    photo = read_photo(apart().photo)
+    return portrait_of(photo, kept.fit, kept.reflection, kept.found, face_px=FACE_PX)
+
+
+def by_the_page(suns: list[tuple[float, float, float]]) -> dict[str, Any]:
+    """What the page's program has of these (azimuth, zenith, times)."""
+    file = base64.b64encode(apart().file.read_bytes()).decode()
+    answer = run_in_node(_PROGRAM, {"file": file, "suns": suns})
+    for one in answer["answers"]:
+        for name, grid in (("shading", "skin"), ("glossy", "skin"), ("ratio", "whole")):
+            values = np.frombuffer(base64.b64decode(one[name]), np.float32)
+            one[name] = values.reshape(answer[grid]["height"], answer[grid]["width"], 3)
+    return answer
+
+
+def in_grid(
+    image: Float[np.ndarray, "p q *c"], grid: dict[str, int]
+) -> Float[np.ndarray, "h w *c"]:
+    """The part of the shading's picture that a grid of pixels shows."""
+    rows = slice(grid["top"], grid["top"] + grid["height"] * grid["step"])
+    columns = slice(grid["left"], grid["left"] + grid["width"] * grid["step"])
+    return image[rows, columns]
+
+
+def balanced(
+    portrait: Portrait, light: EnvironmentMap
+) -> tuple[Float[np.ndarray, "p q 3"], Float[np.ndarray, "p q 3"]]:
+    """S_B and g_B with the colour of skin's mean shading kept (``keep="place"``)."""
+    shading, glossy = portrait.shaded_by(light)
+    received = shading[portrait.bare > 0].mean(0)
+    gains = portrait.mean / received
+    gains *= (received @ LUMINANCE) / ((gains * received) @ LUMINANCE)
+    return gains * shading, gains * glossy
+
+
+def test_what_is_kept_gives_the_portrait_of_the_estimate() -> None:
+    kept, result = kept_person(apart().folder), apart().result
+    photo = read_photo(apart().photo)
+    again = portrait_of(photo, kept.fit, kept.reflection, kept.found)
+    want = taken_apart(result)
+    np.testing.assert_allclose(again.albedo, want.albedo, atol=1e-4)
+    np.testing.assert_array_equal(again.matte, want.matte)
+    towards = direction(-60.0, 55.0)
+    for strength in (None, 2.0):
+        light = light_with_sun_at(result.estimate, -60.0, 35.0, strength).environment
+        moved = kept.sun.at(towards, strength)
+        torch.testing.assert_close(moved.radiance, light.radiance, rtol=1e-4, atol=1e-5)
+    assert kept.facts["warning"] == ""
+    assert kept.facts["was_found"]
+
+
+def test_the_page_gets_points_and_bits_of_the_surface() -> None:
+    tensors, metadata = read_tensors(apart().file)
+    facts, portrait = json.loads(metadata["facts"]), small()
+    assert apart().file.stat().st_size < 15e6
+    left, top, width, height = facts["crop"]
+    image = np.zeros((height, width, 3), np.float32)
+    image.reshape(-1, 3)[tensors["places"]] = tensors["shading"]
+    np.testing.assert_allclose(
+        image, portrait.shading[top : top + height, left : left + width], rtol=1e-5, atol=1e-6
+    )
+    bits = np.unpackbits(tensors["visible"].numpy(), axis=1, bitorder="little")
+    np.testing.assert_array_equal(bits, portrait.person.sight.visible.numpy())
+    assert bits.shape[1] == len(DirectionGrid.latlong(32))
+    codes = tensors["picture"][..., :3].numpy()
+    np.testing.assert_array_equal(codes, apart().result.photos[0].encoded)
+    # the rest and the sun are the light found, but for where within 4 degrees the sun is
+    rest, irradiance = tensors["rest_power"], torch.tensor(facts["irradiance"])
+    whole = float(rest.sum()) + float(irradiance @ torch.tensor(LUMINANCE))
+    assert whole == pytest.approx(float(tensors["found_power"].sum()), rel=5e-3)
+
+
+def test_shading_in_the_page_is_that_of_the_portrait() -> None:
+    portrait = small()
+    sun = kept_person(apart().folder).sun
+    page = by_the_page([(azimuth, 90 - elevation, 1.0) for azimuth, elevation in SUNS])
+    bare = in_grid(portrait.bare, page["skin"]) > 0
+    known = np.maximum(portrait.bare, HAIR_COUNTS * portrait.covered)
+    base = BASE * float(portrait.mean @ np.array(LUMINANCE))
+    for (azimuth, elevation), ours in zip(SUNS, page["answers"], strict=True):
+        moved = light_with_sun_at(apart().result.estimate, azimuth, elevation).environment
+        shading, glossy = balanced(portrait, moved)
+        mean = shading[portrait.bare > 0].mean()
+        want = in_grid(filled(shading, known), page["skin"])
+        off = np.abs(ours["shading"] - want)
+        assert off[bare].mean() < 0.01 * mean, (azimuth, elevation)
+        gloss = in_grid(filled(glossy, known), page["skin"])
+        off = np.abs(ours["glossy"] - gloss)
+        assert off[bare].mean() < 0.01 * gloss[bare].mean(), (azimuth, elevation)
+        soft = blurred(shading, portrait.covered, SOFT * portrait.person.face_px)
+        ratio = filled(np.log((soft + base) / (portrait.soft + base)), portrait.covered)
+        coarse = in_grid(ratio, page["whole"])[::2, ::2]
+        covered = in_grid(portrait.covered, page["whole"])[::2, ::2] > 0
+        off = np.abs(ours["ratio"][: len(coarse), : coarse.shape[1]] - coarse)[covered]
+        assert off.mean() < 0.02, (azimuth, elevation)  # a logarithm: 2 %
+        assert np.abs(ratio).max() > 0.5
+        assert ours["common"] == pytest.approx(shared_light(portrait.found, moved), abs=1e-4)
+    assert not sun.rest.is_sky
+
+
+def test_a_stronger_sun_is_more_of_the_same() -> None:
+    """Shading is affine in the sun's strength, but for the balance of white."""
+    facts = json.loads(read_tensors(apart().file)[1]["facts"])
+    twice = 2 * facts["strength"]
+    (ours,) = by_the_page([(-60.0, 55.0, 2.0)])["answers"]
+    light = light_with_sun_at(apart().result.estimate, -60.0, 35.0, twice).environment
+    shading, _ = balanced(small(), light)
+    page = by_the_page([(-60.0, 55.0, 2.0)])
+    bare = in_grid(small().bare, page["skin"]) > 0
+    want = in_grid(shading, page["skin"])[bare]
+    assert np.abs(ours["shading"][bare] - want).mean() < 0.01 * want.mean()
+
+
+def test_of_a_grey_photograph_the_light_is_grey() -> None:
+    portrait = dataclasses.replace(small(), grey=True)
+    tensors, facts = packed(portrait, kept_person(apart().folder))
+    assert len(set(facts["irradiance"])) == 1
+    for name in ("rest_shading", "rest_glossy"):
+        assert (tensors[name] == tensors[name][:, :1]).all()
+
+
+def test_the_command_line_names_what_was_chosen() -> None:
+    told = command_of(PHOTO, "auto", 2, "my model")
+    assert told["is_alone"]
+    assert told["command"] == (
+        "skylight relight-portrait 'someone'\"'\"'s photo.png' --light auto --face 2"
+        " --model 'my model'"
+    )
+    assert not command_of(PHOTO, "auto", "all", None)["is_alone"]
+
+
+def test_the_studio_takes_a_person_apart(client: httpx.Client, photo: str) -> None:
+    estimate = finished(client, kind="estimate", photo=photo, light="sh9")
+    assert "person.safetensors" not in [file["name"] for file in estimate["files"]]
+    done = finished(client, kind="portrait", job=estimate["job"])
+    assert done["state"] == "done", done.get("error")
+    assert [file["name"] for file in done["files"]] == ["portrait.safetensors"]
+    # of a portrait there is no portrait
+    answer = client.post("/api/jobs", json={"kind": "portrait", "job": done["job"]})
+    assert answer.status_code == 409
+    assert "name an estimate that is done" in answer.json()["error"]
+
+
+@pytest.mark.parametrize(
+    ("wanted", "status", "words"),
+    [
+        ({"job": "nobody"}, 404, "there is no such job (any more)"),
+        ({}, 422, "job: Field required"),
+        ({"job": "it", "face": 2}, 422, "face: Extra inputs"),
+    ],
+)
+def test_wrong_requests_are_one_line(
+    client: httpx.Client, wanted: dict[str, Any], status: int, words: str
+) -> None:
+    answer = client.post("/api/jobs", json={"kind": "portrait", **wanted})
+    assert answer.status_code == status
+    assert words in answer.json()["error"]
+    assert "\n" not in answer.json()["error"]
+
+
+def test_an_estimate_that_is_not_done_has_no_person_yet(client: httpx.Client, photo: str) -> None:
+    waiting = begin(client, kind="estimate", photo=photo, light="sh9")
+    answer = client.post("/api/jobs", json={"kind": "portrait", "job": waiting})
+    assert answer.status_code == 409
