@@ -150,7 +150,12 @@ class Visitor:
         if await self._run(page, "estimate", re.compile("Find .* light")):
             await page.locator(".result").last.wait_for()
             await self._slide(page, "Exposure of the views")
-            await page.get_by_label("Your photo with the object").press("ArrowLeft")
+            photo = page.get_by_label("Your photo with the object")
+            await photo.or_(page.locator(".care")).first.wait_for()
+            if await photo.count() == 0:
+                said = await page.locator(".care").all_inner_texts()
+                raise AssertionError(f"no object stands in the photo: {said}")
+            await photo.press("ArrowLeft")
 
     async def _look_at_the_sky(self, page: Page) -> None:
         await self._open(page, "sky")
