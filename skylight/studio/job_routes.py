@@ -3,16 +3,18 @@
 import json
 import zipfile
 from collections.abc import AsyncIterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse, Response, StreamingResponse
+from starlette.types import Receive, Scope, Send
 
 from skylight.io.atomic import atomic_path
 from skylight.models.names import is_trained
-from skylight.studio.jobs import Job
+from skylight.studio.jobs import Job, Jobs, events
 from skylight.studio.kept import KeptFile
 from skylight.studio.refusals import Refused
 from skylight.studio.requests import (
@@ -89,15 +91,9 @@ async def describe(request: Request, token: str) -> dict[str, Any]:
 
 
 @jobs.get("/{token}/events")
-async def events(request: Request, token: str) -> StreamingResponse:
+async def follow(request: Request, token: str) -> StreamingResponse:
     """The same whenever it changes and as a heartbeat, as server-sent events."""
-    studio, job = _studio(request), _job(request, token)
-
-    async def stream() -> AsyncIterator[str]:
-        async for told in studio.jobs.events(job):
-            yield f"data: {json.dumps(told)}\n\n"
-
-    return StreamingResponse(stream(), media_type="text/event-stream")
+    return _Events(_studio(request).jobs, _job(request, token))
 
 
 @jobs.delete("/{token}")
@@ -154,6 +150,23 @@ async def under_edited_lamps(
     headers = {"Content-Disposition": f'{kind}; filename="edited_{name}"'}
     media = "image/png" if name.endswith(".png") else "application/octet-stream"
     return Response(content, media_type=media, headers=headers)
+
+
+class _Events(StreamingResponse):
+    """Its job is watched until it ends, however that is: a generator may be closed much later."""
+
+    def __init__(self, jobs: Jobs, job: Job) -> None:
+        super().__init__(self._lines(job), media_type="text/event-stream")
+        self._watching = partial(jobs.watching, job)
+
+    @staticmethod
+    async def _lines(job: Job) -> AsyncIterator[str]:
+        async for told in events(job):
+            yield f"data: {json.dumps(told)}\n\n"
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        with self._watching():
+            await super().__call__(scope, receive, send)
 
 
 def _file(studio: Studio, job: Job, path: Path, download: bool) -> KeptFile:

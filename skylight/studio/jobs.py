@@ -2,8 +2,8 @@
 
 import asyncio
 import traceback
-from collections.abc import AsyncIterator
-from contextlib import suppress
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -175,23 +175,26 @@ class Jobs:
             job.farewell.cancel()
         job.farewell = asyncio.get_running_loop().call_later(seconds, self.cancel, job)
 
-    async def events(self, job: Job) -> AsyncIterator[dict[str, Any]]:
-        """Its description whenever it changes and every :data:`HEARTBEAT_S`, to the end.
-
-        When the last who listen have been gone for :data:`GONE_S` it is cancelled.
-        """
+    @contextmanager
+    def watching(self, job: Job) -> Iterator[None]:
+        """A page listens; :data:`GONE_S` after the last has gone the job is cancelled."""
         job.watchers, job.was_watched = job.watchers + 1, True
         if job.farewell is not None:
             job.farewell.cancel()
         try:
-            while True:
-                changed = job.changed
-                yield job.describe()
-                if job.is_over:
-                    return
-                with suppress(TimeoutError):
-                    await asyncio.wait_for(changed.wait(), HEARTBEAT_S)
+            yield
         finally:
             job.watchers -= 1
             if not job.is_over and job.watchers == 0:
                 self._cancel_after(GONE_S, job)
+
+
+async def events(job: Job) -> AsyncIterator[dict[str, Any]]:
+    """Its description whenever it changes and every :data:`HEARTBEAT_S`, to the end."""
+    while True:
+        changed = job.changed
+        yield job.describe()
+        if job.is_over:
+            return
+        with suppress(TimeoutError):
+            await asyncio.wait_for(changed.wait(), HEARTBEAT_S)

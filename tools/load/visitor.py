@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import httpx
-from playwright.async_api import Browser, ConsoleMessage, Page, Response
+from playwright.async_api import Browser, ConsoleMessage, Page, Response, TimeoutError
 
 from tools.load.tally import Tally
 
@@ -150,7 +150,12 @@ class Visitor:
         if await self._run(page, "estimate", re.compile("Find .* light")):
             await page.locator(".result").last.wait_for()
             await self._slide(page, "Exposure of the views")
-            await page.get_by_label("Your photo with the object").press("ArrowLeft")
+            photo = page.get_by_label("Your photo with the object")
+            await photo.or_(page.locator(".care")).first.wait_for()
+            if await photo.count() == 0:
+                said = await page.locator(".care").all_inner_texts()
+                raise AssertionError(f"no object stands in the photo: {said}")
+            await photo.press("ArrowLeft")
 
     async def _look_at_the_sky(self, page: Page) -> None:
         await self._open(page, "sky")
@@ -190,7 +195,7 @@ class Visitor:
         reader, writer = await asyncio.open_connection(place.hostname, place.port)
         head = f"POST /api/photos?name=slow.jpg HTTP/1.1\r\nHost: {place.netloc}\r\n"
         writer.write(f"{head}Content-Length: 100000\r\n\r\n".encode())
-        answer = asyncio.create_task(reader.read())
+        answer = asyncio.create_task(reader.readline())
         with suppress(ConnectionError):
             while not answer.done():
                 writer.write(b"x")
@@ -289,24 +294,27 @@ class Visitor:
         self._count("jobs_done")
 
     async def _cancel(self, page: Page, job: str) -> None:
-        with suppress(Exception):  # it may be done by now
-            await page.get_by_role("button", name="Cancel").click(timeout=500)
+        while not await page.evaluate(_IS_OVER, job):
+            with suppress(TimeoutError):  # it may just have been done
+                await page.get_by_role("button", name="Cancel").click(timeout=2000)
+                break
         self._count("jobs_cancelled")
-        await self._ends(job, time.monotonic())
+        await self._ends(job, time.monotonic(), "cancelled it")
 
     async def _leave(self, page: Page, job: str) -> None:
         self._count("jobs_left")
-        await (page.context.close() if self._random.random() < 0.5 else page.goto("about:blank"))
+        how = "closed its context" if self._random.random() < 0.5 else "went to another address"
+        await (page.context.close() if how[0] == "c" else page.goto("about:blank"))
         left = time.monotonic()
-        self._watching.append(asyncio.create_task(self._ends(job, left)))
+        self._watching.append(asyncio.create_task(self._ends(job, left, how)))
         if not page.is_closed():
             await page.context.close()
 
-    async def _ends(self, job: str, since: float) -> None:
+    async def _ends(self, job: str, since: float, how: str) -> None:
         """Sees that it does, soon."""
         while (state := await self._state(job)) not in _OVER:
             if time.monotonic() - since > _ENOUGH_GONE_S:
-                self._tally.failures.append(f"a job whose page is gone is {state}")
+                self._tally.failures.append(f"a job whose page {how} is still {state}")
                 return
             await asyncio.sleep(0.5)
         if state == "cancelled":
