@@ -1,7 +1,7 @@
 """A bust under a fitted head: where neck and shoulders are, roughly.
 
 The head model ends at the neck. What the light does to shoulders, and which of it the head keeps
-from them, is taken from a superellipsoid (Barr 1981) of an adult's proportions,
+from them, is taken from a superellipsoid (Barr 1981) of an adult's proportions, ::
 
     |x / a|^(2/e) + |y / b|^(2/e) + |z / c|^(2/e) = 1,
 
