@@ -270,6 +270,7 @@ def test_a_worker_that_dies_takes_one_job_with_it(
 def test_a_job_whose_page_went_is_cancelled(
     client: httpx.Client, photo: str, served: Served
 ) -> None:
+    finished(client, kind="estimate", photo=photo, face=3)  # its worker has started
     with served.held():  # the job does not end by itself
         job = begin(client, kind="estimate", photo=photo)
         stream = events(client, job)
