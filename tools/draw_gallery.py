@@ -21,9 +21,15 @@ from rich.progress import track
 
 from skylight.app.estimate.photos import estimate_photo
 from skylight.app.figures.angles import angles_deg
-from skylight.app.portrait.lights import light_of_map, light_with_sun_at, turned_light
-from skylight.app.portrait.relit import RelitPortrait, relit_portrait, shown
+from skylight.app.portrait.lights import (
+    NewLight,
+    light_of_map,
+    light_with_sun_at,
+    turned_light,
+)
+from skylight.app.portrait.relit import relit_portrait, shown
 from skylight.imaging.colour import tone_map
+from skylight.inverse.portrait.relit import Keep
 from skylight.io.atomic import atomic_path
 from skylight.sphere.envmap import luminance
 from skylight.transport.scene.evaluation import evaluation_scene
@@ -34,7 +40,7 @@ SHOWN = (
     "inter037.jpg",
     "inter041.jpg",
     "inter011.jpg",
-    "inter028.jpg",
+    "inter009.jpg",
     "inter025.jpg",
     "inter045.jpg",
     "inter001.jpg",
@@ -44,6 +50,8 @@ SHOWN = (
     "inter072.jpg",
 )
 FAILED = {
+    "inter028.jpg": "Back light that the estimate cannot explain, and says so; hard shadows of the "
+    "photograph stay in the skin.",
     "inter021.jpg": "Hair dapples the face. The fitted head has no hair, so its shadows stay in "
     "the skin wherever the new light comes from, and the light found explains them wrongly.",
     "inter050.jpg": "Glasses and a beard cast shadows that the head does not have, and the dark "
@@ -92,14 +100,14 @@ def draw(photo: Path, map_path: Path, strip: Path) -> dict[str, object]:
     result = estimate_photo(photo, light="auto")
     estimate = result.estimate
     pictures = [result.photos[0].encoded, _light(result)]
-    for light, keep in (
+    lights: list[tuple[NewLight, Keep]] = [
         (light_with_sun_at(estimate, LEFT, ELEVATION), "place"),
         (light_with_sun_at(estimate, RIGHT, ELEVATION), "place"),
         (turned_light(estimate, 180.0), "place"),
         (light_of_map(map_path), "brightness"),
-    ):
-        relit: RelitPortrait = relit_portrait(result, light, keep=keep)  # type: ignore[arg-type]
-        pictures.append(shown(relit))
+    ]
+    for light, keep in lights:
+        pictures.append(shown(relit_portrait(result, light, keep=keep)))
     row = np.hstack([_sized(picture) for picture in pictures])
     with atomic_path(strip) as temporary:
         Image.fromarray(row).save(temporary, format="JPEG", quality=85)
@@ -107,6 +115,7 @@ def draw(photo: Path, map_path: Path, strip: Path) -> dict[str, object]:
     return {
         "light": estimate.light,
         "verdict": estimate.posterior.verdict,
+        "notes": list(lights[0][0].notes),
         "azimuth_deg": azimuth,
         "elevation_deg": 90 - zenith,
     }
@@ -134,8 +143,9 @@ def _page(told: dict[str, dict], sources: dict[str, dict], map_name: str) -> str
         "",
         "Photographs of people whom skylight has never seen, the light that it found in each with "
         "`--light auto`, and the same portraits [in other light](portraits.md). They were chosen "
-        "for their kinds of light, the two failures at the end for their results; nothing was "
-        "retouched. From left to right: " + "; ".join(COLUMNS) + f" (`{map_name}`).",
+        "for their kinds of light, those at the end for how they fail; nothing was "
+        "retouched, and a verdict other than *reliable* or *overcast* is to be believed. From left "
+        "to right: " + "; ".join(COLUMNS) + f" (`{map_name}`).",
         "",
         "`python -m tools.draw_gallery --photos FOLDER --map MAP` draws all of it.",
     ]
@@ -153,7 +163,8 @@ def _entry(name: str, facts: dict, source: dict) -> list[str]:
     light = f"{facts['light']}: {facts['verdict']}; brightest {side}, {height:.0f}° high"
     credit = f"[source]({source['original']}), CC0" if source["original"] else "public domain"
     alt = "a portrait, the light found in it, and the portrait in four other lights"
-    return [f"![{alt}](images/gallery/{name})", "", f"{light}. Photograph: {credit}."]
+    notes = "".join(f" In the third and fourth picture, {note}." for note in facts["notes"])
+    return [f"![{alt}](images/gallery/{name})", "", f"{light}.{notes} Photograph: {credit}."]
 
 
 if __name__ == "__main__":

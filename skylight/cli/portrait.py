@@ -10,6 +10,7 @@ from tyro.conf import Positional
 from skylight.cli.estimate import Light
 from skylight.cli.sources import take_care
 from skylight.errors import InputError
+from skylight.io.atomic import require_place
 from skylight.work.device import Device
 
 Decoding = tyro.conf.create_mutex_group(required=False)
@@ -33,10 +34,11 @@ def relight_portrait(
 ) -> None:
     """Show a photographed person in another light: a map's, or the one found, turned or moved.
 
-    The light of the photograph is estimated as `skylight estimate` does; then skin gets the new
-    light's shading, shadows and gloss in place of the old one's, hair and clothes their ratio, and
-    what lies behind the ratio of the lights on upright surfaces. docs/portraits.md tells where
-    that ends. A picture whose light could not be relied on says so below itself.
+    The light of the photograph is estimated as `skylight estimate --light auto` does; then skin
+    gets the new light's shading, shadows and gloss in place of the old one's, hair and clothes
+    their ratio, and what lies behind the ratio of the lights on upright surfaces.
+    docs/portraits.md tells where that ends. A picture whose light could not be relied on says so
+    below itself.
 
     Args:
         photo: Picture of a face: JPEG, PNG, TIFF, EXR, Radiance HDR or RAW.
@@ -61,10 +63,13 @@ def relight_portrait(
     out = out or Path(f"{photo.resolve().stem}_relit.png")
     if out.suffix.lower() not in (".png", ".exr"):
         raise InputError(f"{out}: write a .png or an .exr")
-    if out.is_dir():
-        raise InputError(f"{out} is a folder: name a picture, .png or .exr")
+    require_place(out)
+    if out.resolve() == photo.resolve():
+        raise InputError(f"{out} is the photograph itself: name another picture")
     if strength is not None and sun is None:
         raise InputError("--strength is the moved sun's: it goes with --sun")
+    if turn is not None and not math.isfinite(turn):
+        raise InputError(f"--turn wants degrees, got {turn}")
     if not -16 <= ev <= 16:
         raise InputError(f"--ev lies between -16 and 16 stops, got {ev:g}")
     place = None if sun is None else _place(sun)
@@ -102,7 +107,8 @@ def relight_portrait(
             progress=lambda share: progress("relighting", share),
         )
         write_relit(out, relit)
-    for line in (*result.estimate.advice, *relit.notes):
+    warning = (relit.warning,) if relit.warning else ()
+    for line in (*result.estimate.advice, *warning, *relit.notes):
         take_care(line)
     print(f"verdict     {result.estimate.posterior.verdict}")
     if given is not None:

@@ -10,13 +10,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.inverse.lamps.relighting import LampLight
-from skylight.inverse.portrait.photograph import gains_of, light_in_photo
-from skylight.inverse.result import Estimate
+from skylight.inverse.lamps.relighting import LampLight, lamps_radiance
+from skylight.inverse.portrait.photograph import light_in_photo
+from skylight.inverse.result import Estimate, Lamp
 from skylight.io.files import read_environment_map
 from skylight.relight.main_light import split_main_light
 from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.sphere.frame import direction_from_angles
+from skylight.transport.render import SMOOTH_HEIGHT
 
 # A sun where none was found: its irradiance over that of a horizontal surface by the sky, as under
 # a clear sky with the sun halfway up (Hosek-Wilkie, turbidity 3: 5 to 6).
@@ -37,16 +38,21 @@ def light_of_map(path: Path) -> NewLight:
     Raises
     ------
     InputError
-        No map can be read, or it is a sky alone, or black.
+        No map can be read, or it is a sky alone, too small, or black.
     """
     environment = read_environment_map(path)
     if environment.is_sky:
         raise InputError(
             f"{path}: a sky without its lower half; give a full lat-long map, twice as wide as high"
         )
+    if environment.layout[0] < SMOOTH_HEIGHT:
+        raise InputError(
+            f"{path}: {environment.layout[0]} rows are too few for shadows: give a map of "
+            f"{SMOOTH_HEIGHT} or more"
+        )
     if float(environment.radiance.sum()) <= 0:
         raise InputError(f"{path}: the map is black; give one with light in it")
-    if float(environment.upper().radiance.sum()) <= 0:
+    if float(environment.flat[environment.grid.directions[:, 1] > 0].sum()) <= 0:
         return NewLight(
             environment=environment, notes=("the map's sky is black: all its light is from below",)
         )
@@ -65,7 +71,9 @@ class MovableSun:
 
     ``irradiance`` (3,) is what a surface that faces the sun receives, and ``level`` the luminance
     of what a horizontal one receives of the rest. Where no sun ``was_found`` it is one of the
-    rest's mean colour and :data:`ADDED_SUN` times that level, in the brightest direction.
+    rest's mean colour and :data:`ADDED_SUN` times that level, in the brightest direction. A lamp
+    is as wide as it was found, ``spread_rad`` of :class:`~skylight.inverse.result.Lamp`; a sun,
+    None, stands in up to four pixels of the map.
     """
 
     direction: Float[Tensor, "3"]
@@ -73,18 +81,21 @@ class MovableSun:
     rest: EnvironmentMap
     level: float
     was_found: bool
+    spread_rad: float | None = None
 
     @staticmethod
     def of(estimate: Estimate) -> "MovableSun":
+        spread_rad = None
         if estimate.lamps:
             light = LampLight.of(estimate)
             main, others = light.lamps[0], light.lamps[1:]
+            spread_rad = main.spread_rad
             direction, irradiance = main.direction.double(), main.irradiance.double()
             rest = replace(light, lamps=others).environment(estimate.environment.layout[0])
         else:
             sun, rest = split_main_light(estimate.environment)
             direction, irradiance = sun.direction, sun.irradiance
-        irradiance = gains_of(estimate).double() * irradiance
+        irradiance = estimate.white_balance.double() * irradiance
         rest = light_in_photo(estimate, rest)
         level = float(luminance(rest.irradiance(torch.tensor([0.0, 1.0, 0.0])).double()))
         was_found = float(irradiance.sum()) > 0
@@ -97,6 +108,7 @@ class MovableSun:
             rest=rest,
             level=level,
             was_found=was_found,
+            spread_rad=spread_rad,
         )
 
     def at(self, direction: Float[Tensor, "3"], strength: float | None = None) -> EnvironmentMap:
@@ -104,7 +116,12 @@ class MovableSun:
         share = 1.0
         if strength is not None:
             share = strength * self.level / float(luminance(self.irradiance))
-        return self.rest.with_light(direction, share * self.irradiance)
+        irradiance = share * self.irradiance
+        if self.spread_rad is None:
+            return self.rest.with_light(direction, irradiance)
+        lamp = Lamp(direction=direction, irradiance=irradiance, spread_rad=self.spread_rad)
+        lobe = lamps_radiance([lamp], self.rest.layout[0]).reshape(self.rest.radiance.shape)
+        return EnvironmentMap(radiance=self.rest.radiance + lobe.to(self.rest.radiance))
 
 
 def light_with_sun_at(
@@ -136,6 +153,8 @@ def light_with_sun_at(
     sun = MovableSun.of(estimate)
     notes: tuple[str, ...] = ()
     if not sun.was_found and strength is None:
-        line = f"no sun was found: one is added, of {ADDED_SUN:g} times the sky's irradiance"
+        line = (
+            f"no sun was found: one is added, of {ADDED_SUN:g} times the other light's irradiance"
+        )
         notes = (line,)
     return NewLight(environment=sun.at(direction, strength), notes=notes)

@@ -10,12 +10,15 @@ from numpy import ndarray
 
 from skylight.app.estimate.types import PhotoEstimate
 from skylight.app.portrait.lights import NewLight
-from skylight.imaging.colour import linear_to_srgb
+from skylight.imaging.colour import linear_to_srgb, srgb_to_linear
+from skylight.imaging.photo import Photo
 from skylight.inverse.portrait.photograph import FaceReflection, light_in_photo, portrait_of
 from skylight.inverse.portrait.relit import Keep, Portrait
 from skylight.inverse.result import Estimate
 from skylight.work.progress import Progress
 
+_MIDDLE = 20, 230  # codes that are neither dark nor clipped
+_ROUNDED = 0.05  # what codes and gammas may differ by
 KNEE = 0.8  # of white: brighter than this (or than it was) a picture approaches white softly
 
 
@@ -24,7 +27,8 @@ class RelitPortrait:
     """``picture`` is linear and in the photograph's units, of its size.
 
     It shows the new light times ``exposure``; ``warning`` says why not to trust it (empty where
-    nothing does), and ``notes`` what else there is to know.
+    nothing does), and ``notes`` what else there is to know. ``white`` is the value that is shown as
+    white: 1 but of photographs in units of their own (.exr, .hdr, RAW).
     """
 
     picture: Float[ndarray, "h w 3"]
@@ -32,6 +36,7 @@ class RelitPortrait:
     exposure: float
     warning: str
     notes: tuple[str, ...]
+    white: float = 1.0
 
 
 def relit_portrait(
@@ -56,7 +61,18 @@ def relit_portrait(
         exposure=used,
         warning=warning_of(result.estimate),
         notes=light.notes,
+        white=_white_of(result.photos[result.seen[0].photo]),
     )
+
+
+def _white_of(photo: Photo) -> float:
+    """The linear value that ``photo.encoded`` shows as white, by its middle codes."""
+    middle = ((photo.encoded > _MIDDLE[0]) & (photo.encoded < _MIDDLE[1])).all(2)
+    if not middle.any():
+        return 1.0
+    codes = torch.from_numpy(photo.encoded[middle]).float() / 255
+    ratio = float(photo.pixels[torch.from_numpy(middle)].sum() / srgb_to_linear(codes).sum())
+    return 1.0 if abs(ratio - 1) < _ROUNDED else ratio
 
 
 def warning_of(estimate: Estimate) -> str:
@@ -86,8 +102,9 @@ def shown(relit: RelitPortrait) -> UInt8[ndarray, "h w 3"]:
     What became brighter than k, the larger of :data:`KNEE` and the photograph's own value, is
     shown as ``k + (1 - k) tanh((x - k) / (1 - k))``.
     """
-    knee = np.maximum(relit.photo, KNEE).clip(max=1 - 1e-6)
-    over = np.maximum(relit.picture - knee, 0) / (1 - knee)
-    rolled = np.minimum(relit.picture, knee) + (1 - knee) * np.tanh(over)
+    picture, photo = relit.picture / relit.white, relit.photo / relit.white
+    knee = np.maximum(photo, KNEE).clip(max=1 - 1e-6)
+    over = np.maximum(picture - knee, 0) / (1 - knee)
+    rolled = np.minimum(picture, knee) + (1 - knee) * np.tanh(over)
     codes = linear_to_srgb(torch.from_numpy(rolled).clamp(0, 1)) * 255
     return codes.round().to(torch.uint8).numpy()

@@ -16,7 +16,7 @@ from numpy import ndarray
 
 from skylight.faces.fit import FaceFit
 
-SEMI_AXES_M = np.array([0.215, 0.27, 0.115])  # shoulders 43 cm wide, as adults' biacromial breadth
+SEMI_AXES_M = np.array([0.215, 0.27, 0.115])  # shoulders 43 cm wide: between women's and men's
 SQUARENESS = 0.75  # e: 1 is an ellipsoid, towards 0 a box
 CENTRE_M = np.array([0.0, -0.44, -0.05])  # from the middle of the head
 TURN = 0.5  # of the head's yaw

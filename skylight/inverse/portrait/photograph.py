@@ -70,13 +70,8 @@ def portrait_of(
 def light_in_photo(estimate: Estimate, light: EnvironmentMap | None = None) -> EnvironmentMap:
     """The light found (or one like it) in the colours and units of the (first) face's photograph.
 
-    An estimate's map has the light's own colours, of which the photograph shows gains.
+    An estimate's map has the light's own colours; the photograph shows them times its white
+    balance.
     """
     light = light or estimate.environment
-    return EnvironmentMap(radiance=light.radiance * gains_of(estimate))
-
-
-def gains_of(estimate: Estimate) -> Float[Tensor, "3"]:
-    """What the (first) face's photograph shows of the map, in each channel."""
-    face = estimate.faces[0]
-    return face.white_balance * (face.exposure / estimate.exposure)
+    return EnvironmentMap(radiance=light.radiance * estimate.white_balance)

@@ -151,13 +151,13 @@ class Portrait:
         size, known = self.photo.shape[:2], _from_skin(self.bare, self.covered)
         shading, glossy = self.shaded_by(light)
         received = shading[self.bare > 0].mean(0)
-        gains = np.ones(3, np.float32)
+        level, gains = 1.0, np.ones(3, np.float32)
         if keep == "brightness" and received.any():
-            exposure *= float(self.mean @ _LUMINANCE / (received @ _LUMINANCE))
+            level = float(self.mean @ _LUMINANCE / (received @ _LUMINANCE))
         if keep == "place" and received.all():
             gains = self.mean / received
             gains *= (received @ _LUMINANCE) / ((gains * received) @ _LUMINANCE)
-        shading, glossy = exposure * gains * shading, exposure * gains * glossy
+        shading, glossy = level * gains * shading, level * gains * glossy
         common = shared_light(self.found, light)
         lit = _enlarged(shading, known, size)
         skin = self.albedo * lit + _enlarged(glossy, known, size) + common * self.residual
@@ -167,10 +167,9 @@ class Portrait:
         other = self.photo * np.exp(_enlarged(ratio, self.covered, size))
         share, within = self.skin[..., None], self.matte[..., None]
         person = share * skin + (1 - share) * other
-        behind = self.photo * exposure
-        if keep != "place":
-            behind = behind * self._behind(light)
-        return np.maximum(within * person + (1 - within) * behind, 0), exposure
+        behind = self.photo if keep == "place" else self.photo * (level * self._behind(light))
+        picture = np.maximum(within * person + (1 - within) * behind, 0)
+        return exposure * picture, exposure * level
 
     def shaded_by(
         self, light: EnvironmentMap
@@ -197,8 +196,8 @@ def shared_light(one: EnvironmentMap, other: EnvironmentMap) -> float:
 
 
 def coarse_power(light: EnvironmentMap) -> Float[Tensor, " n"]:
-    """``L dw`` in luminance on :data:`SHARED_ROWS` rows, or as many as the light has."""
-    coarse = light.resize(min(SHARED_ROWS, light.layout[0]))
+    """``L dw`` in luminance on :data:`SHARED_ROWS` rows."""
+    coarse = light.resize(SHARED_ROWS)
     return luminance(coarse.flat).double() * coarse.grid.solid_angles
 
 

@@ -73,6 +73,7 @@ def keep_person(folder: Path, result: PhotoEstimate, command: dict[str, Any]) ->
         "was_found": sun.was_found,
         "strength": float(luminance(sun.irradiance)) / sun.level if sun.level > 0 else None,
         "level": sun.level,
+        "spread_rad": sun.spread_rad,
         "gloss": reflection.gloss,
         "landmark_error": fit.landmark_error,
         "converged": fit.converged,
@@ -105,6 +106,7 @@ def kept_person(folder: Path) -> KeptPerson:
         irradiance=tensors["irradiance"],
         rest=EnvironmentMap(radiance=tensors["rest"]),
         level=facts.pop("level"),
+        spread_rad=facts.pop("spread_rad"),
         was_found=facts["was_found"],
     )
     return KeptPerson(

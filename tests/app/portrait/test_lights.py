@@ -17,9 +17,11 @@ from skylight.app.portrait.lights import (
     turned_light,
 )
 from skylight.errors import InputError
+from skylight.inverse.lamps.relighting import LampLight
 from skylight.inverse.portrait.photograph import light_in_photo
-from skylight.inverse.result import Estimate
+from skylight.inverse.result import Estimate, Lamp
 from skylight.io.files import write_environment_map
+from skylight.models.lamps import AMBIENT_PARAMETERS
 from skylight.relight.main_light import split_main_light
 from skylight.sphere.envmap import EnvironmentMap, luminance
 from skylight.sphere.frame import angle_between
@@ -42,14 +44,12 @@ def sunny() -> EnvironmentMap:
 
 def test_the_light_found_is_in_the_colours_of_the_photograph() -> None:
     estimate = found().estimate
-    face = dataclasses.replace(
-        estimate.faces[0], white_balance=torch.tensor([2.0, 1.0, 0.5]), exposure=3.0
-    )
+    gains = torch.tensor([2.0, 1.0, 0.5])
+    face = dataclasses.replace(estimate.faces[0], white_balance=gains)
     estimate = dataclasses.replace(estimate, faces=(face,))
-    # the estimate's exposure is its first face's
     torch.testing.assert_close(
         light_in_photo(estimate).radiance,
-        estimate.environment.radiance * torch.tensor([2.0, 1.0, 0.5]),
+        estimate.environment.radiance * gains,
     )
 
 
@@ -86,6 +86,25 @@ def test_a_sun_of_given_strength_and_one_that_was_not_there() -> None:
         assert float(luminance(main.irradiance)) == pytest.approx(want, rel=0.08)
 
 
+def test_a_lamp_moved_to_where_it_is_gives_the_light_found() -> None:
+    lamp = Lamp(
+        direction=direction(30.0, 60.0),
+        irradiance=torch.tensor([1.0, 0.8, 0.6]),
+        spread_rad=math.radians(20),
+    )
+    ambient = torch.zeros(AMBIENT_PARAMETERS)
+    face = dataclasses.replace(found().estimate.faces[0], exposure=0.2)
+    estimate = dataclasses.replace(
+        found().estimate, light="lamps", lamps=(lamp,), params=ambient, faces=(face,)
+    )
+    whole = LampLight.of(estimate).environment(64)
+    estimate = dataclasses.replace(estimate, environment=whole)
+    again = light_with_sun_at(estimate, 30.0, 30.0).environment
+    torch.testing.assert_close(
+        again.radiance, light_in_photo(estimate).radiance, rtol=1e-4, atol=1e-6
+    )
+
+
 @pytest.mark.parametrize(
     ("elevation", "strength", "said"),
     [
@@ -110,6 +129,16 @@ def test_maps_are_read_and_refused(tmp_path: Path) -> None:
     write_environment_map(below, EnvironmentMap(radiance=lower))
     assert light_of_map(full).environment.layout == (64, 128)
     assert "from below" in light_of_map(below).notes[0]
-    for path, said in ((sky, "lower half"), (black, "black"), (tmp_path / "none.exr", "none.exr")):
+    small = tmp_path / "e.exr"
+    write_environment_map(small, EnvironmentMap(radiance=torch.ones(16, 32, 3)))
+    odd = tmp_path / "f.exr"
+    write_environment_map(odd, EnvironmentMap(radiance=torch.ones(33, 66, 3)))
+    assert light_of_map(odd).notes == ()
+    for path, said in (
+        (sky, "lower half"),
+        (black, "black"),
+        (small, "too few"),
+        (tmp_path / "none.exr", "none.exr"),
+    ):
         with pytest.raises(InputError, match=said):
             light_of_map(path)

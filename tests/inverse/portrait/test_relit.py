@@ -3,6 +3,7 @@
 import math
 from functools import lru_cache
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -10,7 +11,12 @@ import torch
 from skylight.errors import InputError
 from skylight.faces.model import Region
 from skylight.faces.observe import SKIN_GLOSS
-from skylight.inverse.portrait.relit import Portrait, shared_light, upright_irradiance
+from skylight.inverse.portrait.relit import (
+    Keep,
+    Portrait,
+    shared_light,
+    upright_irradiance,
+)
 from skylight.inverse.portrait.surface import BUST, PersonSurface, scaled
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.transport.render import render_diffuse
@@ -149,17 +155,25 @@ def test_a_moved_light_keeps_the_colour_of_skin_and_what_lies_behind() -> None:
     np.testing.assert_allclose(elsewhere[far & behind], 0.25 * np.tile(ratio, (9, 1)), rtol=1e-4)
 
 
-def test_twice_the_light_is_twice_the_picture() -> None:
+@pytest.mark.parametrize("keep", ["nothing", "brightness", "place"])
+def test_twice_the_exposure_is_twice_the_picture(keep: Keep) -> None:
     old, new = sunny(50.0, 45.0), sunny(-60.0, 35.0)
-    twice = EnvironmentMap(radiance=2 * new.radiance)
-    one = portrait(old)
-    common = shared_light(old, new)
-    assert 0 < common < 1
-    kept = common * one.residual * (one.skin * one.matte)[..., None]
-    single, _ = one.under(new)
-    double, _ = one.under(twice)
-    inner = on_skin()  # of hair and clothes ratios have a base, and residuals are the old light's
-    np.testing.assert_allclose((double - kept)[inner], 2 * (single - kept)[inner], rtol=0.15)
+    single, one = portrait(old).under(new, keep=keep)
+    double, two = portrait(old).under(new, 2.0, keep=keep)
+    assert two == 2 * one
+    np.testing.assert_array_equal(double, 2 * single)
+
+
+def test_the_bust_gets_the_ratio_of_smoothed_shadings() -> None:
+    """Of clothes as even as the model's own, deep inside the bust: the new shading itself."""
+    old, new = even(0.4), sunny(180.0, 50.0)  # from behind the camera
+    picture, _ = portrait(old).under(new)
+    inner = cv2.erode((person().region_image() == BUST).astype(np.uint8), np.ones((3, 3))) > 0
+    assert inner.sum() > 5
+    lit, want = picture[inner].mean(0), image(new)[inner].mean(0)
+    np.testing.assert_allclose(lit, want, rtol=0.15)  # with a base, and smoothed over the border
+    before = image(old)[inner].mean(0)
+    assert (want > 1.4 * before).all()
 
 
 def test_grey_pictures_stay_grey() -> None:
