@@ -265,16 +265,20 @@ def hair_of(
 ) -> Float[np.ndarray, "h w"]:
     """How likely each pixel shows the person's hair (:func:`hair_probability`).
 
-    It is looked for in a square about the face, upright with it, :data:`HAIR_SQUARE` as large.
+    It is looked for in a square about the face, :data:`HAIR_SQUARE` times as large.
     """
+    return hair_probability(picture, _around_head(model, fit))
+
+
+def _around_head(model: HeadModel, fit: FaceFit) -> Square:
+    """The square in which hair is looked for: about the face, and upright with it."""
     skin = _skin_seen(model, fit)
     right, up = fit.rotation[:2, 0]  # where the head's own left points to: +X right, +Y up
-    square = Square(
+    return Square(
         centre=(skin.min(0) + skin.max(0)) / 2,
         side=float(HAIR_SQUARE * np.ptp(skin, axis=0).max()),
         angle_rad=float(np.arctan2(-up, right)),
     )
-    return hair_probability(picture, square)
 
 
 def _bare_skin(

@@ -73,5 +73,4 @@ def test_what_libraries_leave_behind_is_in_its_own_folder(
             await worker.close()
 
     run(all_of_it())
-    assert list(everyones.iterdir()) == []
-    assert list(own.iterdir()) != []
+    assert list(everyones.iterdir()) == []  # where it is, if it left any, is in `own`

@@ -129,7 +129,7 @@ def test_lamps_are_moved_switched_saved_and_reset(
     assert [text for text in texts if "lamp-handle" not in text] == []  # white on the panorama
     estimated(page, "sh9")
     expect(page.locator(".result")).to_have_count(2)
-    expect(page.locator(".lamps")).to_have_count(1)
+    expect(page.get_by_label("Lamps to move and switch")).to_have_count(1)
     page.set_viewport_size({"width": 360, "height": 740})
     page.wait_for_function("innerWidth === 360")
     assert page.evaluate(OVERFLOW) == 0
