@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from skylight.app.estimate.types import PhotoEstimate
 from skylight.app.portrait.lights import NewLight
-from skylight.imaging.colour import linear_to_srgb, srgb_to_linear
+from skylight.imaging.colour import srgb_to_linear, tone_map
 from skylight.imaging.photo import Photo
 from skylight.inverse.portrait.photograph import FaceReflection, light_in_photo, portrait_of
 from skylight.inverse.portrait.relit import Keep, Portrait
@@ -106,5 +106,4 @@ def shown(relit: RelitPortrait) -> UInt8[ndarray, "h w 3"]:
     knee = np.maximum(photo, KNEE).clip(max=1 - 1e-6)
     over = np.maximum(picture - knee, 0) / (1 - knee)
     rolled = np.minimum(picture, knee) + (1 - knee) * np.tanh(over)
-    codes = linear_to_srgb(torch.from_numpy(rolled).clamp(0, 1)) * 255
-    return codes.round().to(torch.uint8).numpy()
+    return tone_map(torch.from_numpy(rolled), white=1.0)
