@@ -27,7 +27,7 @@ from skylight.app.portrait.lights import (
     light_with_sun_at,
     turned_light,
 )
-from skylight.app.portrait.relit import relit_portrait, shown
+from skylight.app.portrait.relit import relit_portrait, shown, taken_apart
 from skylight.imaging.colour import tone_map
 from skylight.inverse.portrait.relit import Keep
 from skylight.io.atomic import atomic_path
@@ -106,8 +106,9 @@ def draw(photo: Path, map_path: Path, strip: Path) -> dict[str, object]:
         (turned_light(estimate, 180.0), "place"),
         (light_of_map(map_path), "brightness"),
     ]
+    portrait = taken_apart(result)
     for light, keep in lights:
-        pictures.append(shown(relit_portrait(result, light, keep=keep)))
+        pictures.append(shown(relit_portrait(result, light, keep=keep, portrait=portrait)))
     row = np.hstack([_sized(picture) for picture in pictures])
     with atomic_path(strip) as temporary:
         Image.fromarray(row).save(temporary, format="JPEG", quality=85)

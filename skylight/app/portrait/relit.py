@@ -45,15 +45,17 @@ def relit_portrait(
     *,
     exposure: float = 1.0,
     keep: Keep = "nothing",
+    portrait: Portrait | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> RelitPortrait:
     """The (first) face of an estimate and who it belongs to, in another light times ``exposure``.
 
-    ``keep`` is that of :meth:`~skylight.inverse.portrait.relit.Portrait.under`; ``workers`` are the
-    processes that trace light, one per core where None.
+    ``keep`` is that of :meth:`~skylight.inverse.portrait.relit.Portrait.under`; ``portrait`` what
+    :func:`taken_apart` made of the estimate, for several lights; ``workers`` are the processes that
+    trace light otherwise, one per core where None.
     """
-    portrait = taken_apart(result, workers=workers or os.cpu_count() or 1, progress=progress)
+    portrait = portrait or taken_apart(result, workers=workers or os.cpu_count() or 1, progress=progress)
     picture, used = portrait.under(light.environment, exposure, keep=keep)
     return RelitPortrait(
         picture=picture,

@@ -104,7 +104,7 @@ def test_the_sun_is_dragged_and_the_person_follows_as_the_command_has_it(
         drag_to(page, azimuth, elevation)
         now, there = relit(page), sun(page)
         light = light_with_sun_at(result.estimate, there[0], 90 - there[1])
-        want = shown(relit_portrait(result, light, keep="place", workers=1)).astype(int)
+        want = shown(relit_portrait(result, light, keep="place", portrait=portrait)).astype(int)
         assert np.abs(now - want)[skin].mean() < 3, azimuth
         assert np.abs(now - want)[person].mean() < 3, azimuth
         np.testing.assert_array_equal(now[behind], seen[behind])
