@@ -55,7 +55,9 @@ def relit_portrait(
     :func:`taken_apart` made of the estimate, for several lights; ``workers`` are the processes that
     trace light otherwise, one per core where None.
     """
-    portrait = portrait or taken_apart(result, workers=workers or os.cpu_count() or 1, progress=progress)
+    portrait = portrait or taken_apart(
+        result, workers=workers or os.cpu_count() or 1, progress=progress
+    )
     picture, used = portrait.under(light.environment, exposure, keep=keep)
     return RelitPortrait(
         picture=picture,
