@@ -11,7 +11,7 @@ from skimage.metrics import structural_similarity
 
 from skylight.errors import InputError
 from skylight.evaluation.faces.face_light import NOT_FOUND, fitted_head, light_of, peak_mib
-from skylight.evaluation.faces.known_faces import FaceSource, read_face
+from skylight.evaluation.faces.known_faces import FaceSource, known_face
 from skylight.evaluation.faces.options import EstimateOptions
 from skylight.evaluation.harness.pictures import caption, sized
 from skylight.evaluation.harness.run import Check, Item
@@ -85,7 +85,7 @@ class RelitPortraits:
     def measure(self, item: str, picture: Path) -> Item:
         old, new = (read_rendered_face(self.data / folder / item) for folder in ("from", "to"))
         seconds: dict[str, float] = {}
-        face = read_face(self.data / "from" / item)
+        face = known_face(old)
         facts: dict[str, object] = {"skin tone": old.cluster}
         fit = fitted_head(face, seconds)
         if fit is None:
