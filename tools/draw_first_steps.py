@@ -22,7 +22,9 @@ from PIL import Image
 from skimage.data import astronaut
 
 from skylight.io.atomic import atomic_path
+from tests.studio.browser.waiting import gathered
 from tools.measured import write_measured
+from tools.viewer_page import CHROMIUM, opened
 
 PAGE = Path("docs/first_steps.md")
 IMAGES = Path("docs/images/first_steps")
@@ -108,7 +110,7 @@ class Options:
     """The zip of the Blender extension."""
     photo: Path | None = None
     """A portrait; by default NASA's of the astronaut Eileen Collins, which is public domain."""
-    chromium: str = shutil.which("chromium") or "chromium"
+    chromium: str = CHROMIUM
     """Its program, to look at the page."""
 
 
@@ -129,7 +131,9 @@ def main(options: Options) -> None:
         seconds[STEPS[-1].title] = taken(
             f"python ball.py {options.extension.name}", place, "blender-env"
         )
-        look_at(place / "page.html", place / "page.png", options.chromium)
+        with opened(place / "page.html", options.chromium) as shown:
+            gathered(shown, 1)
+            shown.screenshot(path=place / "page.png")
         lay_over(place / "ball.png", place / "portrait.png", place / "with_ball.png")
         IMAGES.mkdir(parents=True, exist_ok=True)
         for step in filter(lambda step: step.picture, STEPS):
@@ -165,25 +169,6 @@ def taken(typed: str, place: Path, within: str = "skylight-env") -> float:
     clean = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
     subprocess.run(["bash", "-ec", typed], cwd=place, check=True, env={**clean, "PATH": path})
     return time.monotonic() - started
-
-
-def look_at(page: Path, picture: Path, chromium: str) -> None:
-    """As a browser shows it that reaches no host."""
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as play:
-        browser = play.chromium.launch(
-            executable_path=chromium, args=["--host-resolver-rules=MAP * ~NOTFOUND"]
-        )
-        shown = browser.new_page(viewport={"width": 1280, "height": 900})
-        errors: list[str] = []
-        shown.on("pageerror", lambda error: errors.append(str(error)))
-        shown.goto(page.as_uri())
-        shown.wait_for_timeout(6000)
-        shown.screenshot(path=picture)
-        browser.close()
-    if errors:
-        raise SystemExit(f"{page.name}: {errors[0]}")
 
 
 def lay_over(above: Path, below: Path, out: Path) -> None:
