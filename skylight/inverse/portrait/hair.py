@@ -18,7 +18,7 @@ from skylight.faces.model import HeadModel, Region
 from skylight.transport.gbuffer import vertex_normals
 from skylight.transport.raycast import Raycaster
 
-THICKNESS_M = 0.011  # of short hair: longer hair stands off farther
+THICKNESS_M = 0.011  # as that of the rendered people, 6 to 16 mm; longer hair stands off farther
 
 
 def hair_shell(
@@ -27,8 +27,8 @@ def hair_shell(
     """Vertices (metres, the camera's frame) and triangles, counter-clockwise from outside.
 
     ``hair`` is how likely a pixel of the photograph shows hair. It stands where that is more than a
-    half at what the camera sees of scalp and forehead. The scalp that it does not see is as hairy
-    as what it sees in the mean. Both arrays are empty of a bald head.
+    half at what the picture shows of scalp and forehead. The scalp that it does not show is as
+    hairy as what it shows in the mean. Both arrays are empty of a bald head.
     """
     model = HeadModel.load()
     vertices, faces = torch.from_numpy(fit.vertices), torch.from_numpy(model.faces.copy())
@@ -37,11 +37,12 @@ def hair_shell(
     height = model.mean[:, 1]
     brows = height[model.regions == Region.BROW].max()
     forehead = (model.regions == Region.FACE) & (height > brows)
-    seen = _seen(vertices, normals, Raycaster(vertices, faces))
-    places = fit.camera.project(vertices).numpy().astype(np.float32) - 0.5
+    places = fit.camera.project(vertices).numpy().astype(np.float32)
+    inside = ((places >= 0) & (places < (fit.camera.width, fit.camera.height))).all(1)
+    seen = inside & _faces_camera(vertices, normals, Raycaster(vertices, faces))
     likely = cv2.remap(
         hair.astype(np.float32),
-        places[:, None],
+        places[:, None] - 0.5,
         None,
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REPLICATE,
@@ -53,10 +54,10 @@ def hair_shell(
     return fit.vertices[kept] + THICKNESS_M * normals[kept].numpy(), shell.reshape(-1, 3)
 
 
-def _seen(
+def _faces_camera(
     vertices: Float[Tensor, "n 3"], normals: Float[Tensor, "n 3"], raycaster: Raycaster
 ) -> Bool[ndarray, " n"]:
-    """Which vertices the camera sees, at the origin."""
+    """Which vertices the camera at the origin sees, in the picture or beside it."""
     towards = normalize(-vertices, dim=1)
     starts = vertices + raycaster.epsilon * normals
     hidden = raycaster.occluded(starts.float(), towards.float())

@@ -40,12 +40,14 @@ def portrait_of(
     found: EnvironmentMap,
     *,
     face_px: int = FACE_PX,
+    shell: bool = True,
     workers: int = 1,
     progress: Progress | None = None,
 ) -> Portrait:
     """A photograph of a fitted head under the light ``found``, in its colours and units.
 
-    ``face_px`` and ``workers``: of :meth:`~skylight.inverse.portrait.surface.PersonSurface.of`.
+    ``shell`` gives the head a :func:`~skylight.inverse.portrait.hair.hair_shell`; ``face_px`` and
+    ``workers``: of :meth:`~skylight.inverse.portrait.surface.PersonSurface.of`.
 
     Raises
     ------
@@ -54,7 +56,12 @@ def portrait_of(
     """
     hair = hair_of(photo.pixels, HeadModel.load(), fit)
     person = PersonSurface.of(
-        fit, reflection.turns, hair, face_px=face_px, workers=workers, progress=progress
+        fit,
+        reflection.turns,
+        hair if shell else None,
+        face_px=face_px,
+        workers=workers,
+        progress=progress,
     )
     regions = person.region_image()
     hairy = cv2.resize(hair, regions.shape[::-1], interpolation=cv2.INTER_AREA)

@@ -66,8 +66,8 @@ class PersonSurface:
         progress: Progress | None = None,
     ) -> "PersonSurface":
         """Of a fitted head whose face is at most ``face_px`` high; ``turns`` are those of
-        :class:`~skylight.inverse.result.FaceLight`, ``hair`` that of
-        :func:`~skylight.inverse.portrait.hair.hair_shell`; None of either is none.
+        :class:`~skylight.inverse.result.FaceLight`. ``hair`` is how likely a pixel of the
+        photograph shows hair; without it the head has no shell of hair.
 
         Visibility is that of 32 rows of directions; m * 2048 bytes, 80 MB of 40,000 pixels.
         """
@@ -81,7 +81,9 @@ class PersonSurface:
         starts = np.cumsum([0, *(len(points) for points, _ in parts)])
         vertices = torch.from_numpy(np.concatenate([points for points, _ in parts]))
         faces = torch.from_numpy(
-            np.concatenate([part + start for (_, part), start in zip(parts, starts, strict=False)])
+            np.concatenate(
+                [part + start for (_, part), start in zip(parts, starts[:-1], strict=True)]
+            )
         )
         raycaster = Raycaster(vertices, faces)
         surface = rasterize(camera, vertices, faces, raycaster)

@@ -1,5 +1,7 @@
 """The shell of hair over a head."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -45,6 +47,32 @@ def test_it_is_where_the_photograph_shows_it() -> None:
     ahead = vertices[(vertices - FIT.vertices.mean(0)) @ FIT.rotation[:, 2] > 0.02]
     shown = FIT.camera.project(torch.from_numpy(ahead))[:, 0]
     assert float((shown < middle + 0.02 * SIZE[1]).float().mean()) > 0.95
+
+
+def behind(hair: np.ndarray) -> int:
+    """How many of the shell's vertices lie at the back of the head."""
+    vertices, _ = hair_shell(FIT, hair)
+    return int(((vertices - FIT.vertices.mean(0)) @ FIT.rotation[:, 2] < -0.06).sum())
+
+
+def test_the_back_is_as_hairy_as_the_scalp_that_is_seen() -> None:
+    scalp = FIT.vertices[HeadModel.load().regions == Region.SCALP]
+    columns = FIT.camera.project(torch.from_numpy(scalp))[:, 0]
+    few, many = (round(float(columns.quantile(share))) for share in (0.1, 0.7))
+    assert behind(drawn(columns=slice(0, many))) == behind(drawn()) > 200
+    assert behind(drawn(columns=slice(0, few))) < 50  # seen beside the ear
+
+
+def test_what_lies_beside_the_picture_is_not_seen() -> None:
+    """The picture ends below the fringe; hair at its border says nothing of what lies above."""
+    brow = FIT.vertices[HeadModel.load().regions == Region.BROW]
+    cut = round(float(FIT.camera.project(torch.from_numpy(brow))[:, 1].min())) - 4
+    x, y = FIT.camera.center_px
+    camera = replace(FIT.camera, height=FIT.camera.height - cut, center_px=(x, y - cut))
+    hair = np.zeros((camera.height, camera.width), np.float32)
+    hair[0] = 1
+    vertices, _ = hair_shell(replace(FIT, camera=camera), hair)
+    assert len(vertices) == 0
 
 
 @pytest.mark.parametrize("hair", [drawn(slice(0, 0)), drawn() * 0.4])
