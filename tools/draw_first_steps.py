@@ -19,7 +19,6 @@ from pathlib import Path
 
 import tyro
 from PIL import Image
-from skimage.data import astronaut
 
 from skylight.io.atomic import atomic_path
 from tests.studio.browser.waiting import gathered
@@ -60,11 +59,19 @@ class Step:
     picture: str = ""
 
 
+PORTRAIT = """
+from skimage import data
+from PIL import Image
+Image.fromarray(data.astronaut()).save("portrait.png")
+"""
 STEPS = (
     Step(
         title="Install",
-        typed="python -m venv skylight-env\n. skylight-env/bin/activate\npip install {wheel}",
-        then="From a package index on this machine's network; torch is most of it.",
+        typed="python3 -m venv skylight-env\n. skylight-env/bin/activate\npip install {wheel}\n"
+        "python portrait.py",
+        then="torch is most of it. `portrait.py` saves the picture that these steps use, which "
+        "comes with scikit-image (NASA's portrait of Eileen Collins, public domain); one of your "
+        "own will do:\n\n```python" + PORTRAIT + "```",
     ),
     Step(
         title="The light of a portrait",
@@ -91,10 +98,16 @@ STEPS = (
         "[Blender](blender.md).",
     ),
     Step(
+        title="Blender without its window",
+        typed=f"python3 -m venv blender-env\n. blender-env/bin/activate\npip install '{BPY}'",
+        then="Blender itself needs no such environment: its *Install from Disk* takes the zip.",
+    ),
+    Step(
         title="A ball beside the head, by Blender",
-        typed="python ball.py {extension}  # in an environment with `pip install '" + BPY + "'`",
-        then="The script installs the extension's zip, sets the scene up, adds a matt ball and "
-        "renders; here laid over the photograph.",
+        typed="export BLENDER_USER_RESOURCES=$PWD/blender\n. blender-env/bin/activate\n"
+        "python ball.py {extension}",
+        then="`ball.py` installs the extension, sets the scene up, adds a matt ball and renders; "
+        "here laid over the photograph:\n\n```python" + IN_BLENDER + "```",
         picture="with_ball.png",
     ),
 )
@@ -108,8 +121,6 @@ class Options:
     """skylight's wheel."""
     extension: Path
     """The zip of the Blender extension."""
-    photo: Path | None = None
-    """A portrait; by default NASA's of the astronaut Eileen Collins, which is public domain."""
     chromium: str = CHROMIUM
     """Its program, to look at the page."""
 
@@ -121,16 +132,9 @@ def main(options: Options) -> None:
         place = Path(folder)
         for file in (options.wheel, options.extension):
             shutil.copy(file, place)
-        picture = (
-            Image.fromarray(astronaut()) if options.photo is None else Image.open(options.photo)
-        )
-        picture.save(place / "portrait.png")
-        (place / "ball.py").write_text(IN_BLENDER)
-        environment(place, "blender-env", f"pip install --quiet '{BPY}'")
-        seconds = {step.title: taken(step.typed.format(**files), place) for step in STEPS[:-1]}
-        seconds[STEPS[-1].title] = taken(
-            f"python ball.py {options.extension.name}", place, "blender-env"
-        )
+        for name, program in (("portrait.py", PORTRAIT), ("ball.py", IN_BLENDER)):
+            (place / name).write_text(program)
+        seconds = {step.title: taken(step.typed.format(**files), place) for step in STEPS}
         with opened(place / "page.html", options.chromium) as shown:
             gathered(shown, 1)
             shown.screenshot(path=place / "page.png")
@@ -155,19 +159,18 @@ def main(options: Options) -> None:
     )
 
 
-def environment(place: Path, name: str, command: str) -> None:
-    subprocess.run([sys.executable, "-m", "venv", name], cwd=place, check=True)
-    taken(command, place, name)
-
-
-def taken(typed: str, place: Path, within: str = "skylight-env") -> float:
-    """Seconds of commands in a shell whose PATH begins with an environment's programs."""
+def taken(typed: str, place: Path) -> float:
+    """Seconds of commands in a shell that knows the newcomer's environment, not this one."""
     print(typed, flush=True)
-    path = f"{place / within / 'bin'}:{Path(sys.executable).parent}:{os.environ['PATH']}"
+    paths = (place / "skylight-env" / "bin", Path(sys.base_prefix) / "bin", "/usr/bin", "/bin")
+    kept = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
     started = time.monotonic()
-    # nothing of the environment that this was started from
-    clean = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
-    subprocess.run(["bash", "-ec", typed], cwd=place, check=True, env={**clean, "PATH": path})
+    subprocess.run(
+        ["bash", "-ec", typed],
+        cwd=place,
+        check=True,
+        env={**kept, "PATH": ":".join(map(str, paths))},
+    )
     return time.monotonic() - started
 
 
@@ -200,7 +203,6 @@ def page(seconds: dict[str, float], files: dict[str, str]) -> str:
         if step.picture:
             stem = Path(step.picture).stem
             lines += ["", f"![{step.title}](images/first_steps/{stem}.jpg)"]
-    lines += ["", "The portrait is NASA's of Eileen Collins, public domain."]
     return "\n".join(lines) + "\n"
 
 

@@ -35,6 +35,7 @@ from skylight.app.portrait.relit import relit_portrait, shown, taken_apart
 from skylight.imaging.colour import tone_map
 from skylight.inverse.portrait.relit import Keep
 from skylight.io.atomic import atomic_path
+from skylight.io.bounded import json_content
 from skylight.sphere.envmap import luminance
 from skylight.transport.scene.evaluation import evaluation_scene
 from tests.studio.browser.pictures import finished
@@ -97,6 +98,8 @@ def main(options: Options) -> None:
     for name in track((*SHOWN, *FAILED), description="gallery"):
         strip = folder / name
         facts = strip.with_suffix(".json")
+        if facts.exists() and json_content(facts)["columns"] != len(COLUMNS):
+            facts.unlink()  # of an earlier form of the strips
         told[name] = kept(facts, lambda n=name, s=strip: draw(options.photos / n, options.map, s))
     page = _page(told, sources, options.map.name)
     with atomic_path(options.out / "gallery.md") as temporary:
@@ -122,6 +125,7 @@ def draw(photo: Path, map_path: Path, strip: Path) -> dict[str, object]:
         Image.fromarray(row).save(temporary, format="JPEG", quality=85)
     azimuth, zenith = angles_deg(estimate.sun_direction)
     return {
+        "columns": len(COLUMNS),
         "light": estimate.light,
         "verdict": estimate.posterior.verdict,
         "notes": list(lights[0][0].notes),

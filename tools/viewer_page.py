@@ -7,6 +7,8 @@ from pathlib import Path
 
 from playwright.sync_api import Page, sync_playwright
 
+from tests.studio.browser.waiting import PATIENCE_MS
+
 CHROMIUM = shutil.which("chromium") or "chromium"
 
 
@@ -18,9 +20,12 @@ def opened(page: Path, chromium: str = CHROMIUM) -> Iterator[Page]:
         browser = play.chromium.launch(executable_path=chromium)
         context = browser.new_context(viewport={"width": 1280, "height": 900}, offline=True)
         shown = context.new_page()
+        shown.set_default_timeout(PATIENCE_MS)
         shown.on("pageerror", lambda error: errors.append(str(error)))
         shown.goto(page.as_uri())
-        yield shown
-        browser.close()
-    if errors:
-        raise SystemExit(f"{page.name}: {errors[0]}")
+        try:
+            yield shown
+        finally:
+            browser.close()
+            if errors:
+                raise SystemExit(f"{page.name}: {errors[0]}")
