@@ -155,7 +155,7 @@ def parse_progress(line: str) -> tuple[str, float] | None:
     try:
         told = json.loads(line)
         stage, share = told["stage"], float(told["share"])
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
     return (stage, share) if isinstance(stage, str) and 0 <= share <= 1 else None
 
