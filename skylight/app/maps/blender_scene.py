@@ -98,7 +98,7 @@ class _Numbers:
             self.verdict = str(content["posterior"]["verdict"])
             self.advice = [str(line) for line in content["advice"]]
             whole = len(self.picture_px) == 2 and self.focal_px > 0 and self.gloss >= 0
-        except (KeyError, IndexError, TypeError, ValueError):
+        except (KeyError, IndexError, TypeError, ValueError, OverflowError):
             whole = False
         if not whole:
             raise InputError(

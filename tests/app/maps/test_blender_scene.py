@@ -197,6 +197,7 @@ def test_of_several_faces_the_first_is_shown(estimate: Path) -> None:
         ({"picture_px": [64, 48]}, {}, "48 x 64 pixels, and the estimate is of a photograph of 64"),
         ({"picture_px": None}, {}, "estimate the photograph again"),
         ({"picture_px": [64]}, {}, "estimate the photograph again"),
+        ({"picture_px": [10**400, 64]}, {}, "estimate the photograph again"),
         ({"focal_length_px": 0}, {}, "estimate the photograph again"),
         ({"albedo": [0.5, 0.4]}, {}, "estimate the photograph again"),
         ({"albedo": [0.5, 0.4, -1]}, {}, "estimate the photograph again"),
