@@ -84,7 +84,7 @@ def _guided(name: str, seconds: int, seed: int, findings: Path) -> None:
     """libFuzzer ends the process, whatever comes of it."""
     import atheris
 
-    with atheris.instrument_imports(include=["skylight", "trimesh", "OpenEXR"]):
+    with atheris.instrument_imports(include=["skylight", "blender", "trimesh", "OpenEXR"]):
         target = import_module(f"tests.fuzz.targets.{name}")
     corpus = findings / "corpus" / name
     corpus.mkdir(parents=True, exist_ok=True)
