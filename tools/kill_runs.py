@@ -1,6 +1,6 @@
 """Kill long commands at random times and check that they end as an uninterrupted run does.
 
-    python tools/kill_runs.py                              60 kills over all scenarios
+    python tools/kill_runs.py                             20 kills of each scenario
     python tools/kill_runs.py training capture --kills 10  10 of each
 
 Writes ``benchmarks/results/kill-runs.json``.
@@ -19,13 +19,22 @@ sys.path.insert(0, str(ROOT))
 from tests.faults.kills import kill_runs  # noqa: E402
 from tools.measured import write_measured  # noqa: E402
 
-SCENARIOS = ("training", "simulation", "capture", "batch")
+SCENARIOS = (
+    "training",
+    "simulation",
+    "capture",
+    "batch",
+    "bundle",
+    "film",
+    "viewer",
+    "portrait",
+)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scenarios", nargs="*", default=SCENARIOS, help=", ".join(SCENARIOS))
-    parser.add_argument("--kills", type=int, default=15, help="of each scenario")
+    parser.add_argument("--kills", type=int, default=20, help="of each scenario")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
         "--out", type=Path, default=ROOT / "benchmarks" / "results" / "kill-runs.json"
