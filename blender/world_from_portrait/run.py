@@ -21,6 +21,9 @@ _POSIX = os.name == "posix"
 class Failure(Exception):
     """``str(error)`` is a line for people: what is wrong and what to do about it."""
 
+    def __str__(self) -> str:
+        return "".join(each if each.isprintable() else " " for each in super().__str__())
+
 
 @dataclass(frozen=True)
 class Step:

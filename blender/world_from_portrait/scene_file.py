@@ -3,6 +3,7 @@
 
 import json
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -80,7 +81,7 @@ def read_scene(folder: Path) -> PortraitScene:
     except (KeyError, TypeError, ValueError) as error:
         raise Failure(f"{path}: damaged ({error}): estimate again") from error
     for file in (scene.world, scene.photograph, scene.head):
-        if not file.is_file():
+        if not os.path.isfile(file):  # Path's raises for names that are too long
             raise Failure(f"{file}: there is no such file: estimate again")
     return scene
 

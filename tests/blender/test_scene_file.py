@@ -88,6 +88,7 @@ def test_a_whole_scene_is_read(folder: Path) -> None:
         ({"suns": [SUN | {"energy": -1}]}, "too small"),
         ({"suns": [SUN | {"towards": [0, 1e400, 0]}]}, "a number was expected"),
         ({"suns": [{"name": "sun"}]}, "damaged"),
+        ({"world": "a" * 5000}, "there is no such file"),
         ({"world": "missing.hdr"}, "missing.hdr: there is no such file"),
         ({"head": 3}, "a file's name was expected"),
         ({"head": "../head.obj"}, "a file's name was expected"),
