@@ -194,6 +194,8 @@ def test_of_several_faces_the_first_is_shown(estimate: Path) -> None:
     ("face", "changed", "message"),
     [
         ({"source": "missing.jpg"}, {}, "missing.jpg: the photograph is not there; say where"),
+        ({"source": "a" * 5000}, {}, "the photograph is not there; say where"),
+        ({"source": "a\n.jpg"}, {}, "estimate the photograph again"),
         ({"picture_px": [64, 48]}, {}, "48 x 64 pixels, and the estimate is of a photograph of 64"),
         ({"picture_px": None}, {}, "estimate the photograph again"),
         ({"picture_px": [64]}, {}, "estimate the photograph again"),
