@@ -58,7 +58,7 @@ def read(content: bytes) -> None:
     readers = (
         lambda: read_light(folder, "skylight"),
         lambda: export_viewer(folder, PLACE / "page.html", photo=photo),
-        lambda: export_blender_scene(folder, PLACE / "blender_out", photo=photo),
+        lambda: export_blender_scene(folder, PLACE / "blender_out"),
     )
     read_by_any(readers)
 
