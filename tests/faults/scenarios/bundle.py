@@ -11,6 +11,7 @@ from tests.drawn_skies import draw_skies
 
 SKIES = 40
 REFUSED = "refused"
+_OF_PATHS = ("card.md", "report.json", "bundle.json")
 
 
 def command(folder: Path) -> list[str]:
@@ -29,13 +30,14 @@ def command(folder: Path) -> list[str]:
 def result(folder: Path) -> dict[str, str]:
     """What the model is by all its tensors, or that it is refused; every file of it, bit by bit.
 
-    Not the two that quote the folder's own paths.
+    Not those that tell of the folder's own paths: card, report, and the manifest, whose hash of the
+    data is of the index, which names maps elsewhere by their whole paths.
     """
     out = folder / "mine"
     found = {
         path.name: hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(out.glob("*"))
-        if path.is_file() and path.name not in ("card.md", "report.json") and path.name[0] != "."
+        if path.is_file() and path.name not in _OF_PATHS and path.name[0] != "."
     }
     try:
         found["model"] = load_bundle(out).fingerprint
