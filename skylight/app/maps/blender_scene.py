@@ -24,6 +24,8 @@ from skylight.skies.sun import SUN_RADIUS_RAD
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.work.results_folder import results_folder
 
+MOST_REFLECTED = 0.99  # at normal incidence: no index of refraction reflects all
+
 
 def export_blender_scene(estimate: Path, out: Path, *, photo: Path | None = None) -> list[str]:
     """Write what the extension of Blender sets up, and return the files' names.
@@ -70,7 +72,7 @@ def export_blender_scene(estimate: Path, out: Path, *, photo: Path | None = None
         focal_px=told.focal_px,
         head=head,
         albedo=told.albedo,
-        specular=replace(SKIN_GLOSS, f0=min(told.gloss * SKIN_GLOSS.f0, 1.0)),
+        specular=replace(SKIN_GLOSS, f0=min(told.gloss * SKIN_GLOSS.f0, MOST_REFLECTED)),
         verdict=told.verdict,
         advice=told.advice,
     )
