@@ -131,7 +131,7 @@ class _Products(nn.Module):
 @cache
 @torch.inference_mode(False)
 def _tables(across: int) -> dict[str, Tensor]:
-    """Of :class:`_Products`: values of splines on the grid of a network's skies."""
+    """Of :class:`_Products`: the values of splines at the pixels of a network's skies."""
     matrix = DiskSplines(across, DirectionGrid.sky(HEIGHT)).matrix()
     tables = {}
     for name, part in (("forth", matrix), ("back", matrix.T)):
@@ -186,8 +186,8 @@ def _mlp(size_in: int, size_out: int, *, bias: bool = True) -> nn.Sequential:
 @cache
 @torch.inference_mode(False)
 def _least_squares(across: int) -> Float[Tensor, "k n"]:
-    """The linear map from values on that grid to the control points that are nearest to them in
-    the mean square over solid angle."""
+    """The linear map from the values of a network's skies to the control points that are nearest
+    to them in the mean square over solid angle."""
     grid = DirectionGrid.sky(HEIGHT)
     matrix, solid = DiskSplines(across, grid).matrix(), grid.solid_angles.double()
     gram = matrix.T @ (solid[:, None] * matrix)
