@@ -6,9 +6,16 @@ The command line prints the message of a :class:`SkylightError` as one line and 
 
 
 class SkylightError(Exception):
-    """Base class; ``str(error)`` says what is wrong and what to do about it."""
+    """Base class; ``str(error)`` says what is wrong and what to do about it.
+
+    It is one line that any terminal may show, whatever texts of a file and names it quotes: what
+    cannot be printed becomes a blank.
+    """
 
     exit_code = 1
+
+    def __str__(self) -> str:
+        return "".join(each if each.isprintable() else " " for each in super().__str__())
 
 
 class InputError(SkylightError):

@@ -33,7 +33,7 @@ def find_skylight(chosen: str) -> str:
 def check_version(printed: str) -> None:
     """Refuse what ``skylight --version`` says where this extension was not made for it."""
     first, below = COMPATIBLE
-    found = re.match(r"skylight (\d+)\.(\d+)\b", printed)
+    found = re.match(r"skylight (\d{1,9})\.(\d{1,9})\b", printed)
     if found is None or not first <= (int(found[1]), int(found[2])) < below:
         wanted = " to below ".join(f"{major}.{minor}" for major, minor in COMPATIBLE)
         is_named = printed.startswith("skylight ")

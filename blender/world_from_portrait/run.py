@@ -21,6 +21,9 @@ _POSIX = os.name == "posix"
 class Failure(Exception):
     """``str(error)`` is a line for people: what is wrong and what to do about it."""
 
+    def __str__(self) -> str:
+        return "".join(each if each.isprintable() else " " for each in super().__str__())
+
 
 @dataclass(frozen=True)
 class Step:
@@ -155,7 +158,7 @@ def parse_progress(line: str) -> tuple[str, float] | None:
     try:
         told = json.loads(line)
         stage, share = told["stage"], float(told["share"])
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
     return (stage, share) if isinstance(stage, str) and 0 <= share <= 1 else None
 

@@ -3,6 +3,7 @@
 
 import json
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,8 @@ from typing import Any
 from .run import Failure
 
 NAME, KIND, VERSION = "blender_scene.json", "skylight blender scene", 1
+LARGEST = 3e38  # of Blender's numbers, which have single precision
+MOST_PIXELS = 65536  # of a side that it renders
 Vector = tuple[float, float, float]
 
 
@@ -51,24 +54,24 @@ def read_scene(folder: Path) -> PortraitScene:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise Failure(f"{path}: cannot be read ({error.strerror}): estimate again") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise Failure(f"{path}: no JSON: estimate again") from error
     if not isinstance(content, dict) or content.get("kind") != KIND:
         raise Failure(f"{path}: not a scene that skylight wrote for Blender")
     if content.get("version") != VERSION:
         raise Failure(
-            f"{path}: version {content.get('version')}, this extension reads {VERSION}: "
+            f"{path}: version {content.get('version')!r}, this extension reads {VERSION}: "
             "update the older one of extension and skylight"
         )
     try:
         width, height = content["photograph_px"]
         scene = PortraitScene(
-            world=folder / content["world"],
+            world=folder / _file_name(content["world"]),
             suns=tuple(_sun(told) for told in content["suns"]),
-            photograph=folder / content["photograph"],
+            photograph=folder / _file_name(content["photograph"]),
             photograph_px=(_whole(width), _whole(height)),
             focal_length_px=_number(content["focal_length_px"], above=0),
-            head=folder / content["head"],
+            head=folder / _file_name(content["head"]),
             albedo=_vector(content["albedo"]),
             ior=_number(content["ior"], least=1),
             roughness=_number(content["roughness"], least=0),
@@ -78,7 +81,7 @@ def read_scene(folder: Path) -> PortraitScene:
     except (KeyError, TypeError, ValueError) as error:
         raise Failure(f"{path}: damaged ({error}): estimate again") from error
     for file in (scene.world, scene.photograph, scene.head):
-        if not file.is_file():
+        if not os.path.isfile(file):  # Path's raises for names that are too long
             raise Failure(f"{file}: there is no such file: estimate again")
     return scene
 
@@ -116,13 +119,20 @@ def _sun(told: dict[str, Any]) -> Sun:
     )
 
 
+def _file_name(told: Any) -> str:
+    """That of a file beside the scene's, which no name can lead away from."""
+    if not isinstance(told, str) or not told.isprintable() or told != Path(told).name:
+        raise ValueError(f"a file's name was expected, not {told!r}")
+    return told
+
+
 def _vector(told: Any) -> Vector:
     x, y, z = told
     return _number(x), _number(y), _number(z)
 
 
 def _number(told: Any, *, above: float = -math.inf, least: float = -math.inf) -> float:
-    if isinstance(told, bool) or not isinstance(told, int | float) or not math.isfinite(told):
+    if isinstance(told, bool) or not isinstance(told, int | float) or not abs(told) <= LARGEST:
         raise ValueError(f"a number was expected, not {told!r}")
     if not above < told or told < least:
         raise ValueError(f"{told!r} is too small")
@@ -130,6 +140,6 @@ def _number(told: Any, *, above: float = -math.inf, least: float = -math.inf) ->
 
 
 def _whole(told: Any) -> int:
-    if isinstance(told, bool) or not isinstance(told, int) or told < 1:
+    if isinstance(told, bool) or not isinstance(told, int) or not 1 <= told <= MOST_PIXELS:
         raise ValueError(f"a number of pixels was expected, not {told!r}")
     return told

@@ -14,6 +14,7 @@ right, its centre is where the camera of the photograph looks; empty where nobod
 import csv
 import hashlib
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from io import StringIO
@@ -189,8 +190,8 @@ def _parse(folder: Path, row: dict[str, str]) -> FaceCapture:
         inside = PurePosixPath(row[column])
         if not row[column] or inside.is_absolute() or ".." in inside.parts:
             raise ValueError(f"{column} is {row[column]!r}; it must be a file within {folder}")
-        if not (folder / row[column]).is_file():
-            raise ValueError(f"{column} {row[column]} is not there")
+        if not os.path.isfile(folder / row[column]):  # Path's raises for names that cannot be
+            raise ValueError(f"{column} {row[column]!r} is not there")
     if row["visible_sun"] not in ("0", "1"):
         raise ValueError(f"visible_sun is {row['visible_sun']!r}; it must be 0 or 1")
     if not row["person"]:

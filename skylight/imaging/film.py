@@ -1,6 +1,7 @@
 """Films: decoded as they play, upright, each frame with its time."""
 
 import math
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,6 +17,8 @@ from skylight.io.bounded import PIXELS_MAX
 
 FILM_SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm"})
 USUAL_RATE = 30.0  # frames a second, where a file does not tell
+# what FFmpeg prints of a damaged film says less than our message
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +54,10 @@ def opened_film(source: Path | int) -> Iterator[cv2.VideoCapture]:
     # what OpenCV prints of a failure says less than our message
     log = cv2.utils.logging
     level = log.setLogLevel(log.LOG_LEVEL_SILENT)
-    capture = cv2.VideoCapture(source if isinstance(source, int) else str(source))
+    if isinstance(source, int):
+        capture = cv2.VideoCapture(source)
+    else:  # no other decoder of OpenCV's, which takes "film01.mp4" for a picture of many
+        capture = cv2.VideoCapture(str(source), cv2.CAP_FFMPEG)
     log.setLogLevel(level)
     try:
         if not capture.isOpened():
@@ -144,7 +150,7 @@ def _scaled(
     scale = 1.0 if most_side is None else most_side / max(height, width)
     if scale >= 1:
         return codes
-    size = round(width * scale), round(height * scale)
+    size = max(1, round(width * scale)), max(1, round(height * scale))
     return np.asarray(cv2.resize(codes, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 

@@ -9,6 +9,7 @@ from PIL import Image
 
 from skylight.errors import DependencyError, InputError
 from skylight.io.bounded import file_bytes, require_bytes, require_pixels
+from skylight.io.hdr import muted
 
 SUFFIXES = (
     ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw",
@@ -38,8 +39,9 @@ def develop(path: Path) -> tuple[UInt16[np.ndarray, "h w 3"], Bool[np.ndarray, "
         ) from error
     try:
         require_bytes(path)
-        with rawpy.imread(str(path)) as raw:
+        with muted(), rawpy.imread(str(path)) as raw:  # LibRaw prints what it dislikes
             require_pixels(raw.sizes.width, raw.sizes.height)
+            require_pixels(raw.sizes.raw_width, raw.sizes.raw_height)  # with what is not shown
             sensor = raw.raw_image_visible
             saturated = (sensor >= raw.white_level).reshape(*sensor.shape[:2], -1).any(2)
             turns = _QUARTER_TURNS.get(raw.sizes.flip, 0)
@@ -58,6 +60,8 @@ def develop(path: Path) -> tuple[UInt16[np.ndarray, "h w 3"], Bool[np.ndarray, "
         if isinstance(reason, bytes):
             reason = reason.decode("ascii", "replace")
         raise InputError(f"{path}: no RAW file that can be read ({reason})") from error
+    if codes.shape[2] == 1:  # a sensor without colour filters
+        codes = codes.repeat(3, 2)
     spread = cv2.dilate(np.asarray(saturated, np.uint8), np.ones((3, 3), np.uint8))
     height, width = codes.shape[:2]
     # of sensors whose pixels are not square the picture has another size

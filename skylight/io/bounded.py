@@ -10,6 +10,7 @@ import json
 import math
 import os
 import stat
+import sys
 import zipfile
 import zlib
 from collections.abc import Iterable
@@ -90,7 +91,7 @@ def load_array(path: Path, *, most: int = ARRAY_BYTES_MAX) -> np.ndarray:
     with path.open("rb") as stream:
         _check_header(stream, size)
         stream.seek(0)
-        return np.lib.format.read_array(stream, allow_pickle=False)
+        return _text_checked(np.lib.format.read_array(stream, allow_pickle=False))
 
 
 def load_arrays(
@@ -118,7 +119,8 @@ def load_arrays(
                 with archive.open(member) as stream:
                     _check_header(stream, member.file_size)
                 with archive.open(member) as stream:
-                    arrays[name] = np.lib.format.read_array(stream, allow_pickle=False)
+                    array = np.lib.format.read_array(stream, allow_pickle=False)
+                    arrays[name] = _text_checked(array)
                     if stream.read(1):  # reaching the end is what checks the CRC
                         raise ValueError(f"{name} is longer than its header says")
     except _BAD_ZIP as error:
@@ -149,6 +151,15 @@ def _whole(text: str) -> int | float:
     return int(text) if -(2.0**63) <= value < 2.0**63 else value
 
 
+def _text_checked(array: np.ndarray) -> np.ndarray:
+    """The array; ValueError for characters beyond Unicode's, of which numpy makes broken texts."""
+    if array.dtype.kind == "U" and array.nbytes:
+        code = np.dtype(np.uint32).newbyteorder(array.dtype.byteorder)
+        if np.ascontiguousarray(array).reshape(-1).view(code).max() > sys.maxunicode:
+            raise ValueError("its text holds what is no character")
+    return array
+
+
 def _check_header(stream: Any, size: int) -> None:
     """Refuse a .npy stream of ``size`` bytes whose header tells of another length, or of objects.
 
@@ -167,7 +178,7 @@ def _check_header(stream: Any, size: int) -> None:
     # the header is parsed as Python, which fails in as many ways as Python's own parser
     except Exception as error:
         raise ValueError("no .npy array, or its header is damaged") from error
-    if dtype.hasobject:
+    if dtype.hasobject or dtype.names:
         raise ValueError("it holds objects, not numbers")
     if length != size or not all(0 <= side < 2**62 for side in shape):
         raise ValueError(f"its header tells of {length} bytes, it has {size}")

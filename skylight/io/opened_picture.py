@@ -15,6 +15,8 @@ from skylight.io.hdr import muted
 FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "BMP", "GIF")
 # our own limit on the size is the one that counts, and has a clearer message
 warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)
+# so has what cannot be in EXIF data
+warnings.filterwarnings("ignore", module=r"PIL\.TiffImagePlugin")
 
 
 @contextmanager

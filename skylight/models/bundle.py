@@ -145,15 +145,16 @@ def _shipped(folder: Path) -> LightBundle:
 
 def _read(folder: Path) -> LightBundle:
     manifest = read_manifest(folder)
-    network = _part(folder / NETWORK, network_of)
+    latents = _part(folder / BANK, _latents)
+    count = len(latents["latent_mean"])
     bundle = LightBundle(
         name=manifest.name,
         skies=manifest.skies,
         data_sha256=manifest.data_sha256,
-        network=network,
-        latent_prior=_part(folder / LATENT_PRIOR, partial(_latent_prior, network.latents)),
-        latents=_part(folder / BANK, partial(_latents, network.latents)),
+        latents=latents,
+        latent_prior=_part(folder / LATENT_PRIOR, partial(_latent_prior, count)),
         sunsky_prior=_part(folder / SUNSKY_PRIOR, GaussianMixture.of),
+        network=_part(folder / NETWORK, partial(_network, count)),  # last: it takes the longest
     )
     if bundle.fingerprint != manifest.fingerprint:
         raise InputError(
@@ -179,9 +180,16 @@ def _latent_prior(latents: int, tensors: dict[str, Tensor]) -> GaussianMixture:
     return mixture
 
 
-def _latents(latents: int, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+def _network(latents: int, tensors: dict[str, Tensor]) -> SkyNetwork:
+    network = network_of(tensors)
+    if network.latents != latents:
+        raise ValueError(f"it has {network.latents} latents, not {latents}")
+    return network
+
+
+def _latents(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
     """The tensors; ValueError for any but those that :class:`AutoencoderLight` takes."""
-    count = len(tensors["bank"])
+    count, latents = tensors["bank"].shape
     shapes = {
         "latent_mean": (latents,),
         "latent_scale": (latents, latents),

@@ -65,7 +65,8 @@ def _read(path: Path) -> dict[str, Any] | None:
     """None for a file that is damaged; :class:`InputError` where it cannot be read at all."""
     try:
         tensors, metadata = read_tensors(path)
-        return _with_tensors(json.loads(metadata["state"]), tensors)
+        state = _with_tensors(json.loads(metadata["state"]), tensors)
+        return state if isinstance(state, dict) and "identity" in state else None
     except OSError as error:
         raise InputError(
             f"{path}: cannot be read ({error.strerror or error}); mend that, or choose another out"

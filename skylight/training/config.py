@@ -198,11 +198,15 @@ def read_config(path: Path) -> Config:
         raise InputError(f"{path}: `kind` must be one of {', '.join(_KINDS)}")
     kind = _KINDS[name]
     known = {f.name: f.type for f in fields(kind)}
-    if unknown := sorted(str(key) for key in set(raw) - set(known)):
+    if unknown := sorted(" ".join(str(key).split()) for key in set(raw) - set(known)):
         raise InputError(
             f"{path}: unknown keys {', '.join(unknown)}; known are {', '.join(sorted(known))}"
         )
-    return kind(**{key: _typed(path, key, known[key], value) for key, value in raw.items()})
+    try:
+        return kind(**{key: _typed(path, key, known[key], value) for key, value in raw.items()})
+    # numbers beyond float64, and of so many digits that Python does not print them
+    except (OverflowError, ValueError) as error:
+        raise InputError(f"{path}: a number is out of all bounds ({error})") from error
 
 
 def _typed(path: Path, key: str, kind: Any, value: Any) -> Any:

@@ -23,6 +23,7 @@ from typing import IO, TypeVar
 
 from skylight.errors import InputError, OutputError, SkylightError
 from skylight.io.atomic import PARTIAL
+from skylight.io.bounded import json_content
 from skylight.io.json_files import write_json
 from skylight.work.cluster import Cluster, run_piece, share_on_cluster
 from skylight.work.garbage import collect_seldom
@@ -102,7 +103,7 @@ def settle(note: Path, settings: dict[str, object]) -> None:
     wanted = json.loads(json.dumps(settings))
     if note.exists():
         try:
-            there = json.loads(note.read_text(encoding="utf-8"))
+            there = json_content(note)
         except ValueError as error:
             raise InputError(f"{note}: damaged; give another folder ({error})") from error
         if there != wanted:

@@ -63,6 +63,8 @@ def test_steps_follow_each_other_and_progress_is_heard(tmp_path: Path) -> None:
         ('{"stage": 3, "share": 0.5}', None),
         ('{"stage": "a", "share": null}', None),
         ('{"stage": "a"', None),
+        pytest.param('{"stage": "a", "share": ' + "9" * 400 + "}", None, id="beyond float64"),
+        pytest.param('{"stage": ' + "[" * 10**5, None, id="nested"),
         ("{}", None),
     ],
 )
@@ -104,6 +106,11 @@ def test_a_check_of_what_was_printed_stops_the_run() -> None:
     assert ended(run) == "failed"
     assert run.error == "skylight 0.9.0: this extension needs skylight 0.2 to below 0.3"
     assert run.stage == "starting"
+
+
+def test_a_version_of_very_many_digits_is_none() -> None:
+    with pytest.raises(Failure, match="this extension needs skylight"):
+        check_version(f"skylight 0.{'2' * 5000}")
 
 
 TIDY = f"""

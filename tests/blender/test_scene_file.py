@@ -88,8 +88,14 @@ def test_a_whole_scene_is_read(folder: Path) -> None:
         ({"suns": [SUN | {"energy": -1}]}, "too small"),
         ({"suns": [SUN | {"towards": [0, 1e400, 0]}]}, "a number was expected"),
         ({"suns": [{"name": "sun"}]}, "damaged"),
+        ({"world": "a" * 5000}, "there is no such file"),
         ({"world": "missing.hdr"}, "missing.hdr: there is no such file"),
-        ({"head": 3}, "damaged"),
+        ({"head": 3}, "a file's name was expected"),
+        ({"head": "../head.obj"}, "a file's name was expected"),
+        ({"world": "light\n.hdr"}, "a file's name was expected"),
+        ({"version": "1\n"}, "version '1"),
+        ({"ior": 10**400}, "a number was expected"),
+        ({"photograph_px": [60, 10**9]}, "a number of pixels was expected"),
     ],
 )
 def test_a_scene_that_cannot_be_is_one_line(
@@ -102,7 +108,7 @@ def test_a_scene_that_cannot_be_is_one_line(
 
 
 def test_no_scene_is_one_line(folder: Path) -> None:
-    for text, message in (("[1]", "not a scene"), ("{", "no JSON"), ("[" * 99, "no JSON")):
+    for text, message in (("[1]", "not a scene"), ("{", "no JSON"), ("[" * 10**5, "no JSON")):
         (folder / NAME).write_text(text)
         with pytest.raises(Failure, match=message):
             read_scene(folder)

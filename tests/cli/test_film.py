@@ -10,10 +10,13 @@ from PIL import Image
 from skimage.data import astronaut
 
 from skylight.app.estimate import film as film_module
+from skylight.app.estimate.followed import FOLLOWED, FOLLOWING, read_followed
 from skylight.cameras.turns import Link, world_from_cameras
 from skylight.cli import main
+from skylight.errors import InputError
 from skylight.faces.film.follow import Shot
 from skylight.io.files import read_environment_map
+from skylight.io.tensors import read_tensors, write_tensors
 from tests.films import box, with_in_description, write_film
 
 
@@ -66,6 +69,18 @@ class TestALightOfAFilm:
         assert main(["estimate", str(film), "--video", "--out", str(out), "--keyframes", "2"]) == 0
         after = json.loads((out / "film.json").read_text())
         assert after["sun"] == pytest.approx(before["sun"])
+
+    @pytest.mark.parametrize(
+        "facts", ["{}", "[]", '{"shot": [0, 0, 1, 1], "gaps": 3}', "[" * 10**5]
+    )
+    def test_what_was_followed_and_cannot_be_is_one_line(
+        self, out: Path, tmp_path: Path, facts: str
+    ) -> None:
+        tensors, _ = read_tensors(out / FOLLOWING / FOLLOWED)
+        write_tensors(tmp_path / FOLLOWED, tensors, {"facts": facts})
+        with pytest.raises(InputError, match="the film is followed again") as caught:
+            read_followed(tmp_path)
+        assert "\n" not in str(caught.value)
 
     def test_other_settings_want_another_folder(
         self, out: Path, capsys: pytest.CaptureFixture[str]

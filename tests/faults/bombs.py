@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import torch
 from onnx import TensorProto, helper, numpy_helper
 
 from skylight.cameras.frames import read_picture
@@ -23,6 +24,8 @@ from skylight.csc.code import SparseCode
 from skylight.csc.dictionary import FilterBank
 from skylight.imaging.photo import read_photo
 from skylight.io.files import read_environment_map
+from skylight.io.tensors import write_tensors
+from skylight.models.networks.files import load_network
 from skylight.probes.partitions.relight.scene_files import read_scene
 from skylight.probes.partitions.relight.transfer_file import load_transfer
 from skylight.probes.voxel.lightmap import load_lightmap
@@ -32,6 +35,7 @@ from skylight.relight.sky_decoder import SkyDecoder
 from skylight.skies.index import read_index
 from skylight.training.config import read_config
 from skylight.transport.mesh import read_mesh
+from tests.imaging.test_raw import LONG, Entry, mosaic, write_dng
 from tests.peak_memory import peak_mb
 
 LIGHTMAP = ("version", "radiance", "coverage", "confidence", "faces", "rotation")
@@ -187,6 +191,12 @@ def decode(path: Path) -> None:
     SkyDecoder(path).decode(np.zeros((1, 64), np.float32))
 
 
+def _dng(side: int, *more: Entry) -> Callable[[Path], object]:
+    """A RAW file of 32 x 32 pixels that claims more."""
+    sides: list[Entry] = [(tag, LONG, [side]) for tag in (256, 257, 278)]
+    return lambda path: write_dng(path, mosaic()[:32, :32], claimed=[*sides, *more])
+
+
 def _write(path: Path, content: bytes) -> None:
     path.write_bytes(content)
 
@@ -224,6 +234,8 @@ BOMBS: dict[str, tuple[Callable[[Path], object], Callable[[Path], object]]] = {
     "board.png": (lambda p: _write(p, png(13_000, 13_000)), read_picture),
     "wide.tif": (lambda p: _write(p, tiff(60_000, 60_000)), read_photo),
     "wide.jpg": (lambda p: _write(p, jpeg(65_500, 65_500)), read_photo),
+    "wide.dng": (_dng(40_000), read_photo),
+    "margins.dng": (_dng(30_000, (50829, LONG, [0, 0, 32, 32])), read_photo),  # 32 x 32 are shown
     "pipe.jpg": (lambda p: p.symlink_to("/dev/zero"), read_photo),
     "lying.npz": (lambda p: lying(p, LIGHTMAP), load_lightmap),
     "swollen.npz": (
@@ -273,6 +285,10 @@ BOMBS: dict[str, tuple[Callable[[Path], object], Callable[[Path], object]]] = {
     "header.safetensors": (
         lambda p: _write(p, struct.pack("<Q", 2**40) + b"{}"),
         FilterBank.load,
+    ),
+    "latents.safetensors": (
+        lambda p: write_tensors(p, {"linear.weight": torch.zeros(0, 10**9)}),
+        load_network,
     ),
     "huge.onnx": (lambda p: _write(p, huge_graph()), decode),
     "outside.onnx": (lambda p: _write(p, outside_graph()), decode),

@@ -9,14 +9,15 @@ from types import ModuleType
 import pytest
 
 from tests.faults.kills import KILLED, attempt, kill_runs
-from tests.faults.scenarios import capture
+from tests.faults.scenarios import bundle, capture, film, viewer
 
 pytestmark = pytest.mark.slow
 
 
-def test_killed_captures_end_as_undisturbed_ones(tmp_path: Path) -> None:
-    outcome = kill_runs(capture, tmp_path, kills=2, seed=1)
-    assert outcome.kills == 2
+@pytest.mark.parametrize(("killed", "kills"), [(capture, 2), (viewer, 2), (bundle, 1), (film, 1)])
+def test_what_is_killed_ends_as_what_is_not(killed: ModuleType, kills: int, tmp_path: Path) -> None:
+    outcome = kill_runs(killed, tmp_path, kills=kills, seed=1)
+    assert outcome.kills == kills
     assert outcome.differences == ()
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from skylight.errors import SkylightError
 from tests.fuzz.files import clear
-from tests.fuzz.mutate import mutated
+from tests.fuzz.mutate import changed, mutated
 from tests.fuzz.targets import NAMES
 from tests.peak_memory import peak_mb
 
@@ -84,11 +84,12 @@ def _guided(name: str, seconds: int, seed: int, findings: Path) -> None:
     """libFuzzer ends the process, whatever comes of it."""
     import atheris
 
-    with atheris.instrument_imports(include=["skylight", "trimesh", "OpenEXR"]):
+    with atheris.instrument_imports(include=["skylight", "blender", "trimesh", "OpenEXR"]):
         target = import_module(f"tests.fuzz.targets.{name}")
     corpus = findings / "corpus" / name
     corpus.mkdir(parents=True, exist_ok=True)
-    for number, content in enumerate(target.seeds()):
+    seeds = target.seeds()
+    for number, content in enumerate(seeds):
         (corpus / f"seed{number:02d}").write_bytes(content)
     arguments = [
         sys.argv[0],
@@ -101,7 +102,15 @@ def _guided(name: str, seconds: int, seed: int, findings: Path) -> None:
         "-print_final_stats=1",
         f"-artifact_prefix={findings}/{name}-",
     ]
-    atheris.Setup(arguments, lambda content: one(target.read, content) and None)
+
+    def mutate(content: bytes, most: int, seed: int) -> bytes:
+        """By turns libFuzzer's changes and ours, which know numbers of files and JSON."""
+        mutation = atheris.Mutate(content, most) if seed % 2 else changed(content, seeds, seed)
+        return mutation[:most]
+
+    atheris.Setup(
+        arguments, lambda content: one(target.read, content) and None, custom_mutator=mutate
+    )
     atheris.Fuzz()
 
 

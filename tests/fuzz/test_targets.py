@@ -16,8 +16,9 @@ from tests.fuzz.mutate import mutated
 from tests.fuzz.targets import NAMES
 
 ROOT = Path(__file__).parents[2]
-INPUTS = dict.fromkeys(NAMES, 300) | {"mesh": 150, "records": 150, "studio": 100}
-TEXTS = ("code", "records", "mesh", "vox", "onnx")
+FEWER = {"mesh": 150, "records": 150, "estimate": 150, "studio": 100, "raw": 100, "bundle": 100}
+INPUTS = dict.fromkeys(NAMES, 300) | FEWER
+TEXTS = ("code", "records", "mesh", "vox", "onnx", "notes", "blender", "mp4")
 
 
 @cache

@@ -1,5 +1,7 @@
 """Films: upright, in time, and what is refused."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +43,12 @@ def test_of_a_faster_film_so_many_a_second(tmp_path: Path) -> None:
     assert shades(film, most_a_second=10.0) == [0, 2, 4, 6, 8]
     # 20 a second thinned to 8: every 2.5th
     assert shades(film, most_a_second=8.0) == [0, 2, 5, 7]
+
+
+def test_of_a_very_wide_film_a_row_is_left(tmp_path: Path) -> None:
+    film = write_film(tmp_path / "film.mp4", [frame[:2] for frame in counting(2)])
+    shapes = [frame.codes.shape for frame in film_frames(film, most_side=16)]
+    assert shapes == [(1, 16, 3)] * 2
 
 
 def test_each_frame_has_the_time_at_which_it_is_shown(tmp_path: Path) -> None:
@@ -167,6 +175,29 @@ def test_what_is_no_film(tmp_path: Path) -> None:
         next(film_frames(tmp_path / "film.mp4"))
     with pytest.raises(InputError, match="no such file"):
         next(film_frames(tmp_path / "none.mp4"))
+
+
+def test_what_decoders_say_of_a_damaged_film_is_not_printed(tmp_path: Path) -> None:
+    film = write_film(tmp_path / "film.mp4", counting(4))
+    content = bytearray(film.read_bytes())
+    start = content.index(b"mdat") + 4
+    content[start + 30 : start + 50] = b"skylight" + bytes(12)
+    film.write_bytes(content)
+    other = tmp_path / "film.avi"
+    other.write_bytes(b"RIFF" + (1000).to_bytes(4, "little") + b"AVI nothing" * 90)
+    program = (
+        "import sys; from pathlib import Path; from skylight.errors import InputError; "
+        "from skylight.imaging.film import film_frames\n"
+        "for name in sys.argv[1:]:\n"
+        "    try: print(len(list(film_frames(Path(name)))))\n"
+        "    except InputError as error: print(error)"
+    )
+    command = [sys.executable, "-c", program, str(film), str(other)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    read, refused = done.stdout.splitlines()
+    assert 0 < int(read) <= 4
+    assert "cannot open" in refused
+    assert done.stderr == ""
 
 
 def test_of_a_film_cut_short_the_frames_that_are_there(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """RAW files, by a DNG file that is written here (DNG 1.4, an uncompressed mosaic)."""
 
 import struct
+import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -53,9 +54,14 @@ def directory(entries: Sequence[Entry], at: int) -> bytes:
 
 
 def write_dng(
-    path: Path, codes: np.ndarray, *, orientation: int = 1, rate: int | None = None
+    path: Path,
+    codes: np.ndarray,
+    *,
+    orientation: int = 1,
+    rate: int | None = None,
+    claimed: Sequence[Entry] = (),
 ) -> Path:
-    """``rate``: exposed for 1 / rate seconds."""
+    """``rate``: exposed for 1 / rate seconds; ``claimed`` stand in place of true tags."""
     height, width = codes.shape
     data = codes.astype("<u2").tobytes()
     exif_at = 8 + len(data)
@@ -87,6 +93,7 @@ def write_dng(
         (50728, RATIONAL, fractions((1, 1, 1))),
         (50778, SHORT, [21]),
     ]
+    entries = sorted({tag[0]: tag for tag in (*entries, *claimed)}.values())
     at = exif_at + len(exif)
     header = b"II*\0" + struct.pack("<I", at)
     path.write_bytes(header + data + exif + directory(entries, at))
@@ -122,6 +129,16 @@ def test_it_is_turned_upright_with_what_is_clipped(tmp_path: Path) -> None:
         assert torch.equal(turned.clipped, plain.clipped.rot90(turns))
 
 
+def test_a_sensor_without_colour_filters_is_grey(tmp_path: Path) -> None:
+    """LinearRaw of one sample a pixel, as of cameras that see no colour (DNG 1.4)."""
+    pytest.importorskip("rawpy")
+    grey: Entry = (262, SHORT, [34892])
+    photo = read_photo(write_dng(tmp_path / "a.dng", mosaic(), claimed=[grey]))
+    assert photo.pixels.shape == (64, 96, 3)
+    assert photo.grey
+    assert photo.pixels[0, 0, 0] == pytest.approx(COLOUR[0] / WHITE, abs=1e-3)
+
+
 def test_its_exif_data_are_read(tmp_path: Path) -> None:
     pytest.importorskip("rawpy")
     photo = read_photo(write_dng(tmp_path / "a.dng", mosaic()))
@@ -129,6 +146,18 @@ def test_its_exif_data_are_read(tmp_path: Path) -> None:
     assert photo.taken is not None
     assert photo.taken.time is not None
     assert photo.taken.time.hour == 14
+
+
+def test_damaged_exif_data_print_nothing(tmp_path: Path) -> None:
+    pytest.importorskip("rawpy")
+    path = write_dng(tmp_path / "a.dng", mosaic())
+    content = path.read_bytes()
+    entry = struct.pack("<HHI", 271, ASCII, 9)
+    path.write_bytes(content.replace(entry, struct.pack("<HHI", 271, ASCII, 2**30)))
+    program = "import sys; from skylight.imaging.photo import read_photo; read_photo(sys.argv[1])"
+    command = [sys.executable, "-c", program, str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("", "")
 
 
 @pytest.mark.parametrize("content", [None, b"", b"no camera's file", b"II*\0" + bytes(60)])

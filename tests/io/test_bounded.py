@@ -25,6 +25,10 @@ def npy(shape: object, content: bytes = b"", descr: str = "<f8") -> bytes:
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(head)) + head + content
 
 
+_HEAD = b"{'descr': [('a', '<U2')], 'fortran_order': False, 'shape': (1,)}\n"
+_RECORDS = struct.pack("<H", len(_HEAD)) + _HEAD
+
+
 def npz(path: Path, members: dict[str, bytes], *, packed: bool = True) -> Path:
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED if packed else 0) as archive:
         for name, content in members.items():
@@ -52,6 +56,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
         npy((-1,), b""),
         npy((2, -1), b"\0" * 16),
         npy((1,), b"\0" * 8, "|O"),
+        b"\x93NUMPY\x01\x00" + _RECORDS + b"\xff" * 8,
         npy("(" * 3000),
         b"\x93NUMPY\x02\x00\xff\xff\xff\x7f",
         b"\x93NUMPY\x09\x00\x00",
@@ -67,6 +72,26 @@ def test_headers_that_lie_are_refused_before_memory_is_taken(
     npz(tmp_path / "a.npz", {"x.npy": content})
     with pytest.raises(ValueError, match=r"header|objects"):
         load_arrays(tmp_path / "a.npz", ("x",))
+
+
+@pytest.mark.parametrize("order", "<>")
+def test_text_of_no_characters_is_refused(tmp_path: Path, order: str) -> None:
+    """numpy makes texts of it that Python cannot even print."""
+    path, archive = tmp_path / "a.npy", tmp_path / "a.npz"
+    for text, is_refused in (("aé光\U0010ffff", False), ("\x00", False), ("", False), ("aa", True)):
+        array = np.array([text], dtype=f"{order}U4")
+        np.save(path, array)
+        if is_refused:
+            content = path.read_bytes()
+            path.write_bytes(content[:-4] + b"\xff" * 4)
+        with zipfile.ZipFile(archive, "w") as packed:
+            packed.write(path, "a.npy")
+        for read in (lambda: load_array(path), lambda: load_arrays(archive, ["a"])["a"]):
+            if is_refused:
+                with pytest.raises(ValueError, match="no character"):
+                    read()
+            else:
+                assert read()[0] == array[0]
 
 
 def test_an_archive_that_grows_is_refused(tmp_path: Path) -> None:

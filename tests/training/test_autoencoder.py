@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.io.tensors import read_tensors
+from skylight.io.tensors import read_tensors, write_tensors
 from skylight.models.networks.base import SkyNetwork
 from skylight.models.networks.convolutional import ConvolutionalAutoencoder
 from skylight.models.networks.files import load_network, save_network
@@ -181,6 +181,13 @@ def test_two_damaged_states_are_refused(
     with pytest.raises(InputError, match="nothing to go on") as caught:
         train(replace(config, out=out), report=lambda _: None)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("state", ['{"pairs": [["step", 1]]}', '["identity"]', "3"])
+def test_a_state_of_nothing_known_is_damaged(tmp_path: Path, state: str) -> None:
+    write_tensors(tmp_path / NEWEST, {}, {"state": state})
+    with pytest.raises(InputError, match="nothing to go on"):
+        read_state(tmp_path, "a run", lambda _: None)
 
 
 def test_a_state_that_cannot_be_read_is_not_taken_for_damaged(tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """From a folder of EXR skies to a light model."""
 
-import math
 import re
 import shutil
 from pathlib import Path
@@ -13,11 +12,10 @@ from skylight.errors import InputError
 from skylight.io.hdr import write_exr
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.bundle import NETWORK, SHIPPED, load_bundle
-from skylight.sphere.frame import angle_between, direction_from_angles
-from skylight.sphere.grid import DirectionGrid
 from skylight.training import autoencoder, folder
 from skylight.training.config import AutoencoderConfig, find_config, read_config
 from skylight.training.folder import fitting, train_folder
+from tests.drawn_skies import draw_skies
 
 COUNT = 40
 
@@ -26,19 +24,7 @@ COUNT = 40
 def exr_skies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Skies of 40 days, with a sun or overcast, and a room."""
     out = tmp_path_factory.mktemp("exr_skies")
-    draw = np.random.default_rng(0)
-    grid = DirectionGrid.sky(32)
-    for number in range(COUNT):
-        azimuth, zenith = draw.uniform(-math.pi, math.pi), draw.uniform(0.2, 1.4)
-        place = direction_from_angles(torch.tensor(azimuth), torch.tensor(zenith)).double()
-        angle = angle_between(grid.directions, place.expand_as(grid.directions))
-        sun = float(draw.uniform(0, 3000) * (number % 3 > 0))
-        haze = draw.uniform(0.2, 2.0)
-        light = 1 + haze * torch.exp(-angle) + sun * torch.exp(-((angle / 0.03) ** 2))
-        colour = torch.tensor([1.0, 1.0 + 0.1 * number / COUNT, 1.2])
-        pixels = (light[:, None] * colour).reshape(32, 128, 3).numpy().astype(np.float32)
-        write_exr(out / f"2024-{1 + number // 20:02d}-{1 + number % 20:02d}.exr", pixels,
-                  half=False, header={})  # fmt: skip
+    draw_skies(out, COUNT)
     room = np.ones((96, 192, 3), np.float32) * [1.0, 0.9, 0.5]
     write_exr(out / "room.exr", room.astype(np.float32), half=False, header={})
     return out

@@ -28,9 +28,10 @@ def test_a_folder_keeps_its_settings(tmp_path: Path) -> None:
     assert json.loads(note.read_text()) == {"height": 4, "shares": [0.5, 0.5]}
 
 
-def test_a_damaged_note_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize("text", ["{", "[" * 10**5])
+def test_a_damaged_note_is_named(tmp_path: Path, text: str) -> None:
     note = tmp_path / "settings.json"
-    note.write_text("{")
+    note.write_text(text)
     with pytest.raises(InputError, match="damaged"):
         settle(note, {"height": 4})
 

@@ -130,8 +130,8 @@ def _remembered(data: Path, capture: FaceCapture) -> Proposal | None:
         content = json_content(path)
         proposal = Proposal(
             hash=content["hash"],
-            azimuths_deg=tuple(content["azimuths_deg"]),
-            errors=tuple(content["errors"]),
+            azimuths_deg=tuple(map(float, content["azimuths_deg"])),
+            errors=tuple(map(float, content["errors"])),
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: cannot be read ({error}); delete it and run again") from error

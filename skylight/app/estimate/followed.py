@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -68,13 +69,19 @@ def read_followed(folder: Path) -> Followed:
     """
     try:
         tensors, metadata = read_tensors(folder / FOLLOWED)
-        facts = json.loads(metadata[_FACTS])
         arrays = {name: tensor.numpy() for name, tensor in tensors.items()}
-    except (OSError, ValueError, KeyError) as error:
+        return _followed(folder, arrays, json.loads(metadata[_FACTS]))
+    except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError,
+            RecursionError) as error:  # fmt: skip
+        reason = " ".join(str(error).split())
         raise InputError(
-            f"{folder / FOLLOWED}: damaged ({error}); delete {folder}, and the film is followed "
+            f"{folder / FOLLOWED}: damaged ({reason}); delete {folder}, and the film is followed "
             "again"
         ) from error
+
+
+def _followed(folder: Path, arrays: dict[str, np.ndarray], facts: dict[str, Any]) -> Followed:
+    """What arrays and facts say; any error of a look-up, type or value where they cannot be."""
     first, begin_s, end_s, seen_s = facts["shot"]
     shot = Shot(
         first=first,

@@ -1,5 +1,6 @@
 """An estimate of a portrait as a scene of Blender."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,8 @@ from skylight.relight.main_light import split_main_light
 from skylight.skies.sun import SUN_RADIUS_RAD
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.work.results_folder import results_folder
+
+MOST_REFLECTED = 0.99  # at normal incidence: no index of refraction reflects all
 
 
 def export_blender_scene(estimate: Path, out: Path, *, photo: Path | None = None) -> list[str]:
@@ -49,7 +52,7 @@ def export_blender_scene(estimate: Path, out: Path, *, photo: Path | None = None
     numbers, content = read_numbers(estimate)
     told = _Numbers(numbers, content)
     picture = photo or _where_it_was(told.source, numbers)
-    if not picture.is_file():
+    if not os.path.isfile(picture):  # Path's raises for names that cannot be
         raise InputError(f"{picture}: the photograph is not there; say where it is with --photo")
     codes = _codes(picture)
     height, width = codes.shape[:2]
@@ -69,7 +72,7 @@ def export_blender_scene(estimate: Path, out: Path, *, photo: Path | None = None
         focal_px=told.focal_px,
         head=head,
         albedo=told.albedo,
-        specular=replace(SKIN_GLOSS, f0=min(told.gloss * SKIN_GLOSS.f0, 1.0)),
+        specular=replace(SKIN_GLOSS, f0=min(told.gloss * SKIN_GLOSS.f0, MOST_REFLECTED)),
         verdict=told.verdict,
         advice=told.advice,
     )
@@ -79,7 +82,7 @@ def export_blender_scene(estimate: Path, out: Path, *, photo: Path | None = None
 
 def _where_it_was(source: Path, numbers: Path) -> Path:
     beside = numbers.resolve().parent.parent / source  # as it is where it is absolute
-    return beside if beside.is_file() and not source.is_file() else source
+    return beside if os.path.isfile(beside) and not os.path.isfile(source) else source
 
 
 class _Numbers:
@@ -98,7 +101,8 @@ class _Numbers:
             self.verdict = str(content["posterior"]["verdict"])
             self.advice = [str(line) for line in content["advice"]]
             whole = len(self.picture_px) == 2 and self.focal_px > 0 and self.gloss >= 0
-        except (KeyError, IndexError, TypeError, ValueError):
+            whole = whole and str(self.source).isprintable()
+        except (KeyError, IndexError, TypeError, ValueError, OverflowError):
             whole = False
         if not whole:
             raise InputError(

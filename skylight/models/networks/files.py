@@ -12,6 +12,8 @@ from skylight.models.networks.convolutional import LATENT, ConvolutionalAutoenco
 from skylight.models.networks.splines import SplineAutoencoder
 from skylight.models.networks.sun_head import COORDINATES
 
+LATENTS_MAX = 1024  # a network has memory for as many before it can refuse its weights
+
 
 def network_state(network: SkyNetwork) -> dict[str, Tensor]:
     """The weights as :func:`save_network` writes them.
@@ -37,8 +39,10 @@ def network_of(state: dict[str, Tensor]) -> SkyNetwork:
     """
     weights = {name: weight.float() for name, weight in state.items()}
     named = weights.get("linear.weight", weights.get("to_latent.bias", torch.zeros(LATENT)))
-    if named.ndim == 0 or named.shape[-1] <= COORDINATES:
-        raise ValueError(f"weights of shape {tuple(named.shape)} have no latents")
+    if named.ndim == 0 or not COORDINATES < named.shape[-1] <= LATENTS_MAX:
+        raise ValueError(f"weights of shape {tuple(named.shape)} are of no sky's latents")
+    if not all(bool(weight.isfinite().all()) for weight in weights.values()):
+        raise ValueError("its weights are not finite")
     if "linear.weight" in weights:
         network = SplineAutoencoder(named.shape[-1])
     else:

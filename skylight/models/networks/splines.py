@@ -10,7 +10,7 @@ decoder multiplies a hundredth as often as convolutions do that paint 4,096 pixe
 an MLP of the sky's own control points on a coarser lattice, those of least squares.
 """
 
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
 import torch
@@ -44,10 +44,9 @@ class SplineAutoencoder(SkyNetwork):
 
     def __init__(self, latents: int = 64) -> None:
         super().__init__(latents)
-        grid = DirectionGrid.sky(HEIGHT)
-        self.splines = DiskSplines(ACROSS, grid)
-        self._evaluation = _Products(self.splines.matrix())
-        self.register_buffer("seen", _least_squares(SEEN_ACROSS, grid), persistent=False)
+        self.splines = DiskSplines(ACROSS, DirectionGrid.sky(HEIGHT))
+        self._evaluation = _Products(_tables(ACROSS))
+        self.register_buffer("seen", _least_squares(SEEN_ACROSS), persistent=False)
         self.encoder = _mlp(3 * len(self.seen), latents - COORDINATES)
         self.linear = nn.Linear(latents, 3 * self.splines.count)
         self.decoder = _mlp(latents, 3 * self.splines.count, bias=False)
@@ -113,16 +112,10 @@ class _Products(nn.Module):
     As weighted sums of rows both ways; torch's own gradient of such sums takes ten times as long.
     """
 
-    def __init__(self, matrix: Float[Tensor, "n k"]) -> None:
+    def __init__(self, tables: dict[str, Tensor]) -> None:
         super().__init__()
-        for name, part in (("forth", matrix), ("back", matrix.T)):
-            rows, columns = part.nonzero(as_tuple=True)
-            first = torch.bincount(rows, minlength=len(part)).cumsum(0).roll(1)
-            first[0] = 0
-            self.register_buffer(f"{name}_columns", columns, persistent=False)
-            self.register_buffer(f"{name}_first", first, persistent=False)
-            values = part[rows, columns].float()
-            self.register_buffer(f"{name}_values", values, persistent=False)
+        for name, table in tables.items():
+            self.register_buffer(name, table, persistent=False)
 
     def forward(self, x: Float[Tensor, "k c"]) -> Float[Tensor, "n c"]:
         return _Product.apply(x, self._matrix("forth"), self._matrix("back"))
@@ -132,6 +125,22 @@ class _Products(nn.Module):
             self.get_buffer(f"{name}_{part}") for part in ("columns", "first", "values")
         )
         return columns, first, values
+
+
+# Tables that all networks share; to make them takes ten times as long as the rest of one.
+@cache
+@torch.inference_mode(False)
+def _tables(across: int) -> dict[str, Tensor]:
+    """Of :class:`_Products`: the values of splines at the pixels of a network's skies."""
+    matrix = DiskSplines(across, DirectionGrid.sky(HEIGHT)).matrix()
+    tables = {}
+    for name, part in (("forth", matrix), ("back", matrix.T)):
+        rows, columns = part.nonzero(as_tuple=True)
+        first = torch.bincount(rows, minlength=len(part)).cumsum(0).roll(1)
+        first[0] = 0
+        tables[f"{name}_columns"], tables[f"{name}_first"] = columns, first
+        tables[f"{name}_values"] = part[rows, columns].float()
+    return tables
 
 
 class _Product(torch.autograd.Function):
@@ -174,9 +183,12 @@ def _mlp(size_in: int, size_out: int, *, bias: bool = True) -> nn.Sequential:
     )
 
 
-def _least_squares(across: int, grid: DirectionGrid) -> Float[Tensor, "k n"]:
-    """The linear map from values on the grid to the control points that are nearest to them in
-    the mean square over solid angle."""
+@cache
+@torch.inference_mode(False)
+def _least_squares(across: int) -> Float[Tensor, "k n"]:
+    """The linear map from the values of a network's skies to the control points that are nearest
+    to them in the mean square over solid angle."""
+    grid = DirectionGrid.sky(HEIGHT)
     matrix, solid = DiskSplines(across, grid).matrix(), grid.solid_angles.double()
     gram = matrix.T @ (solid[:, None] * matrix)
     gram = gram + _RIDGE * gram.diagonal().mean() * torch.eye(len(gram)).double()

@@ -1,6 +1,7 @@
 """Calibrating a folder of captures: what is proposed, chosen, remembered and refused."""
 
 import csv
+import json
 import shutil
 from pathlib import Path
 
@@ -135,6 +136,9 @@ def test_a_changed_probe_must_be_looked_at_again(proposed):
 
 def test_a_damaged_record_is_named(proposed):
     record = picture_path(proposed, PHOTO).with_suffix(".json")
-    record.write_text("{")
-    with pytest.raises(InputError, match="delete"):
-        choose(proposed, {PHOTO: 1})
+    whole = record.read_text()
+    changed = json.dumps(json.loads(whole) | {"azimuths_deg": ["north"]})
+    for damaged in ("{", changed):
+        record.write_text(damaged)
+        with pytest.raises(InputError, match="delete"):
+            choose(proposed, {PHOTO: 1})

@@ -181,6 +181,14 @@ def test_without_a_sun_to_be_seen_all_light_is_the_worlds(estimate: Path) -> Non
     torch.testing.assert_close(shown, torch.ones_like(shown), rtol=0.01, atol=0)
 
 
+def test_a_gloss_that_would_reflect_more_than_all_has_an_index_of_refraction(
+    estimate: Path,
+) -> None:
+    rewrite(estimate, {"gloss": 1e6})
+    told, _ = export(estimate)
+    assert 100 < told["ior"] < 500
+
+
 def test_of_several_faces_the_first_is_shown(estimate: Path) -> None:
     face = json.loads((estimate / "estimate.json").read_text())["faces"][0]
     rewrite(estimate, faces=[face, face | {"focal_length_px": 99.0}])
@@ -194,9 +202,12 @@ def test_of_several_faces_the_first_is_shown(estimate: Path) -> None:
     ("face", "changed", "message"),
     [
         ({"source": "missing.jpg"}, {}, "missing.jpg: the photograph is not there; say where"),
+        ({"source": "a" * 5000}, {}, "the photograph is not there; say where"),
+        ({"source": "a\n.jpg"}, {}, "estimate the photograph again"),
         ({"picture_px": [64, 48]}, {}, "48 x 64 pixels, and the estimate is of a photograph of 64"),
         ({"picture_px": None}, {}, "estimate the photograph again"),
         ({"picture_px": [64]}, {}, "estimate the photograph again"),
+        ({"picture_px": [10**400, 64]}, {}, "estimate the photograph again"),
         ({"focal_length_px": 0}, {}, "estimate the photograph again"),
         ({"albedo": [0.5, 0.4]}, {}, "estimate the photograph again"),
         ({"albedo": [0.5, 0.4, -1]}, {}, "estimate the photograph again"),

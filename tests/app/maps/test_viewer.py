@@ -511,6 +511,9 @@ def test_photographs_that_do_not_fit(estimate: Path, made: Path) -> None:
     told = json.loads((estimate / "estimate.json").read_text(encoding="utf-8"))
     rewrite(estimate, faces=[{**told["faces"][0], "source": "gone/away.jpg"}])
     assert "gone/away.jpg is not there; say where it is with --photo" in refused(estimate)
+    for source, said in (("a" * 5000, "is not there"), ("a\n.jpg", '"source" is no file')):
+        rewrite(estimate, faces=[{**told["faces"][0], "source": source}])
+        assert said in refused(estimate)
 
 
 def test_places_that_cannot_be_written_to(estimate: Path) -> None:

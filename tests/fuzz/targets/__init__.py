@@ -15,5 +15,13 @@ NAMES = (
     "mesh",
     "tensors",
     "onnx",
+    "bundle",
+    "mp4",
+    "film",
+    "raw",
+    "glb",
+    "estimate",
+    "notes",
+    "blender",
     "studio",
 )

@@ -21,9 +21,7 @@ from skylight.probes.partitions.relight.turning import TurningCoefficients
 from skylight.probes.voxel.lightmap import Lightmap, load_lightmap
 from skylight.relight.runtime import relight
 from skylight.relight.scene_file import PrecomputedScene, load_scene
-from tests.fuzz.files import as_file, clear, written
-
-_MARK = b"--member--"
+from tests.fuzz.files import as_file, clear, joined, parted, written
 
 
 def seeds() -> list[bytes]:
@@ -72,19 +70,13 @@ def read(content: bytes) -> None:
 
 def _unpacked(content: bytes) -> bytes:
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        return b"".join(
-            _MARK + name.encode() + b"\0" + archive.read(name) for name in archive.namelist()
-        )
+        return joined({name: archive.read(name) for name in archive.namelist()})
 
 
 def _packed(content: bytes) -> bytes:
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w") as archive:
-        taken: set[str] = set()
-        for member in content.split(_MARK)[1:]:
-            name, _, data = member.partition(b"\0")
-            text = name.decode("latin-1")
-            if text and text not in taken:
-                archive.writestr(text, data)
-                taken.add(text)
+        for name, data in parted(content).items():
+            if name:
+                archive.writestr(name, data)
     return out.getvalue()

@@ -29,6 +29,8 @@ _METHODS = ("GET", "POST", "DELETE", "HEAD", "PUT", "OPTIONS", "PATCH")
 def seeds() -> list[bytes]:
     jobs: list[dict[str, object]] = [
         {"kind": "estimate", "photo": "{photo}", "face": 1, "light": "sh9"},
+        {"kind": "estimate", "photo": "{photo}", "face": "all", "light": "auto"},
+        {"kind": "portrait", "job": "{job}"},
         {"kind": "code", "map": "{map}", "dictionary": "iso", "activations": 2},
         {"kind": "voxel", "probe": 3, "face_mm": 20, "wall_mm": 1.6, "map": "{map}"},
         {"kind": "partitions", "design": "6d", "size_mm": 80},
@@ -46,6 +48,8 @@ def seeds() -> list[bytes]:
         b"GET /api/jobs/{job}/files.zip\n",
         b"GET /api/jobs/{job}/lamps/face.png?azimuth_deg=9&zenith_deg=4&on=1&ambient=0\n",
         b"GET /api/photos/{photo}/preview.jpg Range=bytes=0-5\n",
+        b"GET /api/examples\n",
+        b"GET /api/examples/astronaut.png\n",
         b"GET /api/about Origin=http://127.0.0.1\n",
         b"GET /assets/../index.html\n",
         b"DELETE /api/jobs/none Host=example.org\n",

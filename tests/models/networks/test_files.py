@@ -61,6 +61,11 @@ def _misshape(path: Path) -> None:
     write_tensors(path, state | {_last(state): torch.zeros(2, 2)})
 
 
+def _not_finite(path: Path) -> None:
+    state, _ = read_tensors(path)
+    write_tensors(path, state | {_last(state): torch.full_like(state[_last(state)], torch.nan)})
+
+
 def _flip(path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[-100] ^= 1
@@ -82,6 +87,8 @@ def _flip(path: Path) -> None:
         lambda path: write_tensors(path, {"linear.weight": torch.zeros(4920)}),
         lambda path: write_tensors(path, {"linear.weight": torch.zeros(4920, 2)}),
         lambda path: write_tensors(path, {"to_latent.bias": torch.zeros(())}),
+        lambda path: write_tensors(path, {"linear.weight": torch.zeros(0, 2**40)}),
+        _not_finite,
     ],
 )
 @pytest.mark.parametrize("network", [ConvolutionalAutoencoder(), SplineAutoencoder()])

@@ -57,14 +57,14 @@ def read_manifest(path: Path) -> dict[str, Entry]:
     for number, line in enumerate(lines, start=1):
         try:
             entry = Entry(**json.loads(line))
-        except (ValueError, TypeError) as error:
+            entries[entry.source] = entry
+        except (ValueError, TypeError, RecursionError) as error:
             if number == len(lines) and not torn:
                 break
             raise InputError(
                 f"{path}, line {number}: damaged ({error}); delete the line, and its photo is "
                 "done again"
             ) from error
-        entries[entry.source] = entry
     return entries
 
 

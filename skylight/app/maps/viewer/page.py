@@ -2,6 +2,7 @@
 
 import base64
 import json
+import os
 from dataclasses import dataclass
 from importlib.resources import files
 from io import BytesIO
@@ -92,6 +93,8 @@ def export_viewer(
             raise ValueError('"faces" is empty')
         if not all(face["exposure"] > 0 for face in seen):
             raise ValueError('"exposure" is not above 0')
+        if not all(face["source"].isprintable() for face in seen):
+            raise ValueError('"source" is no file')
     except ValueError as error:
         raise InputError(
             f"{path}: {error}; the page shows estimates of faces, as this version "
@@ -168,7 +171,7 @@ def _photo_of(seen: list[dict[str, Any]], photo: Path | None, estimate: Path) ->
     """(what estimate.json calls the picture, its file)."""
     names = list(dict.fromkeys(face["source"] for face in seen))
     if photo is None:
-        if not Path(names[0]).is_file():
+        if not os.path.isfile(names[0]):  # Path's raises for names that cannot be
             raise InputError(
                 f"{estimate}: its photograph {names[0]} is not there; say where it is with --photo"
             )

@@ -167,13 +167,22 @@ class TestGoingOn:
         assert (out / MANIFEST).read_bytes().startswith(rest)
         assert len(lines(out)) == 4
 
-    def test_another_damaged_line_is_named(self, copied: tuple[Path, Path]) -> None:
+    @pytest.mark.parametrize(
+        "damage",
+        [
+            "{",
+            "[" * 10**5 + "\n",
+            '{"source": [], "sha256": "", "settings": "", "status": "done"}\n',
+        ],
+    )
+    def test_another_damaged_line_is_named(self, copied: tuple[Path, Path], damage: str) -> None:
         photos, out = copied
         text = (out / MANIFEST).read_text()
-        (out / MANIFEST).write_text("{" + text)
-        with pytest.raises(InputError, match=r"manifest\.jsonl, line 1: "):
+        (out / MANIFEST).write_text(damage + text)
+        with pytest.raises(InputError, match=r"manifest\.jsonl, line 1: ") as caught:
             estimate_folder(photos, out, SH9)
-        assert (out / MANIFEST).read_text() == "{" + text
+        assert "\n" not in str(caught.value)
+        assert (out / MANIFEST).read_text() == damage + text
 
     def test_other_settings_want_another_folder(self, copied: tuple[Path, Path]) -> None:
         photos, out = copied
