@@ -58,8 +58,8 @@ _END = """() => {
         milliseconds: performance.now() - begun,
         shown, own,
         renderer: gl.getParameter(names.UNMASKED_RENDERER_WEBGL),
-        canvas: [canvas.width, canvas.height],
-        on_screen: [Math.round(box.width), Math.round(box.height)],
+        drawn: `${canvas.width} x ${canvas.height}`,
+        on_screen: `${Math.round(box.width)} x ${Math.round(box.height)}`,
     };
 }"""
 
@@ -123,9 +123,10 @@ def measured(address: str, photo: Path, options: argparse.Namespace) -> dict[str
         "chromium": version,
         "renderer": told["renderer"],
         "cores": os.cpu_count(),
-        "load": load,
-        "canvas_pixels": told["canvas"],
-        "canvas_css_pixels": told["on_screen"],
+        "load_average": load,
+        "picture_pixels": f"{SIDE} x {SIDE}",
+        "screen_pixels": told["on_screen"],
+        "last_drawn_pixels": told["drawn"],
         "frames": len(told["shown"]),
         "frames_per_second": 1000 * len(told["shown"]) / told["milliseconds"],
         "frame_ms": _quantiles(between),
