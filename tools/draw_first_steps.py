@@ -31,12 +31,15 @@ RESULT = Path("benchmarks/results/first-steps.json")
 BPY = "bpy==4.2.*"
 WIDTH = 640
 IN_BLENDER = """
-import sys, bpy
+import bpy
+import sys
+from os.path import abspath
+
 bpy.ops.wm.read_factory_settings(use_empty=True)
 bpy.ops.extensions.package_install_files(
-    filepath=sys.argv[1], repo="user_default", enable_on_install=True
+    filepath=abspath(sys.argv[1]), repo="user_default", enable_on_install=True
 )
-bpy.ops.world_from_portrait.set_up(folder="for_blender")
+bpy.ops.world_from_portrait.set_up(folder=abspath("for_blender"))
 head = [vertex.co for vertex in bpy.data.objects["portrait head"].data.vertices]
 left, back, top = (min(v[0] for v in head), max(v[1] for v in head), max(v[2] for v in head))
 bpy.ops.mesh.primitive_uv_sphere_add(
@@ -44,7 +47,7 @@ bpy.ops.mesh.primitive_uv_sphere_add(
 )
 bpy.ops.object.shade_smooth()
 scene = bpy.context.scene
-scene.cycles.samples, scene.render.filepath = 64, "ball.png"
+scene.cycles.samples, scene.render.filepath = 64, abspath("ball.png")
 bpy.ops.render.render(write_still=True)
 """
 
