@@ -65,6 +65,7 @@ class Step:
 PORTRAIT = """
 from skimage import data
 from PIL import Image
+
 Image.fromarray(data.astronaut()).save("portrait.png")
 """
 STEPS = (
