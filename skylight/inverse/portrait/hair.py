@@ -40,12 +40,9 @@ def hair_shell(
     places = fit.camera.project(vertices).numpy().astype(np.float32)
     inside = ((places >= 0) & (places < (fit.camera.width, fit.camera.height))).all(1)
     seen = inside & _faces_camera(vertices, normals, Raycaster(vertices, faces))
+    x, y = (places[:, None, k] - 0.5 for k in (0, 1))  # of cv2's pixels, whose centres are whole
     likely = cv2.remap(
-        hair.astype(np.float32),
-        places[:, None] - 0.5,
-        None,
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
+        hair.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )[:, 0]
     hidden = scalp & ~seen
     likely[hidden] = likely[scalp & seen].mean() if (scalp & seen).any() else 0
