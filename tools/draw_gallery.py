@@ -10,6 +10,7 @@ each one's source and licence. Writes a strip for each into ``docs/images/galler
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
@@ -20,20 +21,26 @@ from PIL import Image
 from rich.progress import track
 
 from skylight.app.estimate.photos import estimate_photo
+from skylight.app.estimate.results import write_results
+from skylight.app.estimate.types import PhotoEstimate
 from skylight.app.figures.angles import angles_deg
+from skylight.app.maps.viewer.page import export_viewer
 from skylight.app.portrait.lights import (
     NewLight,
     light_of_map,
     light_with_sun_at,
     turned_light,
 )
-from skylight.app.portrait.relit import relit_portrait, shown
+from skylight.app.portrait.relit import relit_portrait, shown, taken_apart
 from skylight.imaging.colour import tone_map
 from skylight.inverse.portrait.relit import Keep
 from skylight.io.atomic import atomic_path
+from skylight.io.bounded import json_content
 from skylight.sphere.envmap import luminance
 from skylight.transport.scene.evaluation import evaluation_scene
+from tests.studio.browser.pictures import finished
 from tools.measured import kept
+from tools.viewer_page import opened
 
 SHOWN = (
     "inter020.jpg",
@@ -58,10 +65,12 @@ FAILED = {
     "shape below the nose stays when its light has gone to the other side.",
 }
 HEIGHT = 300
+SHARE = 0.2  # of the samples of light in objects, whose noise is not seen at that height
 LEFT, RIGHT, ELEVATION = -65.0, 65.0, 30.0
 COLUMNS = (
     "the photograph",
     "the light found, and objects in it",
+    "what the page of `skylight export viewer` puts into the picture",
     f"its sun, or main lamp, at {LEFT:g}°",
     f"at {RIGHT:g}°",
     "its light turned by 180°",
@@ -89,6 +98,8 @@ def main(options: Options) -> None:
     for name in track((*SHOWN, *FAILED), description="gallery"):
         strip = folder / name
         facts = strip.with_suffix(".json")
+        if facts.exists() and json_content(facts)["columns"] != len(COLUMNS):
+            facts.unlink()  # of an earlier form of the strips
         told[name] = kept(facts, lambda n=name, s=strip: draw(options.photos / n, options.map, s))
     page = _page(told, sources, options.map.name)
     with atomic_path(options.out / "gallery.md") as temporary:
@@ -99,20 +110,22 @@ def draw(photo: Path, map_path: Path, strip: Path) -> dict[str, object]:
     """Write the strip; what the page says of it."""
     result = estimate_photo(photo, light="auto")
     estimate = result.estimate
-    pictures = [result.photos[0].encoded, _light(result)]
+    pictures = [result.photos[0].encoded, _light(result), _objects(result, photo)]
     lights: list[tuple[NewLight, Keep]] = [
         (light_with_sun_at(estimate, LEFT, ELEVATION), "place"),
         (light_with_sun_at(estimate, RIGHT, ELEVATION), "place"),
         (turned_light(estimate, 180.0), "place"),
         (light_of_map(map_path), "brightness"),
     ]
+    portrait = taken_apart(result)
     for light, keep in lights:
-        pictures.append(shown(relit_portrait(result, light, keep=keep)))
+        pictures.append(shown(relit_portrait(result, light, keep=keep, portrait=portrait)))
     row = np.hstack([_sized(picture) for picture in pictures])
     with atomic_path(strip) as temporary:
         Image.fromarray(row).save(temporary, format="JPEG", quality=85)
     azimuth, zenith = angles_deg(estimate.sun_direction)
     return {
+        "columns": len(COLUMNS),
         "light": estimate.light,
         "verdict": estimate.posterior.verdict,
         "notes": list(lights[0][0].notes),
@@ -121,7 +134,7 @@ def draw(photo: Path, map_path: Path, strip: Path) -> dict[str, object]:
     }
 
 
-def _light(result) -> UInt8[ndarray, "h w 3"]:
+def _light(result: PhotoEstimate) -> UInt8[ndarray, "h w 3"]:
     """The panorama above a scene of objects, each exposed by itself."""
     environment, scene = result.estimate.environment, evaluation_scene()
     mean = float(luminance(scene.shade(environment)).mean())
@@ -130,6 +143,16 @@ def _light(result) -> UInt8[ndarray, "h w 3"]:
     width = below.shape[1]
     above = cv2.resize(above, (width, width // 2), interpolation=cv2.INTER_AREA)
     return np.vstack([above, below])
+
+
+def _objects(result: PhotoEstimate, photo: Path) -> UInt8[ndarray, "h w 3"]:
+    """The photograph with the objects that the viewer's page begins with."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        write_results(folder, result)
+        export_viewer(folder, folder / "page.html", photo=photo)
+        with opened(folder / "page.html") as page:
+            return finished(page, SHARE)[..., :3].astype(np.uint8)
 
 
 def _sized(picture: UInt8[ndarray, "h w 3"]) -> UInt8[ndarray, "k l 3"]:
@@ -162,8 +185,8 @@ def _entry(name: str, facts: dict, source: dict) -> list[str]:
     height = facts["elevation_deg"]
     light = f"{facts['light']}: {facts['verdict']}; brightest {side}, {height:.0f}° high"
     credit = f"[source]({source['original']}), CC0" if source["original"] else "public domain"
-    alt = "a portrait, the light found in it, and the portrait in four other lights"
-    notes = "".join(f" In the third and fourth picture, {note}." for note in facts["notes"])
+    alt = "a portrait, its light, objects in the picture, and the portrait in four other lights"
+    notes = "".join(f" In the fourth and fifth picture, {note}." for note in facts["notes"])
     return [f"![{alt}](images/gallery/{name})", "", f"{light}.{notes} Photograph: {credit}."]
 
 

@@ -19,7 +19,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -50,9 +50,16 @@ def main() -> None:
     number = 0
     while number == 0 or rounds.inputs < options.inputs:
         missing = [name for name in options.targets if not rounds.has(name, number)]
+        before = rounds.inputs
         with ThreadPoolExecutor(options.workers) as pool:
-            for name in missing:
-                pool.submit(rounds.add, name, number, options.seconds)
+            running = {
+                pool.submit(fuzz, name, options.seconds, number, options.findings): name
+                for name in missing
+            }
+            for done in as_completed(running):
+                rounds.add(running[done], number, done.result())
+        if missing and rounds.inputs == before:
+            sys.exit(f"no target took an input: see the logs in {options.findings}")
         number += 1
     found = rounds.summed(options.targets)
     write_measured(
@@ -78,7 +85,7 @@ class Rounds:
     """The figures of every target's rounds, kept in a folder, all of the same commit."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder, self._file = folder, folder / DONE
+        self._file = folder / DONE
         kept = json_content(self._file) if self._file.exists() else {"commit": commit()}
         if kept["commit"] != commit():
             sys.exit(f"{self._file}: of commit {kept['commit']}; delete it to begin anew")
@@ -92,9 +99,8 @@ class Rounds:
     def has(self, name: str, number: int) -> bool:
         return str(number) in self._kept.get(name, {})
 
-    def add(self, name: str, number: int, seconds: int) -> None:
-        """Fuzz a target for so long, and keep what came of it."""
-        done = fuzz(name, seconds, number, self._folder)
+    def add(self, name: str, number: int, done: Round) -> None:
+        """Keep what came of a target's round."""
         self._kept.setdefault(name, {})[str(number)] = done
         write_json(self._file, self._all)
         print(f"{self.inputs} inputs; {name}, round {number}: {done}", flush=True)

@@ -275,10 +275,11 @@ def run_evaluation(
 
 
 def commit() -> str:
-    """The commit of the code, ``+`` where it was changed since; "unknown" outside a checkout."""
+    """The commit of the code, ``+`` where the package was changed since; "unknown" outside a
+    checkout."""
 
     def git(*arguments: str) -> str:
-        folder = str(Path(__file__).parent)
+        folder = str(Path(__file__).parents[1])
         done = subprocess.run(["git", "-C", folder, *arguments], capture_output=True, text=True)
         if done.returncode:
             raise OSError(done.stderr)

@@ -165,7 +165,7 @@ def observe_face(
     kept = inlier > LEAST_INLIER
     _require_enough(kept & ~over[used], on_skin)
     weights = torch.where(kept, by_pixel.weights * inlier, 0.0)
-    height = min(face_height_px, float(np.ptp(_skin_seen(model, fit)[:, 1])))
+    height = min(face_height_px, float(np.ptp(skin_seen(model, fit)[:, 1])))
     size = BLOCK if height >= LEAST_HEIGHT_PX else 1
     blocks = PixelBlocks.of(by_pixel.places, weights, by_pixel.clipped, size)
     normals = normalize(blocks.means(surface.normals[used]), dim=1)
@@ -224,7 +224,7 @@ def _cut_out(
 ) -> tuple[Float[Tensor, "h2 w2 3"], Camera, list[Float[Tensor, "h2 w2"]]]:
     """The head's part of the picture, area-averaged, its camera, and so the ``maps``."""
     camera = fit.camera
-    skin = _skin_seen(model, fit)
+    skin = skin_seen(model, fit)
     scale = min(1.0, face_height_px / np.ptp(skin[:, 1]))
     margin = 0.35 * np.ptp(skin[:, 1])
     low = np.floor(np.maximum(skin.min(0) - margin, 0)).astype(int)
@@ -255,7 +255,7 @@ def _cut_out(
     return torch.from_numpy(small), cut, shares
 
 
-def _skin_seen(model: HeadModel, fit: FaceFit) -> Float[np.ndarray, "k 2"]:
+def skin_seen(model: HeadModel, fit: FaceFit) -> Float[np.ndarray, "k 2"]:
     """Where the picture has the vertices of the face's skin, pixels."""
     return fit.camera.project(torch.from_numpy(fit.vertices[model.regions == Region.FACE])).numpy()
 
@@ -272,7 +272,7 @@ def hair_of(
 
 def _around_head(model: HeadModel, fit: FaceFit) -> Square:
     """The square in which hair is looked for: about the face, and upright with it."""
-    skin = _skin_seen(model, fit)
+    skin = skin_seen(model, fit)
     right, up = fit.rotation[:2, 0]  # where the head's own left points to: +X right, +Y up
     return Square(
         centre=(skin.min(0) + skin.max(0)) / 2,

@@ -1,5 +1,6 @@
 """Non-negative least squares of many small problems at once."""
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -56,8 +57,7 @@ def nnls(
             each[left] for each in (free ^ wrong, whole, wanted, diagonal, limit, rows)
         )
     else:
-        for row, matrix, target in zip(rows, whole, wanted, strict=True):
-            solution[int(row)] = _by_active_set(matrix, target)
+        solution[rows] = _by_active_set(whole, wanted)
     return solution.to(right)
 
 
@@ -73,15 +73,22 @@ def _descended(
     return x
 
 
-def _by_active_set(gram: Float[Tensor, "k k"], right: Float[Tensor, " k"]) -> Float[Tensor, " k"]:
-    """Of one problem, as min |R x - y| with G = R^T R and R^T y = r.
+def _by_active_set(
+    gram: Float[Tensor, "b k k"], right: Float[Tensor, "b k"]
+) -> Float[Tensor, "b k"]:
+    """Each by itself on the CPU, as min |R x - y| with G = R^T R and R^T y = r.
 
     Eigenvalues that rounding made negative, or almost 0, are 1e-10 of the largest.
     """
     from scipy.optimize import nnls as active_set  # takes 0.2 s to import, and is seldom called
 
-    values, vectors = torch.linalg.eigh(gram)
-    scales = values.clamp(min=1e-10 * float(values[-1])).sqrt()
-    root, y = scales[:, None] * vectors.T, (vectors.T @ right) / scales
-    found, _ = active_set(root.cpu().numpy(), y.cpu().numpy(), maxiter=100 * len(right))
-    return torch.from_numpy(found).to(right)
+    # all at once: a GPU would wait for the CPU at every one of thousands of small problems
+    values, vectors = torch.linalg.eigh(gram.cpu())
+    scales = values.clamp(min=1e-10 * values[:, -1:]).sqrt()
+    roots = scales[:, :, None] * vectors.mT
+    y = (vectors.mT @ right.cpu()[..., None])[..., 0] / scales
+    found = [
+        active_set(root, target, maxiter=100 * right.shape[1])[0]
+        for root, target in zip(roots.numpy(), y.numpy(), strict=True)
+    ]
+    return torch.from_numpy(np.stack(found)).to(right)

@@ -179,6 +179,6 @@ def _check_header(stream: Any, size: int) -> None:
     except Exception as error:
         raise ValueError("no .npy array, or its header is damaged") from error
     if dtype.hasobject or dtype.names:
-        raise ValueError("it holds objects, not numbers")
+        raise ValueError(f"it holds {'records' if dtype.names else 'objects'}, not numbers")
     if length != size or not all(0 <= side < 2**62 for side in shape):
         raise ValueError(f"its header tells of {length} bytes, it has {size}")

@@ -1,6 +1,6 @@
 """Strict validation of the JSON bodies of POST /api/jobs, and of edited lamps."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field
@@ -91,6 +91,11 @@ JobRequest = Annotated[
     EstimateRequest | PortraitRequest | CodeRequest | VoxelRequest | PartitionsRequest,
     Field(discriminator="kind"),
 ]
+_KINDS = {
+    kind
+    for request in get_args(get_args(JobRequest)[0])
+    for kind in get_args(request.model_fields["kind"].annotation)
+}
 
 
 def what_is_wrong(error: RequestValidationError) -> str:
@@ -98,13 +103,7 @@ def what_is_wrong(error: RequestValidationError) -> str:
     first = error.errors()[0]
     if first["type"] == "json_invalid":
         return "the request is no JSON"
-    kinds = {
-        "estimate",
-        "portrait",
-        "code",
-        "voxel",
-        "partitions",
-    }  # pydantic names the branch that it took
     _, *inside = first["loc"]  # of the body, the query or the path
-    place = ".".join(str(part) for part in inside if part not in kinds)
+    # pydantic names the branch that it took
+    place = ".".join(str(part) for part in inside if part not in _KINDS)
     return f"{place or 'the request'}: {first['msg']}"

@@ -130,3 +130,16 @@ def test_doubt_is_said_below_the_picture(tmp_path: Path) -> None:
     assert doubtful.shape[0] > 90
     np.testing.assert_array_equal(doubtful[:80], plain)
     assert len(np.unique(doubtful[80:].reshape(-1, 3), axis=0)) > 5  # letters
+
+
+def test_doubt_is_said_in_full_below_a_narrow_picture(tmp_path: Path) -> None:
+    warning = "the light that was found is unreliable: the face is too dark to tell"
+    heights = []
+    for width in (100, 1000):
+        picture = np.full((10, width, 3), 0.5)
+        files.write_relit(tmp_path / "a.png", relit(picture, picture, warning))
+        below = np.array(Image.open(tmp_path / "a.png"))[10:].max(2) > 128
+        rows, columns = below.any(1), np.nonzero(below.any(0))[0]
+        assert columns.max() < width - 2
+        heights.append(int((np.diff(rows.astype(int)) == 1).sum()))
+    assert heights == [5, 1]  # lines

@@ -78,7 +78,7 @@ def test_radiance_is_finite_light_where_its_parameters_are(
     make: Callable[[], nn.Module], dtype: torch.dtype, device: torch.device
 ) -> None:
     model = make().to(device, dtype)
-    light = model(random_params(model, 3).to(device, dtype))
+    light = model(random_params(make(), 3).to(device, dtype))
     assert light.shape == (3, len(model.grid), 3)
     assert (light.dtype, light.device.type) == (dtype, device.type)
     assert light.isfinite().all()

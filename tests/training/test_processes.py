@@ -67,6 +67,7 @@ def test_two_processes_train_as_one(sky_folder: Path, tmp_path: Path) -> None:
         tint=0.1,
         sun=False,
         bfloat16=False,
+        device="cpu",  # which two processes can share
     )
     train(config, report=lambda _: None)
     two = replace(config, out=tmp_path / "two")

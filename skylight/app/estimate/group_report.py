@@ -9,10 +9,11 @@ from skylight.app.estimate.summary import where
 from skylight.app.estimate.types import PhotoEstimate
 from skylight.app.estimate.uncertainty import draw_region, probe_title
 from skylight.app.figures.angles import angles_deg
-from skylight.app.figures.exposure import srgb_codes, white_of
+from skylight.app.figures.exposure import white_of
 from skylight.app.figures.panels import show, show_probe, write_numbers
 from skylight.app.figures.relit import SCENE_GRID, SCENE_HEIGHT, relit
 from skylight.app.figures.style import ACCENT, MUTED, STYLE, save
+from skylight.imaging.colour import tone_map
 from skylight.transport.scene.evaluation import evaluation_scene
 
 if TYPE_CHECKING:
@@ -106,9 +107,9 @@ def _faces(area: "SubFigure", result: PhotoEstimate) -> None:
         cell = grid[k // ABREAST, k % ABREAST].subgridspec(1, 3, wspace=0.06)
         axes = [area.add_subplot(part) for part in cell]
         scale = white[seen.photo]
-        show(axes[0], srgb_codes(seen.view.image, scale), f"{k + 1} as seen")
+        show(axes[0], tone_map(seen.view.image, white=scale), f"{k + 1} as seen")
         pasted = over_grey(seen.view.image, seen.view.places, light.rendered[seen.view.blocks])
-        show(axes[1], srgb_codes(pasted, scale), "re-rendered")
+        show(axes[1], tone_map(pasted, white=scale), "re-rendered")
         off = f"off by {100 * light.residual:.0f} %"
         show_residual(axes[2], seen.view, light.rendered, off)
 

@@ -23,11 +23,12 @@ from skylight.app.estimate.summary import where
 from skylight.app.estimate.types import PhotoEstimate
 from skylight.app.estimate.uncertainty import draw_region, probe_title
 from skylight.app.figures.angles import angles_deg
-from skylight.app.figures.exposure import srgb_codes, white_of
+from skylight.app.figures.exposure import white_of
 from skylight.app.figures.panels import show, show_probe, write_numbers
 from skylight.app.figures.relit import SCENE_GRID, SCENE_HEIGHT, relit
 from skylight.app.figures.style import ACCENT, MUTED, STYLE, save
 from skylight.faces.model import HeadModel
+from skylight.imaging.colour import tone_map
 from skylight.imaging.photo import Photo
 from skylight.transport.camera import Camera
 from skylight.transport.gbuffer import rasterize
@@ -67,9 +68,9 @@ def write_report(path: Path, result: PhotoEstimate, *, title: str) -> None:
         show(axes[1], _overlay(photo, result), "Head and landmarks")
         image = view.image
         rendered = estimate.faces[0].rendered
-        show(axes[2], srgb_codes(image, white), "Face as seen")
+        show(axes[2], tone_map(image, white=white), "Face as seen")
         pasted = over_grey(view.image, view.places, rendered[view.blocks])
-        show(axes[3], srgb_codes(pasted, white), "Re-rendered in this light")
+        show(axes[3], tone_map(pasted, white=white), "Re-rendered in this light")
         shown = show_residual(axes[4], view, rendered, "Render minus seen")
         _residual_bar(figure, axes[4], shown)
         found = rows[1].subgridspec(2, 3, width_ratios=(2.9, 0.93, 0.95), wspace=0.06, hspace=0.18)

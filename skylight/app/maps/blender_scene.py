@@ -14,7 +14,7 @@ from torch import Tensor
 from skylight.app.maps.estimated_light import head_file, read_light, read_numbers
 from skylight.errors import InputError
 from skylight.faces.observe import SKIN_GLOSS
-from skylight.imaging.colour import linear_to_srgb
+from skylight.imaging.colour import tone_map
 from skylight.imaging.photo import read_photo
 from skylight.inverse.result import Lamp
 from skylight.relight.lamp_lights import without_lamps
@@ -121,8 +121,7 @@ def _three(numbers: Sequence[float]) -> Float[Tensor, "3"]:
 
 def _codes(photo: Path) -> UInt8[np.ndarray, "h w 3"]:
     """sRGB's codes of the linear values themselves, to which the light belongs: no tone map."""
-    linear = read_photo(photo).pixels.clamp(max=1)
-    return (255 * linear_to_srgb(linear)).round().to(torch.uint8).numpy()
+    return tone_map(read_photo(photo).pixels, white=1.0)
 
 
 def _named_lights(

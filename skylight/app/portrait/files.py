@@ -13,7 +13,7 @@ from skylight.io.files import write_light, write_png
 
 
 def write_relit(path: Path, relit: RelitPortrait) -> None:
-    """A .png (8-bit sRGB, with a line below it where there is a warning) or a linear .exr."""
+    """A .png (8-bit sRGB, with lines below it where there is a warning) or a linear .exr."""
     if path.suffix.lower() == ".exr":
         write_light(path, torch.from_numpy(relit.picture), header={})
         return
@@ -22,11 +22,20 @@ def write_relit(path: Path, relit: RelitPortrait) -> None:
 
 
 def _strip(text: str, width: int) -> UInt8[ndarray, "h {width} 3"]:
-    """A line of text as wide as the picture; no rows where there is none."""
+    """The text below a picture of that width, in as many lines as it takes; no rows without any."""
     if not text:
         return np.zeros((0, width, 3), np.uint8)
     size = max(10, min(width // 40, 28))
     font = ImageFont.load_default(size)
-    picture = Image.new("RGB", (width, 2 * size), (40, 40, 40))
-    ImageDraw.Draw(picture).text((size / 2, size / 2), text, (255, 210, 63), font)
+    lines = [""]
+    for word in text.split():
+        longer = f"{lines[-1]} {word}".strip()
+        if font.getlength(longer) > width - size and lines[-1]:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    picture = Image.new("RGB", (width, round((1.25 * len(lines) + 0.75) * size)), (40, 40, 40))
+    draw, spacing = ImageDraw.Draw(picture), 1.25 * size
+    for number, line in enumerate(lines):
+        draw.text((size / 2, size / 2 + number * spacing), line, (255, 210, 63), font)
     return np.array(picture)

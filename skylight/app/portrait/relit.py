@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from skylight.app.estimate.types import PhotoEstimate
 from skylight.app.portrait.lights import NewLight
-from skylight.imaging.colour import linear_to_srgb, srgb_to_linear
+from skylight.imaging.colour import srgb_to_linear, tone_map
 from skylight.imaging.photo import Photo
 from skylight.inverse.portrait.photograph import FaceReflection, light_in_photo, portrait_of
 from skylight.inverse.portrait.relit import Keep, Portrait
@@ -45,15 +45,19 @@ def relit_portrait(
     *,
     exposure: float = 1.0,
     keep: Keep = "nothing",
+    portrait: Portrait | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> RelitPortrait:
     """The (first) face of an estimate and who it belongs to, in another light times ``exposure``.
 
-    ``keep`` is that of :meth:`~skylight.inverse.portrait.relit.Portrait.under`; ``workers`` are the
-    processes that trace light, one per core where None.
+    ``keep`` is that of :meth:`~skylight.inverse.portrait.relit.Portrait.under`; ``portrait`` what
+    :func:`taken_apart` made of the estimate, for several lights; ``workers`` are the processes that
+    trace light otherwise, one per core where None.
     """
-    portrait = taken_apart(result, workers=workers or os.cpu_count() or 1, progress=progress)
+    portrait = portrait or taken_apart(
+        result, workers=workers or os.cpu_count() or 1, progress=progress
+    )
     picture, used = portrait.under(light.environment, exposure, keep=keep)
     return RelitPortrait(
         picture=picture,
@@ -106,5 +110,4 @@ def shown(relit: RelitPortrait) -> UInt8[ndarray, "h w 3"]:
     knee = np.maximum(photo, KNEE).clip(max=1 - 1e-6)
     over = np.maximum(picture - knee, 0) / (1 - knee)
     rolled = np.minimum(picture, knee) + (1 - knee) * np.tanh(over)
-    codes = linear_to_srgb(torch.from_numpy(rolled).clamp(0, 1)) * 255
-    return codes.round().to(torch.uint8).numpy()
+    return tone_map(torch.from_numpy(rolled), white=1.0)

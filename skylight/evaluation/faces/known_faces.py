@@ -12,7 +12,11 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.evaluation.rendered_faces.files import read_rendered_face, rendered_faces
+from skylight.evaluation.rendered_faces.files import (
+    RenderedFace,
+    read_rendered_face,
+    rendered_faces,
+)
 from skylight.evaluation.rendered_faces.light.scene_light import LOWEST_TRANSMITTANCE
 from skylight.faces.fit import FaceFit
 from skylight.faces.synthetic import SyntheticFace, render_face
@@ -105,8 +109,12 @@ def synthetic_face(seed: int, size: int) -> SyntheticFace:
 
 
 def read_face(folder: Path) -> KnownFace:
-    """A face that ``skylight faces render`` wrote; a map that it was given shows no sun."""
-    face = read_rendered_face(folder)
+    """A face that ``skylight faces render`` wrote."""
+    return known_face(read_rendered_face(folder))
+
+
+def known_face(face: RenderedFace) -> KnownFace:
+    """A rendered face as one to estimate light from; a map that it was given shows no sun."""
     through = face.sun_transmittance
     visible = through is not None and through >= LOWEST_TRANSMITTANCE
     return _known(face, sun_visible=visible, tone=face.cluster)

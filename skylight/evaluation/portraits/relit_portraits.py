@@ -11,7 +11,7 @@ from skimage.metrics import structural_similarity
 
 from skylight.errors import InputError
 from skylight.evaluation.faces.face_light import NOT_FOUND, fitted_head, light_of, peak_mib
-from skylight.evaluation.faces.known_faces import FaceSource, read_face
+from skylight.evaluation.faces.known_faces import FaceSource, known_face
 from skylight.evaluation.faces.options import EstimateOptions
 from skylight.evaluation.harness.pictures import caption, sized
 from skylight.evaluation.harness.run import Check, Item
@@ -22,13 +22,15 @@ from skylight.faces.model import HeadModel
 from skylight.imaging.colour import linear_to_srgb, srgb_to_linear
 from skylight.imaging.photo import photo_from_codes
 from skylight.inverse.portrait.photograph import FaceReflection, light_in_photo, portrait_of
+from skylight.inverse.portrait.relit import shared_light
 from skylight.io.files import write_png
 from skylight.models.names import LightName
 from skylight.transport.gbuffer import rasterize
 from skylight.transport.raycast import Raycaster
 
 LIGHT: LightName = "autoencoder"
-RELIT, TRUE_LIGHT, TRANSFER, UNCHANGED = "relit", "relit_true_light", "transfer", "unchanged"
+RELIT, TRUE_LIGHT, TRUE_HEAD = "relit", "relit_true_light", "relit_true_head"
+BALD, TRANSFER, UNCHANGED = "relit_without_shell", "transfer", "unchanged"
 RMSE_RATIO = 0.5  # of the mean, ours over the transfer's
 TILE = 200  # pixels of a picture's side in the strips
 EXPOSURES = np.exp2(np.linspace(-1.5, 1.5, 61))  # about that of equal medians
@@ -41,6 +43,9 @@ class RelitPortraits:
     Both folders are made by ``skylight faces render``, the second one with ``--light-seed``.
     Landmarks, head and light of the first picture are estimated from it; the second light is given
     as its map. Rows: ``relit``; ``relit_true_light``, the same from the true first light;
+    ``relit_true_head``, from the true head and the light found; ``relit_without_shell``, without
+    the shell of hair; of each item, ``shared light`` says how much of its two lights is the same
+    (:func:`~skylight.inverse.portrait.relit.shared_light`);
     ``transfer``, the first picture with the mean and deviation in CIELAB of the true second one
     (:func:`~skylight.evaluation.portraits.colour_transfer.colour_transfer`), which a user would not
     have; and ``unchanged``. All but the transfer get the one exposure at which they are nearest to
@@ -85,7 +90,7 @@ class RelitPortraits:
     def measure(self, item: str, picture: Path) -> Item:
         old, new = (read_rendered_face(self.data / folder / item) for folder in ("from", "to"))
         seconds: dict[str, float] = {}
-        face = read_face(self.data / "from" / item)
+        face = known_face(old)
         facts: dict[str, object] = {"skin tone": old.cluster}
         fit = fitted_head(face, seconds)
         if fit is None:
@@ -97,11 +102,14 @@ class RelitPortraits:
         truth = _encoded(new.linear.numpy())
         person, skin = person_masks(old)
         reflection = FaceReflection.of(estimate)
-        lights = {RELIT: light_in_photo(estimate), TRUE_LIGHT: old.environment}
-        pictures = {
-            name: portrait_of(photo, fit, reflection, light).under(new.environment)[0]
-            for name, light in lights.items()
+        light, unbent = light_in_photo(estimate), replace(reflection, turns=None)
+        portraits = {
+            RELIT: portrait_of(photo, fit, reflection, light),
+            TRUE_LIGHT: portrait_of(photo, fit, reflection, old.environment),
+            TRUE_HEAD: portrait_of(photo, old.truth, unbent, light),
+            BALD: portrait_of(photo, fit, reflection, light, shell=False),
         }
+        pictures = {name: one.under(new.environment)[0] for name, one in portraits.items()}
         pictures[UNCHANGED] = old.picture.numpy()
         shown = {
             name: _encoded(nearest_exposure(one, truth, person) * one)
@@ -116,6 +124,7 @@ class RelitPortraits:
         write_png(picture, np.hstack([_tile(name, one) for name, one in rows.items()]))
         facts |= {
             "verdict": estimate.posterior.verdict,
+            "shared light": shared_light(old.environment, new.environment),
             "seconds": seconds,
             "peak_mib": peak_mib(),
         }

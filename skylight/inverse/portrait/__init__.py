@@ -1,1 +1,1 @@
-"""A photographed person in another light: shading of head and bust, the photograph relit."""
+"""A photographed person in another light: shading of head, hair and bust, the photograph relit."""

@@ -2,7 +2,7 @@
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32, Shaped
 from numpy import ndarray
 
 
@@ -13,8 +13,8 @@ def blurred(
 
     Where no pixel of weight lies near, it tends to 0.
     """
-    above = cv2.GaussianBlur(_float32(picture * weights[..., None]), (0, 0), sigma_px)
-    below = cv2.GaussianBlur(_float32(weights), (0, 0), sigma_px)
+    above = cv2.GaussianBlur(float32(picture * weights[..., None]), (0, 0), sigma_px)
+    below = cv2.GaussianBlur(float32(weights), (0, 0), sigma_px)
     return above.reshape(picture.shape) / np.maximum(below, 1e-6)[..., None]
 
 
@@ -34,15 +34,16 @@ def filled(
     if min(weights.shape) < 2:
         mean = np.average(picture.reshape(-1, picture.shape[2]), 0, weights.reshape(-1))
         return np.where(weights[..., None] > 0, picture, mean)
-    pushed = cv2.pyrDown(_float32(picture * weights[..., None]))
-    below = cv2.pyrDown(_float32(weights))
+    pushed = cv2.pyrDown(float32(picture * weights[..., None]))
+    below = cv2.pyrDown(float32(weights))
     coarse = pushed.reshape(*below.shape, -1) / np.maximum(below, 1e-12)[..., None]
     pulled = cv2.pyrUp(
-        _float32(filled(coarse, np.minimum(4 * below, 1))), dstsize=picture.shape[1::-1]
+        float32(filled(coarse, np.minimum(4 * below, 1))), dstsize=picture.shape[1::-1]
     )
     known = weights[..., None]
     return known * picture + (1 - known) * pulled.reshape(picture.shape)
 
 
-def _float32(picture: Float[ndarray, "..."]) -> Float[ndarray, "..."]:
+def float32(picture: Shaped[ndarray, "*s"]) -> Float32[ndarray, "*s"]:
+    """As OpenCV takes it."""
     return np.ascontiguousarray(picture, np.float32)

@@ -12,7 +12,7 @@ from skylight.faces.observe import hair_of
 from skylight.faces.segmentation.person import person_matte
 from skylight.imaging.photo import Photo
 from skylight.inverse.portrait.relit import Portrait
-from skylight.inverse.portrait.surface import BUST, FACE_PX, PersonSurface
+from skylight.inverse.portrait.surface import BUST, FACE_PX, HAIR, PersonSurface
 from skylight.inverse.result import Estimate
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.work.progress import Progress
@@ -40,31 +40,39 @@ def portrait_of(
     found: EnvironmentMap,
     *,
     face_px: int = FACE_PX,
+    shell: bool = True,
     workers: int = 1,
     progress: Progress | None = None,
 ) -> Portrait:
     """A photograph of a fitted head under the light ``found``, in its colours and units.
 
-    ``face_px`` and ``workers``: of :meth:`~skylight.inverse.portrait.surface.PersonSurface.of`.
+    ``shell`` gives the head a :func:`~skylight.inverse.portrait.hair.hair_shell`; ``face_px`` and
+    ``workers``: of :meth:`~skylight.inverse.portrait.surface.PersonSurface.of`.
 
     Raises
     ------
     InputError
         None of the face's skin is seen.
     """
-    person = PersonSurface.of(
-        fit, reflection.turns, face_px=face_px, workers=workers, progress=progress
-    )
     hair = hair_of(photo.pixels, HeadModel.load(), fit)
+    person = PersonSurface.of(
+        fit,
+        reflection.turns,
+        hair if shell else None,
+        face_px=face_px,
+        workers=workers,
+        progress=progress,
+    )
     regions = person.region_image()
+    hairy = cv2.resize(hair, regions.shape[::-1], interpolation=cv2.INTER_AREA)
     matte = person_matte(
         photo.encoded,
-        (regions >= 0) & (regions != BUST),
+        (regions >= 0) & (regions < HAIR),
         regions == BUST,
-        cv2.resize(hair, regions.shape[::-1], interpolation=cv2.INTER_AREA),
+        hairy,
         person.face_px,
     )
-    return Portrait.of(photo.pixels, person, found, reflection.gloss, hair, matte, grey=photo.grey)
+    return Portrait.of(photo.pixels, person, found, reflection.gloss, hairy, matte, grey=photo.grey)
 
 
 def light_in_photo(estimate: Estimate, light: EnvironmentMap | None = None) -> EnvironmentMap:

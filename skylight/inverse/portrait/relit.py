@@ -10,7 +10,7 @@ is regularised towards a local mean rho_0 where shading is dark, and the picture
     rho S_B + g_B + c (I - rho S_A - g_A),
 
 c being what the two lights share: their own residual stays where the light stays. Shadows of A that
-lie elsewhere than the fitted head, or hair, has them stay in the albedo.
+lie elsewhere than the fitted head, or the shell of hair over it, has them stay in the albedo.
 
 Hair, clothes and what else of a person is no skin are multiplied by the ratio of the smoothed
 shadings of head and bust, filled beyond these. What lies behind is multiplied by the ratio of the
@@ -23,14 +23,14 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32, Shaped
+from jaxtyping import Float
 from numpy import ndarray
 from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.faces.model import Region
 from skylight.faces.observe import SKIN_GLOSS
-from skylight.inverse.portrait.fill import blurred, filled
+from skylight.inverse.portrait.fill import blurred, filled, float32
 from skylight.inverse.portrait.surface import PersonSurface
 from skylight.sphere.envmap import LUMINANCE, EnvironmentMap, luminance
 
@@ -84,26 +84,23 @@ class Portrait:
         person: PersonSurface,
         found: EnvironmentMap,
         gloss: float,
-        hair: Float[ndarray, "h w"],
+        hair: Float[ndarray, "p q"],
         matte: Float[ndarray, "h w"],
         *,
         grey: bool = False,
     ) -> "Portrait":
         """From a linear photograph, the light ``found`` in its colours and units, the ``gloss``.
 
-        ``hair`` is how likely a pixel shows hair.
+        ``hair`` is how likely a pixel of ``person`` shows hair.
         """
-        picture = _float32(photo.numpy())
+        picture = float32(photo.numpy())
         shading, glossy = _images(person, found, gloss, grey=grey)
-        small, hairy = (
-            cv2.resize(_float32(image), shading.shape[1::-1], interpolation=cv2.INTER_AREA)
-            for image in (picture, hair)
-        )
+        small = cv2.resize(picture, shading.shape[1::-1], interpolation=cv2.INTER_AREA)
         regions = person.region_image()
-        on_skin = np.isin(regions, SKIN) & (hairy < 0.5)
+        on_skin = np.isin(regions, SKIN) & (hair < 0.5)
         if not on_skin.any():
             raise InputError("the face is turned away or covered: no skin of it can be relit")
-        bare, covered = _float32(on_skin), _float32(regions >= 0)
+        bare, covered = float32(on_skin), float32(regions >= 0)
         lit, face_px = np.maximum(small - glossy, 0), person.face_px
         local = blurred(lit * shading, bare, LOCAL * face_px) / np.maximum(
             blurred(shading**2, bare, LOCAL * face_px), 1e-12
@@ -127,7 +124,7 @@ class Portrait:
             albedo=albedo,
             residual=picture - albedo * dark - shine,
             skin=_resized(inside[..., None], size)[..., 0],
-            matte=_float32(matte),
+            matte=float32(matte),
             shading=shading,
             glossy=glossy,
             local=local,
@@ -182,7 +179,7 @@ class Portrait:
         before, after = (upright_irradiance(each) for each in (self.found, light))
         if self.grey:
             before, after = luminance(before), luminance(after)
-        return _float32((after / before).expand(3).numpy())
+        return float32((after / before).expand(3).numpy())
 
 
 def shared_light(one: EnvironmentMap, other: EnvironmentMap) -> float:
@@ -190,7 +187,6 @@ def shared_light(one: EnvironmentMap, other: EnvironmentMap) -> float:
 
     p and q are their luminances on 16 rows, each of sum 1; 0 where half of the light is elsewhere.
     """
-
     parts = [power / power.sum() for power in (coarse_power(light) for light in (one, other))]
     return max(0.0, 1.0 - float((parts[0] - parts[1]).abs().sum()))
 
@@ -218,7 +214,7 @@ def _images(
     """(S, g) of the module's text as pictures, 0 where there is no surface."""
     shading = person.shade(light, SKIN_GLOSS)
     diffuse, glossy = (
-        _float32(person.surface.image(each).numpy())
+        float32(person.surface.image(each).numpy())
         for each in (shading.diffuse, gloss * shading.glossy)
     )
     if grey:
@@ -240,10 +236,6 @@ def _enlarged(
 
 
 def _resized(picture: Float[ndarray, "p q c"], size: tuple[int, int]) -> Float[ndarray, "h w c"]:
-    return cv2.resize(_float32(picture), size[::-1], interpolation=cv2.INTER_LINEAR).reshape(
+    return cv2.resize(float32(picture), size[::-1], interpolation=cv2.INTER_LINEAR).reshape(
         *size, -1
     )
-
-
-def _float32(picture: Shaped[ndarray, "*s"]) -> Float32[ndarray, "*s"]:
-    return np.ascontiguousarray(picture, np.float32)

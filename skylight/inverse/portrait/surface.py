@@ -1,4 +1,4 @@
-"""Head and bust of a person as the camera sees them, and their shading by any distant light."""
+"""Head, hair and bust as the camera sees them, and their shading by any distant light."""
 
 import math
 from dataclasses import dataclass
@@ -10,9 +10,11 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from skylight.faces.fit import FaceFit
-from skylight.faces.model import HeadModel, Region
+from skylight.faces.model import HeadModel
 from skylight.faces.normal_errors import normal_error_modes
+from skylight.faces.observe import skin_seen
 from skylight.inverse.portrait.bust import bust
+from skylight.inverse.portrait.hair import hair_shell
 from skylight.sphere.envmap import EnvironmentMap
 from skylight.transport.adaptive import adaptive_visibility
 from skylight.transport.camera import Camera
@@ -24,7 +26,7 @@ from skylight.transport.render import SMOOTH_HEIGHT, Specular, split_bright
 from skylight.work.progress import Progress
 
 FACE_PX = 144  # height of the face's skin where shading is computed; photographs are not enlarged
-BUST = 255  # among the regions
+HAIR, BUST = 254, 255  # among the regions
 FINE_ROWS = 128  # of the grid of bright pixels: cells of 1.4 degrees
 _BLOCK_POINTS = 256
 
@@ -42,7 +44,7 @@ class PersonSurface:
     """The surface at the pixels of ``camera``, whose face is ``face_px`` high.
 
     ``normals`` are the head's as an estimate has turned them; ``regions`` (m,) are values of
-    :class:`~skylight.faces.model.Region`, or :data:`BUST`.
+    :class:`~skylight.faces.model.Region`, :data:`HAIR` or :data:`BUST`.
     """
 
     surface: GBuffer
@@ -57,27 +59,36 @@ class PersonSurface:
     def of(
         fit: FaceFit,
         turns: Float[Tensor, " j"] | None = None,
+        hair: Float[np.ndarray, "h w"] | None = None,
         *,
         face_px: int = FACE_PX,
         workers: int = 1,
         progress: Progress | None = None,
     ) -> "PersonSurface":
         """Of a fitted head whose face is at most ``face_px`` high; ``turns`` are those of
-        :class:`~skylight.inverse.result.FaceLight`.
+        :class:`~skylight.inverse.result.FaceLight`. ``hair`` is how likely a pixel of the
+        photograph shows hair; without it the head has no shell of hair.
 
         Visibility is that of 32 rows of directions; m * 2048 bytes, 80 MB of 40,000 pixels.
         """
         model = HeadModel.load()
-        skin = fit.camera.project(torch.from_numpy(fit.vertices[model.regions == Region.FACE]))
-        height = float(np.ptp(skin[:, 1].numpy()))
+        height = float(np.ptp(skin_seen(model, fit)[:, 1]))
         scale = min(1.0, face_px / height)
         camera = scaled(fit.camera, scale)
-        body, body_faces = bust(fit)
-        vertices = torch.from_numpy(np.concatenate([fit.vertices, body]))
-        faces = torch.from_numpy(np.concatenate([model.faces, body_faces + len(fit.vertices)]))
+        parts = [(fit.vertices, model.faces), bust(fit)]
+        if hair is not None:
+            parts.append(hair_shell(fit, hair))
+        starts = np.cumsum([0, *(len(points) for points, _ in parts)])
+        vertices = torch.from_numpy(np.concatenate([points for points, _ in parts]))
+        faces = torch.from_numpy(
+            np.concatenate(
+                [part + start for (_, part), start in zip(parts, starts[:-1], strict=True)]
+            )
+        )
         raycaster = Raycaster(vertices, faces)
         surface = rasterize(camera, vertices, faces, raycaster)
-        of_vertices = np.concatenate([model.regions, np.full(len(body), BUST, np.uint8)])
+        of_vertices = np.repeat([0, BUST, HAIR][: len(parts)], np.diff(starts)).astype(np.uint8)
+        of_vertices[: len(model.regions)] = model.regions
         nearest = surface.barycentric.argmax(1, keepdim=True)
         corners = faces[surface.faces].gather(1, nearest)[:, 0]
         normals = surface.normals.clone()

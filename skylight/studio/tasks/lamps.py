@@ -15,7 +15,8 @@ from torch import Tensor
 
 from skylight.app.estimate.face_panels import over_grey
 from skylight.app.estimate.types import PhotoEstimate
-from skylight.app.figures.exposure import srgb_codes, white_of
+from skylight.app.figures.exposure import white_of
+from skylight.imaging.colour import tone_map
 from skylight.inverse.lamps.number import MAP_ROWS
 from skylight.inverse.lamps.relighting import FaceTransport, LampLight
 from skylight.inverse.result import Lamp
@@ -44,7 +45,7 @@ class _Face:
         """As it was seen, and under the light."""
         rendered = self.transport.rendered(light)[self.blocks]
         rendered = over_grey(self.image, self.places, rendered)
-        return [srgb_codes(picture, self.white) for picture in (self.image, rendered)]
+        return [tone_map(picture, white=self.white) for picture in (self.image, rendered)]
 
 
 def keep_lamps(folder: Path, result: PhotoEstimate) -> dict[str, Any]:

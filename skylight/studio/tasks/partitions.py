@@ -8,11 +8,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.app.figures.exposure import srgb_codes, white_of
+from skylight.app.figures.exposure import white_of
 from skylight.app.probes.partitions.printing import (
     describe_partition_print,
     write_printed_partitions,
 )
+from skylight.imaging.colour import tone_map
 from skylight.io.files import write_png
 from skylight.probes.partitions.cells import Cells
 from skylight.probes.partitions.design.designs import design_names, named_design
@@ -124,4 +125,4 @@ def _write_lightmap(
     grid = DirectionGrid.latlong(len(seen))
     told = probe.decode(shading, grid).clamp(min=0).reshape(seen.shape)
     white = white_of(seen.reshape(-1, 3))
-    write_png(path, np.concatenate([srgb_codes(each.float(), white) for each in (seen, told)]))
+    write_png(path, np.concatenate([tone_map(each, white=white) for each in (seen, told)]))

@@ -72,7 +72,14 @@ def test_people_are_relit_and_compared(tmp_path: Path) -> None:
     render_folder(data / "to", 1, other)
     results = evaluate("relit-portraits", quick=True, data=data, out=tmp_path / "out", workers=1)
     rows = json.loads(results.read_text())["rows"]
-    assert set(rows) == {"relit", "relit_true_light", "transfer", "unchanged"}
+    assert set(rows) == {
+        "relit",
+        "relit_true_light",
+        "relit_true_head",
+        "relit_without_shell",
+        "transfer",
+        "unchanged",
+    }
     rmse = {name: row["srgb_rmse_skin"]["mean"] for name, row in rows.items()}
     assert rmse["relit_true_light"] < rmse["unchanged"]
     assert (tmp_path / "out" / "sheet.png").is_file()

@@ -59,6 +59,9 @@ def sun(page: "Page") -> tuple[float, float, float]:
 
 
 def relit(page: "Page") -> Int[np.ndarray, "h w 3"]:
+    """The canvas, once it has all of the picture's pixels."""
+    width = read_tensors(apart().file)[0]["picture"].shape[1]
+    page.wait_for_function("width => document.querySelector('.relit').width === width", arg=width)
     return pixels(page, CANVAS)[..., :3].astype(int)
 
 
@@ -104,7 +107,7 @@ def test_the_sun_is_dragged_and_the_person_follows_as_the_command_has_it(
         drag_to(page, azimuth, elevation)
         now, there = relit(page), sun(page)
         light = light_with_sun_at(result.estimate, there[0], 90 - there[1])
-        want = shown(relit_portrait(result, light, keep="place", workers=1)).astype(int)
+        want = shown(relit_portrait(result, light, keep="place", portrait=portrait)).astype(int)
         assert np.abs(now - want)[skin].mean() < 3, azimuth
         assert np.abs(now - want)[person].mean() < 3, azimuth
         np.testing.assert_array_equal(now[behind], seen[behind])
@@ -170,6 +173,32 @@ def test_the_sun_is_dragged_and_the_person_follows_as_the_command_has_it(
     page.set_viewport_size({"width": 360, "height": 740})
     page.wait_for_function("innerWidth === 360")
     assert page.evaluate(OVERFLOW) == 0
+
+
+def test_while_the_sun_moves_no_more_pixels_are_drawn_than_the_screen_shows(found: "Page") -> None:
+    page = found
+    opened(page)
+    page.locator(".relit-grid figure").first.evaluate("all => { all.style.width = '160px'; }")
+    as_found, before = sun(page), relit(page)
+    page.evaluate(
+        """() => {
+            const canvas = document.querySelector(".relit");
+            window.sizes = [];
+            const look = () => sizes.push([canvas.width, canvas.clientWidth, canvas.clientHeight]);
+            look();
+            new MutationObserver(look).observe(canvas, { attributeFilter: ["data-shows"] });
+        }"""
+    )
+    page.keyboard.press("Shift+ArrowLeft")
+    page.keyboard.press("Shift+ArrowRight")
+    page.wait_for_function("() => sizes.length > 1")
+    page.wait_for_function(_SHOWS, arg=list(as_found))
+    np.testing.assert_array_equal(relit(page), before)
+    (full, *shown), *moving = page.evaluate("() => sizes")
+    assert 0 < shown[0] < full
+    for width, *still in moving:
+        assert 0 < width <= shown[0]
+        assert still == shown
 
 
 def test_a_warning_is_shown_and_saved_with_the_picture(found: "Page", tmp_path: Path) -> None:

@@ -31,3 +31,16 @@ def test_the_spheres_cover_what_the_head_covers(place: list[float]) -> None:
         total += hit.sum()
     assert (covered ^ head).sum() / head.sum() < 0.1
     assert covered.sum() / total == pytest.approx(together, abs=0.03)
+
+
+def test_of_many_people_those_are_reflected_that_look_largest_from_the_object() -> None:
+    """An object beside the second person: his spheres come before the first person's."""
+    first, second = ({"x": x, "y": 0.0, "z": -1.0, "w": 0.1} for x in (-0.5, 0.5))
+    small = {"x": 0.8, "y": 0.0, "z": -1.0, "w": 0.01}
+    beside = {"x": 0.7, "y": 0.0, "z": -1.0}
+    spheres = [first, second, small]
+    (order, one) = called(
+        "people", ("largestFrom", beside, spheres, 3), ("largestFrom", beside, spheres, 1)
+    )
+    assert order == [1, 2, 0]
+    assert one == [1]

@@ -18,7 +18,8 @@ from skylight.app.estimate.face_panels import over_grey
 from skylight.app.estimate.photos import estimate_photo
 from skylight.app.estimate.types import PhotoEstimate
 from skylight.app.figures.angles import describe_lamps
-from skylight.app.figures.exposure import srgb_codes, white_of
+from skylight.app.figures.exposure import white_of
+from skylight.imaging.colour import tone_map
 from skylight.inverse.result import Lamp
 from skylight.io.files import read_environment_map
 from skylight.models.lamps import AMBIENT_PARAMETERS, LampsLight
@@ -86,9 +87,9 @@ def test_an_edit_that_changes_nothing_gives_the_estimate(
     )
     seen, rendered = panels(folder, edit)
     white = white_of(view.observation.pixels)
-    np.testing.assert_array_equal(seen, srgb_codes(view.image, white))
+    np.testing.assert_array_equal(seen, tone_map(view.image, white=white))
     want = over_grey(view.image, view.places, found.estimate.rendered[view.blocks])
-    assert np.abs(rendered.astype(int) - srgb_codes(want, white).astype(int)).max() <= 1
+    assert np.abs(rendered.astype(int) - tone_map(want, white=white).astype(int)).max() <= 1
 
 
 def test_switched_off_lamps_leave_the_ambient_light(
@@ -142,7 +143,9 @@ def test_several_faces_are_seen_below_each_other(tmp_path: Path) -> None:
     for one, light in zip(result.seen, result.estimate.faces, strict=True):
         view = one.view
         white = white_of(view.observation.pixels)
-        want = srgb_codes(over_grey(view.image, view.places, light.rendered[view.blocks]), white)
+        want = tone_map(
+            over_grey(view.image, view.places, light.rendered[view.blocks]), white=white
+        )
         part = rendered[top : top + len(want), : want.shape[1]]
         assert np.abs(part.astype(int) - want.astype(int)).max() <= 1
         top += len(want)

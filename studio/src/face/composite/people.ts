@@ -80,6 +80,16 @@ export class People {
   }
 }
 
+/** Which spheres, at most so many, look largest from a place: the largest first. */
+export function largestFrom(
+  place: { x: number; y: number; z: number },
+  spheres: readonly { x: number; y: number; z: number; w: number }[],
+  most: number,
+): number[] {
+  const far = spheres.map(({ x, y, z, w }) => Math.hypot(x - place.x, y - place.y, z - place.z) / w);
+  return [...spheres.keys()].sort((a, b) => far[a]! - far[b]!).slice(0, most);
+}
+
 /** +X, +Y and +Z of something that looks along `forward`. */
 function axes(forward: Vector3, up: Vector3): [Vector3, Vector3, Vector3] {
   const ahead = forward.clone().normalize();

@@ -67,7 +67,10 @@ function relitView(
 ): { element: HTMLElement; picture: RelitPicture; focus: () => void } {
   const { facts } = person;
   const { width, height } = person.picture;
-  const canvas = el("canvas", { width, height, class: "picture relit", role: "img" });
+  const canvas = el("canvas", { class: "picture relit", role: "img" });
+  // as large as the picture would be, however many pixels it has just now
+  canvas.style.width = `min(${width}px, ${(75 * width) / height}vh)`;
+  canvas.style.aspectRatio = `${width} / ${height}`;
   const light = new SunLight(person);
   const picture = new RelitPicture(canvas, person, light);
   const lowest = facts.is_lamp ? 180 : LOWEST_SUN;
@@ -121,7 +124,10 @@ function relitView(
     changed();
   });
   const save = el("button", { type: "button" }, "Save this picture");
-  save.addEventListener("click", () => savePicture(canvas, facts.warning));
+  save.addEventListener("click", () => {
+    picture.show(false); // at its own size
+    savePicture(canvas, facts.warning);
+  });
 
   const help = freshId("help");
   const notes = [

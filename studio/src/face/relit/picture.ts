@@ -12,13 +12,11 @@ precision highp float;
 uniform highp sampler2D photo, was, local, shine, lit, glossy, ratio;
 uniform vec2 size, // of the picture; and where the grids of skin and of the whole person are in it
   skinFrom, skinSize, wholeFrom, wholeSize;
+uniform vec2 drawn; // pixels of the canvas
 uniform float least, brightest, knee, common_;
 uniform bool isBefore;
 out vec4 color;
 
-vec3 linear(vec3 code) {
-  return mix(code / 12.92, pow((code + 0.055) / 1.055, vec3(2.4)), step(0.04045, code));
-}
 vec3 encoded(vec3 light) {
   return mix(12.92 * light, 1.055 * pow(light, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, light));
 }
@@ -28,46 +26,65 @@ vec3 tanh_(vec3 x) {
   return (1.0 - e) / (1.0 + e);
 }
 void main() {
-  vec2 at = vec2(gl_FragCoord.x, size.y - gl_FragCoord.y);
-  vec4 seen = texelFetch(photo, ivec2(at), 0);
-  color = vec4(seen.rgb, 1.0);
-  if (isBefore || seen.a == 0.0) return;
-  vec3 p = linear(seen.rgb);
-  vec3 person = p * exp(texture(ratio, (at - wholeFrom) / wholeSize).rgb);
-  vec2 place = (at - skinFrom) / skinSize;
+  vec2 at = vec2(gl_FragCoord.x, drawn.y - gl_FragCoord.y) * size / drawn;
+  vec4 seen = texture(photo, at / size); // linear
+  vec3 p = seen.rgb, light = p;
   // branches: where no graphics card is, most of the time goes into looking textures up
-  if (place == clamp(place, 0.0, 1.0)) {
-    vec4 dark = texture(was, place);
-    if (dark.a > 0.0) {
-      vec3 usual = texture(local, place).rgb;
-      vec3 shone = texture(shine, place).rgb;
-      vec3 albedo = (max(p - shone, 0.0) * dark.rgb + least * usual) / (dark.rgb * dark.rgb + least);
-      albedo = min(albedo, brightest * usual);
-      vec3 residual = p - albedo * dark.rgb - shone;
-      vec3 skin = albedo * texture(lit, place).rgb + texture(glossy, place).rgb + common_ * residual;
-      person = mix(person, skin, dark.a);
+  if (!isBefore && seen.a > 0.0) {
+    vec3 person = p * exp(texture(ratio, (at - wholeFrom) / wholeSize).rgb);
+    vec2 place = (at - skinFrom) / skinSize;
+    if (place == clamp(place, 0.0, 1.0)) {
+      vec4 dark = texture(was, place);
+      if (dark.a > 0.0) {
+        vec3 usual = texture(local, place).rgb;
+        vec3 shone = texture(shine, place).rgb;
+        vec3 albedo = (max(p - shone, 0.0) * dark.rgb + least * usual) / (dark.rgb * dark.rgb + least);
+        albedo = min(albedo, brightest * usual);
+        vec3 residual = p - albedo * dark.rgb - shone;
+        vec3 skin = albedo * texture(lit, place).rgb + texture(glossy, place).rgb + common_ * residual;
+        person = mix(person, skin, dark.a);
+      }
     }
+    light = max(mix(p, person, seen.a), 0.0);
+    vec3 k = clamp(p, knee, 1.0 - 1e-6);
+    if (any(greaterThan(light, k))) light = min(light, k) + (1.0 - k) * tanh_(max(light - k, 0.0) / (1.0 - k));
   }
-  vec3 light = max(mix(p, person, seen.a), 0.0);
-  vec3 k = clamp(p, knee, 1.0 - 1e-6);
-  if (any(greaterThan(light, k))) light = min(light, k) + (1.0 - k) * tanh_(max(light - k, 0.0) / (1.0 - k));
   color = vec4(encoded(clamp(light, 0.0, 1.0)), 1.0);
 }`;
 
-/** Draws a person in a new light into a canvas of the picture's size. */
+const SETTLED_MS = 250;
+const SLOW_MS = 40;
+const FAST_MS = 20;
+
+/**
+ * Draws a person in a new light into a canvas, which gets the picture's size once the light has
+ * stayed for a moment; until then as many pixels as the screen shows of it, or fewer where that is
+ * slow.
+ */
 export class RelitPicture {
   private readonly gl: WebGL2RenderingContext;
   private readonly uniforms = new Map<string, WebGLUniformLocation>();
   private readonly program: WebGLProgram;
+  private readonly kept: { 3: number; 4: number }; // formats of textures, by channels
+  private readonly size: { width: number; height: number };
+  private readonly box: Box; // all else stays as the photograph has it
+  private scale = 0; // pixels of the canvas a pixel of the picture, along an axis
+  private detail = 1; // pixels of the canvas a pixel of the screen, while the light changes
+  private settling = 0;
 
   constructor(
-    canvas: HTMLCanvasElement,
+    private readonly canvas: HTMLCanvasElement,
     { picture, facts }: Person,
     private readonly light: SunLight,
   ) {
     const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, depth: false, preserveDrawingBuffer: true });
     if (!gl) throw new Error("this browser offers no WebGL 2, so the person cannot be relit here");
     this.gl = gl;
+    this.size = picture;
+    this.box = box(picture);
+    // half as wide numbers are slower where no graphics card is
+    if (gl.getExtension("OES_texture_float_linear")) this.kept = { 3: gl.RGB32F, 4: gl.RGBA32F };
+    else this.kept = { 3: gl.RGB16F, 4: gl.RGBA16F };
     this.program = program(gl);
     gl.useProgram(this.program);
     const number = (name: string, ...values: number[]): void => {
@@ -79,15 +96,13 @@ export class RelitPicture {
     ["photo", "was", "local", "shine", "lit", "glossy", "ratio"].forEach((name, unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
-      const filter = unit === 0 ? gl.NEAREST : gl.LINEAR;
-      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, filter);
-      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, filter);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, gl.CLAMP_TO_EDGE);
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
       gl.uniform1i(this.uniform(name), unit);
     });
     gl.activeTexture(gl.TEXTURE0);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, picture.width, picture.height, 0, gl.RGBA, gl.UNSIGNED_BYTE, picture.codes);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.SRGB8_ALPHA8, picture.width, picture.height, 0, gl.RGBA, gl.UNSIGNED_BYTE, picture.codes);
     const { shading, local, glossy, inside } = light.before;
     this.upload(1, light.skin, Float32Array.from({ length: 4 * inside.length }, (_, i) =>
       i % 4 === 3 ? inside[i >> 2]! : shading[3 * (i >> 2) + (i % 4)]!), 4);
@@ -102,30 +117,59 @@ export class RelitPicture {
       number(`${name}Size`, width * step * across, height * step * down);
     }
     this.setConstants(facts, number);
-    gl.viewport(0, 0, picture.width, picture.height);
-    this.show(true);
-    // from now on only what holds some of the person
-    const { left, top, width, height } = box(picture);
-    gl.enable(gl.SCISSOR_TEST);
-    gl.scissor(left, picture.height - top - height, width, height);
+    this.paint(true, 1);
   }
 
   draw({ shading, glossy, ratio, common }: Lit): void {
+    const { canvas, size } = this;
     this.upload(4, this.light.skin, shading);
     this.upload(5, this.light.skin, glossy);
     this.upload(6, this.light.whole, ratio);
     this.gl.uniform1f(this.uniform("common_"), common);
-    this.show(false);
+    const begun = performance.now();
+    this.paint(false, Math.min(1, (this.detail * canvas.clientWidth * devicePixelRatio) / size.width || 1));
+    requestAnimationFrame(() => {
+      const took = performance.now() - begun;
+      if (took > SLOW_MS) this.detail = Math.max(0.5, 0.8 * this.detail);
+      if (took < FAST_MS) this.detail = Math.min(1, 1.25 * this.detail);
+    });
+    clearTimeout(this.settling);
+    this.settling = window.setTimeout(() => this.show(false), SETTLED_MS);
   }
 
-  /** The last picture, or the photograph as it was. */
+  /** The last picture, or the photograph as it was, at its own size. */
   show(isBefore: boolean): void {
-    this.gl.uniform1i(this.uniform("isBefore"), Number(isBefore));
-    this.gl.drawArrays(this.gl.TRIANGLES, 0, 3);
+    clearTimeout(this.settling);
+    this.paint(isBefore, 1);
   }
 
   dispose(): void {
+    clearTimeout(this.settling);
     this.gl.getExtension("WEBGL_lose_context")?.loseContext();
+  }
+
+  private paint(isBefore: boolean, scale: number): void {
+    const { gl, canvas, size, box } = this;
+    const isCleared = scale !== this.scale;
+    if (isCleared) {
+      this.scale = scale;
+      canvas.width = Math.round(scale * size.width);
+      canvas.height = Math.round(scale * size.height);
+      gl.viewport(0, 0, canvas.width, canvas.height);
+      gl.scissor(
+        Math.floor(scale * box.left),
+        Math.floor(scale * (size.height - box.top - box.height)),
+        Math.ceil(scale * box.width) + 2,
+        Math.ceil(scale * box.height) + 2,
+      );
+      gl.uniform2f(this.uniform("drawn"), canvas.width, canvas.height);
+      gl.activeTexture(gl.TEXTURE0);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, scale < 1 ? gl.LINEAR : gl.NEAREST);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, scale < 1 ? gl.LINEAR : gl.NEAREST);
+      gl.disable(gl.SCISSOR_TEST);
+    } else gl.enable(gl.SCISSOR_TEST);
+    gl.uniform1i(this.uniform("isBefore"), Number(isBefore));
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
   private setConstants(facts: Facts, number: (name: string, value: number) => void): void {
@@ -136,9 +180,9 @@ export class RelitPicture {
 
   private upload(unit: number, { width, height }: Grid, values: Float32Array, channels: 3 | 4 = 3): void {
     const { gl } = this;
-    const [kept, given] = channels === 4 ? [gl.RGBA16F, gl.RGBA] : [gl.RGB16F, gl.RGB];
     gl.activeTexture(gl.TEXTURE0 + unit);
-    gl.texImage2D(gl.TEXTURE_2D, 0, kept, width, height, 0, given, gl.FLOAT, values);
+    const given = channels === 4 ? gl.RGBA : gl.RGB;
+    gl.texImage2D(gl.TEXTURE_2D, 0, this.kept[channels], width, height, 0, given, gl.FLOAT, values);
   }
 
   private uniform(name: string): WebGLUniformLocation {
@@ -148,8 +192,15 @@ export class RelitPicture {
   }
 }
 
+interface Box {
+  left: number;
+  top: number;
+  width: number;
+  height: number;
+}
+
 /** The rectangle that holds all of the matte. */
-function box({ width, height, codes }: Person["picture"]): { left: number; top: number; width: number; height: number } {
+function box({ width, height, codes }: Person["picture"]): Box {
   let [left, top, right, foot] = [width, height, 0, 0];
   for (let row = 0, at = 3; row < height; row++)
     for (let column = 0; column < width; column++, at += 4) {

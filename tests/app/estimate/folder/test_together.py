@@ -23,8 +23,9 @@ from skylight.work.resumable import Workers
 SUNSKY = BatchSettings(light="sunsky", device="cpu")
 OPTIONS = ["--light", "sunsky", "--device", "cpu", "--workers", "2"]
 # Of lights that are found together against those found one by one: rounding decides where a
-# descent ends that is cut off, by 1.3 degrees and 12 % of the radiance here.
-SUN_DEG, RADIANCE = 4.0, 0.25
+# descent ends that is cut off, by 1.3 degrees and 12 % of the radiance on one machine, by 36 % of
+# the radiance on another.
+SUN_DEG, RADIANCE = 4.0, 0.4
 
 
 @pytest.fixture(scope="module")

@@ -1,10 +1,11 @@
 import { Matrix4, Vector3, Vector4, type Color } from "three";
 import type { Model } from "../models";
-import type { People } from "../people";
+import { largestFrom, type People } from "../people";
 import type { Stand } from "../placement";
 import { OTHERS, OWN } from "./shaders";
 
 const NONE = new Vector4(0, 0, 0, 0);
+const BLACK = new Vector3(0, 0, 0);
 
 /** What the shaders know of the plane, and of the spheres that stand for the object and for people. */
 export class Surroundings {
@@ -32,9 +33,16 @@ export class Surroundings {
     });
     // balls are seen in each other; what is no ball is not like its sphere
     const count = (balls.value = model.areBalls ? model.spheres.length : 0);
+    const around = [
+      ...own.value.slice(0, count).map((sphere, k) => [sphere, ownAlbedo.value[k]!] as const),
+      ...largestFrom(own.value[0]!, people.spheres, OTHERS - count).map(
+        (k) => [people.spheres[k]!, people.albedos[k]!] as const,
+      ),
+    ];
     others.value.forEach((sphere, k) => {
-      sphere.copy((k < count ? own.value[k] : people.spheres[k - count]) ?? NONE);
-      otherAlbedo.value[k]!.copy((k < count ? ownAlbedo.value[k] : people.albedos[k - count]) ?? new Vector3());
+      const [there, albedo] = around[k] ?? [NONE, BLACK];
+      sphere.copy(there);
+      otherAlbedo.value[k]!.copy(albedo);
     });
   }
 }

@@ -1,0 +1,214 @@
+"""The first minutes with skylight, as a newcomer's: docs/first_steps.md, with times and pictures.
+
+    make wheel blender
+    python -m tools.draw_first_steps --wheel dist/skylight-*.whl --extension dist/world_*.zip
+
+Installs the wheel into an empty environment far from the sources and Blender's module into another,
+runs the commands that the page shows, one after the other, and takes their times. Nothing else
+should run on the machine.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+from PIL import Image
+
+from skylight.io.atomic import atomic_path
+from tests.studio.browser.waiting import gathered
+from tools.measured import write_measured
+from tools.viewer_page import CHROMIUM, opened
+
+PAGE = Path("docs/first_steps.md")
+IMAGES = Path("docs/images/first_steps")
+RESULT = Path("benchmarks/results/first-steps.json")
+BPY = "bpy==4.2.*"
+WIDTH = 640
+IN_BLENDER = """
+import bpy
+import sys
+from os.path import abspath
+
+bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy.ops.extensions.package_install_files(
+    filepath=abspath(sys.argv[1]), repo="user_default", enable_on_install=True
+)
+bpy.ops.world_from_portrait.set_up(folder=abspath("for_blender"))
+head = [vertex.co for vertex in bpy.data.objects["portrait head"].data.vertices]
+left, back, top = (min(v[0] for v in head), max(v[1] for v in head), max(v[2] for v in head))
+bpy.ops.mesh.primitive_uv_sphere_add(
+    segments=96, ring_count=48, radius=0.04, location=(left - 0.05, back - 0.12, top - 0.1)
+)
+bpy.ops.object.shade_smooth()
+scene = bpy.context.scene
+scene.cycles.samples, scene.render.filepath = 64, abspath("ball.png")
+bpy.ops.render.render(write_still=True)
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """A heading, what is typed, what to expect, and the picture that comes of it."""
+
+    title: str
+    typed: str
+    then: str
+    picture: str = ""
+
+
+PORTRAIT = """
+from skimage import data
+from PIL import Image
+
+Image.fromarray(data.astronaut()).save("portrait.png")
+"""
+STEPS = (
+    Step(
+        title="Install",
+        typed="python3 -m venv skylight-env\n. skylight-env/bin/activate\npip install {wheel}\n"
+        "python portrait.py",
+        then="torch is most of it. `portrait.py` saves the picture that these steps use, which "
+        "comes with scikit-image (NASA's portrait of Eileen Collins, public domain); one of your "
+        "own will do:\n\n```python" + PORTRAIT + "```",
+    ),
+    Step(
+        title="The light of a portrait",
+        typed="skylight estimate portrait.png --light auto --out light",
+        then="`light/report.png` shows what was found, and the verdict says how far to trust it.",
+        picture="light/report.png",
+    ),
+    Step(
+        title="The portrait in another light",
+        typed="skylight relight-portrait portrait.png --light auto --sun=-60,35 --out left.png",
+        then="Its sun, or main lamp, now comes from the left: [portraits](portraits.md).",
+        picture="left.png",
+    ),
+    Step(
+        title="A page for a friend",
+        typed="skylight export viewer light --out page.html",
+        then="One file that opens without a server: drag the object, turn the light.",
+        picture="page.png",
+    ),
+    Step(
+        title="The light in Blender",
+        typed="skylight export blender light for_blender",
+        then="The extension's *Set Up from Photo* does this and the estimate from a panel: "
+        "[Blender](blender.md).",
+    ),
+    Step(
+        title="Blender without its window",
+        typed=f"python3 -m venv blender-env\n. blender-env/bin/activate\npip install '{BPY}'",
+        then="Blender itself needs no such environment: its *Install from Disk* takes the zip.",
+    ),
+    Step(
+        title="A ball beside the head, by Blender",
+        typed="export BLENDER_USER_RESOURCES=$PWD/blender\n. blender-env/bin/activate\n"
+        "python ball.py {extension}",
+        then="`ball.py` installs the extension, sets the scene up, adds a matt ball and renders; "
+        "here laid over the photograph:\n\n```python" + IN_BLENDER + "```",
+        picture="with_ball.png",
+    ),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Walk through the first steps, and write the page about them."""
+
+    wheel: Path
+    """skylight's wheel."""
+    extension: Path
+    """The zip of the Blender extension."""
+    chromium: str = CHROMIUM
+    """Its program, to look at the page."""
+
+
+def main(options: Options) -> None:
+    begun = time.time()
+    files = {"wheel": options.wheel.name, "extension": options.extension.name}
+    with tempfile.TemporaryDirectory(prefix="skylight-first-") as folder:
+        place = Path(folder)
+        for file in (options.wheel, options.extension):
+            shutil.copy(file, place)
+        for name, program in (("portrait.py", PORTRAIT), ("ball.py", IN_BLENDER)):
+            (place / name).write_text(program)
+        seconds = {step.title: taken(step.typed.format(**files), place) for step in STEPS}
+        with opened(place / "page.html", options.chromium) as shown:
+            gathered(shown, 1)
+            shown.screenshot(path=place / "page.png")
+        lay_over(place / "ball.png", place / "portrait.png", place / "with_ball.png")
+        IMAGES.mkdir(parents=True, exist_ok=True)
+        for step in filter(lambda step: step.picture, STEPS):
+            small(place / step.picture, IMAGES / f"{Path(step.picture).stem}.jpg")
+        sizes = {
+            f"{name} mb": (place / name).stat().st_size / 1e6 for name in ("page.html", "left.png")
+        }
+    whole = sum(seconds.values())
+    with atomic_path(PAGE) as temporary:
+        temporary.write_text(page(seconds, files), encoding="utf-8")
+    write_measured(
+        RESULT,
+        name=RESULT.stem,
+        what="Seconds of a newcomer's first steps, from the wheel in an empty environment",
+        command=f"python -m tools.draw_first_steps --wheel {options.wheel.name} "
+        f"--extension {options.extension.name}",
+        begun=begun,
+        facts={"cores": os.cpu_count(), "steps_s": seconds, "whole_s": whole, **sizes},
+    )
+
+
+def taken(typed: str, place: Path) -> float:
+    """Seconds of commands in a shell that knows the newcomer's environment, not this one."""
+    print(typed, flush=True)
+    paths = (place / "skylight-env" / "bin", Path(sys.base_prefix) / "bin", "/usr/bin", "/bin")
+    kept = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    started = time.monotonic()
+    subprocess.run(
+        ["bash", "-ec", typed],
+        cwd=place,
+        check=True,
+        env={**kept, "PATH": ":".join(map(str, paths))},
+    )
+    return time.monotonic() - started
+
+
+def lay_over(above: Path, below: Path, out: Path) -> None:
+    picture = Image.open(below).convert("RGBA")
+    picture.alpha_composite(Image.open(above).convert("RGBA").resize(picture.size))
+    picture.convert("RGB").save(out)
+
+
+def small(source: Path, to: Path) -> None:
+    picture = Image.open(source).convert("RGB")
+    picture.thumbnail((WIDTH, WIDTH))
+    with atomic_path(to) as temporary:
+        picture.save(temporary, format="JPEG", quality=85)
+
+
+def page(seconds: dict[str, float], files: dict[str, str]) -> str:
+    whole = sum(seconds.values()) / 60
+    lines = [
+        "# First steps",
+        "",
+        f"From nothing to a portrait in another light, a page to send and a scene in Blender: "
+        f"{whole:.1f} minutes of waiting on {os.cpu_count()} cores without a graphics card. "
+        "`python -m tools.draw_first_steps` types what stands here, and wrote it down.",
+    ]
+    for number, step in enumerate(STEPS, start=1):
+        lines += ["", f"## {number}. {step.title}", "", "```sh"]
+        lines += [step.typed.format(**files), "```", ""]
+        lines += [f"{seconds[step.title]:.0f} s. {step.then}"]
+        if step.picture:
+            stem = Path(step.picture).stem
+            lines += ["", f"![{step.title}](images/first_steps/{stem}.jpg)"]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))
