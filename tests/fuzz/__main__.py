@@ -38,12 +38,22 @@ def main() -> None:
     options = parser.parse_args()
     for name in options.targets:
         if options.again is not None:
-            read = import_module(f"tests.fuzz.targets.{name}").read
-            print("read" if one(read, options.again.read_bytes()) else "refused")
+            _again(name, options.again)
         elif options.seconds is None:
             print(json.dumps(_mutate(name, options.inputs, options.seed)), flush=True)
         else:
             _guided(name, options.seconds, options.seed, options.findings)
+
+
+def _again(name: str, finding: Path) -> None:
+    """Its errors, or that it took too long, end the process with a code."""
+    read = import_module(f"tests.fuzz.targets.{name}").read
+    started = time.process_time()
+    told = "read" if one(read, finding.read_bytes()) else "refused"
+    spent = time.process_time() - started
+    print(f"{told} in {spent:.1f} s of the processor")
+    if spent > TIMEOUT_S:
+        sys.exit(1)
 
 
 def one(read: Callable[[bytes], None], content: bytes) -> bool:
