@@ -48,7 +48,7 @@ class Sampler:
             minute = (time.monotonic() - begun) / 60
             for name, process in {"server": self.server, **self._workers()}.items():
                 with suppress(OSError):  # it has just ended
-                    megabytes = _resident_mb(process)
+                    megabytes = resident_mb(process)
                     sample = Sample(minute=minute, process=process, megabytes=megabytes)
                     self.samples[name].append(sample)
 
@@ -63,7 +63,7 @@ class Sampler:
         return found
 
 
-def _resident_mb(process: int) -> float:
+def resident_mb(process: int) -> float:
     for line in Path(f"/proc/{process}/status").read_text().splitlines():
         if line.startswith("VmRSS:"):
             return int(line.split()[1]) * 1024 / 1e6
