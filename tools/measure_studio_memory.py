@@ -37,7 +37,7 @@ EVERY = 250  # visits
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--visits", type=int, default=1500)
+    parser.add_argument("--visits", type=int, default=1500, help="500 or more")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results/studio-memory.json"))
     options = parser.parse_args()
     begun = time.time()
@@ -65,7 +65,7 @@ def main() -> None:
         what="The studio's server under visitors, eight at a time; memory in 10^6 bytes",
         command=f"python -m tools.measure_studio_memory --visits {options.visits}",
         begun=begun,
-        facts={"counts": dict(counts), "rows": rows},
+        facts={"counts": dict(counts), "early": rows[1], "late": rows[-1], "samples": rows},
     )
 
 
