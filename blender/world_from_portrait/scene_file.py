@@ -52,6 +52,7 @@ def read_scene(folder: Path) -> PortraitScene:
     path = folder / NAME
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
+        json.dumps(content, ensure_ascii=False).encode()  # Blender's texts take no lone surrogates
     except OSError as error:
         raise Failure(f"{path}: cannot be read ({error.strerror}): estimate again") from error
     except (ValueError, RecursionError) as error:

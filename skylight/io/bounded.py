@@ -9,6 +9,7 @@ import errno
 import json
 import math
 import os
+import re
 import stat
 import sys
 import zipfile
@@ -24,6 +25,9 @@ PICTURE_BYTES_MAX = 2**31  # decoded: four float32 channels of as many pixels
 FILE_BYTES_MAX = 2**30
 ARRAY_BYTES_MAX = 2**31  # of all arrays of a file together, decompressed
 TEXT_BYTES_MAX = 2**26
+
+_NO_CHARACTER = "its text holds what is no character"
+_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 
 _BAD_ZIP = (
     zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, KeyError,
@@ -63,20 +67,28 @@ def file_text(path: Path, *, encoding: str = "utf-8", most: int = TEXT_BYTES_MAX
 
 
 def json_content(path: Path, *, most: int = TEXT_BYTES_MAX) -> Any:
-    """What a JSON file holds; whole numbers that do not fit into int64 become floats.
+    """What a JSON file holds; raises as :func:`file_bytes` and :func:`json_loads`."""
+    return json_loads(file_text(path, most=most))
+
+
+def json_loads(text: str) -> Any:
+    """What a JSON text holds; whole numbers that do not fit into int64 become floats.
 
     Raises
     ------
-    OSError, ValueError
-        As :func:`file_bytes`; no JSON, or nested too deeply.
+    ValueError
+        No JSON, nested too deeply, or with a lone surrogate in its texts (``"\\ud800"``), which the
+        grammar allows but no file's text, name or page can hold.
     """
     try:
-        return json.loads(
-            file_text(path, most=most),
-            parse_int=_whole,
-        )
+        content = json.loads(text, parse_int=_whole)
+        if _SURROGATE.search(text):  # most come in pairs, which are one character
+            json.dumps(content, ensure_ascii=False).encode()
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
+    except UnicodeEncodeError as error:
+        raise ValueError(_NO_CHARACTER) from error
+    return content
 
 
 def load_array(path: Path, *, most: int = ARRAY_BYTES_MAX) -> np.ndarray:
@@ -156,7 +168,7 @@ def _text_checked(array: np.ndarray) -> np.ndarray:
     if array.dtype.kind == "U" and array.nbytes:
         code = np.dtype(np.uint32).newbyteorder(array.dtype.byteorder)
         if np.ascontiguousarray(array).reshape(-1).view(code).max() > sys.maxunicode:
-            raise ValueError("its text holds what is no character")
+            raise ValueError(_NO_CHARACTER)
     return array
 
 

@@ -10,7 +10,7 @@ from safetensors.torch import save_file
 from torch import Tensor, uint8
 
 from skylight.io.atomic import atomic_path
-from skylight.io.bounded import require_bytes
+from skylight.io.bounded import json_loads, require_bytes
 
 _HEADER, _DIGEST = "skylight", "sha256"
 
@@ -51,10 +51,7 @@ def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
             header = (file.metadata() or {}).get(_HEADER, "{}")
     except SafetensorError as error:
         raise ValueError(" ".join(str(error).split())) from error
-    try:
-        metadata = json.loads(header)
-    except RecursionError as error:
-        raise ValueError("its header is damaged") from error
+    metadata = json_loads(header)
     if not isinstance(metadata, dict):
         raise ValueError("its header is damaged")
     digest = metadata.pop(_DIGEST, None)

@@ -1,6 +1,5 @@
 """Sizes of mesh files, checked before memory is allocated."""
 
-import json
 import re
 import struct
 from io import BytesIO
@@ -13,6 +12,7 @@ from skylight.io.bounded import (
     TEXT_BYTES_MAX,
     file_bytes,
     json_content,
+    json_loads,
     require_bytes,
 )
 
@@ -70,10 +70,7 @@ def _glb_header(path: Path, size: int) -> Any:
             raise ValueError("it does not begin like one, or is cut short")
         if length > TEXT_BYTES_MAX:
             raise ValueError(f"a scene of {length} bytes, more than the {TEXT_BYTES_MAX} read")
-        try:
-            return json.loads(stream.read(length).decode("utf-8"))
-        except RecursionError as error:
-            raise ValueError("it is nested too deeply") from error
+        return json_loads(stream.read(length).decode("utf-8"))
 
 
 def _require_scene(scene: Any, most: int) -> None:

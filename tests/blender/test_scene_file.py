@@ -108,7 +108,8 @@ def test_a_scene_that_cannot_be_is_one_line(
 
 
 def test_no_scene_is_one_line(folder: Path) -> None:
-    for text, message in (("[1]", "not a scene"), ("{", "no JSON"), ("[" * 10**5, "no JSON")):
+    no_json = ("{", "[" * 10**5, r'{"a": "\ud800"}')
+    for text, message in (("[1]", "not a scene"), *((text, "no JSON") for text in no_json)):
         (folder / NAME).write_text(text)
         with pytest.raises(Failure, match=message):
             read_scene(folder)

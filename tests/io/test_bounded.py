@@ -140,6 +140,12 @@ def test_json(tmp_path: Path) -> None:
     path.write_text("[" * 100_000)
     with pytest.raises(ValueError, match="deeply"):
         json_content(path)
+    path.write_text(r'{"a": "\ud83d\ude00"}')  # a pair of surrogates is one character
+    assert json_content(path) == {"a": "\U0001f600"}
+    for text in (r'["\ud800"]', r'{"a\uDFFF": 1}'):  # Python's reader takes them alone too
+        path.write_text(text)
+        with pytest.raises(ValueError, match="no character"):
+            json_content(path)
     path.write_text(" " * 101)
     with pytest.raises(ValueError, match="100"):
         json_content(path, most=100)

@@ -66,9 +66,19 @@ def test_a_file_without_a_hash_is_refused(tmp_path: Path) -> None:
         read_tensors(path)
 
 
-@pytest.mark.parametrize("header", ['[["sha256", "x"], [1, 2], ["a", 3]]', "5", "[" * 10_000])
-def test_a_header_that_is_no_object_is_refused(tmp_path: Path, header: str) -> None:
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        ('[["sha256", "x"], [1, 2], ["a", 3]]', "header is damaged"),
+        ("5", "header is damaged"),
+        ("[" * 10_000, "deeply"),
+        (r'{"a": "\ud800"}', "no character"),
+    ],
+)
+def test_a_header_that_is_no_object_of_texts_is_refused(
+    tmp_path: Path, header: str, message: str
+) -> None:
     path = tmp_path / "a.safetensors"
     save_file({"a": torch.ones(2)}, path, metadata={"skylight": header})
-    with pytest.raises(ValueError, match="header is damaged"):
+    with pytest.raises(ValueError, match=message):
         read_tensors(path)

@@ -1,12 +1,11 @@
 """A model of the user's own for the page, checked before it goes in."""
 
-import json
 import struct
 from pathlib import Path
 from typing import Any
 
 from skylight.errors import InputError
-from skylight.io.bounded import file_bytes
+from skylight.io.bounded import file_bytes, json_loads
 from skylight.transport.mesh import read_mesh
 
 SUFFIXES = (".glb", ".obj")
@@ -63,7 +62,7 @@ def _require_whole(content: bytes) -> None:
         at += 8 + size
     if not chunks or chunks[0][0] != _JSON_CHUNK:
         raise ValueError("it has no scene")
-    scene: Any = json.loads(chunks[0][1].decode("utf-8"))
+    scene: Any = json_loads(chunks[0][1].decode("utf-8"))
     named = [entry.get("uri") for kind in ("buffers", "images") for entry in scene.get(kind, [])]
     if any(uri is not None and not uri.startswith("data:") for uri in named):
         raise ValueError("it names other files: pack buffers and textures into it")
