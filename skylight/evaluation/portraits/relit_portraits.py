@@ -30,6 +30,7 @@ from skylight.transport.raycast import Raycaster
 
 LIGHT: LightName = "autoencoder"
 RELIT, TRUE_LIGHT, TRUE_HEAD = "relit", "relit_true_light", "relit_true_head"
+TRUE_BOTH = "relit_true_light_and_head"
 BALD, TRANSFER, UNCHANGED = "relit_without_shell", "transfer", "unchanged"
 RMSE_RATIO = 0.5  # of the mean, ours over the transfer's
 TILE = 200  # pixels of a picture's side in the strips
@@ -43,15 +44,15 @@ class RelitPortraits:
     Both folders are made by ``skylight faces render``, the second one with ``--light-seed``.
     Landmarks, head and light of the first picture are estimated from it; the second light is given
     as its map. Rows: ``relit``; ``relit_true_light``, the same from the true first light;
-    ``relit_true_head``, from the true head and the light found; ``relit_without_shell``, without
-    the shell of hair; of each item, ``shared light`` says how much of its two lights is the same
-    (:func:`~skylight.inverse.portrait.relit.shared_light`);
+    ``relit_true_head``, from the true head and the light found; ``relit_true_light_and_head``, from
+    both, which leaves the errors of the method; ``relit_without_shell``, without the shell of hair;
     ``transfer``, the first picture with the mean and deviation in CIELAB of the true second one
     (:func:`~skylight.evaluation.portraits.colour_transfer.colour_transfer`), which a user would not
     have; and ``unchanged``. All but the transfer get the one exposure at which they are nearest to
     the truth. Scores are of sRGB values over the person (head and hair), and with ``_skin`` over
     the head's skin that no hair covers: root mean square error, and the mean of local SSIM (windows
-    of 7 x 7).
+    of 7 x 7). Of each item, ``shared light`` says how much of its two lights is the same
+    (:func:`~skylight.inverse.portrait.relit.shared_light`).
     """
 
     data: Path
@@ -107,6 +108,7 @@ class RelitPortraits:
             RELIT: portrait_of(photo, fit, reflection, light),
             TRUE_LIGHT: portrait_of(photo, fit, reflection, old.environment),
             TRUE_HEAD: portrait_of(photo, old.truth, unbent, light),
+            TRUE_BOTH: portrait_of(photo, old.truth, unbent, old.environment),
             BALD: portrait_of(photo, fit, reflection, light, shell=False),
         }
         pictures = {name: one.under(new.environment)[0] for name, one in portraits.items()}

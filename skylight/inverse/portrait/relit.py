@@ -40,6 +40,9 @@ SOFT = 0.06  # and of the shading of hair and clothes
 DARK = 0.1  # of the mean shading: l is its square
 BASE = 0.05  # of the mean shading: what ratios of smoothed shadings have in addition
 BRIGHTEST = 1.6  # times the local albedo: what is brighter is a highlight that stays behind
+MOST_GLOSS = (
+    0.4  # of what the skin shows in any channel: of over-exposed skin too much is estimated
+)
 HAIR_COUNTS = 1e-3  # where skin's shading is filled in from, what covered pixels without skin count
 SKIN = (Region.FACE, Region.LIPS, Region.EAR, Region.NECK, Region.BROW)
 # Of the old picture: nothing more than is no light, the skin's brightness, or all of the place but
@@ -57,7 +60,8 @@ class Portrait:
     photograph's pixels, as is ``matte``, how much of one is the person's. At the pixels of
     ``person``, ``shading`` and ``glossy`` (p,q,3) are S_A and g_A, ``local`` is rho_0, ``soft`` the
     smoothed S_A, ``bare`` where skin is, ``inside`` that without its border, which fades, and
-    ``covered`` where there is any surface. ``mean`` (3,) is the mean S_A of skin.
+    ``covered`` where there is any surface. ``mean`` (3,) is the mean S_A of skin. ``gloss`` is at
+    most that whose mean g_A over skin is :data:`MOST_GLOSS` of the photograph's in each channel.
     """
 
     photo: Float[ndarray, "h w 3"]
@@ -101,11 +105,13 @@ class Portrait:
         if not on_skin.any():
             raise InputError("the face is turned away or covered: no skin of it can be relit")
         bare, covered = float32(on_skin), float32(regions >= 0)
+        mean, shine = shading[on_skin].mean(0), glossy[on_skin].mean(0)
+        most = float((MOST_GLOSS * small[on_skin].mean(0) / np.maximum(shine, 1e-12)).min())
+        gloss, glossy = min(1.0, most) * gloss, min(1.0, most) * glossy
         lit, face_px = np.maximum(small - glossy, 0), person.face_px
         local = blurred(lit * shading, bare, LOCAL * face_px) / np.maximum(
             blurred(shading**2, bare, LOCAL * face_px), 1e-12
         )
-        mean = shading[on_skin].mean(0)
         inside = cv2.erode(bare, np.ones((3, 3), np.uint8))
         inside = np.minimum(cv2.GaussianBlur(inside, (0, 0), 1.5), bare)
 

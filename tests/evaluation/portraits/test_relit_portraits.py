@@ -76,6 +76,7 @@ def test_people_are_relit_and_compared(tmp_path: Path) -> None:
         "relit",
         "relit_true_light",
         "relit_true_head",
+        "relit_true_light_and_head",
         "relit_without_shell",
         "transfer",
         "unchanged",

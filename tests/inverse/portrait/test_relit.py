@@ -12,6 +12,7 @@ from skylight.errors import InputError
 from skylight.faces.model import Region
 from skylight.faces.observe import SKIN_GLOSS
 from skylight.inverse.portrait.relit import (
+    MOST_GLOSS,
     Keep,
     Portrait,
     shared_light,
@@ -162,6 +163,21 @@ def test_twice_the_exposure_is_twice_the_picture(keep: Keep) -> None:
     double, two = portrait(old).under(new, 2.0, keep=keep)
     assert two == 2 * one
     np.testing.assert_array_equal(double, 2 * single)
+
+
+def test_gloss_is_no_more_than_a_part_of_what_skin_shows() -> None:
+    """A blue channel that an estimate takes for gloss alone would leave no albedo there."""
+    light = sunny(40.0, 50.0)
+    seen = image(light)
+    seen[..., 2] *= 0.2
+    one = portrait(light, seen)
+    skin = one.bare > 0
+    assert one.gloss < GLOSS
+    _, glossy = one.shaded_by(light)
+    np.testing.assert_allclose(glossy, one.glossy, rtol=1e-5)
+    shares = glossy[skin].mean(0) / seen[skin].mean(0)
+    assert shares.max() == pytest.approx(MOST_GLOSS, rel=1e-4)
+    assert portrait(light).gloss == GLOSS
 
 
 def test_the_bust_gets_the_ratio_of_smoothed_shadings() -> None:
