@@ -47,7 +47,7 @@ def _sample_descriptions(file: BinaryIO, start: int, end: int, depth: int = 0) -
             length, offset = int.from_bytes(head[8:16], "big"), 16
         elif length == 0:  # to the end of the file
             length = end - start
-        if length < offset:
+        if length < offset or start + offset > end:
             return
         inside = start + offset, min(start + length, end)
         if name in _PARENTS:

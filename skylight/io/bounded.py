@@ -77,11 +77,12 @@ def json_loads(text: str) -> Any:
     Raises
     ------
     ValueError
-        No JSON, nested too deeply, or with a lone surrogate in its texts (``"\\ud800"``), which the
-        grammar allows but no file's text, name or page can hold.
+        No JSON, nested too deeply, with numbers that float64 cannot hold (``1e999``, ``NaN``), or
+        with a lone surrogate in its texts (``"\\ud800"``): what the program makes of these could
+        not be written again.
     """
     try:
-        content = json.loads(text, parse_int=_whole)
+        content = json.loads(text, parse_int=_whole, parse_float=_finite, parse_constant=_finite)
         if _SURROGATE.search(text):  # most come in pairs, which are one character
             json.dumps(content, ensure_ascii=False).encode()
     except RecursionError as error:
@@ -159,8 +160,15 @@ def require_pixels(width: int, height: int, most: int = PIXELS_MAX) -> None:
 
 
 def _whole(text: str) -> int | float:
-    value = float(text)
+    value = _finite(text)
     return int(text) if -(2.0**63) <= value < 2.0**63 else value
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text[:20]} is no number that is read")
+    return value
 
 
 def _text_checked(array: np.ndarray) -> np.ndarray:

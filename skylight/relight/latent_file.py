@@ -79,7 +79,7 @@ def _version_of(content: Mapping[str, object]) -> str:
 
 
 def _is_number(value: object) -> bool:
-    """A number that float32 can hold; NaN fails the comparison."""
+    """A number that float32 can hold."""
     limit = 3.4e38
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < limit
 
@@ -91,5 +91,7 @@ def _numbers(path: Path, name: str, values: object, count: int) -> list[float]:
         raise InputError(f'{path}: "{name}" must have {count} numbers, got {got}')
     for place, value in enumerate(values):
         if not _is_number(value):
-            raise InputError(f'{path}: "{name}" has no finite number at place {place}: {value!r}')
+            raise InputError(
+                f'{path}: "{name}" has no number for float32 at place {place}: {value!r}'
+            )
     return [float(value) for value in values]

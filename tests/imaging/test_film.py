@@ -169,6 +169,13 @@ def test_without_a_colour_box_the_coded_video_tells(
     assert transfer_characteristic(film) is None
 
 
+def test_a_box_whose_header_ends_outside_its_parent_is_passed_over(tmp_path: Path) -> None:
+    film = tmp_path / "film.mp4"
+    longer = (1).to_bytes(4, "big") + b"stsd"  # of a length that follows, in eight bytes
+    film.write_bytes(box(b"moov", longer) + (16).to_bytes(8, "big") + bytes(64))
+    assert transfer_characteristic(film) is None
+
+
 def test_what_is_no_film(tmp_path: Path) -> None:
     (tmp_path / "film.mp4").write_bytes(b"nothing" * 100)
     with pytest.raises(InputError, match="cannot open"):

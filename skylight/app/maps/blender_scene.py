@@ -25,6 +25,7 @@ from skylight.sphere.envmap import EnvironmentMap
 from skylight.work.results_folder import results_folder
 
 MOST_REFLECTED = 0.99  # at normal incidence: no index of refraction reflects all
+_LARGEST = 1e6  # of albedos and white balances
 
 
 def export_blender_scene(estimate: Path, out: Path, *, photo: Path | None = None) -> list[str]:
@@ -114,7 +115,7 @@ class _Numbers:
 def _three(numbers: Sequence[float]) -> Float[Tensor, "3"]:
     red, green, blue = numbers
     found = torch.tensor([red, green, blue], dtype=torch.float64)
-    if not (found.isfinite() & (found > 0)).all():
+    if not ((found > 0) & (found < _LARGEST)).all():  # so that products with light stay finite
         raise ValueError("positive numbers are needed")
     return found
 

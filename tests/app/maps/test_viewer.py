@@ -489,7 +489,7 @@ def with_nan(folder: Path) -> None:
         (holding("mesh.obj", b"v 0 0 nothing"), "mesh.obj: damaged"),
         (of_many_vertices, "mesh.obj: 163842 vertices are more than the 65536 of a head"),
         (of_a_gigabyte, "smaller by skylight convert --height 128"),
-        (with_nan, '"region_radius_deg" is no finite number'),
+        (with_nan, "NaN is no number"),
         (lambda folder: rewrite(folder, advice="x"), '"advice" is no list'),
         (lambda folder: rewrite(folder, posterior={"verdict": 3}), '"verdict" is no text'),
         (lambda folder: rewrite(folder, sun=None), '"sun" is no object'),

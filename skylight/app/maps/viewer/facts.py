@@ -1,6 +1,5 @@
 """What of estimate.json goes into a page that is given away, checked."""
 
-import math
 from typing import Any
 
 _ANGLES = {"azimuth_deg": float, "zenith_deg": float}
@@ -50,7 +49,7 @@ def picked(value: Any, form: Any, name: str) -> Any:
     Raises
     ------
     ValueError
-        Something is missing, of another type, or not finite; the message names it.
+        Something is missing or of another type; the message names it.
     """
     if isinstance(form, tuple):
         return None if value is None else picked(value, form[0], name)
@@ -68,11 +67,11 @@ def picked(value: Any, form: Any, name: str) -> Any:
         if missing:
             raise ValueError(f'"{missing[0]}" is missing')
         return {key: picked(value[key], inner, key) for key, inner in form.items()}
-    if form is float and type(value) in (int, float) and math.isfinite(value):
+    if form is float and type(value) in (int, float):
         return float(value)
     if form is float or type(value) is not form:
         raise ValueError(f'"{name}" is no {_IN_WORDS[form]}')
     return value
 
 
-_IN_WORDS = {str: "text", bool: "true or false", int: "whole number", float: "finite number"}
+_IN_WORDS = {str: "text", bool: "true or false", int: "whole number", float: "number"}

@@ -87,7 +87,7 @@ def load_voxel_assembly(path: str | Path) -> VoxelAssembly:
         cells = np.array(content["cells"], dtype=np.int64).reshape(-1, 3)
         voxel_mm = float(content["voxel_mm"])  # type: ignore[arg-type]
         placement = read_placement(content)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: its numbers are not those of an assembly ({error})") from error
     if not len(cells) or cells.min() < 0 or cells.max() >= _LARGEST:
         raise InputError(f"{path}: a probe's cells are 1 or more, from 0 to {_LARGEST - 1}")

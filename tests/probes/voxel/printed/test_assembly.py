@@ -66,6 +66,7 @@ def test_the_pole_hides_the_tip_below() -> None:
         ({"format": 2}, "format 2"),
         ({"cells": []}, "cells"),
         ({"cells": [[0, 0, 99]]}, "cells"),
+        ({"cells": [[0, 0, 1e38]]}, "not those"),
         ({"rotation": [1, 2]}, "not those"),
         ({"rotation": (2 * np.eye(3)).tolist()}, "orthonormal"),
         ({"voxel_mm": -1}, "above 0 mm"),
