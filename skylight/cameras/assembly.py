@@ -52,19 +52,32 @@ class ProbeAssembly:
 def read_placement(content: Mapping[str, object]) -> dict[str, Any]:
     """The fields of a :class:`ProbeAssembly` in an assembly file.
 
-    Numbers of another shape raise ``TypeError`` or ``ValueError``.
+    Raises
+    ------
+    TypeError, ValueError
+        Numbers of another shape, texts, or lengths that are not above 0.
     """
 
     def numbers(key: str, *shape: int) -> Float[np.ndarray, "..."]:
-        return np.array(content[key], dtype=np.float64).reshape(shape)
+        found = np.array(content[key])
+        if found.dtype.kind not in "if":  # of texts numpy would make numbers, "inf" among them
+            raise TypeError(f"{key}: numbers are needed")
+        return found.astype(np.float64).reshape(shape)
 
-    has_pole, has_board = (content.get(key) is not None for key in ("pole_mm", "board_mm"))
+    def lengths(key: str, count: int) -> tuple[float, ...] | None:
+        if content.get(key) is None:
+            return None
+        found = numbers(key, count)
+        if not (found[-2:] > 0).all():  # radius and height, width and height
+            raise ValueError(f"{key}: its last two must be above 0")
+        return tuple(found.tolist())
+
     return {
         "board_from_probe": RigidTransform.from_numpy(
             numbers("rotation", 3, 3), numbers("translation_mm", 3)
         ),
-        "pole_mm": tuple(numbers("pole_mm", 4).tolist()) if has_pole else None,
-        "board_mm": tuple(numbers("board_mm", 2).tolist()) if has_board else None,
+        "pole_mm": lengths("pole_mm", 4),
+        "board_mm": lengths("board_mm", 2),
     }
 
 

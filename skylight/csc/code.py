@@ -152,15 +152,16 @@ class SparseCode:
                 weights=_table([a["rgb"] for a in each]),
             )
             whole = all(type(a["filter"]) is int and a["filter"] >= 0 for a in each)
+            named = type(code.dictionary) is type(code.fingerprint) is str
         except (KeyError, TypeError, ValueError, RuntimeError, OverflowError) as error:
             raise InputError(f"{path} is damaged ({error}): code the map again") from error
         unit = (code.directions.norm(dim=1) - 1).abs() < 1e-6
-        finite = code.weights.isfinite().all() and code.twists_rad.isfinite().all()
-        told = math.isfinite(code.relative_error) and code.relative_error >= 0
-        if not (whole and told and bool(unit.all()) and bool(finite)) or code.height < 1:
+        told = 0 <= code.relative_error < math.inf  # "inf", a text, is one of float's numbers
+        if not (whole and named and told and bool(unit.all())) or code.height < 1:
             raise InputError(
-                f"{path} is damaged: directions must be unit vectors, filters whole numbers, "
-                "colours, twists and the error finite"
+                f"{path} is damaged: directions must be unit vectors, filters whole numbers, the "
+                "dictionary and its fingerprint texts, the "
+                "error finite and not negative, the height 1 or more"
             )
         return code
 

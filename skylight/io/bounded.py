@@ -78,8 +78,8 @@ def json_loads(text: str) -> Any:
     ------
     ValueError
         No JSON, nested too deeply, with numbers that float64 cannot hold (``1e999``, ``NaN``), or
-        with a lone surrogate in its texts (``"\\ud800"``): what the program makes of these could
-        not be written again.
+        with an escaped lone surrogate in its texts (``"\\ud800"``): what the program makes of
+        these could not be written again.
     """
     try:
         content = json.loads(text, parse_int=_whole, parse_float=_finite, parse_constant=_finite)
@@ -160,8 +160,9 @@ def require_pixels(width: int, height: int, most: int = PIXELS_MAX) -> None:
 
 
 def _whole(text: str) -> int | float:
-    value = _finite(text)
-    return int(text) if -(2.0**63) <= value < 2.0**63 else value
+    value = _finite(text)  # refuses more digits than int would take long for
+    number = int(text)
+    return number if -(2**63) <= number < 2**63 else value
 
 
 def _finite(text: str) -> float:

@@ -52,7 +52,7 @@ def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     except SafetensorError as error:
         raise ValueError(" ".join(str(error).split())) from error
     metadata = json_loads(header)
-    if not isinstance(metadata, dict):
+    if not isinstance(metadata, dict) or not all(type(v) is str for v in metadata.values()):
         raise ValueError("its header is damaged")
     digest = metadata.pop(_DIGEST, None)
     if digest is None:

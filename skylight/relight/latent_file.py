@@ -1,5 +1,6 @@
 """JSON files of sky latents; without torch."""
 
+import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,7 +92,8 @@ def _numbers(path: Path, name: str, values: object, count: int) -> list[float]:
         raise InputError(f'{path}: "{name}" must have {count} numbers, got {got}')
     for place, value in enumerate(values):
         if not _is_number(value):
+            shown = reprlib.repr(value)
             raise InputError(
-                f'{path}: "{name}" has no number for float32 at place {place}: {value!r}'
+                f'{path}: "{name}" has no number for float32 at place {place}: {shown}'
             )
     return [float(value) for value in values]

@@ -137,6 +137,10 @@ def test_json(tmp_path: Path) -> None:
     assert json_content(path) == {"a": [1, 2.5, "x", 2**62]}
     path.write_text("1" + "0" * 30)
     assert json_content(path) == 1e30
+    for number, read in ((2**63 - 1, int), (2**63, float), (-(2**63), int), (-(2**63) - 1, float)):
+        path.write_text(str(number))
+        assert type(json_content(path)) is read
+        assert json_content(path) == read(number)
     for number in ("1" + "0" * 400, "-1e999", "NaN", "-Infinity"):
         path.write_text(f'{{"a": [{number}]}}')
         with pytest.raises(ValueError, match="no number"):

@@ -71,6 +71,7 @@ def test_a_file_without_a_hash_is_refused(tmp_path: Path) -> None:
     [
         ('[["sha256", "x"], [1, 2], ["a", 3]]', "header is damaged"),
         ("5", "header is damaged"),
+        ('{"a": 5}', "header is damaged"),
         ("[" * 10_000, "deeply"),
         (r'{"a": "\ud800"}', "no character"),
     ],

@@ -1,5 +1,6 @@
 """An estimate of a portrait as a scene of Blender."""
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,6 +18,7 @@ from skylight.faces.observe import SKIN_GLOSS
 from skylight.imaging.colour import tone_map
 from skylight.imaging.photo import read_photo
 from skylight.inverse.result import Lamp
+from skylight.io.hdr import RGBE_MAX
 from skylight.relight.lamp_lights import without_lamps
 from skylight.relight.light_files.blender_scene import PortraitScene, write_blender_scene
 from skylight.relight.main_light import split_main_light
@@ -25,7 +27,7 @@ from skylight.sphere.envmap import EnvironmentMap
 from skylight.work.results_folder import results_folder
 
 MOST_REFLECTED = 0.99  # at normal incidence: no index of refraction reflects all
-_LARGEST = 1e6  # of albedos and white balances
+_LARGEST = 1e6  # of albedos and white balances, of sides and focal lengths in pixels
 
 
 def export_blender_scene(estimate: Path, out: Path, *, photo: Path | None = None) -> list[str]:
@@ -63,6 +65,9 @@ def export_blender_scene(estimate: Path, out: Path, *, photo: Path | None = None
             f"{told.picture_px[0]} x {told.picture_px[1]}; give that with --photo"
         )
     light, lamps = read_light(numbers, "skylight")
+    brightest = max([light.radiance.max(), *(lamp.irradiance.max() for lamp in lamps)])
+    if brightest > RGBE_MAX / _LARGEST:  # so that it is finite times the white balance
+        raise InputError(f"{numbers}: radiance of {brightest:.3g} is no light; estimate again")
     ambient, named = _named_lights(light, lamps)
     head = head_file(numbers, 0, of=told.faces)
     shown = told.white_balance
@@ -101,7 +106,8 @@ class _Numbers:
             self.white_balance = _three(content["white_balance"])
             self.verdict = str(content["posterior"]["verdict"])
             self.advice = [str(line) for line in content["advice"]]
-            whole = len(self.picture_px) == 2 and self.focal_px > 0 and self.gloss >= 0
+            whole = len(self.picture_px) == 2 and max(self.picture_px) < _LARGEST
+            whole = whole and 0 < self.focal_px < _LARGEST and 0 <= self.gloss < math.inf
             whole = whole and str(self.source).isprintable()
         except (KeyError, IndexError, TypeError, ValueError, OverflowError):
             whole = False
@@ -115,7 +121,7 @@ class _Numbers:
 def _three(numbers: Sequence[float]) -> Float[Tensor, "3"]:
     red, green, blue = numbers
     found = torch.tensor([red, green, blue], dtype=torch.float64)
-    if not ((found > 0) & (found < _LARGEST)).all():  # so that products with light stay finite
+    if not ((found > 0) & (found < _LARGEST)).all():
         raise ValueError("positive numbers are needed")
     return found
 

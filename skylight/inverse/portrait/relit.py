@@ -40,9 +40,9 @@ SOFT = 0.06  # and of the shading of hair and clothes
 DARK = 0.1  # of the mean shading: l is its square
 BASE = 0.05  # of the mean shading: what ratios of smoothed shadings have in addition
 BRIGHTEST = 1.6  # times the local albedo: what is brighter is a highlight that stays behind
-MOST_GLOSS = (
-    0.4  # of what the skin shows in any channel: of over-exposed skin too much is estimated
-)
+# Of what the skin shows in any channel. Estimates take too much for gloss, most of all of
+# over-exposed skin; of the darkest skin a correct gloss is cut too.
+MOST_GLOSS = 0.4
 HAIR_COUNTS = 1e-3  # where skin's shading is filled in from, what covered pixels without skin count
 SKIN = (Region.FACE, Region.LIPS, Region.EAR, Region.NECK, Region.BROW)
 # Of the old picture: nothing more than is no light, the skin's brightness, or all of the place but

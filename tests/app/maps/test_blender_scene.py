@@ -208,7 +208,10 @@ def test_of_several_faces_the_first_is_shown(estimate: Path) -> None:
         ({"picture_px": None}, {}, "estimate the photograph again"),
         ({"picture_px": [64]}, {}, "estimate the photograph again"),
         ({"picture_px": [10**400, 64]}, {}, "is no number"),
+        ({"picture_px": [1e300, 64]}, {}, "estimate the photograph again"),
         ({"focal_length_px": 0}, {}, "estimate the photograph again"),
+        ({"focal_length_px": 1e308}, {}, "estimate the photograph again"),
+        ({"focal_length_px": "inf"}, {}, "estimate the photograph again"),
         ({"albedo": [0.5, 0.4]}, {}, "estimate the photograph again"),
         ({"albedo": [0.5, 0.4, -1]}, {}, "estimate the photograph again"),
         ({"gloss": -1}, {}, "estimate the photograph again"),
@@ -244,4 +247,13 @@ def test_files_that_are_missing_are_told(
     (estimate / "estimate.json").unlink()
     assert main(command) == 2
     assert "a folder that skylight estimate wrote" in capsys.readouterr().err
+    assert not (estimate.parent / "out").exists()
+
+
+def test_radiance_that_no_light_has_is_told(
+    estimate: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_environment_map(estimate / "probe.exr", EnvironmentMap(radiance=1e30 * sunny().radiance))
+    assert main(["export", "blender", str(estimate), str(estimate.parent / "out")]) == 2
+    assert "is no light; estimate again" in capsys.readouterr().err
     assert not (estimate.parent / "out").exists()

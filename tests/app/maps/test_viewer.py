@@ -485,6 +485,8 @@ def with_nan(folder: Path) -> None:
         (with_face(picture_px=None), '"picture_px" is missing; the page shows estimates of faces'),
         (with_face(forward=None), '"forward" is missing; the page shows estimates of faces'),
         (with_face(exposure=0.0), '"exposure" is not above 0'),
+        (with_face(exposure=1e-300), '"exposure" is not above 0'),
+        (with_face(focal_length_px=1e308), '"focal_length_px" is too large'),
         (without("mesh.obj"), "mesh.obj: there is no such file; estimate the photograph again"),
         (holding("mesh.obj", b"v 0 0 nothing"), "mesh.obj: damaged"),
         (of_many_vertices, "mesh.obj: 163842 vertices are more than the 65536 of a head"),

@@ -94,7 +94,9 @@ def test_what_is_kept_gives_the_portrait_of_the_estimate() -> None:
     photo = read_photo(apart().photo)
     again = portrait_of(photo, kept.fit, kept.reflection, kept.found)
     want = taken_apart(result)
-    np.testing.assert_allclose(again.albedo, want.albedo, atol=1e-4)
+    # float32 throughout; where the lobe of gloss falls off steeply, 1e-4 at single pixels
+    np.testing.assert_allclose(again.albedo, want.albedo, atol=3e-4)
+    assert np.abs(again.albedo - want.albedo).mean() < 1e-6
     np.testing.assert_array_equal(again.matte, want.matte)
     towards = direction(-60.0, 55.0)
     for strength in (None, 2.0):

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+LARGEST = 1e15  # beyond every number of an estimate, and products of several are finite
 _ANGLES = {"azimuth_deg": float, "zenith_deg": float}
 _RGB = _XYZ = [float, float, float]
 # Whatever is not named here stays out of the page: paths, time and place among it.
@@ -49,7 +50,7 @@ def picked(value: Any, form: Any, name: str) -> Any:
     Raises
     ------
     ValueError
-        Something is missing or of another type; the message names it.
+        Something is missing, of another type or beyond :data:`LARGEST`; the message names it.
     """
     if isinstance(form, tuple):
         return None if value is None else picked(value, form[0], name)
@@ -67,6 +68,8 @@ def picked(value: Any, form: Any, name: str) -> Any:
         if missing:
             raise ValueError(f'"{missing[0]}" is missing')
         return {key: picked(value[key], inner, key) for key, inner in form.items()}
+    if type(value) in (int, float) and abs(value) > LARGEST:
+        raise ValueError(f'"{name}" is too large')
     if form is float and type(value) in (int, float):
         return float(value)
     if form is float or type(value) is not form:

@@ -15,7 +15,7 @@ from PIL import Image
 
 from skylight import __version__
 from skylight.app.maps.estimated_light import MAP, NUMBERS, head_file, read_numbers, whole_sphere
-from skylight.app.maps.viewer.facts import SEEN, SHOWN, picked
+from skylight.app.maps.viewer.facts import LARGEST, SEEN, SHOWN, picked
 from skylight.app.maps.viewer.head import stored_head
 from skylight.app.maps.viewer.model_file import read_model
 from skylight.errors import InputError
@@ -91,7 +91,7 @@ def export_viewer(
         seen = known["faces"]
         if not seen:
             raise ValueError('"faces" is empty')
-        if not all(face["exposure"] > 0 for face in seen):
+        if not all(face["exposure"] > 1 / LARGEST for face in seen):
             raise ValueError('"exposure" is not above 0')
         if not all(face["source"].isprintable() for face in seen):
             raise ValueError('"source" is no file')

@@ -84,13 +84,16 @@ def load_voxel_assembly(path: str | Path) -> VoxelAssembly:
     if content["format"] != _VERSION:
         raise InputError(f"{path}: of format {content['format']}, this program reads {_VERSION}")
     try:
-        cells = np.array(content["cells"], dtype=np.int64).reshape(-1, 3)
+        cells = np.array(content["cells"]).reshape(-1, 3)
         voxel_mm = float(content["voxel_mm"])  # type: ignore[arg-type]
         placement = read_placement(content)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: its numbers are not those of an assembly ({error})") from error
-    if not len(cells) or cells.min() < 0 or cells.max() >= _LARGEST:
-        raise InputError(f"{path}: a probe's cells are 1 or more, from 0 to {_LARGEST - 1}")
+    whole = cells.dtype.kind == "i" and len(cells) > 0
+    if not whole or cells.min() < 0 or cells.max() >= _LARGEST:
+        raise InputError(
+            f"{path}: a probe's cells are 1 or more, whole numbers from 0 to {_LARGEST - 1}"
+        )
     solid = np.zeros(cells.max(0) + 1, bool)
     solid[tuple(cells.T)] = True
     return VoxelAssembly(model=VoxelModel(occupied=solid), voxel_mm=voxel_mm, **placement)
