@@ -6,6 +6,8 @@ has another brow. About the fit's minimum, pose and shape have the covariance C 
 derivatives. The leading eigenvectors are the ways in which the normals of a whole face err.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from jaxtyping import Float, Int
@@ -21,36 +23,76 @@ from skylight.transport.gbuffer import GBuffer
 MODES = 20
 
 
+@dataclass(frozen=True, kw_only=True)
+class NormalErrorModes:
+    """``modes`` (u,3,k): of some points the normals n_p + sum_k modes_pk z_k, z standard normal.
+
+    Pose and shape are then off by L x with L L^T their covariance C and x = ``axes`` z, ``axes``
+    (d,k) orthonormal: the same errors at other points are :func:`normal_turns` of x.
+    """
+
+    modes: Float[Tensor, "u 3 k"]
+    axes: Float[Tensor, "d k"]
+
+
 def normal_error_modes(
     model: HeadModel, fit: FaceFit, surface: GBuffer, points: Int[Tensor, " u"]
-) -> Float[Tensor, "u 3 k"] | None:
-    """M with n_p + sum_k M_pk z_k the normals at some of the G-buffer's pixels, z standard
-    normal.
+) -> NormalErrorModes | None:
+    """How normals may be wrong at some of the G-buffer's pixels.
 
-    The :data:`MODES` of the most variance; None where the fit has no covariance.
+    The :data:`MODES` of the most variance there; None where the fit has no covariance.
     """
     if fit.covariance is None:
         return None
-    root = np.linalg.cholesky(fit.covariance)
+    each = _derivatives(model, fit, surface, points, np.linalg.cholesky(fit.covariance))
+    flat = each.reshape(-1, each.shape[2])
+    axes = np.linalg.eigh(flat.T @ flat)[1][:, : -MODES - 1 : -1].copy()
+    return NormalErrorModes(
+        modes=torch.from_numpy(each @ axes).float(), axes=torch.from_numpy(axes).float()
+    )
+
+
+def normal_turns(
+    model: HeadModel,
+    fit: FaceFit,
+    surface: GBuffer,
+    points: Int[Tensor, " u"],
+    error: Float[Tensor, " d"],
+) -> Float[Tensor, "u 3"]:
+    """What is added to normals where pose and shape are off by L ``error``, L L^T = C.
+
+    Raises
+    ------
+    ValueError
+        The fit has no covariance.
+    """
+    if fit.covariance is None:
+        raise ValueError("a head whose pose and shape are known has no errors")
+    along = np.linalg.cholesky(fit.covariance) @ error.double().numpy()[:, None]
+    return torch.from_numpy(_derivatives(model, fit, surface, points, along)[:, :, 0])
+
+
+def _derivatives(
+    model: HeadModel,
+    fit: FaceFit,
+    surface: GBuffer,
+    points: Int[Tensor, " u"],
+    along: Float[ndarray, "d k"],
+) -> Float[ndarray, "u 3 k"]:
+    """Of unit normals at points, by steps along the columns of ``along`` in pose and shape."""
     triangles = model.faces[surface.faces[points].numpy()]
     shape = np.concatenate([model.identity_basis, model.expression_basis], 2)
     normals, turned = vertex_normal_derivatives(
         fit.vertices,
         model.faces[np.isin(model.faces, triangles).any(1)],
-        np.einsum("nck,dc->ndk", shape, fit.rotation),
+        np.einsum("nck,dc->ndk", shape @ along[FIRST_OF_SHAPE:], fit.rotation),
     )
     # a rotation from the left by w turns n by w x n
-    by_rotation = np.cross(np.eye(3), normals[:, None]).transpose(0, 2, 1)
+    turned += np.cross(along[:3].T, normals[:, None]).transpose(0, 2, 1)
     weights, seen = surface.barycentric[points].numpy(), surface.normals[points].numpy()
     length = np.linalg.norm(np.einsum("pc,pcd->pd", weights, normals[triangles]), axis=1)
-    weights = weights / length[:, None]
-    derivative = np.zeros((*seen.shape, len(root)))
-    derivative[:, :, :3] = np.einsum("pc,pcdk->pdk", weights, by_rotation[triangles])
-    derivative[:, :, FIRST_OF_SHAPE:] = np.einsum("pc,pcdk->pdk", weights, turned[triangles])
-    each = _across(seen, derivative).reshape(-1, len(root)) @ root
-    _, vectors = np.linalg.eigh(each.T @ each)
-    modes = each @ vectors[:, : -MODES - 1 : -1]
-    return torch.from_numpy(modes.reshape(*seen.shape, -1)).float()
+    mixed = np.einsum("pc,pcdk->pdk", weights / length[:, None], turned[triangles])
+    return _across(seen, mixed)
 
 
 def vertex_normal_derivatives(

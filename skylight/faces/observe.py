@@ -187,7 +187,7 @@ def observe_face(
         modes=_modes(surface, points, model),
         normal_modes=None
         if errors is None
-        else NormalModes.of(transport, normals, errors, NORMAL_ROWS),
+        else NormalModes.of(transport, normals, errors.modes, NORMAL_ROWS, errors.axes),
         camera_lamp=camera_lamp(normals, views, specular).float(),
     )
     used[used.clone()] = weights > 0

@@ -129,6 +129,8 @@ class EnvironmentMap:
         bilinear interpolation, so that the irradiance is kept and the centroid is where the light
         stands, but for one that is above the horizon by less than half a row, which stays above it.
         """
+        if self.is_sky:
+            raise ValueError("a sky has no pixels below the horizon: give it a ground first")
         height, width = self.layout
         row, column = pixel_from_direction(direction[None], height, width)
         if direction[1] > 0:

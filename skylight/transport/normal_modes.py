@@ -30,12 +30,15 @@ _BLOCK_POINTS = 512  # at a time; bounds the scratch memory
 class NormalModes:
     """``modes`` (m,3,k): M of the module's text, for u_k of standard deviation 1.
 
-    ``visible`` (m,n): V(p, w) [<n_p, w> > 0] dw / pi over the directions of ``grid``.
+    ``visible`` (m,n): V(p, w) [<n_p, w> > 0] dw / pi over the directions of ``grid``. ``axes``
+    (d,k): of a head, which of its errors the modes are
+    (:class:`~skylight.faces.normal_errors.NormalErrorModes`); on the CPU.
     """
 
     modes: Float[Tensor, "m 3 k"]
     visible: Float[Tensor, "m n"]
     grid: DirectionGrid
+    axes: Float[Tensor, "d k"] | None = None
 
     @staticmethod
     def of(
@@ -43,6 +46,7 @@ class NormalModes:
         normals: Float[Tensor, "m 3"],
         modes: Float[Tensor, "m 3 k"],
         rows: int,
+        axes: Float[Tensor, "d k"] | None = None,
     ) -> "NormalModes":
         """Of points with that transport, for light on a lat-long grid of ``rows``."""
         directions = transport.grid.directions.to(transport.matrix)
@@ -57,6 +61,7 @@ class NormalModes:
             modes=modes.to(directions),
             visible=torch.cat(blocks),
             grid=DirectionGrid.latlong(rows),
+            axes=axes,
         )
 
     def on_rows(self, rows: int) -> "NormalModes":

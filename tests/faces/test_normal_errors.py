@@ -9,7 +9,12 @@ import torch
 from skylight.faces.correspondence import MeshPoints, correspondence
 from skylight.faces.fit import FIRST_OF_SHAPE, FaceFit, FitProblem, camera_project, fit_face
 from skylight.faces.model import HeadModel, Region
-from skylight.faces.normal_errors import MODES, normal_error_modes, vertex_normal_derivatives
+from skylight.faces.normal_errors import (
+    MODES,
+    normal_error_modes,
+    normal_turns,
+    vertex_normal_derivatives,
+)
 from skylight.transport.gbuffer import rasterize, vertex_normals
 from skylight.transport.raycast import Raycaster
 from tests.faces.test_fit import HEIGHT, WIDTH, detected, person, state_of
@@ -82,8 +87,9 @@ def test_modes_are_the_spread_of_sampled_heads(head, fit):
     used = torch.from_numpy(on_skin & (np.arange(len(surface)) % 20 == 0))
     used &= (surface.normals * surface.positions).sum(1) < -0.25 * surface.positions.norm(dim=1)
     used = used.nonzero()[:, 0]
-    modes = normal_error_modes(head, small, surface, used)
-    assert modes is not None
+    errors = normal_error_modes(head, small, surface, used)
+    assert errors is not None
+    modes = errors.modes
     assert modes.shape == (len(used), 3, MODES)
     rng, samples = np.random.default_rng(0), []
     root = np.linalg.cholesky(small.covariance)
@@ -106,6 +112,41 @@ def test_modes_are_the_spread_of_sampled_heads(head, fit):
     assert np.abs(along).max() < 1e-6
 
 
+def test_an_error_of_the_head_turns_normals_at_any_points(head, fit):
+    """The modes of some points are errors of pose and shape, so they tell of all others."""
+    faces = torch.from_numpy(head.faces)
+    caster = Raycaster(torch.from_numpy(fit.vertices), faces)
+    surface = rasterize(fit.camera, torch.from_numpy(fit.vertices), faces, caster)
+    some, others = torch.arange(0, len(surface), 40), torch.arange(7, len(surface), 20)
+    errors = normal_error_modes(head, fit, surface, some)
+    assert errors is not None
+    amounts = torch.linspace(-1.0, 1.0, MODES)
+    error = errors.axes @ amounts
+    torch.testing.assert_close(
+        normal_turns(head, fit, surface, some, error),
+        (errors.modes @ amounts).double(),
+        rtol=1e-4,
+        atol=1e-5,
+    )
+    found = normal_turns(head, fit, surface, others, error).numpy()
+    # beside the normals of a head that is off by as little as derivatives hold for
+    step = 1e-3
+    root = np.linalg.cholesky(fit.covariance)
+    problem = FitProblem(head, correspondence(head, detected(head, fit)), WIDTH, HEIGHT, None)
+    corners = head.faces[surface.faces[others].numpy()]
+    weights = surface.barycentric[others].numpy()
+    ends = []
+    for sign in (1, -1):
+        moved = state_of(fit).stepped(
+            sign * step * root @ error.double().numpy(), problem.identities
+        )
+        shape = head.vertices(moved.identity, moved.expression) @ moved.rotation.T
+        mixed = np.einsum("pc,pcd->pd", weights, normals_of(head, shape)[corners])
+        ends.append(mixed / np.linalg.norm(mixed, axis=1, keepdims=True))
+    right = (ends[0] - ends[1]) / (2 * step)
+    assert np.linalg.norm(found - right) / np.linalg.norm(right) < 0.1
+
+
 def test_a_known_head_has_none(head):
     truth = person(head, 1)
     faces = torch.from_numpy(head.faces)
@@ -113,3 +154,5 @@ def test_a_known_head_has_none(head):
     surface = rasterize(truth.camera, torch.from_numpy(truth.vertices), faces, caster)
     used = torch.arange(len(surface))
     assert normal_error_modes(head, truth, surface, used) is None
+    with pytest.raises(ValueError, match="has no errors"):
+        normal_turns(head, truth, surface, used, torch.ones(3))

@@ -262,3 +262,13 @@ def test_brightest_direction_of_constant_light_is_a_direction() -> None:
     found = EnvironmentMap(radiance=torch.ones(16, 32, 3)).brightest_direction()
     assert found.norm().item() == pytest.approx(1)
     assert found[1] > 0
+
+
+def test_a_distant_light_keeps_its_irradiance_and_needs_the_whole_sphere() -> None:
+    towards, irradiance = torch.tensor([0.6, -0.48, 0.64], dtype=F64), torch.tensor([2.0, 1.0, 0.5])
+    even = smooth_map(32)
+    added = even.with_light(towards, irradiance)
+    gained = added.irradiance(towards) - even.irradiance(towards)
+    torch.testing.assert_close(gained.double(), irradiance.double(), rtol=2e-3, atol=0)
+    with pytest.raises(ValueError, match="give it a ground"):
+        even.upper().with_light(UP, irradiance)

@@ -93,7 +93,7 @@ def taken_apart(
     return portrait_of(
         result.photos[result.seen[0].photo],
         result.fit,
-        FaceReflection.of(result.estimate),
+        FaceReflection.of(result.estimate, result.view.observation),
         light_in_photo(result.estimate),
         workers=workers,
         progress=progress,

@@ -103,8 +103,8 @@ class RelitPortraits:
 
         truth = _encoded(new.linear.numpy())
         person, skin = person_masks(old)
-        reflection = FaceReflection.of(estimate)
-        light, unbent = light_in_photo(estimate), replace(reflection, turns=None)
+        reflection = FaceReflection.of(estimate, found.view.observation)
+        light, unbent = light_in_photo(estimate), replace(reflection, head_error=None)
         portraits = {
             RELIT: portrait_of(photo, fit, reflection, light),
             TRUE_LIGHT: portrait_of(photo, fit, reflection, old.environment),

@@ -15,22 +15,28 @@ from skylight.inverse.portrait.relit import Portrait
 from skylight.inverse.portrait.surface import BUST, FACE_PX, HAIR, PersonSurface
 from skylight.inverse.result import Estimate
 from skylight.sphere.envmap import EnvironmentMap
+from skylight.transport.observation import Observation
 from skylight.work.progress import Progress
 
 
 @dataclass(frozen=True, kw_only=True)
 class FaceReflection:
-    """What an estimate tells of a face beside its light: ``gloss`` and ``turns`` of
-    :class:`~skylight.inverse.result.FaceLight`."""
+    """What an estimate tells of a face beside its light.
+
+    ``gloss`` is that of :class:`~skylight.inverse.result.FaceLight`; by ``head_error``, pose and
+    shape are off, as :func:`~skylight.faces.normal_errors.normal_turns` takes it.
+    """
 
     gloss: float
-    turns: Float[Tensor, " j"] | None
+    head_error: Float[Tensor, " d"] | None
 
     @staticmethod
-    def of(estimate: Estimate) -> "FaceReflection":
-        """The (first) face's."""
-        face = estimate.faces[0]
-        return FaceReflection(gloss=face.gloss, turns=face.turns)
+    def of(estimate: Estimate, seen: Observation) -> "FaceReflection":
+        """The (first) face's, which was ``seen``."""
+        face, modes = estimate.faces[0], seen.normal_modes
+        if face.turns is None or modes is None or modes.axes is None:
+            return FaceReflection(gloss=face.gloss, head_error=None)
+        return FaceReflection(gloss=face.gloss, head_error=modes.axes @ face.turns)
 
 
 def portrait_of(
@@ -57,7 +63,7 @@ def portrait_of(
     hair = hair_of(photo.pixels, HeadModel.load(), fit)
     person = PersonSurface.of(
         fit,
-        reflection.turns,
+        reflection.head_error,
         hair if shell else None,
         face_px=face_px,
         workers=workers,

@@ -11,7 +11,7 @@ from torch.nn.functional import normalize
 
 from skylight.faces.fit import FaceFit
 from skylight.faces.model import HeadModel
-from skylight.faces.normal_errors import normal_error_modes
+from skylight.faces.normal_errors import normal_turns
 from skylight.faces.observe import skin_seen
 from skylight.inverse.portrait.bust import bust
 from skylight.inverse.portrait.hair import hair_shell
@@ -58,16 +58,18 @@ class PersonSurface:
     @staticmethod
     def of(
         fit: FaceFit,
-        turns: Float[Tensor, " j"] | None = None,
+        head_error: Float[Tensor, " d"] | None = None,
         hair: Float[np.ndarray, "h w"] | None = None,
         *,
         face_px: int = FACE_PX,
         workers: int = 1,
         progress: Progress | None = None,
     ) -> "PersonSurface":
-        """Of a fitted head whose face is at most ``face_px`` high; ``turns`` are those of
-        :class:`~skylight.inverse.result.FaceLight`. ``hair`` is how likely a pixel of the
-        photograph shows hair; without it the head has no shell of hair.
+        """Of a fitted head whose face is at most ``face_px`` high.
+
+        ``head_error`` turns its normals by :func:`~skylight.faces.normal_errors.normal_turns`.
+        ``hair`` is how likely a pixel of the photograph shows hair; without it the head has no
+        shell of hair.
 
         Visibility is that of 32 rows of directions; m * 2048 bytes, 80 MB of 40,000 pixels.
         """
@@ -92,11 +94,10 @@ class PersonSurface:
         nearest = surface.barycentric.argmax(1, keepdim=True)
         corners = faces[surface.faces].gather(1, nearest)[:, 0]
         normals = surface.normals.clone()
-        on_head = (surface.faces < len(model.faces)).nonzero()[:, 0]
-        modes = None if turns is None else normal_error_modes(model, fit, surface, on_head)
-        if turns is not None and modes is not None:
-            bent = normals[on_head] + modes.double() @ turns.double()
-            normals[on_head] = normalize(bent, dim=1)
+        if head_error is not None:
+            on_head = (surface.faces < len(model.faces)).nonzero()[:, 0]
+            turns = normal_turns(model, fit, surface, on_head, head_error)
+            normals[on_head] = normalize(normals[on_head] + turns, dim=1)
         sight = adaptive_visibility(
             surface.origins,
             normals,

@@ -53,7 +53,8 @@ def command_of(
 def keep_person(folder: Path, result: PhotoEstimate, command: dict[str, Any]) -> None:
     """Write what :func:`kept_person` reads."""
     fit, estimate = result.fit, result.estimate
-    sun, reflection = MovableSun.of(estimate), FaceReflection.of(estimate)
+    sun = MovableSun.of(estimate)
+    reflection = FaceReflection.of(estimate, result.view.observation)
     tensors = {name: torch.from_numpy(getattr(fit, name)) for name in _OF_FIT}
     tensors |= {
         "camera": torch.tensor(
@@ -66,8 +67,8 @@ def keep_person(folder: Path, result: PhotoEstimate, command: dict[str, Any]) ->
     }
     if fit.covariance is not None:
         tensors["covariance"] = torch.from_numpy(fit.covariance)
-    if reflection.turns is not None:
-        tensors["turns"] = reflection.turns
+    if reflection.head_error is not None:
+        tensors["head_error"] = reflection.head_error
     facts = command | {
         "is_lamp": bool(estimate.lamps),
         "was_found": sun.was_found,
@@ -111,7 +112,7 @@ def kept_person(folder: Path) -> KeptPerson:
     )
     return KeptPerson(
         fit=fit,
-        reflection=FaceReflection(gloss=facts.pop("gloss"), turns=tensors.get("turns")),
+        reflection=FaceReflection(gloss=facts.pop("gloss"), head_error=tensors.get("head_error")),
         found=EnvironmentMap(radiance=tensors["found"]),
         sun=sun,
         facts=facts,

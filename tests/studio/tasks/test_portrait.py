@@ -93,6 +93,12 @@ def test_what_is_kept_gives_the_portrait_of_the_estimate() -> None:
     kept, result = kept_person(apart().folder), apart().result
     photo = read_photo(apart().photo)
     again = portrait_of(photo, kept.fit, kept.reflection, kept.found)
+    modes, turns = result.view.observation.normal_modes, result.estimate.faces[0].turns
+    assert modes is not None
+    assert modes.axes is not None
+    assert turns is not None
+    assert kept.reflection.head_error is not None
+    torch.testing.assert_close(modes.axes.T @ kept.reflection.head_error, turns)
     want = taken_apart(result)
     # float32 throughout; where the lobe of gloss falls off steeply, 1e-4 at single pixels
     np.testing.assert_allclose(again.albedo, want.albedo, atol=3e-4)
