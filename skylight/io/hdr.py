@@ -9,7 +9,7 @@ import os
 import re
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 
 import cv2
@@ -168,7 +168,8 @@ def _read_radiance(path: Path) -> Float[np.ndarray, "h w 3"]:
     least = min((h * min(4 * w, 4 + 8 * math.ceil(w / 127)) for h, w in sizes), default=0)
     bgr = None
     if data.startswith(b"#?") and sizes and len(data) >= least:
-        with muted():
+        # OpenCV raises for more than 2^20 pixels a side
+        with muted(), suppress(cv2.error):
             bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if bgr is None or bgr.dtype != np.float32 or bgr.ndim != 3:
         raise InputError(f"{path}: damaged, cut short or no Radiance RGBE file: export it again")

@@ -203,6 +203,16 @@ def test_corrupt_exr(tmp_path: Path) -> None:
         read_environment_map(path)
 
 
+def test_a_radiance_file_wider_than_opencv_reads(tmp_path: Path) -> None:
+    """OpenCV raises for it, where it answers with nothing for other damage."""
+    path, width = tmp_path / "wide.hdr", 1_100_000
+    head = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2 +X %d\n" % width
+    path.write_bytes(head + bytes(2 * 4 * width))
+    with pytest.raises(InputError, match="damaged, cut short or no Radiance") as error:
+        read_environment_map(path)
+    one_line(error, path)
+
+
 def test_files_that_are_no_environment_maps(tmp_path: Path) -> None:
     cases = {
         "square.exr": ({"RGB": np.ones((8, 8, 3), np.float32)}, {}, "8x8"),

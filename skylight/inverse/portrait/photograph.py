@@ -36,7 +36,7 @@ class FaceReflection:
         face, modes = estimate.faces[0], seen.normal_modes
         if face.turns is None or modes is None or modes.axes is None:
             return FaceReflection(gloss=face.gloss, head_error=None)
-        return FaceReflection(gloss=face.gloss, head_error=modes.axes @ face.turns)
+        return FaceReflection(gloss=face.gloss, head_error=modes.axes @ face.turns.to(modes.axes))
 
 
 def portrait_of(
