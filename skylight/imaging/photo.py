@@ -14,7 +14,7 @@ from torch import Tensor
 from skylight.errors import InputError
 from skylight.imaging.colour import Decode, decode_values, linear_to_srgb, tone_map
 from skylight.imaging.exif import CameraFacts, camera_facts
-from skylight.imaging.raw import SUFFIXES as RAW_SUFFIXES
+from skylight.imaging.raw import RAW_SUFFIXES
 from skylight.imaging.raw import develop, raw_exif
 from skylight.imaging.taken import Taken
 from skylight.io.bounded import file_bytes

@@ -11,7 +11,7 @@ from skylight.errors import DependencyError, InputError
 from skylight.io.bounded import file_bytes, require_bytes, require_pixels
 from skylight.io.hdr import muted
 
-SUFFIXES = (
+RAW_SUFFIXES = (
     ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw",
 )  # fmt: skip
 _TIFF = (b"II*\0", b"MM\0*")

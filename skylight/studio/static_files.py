@@ -7,7 +7,7 @@ from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 
-from starlette.requests import Request
+from fastapi import Request
 from starlette.responses import Response
 
 from skylight.studio.refusals import Refused

@@ -35,7 +35,3 @@ async def take_map(request: Request, name: str = "") -> JSONResponse:
 
 def _described(upload: Upload) -> dict[str, Any]:
     return {"name": upload.name, **upload.seen}
-
-
-def _studio(request: Request) -> Studio:
-    return request.app.state.studio

@@ -19,7 +19,7 @@ from skylight.errors import InputError
 from skylight.imaging.colour import Decode
 from skylight.imaging.exif import focal_length_px
 from skylight.imaging.photo import is_deep, read_exif, read_light
-from skylight.imaging.raw import SUFFIXES as RAW_SUFFIXES
+from skylight.imaging.raw import RAW_SUFFIXES
 from skylight.io.hdr import SUFFIXES as HDR_SUFFIXES
 from skylight.io.hdr import read_linear
 from skylight.io.opened_picture import opened_picture

@@ -134,12 +134,12 @@ def _light(area: "SubFigure", result: PhotoEstimate) -> None:
     matt, metal = relit(evaluation_scene(SCENE_HEIGHT, SCENE_GRID), environment)
     show(area.add_subplot(found[0, 1]), matt, "Matt objects in this light")
     show(area.add_subplot(found[1, 1]), metal, "Metal objects in this light")
-    rows = _numbers(result)
+    rows = _shared_numbers(result)
     pitch = min(0.053, 1 / (len(rows) + 1))
     write_numbers(area.add_subplot(found[:, 2]), "In numbers", rows, pitch=pitch)
 
 
-def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
+def _shared_numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
     estimate = result.estimate
     azimuth_deg, zenith_deg = angles_deg(estimate.sun_direction)
     return [

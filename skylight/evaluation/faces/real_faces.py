@@ -23,7 +23,7 @@ from skylight.io.files import write_png
 from skylight.models.names import LightName
 
 OURS: LightName = "autoencoder"
-METHODS: tuple[LightName, ...] = (OURS, "lamps", "auto", "sh9", "sh25")
+PHOTO_METHODS: tuple[LightName, ...] = (OURS, "lamps", "auto", "sh9", "sh25")
 INDEX = "index.json"
 BEHIND = "sun-back"  # the class of photographs with the sun behind the head
 
@@ -57,7 +57,7 @@ class RealFaces:
         seconds: dict[str, float] = {}
         fit, view = observe_largest(photo, item, seconds)
         # with the same transport: do the sides depend on the model?
-        estimates = light_by_method(view.observation, METHODS, seconds, self.options)
+        estimates = light_by_method(view.observation, PHOTO_METHODS, seconds, self.options)
         ours = estimates[OURS]
         environments = {m: e.environment for m, e in estimates.items()}
         face = seen_and_rendered(view, ours.rendered)
@@ -75,7 +75,7 @@ class RealFaces:
             }
             if side is not None:
                 metrics[method]["right_side"] = float((across > 0) == (side == "right"))
-        others = sum(seconds[method] for method in METHODS if method != OURS)
+        others = sum(seconds[method] for method in PHOTO_METHODS if method != OURS)
         metrics[OURS]["seconds"] = sum(seconds.values()) - others
         facts: dict[str, object] = {
             "light": entry.get("light"),

@@ -8,7 +8,7 @@ from skylight.evaluation.harness.thesis_figures import METRICS
 from skylight.io.atomic import atomic_path
 
 Curves = dict[str, dict[str, dict[str, list[tuple[float, float]]]]]
-_AXES = {
+_CURVE_AXES = {
     "size": "side of the picture, pixels",
     "pose": "pose error, degrees (mean of both axes)",
     "shape": "noise of the shape, standard deviations",
@@ -19,7 +19,7 @@ _HEADLINE = "full_dw_mae"
 
 def write_sensitivity(out: Path, curves: Curves) -> list[Path]:
     """Full-dω MAE over each factor (``figure_5_8.png``), and all metrics over one factor each."""
-    there = [factor for factor in _AXES if factor in curves]
+    there = [factor for factor in _CURVE_AXES if factor in curves]
     written = [_write(out / "figure_5_8.png", [(factor, _HEADLINE) for factor in there], curves, 1)]
     for factor in there:
         panels = [(factor, metric) for metric in METRICS if metric in curves[factor]]
@@ -40,7 +40,7 @@ def _write(path: Path, panels: list[tuple[str, str]], curves: Curves, rows: int)
     for place, (factor, metric) in zip(axes.flat, panels, strict=False):
         for method, points in curves[factor][metric].items():
             place.plot(*zip(*points, strict=True), marker="o", ms=3, label=NAMES[method])
-        place.set_xlabel(_AXES[factor])
+        place.set_xlabel(_CURVE_AXES[factor])
         place.set_title(LABELS[metric], fontsize=10)
         place.set_ylim(bottom=0)
         place.grid(alpha=0.3)

@@ -18,7 +18,6 @@ LEAST_SPREAD = np.array([0.05, 0.07])
 FARTHEST = 2.5  # spreads from the face's median colour
 ROUGHEST = 1.5  # times the detail of the face's 80th percentile
 LEAST_PART = 0.5  # of a part of the head that looks like skin, else none of it is used
-_EPSILON = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)

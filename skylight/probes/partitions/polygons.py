@@ -20,7 +20,7 @@ from torch import Tensor
 from skylight.sphere.frame import angle_between
 
 _SAME_VERTEX = 1e-7
-_CHUNK = 2**20  # arcs times normals that are looked at together
+_POLYGONS_AT_ONCE = 2**20  # arcs times normals that are looked at together
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,7 +78,7 @@ class Tessellation:
     def clamped_cosine(self, normals: Float[Tensor, "m 3"]) -> Float[Tensor, "m r"]:
         """int_region max(<n, w>, 0) dw of each unit normal and region, exact."""
         normals = normals.double()
-        step = max(1, _CHUNK // len(self.starts))
+        step = max(1, _POLYGONS_AT_ONCE // len(self.starts))
         return torch.cat([self._clamped_cosine(part) for part in normals.split(step)])
 
     def _clamped_cosine(self, normals: Float[Tensor, "m 3"]) -> Float[Tensor, "m r"]:

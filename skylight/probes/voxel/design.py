@@ -79,7 +79,7 @@ def design_probe(
     while layer:
         following = []
         for design in layer:
-            for grown in _grown(design.model.occupied, symmetric):
+            for grown in _grown_design(design.model.occupied, symmetric):
                 if grown.sum() <= voxels and grown.tobytes() not in seen:
                     seen.add(grown.tobytes())
                     following.append(_scored(grown, ring, albedo))
@@ -122,7 +122,7 @@ def _scored(occupied: np.ndarray, ring: CameraRing, albedo: float) -> Design:
     return Design(model=model, residual=probe_residual(model, ring=ring, albedo=albedo))
 
 
-def _grown(occupied: np.ndarray, symmetric: bool) -> Iterator[np.ndarray]:
+def _grown_design(occupied: np.ndarray, symmetric: bool) -> Iterator[np.ndarray]:
     """Probes with one more cell beside one of theirs, or with all its turns."""
     turns = quarter_turns() if symmetric else quarter_turns()[:1]
     size, middle = len(occupied), len(occupied) // 2

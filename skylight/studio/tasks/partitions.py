@@ -28,7 +28,7 @@ from skylight.studio.tasks.partition_preview import write_partition_preview
 from skylight.studio.tasks.voxel import STARS
 from skylight.work.progress import StageProgress
 
-ALBEDO = 0.8  # of the white kernel
+PARTITIONS_ALBEDO = 0.8  # of the white kernel
 _SIZE_MM = 80.0
 # designs whose narrowest cells need larger shells
 _LARGER_MM = {
@@ -93,7 +93,7 @@ def make_partition_probe(
     if light is not None:
         tell("lighting the probe", 0.95)
         environment = read_light(light)
-        probe = PartitionProbe(printed.cells, ALBEDO).requires_grad_(False)
+        probe = PartitionProbe(printed.cells, PARTITIONS_ALBEDO).requires_grad_(False)
         shading = probe.encode_map(environment)
         radiance = probe.light(shading)
         for cell, s, value in zip(described, shading.tolist(), radiance.tolist(), strict=True):

@@ -73,17 +73,17 @@ class TracedScene:
             return TracedScene(
                 height=layout[0],
                 grid_height=round((len(arrays["visible"]) / 2) ** 0.5),
-                matt=_pixels(layout, arrays["matt"]),
+                matt=_traced_pixels(layout, arrays["matt"]),
                 on_ground=torch.from_numpy(arrays["on_ground"]),
                 visible=np.ascontiguousarray(arrays["visible"]),
-                metal=_pixels(layout, arrays["metal"]),
+                metal=_traced_pixels(layout, arrays["metal"]),
                 **found,
             )
         except (OSError, ValueError, KeyError, EOFError, lzma.LZMAError) as error:
             raise AssetError(f"{path}: damaged ({error}); reinstall skylight") from error
 
 
-def _pixels(layout: tuple[int, int], pixels: np.ndarray) -> CoveredPixels:
+def _traced_pixels(layout: tuple[int, int], pixels: np.ndarray) -> CoveredPixels:
     return CoveredPixels(layout=layout, pixels=torch.from_numpy(pixels.astype(np.int64)))
 
 

@@ -34,10 +34,10 @@ def stored_head(path: Path, eyes: list[float]) -> dict[str, Any]:
     scale = float(np.abs(apart).max()) / _STEPS or 1.0
     return {
         "scale": scale,
-        "vertices": _base64((apart / scale).round().astype("<i2")),
-        "faces": _base64(faces.astype("<u2")),
+        "vertices": _array_base64((apart / scale).round().astype("<i2")),
+        "faces": _array_base64(faces.astype("<u2")),
     }
 
 
-def _base64(codes: np.ndarray) -> str:
+def _array_base64(codes: np.ndarray) -> str:
     return base64.b64encode(codes.tobytes()).decode("ascii")

@@ -40,7 +40,6 @@ from skylight.sphere.rigid_transform import RigidTransform
 from skylight.transport.raycast import Raycaster
 from skylight.work.progress import Progress
 
-_STILL = RigidTransform.identity()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
