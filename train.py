@@ -1,6 +1,6 @@
 """python train.py configs/NAME.yaml [--key value ...]: run one of the configurations."""
 
-from skylight.training.main import main
+from skylight.training._run import main
 
 if __name__ == "__main__":
     main()

@@ -10,10 +10,10 @@ import time
 import pytest
 import torch
 
-from skylight.csc.coder import SphericalSparseCoder
-from skylight.csc.correlation.positions import Positions
-from skylight.csc.correlation.wigner import RotationCorrelation
-from skylight.csc.dictionary import builtin
+from skylight.csc._coder import SphericalSparseCoder
+from skylight.csc._dictionary import builtin
+from skylight.csc._positions import Positions
+from skylight.csc._wigner import RotationCorrelation
 from tools.thesis_gradients import RotatedResiduals
 
 POSITIONS = Positions(rows=32, twists=32)

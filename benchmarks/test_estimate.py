@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.app.estimate.photos import estimate_photo
-from skylight.app.estimate.pictures import STAGES
-from skylight.imaging.colour import srgb_to_linear
-from skylight.imaging.photo import Photo
-from skylight.inverse.estimate import estimate_light, light_problems
-from skylight.inverse.sky.problem import solve_together
-from skylight.models.bundle import load_bundle
-from skylight.models.names import LIGHT_NAMES
-from skylight.skies.clear.atmosphere import ClearSky
-from skylight.skies.simulator import draw_day, simulate_sky, sunlit_moments
-from skylight.transport.observation import Observation
+from skylight.estimate._photos import estimate_photo
+from skylight.estimate._pictures import STAGES
+from skylight.imaging._colour import srgb_to_linear
+from skylight.imaging._photo import Photo
+from skylight.inverse._estimate import estimate_light, light_problems
+from skylight.inverse._sky import solve_together
+from skylight.models._bundle import load_bundle
+from skylight.models._names import LIGHT_NAMES
+from skylight.skies._atmosphere import ClearSky
+from skylight.skies._simulator import draw_day, simulate_sky, sunlit_moments
+from skylight.transport._observation import Observation
 
 
 @pytest.fixture(scope="module")

@@ -15,11 +15,12 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.cameras.live import LiveFrame
-from skylight.cameras.tracking import BoardTracker
-from skylight.probes.partitions.relight.live import PartitionLiveView
-from skylight.probes.voxel.relight.live import LiveView
-from tests.app.probes.test_live_light import (
+from skylight.probes.cameras._live import LiveFrame
+from skylight.probes.cameras._tracking import BoardTracker
+from skylight.probes.partitions.relight._live import PartitionLiveView
+from skylight.probes.voxel._relight import LiveView
+from tests.probes.partitions.boards import box
+from tests.probes.test_live_light import (
     ORBIT,
     partition_film,
     partition_view,
@@ -27,7 +28,6 @@ from tests.app.probes.test_live_light import (
     voxel_film,
     voxel_view,
 )
-from tests.probes.partitions.boards import box
 
 WAY = [(40.0 + 3 * i, 35.0) for i in range(12)]
 ROUNDS = 66

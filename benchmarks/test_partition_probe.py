@@ -4,13 +4,16 @@ import pytest
 import torch
 import trimesh
 
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design.designs import named_design
-from skylight.probes.partitions.relight.refine import refined
-from skylight.probes.partitions.relight.relit import Relighting, TurningRelighting
-from skylight.probes.partitions.relight.scene import Scene
-from skylight.probes.partitions.relight.transfer import TransferCoefficients, transfer_coefficients
-from skylight.probes.partitions.relight.turning import TurningCoefficients
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._optimise import named_design
+from skylight.probes.partitions.relight._atlas import refined
+from skylight.probes.partitions.relight._composite import Relighting, TurningRelighting
+from skylight.probes.partitions.relight._scene import Scene
+from skylight.probes.partitions.relight._transfer import (
+    TransferCoefficients,
+    TurningCoefficients,
+    transfer_coefficients,
+)
 
 VERTICES = 100_000
 

@@ -5,9 +5,9 @@ import math
 import pytest
 import torch
 
-from skylight.models.bundle import load_bundle
-from skylight.models.networks.base import CENTRE_AZIMUTH_RAD, SkyNetwork
-from skylight.models.networks.convolutional import ConvolutionalAutoencoder
+from skylight.models._bundle import load_bundle
+from skylight.models._convolutional import ConvolutionalAutoencoder
+from skylight.models._network import CENTRE_AZIMUTH_RAD, SkyNetwork
 
 AZIMUTH = torch.tensor([CENTRE_AZIMUTH_RAD])
 SPREAD_RAD = math.radians(1.4)

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from skylight.skies.surroundings.scenes import surroundings
+from skylight.skies.surroundings._scenes import surroundings
 
 
 @pytest.mark.parametrize("height", [32, 64])

@@ -7,13 +7,12 @@ import pytest
 import torch
 import trimesh
 
-from skylight.faces.model import HeadModel
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.adaptive import adaptive_visibility
-from skylight.transport.gbuffer import vertex_normals
-from skylight.transport.matrix import SurfaceRays, diffuse_transport
-from skylight.transport.occlusion.caster import TorchRaycaster
-from skylight.transport.raycast import Raycaster
+from skylight.faces._model import HeadModel
+from skylight.sphere._frame import DirectionGrid
+from skylight.transport._matrix import SurfaceRays, diffuse_transport
+from skylight.transport._rays import Raycaster, TorchRaycaster
+from skylight.transport._render import vertex_normals
+from skylight.transport._visibility import adaptive_visibility
 
 
 @pytest.fixture(scope="module")

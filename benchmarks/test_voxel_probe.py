@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from skylight.probes.voxel.interreflection.global_illumination import GlobalReconstruction
-from skylight.probes.voxel.reconstruct import DirectReconstruction
-from tests.app.probes.voxel.test_use import light
+from skylight.probes.voxel._interreflection import GlobalReconstruction
+from skylight.probes.voxel._reconstruct import DirectReconstruction
+from tests.probes.voxel.test_use import light
 
 
 @pytest.fixture(scope="module")

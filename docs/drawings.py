@@ -19,11 +19,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from skylight.sphere import harmonics
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.frame import Convention, convert_latlong, pixel_from_direction
-from skylight.sphere.grid import DirectionGrid
-from skylight.sphere.projections import Projection, from_latlong
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import Convention, DirectionGrid, convert_latlong, pixel_from_direction
+from skylight.sphere._projections import Projection, from_latlong
 
 # the axes' usual colours, and what lies opposite in the colour that is left
 AXES = {

@@ -9,7 +9,7 @@ import math
 import sys
 
 import skylight
-from skylight.sphere.frame import angles_from_direction
+from skylight.sphere._frame import angles_from_direction
 
 found = skylight.estimate(sys.argv[1], progress=lambda stage, share: print(f"{stage} {share:.0%}"))
 azimuth, zenith = (math.degrees(angle) for angle in angles_from_direction(found.sun_direction))

@@ -9,10 +9,10 @@ cosine.
 import torch
 
 import skylight
-from skylight.models.ground import LambertianGround
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design.designs import named_design
-from skylight.sphere.frame import angle_between, direction_from_angles
+from skylight.models._ground import LambertianGround
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._optimise import named_design
+from skylight.sphere._frame import angle_between, direction_from_angles
 
 SKY, GROUND = skylight.SunSky(32), LambertianGround(32)
 GRID = skylight.DirectionGrid.latlong(64)

@@ -11,13 +11,12 @@ from datetime import date
 
 import torch
 
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design.lights import simulated_lights
-from skylight.probes.partitions.design.objective import RelightingError
-from skylight.probes.partitions.design.optimise import symmetric_design
-from skylight.probes.partitions.seeds import ProbeDesign
-from skylight.skies.sun import Place
-from skylight.transport.scene.evaluation import evaluation_scene
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._optimise import RelightingError, symmetric_design
+from skylight.probes.partitions._seeds import ProbeDesign
+from skylight.probes.partitions._sun_path import simulated_lights
+from skylight.skies._sun import Place
+from skylight.transport._scene import evaluation_scene
 
 STEPS, START, END = 200, 8.0, 200.0
 

@@ -12,10 +12,15 @@ import sys
 
 from PIL import Image
 
-from skylight.relight.latent_file import read_latent
-from skylight.relight.runtime import GROUND_ALBEDO, add_ground, relight, rotate_columns, tone_map
-from skylight.relight.scene_file import load_scene
-from skylight.relight.sky_decoder import SkyDecoder
+from skylight.relight._decoder import SkyDecoder, read_latent
+from skylight.relight._runtime import (
+    GROUND_ALBEDO,
+    add_ground,
+    load_scene,
+    relight,
+    rotate_columns,
+    tone_map,
+)
 
 scene_path, decoder_path, latent_path = sys.argv[1:]
 scene, decoder = load_scene(scene_path), SkyDecoder(decoder_path)

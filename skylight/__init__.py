@@ -5,59 +5,59 @@ from importlib.metadata import version as _version
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from skylight.app.estimate.photos import estimate, estimate_photo
-    from skylight.app.estimate.types import PhotoEstimate
-    from skylight.csc.coder import SphericalSparseCoder
-    from skylight.csc.dictionary import FilterBank
-    from skylight.csc.sampling import CodeSampler
+    from skylight.csc._coder import SphericalSparseCoder
+    from skylight.csc._dictionary import FilterBank
+    from skylight.csc._sampling import CodeSampler
     from skylight.errors import SkylightError
-    from skylight.imaging.photo import Photo, read_photo
-    from skylight.imaging.taken import Taken
-    from skylight.inverse.estimate import estimate_each, estimate_light
-    from skylight.inverse.result import Estimate
-    from skylight.io.files import read_environment_map, write_environment_map
+    from skylight.estimate._photos import estimate, estimate_photo
+    from skylight.estimate._summary import PhotoEstimate
+    from skylight.imaging._photo import Photo, read_photo
+    from skylight.imaging._taken import Taken
+    from skylight.inverse._estimate import estimate_each, estimate_light
+    from skylight.inverse._result import Estimate
+    from skylight.io._files import read_environment_map, write_environment_map
+    from skylight.models._ground import KnownGround
+    from skylight.models._harmonic import HarmonicLight
+    from skylight.models._lamps import LampsLight
     from skylight.models.autoencoder import AutoencoderLight
-    from skylight.models.harmonic import HarmonicLight
-    from skylight.models.known_ground import KnownGround
-    from skylight.models.lamps import LampsLight
     from skylight.models.sunsky import SunSky
-    from skylight.probes.partitions.probe import PartitionProbe
-    from skylight.probes.voxel.probe import VoxelProbe
-    from skylight.sphere.envmap import EnvironmentMap
-    from skylight.sphere.grid import DirectionGrid
-    from skylight.transport.diffuse import DiffuseTransport
-    from skylight.transport.matrix import TransportMatrix
+    from skylight.probes.partitions._probe import PartitionProbe
+    from skylight.probes.voxel._probe import VoxelProbe
+    from skylight.sphere._envmap import EnvironmentMap
+    from skylight.sphere._frame import DirectionGrid
+    from skylight.transport._matrix import TransportMatrix
+    from skylight.transport._reflection import DiffuseTransport
 
 __version__ = _version("skylight")
 
 # Lazy, because torch takes seconds to import and relighting does without it.
 _HOME = {
     "AutoencoderLight": "skylight.models.autoencoder",
-    "CodeSampler": "skylight.csc.sampling",
-    "DiffuseTransport": "skylight.transport.diffuse",
-    "DirectionGrid": "skylight.sphere.grid",
-    "EnvironmentMap": "skylight.sphere.envmap",
-    "Estimate": "skylight.inverse.result",
-    "FilterBank": "skylight.csc.dictionary",
-    "HarmonicLight": "skylight.models.harmonic",
-    "KnownGround": "skylight.models.known_ground",
-    "LampsLight": "skylight.models.lamps",
-    "PartitionProbe": "skylight.probes.partitions.probe",
-    "Photo": "skylight.imaging.photo",
-    "PhotoEstimate": "skylight.app.estimate.types",
+    "CodeSampler": "skylight.csc._sampling",
+    "DiffuseTransport": "skylight.transport._reflection",
+    "DirectionGrid": "skylight.sphere._frame",
+    "EnvironmentMap": "skylight.sphere._envmap",
+    "Estimate": "skylight.inverse._result",
+    "FilterBank": "skylight.csc._dictionary",
+    "HarmonicLight": "skylight.models._harmonic",
+    "KnownGround": "skylight.models._ground",
+    "LampsLight": "skylight.models._lamps",
+    "PartitionProbe": "skylight.probes.partitions._probe",
+    "Photo": "skylight.imaging._photo",
+    "PhotoEstimate": "skylight.estimate._summary",
     "SkylightError": "skylight.errors",
-    "SphericalSparseCoder": "skylight.csc.coder",
+    "SphericalSparseCoder": "skylight.csc._coder",
     "SunSky": "skylight.models.sunsky",
-    "Taken": "skylight.imaging.taken",
-    "TransportMatrix": "skylight.transport.matrix",
-    "VoxelProbe": "skylight.probes.voxel.probe",
-    "estimate": "skylight.app.estimate.photos",
-    "estimate_each": "skylight.inverse.estimate",
-    "estimate_light": "skylight.inverse.estimate",
-    "estimate_photo": "skylight.app.estimate.photos",
-    "read_environment_map": "skylight.io.files",
-    "read_photo": "skylight.imaging.photo",
-    "write_environment_map": "skylight.io.files",
+    "Taken": "skylight.imaging._taken",
+    "TransportMatrix": "skylight.transport._matrix",
+    "VoxelProbe": "skylight.probes.voxel._probe",
+    "estimate": "skylight.estimate._photos",
+    "estimate_each": "skylight.inverse._estimate",
+    "estimate_light": "skylight.inverse._estimate",
+    "estimate_photo": "skylight.estimate._photos",
+    "read_environment_map": "skylight.io._files",
+    "read_photo": "skylight.imaging._photo",
+    "write_environment_map": "skylight.io._files",
 }
 
 __all__ = [

@@ -8,10 +8,10 @@ def main() -> int:
     except ModuleNotFoundError as error:
         if error.name not in ("skylight.cli", "tyro"):
             raise
-        from skylight.relight.command import main
+        from skylight.relight._command import main
 
         return main()
-    from skylight.work.garbage import collect_no_more, collect_seldom
+    from skylight.work._processes import collect_no_more, collect_seldom
 
     collect_seldom()
     code = main()

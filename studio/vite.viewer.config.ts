@@ -56,7 +56,7 @@ const hashed = (text: string): string => `'sha256-${createHash("sha256").update(
 // The page is committed as built, like the studio's.
 export default defineConfig({
   build: {
-    outDir: "../skylight/app/maps/viewer/data",
+    outDir: "../skylight/maps/data",
     emptyOutDir: true,
     target: "es2022",
     modulePreload: false,

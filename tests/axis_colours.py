@@ -2,8 +2,8 @@
 
 import torch
 
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.grid import DirectionGrid
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid
 
 # no two axes share a colour, and opposite ones are complementary
 AXES = {

@@ -69,3 +69,15 @@ def shared_data() -> Path:
 def face_captures(tmp_path_factory: pytest.TempPathFactory) -> MadeCaptures:
     """Captures of a rendered person; tests that write take a copy of the folder."""
     return make_captures(tmp_path_factory.mktemp("captures") / "faces")
+
+
+@pytest.fixture
+def probe(tmp_path: Path) -> Path:
+    """A map of 16 rows with a sun of 500 in row 4, column 20."""
+    from skylight.io._files import write_environment_map
+    from skylight.sphere._envmap import EnvironmentMap
+
+    radiance = torch.rand(16, 32, 3, generator=torch.Generator().manual_seed(0)) + 0.1
+    radiance[4, 20] = 500.0
+    write_environment_map(tmp_path / "probe.exr", EnvironmentMap(radiance=radiance))
+    return tmp_path / "probe.exr"

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from skylight.io.hdr import write_exr
-from skylight.sphere.frame import angle_between, direction_from_angles
-from skylight.sphere.grid import DirectionGrid
+from skylight.io._hdr import write_exr
+from skylight.sphere._frame import DirectionGrid, angle_between, direction_from_angles
 
 
 def draw_skies(out: Path, count: int) -> None:

@@ -8,7 +8,7 @@ from PIL import ExifTags, Image
 from skimage.data import astronaut
 
 from skylight.cli import main
-from skylight.io.json_files import write_json
+from skylight.io._bounded import write_json
 
 MAKER = "Private Camera Maker"
 

@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from skylight.faces.captures import CAPTURES_NAME
-from skylight.faces.synthetic import SyntheticFace, render_face
-from skylight.io.files import write_environment_map, write_png
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.frame import direction_from_angles
-from skylight.sphere.grid import DirectionGrid
+from skylight.faces._captures import CAPTURES_NAME
+from skylight.faces._synthetic import SyntheticFace, render_face
+from skylight.io._files import write_environment_map, write_png
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid, direction_from_angles
 
 PHOTO, MIRRORED = "day/ada.png", "day/bob.png"
 TURNS_DEG = {PHOTO: 39 * 2.8125, MIRRORED: -12 * 2.8125}  # of the probes, against their photographs

@@ -4,10 +4,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.inverse.lamps.number import MAP_ROWS, in_pictures_units
-from skylight.inverse.result import Lamp
-from skylight.models.lamps import AMBIENT_PARAMETERS, LAMP_PARAMETERS, LampsLight
-from skylight.sphere.envmap import EnvironmentMap
+from skylight.inverse._lamps import MAP_ROWS, in_pictures_units
+from skylight.inverse._result import Lamp
+from skylight.models._lamps import AMBIENT_PARAMETERS, LAMP_PARAMETERS, LampsLight
+from skylight.sphere._envmap import EnvironmentMap
 
 DIRECTIONS = ((0.5, 0.6, 0.62), (-0.8, 0.3, -0.5))
 # z of log energy, log width, red and blue: 7 and 15 degrees wide, one reddish, one bluish

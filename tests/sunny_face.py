@@ -4,10 +4,9 @@ from functools import lru_cache
 
 import torch
 
-from skylight.faces.synthetic import SyntheticFace, render_face
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.frame import direction_from_angles
-from skylight.sphere.grid import DirectionGrid
+from skylight.faces._synthetic import SyntheticFace, render_face
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid, direction_from_angles
 
 SKY, SUN = torch.tensor([0.105, 0.15, 0.24]), torch.tensor([2.2, 2.0, 1.7])
 

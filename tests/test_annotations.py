@@ -8,8 +8,8 @@ from beartype import beartype
 from jaxtyping import Float, TypeCheckError
 from torch import Tensor
 
-from skylight.sphere.envmap import EnvironmentMap, luminance
-from skylight.sphere.frame import angle_between
+from skylight.sphere._envmap import EnvironmentMap, luminance
+from skylight.sphere._frame import angle_between
 from tests.annotations import FIRST, THEN, at_first_calls
 
 

@@ -6,10 +6,9 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float
 
-from skylight.probes.panorama.lens import Lens
-from skylight.probes.panorama.shots import Shot, shot_of
-from skylight.probes.radiance.exposures import merge
-from skylight.sphere.envmap import EnvironmentMap
+from skylight.probes.cameras._exposures import merge
+from skylight.probes.panorama._matches import Lens, Shot, shot_of
+from skylight.sphere._envmap import EnvironmentMap
 from tools.virtual_camera import Head, expose, picture
 
 SUN = np.array([0.5, 0.35, -0.79]) / np.linalg.norm([0.5, 0.35, -0.79])

@@ -14,18 +14,11 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from skylight.evaluation.harness.tables import LABELS
-from skylight.evaluation.harness.thesis_figures import (
-    METRICS,
-    TABLE_5_1,
-    TABLE_5_2,
-    ThesisTable,
-)
-from skylight.evaluation.probes.voxel_probe import THESIS_L1
-from skylight.io.atomic import atomic_path
-from skylight.probes.voxel.faces import exposed_faces
-from skylight.probes.voxel.model import star_probe
-from skylight.probes.voxel.reconstruct import ranks
+from skylight.evaluation._tables import LABELS, METRICS, TABLE_5_1, TABLE_5_2, ThesisTable
+from skylight.evaluation._voxel_probe import THESIS_L1
+from skylight.io._atomic import atomic_path
+from skylight.probes.voxel._model import exposed_faces, star_probe
+from skylight.probes.voxel._reconstruct import ranks
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "figures.md"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skylight.io.atomic import atomic_path
+from skylight.io._atomic import atomic_path
 
 IRISES = (473, 476, 475, 474, 477, 468, 471, 470, 469, 472)
 

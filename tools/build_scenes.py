@@ -2,8 +2,8 @@
 
 import os
 
-from skylight.app.figures.relit import SCENE_GRID, SCENE_HEIGHT
-from skylight.transport.scene.model import trace_scene
+from skylight._figures import SCENE_GRID, SCENE_HEIGHT
+from skylight.transport._scene import trace_scene
 
 SIZES = ((72, 64), (SCENE_HEIGHT, SCENE_GRID))  # of scores and of reports
 

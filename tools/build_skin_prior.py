@@ -26,7 +26,7 @@ import torch
 from jaxtyping import Float
 from numpy import ndarray
 
-from skylight.models.prior import GaussianMixture
+from skylight.models._prior import GaussianMixture
 
 # CIE standard illuminant D65, relative power at 380, 390, ... 780 nm (ISO 11664-2, CIE 15:2004).
 # fmt: off

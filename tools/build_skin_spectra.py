@@ -1,4 +1,4 @@
-"""Build ``skylight/evaluation/rendered_faces/data/skin_colours.npz``: colours of synthetic skin.
+"""Build ``skylight/people/data/skin_colours.npz``: colours of synthetic skin.
 
     python tools/build_skin_spectra.py --reference DIR
 
@@ -71,7 +71,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--reference", type=Path, required=True, help="folder of the two inputs")
     here = Path(__file__).resolve().parent.parent
-    default = here / "skylight/evaluation/rendered_faces/data/skin_colours.npz"
+    default = here / "skylight/people/data/skin_colours.npz"
     parser.add_argument("--out", type=Path, default=default)
     args = parser.parse_args()
     with np.load(args.reference / "chromophore_absorption.npz") as stored:

@@ -1,4 +1,4 @@
-"""Refit skylight.inverse.posterior.PosteriorConstants, and check them on other faces.
+"""Refit skylight.inverse._posterior.PosteriorConstants, and check them on other faces.
 
     python tools/calibrate_posterior.py --faces 60 --cache posterior
 
@@ -17,13 +17,13 @@ from pathlib import Path
 
 import torch
 
-from skylight.evaluation.faces.known_faces import synthetic_face
-from skylight.faces.detection.landmarkers import choose_landmarker
-from skylight.faces.fit import fit_face
-from skylight.faces.model import HeadModel
-from skylight.faces.observe import observe_face
-from skylight.inverse.estimate import estimate_light
-from skylight.inverse.posterior import (
+from skylight.evaluation._known_faces import synthetic_face
+from skylight.faces._fit import fit_face
+from skylight.faces._landmarkers import choose_landmarker
+from skylight.faces._model import HeadModel
+from skylight.faces._observe import observe_face
+from skylight.inverse._estimate import estimate_light
+from skylight.inverse._posterior import (
     FITTED,
     ROWS,
     PosteriorConstants,
@@ -33,9 +33,9 @@ from skylight.inverse.posterior import (
     sun_density,
     sun_evidence,
 )
-from skylight.inverse.scan import SCAN_HEIGHT, scan_faces
-from skylight.io.tensors import read_tensors, write_tensors
-from skylight.sphere.grid import DirectionGrid
+from skylight.inverse._scan import SCAN_HEIGHT, scan_faces
+from skylight.io._tensors import read_tensors, write_tensors
+from skylight.sphere._frame import DirectionGrid
 
 FIRST_SEED, APART, SIZE = 45_000_000, 1000, 256
 GRID = DirectionGrid.sky(ROWS)

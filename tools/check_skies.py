@@ -19,14 +19,13 @@ import pandas as pd
 import pvlib
 import torch
 
-from skylight.evaluation.main import commit
-from skylight.io.json_files import write_json
+from skylight.evaluation._main import commit
+from skylight.io._bounded import write_json
 from skylight.models.sunsky import perez
-from skylight.skies.clear.atmosphere import EARTH_RADIUS_KM, Atmosphere, ClearSky
-from skylight.skies.clear.spectrum import BANDS_NM, colour_matching
-from skylight.skies.sun import Place, sun_angles
-from skylight.sphere.frame import direction_from_angles
-from skylight.sphere.grid import DirectionGrid
+from skylight.skies._atmosphere import EARTH_RADIUS_KM, Atmosphere, ClearSky
+from skylight.skies._scattering import BANDS_NM, colour_matching
+from skylight.skies._sun import Place, sun_angles
+from skylight.sphere._frame import DirectionGrid, direction_from_angles
 from tools.colorimetry import bright, chromaticity, colour_temperature
 
 ROOT = Path(__file__).parents[1]

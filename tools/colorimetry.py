@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from skylight.skies.clear.spectrum import XYZ_FROM_RGB
+from skylight.skies._scattering import XYZ_FROM_RGB
 
 
 def bright(rgb: np.ndarray) -> np.ndarray:

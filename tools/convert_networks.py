@@ -22,7 +22,7 @@ import tflite
 from onnx import TensorProto, helper, numpy_helper
 from tflite import BuiltinOperator as Op
 
-from skylight.io.atomic import atomic_path
+from skylight.io._atomic import atomic_path
 
 OPSET, IR = 17, 8
 TASK = {

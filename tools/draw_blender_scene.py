@@ -32,8 +32,8 @@ def draw(place: Path) -> None:
     import torch
 
     from skylight.cli import main as skylight
-    from skylight.imaging.colour import linear_to_srgb, srgb_to_linear
-    from skylight.io.files import write_png
+    from skylight.imaging._colour import linear_to_srgb, srgb_to_linear
+    from skylight.io._files import write_png
 
     photo, estimate, scene = place / "photo.png", place / "estimate", place / "scene"
     write_png(photo, face())
@@ -52,10 +52,9 @@ def face() -> np.ndarray:
     """A person whom the sun shines on from behind the camera."""
     import torch
 
-    from skylight.faces.synthetic import render_face
-    from skylight.sphere.envmap import EnvironmentMap
-    from skylight.sphere.frame import direction_from_angles
-    from skylight.sphere.grid import DirectionGrid
+    from skylight.faces._synthetic import render_face
+    from skylight.sphere._envmap import EnvironmentMap
+    from skylight.sphere._frame import DirectionGrid, direction_from_angles
 
     grid = DirectionGrid.sky(32)
     sun = direction_from_angles(*torch.tensor(SUN_DEG, dtype=torch.float64).deg2rad())

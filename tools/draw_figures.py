@@ -22,22 +22,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from skylight.app.figures.panels import show
-from skylight.csc.correlation.rotated import rotated_filters
-from skylight.csc.dictionary import FilterBank, builtin
-from skylight.io.atomic import atomic_path
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design.designs import named_design
-from skylight.probes.partitions.picture import draw_cells
-from skylight.probes.voxel.analysis import LIT, transfer_error
-from skylight.probes.voxel.faces import CONFIGURATIONS, ORIENTATIONS, exposed_faces
-from skylight.probes.voxel.interreflection.global_illumination import ALBEDO, GlobalReconstruction
-from skylight.probes.voxel.interreflection.transfer import transfer_vectors
-from skylight.probes.voxel.lightmap import SLOTS_ACROSS, SLOTS_DOWN
-from skylight.probes.voxel.model import star_probe
-from skylight.probes.voxel.reconstruct import DirectReconstruction
-from skylight.sphere import harmonics
-from skylight.sphere.grid import DirectionGrid
+from skylight._figures import show
+from skylight.csc._dictionary import FilterBank, builtin
+from skylight.csc._wigner import rotated_filters
+from skylight.io._atomic import atomic_path
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._optimise import named_design
+from skylight.probes.partitions._picture import draw_cells
+from skylight.probes.voxel._analysis import LIT, transfer_error
+from skylight.probes.voxel._interreflection import ALBEDO, GlobalReconstruction, transfer_vectors
+from skylight.probes.voxel._lightmap import SLOTS_ACROSS, SLOTS_DOWN
+from skylight.probes.voxel._model import CONFIGURATIONS, ORIENTATIONS, exposed_faces, star_probe
+from skylight.probes.voxel._reconstruct import DirectReconstruction
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._frame import DirectionGrid
 
 STARS = (1, 3, 5, 7)
 DESIGNS = ("6d", "14d", "38d", "110d", "14d-sun-12", "14d-outdoor")

@@ -20,7 +20,7 @@ from pathlib import Path
 import tyro
 from PIL import Image
 
-from skylight.io.atomic import atomic_path
+from skylight.io._atomic import atomic_path
 from tests.studio.browser.waiting import gathered
 from tools.measured import write_measured
 from tools.viewer_page import CHROMIUM, opened

@@ -20,24 +20,19 @@ from numpy import ndarray
 from PIL import Image
 from rich.progress import track
 
-from skylight.app.estimate.photos import estimate_photo
-from skylight.app.estimate.results import write_results
-from skylight.app.estimate.types import PhotoEstimate
-from skylight.app.figures.angles import angles_deg
-from skylight.app.maps.viewer.page import export_viewer
-from skylight.app.portrait.lights import (
-    NewLight,
-    light_of_map,
-    light_with_sun_at,
-    turned_light,
-)
-from skylight.app.portrait.relit import relit_portrait, shown, taken_apart
-from skylight.imaging.colour import tone_map
-from skylight.inverse.portrait.relit import Keep
-from skylight.io.atomic import atomic_path
-from skylight.io.bounded import json_content
-from skylight.sphere.envmap import luminance
-from skylight.transport.scene.evaluation import evaluation_scene
+from skylight._figures import angles_deg
+from skylight.estimate._photos import estimate_photo
+from skylight.estimate._report import write_results
+from skylight.estimate._summary import PhotoEstimate
+from skylight.imaging._colour import tone_map
+from skylight.io._atomic import atomic_path
+from skylight.io._bounded import json_content
+from skylight.maps._viewer import export_viewer
+from skylight.portrait._files import relit_portrait, shown, taken_apart
+from skylight.portrait._lights import NewLight, light_of_map, light_with_sun_at, turned_light
+from skylight.portrait._relit import Keep
+from skylight.sphere._envmap import luminance
+from skylight.transport._scene import evaluation_scene
 from tests.studio.browser.pictures import finished
 from tools.measured import kept
 from tools.viewer_page import opened

@@ -19,14 +19,14 @@ import tyro
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.evaluation.harness.pictures import Picture, caption, sized
-from skylight.evaluation.harness.trained_model import trained_light
-from skylight.evaluation.skies.known_skies import KnownSkies
-from skylight.evaluation.skies.sky_fits import over_ground
-from skylight.evaluation.skies.sky_representations import fit_autoencoder, fit_gaussians
-from skylight.imaging.colour import tone_map
-from skylight.sphere.envmap import bilinear, luminance
-from skylight.sphere.frame import pixel_from_direction
+from skylight.evaluation._pictures import Picture, caption, sized
+from skylight.evaluation._run import trained_light
+from skylight.evaluation._sky_fits import over_ground
+from skylight.evaluation._sky_models import KnownSkies
+from skylight.evaluation._sky_representations import fit_autoencoder, fit_gaussians
+from skylight.imaging._colour import tone_map
+from skylight.sphere._envmap import bilinear, luminance
+from skylight.sphere._frame import pixel_from_direction
 
 TILE, MAPS, LOBES = 64, 24, 10
 

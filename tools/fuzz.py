@@ -24,9 +24,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
-from skylight.evaluation.main import commit  # noqa: E402
-from skylight.io.bounded import json_content  # noqa: E402
-from skylight.io.json_files import write_json  # noqa: E402
+from skylight.evaluation._main import commit  # noqa: E402
+from skylight.io._bounded import json_content, write_json  # noqa: E402
 from tests.fuzz.__main__ import MEMORY_MB, TIMEOUT_S  # noqa: E402
 from tests.fuzz.targets import NAMES  # noqa: E402
 from tools.measured import write_measured  # noqa: E402

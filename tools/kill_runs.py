@@ -18,7 +18,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
-from skylight.evaluation.main import commit  # noqa: E402
+from skylight.evaluation._main import commit  # noqa: E402
 from tests.faults.kills import kill_runs  # noqa: E402
 from tools.measured import kept, write_measured  # noqa: E402
 

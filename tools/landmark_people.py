@@ -15,20 +15,19 @@ from numpy import ndarray
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from skylight.evaluation.rendered_faces.options import RenderOptions
-from skylight.evaluation.rendered_faces.people import Person, person
-from skylight.evaluation.rendered_faces.smooth_head import SmoothHead
-from skylight.faces.fit import FaceFit
-from skylight.imaging.colour import linear_to_srgb
-from skylight.io.atomic import atomic_path
-from skylight.models.ground import LambertianGround
-from skylight.skies.simulated import simulated_skies
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.transport.camera import Camera
-from skylight.transport.gbuffer import rasterize
-from skylight.transport.matrix import SurfaceRays
-from skylight.transport.raycast import Raycaster
-from skylight.transport.render import Specular, ggx, light_samples
+from skylight.faces._fit import FaceFit
+from skylight.imaging._colour import linear_to_srgb
+from skylight.io._atomic import atomic_path
+from skylight.models._ground import LambertianGround
+from skylight.people._light import RenderOptions
+from skylight.people._people import Person, person
+from skylight.people._skin import SmoothHead
+from skylight.skies._simulated import simulated_skies
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.transport._cameras import Camera
+from skylight.transport._matrix import SurfaceRays
+from skylight.transport._rays import Raycaster
+from skylight.transport._render import Specular, ggx, light_samples, rasterize
 
 SIZE = 192
 SEED = 777  # of people; no evaluation draws them from it

@@ -27,9 +27,9 @@ from PIL import Image
 from playwright.async_api import async_playwright
 from skimage.data import astronaut, coffee
 
-from skylight.evaluation.main import commit
-from skylight.io.files import write_environment_map
-from skylight.sphere.envmap import EnvironmentMap
+from skylight.evaluation._main import commit
+from skylight.io._files import write_environment_map
+from skylight.sphere._envmap import EnvironmentMap
 from tools.load.memory import Sampler, trend
 from tools.load.tally import Tally
 from tools.load.visitor import PATIENCE_S, Bounds, Materials, Visitor

@@ -24,10 +24,9 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from skylight.app.estimate.folder.listing import list_photos
-from skylight.app.estimate.folder.manifest import MANIFEST, read_manifest
-from skylight.models.names import DEFAULT_LIGHT
-from skylight.sphere.frame import angle_between, direction_from_angles
+from skylight.estimate._manifest import MANIFEST, list_photos, read_manifest
+from skylight.models._names import DEFAULT_LIGHT
+from skylight.sphere._frame import angle_between, direction_from_angles
 from tools.measured import write_measured
 
 

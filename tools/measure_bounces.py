@@ -15,16 +15,16 @@ from pathlib import Path
 
 import torch
 
-from skylight.faces.model import HeadModel, Region
-from skylight.faces.observe import BOUNCING_ALBEDO
-from skylight.faces.skin import SkinPrior
-from skylight.sphere.envmap import EnvironmentMap, luminance
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.gbuffer import vertex_normals
-from skylight.transport.indirect.interreflection import BouncingMesh
-from skylight.transport.indirect.path_tracer import DiffuseScene, Sampling, shade
-from skylight.transport.matrix import diffuse_transport
-from skylight.transport.raycast import Raycaster
+from skylight.faces._model import HeadModel, Region
+from skylight.faces._observe import BOUNCING_ALBEDO
+from skylight.faces._skin import SkinPrior
+from skylight.sphere._envmap import EnvironmentMap, luminance
+from skylight.sphere._frame import DirectionGrid
+from skylight.transport._interreflection import BouncingMesh
+from skylight.transport._matrix import diffuse_transport
+from skylight.transport._path_tracer import DiffuseScene, Sampling, shade
+from skylight.transport._rays import Raycaster
+from skylight.transport._render import vertex_normals
 from tools.measured import write_measured
 
 ROWS = 64

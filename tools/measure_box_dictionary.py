@@ -21,11 +21,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.csc.coder import SphericalSparseCoder
-from skylight.csc.sub_dictionaries import BoxDictionary
-from skylight.io.collection import read_categories
-from skylight.io.files import read_environment_map
-from skylight.sphere.rotation import matrix_from_euler
+from skylight.csc._coder import SphericalSparseCoder
+from skylight.csc._sub_dictionaries import BoxDictionary
+from skylight.io._files import read_categories, read_environment_map
+from skylight.sphere._rotation import matrix_from_euler
 from tools.measured import write_measured
 
 HEIGHT = 32

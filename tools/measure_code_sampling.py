@@ -11,7 +11,7 @@ sampler with them. Methods:
 
 ``table``       rows and columns of the map (:class:`tools.table_sampler.TableSampler`)
 ``small``       the same of the map, its rows halved until it takes no more than the code's sampler
-``code``        :class:`skylight.csc.sampling.CodeSampler`
+``code``        :class:`skylight.csc._sampling.CodeSampler`
 ``towards``     its shares weighted by the cosine to the normal (diffuse only)
 ``brdf``        the clamped cosine, or the glossy lobe
 ``X+brdf``      half of the samples from each, by the balance heuristic of one sample
@@ -39,16 +39,15 @@ from jaxtyping import Float
 from matplotlib import pyplot as plt
 from torch import Tensor
 
-from skylight.csc.code import SparseCode
-from skylight.csc.coder import SphericalSparseCoder, pixel_of
-from skylight.csc.pursuit.greedy import PursuitOptions
-from skylight.csc.sampling import UNIFORM, CodeSampler
-from skylight.imaging.colour import tone_map
-from skylight.io.atomic import atomic_path
-from skylight.io.collection import read_categories
-from skylight.io.files import read_environment_map
-from skylight.sphere.envmap import EnvironmentMap, luminance
-from skylight.sphere.frame import pixel_from_direction
+from skylight.csc._code import SparseCode
+from skylight.csc._coder import SphericalSparseCoder, pixel_of
+from skylight.csc._greedy import PursuitOptions
+from skylight.csc._sampling import UNIFORM, CodeSampler
+from skylight.imaging._colour import tone_map
+from skylight.io._atomic import atomic_path
+from skylight.io._files import read_categories, read_environment_map
+from skylight.sphere._envmap import EnvironmentMap, luminance
+from skylight.sphere._frame import pixel_from_direction
 from tools.measured import write_measured
 from tools.table_sampler import TableSampler
 

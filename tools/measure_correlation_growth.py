@@ -25,11 +25,11 @@ import torch
 from matplotlib import pyplot as plt
 from torch import Tensor
 
-from skylight.csc.correlation.positions import Positions
-from skylight.csc.correlation.wigner import RotationCorrelation
-from skylight.evaluation.main import commit
-from skylight.io.atomic import atomic_path
-from skylight.io.json_files import write_json
+from skylight.csc._positions import Positions
+from skylight.csc._wigner import RotationCorrelation
+from skylight.evaluation._main import commit
+from skylight.io._atomic import atomic_path
+from skylight.io._bounded import write_json
 from tools.thesis_gradients import IsotropicGradient, RotatedResiduals, RotatedZonalGradient
 
 BASE = {"degree": 40, "rows": 16, "twists": 16, "filters": 50}

@@ -24,14 +24,14 @@ matplotlib.use("Agg")
 import torch
 from matplotlib import pyplot as plt
 
-from skylight.app.estimate.photos import estimate_photo
-from skylight.app.estimate.results import write_results
-from skylight.evaluation.faces.face_light import observe_largest
-from skylight.faces.model import HeadModel
-from skylight.faces.observe import observe_face
-from skylight.imaging.photo import read_photo
-from skylight.inverse.estimate import estimate_light
-from skylight.io.atomic import atomic_path
+from skylight.estimate._photos import estimate_photo
+from skylight.estimate._report import write_results
+from skylight.evaluation._known_faces import observe_largest
+from skylight.faces._model import HeadModel
+from skylight.faces._observe import observe_face
+from skylight.imaging._photo import read_photo
+from skylight.inverse._estimate import estimate_light
+from skylight.io._atomic import atomic_path
 from tools.measured import write_measured
 
 REPEATS = 3

@@ -19,18 +19,18 @@ import numpy as np
 import torch
 
 from skylight.errors import InputError
-from skylight.evaluation.faces.known_faces import FaceSource
-from skylight.evaluation.faces.lamps import INDEX, read_lamp_photo
-from skylight.evaluation.harness.data_folder import read_index
-from skylight.faces.detection.landmarkers import choose_landmarker
-from skylight.faces.model import HeadModel
-from skylight.faces.names import HeadName
-from skylight.faces.observe import observe_face
-from skylight.faces.photographs import fit_visible
-from skylight.imaging.photo import Photo, photo_from_codes
-from skylight.inverse.estimate import estimate_light
-from skylight.sphere.frame import angle_between
-from skylight.work.resumable import share_work
+from skylight.evaluation._known_faces import FaceSource
+from skylight.evaluation._lamps import INDEX, read_lamp_photo
+from skylight.evaluation._run import read_index
+from skylight.faces._captures import fit_visible
+from skylight.faces._landmarkers import choose_landmarker
+from skylight.faces._model import HeadModel
+from skylight.faces._names import HeadName
+from skylight.faces._observe import observe_face
+from skylight.imaging._photo import Photo, photo_from_codes
+from skylight.inverse._estimate import estimate_light
+from skylight.sphere._frame import angle_between
+from skylight.work._resumable import share_work
 from tools.measured import write_measured
 
 HEADS: tuple[HeadName, ...] = get_args(HeadName)

@@ -25,15 +25,14 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
-from skylight.evaluation.faces.face_light import pose_error_deg
-from skylight.evaluation.faces.known_faces import synthetic_face
-from skylight.evaluation.rendered_faces.files import read_rendered_face, rendered_faces
-from skylight.faces.detection.dlib_landmarks import DlibLandmarker
-from skylight.faces.detection.mediapipe_face import IBUG, MediaPipeLandmarker, eye_axes
-from skylight.faces.fit import FaceFit, camera_project, fit_face, landmarks_of
-from skylight.faces.landmarks import FaceLandmarker
-from skylight.faces.model import HeadModel
-from skylight.io.atomic import atomic_path
+from skylight.evaluation._known_faces import pose_error_deg, synthetic_face
+from skylight.faces._fit import FaceFit, camera_project, fit_face, landmarks_of
+from skylight.faces._landmarkers import DlibLandmarker
+from skylight.faces._landmarks import FaceLandmarker
+from skylight.faces._mediapipe import IBUG, MediaPipeLandmarker, eye_axes
+from skylight.faces._model import HeadModel
+from skylight.io._atomic import atomic_path
+from skylight.people._files import read_rendered_face, rendered_faces
 from tools.landmark_people import Pictured, people
 
 HELD_OUT_SEED, SEEDS_APART = 3_000_000, 1000  # of people to compare on

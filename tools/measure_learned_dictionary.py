@@ -24,14 +24,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.csc.coder import SphericalSparseCoder
-from skylight.csc.dictionary import FilterBank, builtin
-from skylight.csc.learning.caps import CapFilterBank
-from skylight.csc.learning.patches import ROWS, learn_patches
-from skylight.io.collection import read_categories
-from skylight.io.files import read_environment_map
-from skylight.io.json_files import write_json
-from skylight.training.dictionary import RATE, learning_epoch, mean_squared_error
+from skylight.csc._coder import SphericalSparseCoder
+from skylight.csc._dictionary import FilterBank, builtin
+from skylight.csc._learning import ROWS, CapFilterBank, learn_patches
+from skylight.io._bounded import write_json
+from skylight.io._files import read_categories, read_environment_map
+from skylight.training._dictionary import RATE, learning_epoch, mean_squared_error
 
 HEIGHT = 32
 COUNTS = [16, 36, 64]

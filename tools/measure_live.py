@@ -19,17 +19,15 @@ import cv2
 import numpy as np
 import torch
 
-from skylight.app.cameras.board_pictures import Setup
-from skylight.app.cameras.live_film import LiveReport
-from skylight.app.probes.partitions.live import live_scene
-from skylight.app.probes.partitions.relight import VirtualScene
-from skylight.app.probes.voxel.live import live_film
-from skylight.cameras.frames import film
-from skylight.cameras.pose import BoardPose, board_pose
-from skylight.cameras.response import Response
-from skylight.cameras.tracking import BoardTracker
-from skylight.io.files import read_environment_map
-from skylight.probes.voxel.model import voxelise
+from skylight.io._files import read_environment_map
+from skylight.probes.cameras._files import Setup
+from skylight.probes.cameras._live import LiveReport, film
+from skylight.probes.cameras._pose import BoardPose, board_pose
+from skylight.probes.cameras._response import Response
+from skylight.probes.cameras._tracking import BoardTracker
+from skylight.probes.partitions._relight_files import VirtualScene, live_scene
+from skylight.probes.voxel._capture_files import live_film
+from skylight.probes.voxel._model import voxelise
 from tools import measure_partition_end_to_end as partitions
 from tools import measure_voxel_end_to_end as voxel
 from tools.measured import write_measured

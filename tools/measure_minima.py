@@ -18,18 +18,16 @@ from pathlib import Path
 
 import torch
 
-from skylight.evaluation.faces.face_light import fitted_head
-from skylight.evaluation.faces.known_faces import read_face
-from skylight.evaluation.rendered_faces.files import rendered_faces
-from skylight.faces.model import HeadModel
-from skylight.faces.observe import observe_face
-from skylight.inverse.estimate import light_problem
-from skylight.inverse.objective.descent import Round, descend
-from skylight.inverse.objective.lit_faces import Level
-from skylight.inverse.scan import SunScan, scan_faces
-from skylight.inverse.sky.problem import SkyProblem
-from skylight.inverse.sky.solver import SolverOptions
-from skylight.transport.observation import Observation
+from skylight.evaluation._known_faces import fitted_head, read_face
+from skylight.faces._model import HeadModel
+from skylight.faces._observe import observe_face
+from skylight.inverse._descent import Round, descend
+from skylight.inverse._estimate import light_problem
+from skylight.inverse._faces import Level
+from skylight.inverse._scan import SunScan, scan_faces
+from skylight.inverse._sky import SkyProblem, SolverOptions
+from skylight.people._files import rendered_faces
+from skylight.transport._observation import Observation
 from tools.measured import write_measured
 
 RESULTS = Path(__file__).parents[1] / "benchmarks" / "results"

@@ -18,14 +18,10 @@ import math
 import numpy as np
 from jaxtyping import Bool, Float
 
-from skylight.evaluation.rendered_faces.independent_render import (
-    IndependentScene,
-    Solid,
-    SphereLamp,
-)
-from skylight.evaluation.rendered_faces.options import RenderOptions
-from skylight.evaluation.rendered_faces.people import Person, bare_skin, person, seen_parts
-from skylight.evaluation.rendered_faces.smooth_head import SmoothHead
+from skylight.people._independent_render import IndependentScene, Solid, SphereLamp
+from skylight.people._light import RenderOptions
+from skylight.people._people import Person, bare_skin, person, seen_parts
+from skylight.people._skin import SmoothHead
 
 DISTANCES_M = (0.5, 1.0, 2.0, 4.0, 8.0)
 FAR_M = 1000.0

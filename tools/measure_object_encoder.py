@@ -19,18 +19,21 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from skylight.inverse.harmonic.nonnegative import nonnegative_harmonics
-from skylight.io.collection import read_categories
-from skylight.io.files import read_environment_map
-from skylight.probes.encoder.basis import SurfaceTransfer, surface_transfer
-from skylight.probes.encoder.encoder import ObjectEncoder
-from skylight.probes.encoder.points import choose_points, surface_points
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design.designs import named_design
-from skylight.probes.partitions.probe import PartitionProbe
-from skylight.probes.partitions.relight.scene_files import read_scene
-from skylight.sphere import harmonics
-from skylight.sphere.grid import DirectionGrid
+from skylight.inverse._harmonic import nonnegative_harmonics
+from skylight.io._files import read_categories, read_environment_map
+from skylight.probes._encoder import (
+    ObjectEncoder,
+    SurfaceTransfer,
+    choose_points,
+    surface_points,
+    surface_transfer,
+)
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._optimise import named_design
+from skylight.probes.partitions._probe import PartitionProbe
+from skylight.probes.partitions.relight._scene import read_scene
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._frame import DirectionGrid
 from tools.measured import write_measured
 
 OBJECTS = ("stanford_dragon.ply", "stanford_bunny.ply")

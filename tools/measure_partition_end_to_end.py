@@ -22,33 +22,29 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
-from skylight.app.cameras.board_pictures import read_setup
-from skylight.app.probes.partitions.live import live_scene
-from skylight.app.probes.partitions.printing import describe_partition_assembly
-from skylight.app.probes.partitions.relight import ScenePlacement, VirtualScene
-from skylight.cameras.assembly import cylinder_mesh
-from skylight.cameras.drawing import lens_rays
-from skylight.cameras.frames import read_picture
-from skylight.cameras.intrinsics import load_intrinsics, save_intrinsics
-from skylight.cameras.response import Response
-from skylight.evaluation.rendered_faces.independent_render import IndependentScene, Solid
-from skylight.fabrication.mount import MarkerBoard, Pole
-from skylight.imaging.metrics import mae
-from skylight.io.files import read_environment_map, write_png
-from skylight.io.json_files import write_json
-from skylight.probes.partitions.captured.capture import ProbeCapture, load_capture, save_capture
-from skylight.probes.partitions.captured.samples import FaceDiscs
-from skylight.probes.partitions.design.designs import named_design
-from skylight.probes.partitions.printed.assembly import (
-    PartitionAssembly,
-)
-from skylight.probes.partitions.printed.printing import print_partition_probe
-from skylight.probes.partitions.printed.sizes import ProbeSizes
-from skylight.probes.partitions.relight.scene_files import read_scene
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.rigid_transform import RigidTransform
-from skylight.transport.indirect.path_tracer import Sampling, shade
-from skylight.transport.raycast import Raycaster
+from skylight.imaging._metrics import mae
+from skylight.io._bounded import write_json
+from skylight.io._files import read_environment_map, write_png
+from skylight.people._independent_render import IndependentScene, Solid
+from skylight.probes.cameras._board import cylinder_mesh
+from skylight.probes.cameras._drawing import lens_rays
+from skylight.probes.cameras._files import read_setup
+from skylight.probes.cameras._intrinsics import load_intrinsics, save_intrinsics
+from skylight.probes.cameras._live import read_picture
+from skylight.probes.cameras._response import Response
+from skylight.probes.fabrication._mount import MarkerBoard, Pole
+from skylight.probes.partitions._captured import FaceDiscs, ProbeCapture, load_capture, save_capture
+from skylight.probes.partitions._design_files import describe_partition_assembly
+from skylight.probes.partitions._optimise import named_design
+from skylight.probes.partitions._relight_files import ScenePlacement, VirtualScene, live_scene
+from skylight.probes.partitions.printed._assembly import PartitionAssembly
+from skylight.probes.partitions.printed._printing import print_partition_probe
+from skylight.probes.partitions.printed._solids import ProbeSizes
+from skylight.probes.partitions.relight._scene import read_scene
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._rotation import RigidTransform
+from skylight.transport._path_tracer import Sampling, shade
+from skylight.transport._rays import Raycaster
 from tools.measured import write_measured
 from tools.rendered_photos import (
     ALBEDO,

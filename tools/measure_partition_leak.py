@@ -14,16 +14,16 @@ from typing import Any
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from skylight.app.figures.style import ACCENT, INK, STYLE, save
-from skylight.fabrication.mount import Pole
-from skylight.probes.partitions.design.designs import design_names, named_design
-from skylight.probes.partitions.printed.fitting import AskedSizes
-from skylight.probes.partitions.printed.printing import (
+from skylight._figures import ACCENT, INK, STYLE, save
+from skylight.probes.fabrication._mount import Pole
+from skylight.probes.partitions._optimise import design_names, named_design
+from skylight.probes.partitions.printed._assembly import AskedSizes
+from skylight.probes.partitions.printed._printing import (
     PrintedPartitions,
     print_fitted,
     print_partition_probe,
 )
-from skylight.probes.partitions.printed.sizes import ProbeSizes
+from skylight.probes.partitions.printed._solids import ProbeSizes
 from tools.measured import write_measured
 
 _SWEPT = ("6d", "14d", "38d")

@@ -38,17 +38,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from skylight.csc.coder import SphericalSparseCoder
-from skylight.csc.correlation.positions import Positions
-from skylight.csc.dictionary import FilterBank, builtin
-from skylight.csc.sub_dictionaries import SubDictionary
+from skylight.csc._coder import SphericalSparseCoder
+from skylight.csc._dictionary import FilterBank, builtin
+from skylight.csc._positions import Positions
+from skylight.csc._sub_dictionaries import SubDictionary
 from skylight.errors import InputError
-from skylight.evaluation.codes.sparse_coding import COUNTS, relative_error
-from skylight.io.collection import read_categories
-from skylight.io.files import read_environment_map
-from skylight.sphere import harmonics
-from skylight.sphere.latlong_transform import LatLongTransform
-from skylight.sphere.rotation import rotate
+from skylight.evaluation._sparse_coding import COUNTS, relative_error
+from skylight.io._files import read_categories, read_environment_map
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._latlong_transform import LatLongTransform
+from skylight.sphere._rotation import rotate
 from tools.measured import kept, write_measured
 from tools.planar_coder import Map, PlanarDictionary, pursued, refitted, solid_angles, strongest
 

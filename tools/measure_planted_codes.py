@@ -29,15 +29,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.csc.coder import SphericalSparseCoder
-from skylight.csc.correlation.positions import centres_of
-from skylight.csc.dictionary import FilterBank
-from skylight.csc.pursuit.exchange import pursue
-from skylight.csc.pursuit.greedy import Atom, Pursuit, PursuitOptions, Support
-from skylight.csc.pursuit.quadratic import SampledSignal
-from skylight.evaluation.main import commit
-from skylight.io.json_files import write_json
-from skylight.sphere.frame import angle_between
+from skylight.csc._active_set import SampledSignal
+from skylight.csc._coder import SphericalSparseCoder
+from skylight.csc._dictionary import FilterBank
+from skylight.csc._greedy import Atom, Pursuit, PursuitOptions, Support, pursue
+from skylight.csc._positions import centres_of
+from skylight.evaluation._main import commit
+from skylight.io._bounded import write_json
+from skylight.sphere._frame import angle_between
 
 Code = dict[Atom, Float[Tensor, " c"]]
 DICTIONARY = "ani"

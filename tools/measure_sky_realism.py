@@ -30,13 +30,13 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 from torch import Tensor
 
-from skylight.evaluation.skies.known_skies import KnownSkies
-from skylight.skies.loading import normalise
-from skylight.skies.simulated import simulated_skies
-from skylight.sphere.envmap import luminance, shift_columns
-from skylight.sphere.grid import DirectionGrid
-from skylight.training.config import AutoencoderConfig, find_config, read_config
-from skylight.training.skies.augment import augment
+from skylight.evaluation._sky_models import KnownSkies
+from skylight.skies._index import normalise
+from skylight.skies._simulated import simulated_skies
+from skylight.sphere._envmap import luminance, shift_columns
+from skylight.sphere._frame import DirectionGrid
+from skylight.training._config import AutoencoderConfig, find_config, read_config
+from skylight.training._skies import augment
 from tools.measured import write_measured
 
 BANDS_DEG = ((0, 30), (30, 60), (60, 80), (80, 90))  # zenith angles

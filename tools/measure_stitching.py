@@ -26,15 +26,12 @@ import torch
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from skylight.io.files import read_environment_map
-from skylight.probes.panorama.lens import Lens
-from skylight.probes.panorama.level import aligned
-from skylight.probes.panorama.panorama import Panorama, panorama_of
-from skylight.probes.panorama.shots import Shot, shot_of
-from skylight.probes.panorama.stitch import stitch
-from skylight.probes.radiance.exposures import merge
-from skylight.probes.radiance.probe_map import ProbeMap, latlong_directions
-from skylight.sphere.envmap import SUN_REGION_RAD, EnvironmentMap, luminance
+from skylight.io._files import read_environment_map
+from skylight.probes._probe_map import ProbeMap, latlong_directions
+from skylight.probes.cameras._exposures import merge
+from skylight.probes.panorama._matches import Lens, Shot, shot_of
+from skylight.probes.panorama._panorama import Panorama, aligned, panorama_of, stitch
+from skylight.sphere._envmap import SUN_REGION_RAD, EnvironmentMap, luminance
 from tools.measured import write_measured
 from tools.virtual_camera import Head, Light, bracket, expose, light_of, picture
 

@@ -27,7 +27,7 @@ import httpx
 from PIL import Image
 from skimage.data import coffee
 
-from skylight.studio.static_files import STATIC
+from skylight.studio._server import STATIC
 from tools.load.memory import resident_mb
 from tools.measured import write_measured
 

@@ -16,15 +16,18 @@ from pathlib import Path
 
 import torch
 
-from skylight.app.probes.partitions.relight import ScenePlacement, VirtualScene
-from skylight.io.files import read_environment_map
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design.designs import named_design
-from skylight.probes.partitions.probe import PartitionProbe
-from skylight.probes.partitions.relight.relit import TurningRelighting
-from skylight.probes.partitions.relight.scene import Scene
-from skylight.probes.partitions.relight.transfer import TransferSampling
-from skylight.probes.partitions.relight.turning import Turn, turning_coefficients
+from skylight.io._files import read_environment_map
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._optimise import named_design
+from skylight.probes.partitions._probe import PartitionProbe
+from skylight.probes.partitions._relight_files import ScenePlacement, VirtualScene
+from skylight.probes.partitions.relight._composite import TurningRelighting
+from skylight.probes.partitions.relight._scene import Scene
+from skylight.probes.partitions.relight._transfer import (
+    TransferSampling,
+    Turn,
+    turning_coefficients,
+)
 from tools.measured import write_measured
 
 _TRACED = 96

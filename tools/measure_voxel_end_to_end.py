@@ -19,27 +19,33 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from skylight.app.cameras.board_pictures import read_setup
-from skylight.app.probes.voxel.live import live_film
-from skylight.app.probes.voxel.printing import describe_assembly
-from skylight.app.probes.voxel.render import VoxelPlacement, reconstruction_for
-from skylight.cameras.assembly import cylinder_mesh
-from skylight.cameras.drawing import camera_rays, looking_at
-from skylight.cameras.intrinsics import load_intrinsics, save_intrinsics
-from skylight.evaluation.rendered_faces.independent_render import IndependentScene, Solid, as_photo
-from skylight.fabrication.mount import MarkerBoard, Pole
-from skylight.fabrication.sizes import PrintSizes
-from skylight.imaging.metrics import shading_metrics
-from skylight.io.files import read_environment_map, write_png
-from skylight.io.json_files import write_json
-from skylight.probes.voxel.faces import NORMALS, exposed_faces
-from skylight.probes.voxel.lightmap import Lightmap, load_lightmap
-from skylight.probes.voxel.model import VoxelModel, star_probe, voxelise, write_voxels
-from skylight.probes.voxel.printed.printing import print_voxel_probe, voxel_assembly
-from skylight.probes.voxel.relight.render import VoxelRenderer
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.transport.camera import Camera
-from skylight.transport.indirect.path_tracer import Sampling, shade
+from skylight.imaging._metrics import shading_metrics
+from skylight.io._bounded import write_json
+from skylight.io._files import read_environment_map, write_png
+from skylight.people._independent_render import IndependentScene, Solid, as_photo
+from skylight.probes.cameras._board import cylinder_mesh
+from skylight.probes.cameras._drawing import camera_rays, looking_at
+from skylight.probes.cameras._files import read_setup
+from skylight.probes.cameras._intrinsics import load_intrinsics, save_intrinsics
+from skylight.probes.fabrication._mount import MarkerBoard, Pole
+from skylight.probes.fabrication._parts import PrintSizes
+from skylight.probes.voxel._capture_files import live_film
+from skylight.probes.voxel._lightmap import Lightmap, load_lightmap
+from skylight.probes.voxel._model import (
+    NORMALS,
+    VoxelModel,
+    exposed_faces,
+    star_probe,
+    voxelise,
+    write_voxels,
+)
+from skylight.probes.voxel._printing import print_voxel_probe, voxel_assembly
+from skylight.probes.voxel._printing_files import describe_assembly
+from skylight.probes.voxel._relight import VoxelRenderer
+from skylight.probes.voxel._render_files import VoxelPlacement, reconstruction_for
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.transport._cameras import Camera
+from skylight.transport._path_tracer import Sampling, shade
 from tools.measured import write_measured
 from tools.rendered_photos import (
     ALBEDO,

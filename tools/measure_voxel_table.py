@@ -37,37 +37,42 @@ from jaxtyping import Bool, Float
 from scipy.optimize import nnls
 from torch import Tensor
 
-from skylight.evaluation.harness.data_folder import mesh_files, probes_folder
-from skylight.evaluation.probes.voxel_probe import MAPS, PROBES
-from skylight.evaluation.probes.voxel_scene import (
+from skylight.evaluation._run import mesh_files, probes_folder
+from skylight.evaluation._voxel_probe import (
     ALBEDO,
+    MAPS,
     MODELS,
+    PROBES,
     RESOLUTION,
     VIEWS_DEG,
     VoxelScene,
     baked,
 )
-from skylight.imaging.colour import linear_to_srgb
-from skylight.imaging.metrics import mae, ssim
-from skylight.io.collection import read_categories
-from skylight.io.files import read_environment_map
-from skylight.probes.voxel.analysis import transfer_error
-from skylight.probes.voxel.faces import (
+from skylight.imaging._colour import linear_to_srgb
+from skylight.imaging._metrics import mae, ssim
+from skylight.io._files import read_categories, read_environment_map
+from skylight.probes.voxel._analysis import transfer_error
+from skylight.probes.voxel._interreflection import (
+    GlobalReconstruction,
+    slot_transfer,
+    transfer_vectors,
+)
+from skylight.probes.voxel._lightmap import SIZE, Lightmap
+from skylight.probes.voxel._model import (
     CONFIGURATIONS,
     FORWARD,
     NORMALS,
     ORIENTATIONS,
     RIGHT,
     VoxelFaces,
+    VoxelModel,
     exposed_faces,
+    star_probe,
+    voxelise,
 )
-from skylight.probes.voxel.interreflection.global_illumination import GlobalReconstruction
-from skylight.probes.voxel.interreflection.transfer import slot_transfer, transfer_vectors
-from skylight.probes.voxel.lightmap import SIZE, Lightmap
-from skylight.probes.voxel.model import VoxelModel, star_probe, voxelise
-from skylight.probes.voxel.reconstruct import DirectReconstruction, SlotReconstruction
-from skylight.sphere.envmap import EnvironmentMap, luminance
-from skylight.transport.indirect.path_tracer import DiffuseScene, Sampling, shade
+from skylight.probes.voxel._reconstruct import DirectReconstruction, SlotReconstruction
+from skylight.sphere._envmap import EnvironmentMap, luminance
+from skylight.transport._path_tracer import DiffuseScene, Sampling, shade
 from tools.measured import kept, write_measured
 
 Views = tuple[tuple[float, float], ...]

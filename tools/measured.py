@@ -10,9 +10,8 @@ from typing import Any
 
 import torch
 
-from skylight.evaluation.main import commit
-from skylight.io.bounded import json_content
-from skylight.io.json_files import write_json
+from skylight.evaluation._main import commit
+from skylight.io._bounded import json_content, write_json
 
 
 def kept(path: Path, measure: Callable[[], Any]) -> Any:

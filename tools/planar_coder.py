@@ -14,10 +14,10 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.fft import irfft2, rfft2
 
-from skylight.csc.dictionary import FilterBank
-from skylight.sphere import harmonics
-from skylight.sphere.frame import direction_from_angles
-from skylight.sphere.latlong_transform import LatLongTransform
+from skylight.csc._dictionary import FilterBank
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._frame import direction_from_angles
+from skylight.sphere._latlong_transform import LatLongTransform
 
 Map = Float[Tensor, "h w 3"]
 

@@ -24,9 +24,9 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial import KDTree
 
-from skylight.faces.detection.mediapipe_face import IBUG
-from skylight.faces.landmarks import MESH_EYES
-from skylight.io.atomic import atomic_path
+from skylight.faces._landmarks import MESH_EYES
+from skylight.faces._mediapipe import IBUG
+from skylight.io._atomic import atomic_path
 
 HEAD = Path(__file__).resolve().parents[1] / "skylight/faces/data/head.npz"
 PLANE_M, LANDMARK_M = 0.0015, 0.004

@@ -16,18 +16,18 @@ import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 
-from skylight.cameras.board import Board, save_board
-from skylight.cameras.drawing import lens_rays, looking_at
-from skylight.cameras.frames import read_picture
-from skylight.cameras.intrinsics import FLIP, Intrinsics
-from skylight.cameras.pose import board_pose
 from skylight.cli import main as skylight
-from skylight.evaluation.rendered_faces.independent_render import IndependentScene, Solid, as_photo
-from skylight.io.files import write_png
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.rigid_transform import RigidTransform
-from skylight.transport.camera import Camera
-from skylight.transport.indirect.path_tracer import DiffuseScene
+from skylight.io._files import write_png
+from skylight.people._independent_render import IndependentScene, Solid, as_photo
+from skylight.probes.cameras._board import Board, save_board
+from skylight.probes.cameras._drawing import lens_rays, looking_at
+from skylight.probes.cameras._intrinsics import FLIP, Intrinsics
+from skylight.probes.cameras._live import read_picture
+from skylight.probes.cameras._pose import board_pose
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._rotation import RigidTransform
+from skylight.transport._cameras import Camera
+from skylight.transport._path_tracer import DiffuseScene
 
 ALBEDO, BLACK, PAPER = 0.8, 0.04, 0.85
 BOARD = Board(columns=7, rows=5, square_mm=25.0, marker_mm=18.0)

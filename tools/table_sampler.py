@@ -6,9 +6,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.csc.coder import pixel_of
-from skylight.sphere.envmap import EnvironmentMap, luminance
-from skylight.sphere.grid import row_edges_cos
+from skylight.csc._coder import pixel_of
+from skylight.sphere._envmap import EnvironmentMap, luminance
+from skylight.sphere._frame import row_edges_cos
 
 
 @dataclass(frozen=True, kw_only=True)

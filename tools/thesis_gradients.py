@@ -1,7 +1,7 @@
 """The thesis' three ways to ``<R d_i, r>``, minus the gradient of half the squared loss (Eq. 6.6).
 
-They compute what :class:`skylight.csc.correlation.wigner.RotationCorrelation` computes, at every
-direction and twist of :class:`~skylight.csc.correlation.positions.Positions`, to be compared with
+They compute what :class:`skylight.csc._wigner.RotationCorrelation` computes, at every
+direction and twist of :class:`~skylight.csc._positions.Positions`, to be compared with
 it by ``tools.measure_correlation_growth``, benchmarks and tests:
 
 =============================  ================  =====================================
@@ -20,10 +20,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from skylight.csc.correlation.positions import Positions
-from skylight.csc.correlation.zonal import ZonalCorrelation
-from skylight.sphere import harmonics
-from skylight.sphere.rotation import matrix_from_euler, rotation_blocks
+from skylight.csc._positions import Positions
+from skylight.csc._wigner import ZonalCorrelation
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._rotation import matrix_from_euler, rotation_blocks
 
 _DRAWS = 16
 _TWISTED_BYTES = 2**25  # of twisted residuals at a time: more is no faster, less much slower
@@ -147,7 +147,7 @@ class RotatedZonalGradient(nn.Module):
 class _PolarTurns(nn.Module):
     """Expansions turned about the pole by a set of angles: two numbers a row, all bands at once.
 
-    As :func:`skylight.sphere.rotation.turn_about_pole`, with the cosines and sines made once.
+    As :func:`skylight.sphere._rotation.turn_about_pole`, with the cosines and sines made once.
     """
 
     cosine: Tensor

@@ -9,12 +9,12 @@ import torch
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from skylight.imaging.colour import linear_to_srgb
-from skylight.probes.panorama.lens import Lens
-from skylight.probes.panorama.level import hinted
-from skylight.probes.radiance.exposures import Exposure
-from skylight.sphere.envmap import EnvironmentMap, bilinear
-from skylight.sphere.frame import pixel_from_direction
+from skylight.imaging._colour import linear_to_srgb
+from skylight.probes.cameras._exposures import Exposure
+from skylight.probes.panorama._matches import Lens
+from skylight.probes.panorama._panorama import hinted
+from skylight.sphere._envmap import EnvironmentMap, bilinear
+from skylight.sphere._frame import pixel_from_direction
 
 Light = Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]]
 _SAMPLES = 3  # along each side of a pixel

@@ -23,15 +23,14 @@ from matplotlib import pyplot as plt
 from skimage.data import astronaut
 
 import skylight
-from skylight.app.estimate.demo import score
-from skylight.app.estimate.uncertainty import draw_region, sure_of_the_sun
-from skylight.app.figures.panels import show, show_probe
-from skylight.app.figures.relit import relit
-from skylight.faces.synthetic import render_face
-from skylight.imaging.photo import photo_from_codes
-from skylight.skies.simulated import simulated_skies
-from skylight.sphere.frame import angles_from_direction
-from skylight.transport.scene.evaluation import evaluation_scene
+from skylight._figures import relit, show, show_probe
+from skylight.estimate._demo import score
+from skylight.estimate._summary import draw_region, sure_of_the_sun
+from skylight.faces._synthetic import render_face
+from skylight.imaging._photo import photo_from_codes
+from skylight.skies._simulated import simulated_skies
+from skylight.sphere._frame import angles_from_direction
+from skylight.transport._scene import evaluation_scene
 
 photo = photo_from_codes(astronaut())
 result = skylight.estimate_photo(photo)

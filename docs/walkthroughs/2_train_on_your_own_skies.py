@@ -28,12 +28,10 @@ import torch
 from matplotlib import pyplot as plt
 
 import skylight
-from skylight.app.figures.panels import show
-from skylight.imaging.colour import tone_map
-from skylight.models.bundle import load_bundle
-from skylight.models.networks.files import load_network
-from skylight.skies.index import read_index
-from skylight.skies.loading import load_skies
+from skylight._figures import show
+from skylight.imaging._colour import tone_map
+from skylight.models._bundle import load_bundle, load_network
+from skylight.skies._index import load_skies, read_index
 
 folder = tempfile.TemporaryDirectory()
 runs = Path(folder.name)

@@ -17,13 +17,12 @@ import torch
 from matplotlib import pyplot as plt
 
 from skylight import SphericalSparseCoder
-from skylight.app.codes.sparse_codes import outlines
-from skylight.app.figures.panels import show
-from skylight.imaging.colour import tone_map
-from skylight.sphere import harmonics
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.frame import pixel_from_direction
-from skylight.sphere.grid import DirectionGrid
+from skylight._figures import show
+from skylight.imaging._colour import tone_map
+from skylight.maps._sparse_codes import outlines
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid, pixel_from_direction
 
 directions = DirectionGrid.latlong(64, 128).directions
 walls = torch.tensor([2.5, 1.3, 2.0]).double()  # metres to the side, up and ahead

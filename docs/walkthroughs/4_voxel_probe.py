@@ -18,16 +18,15 @@ import numpy as np
 import torch
 from matplotlib import pyplot as plt
 
-from skylight.app.figures.panels import show
-from skylight.evaluation.probes.voxel_scene import ALBEDO, VoxelScene, baked
-from skylight.imaging.colour import tone_map
-from skylight.imaging.metrics import shading_metrics
-from skylight.probes.voxel.faces import exposed_faces
-from skylight.probes.voxel.interreflection.global_illumination import GlobalReconstruction
-from skylight.probes.voxel.model import VoxelModel, star_probe
-from skylight.probes.voxel.reconstruct import DirectReconstruction
-from skylight.skies.simulated import simulated_skies
-from skylight.transport.indirect.path_tracer import Sampling
+from skylight._figures import show
+from skylight.evaluation._voxel_probe import ALBEDO, VoxelScene, baked
+from skylight.imaging._colour import tone_map
+from skylight.imaging._metrics import shading_metrics
+from skylight.probes.voxel._interreflection import GlobalReconstruction
+from skylight.probes.voxel._model import VoxelModel, exposed_faces, star_probe
+from skylight.probes.voxel._reconstruct import DirectReconstruction
+from skylight.skies._simulated import simulated_skies
+from skylight.transport._path_tracer import Sampling
 
 probe = exposed_faces(star_probe(3))
 known = probe.counts() > 0

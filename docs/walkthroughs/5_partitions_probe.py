@@ -17,23 +17,22 @@ import torch
 import trimesh
 from matplotlib import pyplot as plt
 
-from skylight.app.figures.panels import show
-from skylight.cameras.drawing import looking_at
-from skylight.imaging.colour import tone_map
-from skylight.imaging.metrics import shading_metrics
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design.designs import named_design
-from skylight.probes.partitions.picture import draw_cells
-from skylight.probes.partitions.probe import PartitionProbe
-from skylight.probes.partitions.relight.receivers import Receivers
-from skylight.probes.partitions.relight.refine import refined
-from skylight.probes.partitions.relight.relit import Relighting
-from skylight.probes.partitions.relight.scene import Scene
-from skylight.probes.partitions.relight.transfer import TransferSampling, transfer_coefficients
-from skylight.skies.simulated import simulated_skies
-from skylight.transport.camera import Camera
-from skylight.transport.gbuffer import rasterize
-from skylight.transport.indirect.path_tracer import DiffuseScene, Sampling, shade
+from skylight._figures import show
+from skylight.imaging._colour import tone_map
+from skylight.imaging._metrics import shading_metrics
+from skylight.probes.cameras._drawing import looking_at
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._optimise import named_design
+from skylight.probes.partitions._picture import draw_cells
+from skylight.probes.partitions._probe import PartitionProbe
+from skylight.probes.partitions.relight._atlas import Receivers, refined
+from skylight.probes.partitions.relight._composite import Relighting
+from skylight.probes.partitions.relight._scene import Scene
+from skylight.probes.partitions.relight._transfer import TransferSampling, transfer_coefficients
+from skylight.skies._simulated import simulated_skies
+from skylight.transport._cameras import Camera
+from skylight.transport._path_tracer import DiffuseScene, Sampling, shade
+from skylight.transport._render import rasterize
 
 names = ("6d", "14d", "38d", "14d-outdoor")
 cells = {name: Cells.of(named_design(name)) for name in names}

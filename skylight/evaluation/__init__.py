@@ -1,1 +1,1 @@
-"""Evaluations: the thesis' tables and others, how they are run and written."""
+"""The thesis' tables and others: what is measured, how it is run and written."""

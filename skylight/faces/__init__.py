@@ -1,1 +1,1 @@
-"""Faces: head model, landmarks, fitting, skin."""
+"""Faces: photograph to observation by landmarks, head model, fit, skin and segmentation."""

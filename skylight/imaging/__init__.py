@@ -1,1 +1,1 @@
-"""Photographs, films, colour and image metrics."""
+"""Photographs and films in linear light: colour, capture metadata, image metrics."""

@@ -1,1 +1,1 @@
-"""Files of radiance, tensors and records: strict reading, atomic writing."""
+"""Files: read strictly, written beside their place and moved there."""

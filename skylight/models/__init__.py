@@ -1,1 +1,1 @@
-"""Light models: differentiable maps from few parameters to radiance, with priors."""
+"""Light models: parameters to radiance, with their bounds and priors."""

@@ -7,10 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from skylight.models.networks.base import COARSE_HEIGHTS, HEIGHT, SkyNetwork
-from skylight.models.networks.sun_head import COORDINATES
-from skylight.sphere.frame import angles_from_direction
-from skylight.sphere.grid import DirectionGrid
+from skylight.models._network import COARSE_HEIGHTS, HEIGHT, SkyNetwork
+from skylight.models._sun_head import COORDINATES
+from skylight.sphere._frame import DirectionGrid, angles_from_direction
 
 
 class AutoencoderLight(nn.Module):

@@ -16,9 +16,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from skylight.sphere.envmap import EnvironmentMap, luminance
-from skylight.sphere.frame import angles_from_direction, direction_from_angles
-from skylight.sphere.grid import DirectionGrid
+from skylight.sphere._envmap import EnvironmentMap, luminance
+from skylight.sphere._frame import DirectionGrid, angles_from_direction, direction_from_angles
 
 TURBIDITY_BOUNDS = (1.7, 35.0)  # thesis, 5.3.3.3
 KAPPA_BOUNDS = (8.0, 8192.0)  # thesis, 5.3.3.3

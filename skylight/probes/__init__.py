@@ -1,1 +1,1 @@
-"""Shading probes: printable objects whose captured shading lights virtual scenes."""
+"""Light probes and shading probes: printed, captured, and used to light virtual scenes."""

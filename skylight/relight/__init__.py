@@ -1,1 +1,1 @@
-"""Relighting with numpy and onnxruntime: precomputed scenes and the sky decoder."""
+"""Relighting with numpy and onnxruntime alone, and light as files of other programs."""

@@ -1,1 +1,1 @@
-"""Skies: simulated days, and folders of captured ones."""
+"""Where skies come from: simulated, captured, and what stands under them."""

@@ -1,1 +1,1 @@
-"""The unit sphere: frames, grids, maps, harmonics, rotations, wavelets."""
+"""Everything on the sphere: frame, grids, environment maps, harmonics, rotations, wavelets."""

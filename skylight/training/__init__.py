@@ -1,1 +1,1 @@
-"""Training of the autoencoder, its priors and dictionaries."""
+"""Training of the sky autoencoder, its priors and dictionaries."""

@@ -1,1 +1,1 @@
-"""Light transport: ray casting, transport matrices, rendering."""
+"""Geometry to transport matrices: how light from each direction becomes shading."""

@@ -1,1 +1,1 @@
-"""Long computations: resumable folders, processes, clusters, devices, progress."""
+"""Long work: resumable folders, processes, clusters, progress, devices."""

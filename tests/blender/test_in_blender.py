@@ -19,13 +19,12 @@ import torch
 from PIL import Image
 
 from skylight.cli import main
-from skylight.imaging.colour import srgb_to_linear
-from skylight.io.files import read_environment_map
-from skylight.skies.sun import SUN_RADIUS_RAD
-from skylight.sphere.envmap import EnvironmentMap, luminance
-from skylight.sphere.frame import angle_between, direction_from_angles
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.camera import Camera
+from skylight.imaging._colour import srgb_to_linear
+from skylight.io._files import read_environment_map
+from skylight.skies._sun import SUN_RADIUS_RAD
+from skylight.sphere._envmap import EnvironmentMap, luminance
+from skylight.sphere._frame import DirectionGrid, angle_between, direction_from_angles
+from skylight.transport._cameras import Camera
 from tests.sunny_face import sunny_face
 from tools import build_blender_extension as build
 

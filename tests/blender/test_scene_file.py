@@ -9,8 +9,8 @@ import pytest
 from blender.world_from_portrait.run import Failure
 from blender.world_from_portrait.scene_file import KIND, NAME, VERSION, read_head, read_scene
 from blender.world_from_portrait.wording import UNKNOWN, of_verdict
-from skylight.inverse.posterior import Verdict
-from skylight.relight.light_files import blender_scene
+from skylight.inverse._posterior import Verdict
+from skylight.relight import _blender as blender_scene
 
 SUN: dict[str, Any] = {
     "name": "sun",

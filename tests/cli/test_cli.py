@@ -16,20 +16,20 @@ from PIL import Image
 from skimage.data import astronaut
 
 import skylight
-from skylight.app.estimate.photos import estimate, estimate_photo
+from skylight._options import who_works
 from skylight.cli import main
-from skylight.cli.estimate import Landmarks, Light, Solver
-from skylight.cli.estimate import estimate as estimate_command
-from skylight.cli.workers import who_works
 from skylight.errors import InputError, explain
-from skylight.faces.detection.landmarkers import choose_landmarker
-from skylight.faces.landmarks import DetectedFace
-from skylight.faces.model import HeadModel
-from skylight.faces.names import LandmarkerName
-from skylight.io.files import read_environment_map
-from skylight.models.names import DEFAULT_LIGHT, DEFAULT_SOLVER, LightName, SolverName
-from skylight.sphere.frame import angles_from_direction
-from skylight.work.progress import ProgressForm, StageProgress
+from skylight.estimate._command import Landmarks, Light, Solver
+from skylight.estimate._command import estimate as estimate_command
+from skylight.estimate._photos import estimate, estimate_photo
+from skylight.faces._landmarkers import choose_landmarker
+from skylight.faces._landmarks import DetectedFace
+from skylight.faces._model import HeadModel
+from skylight.faces._names import LandmarkerName
+from skylight.io._files import read_environment_map
+from skylight.models._names import DEFAULT_LIGHT, DEFAULT_SOLVER, LightName, SolverName
+from skylight.sphere._frame import angles_from_direction
+from skylight.work._progress import ProgressForm, StageProgress
 
 RESULTS = {"probe.exr", "probe.hdr", "posterior.exr", "mesh.obj", "estimate.json", "report.png"}
 
@@ -228,7 +228,7 @@ class TestFailures:
             yield tell
 
         # a real signal may fall where some library swallows it
-        monkeypatch.setattr("skylight.app.progress.stage_bar", interrupted_while_writing)
+        monkeypatch.setattr("skylight.work._progress.stage_bar", interrupted_while_writing)
         sh9 = ["--light", "sh9"]
         assert main(["estimate", str(portrait), *sh9, "--out", str(results)]) == 1
         assert "interrupted" in one_line(capsys)

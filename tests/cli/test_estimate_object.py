@@ -13,16 +13,16 @@ import trimesh
 from PIL import Image
 
 from skylight.cli import main
-from skylight.cli.estimate import ObjectLight
-from skylight.imaging.colour import linear_to_srgb
-from skylight.inverse.object.problem import ObjectLightName
-from skylight.inverse.object.view import observe_object
-from skylight.io.files import read_environment_map
-from skylight.io.hdr import write_exr
-from skylight.sphere import harmonics
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.object_camera import object_camera
+from skylight.imaging._colour import linear_to_srgb
+from skylight.io._files import read_environment_map
+from skylight.io._hdr import write_exr
+from skylight.object._command import ObjectLight
+from skylight.object._problem import ObjectLightName
+from skylight.object._view import observe_object
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid
+from skylight.transport._cameras import object_camera
 from tests.cli.test_cli import one_line
 
 CAMERA = {"fov_deg": 36, "position": [3, 1.2, -2.6], "look_at": [0, 0, 0]}

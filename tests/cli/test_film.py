@@ -9,14 +9,14 @@ import pytest
 from PIL import Image
 from skimage.data import astronaut
 
-from skylight.app.estimate import film as film_module
-from skylight.app.estimate.followed import FOLLOWED, FOLLOWING, read_followed
-from skylight.cameras.turns import Link, world_from_cameras
 from skylight.cli import main
 from skylight.errors import InputError
-from skylight.faces.film.follow import Shot
-from skylight.io.files import read_environment_map
-from skylight.io.tensors import read_tensors, write_tensors
+from skylight.estimate.film import _files as film_module
+from skylight.estimate.film._files import FOLLOWED, FOLLOWING, read_followed
+from skylight.estimate.film._follow import Shot
+from skylight.imaging._camera_turns import Link, world_from_cameras
+from skylight.io._files import read_environment_map
+from skylight.io._tensors import read_tensors, write_tensors
 from tests.films import box, with_in_description, write_film
 
 

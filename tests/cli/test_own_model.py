@@ -10,8 +10,8 @@ from PIL import Image
 from skimage.data import astronaut
 
 from skylight.cli import main
-from skylight.io.files import read_environment_map
-from skylight.relight.sky_decoder import SkyDecoder
+from skylight.io._files import read_environment_map
+from skylight.relight._decoder import SkyDecoder
 
 LATENTS = 64
 

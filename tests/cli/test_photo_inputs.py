@@ -11,15 +11,15 @@ import torch
 from PIL import ExifTags, Image
 from skimage.data import camera
 
-from skylight.app.estimate import photos
-from skylight.app.estimate.photos import estimate
 from skylight.cli import main
-from skylight.imaging.colour import srgb_to_linear
-from skylight.inverse.estimate import light_problem
-from skylight.io.files import read_environment_map
-from skylight.io.hdr import write_exr
-from skylight.models.names import LightName
-from skylight.sphere.envmap import EnvironmentMap, luminance
+from skylight.estimate import _photos as photos
+from skylight.estimate._photos import estimate
+from skylight.imaging._colour import srgb_to_linear
+from skylight.inverse._estimate import light_problem
+from skylight.io._files import read_environment_map
+from skylight.io._hdr import write_exr
+from skylight.models._names import LightName
+from skylight.sphere._envmap import EnvironmentMap, luminance
 from tests.sunny_face import sunny_face
 
 

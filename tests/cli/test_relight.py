@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from skylight.cli import main
-from skylight.relight import command
+from skylight.relight import _command as command
 from tests.cli.test_cli import one_line, written_exr
 
 

@@ -8,13 +8,13 @@ import pytest
 import torch
 from PIL import Image
 
-from skylight.app.portrait import files
-from skylight.app.portrait.relit import KNEE, RelitPortrait, shown
 from skylight.cli import main
-from skylight.imaging.colour import linear_to_srgb
-from skylight.io.files import write_environment_map, write_png
-from skylight.io.hdr import read_linear
-from skylight.sphere.envmap import EnvironmentMap
+from skylight.imaging._colour import linear_to_srgb
+from skylight.io._files import write_environment_map, write_png
+from skylight.io._hdr import read_linear
+from skylight.portrait import _files as files
+from skylight.portrait._files import KNEE, RelitPortrait, shown
+from skylight.sphere._envmap import EnvironmentMap
 from tests.sunny_face import direction, sunny_face
 
 

@@ -5,10 +5,10 @@ from typing import get_args
 
 import pytest
 
-from skylight.app.progress import with_time_left
 from skylight.cli import main
-from skylight.cli.skies import MapLayout
-from skylight.skies.layouts import Layout
+from skylight.skies._command import MapLayout
+from skylight.skies._layouts import Layout
+from skylight.work._progress import with_time_left
 from tests.cli.test_cli import one_line
 
 
@@ -31,7 +31,7 @@ def test_simulate_then_index(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 def test_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
     """By the pace of what was done since the start: 2 of 10 in 8 s leave 5 for 20 s."""
     clock = iter([100.0, 108.0, 508.0])
-    monkeypatch.setattr("skylight.app.progress.time.monotonic", lambda: next(clock))
+    monkeypatch.setattr("skylight.work._progress.time.monotonic", lambda: next(clock))
     told: list[tuple[str, float]] = []
     progress = with_time_left("day", lambda stage, share: told.append((stage, share)))
     for done in (3, 5, 7):

@@ -11,21 +11,25 @@ import pytest
 import torch
 from PIL import Image
 
-from skylight.app.codes.sparse_codes import _unrolled, outlines
 from skylight.cli import main
-from skylight.cli.sparse_codes import CodeWeights
-from skylight.csc.code import SparseCode
-from skylight.csc.coder import SphericalSparseCoder
-from skylight.csc.correlation.positions import centres_of
-from skylight.csc.dictionary import FilterBank, builtin, isotropic
-from skylight.csc.pursuit.greedy import Sign
-from skylight.csc.sub_dictionaries import BOX_SIZES
-from skylight.io.files import read_environment_map, write_environment_map
-from skylight.io.hdr import write_exr
-from skylight.sphere import harmonics
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.frame import angle_between, direction_from_angles, pixel_from_direction
-from skylight.sphere.grid import DirectionGrid
+from skylight.csc._code import SparseCode
+from skylight.csc._coder import SphericalSparseCoder
+from skylight.csc._dictionary import FilterBank, builtin, isotropic
+from skylight.csc._greedy import Sign
+from skylight.csc._positions import centres_of
+from skylight.csc._sub_dictionaries import BOX_SIZES
+from skylight.io._files import read_environment_map, write_environment_map
+from skylight.io._hdr import write_exr
+from skylight.maps._command import CodeWeights
+from skylight.maps._sparse_codes import _unrolled, outlines
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import (
+    DirectionGrid,
+    angle_between,
+    direction_from_angles,
+    pixel_from_direction,
+)
 from tests.cli.test_cli import one_line
 
 

@@ -11,13 +11,13 @@ import pytest
 from PIL import ExifTags, Image
 
 import skylight
-from skylight.app.estimate.folder.batch import estimate_folder
-from skylight.app.estimate.folder.settings import BatchSettings
 from skylight.cli import main
-from skylight.imaging.photo import photo_from_codes
-from skylight.imaging.taken import Taken
-from skylight.skies.sun import Place, sun_angles
-from skylight.studio.tasks.estimate import estimate_light
+from skylight.estimate._folder import estimate_folder
+from skylight.estimate._manifest import BatchSettings
+from skylight.imaging._photo import photo_from_codes
+from skylight.imaging._taken import Taken
+from skylight.skies._sun import Place, sun_angles
+from skylight.studio.tasks._light import estimate_light
 from tests.sunny_face import sunny_face
 
 LATITUDE, LONGITUDE = 41.8911, 12.4922

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from skylight.csc.code import SparseCode
+from skylight.csc._code import SparseCode
 from skylight.errors import InputError
-from skylight.sphere.frame import direction_from_angles
+from skylight.sphere._frame import direction_from_angles
 
 F64 = torch.float64
 

@@ -7,19 +7,18 @@ from pathlib import Path
 import pytest
 import torch
 
-from skylight.csc import dictionary
-from skylight.csc.code import CodeTensors, SparseCode
-from skylight.csc.coder import SphericalSparseCoder, coder_for
-from skylight.csc.correlation.positions import centres_of
-from skylight.csc.dictionary import FilterBank
-from skylight.csc.pursuit.greedy import PursuitOptions
-from skylight.csc.sampling import CodeSampler
-from skylight.csc.sub_dictionaries import BOX_SIZES
+from skylight.csc import _dictionary as dictionary
+from skylight.csc._code import CodeTensors, SparseCode
+from skylight.csc._coder import SphericalSparseCoder, coder_for
+from skylight.csc._dictionary import FilterBank
+from skylight.csc._greedy import PursuitOptions
+from skylight.csc._positions import centres_of
+from skylight.csc._sampling import CodeSampler
+from skylight.csc._sub_dictionaries import BOX_SIZES
 from skylight.errors import InputError
-from skylight.sphere import harmonics
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.frame import direction_from_angles
-from skylight.sphere.grid import DirectionGrid
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid, direction_from_angles
 from tools import measure_planted_codes as planted_codes
 
 F64 = torch.float64
@@ -148,7 +147,7 @@ def test_maps_coded_together_have_the_codes_of_each_alone(
     kind: str, threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One of them needs a single activation, the others go on; more maps than fit together."""
-    monkeypatch.setattr("skylight.csc.coder._TOGETHER", 2)
+    monkeypatch.setattr("skylight.csc._coder._TOGETHER", 2)
     choice = {"activations": 6} | BATCHES[kind]
     coder = SphericalSparseCoder(bank(), dtype=F64, **choice)
     maps = torch.stack([room(seed, coder.height) for seed in range(3)])

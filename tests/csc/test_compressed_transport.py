@@ -5,20 +5,20 @@ import math
 import pytest
 import torch
 
-from skylight.csc.compressed_transport import (
+from skylight.csc._compressed_transport import (
     CompressedTransport,
     compress,
     row_signals,
     transform_for,
 )
-from skylight.csc.correlation.positions import Positions
-from skylight.csc.dictionary import FilterBank, isotropic
-from skylight.csc.pursuit.greedy import Support
-from skylight.csc.sub_dictionaries import BoxDictionary, Part, SubDictionary
+from skylight.csc._dictionary import FilterBank, isotropic
+from skylight.csc._greedy import Support
+from skylight.csc._positions import Positions
+from skylight.csc._sub_dictionaries import BoxDictionary, Part, SubDictionary
 from skylight.errors import InputError
-from skylight.sphere import harmonics
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.matrix import TransportMatrix
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._frame import DirectionGrid
+from skylight.transport._matrix import TransportMatrix
 
 POSITIONS = Positions(rows=8, twists=8)
 

@@ -9,12 +9,13 @@ from safetensors.torch import save_file
 from scipy.integrate import dblquad, quad
 from scipy.special import eval_legendre, ive, sph_harm_y
 
-from skylight.csc import dictionary
-from skylight.csc.dictionary import FilterBank, builtin, load_dictionary, project_about_pole
+from skylight.csc import _dictionary as dictionary
+from skylight.csc._dictionary import FilterBank, builtin, load_dictionary, project_about_pole
 from skylight.errors import InputError
-from skylight.io.tensors import write_tensors
-from skylight.sphere import harmonics, lobes
-from skylight.sphere.grid import DirectionGrid
+from skylight.io._tensors import write_tensors
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere import _lobes as lobes
+from skylight.sphere._frame import DirectionGrid
 
 F64 = torch.float64
 SIZES = {"iso": 101, "ani": 201, "vmf": 2, "box": 201}

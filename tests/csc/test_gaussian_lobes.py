@@ -4,13 +4,12 @@ import pytest
 import torch
 from scipy.special import exp1
 
-from skylight.csc import dictionary
-from skylight.csc.dictionary import FilterBank
-from skylight.csc.gaussian_lobes import GaussianLobes, fitted_lobes
-from skylight.sphere import lobes
-from skylight.sphere.frame import direction_from_angles
-from skylight.sphere.grid import DirectionGrid
-from skylight.sphere.rotation import matrix_from_euler
+from skylight.csc import _dictionary as dictionary
+from skylight.csc._dictionary import FilterBank
+from skylight.csc._gaussian_lobes import GaussianLobes, fitted_lobes
+from skylight.sphere import _lobes as lobes
+from skylight.sphere._frame import DirectionGrid, direction_from_angles
+from skylight.sphere._rotation import matrix_from_euler
 
 F64 = torch.float64
 

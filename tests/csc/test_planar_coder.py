@@ -5,9 +5,9 @@ import math
 import pytest
 import torch
 
-from skylight.csc.dictionary import anisotropic
-from skylight.evaluation.codes.sparse_coding import relative_error
-from skylight.sphere import harmonics
+from skylight.csc._dictionary import anisotropic
+from skylight.evaluation._sparse_coding import relative_error
+from skylight.sphere import _harmonics as harmonics
 from tools.planar_coder import (
     Atom,
     PlanarDictionary,

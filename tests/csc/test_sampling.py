@@ -9,15 +9,15 @@ import pytest
 import torch
 from scipy.stats import chi2, kstest
 
-from skylight.csc.code import CodeTensors
-from skylight.csc.coder import SphericalSparseCoder, pixel_of
-from skylight.csc.dictionary import FilterBank, builtin
-from skylight.csc.gaussian_lobes import fitted_lobes
-from skylight.csc.sampling import CodeSampler
-from skylight.csc.sub_dictionaries import BOX_SIZES, SubDictionary
+from skylight.csc._code import CodeTensors
+from skylight.csc._coder import SphericalSparseCoder, pixel_of
+from skylight.csc._dictionary import FilterBank, builtin
+from skylight.csc._gaussian_lobes import fitted_lobes
+from skylight.csc._sampling import CodeSampler
+from skylight.csc._sub_dictionaries import BOX_SIZES, SubDictionary
 from skylight.errors import InputError
-from skylight.sphere.envmap import EnvironmentMap, luminance
-from skylight.sphere.grid import DirectionGrid
+from skylight.sphere._envmap import EnvironmentMap, luminance
+from skylight.sphere._frame import DirectionGrid
 from tools.measure_code_sampling import agreement, small_table, variance
 from tools.table_sampler import TableSampler
 

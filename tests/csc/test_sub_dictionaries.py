@@ -1,23 +1,26 @@
 import pytest
 import torch
 
-from skylight.csc import dictionary
-from skylight.csc.correlation.norms import atom_norms
-from skylight.csc.correlation.positions import Positions
-from skylight.csc.correlation.rotated import rotated_filters
-from skylight.csc.correlation.wigner import RotationCorrelation
-from skylight.csc.correlation.zonal import ZonalCorrelation, is_zonal
-from skylight.csc.dictionary import FilterBank
-from skylight.csc.pursuit.quadratic import SampledSignal
-from skylight.csc.sub_dictionaries import (
+from skylight.csc import _dictionary as dictionary
+from skylight.csc._active_set import SampledSignal
+from skylight.csc._dictionary import FilterBank
+from skylight.csc._positions import Positions
+from skylight.csc._sub_dictionaries import (
     BoxDictionary,
     SubDictionary,
     degree_of,
     multiresolution,
     part_of,
 )
-from skylight.sphere.grid import DirectionGrid
-from skylight.sphere.latlong_transform import LatLongTransform
+from skylight.csc._wigner import (
+    RotationCorrelation,
+    ZonalCorrelation,
+    atom_norms,
+    is_zonal,
+    rotated_filters,
+)
+from skylight.sphere._frame import DirectionGrid
+from skylight.sphere._latlong_transform import LatLongTransform
 
 F64 = torch.float64
 

@@ -1,9 +1,9 @@
 """Little effort, for evaluations whose tests look at what is done and not at how well."""
 
-from skylight.evaluation.faces.options import EstimateOptions
-from skylight.inverse.objective.descent import Round
-from skylight.inverse.objective.lit_faces import Level
-from skylight.inverse.sky.solver import SolverOptions
+from skylight.evaluation._known_faces import EstimateOptions
+from skylight.inverse._descent import Round
+from skylight.inverse._faces import Level
+from skylight.inverse._sky import SolverOptions
 
 QUICK = EstimateOptions(
     solver=SolverOptions(

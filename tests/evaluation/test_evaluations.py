@@ -5,12 +5,12 @@ import json
 import pytest
 import torch
 
-from skylight.evaluation.faces.real_faces import RealFaces
-from skylight.evaluation.main import run_evaluation
-from skylight.evaluation.scores.relit_scene import score
-from skylight.evaluation.skies.sky_models import SkyModels
+from skylight.evaluation._main import run_evaluation
+from skylight.evaluation._real_faces import RealFaces
+from skylight.evaluation._sky_models import SkyModels
+from skylight.inverse._scores import score
 from skylight.models.sunsky import SunSky
-from skylight.sphere.envmap import EnvironmentMap
+from skylight.sphere._envmap import EnvironmentMap
 
 SHADING = {"mae", "rmse", "si_rmse", "ssim", "mae_aligned", "rmse_aligned", "brightness"}
 

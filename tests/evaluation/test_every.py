@@ -3,8 +3,9 @@
 import pytest
 
 from skylight.errors import InputError
-from skylight.evaluation import every, main
-from tests.evaluation.harness.test_run import Counting, measured
+from skylight.evaluation import _main as every
+from skylight.evaluation import _main as main
+from tests.evaluation.test_run import Counting, measured
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.faces.captures import (
+from skylight.faces._captures import (
     CAPTURES_NAME,
     FaceCapture,
     capture_hash,
@@ -17,9 +17,9 @@ from skylight.faces.captures import (
     true_light,
     write_azimuths,
 )
-from skylight.io.files import write_environment_map
-from skylight.io.hdr import write_exr
-from skylight.sphere.envmap import EnvironmentMap
+from skylight.io._files import write_environment_map
+from skylight.io._hdr import write_exr
+from skylight.sphere._envmap import EnvironmentMap
 
 HEAD = "photo,probe,azimuth_deg,visible_sun,person\n"
 CAPTURE = FaceCapture(

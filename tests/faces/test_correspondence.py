@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from skylight.faces.correspondence import MeshPoints, SlidingLandmarks, _mesh_moment
-from skylight.faces.detection.mediapipe_face import IBUG, POINTS
-from skylight.faces.fit import FaceFit, camera_project, fit_face
-from skylight.faces.landmarks import DetectedFace
-from skylight.faces.model import HeadModel
-from skylight.transport.camera import Camera
+from skylight.faces._fit import FaceFit, camera_project, fit_face
+from skylight.faces._landmarks import DetectedFace
+from skylight.faces._mediapipe import IBUG, POINTS
+from skylight.faces._model import HeadModel, MeshPoints, SlidingLandmarks, _mesh_moment
+from skylight.transport._cameras import Camera
 
 SIDE, FOCAL = 512, 900.0
 
@@ -110,7 +109,7 @@ def test_poses_come_back_from_points_that_err_as_measured(head):
 
 
 def _fit_with(head, seen):
-    from skylight.faces.fit import FitProblem
+    from skylight.faces._fit import FitProblem
 
     problem = FitProblem(head, seen, SIDE, SIDE, FOCAL)
     state, _, _ = problem.minimise(problem.start(0.0), iterations=60, pose_only=False)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from skylight.faces.correspondence import correspondence
-from skylight.faces.fit import (
+from skylight.faces._fit import (
     FaceFit,
     FitProblem,
     FitState,
@@ -15,9 +14,9 @@ from skylight.faces.fit import (
     fit_face,
     landmarks_of,
 )
-from skylight.faces.landmarks import DetectedFace
-from skylight.faces.model import HeadModel
-from skylight.transport.camera import Camera
+from skylight.faces._landmarks import DetectedFace
+from skylight.faces._model import HeadModel, correspondence
+from skylight.transport._cameras import Camera
 
 WIDTH, HEIGHT = 640, 480
 PEOPLE = 10

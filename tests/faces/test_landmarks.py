@@ -9,11 +9,10 @@ import pytest
 from skimage.data import astronaut
 
 from skylight.errors import AssetError, DependencyError, InputError
-from skylight.faces.detection import dlib_landmarks
-from skylight.faces.detection.dlib_landmarks import DlibLandmarker, predictor_path
-from skylight.faces.detection.landmarkers import choose_landmarker
-from skylight.faces.detection.mediapipe_face import MediaPipeLandmarker
-from skylight.faces.landmarks import DetectedFace, FaceLandmarker, choose_face
+from skylight.faces import _landmarkers as dlib_landmarks
+from skylight.faces._landmarkers import DlibLandmarker, choose_landmarker, predictor_path
+from skylight.faces._landmarks import DetectedFace, FaceLandmarker, choose_face
+from skylight.faces._mediapipe import MediaPipeLandmarker
 
 
 @pytest.fixture(scope="module", params=["mediapipe", "dlib"])

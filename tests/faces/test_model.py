@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from skylight.errors import AssetError
-from skylight.faces import model as model_module
-from skylight.faces.model import HeadModel, Region
+from skylight.faces import _model as model_module
+from skylight.faces._model import HeadModel, Region
 
 # Landmark i's mirror image in the iBUG scheme.
 MIRROR = np.array(

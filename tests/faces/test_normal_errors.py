@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.faces.correspondence import MeshPoints, correspondence
-from skylight.faces.fit import FIRST_OF_SHAPE, FaceFit, FitProblem, camera_project, fit_face
-from skylight.faces.model import HeadModel, Region
-from skylight.faces.normal_errors import (
+from skylight.faces._fit import FIRST_OF_SHAPE, FaceFit, FitProblem, camera_project, fit_face
+from skylight.faces._model import HeadModel, MeshPoints, Region, correspondence
+from skylight.faces._normal_errors import (
     MODES,
     normal_error_modes,
     normal_turns,
     vertex_normal_derivatives,
 )
-from skylight.transport.gbuffer import rasterize, vertex_normals
-from skylight.transport.raycast import Raycaster
+from skylight.transport._rays import Raycaster
+from skylight.transport._render import rasterize, vertex_normals
 from tests.faces.test_fit import HEIGHT, WIDTH, detected, person, state_of
 
 

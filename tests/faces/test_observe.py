@@ -8,12 +8,12 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from skylight.errors import InputError
-from skylight.faces import observe
-from skylight.faces.model import HeadModel, Region
-from skylight.faces.observe import BARE_PARTS, BLOCK, GRAZING_COSINE, observe_face
-from skylight.faces.synthetic import render_face
-from skylight.sphere.envmap import EnvironmentMap, luminance
-from skylight.transport.camera import Camera
+from skylight.faces import _observe as observe
+from skylight.faces._model import HeadModel, Region
+from skylight.faces._observe import BARE_PARTS, BLOCK, GRAZING_COSINE, observe_face
+from skylight.faces._synthetic import render_face
+from skylight.sphere._envmap import EnvironmentMap, luminance
+from skylight.transport._cameras import Camera
 
 SIZE = 128
 

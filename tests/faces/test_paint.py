@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from skylight.faces.model import HeadModel, Region
-from skylight.faces.paint import paint
+from skylight.faces._model import HeadModel, Region
+from skylight.faces._synthetic import paint
 
 SKIN = np.array([0.38, 0.22, 0.15])
 

@@ -5,9 +5,9 @@ import pytest
 from scipy.sparse.linalg import eigsh
 from scipy.spatial import KDTree
 
-from skylight.evaluation.rendered_faces.skin import skin_albedo
-from skylight.faces.model import HeadModel, Region
-from skylight.faces.skin import MODES, PIGMENT_COLOURS, pigment_modes
+from skylight.faces._model import HeadModel, Region
+from skylight.faces._skin import MODES, PIGMENT_COLOURS, pigment_modes
+from skylight.people._skin import skin_albedo
 
 CORRELATION_M, SYMMETRY = 0.035, 0.8
 

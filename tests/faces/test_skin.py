@@ -12,10 +12,10 @@ import torch
 from torch import Tensor
 
 from skylight.errors import AssetError
-from skylight.faces import skin
-from skylight.faces.skin import SkinPrior
-from skylight.imaging.colour import srgb_to_linear
-from skylight.models.base import Prior
+from skylight.faces import _skin as skin
+from skylight.faces._skin import SkinPrior
+from skylight.imaging._colour import srgb_to_linear
+from skylight.models._base import Prior
 
 # Monk Skin Tone scale, sRGB, lightest first (skintone.google)
 MONK = ("f6ede4", "f3e7db", "f7ead0", "eadaba", "d7bd96", "a07e56", "825c43", "604134", "3a312a",

@@ -19,22 +19,22 @@ import numpy as np
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
-from skylight.cameras.frames import read_picture
-from skylight.csc.code import SparseCode
-from skylight.csc.dictionary import FilterBank
-from skylight.imaging.photo import read_photo
-from skylight.io.files import read_environment_map
-from skylight.io.tensors import write_tensors
-from skylight.models.networks.files import load_network
-from skylight.probes.partitions.relight.scene_files import read_scene
-from skylight.probes.partitions.relight.transfer_file import load_transfer
-from skylight.probes.voxel.lightmap import load_lightmap
-from skylight.probes.voxel.model import read_voxels
-from skylight.relight.scene_file import PrecomputedScene, load_scene
-from skylight.relight.sky_decoder import SkyDecoder
-from skylight.skies.index import read_index
-from skylight.training.config import read_config
-from skylight.transport.mesh import read_mesh
+from skylight.csc._code import SparseCode
+from skylight.csc._dictionary import FilterBank
+from skylight.imaging._photo import read_photo
+from skylight.io._files import read_environment_map
+from skylight.io._tensors import write_tensors
+from skylight.models._bundle import load_network
+from skylight.probes.cameras._live import read_picture
+from skylight.probes.partitions.relight._scene import read_scene
+from skylight.probes.partitions.relight._transfer import load_transfer
+from skylight.probes.voxel._lightmap import load_lightmap
+from skylight.probes.voxel._model import read_voxels
+from skylight.relight._decoder import SkyDecoder
+from skylight.relight._runtime import PrecomputedScene, load_scene
+from skylight.skies._index import read_index
+from skylight.training._config import read_config
+from skylight.transport._mesh import read_mesh
 from tests.imaging.test_raw import LONG, Entry, mosaic, write_dng
 from tests.peak_memory import peak_mb
 

@@ -8,12 +8,12 @@ import pytest
 
 pytest.importorskip("distributed", reason="dask is not installed")
 
-from skylight.evaluation.harness.run import CACHE, Check, Item, measure_all
-from skylight.evaluation.rendered_faces.batch import render_folder
-from skylight.evaluation.rendered_faces.files import read_rendered_face, rendered_faces
-from skylight.evaluation.rendered_faces.options import RenderOptions
-from skylight.skies.simulated import simulate_folder
-from skylight.work.cluster import Cluster
+from skylight.evaluation._run import CACHE, Check, Item, measure_all
+from skylight.people._batch import render_folder
+from skylight.people._files import read_rendered_face, rendered_faces
+from skylight.people._light import RenderOptions
+from skylight.skies._simulated import simulate_folder
+from skylight.work._cluster import Cluster
 from tests.dask_cluster import DaskCluster, dask_cluster
 
 pytestmark = pytest.mark.slow

@@ -15,7 +15,7 @@ import torch
 from skimage.data import astronaut
 
 import skylight
-from skylight.inverse.result import Estimate
+from skylight.inverse._result import Estimate
 
 pytestmark = pytest.mark.slow
 

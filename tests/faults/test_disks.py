@@ -13,14 +13,14 @@ import pytest
 import torch
 
 from skylight.errors import OutputError
-from skylight.io.files import write_environment_map, write_png
-from skylight.io.json_files import write_json
-from skylight.io.tensors import write_tensors
-from skylight.probes.voxel.lightmap import Lightmap
-from skylight.probes.voxel.model import VoxelModel, write_voxels
-from skylight.skies.index import SkyRecord, write_rows
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.work.results_folder import results_folder
+from skylight.io._bounded import write_json
+from skylight.io._files import write_environment_map, write_png
+from skylight.io._tensors import write_tensors
+from skylight.probes.voxel._lightmap import Lightmap
+from skylight.probes.voxel._model import VoxelModel, write_voxels
+from skylight.skies._index import SkyRecord, write_rows
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.work._resumable import results_folder
 
 DISK = 1_000_000  # bytes
 _NOISE = np.random.default_rng(0)

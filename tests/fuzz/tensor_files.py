@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from skylight.errors import OutputError
-from skylight.io.tensors import write_tensors
+from skylight.io._tensors import write_tensors
 
 _TYPES = {
     str(kind).removeprefix("torch."): kind

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
 
 from skylight.errors import InputError
-from skylight.imaging.colour import (
+from skylight.imaging._colour import (
     decode_gamma,
     decode_values,
     encode_gamma,

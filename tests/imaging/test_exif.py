@@ -9,8 +9,8 @@ import pytest
 from PIL import ExifTags, Image
 
 from skylight.errors import InputError
-from skylight.imaging.photo import Photo, read_photo
-from skylight.imaging.taken import Taken
+from skylight.imaging._photo import Photo, read_photo
+from skylight.imaging._taken import Taken
 
 CLOCK = {"DateTimeOriginal": "2024:06:01 14:30:00"}
 ZONE = {"OffsetTimeOriginal": "+02:00"}

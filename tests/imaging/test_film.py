@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from skylight.errors import InputError
-from skylight.imaging.film import film_frames
-from skylight.imaging.mp4 import transfer_characteristic
+from skylight.imaging._film import film_frames, transfer_characteristic
 from tests.films import (
     box,
     ticks_a_second,
@@ -194,7 +193,7 @@ def test_what_decoders_say_of_a_damaged_film_is_not_printed(tmp_path: Path) -> N
     other.write_bytes(b"RIFF" + (1000).to_bytes(4, "little") + b"AVI nothing" * 90)
     program = (
         "import sys; from pathlib import Path; from skylight.errors import InputError; "
-        "from skylight.imaging.film import film_frames\n"
+        "from skylight.imaging._film import film_frames\n"
         "for name in sys.argv[1:]:\n"
         "    try: print(len(list(film_frames(Path(name)))))\n"
         "    except InputError as error: print(error)"

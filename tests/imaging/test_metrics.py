@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from skimage.metrics import structural_similarity
 
 from skylight.errors import InputError
-from skylight.imaging.colour import linear_to_srgb
-from skylight.imaging.metrics import (
+from skylight.imaging._colour import linear_to_srgb
+from skylight.imaging._metrics import (
     full_dw_mae,
     lighting_metrics,
     mae,
@@ -23,9 +23,8 @@ from skylight.imaging.metrics import (
     sun_dw_mae_fixed,
     sun_region,
 )
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.frame import angle_between, direction_from_angles
-from skylight.sphere.grid import DirectionGrid
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid, angle_between, direction_from_angles
 
 
 def constant(value: float, height: int = 32) -> EnvironmentMap:

@@ -12,8 +12,8 @@ import torch
 from PIL import ExifTags, Image, ImageCms, ImageOps
 
 from skylight.errors import InputError
-from skylight.imaging.colour import Decode
-from skylight.imaging.photo import photo_from_codes, read_photo
+from skylight.imaging._colour import Decode
+from skylight.imaging._photo import photo_from_codes, read_photo
 
 ORIENTATION = ExifTags.Base.Orientation
 

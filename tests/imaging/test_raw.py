@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from skylight.errors import DependencyError, InputError
-from skylight.imaging.photo import read_photo
+from skylight.imaging._photo import read_photo
 
 WHITE = 4095
 COLOUR = np.array([1000, 2000, 500])
@@ -154,7 +154,7 @@ def test_damaged_exif_data_print_nothing(tmp_path: Path) -> None:
     content = path.read_bytes()
     entry = struct.pack("<HHI", 271, ASCII, 9)
     path.write_bytes(content.replace(entry, struct.pack("<HHI", 271, ASCII, 2**30)))
-    program = "import sys; from skylight.imaging.photo import read_photo; read_photo(sys.argv[1])"
+    program = "import sys; from skylight.imaging._photo import read_photo; read_photo(sys.argv[1])"
     command = [sys.executable, "-c", program, str(path)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("", "")

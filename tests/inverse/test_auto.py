@@ -8,14 +8,14 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.inverse.auto import LEAD, TEMPERATURE, choose, open_sky_log_odds, scene_of
-from skylight.inverse.estimate import estimate_light, light_problem, smooth_autoencoder
-from skylight.inverse.objective.descent import Round
-from skylight.inverse.objective.lit_faces import Level
-from skylight.inverse.result import Lamp
-from skylight.inverse.sky.solver import SolverOptions
-from skylight.models.bundle import load_bundle
-from skylight.models.ground import LambertianGround
+from skylight.inverse._auto import LEAD, TEMPERATURE, choose, open_sky_log_odds, scene_of
+from skylight.inverse._descent import Round
+from skylight.inverse._estimate import estimate_light, light_problem, smooth_autoencoder
+from skylight.inverse._faces import Level
+from skylight.inverse._result import Lamp
+from skylight.inverse._sky import SolverOptions
+from skylight.models._bundle import load_bundle
+from skylight.models._ground import LambertianGround
 from tests.inverse.test_lamps import found_in, lit_ball
 from tests.inverse.test_solve import MODES, ball_normals, observed
 

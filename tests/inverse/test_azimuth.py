@@ -9,13 +9,13 @@ import torch
 from scipy.optimize import nnls
 
 from skylight.errors import InputError
-from skylight.faces.model import HeadModel
-from skylight.faces.observe import observe_face
-from skylight.inverse.azimuth import azimuth_curve, local_minima, relit_face
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.matrix import TransportMatrix
-from skylight.transport.observation import Observation
+from skylight.faces._model import HeadModel
+from skylight.faces._observe import observe_face
+from skylight.inverse._azimuth import azimuth_curve, local_minima, relit_face
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid
+from skylight.transport._matrix import TransportMatrix
+from skylight.transport._observation import Observation
 
 HEIGHT, WIDTH = 8, 16
 ALBEDO, GLOSS = torch.tensor([0.6, 0.4, 0.3]), 1.3

@@ -8,30 +8,20 @@ import torch
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.inverse.auto import AutoProblem, choose_each
-from skylight.inverse.estimate import estimate_each, estimate_light, light_problems
-from skylight.inverse.objective.descent import Round
-from skylight.inverse.objective.face_term import FaceTerm
-from skylight.inverse.objective.light_objective import LightObjective
-from skylight.inverse.objective.lit_faces import Level
-from skylight.inverse.objective.weights import ObjectiveWeights
-from skylight.inverse.result import Estimate
-from skylight.inverse.scan import scan_faces
-from skylight.inverse.sky.problem import SkyProblem, solve_together
-from skylight.inverse.sky.solver import SkySolver, SolverOptions
-from skylight.models.names import LightName
+from skylight.inverse._auto import AutoProblem, choose_each
+from skylight.inverse._descent import Round
+from skylight.inverse._estimate import estimate_each, estimate_light, light_problems
+from skylight.inverse._faces import FaceTerm, Level, ObjectiveWeights
+from skylight.inverse._objective import LightObjective
+from skylight.inverse._result import Estimate
+from skylight.inverse._scan import scan_faces
+from skylight.inverse._sky import SkyProblem, SkySolver, SolverOptions, solve_together
+from skylight.models._names import LightName
 from skylight.models.sunsky import SunSky
-from skylight.sphere.envmap import luminance
-from skylight.transport.matrix import TransportMatrix
-from skylight.transport.observation import Observation
-from tests.inverse.test_solve import (
-    ALBEDO_PRIOR,
-    MODES,
-    SUNS,
-    SUNSKY_PRIOR,
-    harmonic_ball,
-    watched,
-)
+from skylight.sphere._envmap import luminance
+from skylight.transport._matrix import TransportMatrix
+from skylight.transport._observation import Observation
+from tests.inverse.test_solve import ALBEDO_PRIOR, MODES, SUNS, SUNSKY_PRIOR, harmonic_ball, watched
 
 FEW = SolverOptions(
     rounds=(

@@ -7,12 +7,12 @@ import pytest
 import torch
 from torch.nn.functional import normalize
 
-from skylight.inverse.posterior import CAMERA_SHARE, face_evidence, sun_evidence
-from skylight.inverse.scan import scan_faces
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.gloss import camera_lamp, glossy_transport
-from skylight.transport.matrix import TransportMatrix
-from skylight.transport.render import Specular
+from skylight.inverse._posterior import CAMERA_SHARE, face_evidence, sun_evidence
+from skylight.inverse._scan import scan_faces
+from skylight.sphere._frame import DirectionGrid
+from skylight.transport._matrix import TransportMatrix
+from skylight.transport._reflection import camera_lamp, glossy_transport
+from skylight.transport._render import Specular
 from tests.inverse.test_posterior import FRONT, ball, light_of, posterior_of
 
 AHEAD = torch.tensor([0.0, 0.0, 1.0])

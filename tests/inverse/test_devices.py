@@ -5,17 +5,16 @@ from dataclasses import replace
 import pytest
 import torch
 
-from skylight.inverse import estimate as entry
-from skylight.inverse.estimate import estimate_each, estimate_light, light_problems
-from skylight.inverse.object import problem as of_object
-from skylight.inverse.object.problem import ObjectLight, ObjectLightName, estimate_object_light
-from skylight.inverse.object.view import ObjectMaterial
-from skylight.inverse.objective.descent import Round
-from skylight.inverse.objective.lit_faces import Level
-from skylight.inverse.result import Estimate
-from skylight.inverse.sky.problem import SkyProblem, solve_together
-from skylight.inverse.sky.solver import SolverOptions
-from skylight.transport.render import Specular
+from skylight.inverse import _estimate as entry
+from skylight.inverse._descent import Round
+from skylight.inverse._estimate import estimate_each, estimate_light, light_problems
+from skylight.inverse._faces import Level
+from skylight.inverse._result import Estimate
+from skylight.inverse._sky import SkyProblem, SolverOptions, solve_together
+from skylight.object import _problem as of_object
+from skylight.object._problem import ObjectLight, ObjectLightName, estimate_object_light
+from skylight.object._view import ObjectMaterial
+from skylight.transport._render import Specular
 from tests.inverse.checked_device import DEVICE, CheckedDevice
 from tests.inverse.test_solve import SUNS, harmonic_ball, observed, watched
 

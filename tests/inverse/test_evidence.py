@@ -6,13 +6,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from skylight.inverse.objective.descent import Points, Round, descend
-from skylight.inverse.objective.evidence import log_evidence
-from skylight.inverse.objective.face_term import FaceTerm
-from skylight.inverse.objective.light_objective import LightObjective
-from skylight.inverse.objective.lit_faces import Level
-from skylight.inverse.objective.weights import ObjectiveWeights
-from skylight.models.lamps import AMBIENT_PARAMETERS, LampsLight, LampsPrior
+from skylight.inverse._descent import Points, Round, descend
+from skylight.inverse._faces import FaceTerm, Level, ObjectiveWeights
+from skylight.inverse._objective import LightObjective
+from skylight.inverse._solution import log_evidence
+from skylight.models._lamps import AMBIENT_PARAMETERS, LampsLight, LampsPrior
 from tests.inverse.test_objective import ROWS, normal, observation
 
 pytestmark = pytest.mark.usefixtures("double")

@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from skylight.inverse.charbonnier import charbonnier
-from skylight.inverse.gauss_newton import minimise_robust, prior_shape
+from skylight.inverse._gauss_newton import charbonnier, minimise_robust, prior_shape
 
 pytestmark = pytest.mark.usefixtures("double")
 

@@ -6,14 +6,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from skylight.inverse.objective.descent import Round
-from skylight.inverse.objective.face_term import FaceTerm
-from skylight.inverse.objective.lit_faces import Level
-from skylight.inverse.objective.weights import ObjectiveWeights
-from skylight.inverse.sky.problem import SkyProblem
-from skylight.inverse.sky.solver import SolverOptions
+from skylight.inverse._descent import Round
+from skylight.inverse._faces import FaceTerm, Level, ObjectiveWeights
+from skylight.inverse._sky import SkyProblem, SolverOptions
 from skylight.models.sunsky import SunSky
-from skylight.sphere.envmap import luminance
+from skylight.sphere._envmap import luminance
 from tests.inverse.test_solve import (
     ALBEDO_PRIOR,
     MODES,

@@ -6,13 +6,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from skylight.inverse.estimate import estimate_light
-from skylight.inverse.lamps.number import MAP_ROWS
-from skylight.inverse.lamps.relighting import FaceTransport, LampLight, lamps_radiance
-from skylight.inverse.scan import SCAN_HEIGHT
-from skylight.models.lamps import LampsLight
-from skylight.sphere.envmap import luminance
-from skylight.transport.normal_modes import NormalModes
+from skylight.inverse._estimate import estimate_light
+from skylight.inverse._lamp_relighting import FaceTransport, LampLight, lamps_radiance
+from skylight.inverse._lamps import MAP_ROWS
+from skylight.inverse._scan import SCAN_HEIGHT
+from skylight.models._lamps import LampsLight
+from skylight.sphere._envmap import luminance
+from skylight.transport._normal_modes import NormalModes
 from tests.inverse.test_lamps import lit_ball
 from tests.inverse.test_solve import ball_normals
 from tests.lamp_lit import EXPOSURE, ambient_of, lamp_lit, lamp_params

@@ -9,12 +9,11 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.inverse.estimate import estimate_light
-from skylight.inverse.lamps.problem import LampsProblem
-from skylight.inverse.sun_prior import SunPart, SunPrior
-from skylight.sphere.envmap import luminance
-from skylight.sphere.frame import angle_between
-from skylight.sphere.grid import DirectionGrid
+from skylight.inverse._estimate import estimate_light
+from skylight.inverse._lamps import LampsProblem
+from skylight.inverse._sun_prior import SunPart, SunPrior
+from skylight.sphere._envmap import luminance
+from skylight.sphere._frame import DirectionGrid, angle_between
 from tests.inverse.test_solve import ALBEDO_PRIOR, MODES, ball_normals, observed
 
 ONE = (0.7, 0.4, 0.6)

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from skylight.inverse.lbfgs import minimise
+from skylight.inverse._lbfgs import minimise
 
 ROSENBROCK = torch.tensor([[1.0, 100.0], [0.5, 20.0], [-1.2, 50.0], [2.0, 5.0]]).double()
 STARTS = torch.tensor([[-1.2, 1.0], [2.0, -1.0], [0.0, 0.0], [-3.0, 4.0]]).double()

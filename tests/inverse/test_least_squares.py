@@ -5,8 +5,8 @@ import pytest
 import torch
 from scipy.optimize import nnls as scipy_nnls
 
-from skylight.inverse import least_squares
-from skylight.inverse.least_squares import nnls
+from skylight.inverse import _least_squares as least_squares
+from skylight.inverse._least_squares import nnls
 
 
 def problems(seed, *, positive=True, count=30, equations=40, unknowns=9):

@@ -6,12 +6,11 @@ import pytest
 import torch
 from torch.func import jvp
 
-from skylight.inverse.objective.face_term import FaceTerm
-from skylight.inverse.objective.light_objective import LightObjective
-from skylight.inverse.objective.linearised import deviations, jacobian
-from skylight.inverse.objective.weights import ObjectiveWeights
-from skylight.models.lamps import LampsLight, LampsPrior
-from skylight.transport.normal_modes import NormalModes
+from skylight.inverse._descent import deviations, jacobian
+from skylight.inverse._faces import FaceTerm, ObjectiveWeights
+from skylight.inverse._objective import LightObjective
+from skylight.models._lamps import LampsLight, LampsPrior
+from skylight.transport._normal_modes import NormalModes
 from tests.inverse.test_objective import MODEL, ROWS, normal, observation
 
 pytestmark = pytest.mark.usefixtures("double")

@@ -5,10 +5,10 @@ import torch
 from scipy.optimize import LinearConstraint, minimize
 
 from skylight.errors import InputError
-from skylight.inverse.harmonic.nonnegative import nonnegative_harmonics
-from skylight.sphere import harmonics
-from skylight.sphere.grid import DirectionGrid
-from tests.probes.encoder.objects import GRID, ring_and_ball, transfer_of
+from skylight.inverse._harmonic import nonnegative_harmonics
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._frame import DirectionGrid
+from tests.probes.objects import GRID, ring_and_ball, transfer_of
 
 CONSTRAINTS = DirectionGrid.hammersley(1024)
 TABLE = harmonics.evaluate(CONSTRAINTS.directions, 4)

@@ -6,14 +6,13 @@ import pytest
 import torch
 from torch.nn.functional import normalize
 
-from skylight.inverse import scan
-from skylight.inverse.objective.face_term import FaceTerm
-from skylight.inverse.objective.light_objective import LightObjective
-from skylight.inverse.objective.weights import ObjectiveWeights
-from skylight.inverse.scan import SCAN_HEIGHT, SunScan, scan_faces
-from skylight.transport.matrix import TransportMatrix
-from skylight.transport.normal_modes import NormalModes
-from skylight.transport.observation import Observation
+from skylight.inverse import _scan as scan
+from skylight.inverse._faces import FaceTerm, ObjectiveWeights
+from skylight.inverse._objective import LightObjective
+from skylight.inverse._scan import SCAN_HEIGHT, SunScan, scan_faces
+from skylight.transport._matrix import TransportMatrix
+from skylight.transport._normal_modes import NormalModes
+from skylight.transport._observation import Observation
 from tests.inverse.test_objective import MODEL, normal, observation, parameters
 from tests.inverse.test_scan import GRID, SUNS, degrees_between, under
 

@@ -6,18 +6,17 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.inverse.lbfgs import minimise
-from skylight.inverse.objective.face_term import FaceTerm
-from skylight.inverse.objective.light_objective import LightObjective
-from skylight.inverse.objective.starts import best_exposure
-from skylight.inverse.objective.weights import WHITE_BALANCE_SPREAD, ObjectiveWeights
-from skylight.models.prior import GaussianMixture
+from skylight.inverse._descent import best_exposure
+from skylight.inverse._faces import WHITE_BALANCE_SPREAD, FaceTerm, ObjectiveWeights
+from skylight.inverse._lbfgs import minimise
+from skylight.inverse._objective import LightObjective
+from skylight.models._prior import GaussianMixture
 from skylight.models.sunsky import SunSky
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.gloss import glossy_transport
-from skylight.transport.matrix import TransportMatrix
-from skylight.transport.observation import Observation
-from skylight.transport.render import Specular
+from skylight.sphere._frame import DirectionGrid
+from skylight.transport._matrix import TransportMatrix
+from skylight.transport._observation import Observation
+from skylight.transport._reflection import glossy_transport
+from skylight.transport._render import Specular
 
 ROWS, SIDE = 4, 8
 MODEL = SunSky(height=ROWS)

@@ -5,10 +5,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from skylight.faces.skin import PIGMENT_COLOURS, PIGMENT_SPREADS
-from skylight.inverse.objective.face_term import FaceTerm
-from skylight.inverse.objective.light_objective import LightObjective
-from skylight.inverse.objective.weights import ObjectiveWeights
+from skylight.faces._skin import PIGMENT_COLOURS, PIGMENT_SPREADS
+from skylight.inverse._faces import FaceTerm, ObjectiveWeights
+from skylight.inverse._objective import LightObjective
 from tests.inverse.test_objective import MODEL, normal, observation, parameters
 
 K = 4

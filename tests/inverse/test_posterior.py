@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from skylight.inverse.posterior import (
+from skylight.inverse._posterior import (
     FITTED,
     SunEvidence,
     face_evidence,
@@ -18,12 +18,11 @@ from skylight.inverse.posterior import (
     sun_evidence,
     sun_posterior,
 )
-from skylight.inverse.scan import scan_faces
-from skylight.models.prior import GaussianMixture
-from skylight.sphere.frame import direction_from_angles
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.matrix import TransportMatrix
-from skylight.transport.observation import Observation
+from skylight.inverse._scan import scan_faces
+from skylight.models._prior import GaussianMixture
+from skylight.sphere._frame import DirectionGrid, direction_from_angles
+from skylight.transport._matrix import TransportMatrix
+from skylight.transport._observation import Observation
 
 CELLS, GRID = DirectionGrid.sky(16), DirectionGrid.sky(32)
 MEAN = torch.tensor([-1.0, -1.2, -1.5])

@@ -6,8 +6,8 @@ from itertools import combinations
 import torch
 from scipy.optimize import nnls as scipy_nnls
 
-from skylight.inverse.lamps.pursuit import ROWS, Pursuit
-from skylight.sphere.envmap import luminance
+from skylight.inverse._lamps import ROWS, Pursuit
+from skylight.sphere._envmap import luminance
 from tests.inverse.test_lamps import lit_ball
 
 ONE, TWO = (0.7, 0.3, 0.7), (-0.7, 0.5, 0.6)

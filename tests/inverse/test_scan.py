@@ -6,15 +6,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from skylight.inverse.scan import SunScan, scan_faces
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.camera import Camera
-from skylight.transport.gbuffer import rasterize
-from skylight.transport.gloss import glossy_transport
-from skylight.transport.matrix import TransportMatrix, diffuse_transport
-from skylight.transport.observation import Observation
-from skylight.transport.raycast import Raycaster
-from skylight.transport.render import Specular
+from skylight.inverse._scan import SunScan, scan_faces
+from skylight.sphere._frame import DirectionGrid
+from skylight.transport._cameras import Camera
+from skylight.transport._matrix import TransportMatrix, diffuse_transport
+from skylight.transport._observation import Observation
+from skylight.transport._rays import Raycaster
+from skylight.transport._reflection import glossy_transport
+from skylight.transport._render import Specular, rasterize
 from tests.transport.shapes import icosphere
 
 GRID = DirectionGrid.latlong(64)

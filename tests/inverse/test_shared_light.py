@@ -7,23 +7,19 @@ from dataclasses import replace
 import pytest
 import torch
 
-from skylight.faces.skin import SkinPrior
-from skylight.inverse.harmonic.problem import HarmonicProblem
-from skylight.inverse.objective.descent import Round
-from skylight.inverse.objective.face_term import FaceTerm
-from skylight.inverse.objective.light_objective import LightObjective
-from skylight.inverse.objective.lit_faces import Level
-from skylight.inverse.objective.weights import ObjectiveWeights
-from skylight.inverse.scan import SunScan, scan_faces
-from skylight.inverse.sky.problem import SkyProblem
-from skylight.inverse.sky.solver import SolverOptions
-from skylight.models.bundle import load_bundle
-from skylight.models.harmonic import HarmonicLight
+from skylight.faces._skin import SkinPrior
+from skylight.inverse._descent import Round
+from skylight.inverse._faces import FaceTerm, Level, ObjectiveWeights
+from skylight.inverse._harmonic import HarmonicProblem
+from skylight.inverse._objective import LightObjective
+from skylight.inverse._scan import SunScan, scan_faces
+from skylight.inverse._sky import SkyProblem, SolverOptions
+from skylight.models._bundle import load_bundle
+from skylight.models._harmonic import HarmonicLight
 from skylight.models.sunsky import SunSky
-from skylight.sphere.frame import direction_from_angles
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.matrix import TransportMatrix
-from skylight.transport.observation import Observation
+from skylight.sphere._frame import DirectionGrid, direction_from_angles
+from skylight.transport._matrix import TransportMatrix
+from skylight.transport._observation import Observation
 from tests.oracles.harmonics import irradiance
 from tests.oracles.outdoors import Outdoors
 

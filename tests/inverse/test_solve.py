@@ -10,27 +10,24 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.faces.skin import MELANIN_COLOUR, SkinPrior
-from skylight.inverse.estimate import estimate_light
-from skylight.inverse.harmonic.problem import HarmonicProblem
-from skylight.inverse.objective.descent import Round
-from skylight.inverse.objective.lit_faces import Level
-from skylight.inverse.objective.weights import ObjectiveWeights
-from skylight.inverse.result import residual
-from skylight.inverse.scale import bayes_scale, scale_nll, tone_prior
-from skylight.inverse.sky.problem import SkyProblem
-from skylight.inverse.sky.solver import SolverOptions
-from skylight.models.bundle import load_bundle
-from skylight.models.ground import LambertianGround
-from skylight.models.harmonic import HarmonicLight
-from skylight.models.known_ground import KnownGround
+from skylight.faces._skin import MELANIN_COLOUR, SkinPrior
+from skylight.inverse._descent import Round
+from skylight.inverse._estimate import estimate_light
+from skylight.inverse._faces import Level, ObjectiveWeights
+from skylight.inverse._harmonic import HarmonicProblem
+from skylight.inverse._result import residual
+from skylight.inverse._scale import bayes_scale, scale_nll, tone_prior
+from skylight.inverse._sky import SkyProblem, SolverOptions
+from skylight.models._bundle import load_bundle
+from skylight.models._ground import KnownGround, LambertianGround
+from skylight.models._harmonic import HarmonicLight
 from skylight.models.sunsky import SunSky
-from skylight.sphere.envmap import luminance
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.gloss import glossy_transport
-from skylight.transport.matrix import TransportMatrix
-from skylight.transport.observation import Observation
-from skylight.transport.render import Specular
+from skylight.sphere._envmap import luminance
+from skylight.sphere._frame import DirectionGrid
+from skylight.transport._matrix import TransportMatrix
+from skylight.transport._observation import Observation
+from skylight.transport._reflection import glossy_transport
+from skylight.transport._render import Specular
 from tests.oracles import harmonics
 from tests.oracles.outdoors import Outdoors
 

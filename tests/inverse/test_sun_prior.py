@@ -11,30 +11,21 @@ import torch
 from scipy.spatial.transform import Rotation
 from scipy.stats import vonmises
 
-from skylight.faces.model import HeadModel
-from skylight.faces.observe import observe_face
-from skylight.imaging.taken import Taken
-from skylight.inverse.estimate import estimate_light
-from skylight.inverse.objective.face_term import FaceTerm
-from skylight.inverse.objective.light_objective import LightObjective
-from skylight.inverse.objective.weights import ObjectiveWeights
-from skylight.inverse.posterior import FITTED
-from skylight.inverse.scan import LIKELY, SunScan, scan_faces
-from skylight.inverse.sun_prior import (
-    FLOOR,
-    TILT_RAD,
-    SunPart,
-    SunPrior,
-    sun_prior,
-    zone_offsets,
-)
-from skylight.models.bundle import load_bundle
-from skylight.models.harmonic import HarmonicLight
+from skylight.faces._model import HeadModel
+from skylight.faces._observe import observe_face
+from skylight.imaging._taken import Taken
+from skylight.inverse._estimate import estimate_light
+from skylight.inverse._faces import FaceTerm, ObjectiveWeights
+from skylight.inverse._objective import LightObjective
+from skylight.inverse._posterior import FITTED
+from skylight.inverse._scan import LIKELY, SunScan, scan_faces
+from skylight.inverse._sun_prior import FLOOR, TILT_RAD, SunPart, SunPrior, sun_prior, zone_offsets
+from skylight.models._bundle import load_bundle
+from skylight.models._harmonic import HarmonicLight
 from skylight.models.sunsky import SunSky
-from skylight.skies.sun import Place
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.frame import angle_between, angles_from_direction
-from skylight.sphere.grid import DirectionGrid
+from skylight.skies._sun import Place
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid, angle_between, angles_from_direction
 from tests.inverse.test_objective import normal, parameters
 from tests.inverse.test_posterior import FRONT, ball, evidence_of, light_of, posterior_of
 from tests.inverse.test_shared_light import half_ball

@@ -7,20 +7,17 @@ from typing import get_args
 import pytest
 import torch
 
-from skylight.cli.estimate import Solver
 from skylight.errors import InputError
-from skylight.inverse.estimate import estimate_light, light_problem, smooth_autoencoder
-from skylight.inverse.sky.linear_direction import linear_direction
-from skylight.inverse.sky.problem import SkyProblem
-from skylight.inverse.sky.solver import SOLVERS, THESIS
+from skylight.estimate._command import Solver
+from skylight.inverse._estimate import estimate_light, light_problem, smooth_autoencoder
+from skylight.inverse._sky import SOLVERS, THESIS, SkyProblem, linear_direction
+from skylight.models._bundle import load_bundle
+from skylight.models._names import SOLVER_NAMES, check_solver_name
+from skylight.models._network import COARSE_HEIGHTS
 from skylight.models.autoencoder import AutoencoderLight
-from skylight.models.bundle import load_bundle
-from skylight.models.names import SOLVER_NAMES, check_solver_name
-from skylight.models.networks.base import COARSE_HEIGHTS
-from skylight.sphere import harmonics
-from skylight.sphere.envmap import luminance
-from skylight.sphere.frame import angles_from_direction
-from skylight.sphere.grid import DirectionGrid
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._envmap import luminance
+from skylight.sphere._frame import DirectionGrid, angles_from_direction
 from tests.inverse.test_solve import SUNS, ball_normals, observed, watched
 
 
@@ -28,7 +25,7 @@ def test_the_linear_direction_of_light_of_degree_2_is_its_moment(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Half a ball has the normals for all nine harmonics."""
-    monkeypatch.setattr("skylight.inverse.sky.linear_direction._RIDGE", 1e-9)
+    monkeypatch.setattr("skylight.inverse._sky._RIDGE", 1e-9)
     _, normals = ball_normals()
     grid = DirectionGrid.latlong(64)
     coefficients = torch.tensor([4.0, -0.5, 0.8, 1.1, 0.3, 0.0, -0.2, 0.1, 0.2]).double()

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skylight.io.bounded import (
+from skylight.io._bounded import (
     PIXELS_MAX,
     file_bytes,
     json_content,

@@ -11,12 +11,12 @@ import torch
 from PIL import Image
 
 from skylight.errors import InputError, OutputError
-from skylight.io.atomic import atomic_path
-from skylight.io.files import read_environment_map, write_environment_map, write_png
-from skylight.io.json_files import write_json
-from skylight.skies.capture_dates import header_date
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.frame import pixel_from_direction
+from skylight.io._atomic import atomic_path
+from skylight.io._bounded import write_json
+from skylight.io._files import read_environment_map, write_environment_map, write_png
+from skylight.skies._captures import header_date
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import pixel_from_direction
 
 FULL, SKY = (16, 32), (8, 32)
 

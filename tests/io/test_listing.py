@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from skylight.io.atomic import atomic_path
-from skylight.io.listing import visible_files
+from skylight.io._atomic import atomic_path
+from skylight.io._files import visible_files
 
 
 def test_files_of_a_kind_sorted(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from skylight.io.rgbd import LARGEST, encode_rgbd
+from skylight.io._hdr import LARGEST, encode_rgbd
 from tests.oracles.rgbd import decode_rgbd
 
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from skylight.io.tensors import read_tensors, write_tensors
+from skylight.io._tensors import read_tensors, write_tensors
 
 TENSORS = {
     "a": torch.arange(6.0).reshape(2, 3).T,

@@ -3,15 +3,14 @@ import math
 import pytest
 import torch
 
+from skylight.models._bundle import load_bundle
+from skylight.models._convolutional import LATENT, ConvolutionalAutoencoder
+from skylight.models._network import CENTRE_AZIMUTH_RAD, HEIGHT, WIDTH, SkyNetwork
+from skylight.models._splines import SplineAutoencoder
+from skylight.models._sun_head import COORDINATES
 from skylight.models.autoencoder import AutoencoderLight
-from skylight.models.bundle import load_bundle
-from skylight.models.networks.base import CENTRE_AZIMUTH_RAD, HEIGHT, WIDTH, SkyNetwork
-from skylight.models.networks.convolutional import LATENT, ConvolutionalAutoencoder
-from skylight.models.networks.splines import SplineAutoencoder
-from skylight.models.networks.sun_head import COORDINATES
-from skylight.sphere.envmap import luminance
-from skylight.sphere.frame import direction_from_angles
-from skylight.sphere.grid import DirectionGrid
+from skylight.sphere._envmap import luminance
+from skylight.sphere._frame import DirectionGrid, direction_from_angles
 
 F64 = torch.float64
 

@@ -10,20 +10,20 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.io.tensors import read_tensors, write_tensors
-from skylight.models.bundle import (
+from skylight.io._tensors import read_tensors, write_tensors
+from skylight.models._bundle import (
     BANK,
     CARD,
     LATENT_PRIOR,
+    MANIFEST,
     NETWORK,
     SUNSKY_PRIOR,
     LightBundle,
     load_bundle,
+    save_network,
 )
-from skylight.models.bundle_manifest import MANIFEST
-from skylight.models.networks.convolutional import LATENT, ConvolutionalAutoencoder
-from skylight.models.networks.files import save_network
-from skylight.models.prior import GaussianMixture
+from skylight.models._convolutional import LATENT, ConvolutionalAutoencoder
+from skylight.models._prior import GaussianMixture
 
 
 def mixture(size: int, seed: int = 0) -> GaussianMixture:

@@ -11,14 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import nn
 
-from skylight.models.base import LightModel
-from skylight.models.bundle import load_bundle
-from skylight.models.gaussians import GaussianLobes
-from skylight.models.harmonic import HarmonicLight
-from skylight.models.lamps import LampsLight
+from skylight.models._base import LightModel
+from skylight.models._bundle import load_bundle
+from skylight.models._gaussians import GaussianLobes
+from skylight.models._harmonic import HarmonicLight
+from skylight.models._lamps import LampsLight
 from skylight.models.sunsky import SunSky
-from skylight.sphere.envmap import luminance
-from skylight.sphere.frame import direction_from_angles
+from skylight.sphere._envmap import luminance
+from skylight.sphere._frame import direction_from_angles
 
 F64 = torch.float64
 

@@ -3,8 +3,8 @@ import math
 import pytest
 import torch
 
-from skylight.models.gaussians import SHARPNESS_BOUNDS, GaussianLobes
-from skylight.sphere.frame import direction_from_angles
+from skylight.models._gaussians import SHARPNESS_BOUNDS, GaussianLobes
+from skylight.sphere._frame import direction_from_angles
 
 F64 = torch.float64
 

@@ -5,14 +5,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skylight.models.ground import (
-    GROUND_ALBEDOS,
-    GROUND_SPREAD,
-    LambertianGround,
-    ground_prior,
-)
-from skylight.models.prior import GaussianMixture
-from skylight.sphere.grid import DirectionGrid
+from skylight.models._ground import GROUND_ALBEDOS, GROUND_SPREAD, LambertianGround, ground_prior
+from skylight.models._prior import GaussianMixture
+from skylight.sphere._frame import DirectionGrid
 
 F64 = torch.float64
 

@@ -3,8 +3,8 @@ import math
 import pytest
 import torch
 
-from skylight.models.harmonic import HarmonicLight, solve_linear
-from skylight.sphere import harmonics
+from skylight.models._harmonic import HarmonicLight, solve_linear
+from skylight.sphere import _harmonics as harmonics
 
 F64 = torch.float64
 

@@ -8,8 +8,7 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.models.ground import ground_prior
-from skylight.models.known_ground import KnownGround, check_has_ground
+from skylight.models._ground import KnownGround, check_has_ground, ground_prior
 
 
 def test_the_prior_is_log_normal() -> None:

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from skylight.models.lamps import (
+from skylight.models._lamps import (
     AMBIENT_PARAMETERS,
     AMBIENT_SPREADS,
     LAMP_HEIGHT,
@@ -13,7 +13,7 @@ from skylight.models.lamps import (
     LampsLight,
     LampsPrior,
 )
-from skylight.sphere.envmap import luminance
+from skylight.sphere._envmap import luminance
 
 GENERATOR = 7
 

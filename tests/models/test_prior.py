@@ -8,8 +8,8 @@ from scipy.stats import multivariate_normal
 from sklearn.mixture import GaussianMixture as SklearnMixture
 
 from skylight.errors import AssetError, InputError, OutputError
-from skylight.io.tensors import write_tensors
-from skylight.models.prior import GaussianMixture
+from skylight.io._tensors import write_tensors
+from skylight.models._prior import GaussianMixture
 
 F64 = torch.float64
 

@@ -5,16 +5,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skylight.models.sunsky import (
-    KAPPA_BOUNDS,
-    TURBIDITY_BOUNDS,
-    SunSky,
-    fit_sunsky,
-    perez,
-)
-from skylight.sphere.envmap import luminance
-from skylight.sphere.frame import angle_between, direction_from_angles
-from skylight.sphere.grid import DirectionGrid
+from skylight.models.sunsky import KAPPA_BOUNDS, TURBIDITY_BOUNDS, SunSky, fit_sunsky, perez
+from skylight.sphere._envmap import luminance
+from skylight.sphere._frame import DirectionGrid, angle_between, direction_from_angles
 
 F64 = torch.float64
 MODEL = SunSky()

@@ -4,9 +4,9 @@ import pytest
 import torch
 import trimesh
 
+from skylight.models._splines import SplineAutoencoder
 from skylight.models.autoencoder import AutoencoderLight
-from skylight.models.networks.splines import SplineAutoencoder
-from skylight.relight.export import export_decoder, precompute_scene
+from skylight.relight._export import export_decoder, precompute_scene
 
 
 @pytest.fixture(scope="session")

@@ -8,14 +8,13 @@ import torch
 import trimesh
 
 from skylight.errors import DependencyError, InputError, SkylightError
-from skylight.models.networks.base import CENTRE_AZIMUTH_RAD
-from skylight.models.networks.convolutional import ConvolutionalAutoencoder
-from skylight.models.networks.splines import SplineAutoencoder
-from skylight.relight import export
-from skylight.relight.export import Placement, decoder_difference, export_decoder, precompute_scene
-from skylight.relight.runtime import relight
-from skylight.relight.scene_file import load_scene
-from skylight.relight.sky_decoder import SkyDecoder
+from skylight.models._convolutional import ConvolutionalAutoencoder
+from skylight.models._network import CENTRE_AZIMUTH_RAD
+from skylight.models._splines import SplineAutoencoder
+from skylight.relight import _export as export
+from skylight.relight._decoder import SkyDecoder
+from skylight.relight._export import Placement, decoder_difference, export_decoder, precompute_scene
+from skylight.relight._runtime import load_scene, relight
 
 
 @pytest.mark.parametrize("batch", [1, 2, 7])

@@ -6,15 +6,15 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.models.lamps import WIDTH_BOUNDS_RAD
-from skylight.relight.lamp_lights import (
+from skylight.models._lamps import WIDTH_BOUNDS_RAD
+from skylight.relight._lamps import (
     MOST_CLAMPED,
     colour_and_strength,
     disc_diameter_rad,
     quaternion_towards,
     without_lamps,
 )
-from skylight.sphere.grid import DirectionGrid
+from skylight.sphere._frame import DirectionGrid
 from tests.lamp_lit import ambient_of, lamp_lit, lamp_params
 
 # log widths at both bounds, three lamps, one at the zenith and one straight ahead

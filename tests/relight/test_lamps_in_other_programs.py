@@ -16,19 +16,18 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.imaging.colour import srgb_to_linear
-from skylight.io.files import read_environment_map
-from skylight.relight.lamp_lights import disc_diameter_rad, without_lamps
-from skylight.relight.light_files.blender import SCRIPT, write_blender
-from skylight.relight.light_files.blender import TEXTURE as BLENDER_TEXTURE
-from skylight.relight.light_files.gltf import LIGHT, write_gltf
-from skylight.relight.light_files.mitsuba import SCENE, write_mitsuba
-from skylight.relight.light_files.mitsuba import TEXTURE as MITSUBA_TEXTURE
-from skylight.relight.light_files.threejs import LIGHT_PROBE, write_threejs
-from skylight.relight.light_files.threejs import TEXTURE as THREEJS_TEXTURE
-from skylight.relight.light_files.usd import LAYER, write_usd
-from skylight.relight.light_files.usd import TEXTURE as USD_TEXTURE
-from skylight.sphere.envmap import EnvironmentMap
+from skylight.imaging._colour import srgb_to_linear
+from skylight.io._files import read_environment_map
+from skylight.relight._blender import SCRIPT, write_blender
+from skylight.relight._blender import TEXTURE as BLENDER_TEXTURE
+from skylight.relight._gltf import LIGHT, LIGHT_PROBE, write_gltf, write_threejs
+from skylight.relight._gltf import TEXTURE as THREEJS_TEXTURE
+from skylight.relight._lamps import disc_diameter_rad, without_lamps
+from skylight.relight._mitsuba import SCENE, write_mitsuba
+from skylight.relight._mitsuba import TEXTURE as MITSUBA_TEXTURE
+from skylight.relight._usd import LAYER, write_usd
+from skylight.relight._usd import TEXTURE as USD_TEXTURE
+from skylight.sphere._envmap import EnvironmentMap
 from tests.lamp_lit import lamp_lit, lamp_params
 from tests.oracles.harmonics import from_convention, irradiance
 from tests.relight.test_light_files import read_glb

@@ -13,20 +13,23 @@ import pytest
 import torch
 from PIL import Image
 
-from skylight.io.files import read_light
-from skylight.relight.light_files.augmented_reality import DESCRIPTION, write_augmented_reality
-from skylight.relight.light_files.blender import SCRIPT, write_blender
-from skylight.relight.light_files.blender import TEXTURE as BLENDER_TEXTURE
-from skylight.relight.light_files.gltf import LIGHT, write_gltf
-from skylight.relight.light_files.harmonics import HARMONICS, second_degree, write_harmonics
-from skylight.relight.light_files.mitsuba import SCENE, write_mitsuba
-from skylight.relight.light_files.usd import LAYER, write_usd
-from skylight.relight.light_files.usd import TEXTURE as USD_TEXTURE
-from skylight.sphere.cube_faces import face_directions
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.frame import direction_from_angles
-from skylight.sphere.grid import DirectionGrid
-from skylight.sphere.wavelets import texel_solid_angles
+from skylight.io._files import read_light
+from skylight.relight._blender import SCRIPT, write_blender
+from skylight.relight._blender import TEXTURE as BLENDER_TEXTURE
+from skylight.relight._gltf import LIGHT, write_gltf
+from skylight.relight._mitsuba import (
+    HARMONICS,
+    SCENE,
+    second_degree,
+    write_harmonics,
+    write_mitsuba,
+)
+from skylight.relight._usd import DESCRIPTION, LAYER, write_augmented_reality, write_usd
+from skylight.relight._usd import TEXTURE as USD_TEXTURE
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid, direction_from_angles
+from skylight.sphere._projections import face_directions
+from skylight.sphere._wavelets import texel_solid_angles
 from tests.axis_colours import AXES, axis_map
 from tests.oracles.harmonics import from_convention, irradiance
 from tests.oracles.rgbd import decode_rgbd

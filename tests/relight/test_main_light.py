@@ -4,10 +4,9 @@ import math
 
 import torch
 
-from skylight.relight.main_light import split_main_light
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.frame import direction_from_angles
-from skylight.sphere.grid import DirectionGrid
+from skylight.relight._lamps import split_main_light
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid, direction_from_angles
 
 
 def smooth_sky(height: int = 64) -> torch.Tensor:

@@ -5,9 +5,9 @@ import math
 import pytest
 import torch
 
-from skylight.relight.prefilter import prefiltered_levels
-from skylight.sphere.cube_faces import cube_faces, face_directions
-from skylight.sphere.envmap import EnvironmentMap
+from skylight.relight._lamps import prefiltered_levels
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._projections import cube_faces, face_directions
 from tests.axis_colours import AXES, axis_map
 
 

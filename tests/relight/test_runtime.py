@@ -11,27 +11,25 @@ import torch
 from PIL import Image
 
 from skylight.errors import AssetError, InputError, OutputError
-from skylight.imaging.colour import tone_map as torch_tone_map
-from skylight.io.files import write_environment_map
-from skylight.io.hdr import read_linear
-from skylight.models.ground import LambertianGround
-from skylight.relight import runtime
-from skylight.relight.export import make_scene, pack_visibility
-from skylight.relight.latent_file import read_latent
-from skylight.relight.runtime import (
+from skylight.imaging._colour import tone_map as torch_tone_map
+from skylight.io._files import write_environment_map
+from skylight.io._hdr import read_linear
+from skylight.models._ground import LambertianGround
+from skylight.relight import _runtime as runtime
+from skylight.relight._decoder import SkyDecoder, read_latent
+from skylight.relight._export import make_scene, pack_visibility
+from skylight.relight._runtime import (
     add_ground,
+    load_scene,
     read_probe,
     relight,
     relight_files,
     rotate_columns,
     tone_map,
 )
-from skylight.relight.scene_file import load_scene
-from skylight.relight.sky_decoder import SkyDecoder
-from skylight.sphere.envmap import EnvironmentMap, shift_columns
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.scene.evaluation import evaluation_scene
-from skylight.transport.scene.model import matt_surface
+from skylight.sphere._envmap import EnvironmentMap, shift_columns
+from skylight.sphere._frame import DirectionGrid
+from skylight.transport._scene import evaluation_scene, matt_surface
 
 
 def random_map(height, width, seed=0):
@@ -118,7 +116,7 @@ def test_it_runs_where_importing_torch_raises(scene_path, decoder_path, tmp_path
     program = f"""
 import sys
 sys.modules["torch"] = None  # import torch raises ImportError
-from skylight.relight.runtime import relight_files
+from skylight.relight._runtime import relight_files
 relight_files({str(scene_path)!r}, "a.png", latent="z.json", azimuth_deg=70,
               decoder={str(decoder_path)!r})
 relight_files({str(scene_path)!r}, "b.exr", probe="x.exr")
@@ -266,7 +264,7 @@ def test_bad_options(scene_path, tmp_path, monkeypatch, options, message):
 
 
 def test_probes_are_checked(tmp_path):
-    from skylight.io.hdr import write_exr
+    from skylight.io._hdr import write_exr
 
     bad = np.ones((16, 32, 3), np.float32)
     bad[3, 4, 1] = np.nan

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from skylight.relight.light_files.harmonics import second_degree
-from skylight.relight.light_files.threejs import LIGHT_PROBE, TEXTURE, write_threejs
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.grid import DirectionGrid
+from skylight.relight._gltf import LIGHT_PROBE, TEXTURE, write_threejs
+from skylight.relight._mitsuba import second_degree
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid
 from tests.axis_colours import AXES, axis_map
 from tests.oracles.harmonics import irradiance
 from tests.three_js import browser_page, run_in_node

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from skylight.skies.simulator import Day
+from skylight.skies._simulator import Day
 
 
 def without_clouds(day: Day) -> Day:

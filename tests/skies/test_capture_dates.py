@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from skylight.errors import InputError
-from skylight.skies.capture_dates import Capture, parse_date, read_days
+from skylight.skies._captures import Capture, parse_date, read_days
 
 
 @pytest.mark.parametrize(

@@ -9,16 +9,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.io.hdr import read_linear, write_exr, write_radiance
-from skylight.skies.captures import index_captures, index_folder
-from skylight.skies.index import folder_hash, read_index
-from skylight.skies.layouts import read_pixels
-from skylight.skies.loading import load_skies
-from skylight.skies.sky_above import why_no_sky
-from skylight.skies.sun_in_map import find_sun, plateau_size
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.frame import angle_between, direction_from_angles
-from skylight.sphere.grid import DirectionGrid
+from skylight.io._hdr import read_linear, write_exr, write_radiance
+from skylight.skies._captures import index_captures, index_folder
+from skylight.skies._index import folder_hash, load_skies, read_index
+from skylight.skies._layouts import read_pixels
+from skylight.skies._sun import find_sun, plateau_size, why_no_sky
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid, angle_between, direction_from_angles
 
 SUN = (0.8, 0.9)  # azimuth, zenith
 

@@ -8,10 +8,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skylight.skies.clouds import CloudLayer, LayerLight, Wind, march, shadow
-from skylight.skies.slab import CLOUD_G, FORWARD
-from skylight.sphere.frame import direction_from_angles
-from skylight.sphere.grid import DirectionGrid
+from skylight.skies._clouds import CLOUD_G, FORWARD, CloudLayer, LayerLight, Wind, march, shadow
+from skylight.sphere._frame import DirectionGrid, direction_from_angles
 from tests.oracles.slab import photons_below
 
 GRID = DirectionGrid.sky(32)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from skylight.errors import InputError
-from skylight.skies.index import (
+from skylight.skies._index import (
     COLUMNS,
     SkyRecord,
     folder_hash,

@@ -8,11 +8,15 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.io.hdr import write_exr
-from skylight.skies.layouts import Layout, pixel_solid_angles, read_pixels, read_sky, sky_of
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.frame import angle_between, angles_from_direction, direction_from_angles
-from skylight.sphere.grid import DirectionGrid
+from skylight.io._hdr import write_exr
+from skylight.skies._layouts import Layout, pixel_solid_angles, read_pixels, read_sky, sky_of
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import (
+    DirectionGrid,
+    angle_between,
+    angles_from_direction,
+    direction_from_angles,
+)
 
 # (place in the square: to the right, up; azimuth in degrees) as the layouts are documented
 COMPASS = {

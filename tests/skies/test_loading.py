@@ -5,13 +5,11 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.io.files import write_environment_map
-from skylight.skies.index import SkyRecord
-from skylight.skies.layouts import Layout
-from skylight.skies.loading import centre_column_azimuth, load_skies, normalise
-from skylight.sphere.envmap import EnvironmentMap, luminance
-from skylight.sphere.frame import angle_between, direction_from_angles
-from skylight.sphere.grid import DirectionGrid
+from skylight.io._files import write_environment_map
+from skylight.skies._index import SkyRecord, centre_column_azimuth, load_skies, normalise
+from skylight.skies._layouts import Layout
+from skylight.sphere._envmap import EnvironmentMap, luminance
+from skylight.sphere._frame import DirectionGrid, angle_between, direction_from_angles
 
 
 def record(file: str, azimuth_rad: float = 0.0, layout: Layout = "latlong") -> SkyRecord:

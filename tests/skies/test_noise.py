@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from skylight.skies.noise import CELLS, fractal_noise
+from skylight.skies._clouds import CELLS, fractal_noise
 
 
 def places(count: int) -> torch.Tensor:

@@ -11,13 +11,12 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.io.files import read_environment_map
-from skylight.skies import simulated
-from skylight.skies.index import read_index
-from skylight.skies.loading import centre_column_azimuth, load_skies
-from skylight.skies.simulated import EVALUATION_SEEDS, simulate_folder, simulated_skies
-from skylight.skies.simulator import draw_day
-from skylight.sphere.envmap import EnvironmentMap
+from skylight.io._files import read_environment_map
+from skylight.skies import _simulated as simulated
+from skylight.skies._index import centre_column_azimuth, load_skies, read_index
+from skylight.skies._simulated import EVALUATION_SEEDS, simulate_folder, simulated_skies
+from skylight.skies._simulator import draw_day
+from skylight.sphere._envmap import EnvironmentMap
 
 
 def simulate(out: Path, days: int = 2, workers: int = 1) -> Path:

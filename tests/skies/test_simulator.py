@@ -9,9 +9,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skylight.skies.clear.atmosphere import Atmosphere, ClearSky
-from skylight.skies.clouds import CloudLayer
-from skylight.skies.simulator import (
+from skylight.skies._atmosphere import Atmosphere, ClearSky
+from skylight.skies._clouds import CloudLayer
+from skylight.skies._simulator import (
     DAY_RAD,
     DUSK_RAD,
     REGIME_SHARES,
@@ -27,9 +27,8 @@ from skylight.skies.simulator import (
     simulate_sky,
     sunlit_moments,
 )
-from skylight.sphere.envmap import EnvironmentMap, luminance
-from skylight.sphere.frame import angle_between, direction_from_angles
-from skylight.sphere.grid import DirectionGrid
+from skylight.sphere._envmap import EnvironmentMap, luminance
+from skylight.sphere._frame import DirectionGrid, angle_between, direction_from_angles
 from tests.skies.clear_days import without_clouds
 
 UP = torch.tensor([0.0, 1.0, 0.0])

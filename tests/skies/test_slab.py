@@ -6,7 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skylight.skies.slab import CLOUD_G, FORWARD, SCALED_G, slab_light, two_lobes
+from skylight.skies._clouds import CLOUD_G, FORWARD, SCALED_G, slab_light, two_lobes
 from tests.oracles.slab import photons_below
 
 F64 = torch.float64

@@ -6,9 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skylight.errors import InputError
-from skylight.skies import splits
-from skylight.skies.index import SkyRecord
-from skylight.skies.splits import assign_splits, divide
+from skylight.skies import _index as splits
+from skylight.skies._index import SkyRecord, assign_splits, divide
 
 SHARES = {"train": 0.8, "validation": 0.1, "test": 0.1}
 

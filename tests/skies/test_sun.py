@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skylight.skies.sun import SUN_RADIUS_RAD, Place, sun_angles
+from skylight.skies._sun import SUN_RADIUS_RAD, Place, sun_angles
 from tools.check_skies import sun_positions
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "sun_position.json").read_text())

@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.sphere.cube_faces import FACES, cube_faces, face_directions
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.grid import DirectionGrid
-from skylight.sphere.wavelets import texel_solid_angles
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid
+from skylight.sphere._projections import FACES, cube_faces, face_directions
+from skylight.sphere._wavelets import texel_solid_angles
 
 
 def opengl_lookup(direction: tuple[float, float, float]) -> tuple[str, float, float]:

@@ -5,8 +5,8 @@ import pytest
 import torch
 from scipy.interpolate import BSpline
 
-from skylight.sphere.disk_splines import DiskSplines
-from skylight.sphere.grid import DirectionGrid
+from skylight.sphere._frame import DirectionGrid
+from skylight.sphere._lobes import DiskSplines
 
 F64 = torch.float64
 GRID = DirectionGrid.sky(16)

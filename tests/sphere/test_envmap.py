@@ -6,9 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skylight.errors import InputError
-from skylight.sphere.envmap import EnvironmentMap, luminance, shift_columns
-from skylight.sphere.frame import angle_between, direction_from_angles, rotation_about
-from skylight.sphere.grid import DirectionGrid
+from skylight.sphere._envmap import EnvironmentMap, luminance, shift_columns
+from skylight.sphere._frame import (
+    DirectionGrid,
+    angle_between,
+    direction_from_angles,
+    rotation_about,
+)
 
 F64 = torch.float64
 SUN_RADIUS_RAD = math.radians(0.2667)

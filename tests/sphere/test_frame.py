@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skylight.errors import InputError
-from skylight.sphere import frame
-from skylight.sphere.grid import DirectionGrid
+from skylight.sphere import _frame as frame
+from skylight.sphere._frame import DirectionGrid
 
 F64 = torch.float64
 azimuths = st.floats(-math.pi + 1e-9, math.pi)

@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from skylight.sphere.grid import DirectionGrid, row_edges_cos
+from skylight.sphere._frame import DirectionGrid, row_edges_cos
 
 F64 = torch.float64
 

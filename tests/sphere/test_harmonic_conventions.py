@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.sphere.harmonic_conventions import HarmonicConvention, to_convention
+from skylight.sphere._harmonics import HarmonicConvention, to_convention
 from tests.oracles.harmonics import from_convention, irradiance
 
 LIGHT = torch.randn(9, 3, generator=torch.Generator().manual_seed(3), dtype=torch.float64)

@@ -6,8 +6,8 @@ import torch
 from scipy.integrate import quad
 from scipy.special import eval_legendre
 
-from skylight.sphere import harmonics
-from skylight.sphere.grid import DirectionGrid
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._frame import DirectionGrid
 from tests.oracles.harmonics import real_harmonics
 
 F64 = torch.float64

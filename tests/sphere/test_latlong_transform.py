@@ -1,8 +1,8 @@
 import pytest
 import torch
 
-from skylight.sphere import harmonics
-from skylight.sphere.latlong_transform import LatLongTransform
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._latlong_transform import LatLongTransform
 
 F64 = torch.float64
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 from scipy.integrate import quad
 
-from skylight.sphere import lobes
+from skylight.sphere import _lobes as lobes
 
 F64 = torch.float64
 

@@ -7,15 +7,8 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.projections import (
-    Projection,
-    from_latlong,
-    looks,
-    places,
-    shape,
-    to_latlong,
-)
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._projections import Projection, from_latlong, looks, places, shape, to_latlong
 
 AXES = torch.eye(3, dtype=torch.float64)
 X, Y, Z = AXES

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from skylight.errors import InputError
-from skylight.sphere.rigid_transform import RigidTransform
+from skylight.sphere._rotation import RigidTransform
 
 F64 = torch.float64
 numbers = st.floats(-3, 3, allow_subnormal=False)

@@ -5,8 +5,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skylight.sphere import harmonics
-from skylight.sphere.rotation import (
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._rotation import (
     euler_angles,
     matrix_from_euler,
     rotate,

@@ -5,9 +5,9 @@ import math
 import pytest
 import torch
 
-from skylight.sphere import wavelets
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.grid import DirectionGrid
+from skylight.sphere import _wavelets as wavelets
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid
 
 F64 = torch.float64
 FACES = torch.tensor(

@@ -5,16 +5,16 @@ import sys
 from importlib.resources import files
 from typing import get_args
 
-from skylight.csc.dictionary import BuiltinName
-from skylight.models.names import DEFAULT_LIGHT, LIGHT_NAMES
-from skylight.studio.requests import (
+from skylight.csc._dictionary import BuiltinName
+from skylight.models._names import DEFAULT_LIGHT, LIGHT_NAMES
+from skylight.studio._requests import (
     DICTIONARIES,
     LIGHTS,
     CodeRequest,
     EstimateRequest,
     VoxelRequest,
 )
-from skylight.studio.tasks.voxel import STARS
+from skylight.studio.tasks._probes import STARS
 from tests.studio.conftest import PATIENCE_S
 
 
@@ -29,7 +29,7 @@ def test_choices_are_those_of_the_package() -> None:
 def test_the_server_itself_needs_no_torch() -> None:
     shipped = files("skylight.models") / "data" / "sky_autoencoder"
     code = (
-        "import sys, pathlib, skylight.studio.server as server\n"
+        "import sys, pathlib, skylight.studio._server as server\n"
         f"server.read_manifest(pathlib.Path({str(shipped)!r}))\n"
         "sys.exit('torch' in sys.modules)"
     )

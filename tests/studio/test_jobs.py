@@ -16,8 +16,8 @@ import httpx
 import numpy as np
 import pytest
 
-from skylight.io.files import read_environment_map
-from skylight.studio.jobs import GONE_S
+from skylight.io._files import read_environment_map
+from skylight.studio._jobs import GONE_S
 from tests.studio.conftest import JOBS, PATIENCE_S, Served, begin, events, finished
 
 STAGES = (
@@ -49,7 +49,7 @@ def test_an_estimate_tells_how_far_it_is(done: list[dict[str, Any]]) -> None:
 
 
 def test_each_stage_of_an_estimate_is_told(tmp_path: Path, portrait: bytes) -> None:
-    from skylight.studio.tasks.estimate import estimate_light
+    from skylight.studio.tasks._light import estimate_light
 
     (tmp_path / "me.jpg").write_bytes(portrait)
     told: dict[str, list[float]] = {}
@@ -293,10 +293,9 @@ def test_a_code_tells_of_each_activation(client: httpx.Client, tmp_path: Path) -
     """Of a map that is one lobe of the dictionary."""
     import torch
 
-    from skylight.io.files import write_environment_map
-    from skylight.sphere.envmap import EnvironmentMap
-    from skylight.sphere.frame import direction_from_angles
-    from skylight.sphere.grid import DirectionGrid
+    from skylight.io._files import write_environment_map
+    from skylight.sphere._envmap import EnvironmentMap
+    from skylight.sphere._frame import DirectionGrid, direction_from_angles
 
     looks = direction_from_angles(torch.tensor(0.6), torch.tensor(1.1))
     cosine = DirectionGrid.latlong(32).directions.float() @ looks

@@ -9,12 +9,10 @@ import pytest
 from starlette.types import Message
 
 from skylight.errors import InputError
-from skylight.studio.jobs import Job
-from skylight.studio.kept import Item, Kept, KeptFile
-from skylight.studio.limits import Limits
-from skylight.studio.refusals import Refused
-from skylight.studio.requests import LampsEdit
-from skylight.studio.state import Studio
+from skylight.studio._guard import Limits, Refused
+from skylight.studio._jobs import Item, Job, Kept, KeptFile
+from skylight.studio._requests import LampsEdit
+from skylight.studio._state import Studio
 
 
 def _kept(tmp_path: Path, sizes: list[int], *, most: int, most_bytes: int) -> Kept[Item]:

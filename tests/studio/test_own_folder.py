@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from skylight.studio.own_folder import PREFIX, own_folder
+from skylight.studio._state import PREFIX, own_folder
 
 pytest.importorskip("fcntl")
 

@@ -15,10 +15,10 @@ import pytest
 
 from skylight import __version__
 from skylight.errors import InputError
-from skylight.studio import static_files
-from skylight.studio.guard import is_own
-from skylight.studio.requests import LIGHTS
-from skylight.studio.server import serve
+from skylight.studio import _server as static_files
+from skylight.studio._guard import is_own
+from skylight.studio._requests import LIGHTS
+from skylight.studio._server import serve
 from tests.studio.conftest import JOBS, MEGAPIXELS, PATIENCE_S, UPLOAD_MB, Served, start
 
 

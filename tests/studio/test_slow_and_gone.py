@@ -18,10 +18,12 @@ import httpx
 import pytest
 import uvicorn
 
-from skylight.studio import guard, jobs, server
-from skylight.studio.application import make_application
-from skylight.studio.limits import Limits
-from skylight.studio.state import UPLOADS_AT_ONCE, Studio
+from skylight.studio import _guard as guard
+from skylight.studio import _jobs as jobs
+from skylight.studio import _server as server
+from skylight.studio._guard import Limits
+from skylight.studio._server import make_application
+from skylight.studio._state import UPLOADS_AT_ONCE, Studio
 from tests.studio.conftest import PATIENCE_S
 
 UPLOAD_S = 1.0

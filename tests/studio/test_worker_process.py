@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from skylight.studio.worker_process import TaskStopped, WorkerProcess
+from skylight.studio._jobs import TaskStopped, WorkerProcess
 
 
 def run(work: Coroutine[Any, Any, Any]) -> Any:

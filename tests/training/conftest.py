@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from skylight.skies.simulated import simulate_folder
+from skylight.skies._simulated import simulate_folder
 
 
 @pytest.fixture(scope="session")

@@ -12,26 +12,18 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.io.tensors import read_tensors, write_tensors
-from skylight.models.networks.base import SkyNetwork
-from skylight.models.networks.convolutional import ConvolutionalAutoencoder
-from skylight.models.networks.files import load_network, save_network
-from skylight.models.networks.splines import SplineAutoencoder
-from skylight.skies.index import read_index
-from skylight.training import autoencoder as training
-from skylight.training.autoencoder import schedule, train
-from skylight.training.checkpoint import (
-    NEWEST,
-    PREVIOUS,
-    _with_tensors,
-    drop_damaged,
-    read_state,
-)
-from skylight.training.config import AutoencoderConfig, config_yaml, read_config
-from skylight.training.initial import initial_network
-from skylight.training.processes import Processes
-from skylight.training.skies.data import load_data
-from skylight.training.skies.prepared import FOLDER, coded_skies
+from skylight.io._tensors import read_tensors, write_tensors
+from skylight.models._bundle import load_network, save_network
+from skylight.models._convolutional import ConvolutionalAutoencoder
+from skylight.models._network import SkyNetwork
+from skylight.models._splines import SplineAutoencoder
+from skylight.skies._index import read_index
+from skylight.training import _autoencoder as training
+from skylight.training._autoencoder import schedule, train
+from skylight.training._checkpoint import NEWEST, PREVIOUS, _with_tensors, drop_damaged, read_state
+from skylight.training._config import AutoencoderConfig, config_yaml, read_config
+from skylight.training._processes import Processes
+from skylight.training._skies import FOLDER, coded_skies, initial_network, load_data
 
 ROOT = Path(__file__).parents[2]
 ALONE = Processes(rank=0, size=1, device=torch.device("cpu"))

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from skylight.errors import InputError
-from skylight.training.config import AutoencoderConfig, PriorConfig, config_yaml, read_config
+from skylight.training._config import AutoencoderConfig, PriorConfig, config_yaml, read_config
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 

@@ -8,24 +8,24 @@ import cv2
 import pytest
 import torch
 
-from skylight.csc.code import CodeTensors
-from skylight.csc.coder import SphericalSparseCoder
-from skylight.csc.correlation.positions import Positions
-from skylight.csc.correlation.wigner import RotationCorrelation
-from skylight.csc.dictionary import FilterBank, anisotropic, builtin
-from skylight.csc.learning.caps import CapFilterBank, cap_lobes, cap_nodes
+from skylight.csc._code import CodeTensors
+from skylight.csc._coder import SphericalSparseCoder
+from skylight.csc._dictionary import FilterBank, anisotropic, builtin
+from skylight.csc._learning import CapFilterBank, cap_lobes, cap_nodes
+from skylight.csc._positions import Positions
+from skylight.csc._wigner import RotationCorrelation
 from skylight.errors import InputError
-from skylight.io.files import write_environment_map
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.training.config import DictionaryConfig
-from skylight.training.dictionary import (
+from skylight.io._files import write_environment_map
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.training._config import DictionaryConfig
+from skylight.training._dictionary import (
     RATE,
     filter_sheet,
     learn_dictionary,
     learning_epoch,
     mean_squared_error,
 )
-from skylight.training.main import main
+from skylight.training._run import main
 
 DEGREE = 8
 

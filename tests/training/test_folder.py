@@ -9,12 +9,13 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.io.hdr import write_exr
+from skylight.io._hdr import write_exr
+from skylight.models._bundle import NETWORK, SHIPPED, load_bundle
 from skylight.models.autoencoder import AutoencoderLight
-from skylight.models.bundle import NETWORK, SHIPPED, load_bundle
-from skylight.training import autoencoder, folder
-from skylight.training.config import AutoencoderConfig, find_config, read_config
-from skylight.training.folder import fitting, train_folder
+from skylight.training import _autoencoder as autoencoder
+from skylight.training import _run as folder
+from skylight.training._config import AutoencoderConfig, find_config, read_config
+from skylight.training._run import fitting, train_folder
 from tests.drawn_skies import draw_skies
 
 COUNT = 40
@@ -98,7 +99,7 @@ def test_a_run_that_was_killed_goes_on_to_the_same_model(
         elif moment == "trained":
             patched.setattr(folder, "fit_priors", kill)
         else:
-            patched.setattr("skylight.training.prior.model_card", kill)
+            patched.setattr("skylight.training._prior.model_card", kill)
         with pytest.raises(Killed):
             train_folder(exr_skies, tmp_path / "mine", settings, epochs=1, report=lambda _: None)
     with pytest.raises(InputError, match=r"bundle\.json"):

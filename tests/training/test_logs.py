@@ -6,9 +6,9 @@ import pytest
 import torch
 from PIL import Image
 
-from skylight.imaging.colour import tone_map
-from skylight.models.networks.convolutional import ConvolutionalAutoencoder
-from skylight.training.logs import WHITE, Logs, reconstructions
+from skylight.imaging._colour import tone_map
+from skylight.models._convolutional import ConvolutionalAutoencoder
+from skylight.training._checkpoint import WHITE, Logs, reconstructions
 
 SKIES = np.random.default_rng(0).random((20, 32, 128, 3), dtype=np.float32)
 

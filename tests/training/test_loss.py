@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.models.networks.convolutional import ConvolutionalAutoencoder
-from skylight.training.config import AutoencoderConfig
-from skylight.training.loss import reconstruction_loss
-from skylight.training.skies.corruption import Corruption, draw_corruption
+from skylight.models._convolutional import ConvolutionalAutoencoder
+from skylight.training._autoencoder import reconstruction_loss
+from skylight.training._config import AutoencoderConfig
+from skylight.training._skies import Corruption, draw_corruption
 
 
 def skies() -> tuple[np.ndarray, np.ndarray]:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from skylight.training.main import main
+from skylight.training._run import main
 
 ROOT = Path(__file__).parents[2]
 
@@ -56,7 +56,7 @@ def test_an_interrupted_run_says_how_to_go_on(
     def interrupted(_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("skylight.training.autoencoder.train", interrupted)
+    monkeypatch.setattr("skylight.training._autoencoder.train", interrupted)
     with pytest.raises(SystemExit) as caught:
         main([run_yaml])
     assert caught.value.code == 1

@@ -11,22 +11,15 @@ from safetensors.torch import load_file
 from sklearn.covariance import ledoit_wolf
 
 from skylight.errors import AssetError, InputError
+from skylight.models._bundle import load_bundle, load_network, save_network
+from skylight.models._convolutional import LATENT
+from skylight.models._network import SkyNetwork
+from skylight.models._prior import GaussianMixture
+from skylight.models._splines import SplineAutoencoder
 from skylight.models.autoencoder import AutoencoderLight
-from skylight.models.bundle import load_bundle
-from skylight.models.networks.base import SkyNetwork
-from skylight.models.networks.convolutional import LATENT
-from skylight.models.networks.files import load_network, save_network
-from skylight.models.networks.splines import SplineAutoencoder
-from skylight.models.prior import GaussianMixture
-from skylight.skies.index import folder_hash, read_index
-from skylight.skies.loading import load_skies
-from skylight.training.config import PriorConfig
-from skylight.training.prior import (
-    best_mixture,
-    fit_priors,
-    shrunk_covariance,
-    splits_for_priors,
-)
+from skylight.skies._index import folder_hash, load_skies, read_index
+from skylight.training._config import PriorConfig
+from skylight.training._prior import best_mixture, fit_priors, shrunk_covariance, splits_for_priors
 
 
 @pytest.fixture(scope="module")

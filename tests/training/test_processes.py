@@ -13,10 +13,10 @@ from safetensors.torch import load_file
 from torch import nn
 
 from skylight.errors import InputError
-from skylight.models.networks.convolutional import ConvolutionalAutoencoder
-from skylight.training.autoencoder import train
-from skylight.training.config import AutoencoderConfig, config_yaml
-from skylight.training.processes import (
+from skylight.models._convolutional import ConvolutionalAutoencoder
+from skylight.training._autoencoder import train
+from skylight.training._config import AutoencoderConfig, config_yaml
+from skylight.training._processes import (
     Processes,
     SharedBatchNorm,
     processes,
@@ -92,7 +92,7 @@ def test_two_processes_train_as_one(sky_folder: Path, tmp_path: Path) -> None:
 GROUP_OF_TWO = """
 import os
 import torch
-from skylight.training.processes import processes
+from skylight.training._processes import processes
 
 def workers():
     tasks = os.listdir("/proc/self/task")

@@ -4,9 +4,9 @@ import numpy as np
 import torch
 import trimesh
 
-from skylight.transport.camera import Camera
-from skylight.transport.gbuffer import rasterize
-from skylight.transport.raycast import Raycaster
+from skylight.transport._cameras import Camera
+from skylight.transport._rays import Raycaster
+from skylight.transport._render import rasterize
 
 
 def icosphere(subdivisions, centre=(0.0, 0.0, 0.0)):

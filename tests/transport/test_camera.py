@@ -1,6 +1,6 @@
 import torch
 
-from skylight.transport.camera import Camera
+from skylight.transport._cameras import Camera
 
 CAMERA = Camera(focal_px=120.0, width=64, height=48, center_px=(30.0, 25.0))
 

@@ -5,12 +5,17 @@ import torch
 from torch import nn
 from torch.nn.functional import normalize
 
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.diffuse import DiffuseTransport, SkyTransport, shade_scenes
-from skylight.transport.gloss import GlossyTransport, glossy_transport
-from skylight.transport.matrix import TransportMatrix, diffuse_transport, visibility
-from skylight.transport.raycast import Raycaster
-from skylight.transport.render import Specular
+from skylight.sphere._frame import DirectionGrid
+from skylight.transport._matrix import TransportMatrix, diffuse_transport, visibility
+from skylight.transport._rays import Raycaster
+from skylight.transport._reflection import (
+    DiffuseTransport,
+    GlossyTransport,
+    SkyTransport,
+    glossy_transport,
+    shade_scenes,
+)
+from skylight.transport._render import Specular
 from tests.transport.shapes import icosphere, seen_sphere
 
 F64 = torch.float64

@@ -3,10 +3,10 @@ import math
 import pytest
 import torch
 
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.gbuffer import vertex_normals
-from skylight.transport.matrix import TransportMatrix, diffuse_transport, visibility
-from skylight.transport.raycast import Raycaster
+from skylight.sphere._frame import DirectionGrid
+from skylight.transport._matrix import TransportMatrix, diffuse_transport, visibility
+from skylight.transport._rays import Raycaster
+from skylight.transport._render import vertex_normals
 from tests.transport.shapes import icosphere, seen_sphere
 
 

@@ -5,9 +5,8 @@ from pathlib import Path
 import pytest
 
 from skylight.errors import InputError
-from skylight.probes.partitions.relight.scene_files import read_scene
-from skylight.transport.mesh import read_mesh
-from skylight.transport.mesh_bounds import require_bounded
+from skylight.probes.partitions.relight._scene import read_scene
+from skylight.transport._mesh import read_mesh, require_bounded
 
 CORNERS = "0 0 0\n1 0 0\n0 1 0\n"
 PLY = (

@@ -6,9 +6,9 @@ import pytest
 import torch
 from torch.nn.functional import normalize
 
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.matrix import TransportMatrix
-from skylight.transport.normal_modes import NormalModes, SkyNormalModes
+from skylight.sphere._frame import DirectionGrid
+from skylight.transport._matrix import TransportMatrix
+from skylight.transport._normal_modes import NormalModes, SkyNormalModes
 
 GRID = DirectionGrid.latlong(64)
 POINTS, MODES, ROWS = 40, 3, 32

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.sphere.frame import rotation_about
-from skylight.sphere.rigid_transform import RigidTransform
-from skylight.transport.object_camera import PlacedCamera, object_camera, read_object_camera
+from skylight.sphere._frame import rotation_about
+from skylight.sphere._rotation import RigidTransform
+from skylight.transport._cameras import PlacedCamera, object_camera, read_object_camera
 
 AIMED = {"fov_deg": 40.0, "position": [1, 2, 5], "look_at": [0.5, 0, -1]}
 

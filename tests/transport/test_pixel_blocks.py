@@ -2,7 +2,7 @@
 
 import torch
 
-from skylight.transport.pixel_blocks import PixelBlocks
+from skylight.transport._visibility import PixelBlocks
 
 
 def test_means_are_those_of_a_loop():

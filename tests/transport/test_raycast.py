@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.transport.raycast import Raycaster
+from skylight.transport._rays import Raycaster
 from tests.oracles.raycasting import occluded
 
 

@@ -3,12 +3,10 @@ import math
 import pytest
 import torch
 
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.frame import direction_from_angles
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.render import Specular, ggx, light_samples, render_diffuse
-from skylight.transport.scene.evaluation import evaluation_scene
-from skylight.transport.scene.model import matt_surface
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid, direction_from_angles
+from skylight.transport._render import Specular, ggx, light_samples, render_diffuse
+from skylight.transport._scene import evaluation_scene, matt_surface
 from tests.transport.shapes import seen_sphere
 
 

@@ -17,9 +17,9 @@ import torch
 pytest.importorskip("distributed", reason="dask is not installed")
 
 from skylight.errors import DependencyError, InputError, SkylightError
-from skylight.work import cluster as module
-from skylight.work.cluster import Cluster
-from skylight.work.resumable import share_work
+from skylight.work import _cluster as module
+from skylight.work._cluster import Cluster
+from skylight.work._resumable import share_work
 from tests.dask_cluster import DaskCluster, dask_cluster
 
 

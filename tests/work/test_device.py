@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.work.device import choose_device
+from skylight.work._device import choose_device
 
 HAS_CUDA = torch.cuda.is_available()
 

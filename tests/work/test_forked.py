@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from skylight.errors import SkylightError
-from skylight.work.forked import in_processes, shared_array
+from skylight.work._processes import in_processes, shared_array
 
 
 @pytest.mark.parametrize("workers", [1, 3])
@@ -47,7 +47,7 @@ def test_an_interrupt_ends_all_processes_and_says_so_once():
     program = """
 import signal, time
 from skylight.errors import SkylightError
-from skylight.work.forked import in_processes
+from skylight.work._processes import in_processes
 signal.signal(signal.SIGINT, signal.default_int_handler)
 print("on", flush=True)
 in_processes(lambda i: time.sleep(0.2), 1000, workers=3)

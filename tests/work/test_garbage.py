@@ -21,7 +21,7 @@ print(code, gc.get_threshold()[0], gc.get_freeze_count() > 1000)
 # blocks of less than malloc maps by itself, held by cycles; the last of all keeps the heap's end
 RELEASING = """
 import gc
-from skylight.work.garbage import collect_seldom, release_memory
+from skylight.work._processes import collect_seldom, release_memory
 
 def resident_mb():
     return int(open("/proc/self/statm").read().split()[1]) * 4096 / 1e6
@@ -44,7 +44,7 @@ for _ in range(2):
 # a cycle that lives through a call and is given up before the next
 GIVEN_UP = """
 import weakref
-from skylight.work.garbage import release_memory
+from skylight.work._processes import release_memory
 
 class Own:
     def __init__(self):
@@ -73,7 +73,7 @@ def test_a_command_searches_seldom_and_leaves_what_there_is_at_its_end() -> None
 
 
 def test_cycles_are_still_found() -> None:
-    from skylight.work.garbage import collect_seldom
+    from skylight.work._processes import collect_seldom
 
     before = gc.get_threshold()
     try:

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from skylight.app.estimate.results import MESHES
 from skylight.errors import OutputError
-from skylight.work.results_folder import results_folder
+from skylight.estimate._report import MESHES
+from skylight.work._resumable import results_folder
 from tests.cli.test_cli import contents
 
 

@@ -15,8 +15,8 @@ import pytest
 import torch
 
 from skylight.errors import InputError, OutputError, SkylightError
-from skylight.work import resumable
-from skylight.work.resumable import MOST_LOSSES, claimed, settle, share_work
+from skylight.work import _resumable as resumable
+from skylight.work._resumable import MOST_LOSSES, claimed, settle, share_work
 
 
 def test_a_folder_keeps_its_settings(tmp_path: Path) -> None:

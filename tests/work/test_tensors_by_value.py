@@ -9,7 +9,7 @@ from multiprocessing.reduction import ForkingPickler
 
 import torch
 
-from skylight.work.tensors_by_value import send_tensors_by_value
+from skylight.work._cluster import send_tensors_by_value
 
 grown = torch.arange(6.0).reshape(2, 3).requires_grad_()
 print(b"rebuild_storage" in bytes(ForkingPickler.dumps(torch.ones(3))))

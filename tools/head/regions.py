@@ -48,7 +48,7 @@ def inside(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def label_regions(shape: Shape, landmark: np.ndarray) -> np.ndarray:
-    """Region of each vertex (n,) uint8, the values of ``skylight.faces.model.Region``.
+    """Region of each vertex (n,) uint8, the values of ``skylight.faces._model.Region``.
 
     Geometry of the mean head only; the hairline follows the facial thirds (trichion about 65 mm
     above the nasion, Farkas 1994).

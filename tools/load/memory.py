@@ -12,7 +12,7 @@ import numpy as np
 EVERY_S = 5.0
 LOADING_MIN = 1.0  # of a process that has just started, whose growth is no trend
 # a module that each worker process is told to import, which its command line names
-_WORKERS = {"jobs": "skylight.studio.tasks.estimate", "reader": "skylight.studio.tasks.uploads"}
+_WORKERS = {"jobs": "skylight.studio.tasks._light", "reader": "skylight.studio.tasks._uploads"}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,8 +8,8 @@ A column for each record ``benchmarks/results/studio-load*.json``; no number is 
 from pathlib import Path
 from typing import Any
 
-from skylight.io.atomic import atomic_path
-from skylight.io.bounded import json_content
+from skylight.io._atomic import atomic_path
+from skylight.io._bounded import json_content
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "hardening.md"

@@ -10,8 +10,8 @@ import signal
 import sys
 from pathlib import Path
 
-from skylight.io.atomic import atomic_path
-from skylight.studio.server import serve
+from skylight.io._atomic import atomic_path
+from skylight.studio._server import serve
 
 
 class _Heap(ctypes.Structure):

@@ -1,1 +1,1 @@
-"""HDR light probes from exposures of mirror balls and of 360-degree cameras."""
+"""HDR light probes from photographs of mirror balls."""

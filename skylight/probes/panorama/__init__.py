@@ -1,1 +1,1 @@
-"""HDR light probes stitched from the shots of a camera that turns about its lens."""
+"""HDR light probes stitched from the photographs of a turning camera."""

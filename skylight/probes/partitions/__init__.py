@@ -1,1 +1,1 @@
-"""Shading probes whose walls partition the sphere into cells (thesis, chapter 4)."""
+"""The spherical-partitions probe (thesis, chapter 4): designed, printed, captured, relit."""

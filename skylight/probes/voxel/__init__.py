@@ -1,1 +1,1 @@
-"""The voxel shading probe (thesis, chapter 3)."""
+"""The voxel shading probe (thesis, chapter 3): designed, printed, captured, and used to relight."""

@@ -1,1 +1,1 @@
-"""What stands between an observer and the sky: land, trees, buildings, roofs."""
+"""What stands around a viewer: terrain, trees, buildings and streets, drawn below a sky."""

@@ -11,7 +11,7 @@ const KAPPA_LOW = Math.log(200);
 const KAPPA_HIGH = Math.log(30000);
 const sigmoid = (x: number) => 1 / (1 + Math.exp(-x));
 
-/** The last five of the latents, read as skylight/models/networks/sun_head.py does. */
+/** The last five of the latents, read as skylight/models/_sun_head.py does. */
 export function sunOf(latent: ArrayLike<number>): Sun {
   const [height, red, green, blue, sharpness] = Array.from(latent).slice(-5) as [
     number, number, number, number, number,

@@ -5,8 +5,8 @@ import sys
 from pathlib import Path
 
 from skylight.errors import InputError
-from skylight.models.bundle import load_bundle
-from skylight.training.config import AutoencoderConfig, config_yaml
+from skylight.models._bundle import load_bundle
+from skylight.training._config import AutoencoderConfig, config_yaml
 from tests.drawn_skies import draw_skies
 
 SKIES = 40

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from skylight.imaging.colour import linear_to_srgb
+from skylight.imaging._colour import linear_to_srgb
 
 TIMES = (1 / 64, 1 / 16, 1 / 4)
 

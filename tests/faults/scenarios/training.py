@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from skylight.io.files import write_environment_map
-from skylight.io.tensors import read_tensors
-from skylight.skies.index import INDEX_NAME, SkyRecord, write_rows
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.training.config import AutoencoderConfig, config_yaml
+from skylight.io._files import write_environment_map
+from skylight.io._tensors import read_tensors
+from skylight.skies._index import INDEX_NAME, SkyRecord, write_rows
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.training._config import AutoencoderConfig, config_yaml
 
 ROOT = Path(__file__).parents[3]
 SKIES, HEIGHT = 40, 8

@@ -10,9 +10,17 @@ import json
 import torch
 from torch import Tensor
 
-from skylight.io.tensors import read_tensors, tensors_sha256
-from skylight.models.bundle import BANK, LATENT_PRIOR, NETWORK, SHIPPED, SUNSKY_PRIOR, load_bundle
-from skylight.models.bundle_manifest import MANIFEST, BundleManifest
+from skylight.io._tensors import read_tensors, tensors_sha256
+from skylight.models._bundle import (
+    BANK,
+    LATENT_PRIOR,
+    MANIFEST,
+    NETWORK,
+    SHIPPED,
+    SUNSKY_PRIOR,
+    BundleManifest,
+    load_bundle,
+)
 from tests.fuzz.files import PLACE, joined, parted
 from tests.fuzz.tensor_files import described, write_described
 

@@ -2,7 +2,7 @@
 
 import torch
 
-from skylight.csc.code import SparseCode
+from skylight.csc._code import SparseCode
 from tests.fuzz.files import as_file, written
 
 

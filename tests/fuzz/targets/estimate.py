@@ -12,11 +12,10 @@ import numpy as np
 import torch
 from PIL import Image
 
-from skylight.app.maps.blender_scene import export_blender_scene
-from skylight.app.maps.estimated_light import MAP, NUMBERS, read_light
-from skylight.app.maps.viewer.page import export_viewer
-from skylight.io.files import write_environment_map
-from skylight.sphere.envmap import EnvironmentMap
+from skylight.io._files import write_environment_map
+from skylight.maps._export import MAP, NUMBERS, export_blender_scene, read_light
+from skylight.maps._viewer import export_viewer
+from skylight.sphere._envmap import EnvironmentMap
 from tests.fuzz.files import PLACE, joined, parted, read_by_any
 
 _HEAD, _PHOTO = "mesh.obj", "photo.png"

@@ -4,9 +4,9 @@ import numpy as np
 import OpenEXR
 import torch
 
-from skylight.io.files import read_environment_map, write_environment_map
-from skylight.skies.capture_dates import header_date
-from skylight.sphere.envmap import EnvironmentMap
+from skylight.io._files import read_environment_map, write_environment_map
+from skylight.skies._captures import header_date
+from skylight.sphere._envmap import EnvironmentMap
 from tests.fuzz.files import as_file, written
 
 

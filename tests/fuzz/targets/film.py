@@ -8,7 +8,7 @@ from itertools import islice
 import cv2
 import numpy as np
 
-from skylight.imaging.film import film_frames, told_length_s
+from skylight.imaging._film import film_frames, told_length_s
 from tests.films import with_quarter_turn
 from tests.fuzz.files import PLACE, as_file
 

@@ -10,9 +10,9 @@ import numpy as np
 import trimesh
 from PIL import Image
 
-from skylight.app.maps.viewer.model_file import read_model
-from skylight.probes.partitions.relight.scene_files import read_scene
-from skylight.transport.mesh import read_mesh
+from skylight.maps._viewer import read_model
+from skylight.probes.partitions.relight._scene import read_scene
+from skylight.transport._mesh import read_mesh
 from tests.fuzz.files import as_file, joined, parted, read_by_any
 
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import torch
 
-from skylight.io.files import read_environment_map, write_environment_map
-from skylight.sphere.envmap import EnvironmentMap
+from skylight.io._files import read_environment_map, write_environment_map
+from skylight.sphere._envmap import EnvironmentMap
 from tests.fuzz.files import as_file, written
 
 

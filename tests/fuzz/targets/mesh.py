@@ -2,8 +2,8 @@
 
 import trimesh
 
-from skylight.probes.partitions.relight.scene_files import read_scene
-from skylight.transport.mesh import read_mesh
+from skylight.probes.partitions.relight._scene import read_scene
+from skylight.transport._mesh import read_mesh
 from tests.fuzz.files import as_file, written
 
 _BEGINNINGS = {b"glTF": ".glb", b"ply": ".ply", b"OFF": ".off", b"solid": ".stl", b"\0stl": ".stl"}

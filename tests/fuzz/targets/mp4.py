@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from skylight.imaging.mp4 import transfer_characteristic
+from skylight.imaging._film import transfer_characteristic
 from tests.films import box, with_in_description, write_film
 from tests.fuzz.files import PLACE, as_file
 from tests.imaging.test_film import sequence_parameters

@@ -8,11 +8,11 @@ from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
 
-from skylight.app.azimuth.calibration import FOLDER, choose
-from skylight.app.estimate.folder.manifest import MANIFEST, Entry, append_entry, read_manifest
-from skylight.evaluation.rendered_faces.files import read_turned_map
-from skylight.faces.captures import CAPTURES_NAME, capture_hash, read_captures
-from skylight.work.resumable import SETTINGS, settle
+from skylight.estimate._manifest import MANIFEST, Entry, append_entry, read_manifest
+from skylight.faces._captures import CAPTURES_NAME, capture_hash, read_captures
+from skylight.people._azimuth import FOLDER, choose
+from skylight.people._files import read_turned_map
+from skylight.work._resumable import SETTINGS, settle
 from tests.fuzz.files import PLACE, joined, parted, read_by_any, written
 
 _PHOTO = "anna.jpg"

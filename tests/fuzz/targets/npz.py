@@ -11,16 +11,15 @@ import numpy as np
 import torch
 
 from skylight.errors import InputError
-from skylight.probes.partitions.relight.transfer import TransferCoefficients
-from skylight.probes.partitions.relight.transfer_file import (
+from skylight.probes.partitions.relight._transfer import (
+    TransferCoefficients,
+    TurningCoefficients,
     load_transfer,
     load_turning_transfer,
     save_transfer,
 )
-from skylight.probes.partitions.relight.turning import TurningCoefficients
-from skylight.probes.voxel.lightmap import Lightmap, load_lightmap
-from skylight.relight.runtime import relight
-from skylight.relight.scene_file import PrecomputedScene, load_scene
+from skylight.probes.voxel._lightmap import Lightmap, load_lightmap
+from skylight.relight._runtime import PrecomputedScene, load_scene, relight
 from tests.fuzz.files import as_file, clear, joined, parted, written
 
 

@@ -5,8 +5,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from skylight.errors import InputError
-from skylight.relight.onnx_graph import require_plain
-from skylight.relight.sky_decoder import SkyDecoder
+from skylight.relight._decoder import SkyDecoder, require_plain
 
 
 def seeds() -> list[bytes]:

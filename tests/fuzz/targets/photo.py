@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 from PIL import ExifTags, Image
 
-from skylight.app.object.known_object import read_mask
-from skylight.cameras.frames import read_picture
-from skylight.imaging.photo import read_photo
+from skylight.imaging._photo import read_photo
+from skylight.object._files import read_mask
+from skylight.probes.cameras._live import read_picture
 from tests.fuzz.files import as_file, is_refused, written
 
 _PNG = b"\x89PNG\r\n\x1a\n"

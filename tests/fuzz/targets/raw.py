@@ -1,6 +1,6 @@
 """Cameras' RAW files, which LibRaw develops: DNG, and whatever a content claims to be."""
 
-from skylight.imaging.photo import read_photo
+from skylight.imaging._photo import read_photo
 from tests.fuzz.files import as_file, written
 from tests.imaging.test_raw import mosaic, write_dng
 

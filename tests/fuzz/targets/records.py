@@ -9,32 +9,29 @@ from typing import Any
 import numpy as np
 import torch
 
-from skylight.app.probes.panorama.brackets import read_turns
-from skylight.cameras.board import Board, load_board, save_board
-from skylight.cameras.intrinsics import Intrinsics, load_intrinsics, save_intrinsics
-from skylight.cameras.response import Response, load_response, save_response
 from skylight.errors import InputError, SkylightError
-from skylight.io.collection import read_categories
-from skylight.io.json_files import write_json
-from skylight.models.known_ground import KnownGround, load_ground
-from skylight.probes.partitions.captured.capture import load_capture
-from skylight.probes.partitions.captured.kernel_albedo import KernelAlbedo, read_albedo, save_albedo
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design.designs import named_design
-from skylight.probes.partitions.printed.assembly import (
-    PartitionAssembly,
-    load_partition_assembly,
-)
-from skylight.probes.partitions.printed.halves import standing_rotation
-from skylight.probes.partitions.printed.sizes import ProbeSizes
-from skylight.probes.partitions.seeds import load_design, save_design
-from skylight.probes.voxel.printed.assembly import load_voxel_assembly
-from skylight.relight.latent_file import read_latent
-from skylight.skies.capture_dates import read_days
-from skylight.skies.index import read_index
-from skylight.sphere.rigid_transform import RigidTransform
-from skylight.training.config import read_config
-from skylight.transport.object_camera import read_object_camera
+from skylight.io._bounded import write_json
+from skylight.io._files import read_categories
+from skylight.models._ground import KnownGround, load_ground
+from skylight.probes.cameras._board import Board, load_board, save_board
+from skylight.probes.cameras._intrinsics import Intrinsics, load_intrinsics, save_intrinsics
+from skylight.probes.cameras._response import Response, load_response, save_response
+from skylight.probes.panorama._brackets import read_turns
+from skylight.probes.partitions._captured import load_capture
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._kernel_albedo import KernelAlbedo, read_albedo, save_albedo
+from skylight.probes.partitions._optimise import named_design
+from skylight.probes.partitions._seeds import load_design, save_design
+from skylight.probes.partitions.printed._assembly import PartitionAssembly, load_partition_assembly
+from skylight.probes.partitions.printed._halves import standing_rotation
+from skylight.probes.partitions.printed._solids import ProbeSizes
+from skylight.probes.voxel._parts import load_voxel_assembly
+from skylight.relight._decoder import read_latent
+from skylight.skies._captures import read_days
+from skylight.skies._index import read_index
+from skylight.sphere._rotation import RigidTransform
+from skylight.training._config import read_config
+from skylight.transport._cameras import read_object_camera
 from tests.fuzz.files import PLACE, as_file, clear, written
 
 _READERS: tuple[Callable[[Path], object], ...] = (

@@ -16,11 +16,11 @@ from PIL import Image
 from starlette.testclient import TestClient
 
 from skylight.errors import InputError
-from skylight.io.files import write_environment_map
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.studio.application import make_application
-from skylight.studio.limits import Limits
-from skylight.studio.state import Studio
+from skylight.io._files import write_environment_map
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.studio._guard import Limits
+from skylight.studio._server import make_application
+from skylight.studio._state import Studio
 from tests.fuzz.files import PLACE, written
 
 _METHODS = ("GET", "POST", "DELETE", "HEAD", "PUT", "OPTIONS", "PATCH")

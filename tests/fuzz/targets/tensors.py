@@ -6,15 +6,15 @@ What begins like a description of tensors (:mod:`tests.fuzz.tensor_files`) has t
 import numpy as np
 import torch
 
-from skylight.app.estimate.followed import FOLLOWED, read_followed, write_followed
-from skylight.cameras.turns import Link
-from skylight.csc.dictionary import FilterBank
-from skylight.faces.film.follow import Followed, Keyframe, Shot
-from skylight.faces.landmarks import DetectedFace
-from skylight.io.tensors import read_tensors
-from skylight.models.networks.files import load_network
-from skylight.models.prior import GaussianMixture
-from skylight.training.checkpoint import NEWEST, read_state, write_state
+from skylight.csc._dictionary import FilterBank
+from skylight.estimate.film._files import FOLLOWED, read_followed, write_followed
+from skylight.estimate.film._follow import Followed, Keyframe, Shot
+from skylight.faces._landmarks import DetectedFace
+from skylight.imaging._camera_turns import Link
+from skylight.io._tensors import read_tensors
+from skylight.models._bundle import load_network
+from skylight.models._prior import GaussianMixture
+from skylight.training._checkpoint import NEWEST, read_state, write_state
 from tests.fuzz.files import PLACE, read_by_any, written
 from tests.fuzz.tensor_files import described, write_described
 

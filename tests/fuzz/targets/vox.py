@@ -4,7 +4,7 @@ import struct
 
 import numpy as np
 
-from skylight.probes.voxel.model import read_voxels, star_probe, write_voxels
+from skylight.probes.voxel._model import read_voxels, star_probe, write_voxels
 from tests.fuzz.files import as_file, written
 
 

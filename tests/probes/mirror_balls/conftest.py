@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.probes.mirror_balls.ball import Ball, focal_from_fov, picture_camera
-from skylight.probes.mirror_balls.unwrap import BallView
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.grid import DirectionGrid
+from skylight.probes.mirror_balls._ball import Ball, focal_from_fov, picture_camera
+from skylight.probes.mirror_balls._merged import BallView
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid
 from tests.oracles.mirror_ball import photograph, ray
 
 SIZE = (240, 300)

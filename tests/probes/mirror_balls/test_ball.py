@@ -7,14 +7,14 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.probes.mirror_balls.ball import (
+from skylight.probes.mirror_balls._ball import (
     ball_of_circle,
     distances_px,
+    find_ball,
     fit_ball,
     focal_from_fov,
     picture_camera,
 )
-from skylight.probes.mirror_balls.outline import find_ball
 from tests.probes.mirror_balls.conftest import FOCAL_PX, MIDDLE, SIZE, Made, true_ball
 
 

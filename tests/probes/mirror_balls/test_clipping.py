@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.probes.mirror_balls.unwrap import unwrap
-from skylight.probes.radiance.clipping import SUN_SR, find_clipping
-from skylight.probes.radiance.probe_map import ProbeMap
-from skylight.sphere.envmap import EnvironmentMap
+from skylight.probes._probe_map import ProbeMap
+from skylight.probes.cameras._exposures import SUN_SR, find_clipping
+from skylight.probes.mirror_balls._merged import unwrap
+from skylight.sphere._envmap import EnvironmentMap
 from tests.probes.mirror_balls.conftest import made_light, picture_of, view_of
 
 RADIUS = math.radians(6.0)

@@ -6,16 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.probes.mirror_balls.ball import ball_of_circle, picture_camera
-from skylight.probes.mirror_balls.unwrap import BallView, unwrap
-from tests.probes.mirror_balls.conftest import (
-    SIZE,
-    Made,
-    map_of,
-    picture_of,
-    true_ball,
-    view_of,
-)
+from skylight.probes.mirror_balls._ball import ball_of_circle, picture_camera
+from skylight.probes.mirror_balls._merged import BallView, unwrap
+from tests.probes.mirror_balls.conftest import SIZE, Made, map_of, picture_of, true_ball, view_of
 
 
 def axis_colours(w: np.ndarray) -> np.ndarray:

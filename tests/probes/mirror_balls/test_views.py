@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.probes.mirror_balls.unwrap import unwrap
-from skylight.probes.mirror_balls.views import Turn, blend, camera_distance_deg, match_views
-from skylight.sphere.frame import angle_between, rotation_about
-from skylight.sphere.grid import DirectionGrid
+from skylight.probes.mirror_balls._merged import (
+    Turn,
+    blend,
+    camera_distance_deg,
+    match_views,
+    unwrap,
+)
+from skylight.sphere._frame import DirectionGrid, angle_between, rotation_about
 from tests.probes.mirror_balls.conftest import Made, made_light, map_of, picture_of, view_of
 
 UP = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)

@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from skylight.cameras.turns import Link
-from skylight.probes.panorama.bundle import Bundle, adjust, spanning_trees
-from skylight.probes.panorama.lens import Lens
-from skylight.probes.panorama.level import hinted
-from skylight.probes.panorama.matches import Turned, turned_links
+from skylight.imaging._camera_turns import Link
+from skylight.probes.panorama._bundle import Bundle, adjust, spanning_trees
+from skylight.probes.panorama._matches import Lens, Turned, turned_links
+from skylight.probes.panorama._panorama import hinted
 
 LENS = Lens(width=300, height=200, focal_px=220.0, k1=-0.08)
 TRUE = [

@@ -8,13 +8,18 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from skylight.errors import InputError
-from skylight.probes.panorama.level import aligned, hinted, levelled
-from skylight.probes.panorama.panorama import Panorama, panorama_of
-from skylight.probes.panorama.shots import Shot
-from skylight.probes.panorama.stitch import stitch
-from skylight.probes.radiance.probe_map import ProbeMap
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.grid import DirectionGrid
+from skylight.probes._probe_map import ProbeMap
+from skylight.probes.panorama._matches import Shot
+from skylight.probes.panorama._panorama import (
+    Panorama,
+    aligned,
+    hinted,
+    levelled,
+    panorama_of,
+    stitch,
+)
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid
 from tests.turning_camera import (
     HEAD,
     LENS,

@@ -7,13 +7,13 @@ from tempfile import mkdtemp
 import torch
 import trimesh
 
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design.designs import named_design
-from skylight.probes.partitions.relight.composite import SceneOnBoard, board_transfer
-from skylight.probes.partitions.relight.ground import Ground
-from skylight.probes.partitions.relight.refine import refined
-from skylight.probes.partitions.relight.scene import Scene
-from skylight.probes.partitions.relight.transfer import TransferSampling
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._optimise import named_design
+from skylight.probes.partitions.relight._atlas import refined
+from skylight.probes.partitions.relight._composite import SceneOnBoard, board_transfer
+from skylight.probes.partitions.relight._gather import Ground
+from skylight.probes.partitions.relight._scene import Scene
+from skylight.probes.partitions.relight._transfer import TransferSampling
 from tests.probes.partitions.shapes import solid
 
 F64 = torch.float64

@@ -6,12 +6,12 @@ from itertools import product
 import numpy as np
 import torch
 
-from skylight.cameras.intrinsics import FLIP, Intrinsics
-from skylight.cameras.view import camera_centre
-from skylight.probes.partitions.printed.assembly import PlacedPartitions
-from skylight.sphere.rigid_transform import RigidTransform
-from skylight.transport.raycast import Raycaster
-from tests.cameras.scenes import rays_through, shrink
+from skylight.probes.cameras._intrinsics import FLIP, Intrinsics
+from skylight.probes.cameras._pose import camera_centre
+from skylight.probes.partitions.printed._assembly import PlacedPartitions
+from skylight.sphere._rotation import RigidTransform
+from skylight.transport._rays import Raycaster
+from tests.probes.cameras.scenes import rays_through, shrink
 
 Shine = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """(cells (m,), points (m,3)) -> radiance (m,3)."""

@@ -4,10 +4,10 @@ import numpy as np
 import torch
 import trimesh
 
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.relight.refine import refined
-from skylight.probes.partitions.relight.scene import Scene
-from skylight.probes.partitions.seeds import ProbeDesign
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._seeds import ProbeDesign
+from skylight.probes.partitions.relight._atlas import refined
+from skylight.probes.partitions.relight._scene import Scene
 
 QUAD = torch.tensor([[0, 1, 2], [0, 2, 3]])
 AXES = torch.cat([torch.eye(3), -torch.eye(3)]).double()

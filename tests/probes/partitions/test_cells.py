@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design.designs import design_names, named_design
-from skylight.probes.partitions.seeds import ProbeDesign
-from skylight.sphere.grid import DirectionGrid
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._optimise import design_names, named_design
+from skylight.probes.partitions._seeds import ProbeDesign
+from skylight.sphere._frame import DirectionGrid
 
 CUBE = torch.cat([torch.eye(3), -torch.eye(3)]).double()
 CORNERS = torch.cartesian_prod(*[torch.tensor([1.0, -1.0])] * 3).double() / math.sqrt(3)

@@ -3,9 +3,9 @@
 import numpy as np
 import torch
 
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design.designs import named_design
-from skylight.probes.partitions.picture import cell_colours, draw_cells
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._optimise import named_design
+from skylight.probes.partitions._picture import cell_colours, draw_cells
 
 
 def hue_of(pixel: np.ndarray) -> np.ndarray:

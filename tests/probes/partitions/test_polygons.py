@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from scipy.integrate import lebedev_rule
 from torch import Tensor
 
-from skylight.probes.partitions.polygons import voronoi
-from skylight.sphere.frame import rotation_about
-from skylight.sphere.grid import DirectionGrid
+from skylight.probes.partitions._cells import voronoi
+from skylight.sphere._frame import DirectionGrid, rotation_about
 
 CUBE = torch.cat([torch.eye(3), -torch.eye(3)]).double()
 

@@ -9,12 +9,12 @@ from torch.autograd import gradcheck
 from torch.func import functional_call
 
 from skylight.errors import InputError
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design.designs import named_design
-from skylight.probes.partitions.probe import PartitionProbe
-from skylight.probes.partitions.seeds import ProbeDesign
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.grid import DirectionGrid
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._optimise import named_design
+from skylight.probes.partitions._probe import PartitionProbe
+from skylight.probes.partitions._seeds import ProbeDesign
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid
 
 GRID = DirectionGrid.latlong(32)
 RGB = torch.tensor([0.9, 0.6, 0.3]).double()

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.probes.partitions.seeds import ProbeDesign, load_design, save_design
+from skylight.probes.partitions._seeds import ProbeDesign, load_design, save_design
 
 CUBE = torch.cat([torch.eye(3), -torch.eye(3)]).double()
 

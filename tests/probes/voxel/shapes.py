@@ -3,8 +3,14 @@
 import numpy as np
 import torch
 
-from skylight.probes.voxel.faces import FORWARD, NORMALS, RIGHT, VoxelFaces, exposed_faces
-from skylight.probes.voxel.model import VoxelModel
+from skylight.probes.voxel._model import (
+    FORWARD,
+    NORMALS,
+    RIGHT,
+    VoxelFaces,
+    VoxelModel,
+    exposed_faces,
+)
 
 
 def face_among(orientation: int, configuration: int) -> tuple[VoxelFaces, int]:

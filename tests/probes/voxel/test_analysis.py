@@ -7,14 +7,9 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.probes.voxel.analysis import (
-    best_sets,
-    inspect,
-    residuals,
-    residuals_by_occluders,
-)
-from skylight.probes.voxel.interreflection.transfer import slot_transfer
-from skylight.probes.voxel.model import VoxelModel, star_probe
+from skylight.probes.voxel._analysis import best_sets, inspect, residuals, residuals_by_occluders
+from skylight.probes.voxel._interreflection import slot_transfer
+from skylight.probes.voxel._model import VoxelModel, star_probe
 
 THREE_PROBE = torch.tensor([[0, 1, 2, 4, 8]])
 

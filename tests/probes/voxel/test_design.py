@@ -5,9 +5,8 @@ import pytest
 from scipy.ndimage import label
 
 from skylight.errors import InputError
-from skylight.probes.voxel.design import CameraRing, design_probe, probe_residual, visible_faces
-from skylight.probes.voxel.faces import exposed_faces
-from skylight.probes.voxel.model import VoxelModel, star_probe
+from skylight.probes.voxel._analysis import CameraRing, design_probe, probe_residual, visible_faces
+from skylight.probes.voxel._model import VoxelModel, exposed_faces, star_probe
 
 
 def test_a_symmetric_design_is_no_worse_than_the_five_probe() -> None:

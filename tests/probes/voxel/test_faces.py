@@ -6,19 +6,20 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skylight.probes.voxel.faces import (
+from skylight.probes.voxel._model import (
     CONFIGURATIONS,
     FORWARD,
     NORMALS,
     OCCLUDERS,
     ORIENTATIONS,
     RIGHT,
+    VoxelModel,
     exposed_faces,
     quarter_turns,
+    star_probe,
     visibility_vectors,
 )
-from skylight.probes.voxel.model import VoxelModel, star_probe
-from skylight.transport.raycast import Raycaster
+from skylight.transport._rays import Raycaster
 from tests.probes.voxel.shapes import face_among
 
 GRIDS = st.integers(1, 2**27 - 1).map(

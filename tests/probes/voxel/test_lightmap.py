@@ -8,9 +8,8 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.probes.voxel.faces import exposed_faces
-from skylight.probes.voxel.lightmap import Lightmap, load_lightmap, texture_coordinates
-from skylight.probes.voxel.model import star_probe
+from skylight.probes.voxel._lightmap import Lightmap, load_lightmap, texture_coordinates
+from skylight.probes.voxel._model import exposed_faces, star_probe
 
 
 def numbered(size: int = 4) -> Lightmap:

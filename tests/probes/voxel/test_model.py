@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skylight.errors import InputError
-from skylight.probes.voxel.model import VoxelModel, read_voxels, star_probe, voxelise, write_voxels
+from skylight.probes.voxel._model import VoxelModel, read_voxels, star_probe, voxelise, write_voxels
 
 
 @pytest.mark.parametrize(("size", "count"), [(1, 1), (3, 7), (5, 25), (7, 63)])

@@ -9,12 +9,11 @@ from torch import Tensor
 from torch.autograd import gradcheck
 
 from skylight.errors import InputError
-from skylight.probes.voxel.faces import NORMALS
-from skylight.probes.voxel.model import VoxelModel, star_probe
-from skylight.probes.voxel.probe import VoxelProbe
-from skylight.probes.voxel.reconstruct import DirectReconstruction
-from skylight.sphere import harmonics
-from skylight.sphere.grid import DirectionGrid
+from skylight.probes.voxel._model import NORMALS, VoxelModel, star_probe
+from skylight.probes.voxel._probe import VoxelProbe
+from skylight.probes.voxel._reconstruct import DirectReconstruction
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._frame import DirectionGrid
 from tests.oracles.radiosity import corner_radiance
 
 GRID = DirectionGrid.latlong(32)

@@ -8,11 +8,13 @@ import torch
 from torch.autograd import gradcheck
 
 from skylight.errors import InputError
-from skylight.probes.voxel.faces import exposed_faces, visibility_vectors
-from skylight.probes.voxel.lightmap import Lightmap
-from skylight.probes.voxel.model import star_probe
-from skylight.probes.voxel.reconstruct import DirectReconstruction, SlotReconstruction
-from skylight.probes.voxel.subsets import sparse_combinations
+from skylight.probes.voxel._lightmap import Lightmap
+from skylight.probes.voxel._model import exposed_faces, star_probe, visibility_vectors
+from skylight.probes.voxel._reconstruct import (
+    DirectReconstruction,
+    SlotReconstruction,
+    sparse_combinations,
+)
 
 F64 = torch.float64
 LEFT, RIGHT, FORWARD, BACKWARD, TOP = 1, 2, 4, 8, 16

@@ -2,10 +2,8 @@ import math
 
 import torch
 
-from skylight.skies.surroundings.layer import Layer, Site, in_air
-from skylight.skies.surroundings.light import Light, light_of
-from skylight.skies.surroundings.view import View
-from skylight.sphere.grid import DirectionGrid
+from skylight.skies.surroundings._layer import Layer, Light, Site, View, in_air, light_of
+from skylight.sphere._frame import DirectionGrid
 
 VIEW = View(32)
 UP, DOWN, NORTH = (torch.tensor([[v]]) for v in ([0.0, 1, 0], [0.0, -1, 0], [0.0, 0, -1]))

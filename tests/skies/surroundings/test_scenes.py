@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from skylight.skies.surroundings.scenes import surroundings
+from skylight.skies.surroundings._scenes import surroundings
 
 
 def generator(seed: int = 0) -> torch.Generator:

@@ -3,14 +3,9 @@ import math
 import pytest
 import torch
 
-from skylight.skies.surroundings.blocks import Plan, cross
-from skylight.skies.surroundings.buildings import _pulse
-from skylight.skies.surroundings.draws import Draws
-from skylight.skies.surroundings.layer import EYE_M, Site
-from skylight.skies.surroundings.light import light_of
-from skylight.skies.surroundings.stands import FRINGE, Stand, look
-from skylight.skies.surroundings.trees import _trunks
-from skylight.skies.surroundings.view import View
+from skylight.skies.surroundings._buildings import Plan, _pulse, cross
+from skylight.skies.surroundings._layer import EYE_M, Draws, Site, View, light_of
+from skylight.skies.surroundings._terrain import FRINGE, Stand, _trunks, look
 
 VIEW = View(32)
 

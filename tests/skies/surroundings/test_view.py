@@ -3,9 +3,7 @@ import math
 import pytest
 import torch
 
-from skylight.skies.surroundings.draws import Draws
-from skylight.skies.surroundings.noise import rough_noise
-from skylight.skies.surroundings.view import View
+from skylight.skies.surroundings._layer import Draws, View, rough_noise
 
 
 def draws(count: int, seed: int = 0) -> Draws:

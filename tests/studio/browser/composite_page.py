@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from skylight.imaging.colour import srgb_to_linear
-from skylight.sphere.grid import DirectionGrid
+from skylight.imaging._colour import srgb_to_linear
+from skylight.sphere._frame import DirectionGrid
 from tests.studio.browser.known_light import FOCAL, SIZE
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ from urllib.parse import urlsplit
 import numpy as np
 import torch
 
-from skylight.io.files import write_environment_map
-from skylight.sphere.envmap import EnvironmentMap
+from skylight.io._files import write_environment_map
+from skylight.sphere._envmap import EnvironmentMap
 
 if TYPE_CHECKING:
     from playwright.sync_api import Route

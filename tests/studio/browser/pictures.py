@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from skylight.imaging.colour import linear_to_srgb
+from skylight.imaging._colour import linear_to_srgb
 from tests.studio.browser.waiting import gathered
 
 if TYPE_CHECKING:

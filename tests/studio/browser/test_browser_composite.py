@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.sphere.grid import DirectionGrid
+from skylight.sphere._frame import DirectionGrid
 from tests.oracles.lit_balls import Body, Light
 from tests.studio.browser.composite_page import (
     choose,

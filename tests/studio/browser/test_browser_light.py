@@ -15,9 +15,8 @@ import torch
 from PIL import Image
 from skimage.data import astronaut
 
-from skylight.imaging.colour import srgb_to_linear
-from skylight.sphere.frame import pixel_from_direction
-from skylight.sphere.grid import DirectionGrid
+from skylight.imaging._colour import srgb_to_linear
+from skylight.sphere._frame import DirectionGrid, pixel_from_direction
 from tests.studio.browser.known_light import REGION
 from tests.studio.browser.pictures import codes, pixels
 from tests.studio.browser.waiting import expect

@@ -16,15 +16,14 @@ import torch
 from jaxtyping import Float
 from PIL import Image
 
-from skylight.imaging.colour import linear_to_srgb
-from skylight.io.files import write_environment_map
-from skylight.io.hdr import read_linear
-from skylight.models.bundle import load_bundle
-from skylight.models.ground import LambertianGround
-from skylight.relight.latent_file import read_latent
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.frame import direction_from_angles
-from skylight.sphere.grid import DirectionGrid
+from skylight.imaging._colour import linear_to_srgb
+from skylight.io._files import write_environment_map
+from skylight.io._hdr import read_linear
+from skylight.models._bundle import load_bundle
+from skylight.models._ground import LambertianGround
+from skylight.relight._decoder import read_latent
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid, direction_from_angles
 from tests.studio.browser.waiting import PATIENCE_MS, expect, painted
 
 pytestmark = pytest.mark.slow

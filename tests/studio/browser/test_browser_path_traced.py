@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.evaluation.rendered_faces.independent_render import IndependentScene, Solid
-from skylight.faces.model import HeadModel
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.camera import Camera
+from skylight.faces._model import HeadModel
+from skylight.people._independent_render import IndependentScene, Solid
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid
+from skylight.transport._cameras import Camera
 from tests.studio.browser.composite_page import (
     choose,
     click_corners,

@@ -16,9 +16,9 @@ import torch
 from jaxtyping import Int
 from PIL import Image
 
-from skylight.app.portrait.lights import light_with_sun_at
-from skylight.app.portrait.relit import relit_portrait, shown, taken_apart
-from skylight.io.tensors import read_tensors, write_tensors
+from skylight.io._tensors import read_tensors, write_tensors
+from skylight.portrait._files import relit_portrait, shown, taken_apart
+from skylight.portrait._lights import light_with_sun_at
 from tests.studio.browser.pictures import pixels
 from tests.studio.browser.test_browser import LINE, picture
 from tests.studio.browser.test_browser_access import CONTRASTS, NAMELESS, OVERFLOW

@@ -12,9 +12,9 @@ import torch
 from PIL import Image
 
 from skylight.cli import main
-from skylight.io.files import write_environment_map
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.frame import pixel_from_direction
+from skylight.io._files import write_environment_map
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import pixel_from_direction
 from tests.estimated import estimated, rewrite
 from tests.studio.browser.composite_page import choose, placement
 from tests.studio.browser.pictures import FOR_DOCUMENTATION, codes, finished, picture, pixels

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.faces.model import HeadModel
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.raycast import Raycaster
+from skylight.faces._model import HeadModel
+from skylight.sphere._frame import DirectionGrid
+from skylight.transport._rays import Raycaster
 from tests.studio.composite.composite_modules import called
 
 # where balls hang: 20 to 30 cm beside the head's middle, metres

@@ -7,10 +7,9 @@ from tempfile import mkdtemp
 
 from PIL import Image
 
-from skylight.app.estimate.photos import estimate_photo
-from skylight.app.estimate.types import PhotoEstimate
-from skylight.studio.tasks.person import command_of, keep_person
-from skylight.studio.tasks.portrait import FILE, take_apart
+from skylight.estimate._photos import estimate_photo
+from skylight.estimate._summary import PhotoEstimate
+from skylight.studio.tasks._portrait import FILE, command_of, keep_person, take_apart
 from tests.sunny_face import sunny_face
 
 PHOTO = "someone's photo.png"

@@ -14,18 +14,17 @@ from jaxtyping import UInt8
 from PIL import Image
 from skimage.data import astronaut
 
-from skylight.app.estimate.face_panels import over_grey
-from skylight.app.estimate.photos import estimate_photo
-from skylight.app.estimate.types import PhotoEstimate
-from skylight.app.figures.angles import describe_lamps
-from skylight.app.figures.exposure import white_of
-from skylight.imaging.colour import tone_map
-from skylight.inverse.result import Lamp
-from skylight.io.files import read_environment_map
-from skylight.models.lamps import AMBIENT_PARAMETERS, LampsLight
-from skylight.sphere.envmap import EnvironmentMap, luminance
-from skylight.sphere.frame import direction_from_angles
-from skylight.studio.tasks.lamps import keep_lamps, light_edited
+from skylight._figures import describe_lamps, white_of
+from skylight.estimate._photos import estimate_photo
+from skylight.estimate._report import over_grey
+from skylight.estimate._summary import PhotoEstimate
+from skylight.imaging._colour import tone_map
+from skylight.inverse._result import Lamp
+from skylight.io._files import read_environment_map
+from skylight.models._lamps import AMBIENT_PARAMETERS, LampsLight
+from skylight.sphere._envmap import EnvironmentMap, luminance
+from skylight.sphere._frame import direction_from_angles
+from skylight.studio.tasks._light import keep_lamps, light_edited
 from tests.studio.conftest import Served, begin, events
 
 

@@ -2,11 +2,11 @@
 
 import pytest
 
-from skylight.fabrication.mount import Pole
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design.designs import design_names, named_design
-from skylight.probes.partitions.printed.fitting import AskedSizes, fitted_sizes
-from skylight.studio.tasks.partitions import size_of
+from skylight.probes.fabrication._mount import Pole
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._optimise import design_names, named_design
+from skylight.probes.partitions.printed._assembly import AskedSizes, fitted_sizes
+from skylight.studio.tasks._probes import size_of
 
 
 @pytest.mark.parametrize("design", design_names())

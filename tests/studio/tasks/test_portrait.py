@@ -12,17 +12,23 @@ import pytest
 import torch
 from jaxtyping import Float
 
-from skylight.app.portrait.lights import light_with_sun_at
-from skylight.app.portrait.relit import taken_apart
-from skylight.imaging.photo import read_photo
-from skylight.inverse.portrait.fill import blurred, filled
-from skylight.inverse.portrait.photograph import portrait_of
-from skylight.inverse.portrait.relit import BASE, HAIR_COUNTS, SOFT, Portrait, shared_light
-from skylight.io.tensors import read_tensors
-from skylight.sphere.envmap import LUMINANCE, EnvironmentMap
-from skylight.sphere.grid import DirectionGrid
-from skylight.studio.tasks.person import command_of, kept_person
-from skylight.studio.tasks.portrait import FACE_PX, packed
+from skylight.imaging._photo import read_photo
+from skylight.io._tensors import read_tensors
+from skylight.portrait._files import taken_apart
+from skylight.portrait._lights import light_with_sun_at
+from skylight.portrait._relit import (
+    BASE,
+    HAIR_COUNTS,
+    SOFT,
+    Portrait,
+    blurred,
+    filled,
+    portrait_of,
+    shared_light,
+)
+from skylight.sphere._envmap import LUMINANCE, EnvironmentMap
+from skylight.sphere._frame import DirectionGrid
+from skylight.studio.tasks._portrait import FACE_PX, command_of, kept_person, packed
 from tests.studio.conftest import begin, finished
 from tests.studio.tasks.taken_apart import PHOTO, apart
 from tests.sunny_face import direction

@@ -12,12 +12,12 @@ import pytest
 import torch
 import trimesh
 
-from skylight.io.files import write_environment_map
-from skylight.probes.voxel.model import star_probe
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.studio.tasks import partitions as partition_task
-from skylight.studio.tasks import voxel as voxel_task
-from skylight.studio.tasks.lights import Light
+from skylight.io._files import write_environment_map
+from skylight.probes.voxel._model import star_probe
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.studio.tasks import _probes as partition_task
+from skylight.studio.tasks import _probes as voxel_task
+from skylight.studio.tasks._light import Light
 
 PANEL_PX = 60
 

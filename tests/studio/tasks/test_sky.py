@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.models.bundle import load_bundle
-from skylight.models.networks.base import CENTRE_AZIMUTH_RAD
-from skylight.relight.export import BATCHES, TOLERANCE, decoder_difference
-from skylight.relight.sky_decoder import SkyDecoder
-from skylight.studio.tasks.sky import describe_sky, latent_moments
+from skylight.models._bundle import load_bundle
+from skylight.models._network import CENTRE_AZIMUTH_RAD
+from skylight.relight._decoder import SkyDecoder
+from skylight.relight._export import BATCHES, TOLERANCE, decoder_difference
+from skylight.studio.tasks._light import describe_sky, latent_moments
 
 
 def test_moments_are_those_of_samples() -> None:
@@ -59,7 +59,7 @@ def test_the_page_gets_both(client: httpx.Client) -> None:
 
 
 def test_designs_are_those_that_jobs_take(client: httpx.Client) -> None:
-    from skylight.probes.partitions.design.designs import design_names
+    from skylight.probes.partitions._optimise import design_names
 
     told = client.get("/api/designs").json()
     assert [design["name"] for design in told["partitions"]] == design_names()

@@ -16,11 +16,10 @@ import torch
 from PIL import Image
 from skimage.data import astronaut
 
-from skylight.io.files import write_environment_map
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.studio.own_folder import PREFIX
-from skylight.studio.state import clean_name
-from skylight.studio.tasks.picture_headers import pixel_count
+from skylight.io._files import write_environment_map
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.studio._state import PREFIX, clean_name
+from skylight.studio.tasks._uploads import pixel_count
 from tests.studio.conftest import PATIENCE_S, UPLOAD_MB, Served
 
 
@@ -41,7 +40,7 @@ def test_a_photograph_is_shown_with_its_face(client: httpx.Client, portrait: byt
 
 
 def test_a_large_photograph_has_a_smaller_preview(tmp_path: Path) -> None:
-    from skylight.studio.tasks.uploads import see_photo
+    from skylight.studio.tasks._uploads import see_photo
 
     tall = np.tile(np.pad(astronaut(), ((0, 0), (0, 88), (0, 0))), (4, 1, 1))
     Image.fromarray(tall).save(tmp_path / "p.png")

@@ -1,1 +1,1 @@
-"""Meshes lit by the probe's cells: transfer, rendering, compositing and export."""
+"""Meshes lit by the cells of a partitions probe: transfer, rendering, compositing, export."""

@@ -1,5 +1,5 @@
 /**
- * Pictures of which only some pixels are known, filled and blurred as skylight.inverse.portrait.fill
+ * Pictures of which only some pixels are known, filled and blurred as skylight.portrait._relit
  * does. Channels are interleaved; unknown pixels are 0.
  */
 

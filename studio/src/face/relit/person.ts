@@ -3,7 +3,7 @@ import { readTensors } from "./tensors";
 
 type Rgb = [number, number, number];
 
-/** What skylight.studio.tasks.portrait says of a person; its text tells the fields. */
+/** What skylight.studio.tasks._portrait says of a person; its text tells the fields. */
 export interface Facts {
   command: string;
   is_alone: boolean;

@@ -6,7 +6,7 @@ void main() {
   gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0);
 }`;
 
-// The formulas of skylight.inverse.portrait.relit, and of app.portrait.relit's shown()
+// The formulas of skylight.portrait._relit, and of app.portrait.relit's shown()
 const PIXEL = `#version 300 es
 precision highp float;
 uniform highp sampler2D photo, was, local, shine, lit, glossy, ratio;

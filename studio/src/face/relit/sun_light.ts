@@ -5,7 +5,7 @@ import type { Person } from "./person";
 
 const ROWS = 32; // of the directions that points see or not
 const MARGIN = 4; // of the grid of skin
-const SHARED_ROWS = 16; // as in skylight.inverse.portrait.relit
+const SHARED_ROWS = 16; // as in skylight.portrait._relit
 
 /** Some pixels of the shading's picture: what textures are made of. */
 export interface Grid {
@@ -128,7 +128,7 @@ export class SunLight {
       const vz = views[at + 2]!;
       const nv = Math.max(nx * vx + ny * vy + nz * vz, 1e-2);
       const lv = vx * x + vy * y + vz * z;
-      // skylight.transport.render.ggx
+      // skylight.transport._render.ggx
       const length = Math.sqrt(Math.max(2 + 2 * lv, 1e-6));
       const nh = Math.min((nl + nv) / length, 1);
       const density = a2 / (Math.PI * (nh * nh * (a2 - 1) + 1) ** 2);
@@ -187,7 +187,7 @@ export class SunLight {
     return gains.map((gain) => gain * keep);
   }
 
-  /** `max(0, 1 - |p - q|_1)` of skylight.inverse.portrait.relit.shared_light. */
+  /** `max(0, 1 - |p - q|_1)` of skylight.portrait._relit.shared_light. */
   private common(direction: Vec3, sun: [number, number, number]): number {
     const { foundPower, restPower, facts } = this.person;
     const power = restPower.slice();

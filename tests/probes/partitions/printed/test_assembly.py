@@ -9,18 +9,18 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.io.json_files import write_json
-from skylight.probes.partitions.captured.samples import FaceDiscs
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design.designs import named_design
-from skylight.probes.partitions.printed.assembly import (
+from skylight.io._bounded import write_json
+from skylight.probes.partitions._captured import FaceDiscs
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._optimise import named_design
+from skylight.probes.partitions.printed._assembly import (
     PartitionAssembly,
     PlacedPartitions,
     load_partition_assembly,
 )
-from skylight.probes.partitions.printed.halves import standing_rotation
-from skylight.probes.partitions.printed.sizes import ProbeSizes
-from skylight.sphere.rigid_transform import RigidTransform
+from skylight.probes.partitions.printed._halves import standing_rotation
+from skylight.probes.partitions.printed._solids import ProbeSizes
+from skylight.sphere._rotation import RigidTransform
 
 
 def standing() -> PartitionAssembly:

@@ -9,14 +9,12 @@ from manifold3d import Manifold, OpType
 from trimesh import Trimesh
 
 from skylight.errors import InputError
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design.designs import design_names, named_design
-from skylight.probes.partitions.printed.fitting import AskedSizes, fitted_sizes
-from skylight.probes.partitions.printed.halves import ShellPlan, standing_rotation
-from skylight.probes.partitions.printed.printing import PrintedPartitions, print_fitted
-from skylight.probes.partitions.printed.sizes import ProbeSizes
-from skylight.probes.partitions.printed.solids import WallNet, face_radii
-from skylight.probes.partitions.printed.walls import wall_solid
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._optimise import design_names, named_design
+from skylight.probes.partitions.printed._assembly import AskedSizes, fitted_sizes
+from skylight.probes.partitions.printed._halves import ShellPlan, standing_rotation
+from skylight.probes.partitions.printed._printing import PrintedPartitions, print_fitted
+from skylight.probes.partitions.printed._solids import ProbeSizes, WallNet, face_radii, wall_solid
 
 QUICK = ("6d", "14d", "14d-outdoor")
 

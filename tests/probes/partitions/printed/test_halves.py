@@ -5,20 +5,19 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.fabrication.part import part_of
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design.designs import named_design
-from skylight.probes.partitions.printed.halves import (
+from skylight.probes.fabrication._parts import part_of
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._optimise import named_design
+from skylight.probes.partitions._seeds import ProbeDesign
+from skylight.probes.partitions.printed._halves import (
     Foot,
     ProbeParts,
     lowest_junction,
     probe_parts,
     standing_rotation,
 )
-from skylight.probes.partitions.printed.print_checks import check_partition_parts
-from skylight.probes.partitions.printed.sizes import ProbeSizes
-from skylight.probes.partitions.printed.solids import WallNet
-from skylight.probes.partitions.seeds import ProbeDesign
+from skylight.probes.partitions.printed._printing import check_partition_parts
+from skylight.probes.partitions.printed._solids import ProbeSizes, WallNet
 
 SIZES = ProbeSizes(outer_mm=60.0, kernel_mm=9.0)
 

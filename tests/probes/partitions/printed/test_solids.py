@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from skylight.errors import InputError
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design.designs import named_design
-from skylight.probes.partitions.printed.sizes import ProbeSizes
-from skylight.probes.partitions.printed.solids import (
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._optimise import named_design
+from skylight.probes.partitions.printed._solids import (
+    ProbeSizes,
     WallEnds,
     WallNet,
     bounded,

@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.fabrication.part import PrintedPart, merged
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design.designs import named_design
-from skylight.probes.partitions.printed.halves import ProbeParts, probe_parts, standing_rotation
-from skylight.probes.partitions.printed.sizes import ProbeSizes
-from skylight.probes.partitions.printed.solids import face_radii
-from skylight.probes.partitions.printed.visibility import Visibility, measure_visibility
-from skylight.transport.raycast import Raycaster
+from skylight.probes.fabrication._parts import PrintedPart, merged
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._optimise import named_design
+from skylight.probes.partitions.printed._halves import ProbeParts, probe_parts, standing_rotation
+from skylight.probes.partitions.printed._printing import Visibility, measure_visibility
+from skylight.probes.partitions.printed._solids import ProbeSizes, face_radii
+from skylight.transport._rays import Raycaster
 
 SIZES = ProbeSizes(outer_mm=60.0, kernel_mm=9.0)
 

@@ -3,11 +3,16 @@
 import numpy as np
 import pytest
 
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.design.designs import named_design
-from skylight.probes.partitions.printed.sizes import SEEN_DISC, ProbeSizes
-from skylight.probes.partitions.printed.solids import WallNet, face_radii
-from skylight.probes.partitions.printed.walls import rim_halves, wall_solid
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._optimise import named_design
+from skylight.probes.partitions.printed._solids import (
+    SEEN_DISC,
+    ProbeSizes,
+    WallNet,
+    face_radii,
+    rim_halves,
+    wall_solid,
+)
 
 SIZES = ProbeSizes(outer_mm=60.0, kernel_mm=9.0)
 FLARED = ProbeSizes(outer_mm=60.0, kernel_mm=9.0, flare=1.0)

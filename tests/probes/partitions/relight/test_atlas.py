@@ -4,9 +4,9 @@ import torch
 import trimesh
 
 from skylight.errors import InputError
-from skylight.probes.partitions.relight.atlas import Atlas, UnusableLayout
-from skylight.probes.partitions.relight.scene import Scene, texture_at
-from skylight.probes.partitions.relight.transfer import TransferSampling, transfer_coefficients
+from skylight.probes.partitions.relight._atlas import Atlas, UnusableLayout
+from skylight.probes.partitions.relight._scene import Scene, texture_at
+from skylight.probes.partitions.relight._transfer import TransferSampling, transfer_coefficients
 from tests.probes.partitions.shapes import QUAD, six_cells, solid
 
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.cameras.assembly import cylinder_mesh
-from skylight.cameras.drawing import lens_rays, looking_at
-from skylight.cameras.intrinsics import Intrinsics
-from skylight.cameras.response import Response
-from skylight.probes.partitions.relight.composite import SceneOnBoard, meets
-from skylight.probes.partitions.relight.ground import ACROSS
-from skylight.sphere.rigid_transform import RigidTransform
+from skylight.probes.cameras._board import cylinder_mesh
+from skylight.probes.cameras._drawing import lens_rays, looking_at
+from skylight.probes.cameras._intrinsics import Intrinsics
+from skylight.probes.cameras._response import Response
+from skylight.probes.partitions.relight._composite import SceneOnBoard, meets
+from skylight.probes.partitions.relight._gather import ACROSS
+from skylight.sphere._rotation import RigidTransform
 from tests.probes.partitions.boards import (
     F64,
     affine,

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.cameras.drawing import camera_rays, lens_rays, looking_at
-from skylight.cameras.intrinsics import Intrinsics
-from skylight.probes.partitions.relight.drawing import SceneRenderer
-from skylight.probes.partitions.relight.scene import Scene
-from skylight.sphere.rigid_transform import RigidTransform
-from skylight.transport.camera import Camera
+from skylight.probes.cameras._drawing import camera_rays, lens_rays, looking_at
+from skylight.probes.cameras._intrinsics import Intrinsics
+from skylight.probes.partitions.relight._composite import SceneRenderer
+from skylight.probes.partitions.relight._scene import Scene
+from skylight.sphere._rotation import RigidTransform
+from skylight.transport._cameras import Camera
 from tests.probes.partitions.boards import F64, affine, box, turn_about_y
 from tests.probes.partitions.shapes import QUAD, quad
 

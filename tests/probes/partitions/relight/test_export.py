@@ -11,9 +11,12 @@ import torch
 from PIL import Image
 
 from skylight.errors import InputError
-from skylight.probes.partitions.probe import PartitionProbe
-from skylight.probes.partitions.relight.atlas import Atlas
-from skylight.probes.partitions.relight.export import write_relightable_atlas, write_relightable_glb
+from skylight.probes.partitions._probe import PartitionProbe
+from skylight.probes.partitions.relight._atlas import Atlas
+from skylight.probes.partitions.relight._export import (
+    write_relightable_atlas,
+    write_relightable_glb,
+)
 from tests.probes.partitions.boards import F64, box, fourteen, turn_about_y
 
 ROTATION = turn_about_y(0.4)

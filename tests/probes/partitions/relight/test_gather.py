@@ -8,13 +8,13 @@ import torch
 import trimesh
 
 from skylight.errors import InputError
-from skylight.probes.partitions.relight.gather import Gathered, Gatherer, Nodes, gather_all
-from skylight.probes.partitions.relight.receivers import Receivers
-from skylight.probes.partitions.relight.scene import Scene
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.camera import Camera
-from skylight.transport.gbuffer import rasterize
-from skylight.transport.matrix import diffuse_transport
+from skylight.probes.partitions.relight._atlas import Receivers
+from skylight.probes.partitions.relight._gather import Gathered, Gatherer, Nodes, gather_all
+from skylight.probes.partitions.relight._scene import Scene
+from skylight.sphere._frame import DirectionGrid
+from skylight.transport._cameras import Camera
+from skylight.transport._matrix import diffuse_transport
+from skylight.transport._render import rasterize
 from tests.probes.partitions.shapes import corner, quad, six_cells, solid
 
 

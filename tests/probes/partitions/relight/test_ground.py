@@ -5,10 +5,10 @@ import math
 import pytest
 import torch
 
-from skylight.cameras.drawing import camera_rays, looking_at
 from skylight.errors import InputError
-from skylight.probes.partitions.relight.ground import ACROSS, Ground
-from skylight.transport.camera import Camera
+from skylight.probes.cameras._drawing import camera_rays, looking_at
+from skylight.probes.partitions.relight._gather import ACROSS, Ground
+from skylight.transport._cameras import Camera
 from tests.probes.partitions.boards import F64, box
 
 GROUND = Ground(centre=(3.0, -2.0), level=1.0, width=2.0, reach=20.0)

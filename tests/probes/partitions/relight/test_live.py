@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.probes.partitions.captured.samples import FaceSample
-from skylight.probes.partitions.relight.live import RunningShading
+from skylight.probes.partitions._captured import FaceSample
+from skylight.probes.partitions.relight._live import RunningShading
 
 
 def sample(cell: int, value: float, *, area: float = 50.0, clipped: float = 0.0) -> FaceSample:

@@ -3,8 +3,8 @@ import torch
 import trimesh
 
 from skylight.errors import InputError
-from skylight.probes.partitions.relight.receivers import Receivers
-from skylight.probes.partitions.relight.transfer import TransferSampling, transfer_coefficients
+from skylight.probes.partitions.relight._atlas import Receivers
+from skylight.probes.partitions.relight._transfer import TransferSampling, transfer_coefficients
 from tests.probes.partitions.shapes import corner, six_cells, solid
 
 

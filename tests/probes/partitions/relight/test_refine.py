@@ -4,7 +4,7 @@ import torch
 import trimesh
 
 from skylight.errors import InputError
-from skylight.probes.partitions.relight.refine import refined
+from skylight.probes.partitions.relight._atlas import refined
 from tests.probes.partitions.shapes import quad, solid
 
 

@@ -3,8 +3,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from skylight.probes.partitions.relight.relit import Relighting
-from skylight.probes.partitions.relight.transfer import TransferCoefficients
+from skylight.probes.partitions.relight._composite import Relighting
+from skylight.probes.partitions.relight._transfer import TransferCoefficients
 
 
 @pytest.fixture

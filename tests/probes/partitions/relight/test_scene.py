@@ -6,7 +6,7 @@ import torch
 import trimesh
 
 from skylight.errors import InputError
-from skylight.probes.partitions.relight.scene import Scene, texture_at
+from skylight.probes.partitions.relight._scene import Scene, texture_at
 from tests.probes.partitions.shapes import QUAD, quad, solid
 
 

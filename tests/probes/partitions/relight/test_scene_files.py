@@ -7,7 +7,7 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from skylight.errors import InputError
-from skylight.probes.partitions.relight.scene_files import read_scene
+from skylight.probes.partitions.relight._scene import read_scene
 
 CODES = np.array([[255, 0, 0, 255], [0, 128, 0, 255], [64, 64, 64, 255], [255, 255, 255, 255]])
 SRGB = torch.tensor([[1, 0, 0], [0, 0.21586, 0], [0.05127, 0.05127, 0.05127], [1, 1, 1]])

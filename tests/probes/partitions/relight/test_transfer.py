@@ -6,12 +6,12 @@ import torch
 import trimesh
 
 from skylight.errors import InputError
-from skylight.probes.partitions.relight.receivers import Receivers
-from skylight.probes.partitions.relight.scene import Scene
-from skylight.probes.partitions.relight.transfer import TransferSampling, transfer_coefficients
-from skylight.sphere.envmap import EnvironmentMap
-from skylight.sphere.grid import DirectionGrid
-from skylight.transport.indirect.path_tracer import DiffuseScene, Sampling, shade
+from skylight.probes.partitions.relight._atlas import Receivers
+from skylight.probes.partitions.relight._scene import Scene
+from skylight.probes.partitions.relight._transfer import TransferSampling, transfer_coefficients
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid
+from skylight.transport._path_tracer import DiffuseScene, Sampling, shade
 from tests.oracles.radiosity import corner_radiance
 from tests.probes.partitions.shapes import corner, quad, six_cells, solid
 

@@ -5,22 +5,21 @@ import pytest
 import torch
 
 from skylight.errors import InputError, OutputError
-from skylight.probes.partitions.relight import transfer_file
-from skylight.probes.partitions.relight.receivers import Receivers
-from skylight.probes.partitions.relight.transfer import (
+from skylight.probes.partitions.relight import _transfer as transfer_file
+from skylight.probes.partitions.relight._atlas import Receivers
+from skylight.probes.partitions.relight._transfer import (
     TransferCoefficients,
     TransferSampling,
-    transfer_coefficients,
-)
-from skylight.probes.partitions.relight.transfer_file import (
+    Turn,
+    TurningCoefficients,
     kept_transfer,
     kept_turning_transfer,
     load_transfer,
     load_turning_transfer,
     save_transfer,
+    transfer_coefficients,
     transfer_key,
 )
-from skylight.probes.partitions.relight.turning import Turn, TurningCoefficients
 from tests.probes.partitions.shapes import AXES, corner, six_cells
 
 SAMPLING = TransferSampling(rays=32, bounces=1)

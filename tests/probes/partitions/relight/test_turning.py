@@ -13,29 +13,28 @@ import trimesh
 from scipy.spatial import KDTree
 from torch.nn.functional import normalize
 
-from skylight.cameras.assembly import cylinder_mesh
-from skylight.cameras.drawing import lens_rays, looking_at
-from skylight.cameras.intrinsics import Intrinsics
-from skylight.cameras.response import Response
 from skylight.errors import InputError
-from skylight.probes.partitions.cells import Cells
-from skylight.probes.partitions.relight.composite import (
+from skylight.probes.cameras._board import cylinder_mesh
+from skylight.probes.cameras._drawing import lens_rays, looking_at
+from skylight.probes.cameras._intrinsics import Intrinsics
+from skylight.probes.cameras._response import Response
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions.relight._atlas import refined
+from skylight.probes.partitions.relight._composite import (
     LitScene,
+    Relighting,
+    TurningRelighting,
     TurningSceneOnBoard,
     turning_board_transfer,
 )
-from skylight.probes.partitions.relight.ground import Ground
-from skylight.probes.partitions.relight.refine import refined
-from skylight.probes.partitions.relight.relit import Relighting, TurningRelighting
-from skylight.probes.partitions.relight.scene import Scene
-from skylight.probes.partitions.relight.transfer import (
+from skylight.probes.partitions.relight._gather import Ground
+from skylight.probes.partitions.relight._scene import Scene
+from skylight.probes.partitions.relight._transfer import (
     TransferCoefficients,
     TransferSampling,
-    transfer_coefficients,
-)
-from skylight.probes.partitions.relight.turning import (
     Turn,
     TurningCoefficients,
+    transfer_coefficients,
     turning_coefficients,
 )
 from tests.probes.partitions.boards import F64, affine, box, fourteen, standing, turn_about_y

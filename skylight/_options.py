@@ -1,0 +1,113 @@
+"""Processes or cluster workers of a command.
+
+Sources of pictures, and messages about them.
+
+Time, place and heading of a photograph as they are given on the command line.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from skylight.errors import InputError
+from skylight.imaging._taken import Taken
+
+if TYPE_CHECKING:
+    from skylight.work._resumable import Workers
+
+
+def who_works(workers: int, cluster: str | None, out: Path) -> Workers:
+    """So many processes here, 0 for one per core, or those of the cluster, which work on ``out``.
+
+    Raises
+    ------
+    InputError
+        A number below 0, or both.
+    """
+    if cluster is not None:
+        if workers != 0:
+            raise InputError(
+                "--workers and --cluster contradict each other: a cluster has its own workers"
+            )
+        from skylight.work._cluster import Cluster
+
+        return Cluster(address=cluster, folder=out)
+    if workers < 0:
+        raise InputError(f"--workers must be 0 or more, got {workers}")
+    return workers or _cores()
+
+
+def _cores() -> int:
+    """Those that this process may use: a batch system or a container gives it some of them."""
+    if hasattr(os, "sched_getaffinity"):  # Linux
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def one_source(
+    photos: tuple[Path, ...], video: Path | None, webcam: int | None
+) -> tuple[Path, ...] | Path | int:
+    """The one that was given."""
+    given = [each for each in (photos or None, video, webcam) if each is not None]
+    if len(given) != 1:
+        raise InputError("give photos, --video or --webcam, and only one of them")
+    return given[0]
+
+
+def film_source(video: Path | None, webcam: int | None) -> Path | int:
+    """The one that was given."""
+    if video is not None and webcam is None:
+        return video
+    if webcam is not None and video is None:
+        return webcam
+    raise InputError("give --video or --webcam, and only one of them")
+
+
+def take_care(line: str) -> None:
+    """A doubt, on standard error; the results are there all the same."""
+    print(f"skylight: take care: {line}", file=sys.stderr)
+
+
+def taken_by_hand(time: str | None, place: str | None, heading: float | None) -> Taken | None:
+    """None where nothing was given.
+
+    Raises
+    ------
+    InputError
+        No time with a zone, no place, or none on Earth, no heading from 0 to 360 degrees.
+    """
+    if time is None and place is None and heading is None:
+        return None
+    latitude_deg, longitude_deg = (None, None) if place is None else _place(place)
+    return Taken(
+        time=None if time is None else _time(time),
+        latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg,
+        heading_deg=heading,
+    )
+
+
+def _time(text: str) -> datetime:
+    try:
+        time = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise InputError(
+            f"--time {text!r} is no time; write it as 2024-06-01T14:30+02:00"
+        ) from error
+    if time.tzinfo is None:
+        raise InputError(f"--time {text!r} has no time zone; end it with one, as +02:00, or Z")
+    return time
+
+
+def _place(text: str) -> tuple[float, float]:
+    try:
+        latitude, longitude = text.split(",")
+        return float(latitude), float(longitude)
+    except ValueError as error:
+        raise InputError(
+            f"--place {text!r} is no place; give degrees north and east as 41.89,12.49"
+        ) from error

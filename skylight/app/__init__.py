@@ -1,1 +1,0 @@
-"""Each feature of the command line and the studio as typed functions over files."""

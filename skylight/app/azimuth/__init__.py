@@ -1,1 +1,0 @@
-"""The azimuth between light probes and photographs of faces."""

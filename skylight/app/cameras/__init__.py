@@ -1,1 +1,0 @@
-"""Camera calibration, photographs of boards, video and exposures; files to files."""

@@ -1,1 +1,0 @@
-"""Sparse codes of environment maps: encoding, decoding and a figure; files to files."""

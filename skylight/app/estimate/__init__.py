@@ -1,1 +1,0 @@
-"""Illumination from photographs and films of faces: results, reports, batches, a demonstration."""

@@ -1,1 +1,0 @@
-"""Folders of photographs: resumable, one by one or solved together."""

@@ -1,1 +1,0 @@
-"""Style, panels and exposure of all figures."""

@@ -1,1 +1,0 @@
-"""Environment maps converted, exported and scored."""

@@ -1,1 +1,0 @@
-"""An estimate as one web page that needs no server and no network."""

@@ -1,1 +1,0 @@
-"""Illumination from objects of known shape; files to files."""

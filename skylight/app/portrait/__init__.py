@@ -1,1 +1,0 @@
-"""Portraits in another light; files to files."""

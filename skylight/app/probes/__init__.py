@@ -1,1 +1,0 @@
-"""Light probes and shading probes: printing, capture and relighting; files to files."""

@@ -1,1 +1,0 @@
-"""Light probes merged from photographs of mirror balls."""

@@ -1,1 +1,0 @@
-"""Light probes stitched from the photographs of a turning camera."""

@@ -1,1 +1,0 @@
-"""The partitions probe: designs, printing, capture, relighting."""

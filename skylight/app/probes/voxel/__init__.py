@@ -1,1 +1,0 @@
-"""The voxel probe: printing, capture, rendering."""

@@ -1,1 +1,0 @@
-"""Folders of simulated and captured skies."""

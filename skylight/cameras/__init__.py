@@ -1,1 +1,0 @@
-"""Cameras: calibration, poses from boards in pictures and films, responses, edges, turns."""

@@ -1,0 +1,247 @@
+"""Multiresolution dictionaries: sub-dictionaries of growing sharpness, each with its rotations."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from skylight.csc._code import CodeTensors
+from skylight.csc._dictionary import FilterBank, finer_anisotropic, finer_isotropic
+from skylight.csc._positions import BoxCorrelation, Chunk, Positions, Sizes
+from skylight.csc._wigner import (
+    RotationCorrelation,
+    ZonalCorrelation,
+    is_zonal,
+    rotated_filters,
+    rotated_zonal_filters,
+)
+
+
+@runtime_checkable
+class Correlation(Protocol):
+    """Correlations of a signal with the filters of a sub-dictionary at a set of rotations."""
+
+    positions: Positions
+    index: dict[int, tuple[int, int]]
+    """Filter -> its group, and its index there."""
+
+    def members(self, group: int) -> tuple[int, ...]: ...
+
+    def by_group(
+        self, residual: Float[Tensor, "*batch k"]
+    ) -> list[Float[Tensor, "*batch _ _ rows columns"]]: ...
+
+    def in_chunks(self, residuals: Float[Tensor, "s k"]) -> Iterator[Chunk]: ...
+
+    def rotated(
+        self, filters: Int[Tensor, " s"], places: Int[Tensor, "s 3"]
+    ) -> Float[Tensor, "s k"]: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchPlan:
+    """What a pursuit needs of a sub-dictionary, for the filters as they are now.
+
+    Filters ``first`` .. ``first + count - 1`` of the whole dictionary, whose coefficients are
+    ``coordinates`` of a signal's; those in ``constant`` are the same at every rotation.
+    """
+
+    filters: Float[Tensor, "m k"]
+    positions: Positions
+    first: int
+    coordinates: slice
+    constant: frozenset[int]
+    dtype: torch.dtype
+
+    @property
+    def count(self) -> int:
+        return len(self.filters)
+
+    @cached_property
+    def correlation(self) -> Correlation:
+        """Made when it is first asked for: decoding needs none."""
+        zonal = self.positions.twists == 1 and is_zonal(self.filters)
+        kind = ZonalCorrelation if zonal else RotationCorrelation
+        return kind(self.filters.cpu(), self.positions, dtype=self.dtype).to(self.filters.device)
+
+
+class SubDictionary(nn.Module):
+    """A bank of filters, ``first``, ``first + 1``, ... of a dictionary, and their rotations.
+
+    ``dtype`` is that of the search; it follows ``.double()`` and ``.float()``.
+    """
+
+    search: Tensor
+
+    def __init__(
+        self,
+        bank: FilterBank,
+        positions: Positions,
+        first: int = 0,
+        *,
+        dtype: torch.dtype = torch.float32,
+    ) -> None:
+        super().__init__()
+        self.bank, self.positions, self.first = bank, positions, first
+        self.register_buffer("search", torch.empty(0, dtype=dtype), persistent=False)
+        self._plan: SearchPlan | None = None
+
+    @property
+    def count(self) -> int:
+        return len(self.bank)
+
+    @property
+    def constant(self) -> frozenset[int]:
+        """The filters that are the constant function."""
+        return frozenset(self.first + int(i) for i in torch.nonzero(self.bank.constant)[:, 0])
+
+    def plan(self) -> SearchPlan:
+        """The correlations of the filters as they are now; made anew when those have changed.
+
+        They are compared by value, so no change in place goes unseen.
+        """
+        now, old = self.bank.coefficients.detach(), self._plan
+        if (
+            old is None
+            or old.dtype != self.search.dtype
+            or (old.filters.dtype, old.filters.device) != (now.dtype, now.device)
+            or not torch.equal(old.filters, now)
+        ):
+            self._plan = SearchPlan(
+                filters=now,
+                positions=self.positions,
+                first=self.first,
+                coordinates=slice(0, now.shape[1]),
+                constant=self.constant,
+                dtype=self.search.dtype,
+            )
+        assert self._plan is not None
+        return self._plan
+
+    def forward(
+        self, filters: Int[Tensor, " s"], rotations: Float[Tensor, "s 3"]
+    ) -> Float[Tensor, "s k"]:
+        """The atoms: coefficients of ``filters`` after rotations by Euler angles, differentiable.
+
+        In what they depend on, filters and angles.
+        """
+        table = self.bank.coefficients
+        chosen = table[filters - self.first]
+        if not table.requires_grad and is_zonal(table):
+            return rotated_zonal_filters(chosen, rotations)
+        return rotated_filters(chosen, rotations)
+
+
+class BoxDictionary(nn.Module):
+    """Boxes of pixels; the pixel alone unless ``sizes`` says otherwise.
+
+    Coordinates are the pixels' values, which come after the harmonics' of degree ``degree``.
+    """
+
+    constant: frozenset[int] = frozenset()
+
+    def __init__(self, rows: int, first: int, degree: int, *, sizes: Sizes = ((1, 1),)) -> None:
+        super().__init__()
+        self.first, self.count = first, len(sizes)
+        self.coordinates = slice((degree + 1) ** 2, (degree + 1) ** 2 + 2 * rows**2)
+        self.boxes = BoxCorrelation(rows, sizes)
+        self.positions = self.boxes.positions
+
+    @property
+    def correlation(self) -> Correlation:
+        return self.boxes
+
+    def plan(self) -> "BoxDictionary":
+        return self
+
+    def spans(
+        self, filters: Int[Tensor, " s"], rotations: Float[Tensor, "s 3"]
+    ) -> Int[Tensor, "s 4"]:
+        """First row, rows, first column and columns of the activations' boxes."""
+        return self.boxes.spans(filters - self.first, self.positions.places(rotations))
+
+    def forward(
+        self, filters: Int[Tensor, " s"], rotations: Float[Tensor, "s 3"]
+    ) -> Float[Tensor, "s n"]:
+        """The atoms, as maps: ``filters`` about the pixels nearest to the rotations' centres."""
+        return self.boxes.rotated(filters - self.first, self.positions.places(rotations))
+
+
+# Rows by columns, of a dictionary "box". Files of codes number them in this order: never change it.
+BOX_SIZES = tuple((rows, columns) for rows in (1, 2, 3, 4, 6, 8) for columns in (1, 2, 3, 4, 6, 8))
+_AT_ONCE = 32  # atoms rotated together, whose Wigner matrices take up to 0.7 MB each at degree 40
+Part = SubDictionary | BoxDictionary
+Plan = SearchPlan | BoxDictionary
+
+
+def part_of(parts: Sequence[Part | Plan], filter_: int) -> int:
+    """The number of the sub-dictionary that a filter of the whole dictionary belongs to."""
+    return max(n for n, part in enumerate(parts) if part.first <= filter_)
+
+
+def multiresolution(
+    dictionary: FilterBank, height: int, *, dtype: torch.dtype = torch.float32
+) -> list[Part]:
+    """The dictionary at 32 x 64 positions of 32 twists, and sharper filters for finer maps.
+
+    Lobes of degree 40 are no sharper than 2.8 degrees (standard deviation), which is 2 pixels of
+    128 rows: lamps and the sun are smaller. So maps of 64 and more rows get, besides the dictionary
+    itself: from 128 rows on nine anisotropic Gaussians of degree 60 at 64 x 128 positions;
+    isotropic ones, as sharp as pixels can show, at every pixel, which needs no rotations and so a
+    few numbers each; and the pixel itself. ``iso`` stays isotropic, ``vmf`` the
+    single lobe it is known for. ``box`` has boxes of pixels in the pixel's place, at any height.
+    """
+    parts: list[Part] = [SubDictionary(dictionary, Positions(), dtype=dtype)]
+    first, boxes = len(dictionary), dictionary.name == "box"
+    sizes = BOX_SIZES if boxes else ((1, 1),)
+    if height < 64 and boxes:
+        parts.append(BoxDictionary(height, first, dictionary.degree, sizes=sizes))
+    if dictionary.name == "vmf" or height < 64:
+        return parts
+    if height >= 128 and dictionary.name != "iso":
+        bank = finer_anisotropic()
+        parts.append(SubDictionary(bank, Positions(rows=64), first, dtype=dtype))
+        first += len(bank)
+    rows = min(height, 128)
+    bank = finer_isotropic(rows)
+    parts.append(SubDictionary(bank, Positions(rows=rows, twists=1), first, dtype=dtype))
+    parts.append(BoxDictionary(height, first + len(bank), degree_of(parts), sizes=sizes))
+    return parts
+
+
+def rotated_atoms(parts: Sequence[Part], codes: CodeTensors) -> Float[Tensor, "*batch s k"]:
+    """Coefficients of each activation's rotated filter; zeros for boxes and for padding.
+
+    Differentiable in the dictionary's filters and in the rotations.
+    """
+    size = (degree_of(parts) + 1) ** 2
+    filters, used = codes.filters.flatten(), codes.used.flatten()
+    rotations = codes.rotations.flatten(0, -2)
+    where, found, end = [], [], sum(part.count for part in parts) + parts[0].first
+    for part in reversed(parts):
+        mine = torch.nonzero((filters >= part.first) & (filters < end) & used)[:, 0]
+        end = part.first
+        if isinstance(part, BoxDictionary):
+            continue
+        for some in mine.split(_AT_ONCE):
+            atoms = part(filters[some], rotations[some])
+            where.append(some)
+            found.append(nn.functional.pad(atoms, (0, size - atoms.shape[1])))
+    out = rotations.new_zeros(len(filters), size)
+    if found:
+        out = out.to(found[0]).index_copy(0, torch.cat(where), torch.cat(found))
+    return out.view(*codes.filters.shape, size)
+
+
+def has_pixels(parts: Sequence[Part | Plan]) -> bool:
+    """Whether coordinates include the map's own pixels."""
+    return any(isinstance(part, BoxDictionary) for part in parts)
+
+
+def degree_of(parts: Sequence[Part]) -> int:
+    """The last band of any sub-dictionary."""
+    return max(part.bank.degree for part in parts if isinstance(part, SubDictionary))

@@ -1,1 +1,0 @@
-"""Dictionary learning: k-means over patches, and gradient descent through the codes."""

@@ -1,1 +1,0 @@
-"""Sparse solvers: quadratic objectives, greedy pursuit, refits and exchanges."""

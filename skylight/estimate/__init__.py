@@ -1,0 +1,1 @@
+"""Illumination from photographs of faces: results, reports, folders."""

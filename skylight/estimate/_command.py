@@ -1,0 +1,317 @@
+"""``skylight estimate``: illumination from photographs, folders and films of faces."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from tyro.conf import Positional
+
+from skylight._options import take_care, taken_by_hand, who_works
+from skylight.errors import InputError, SkylightError
+from skylight.work._device import Device
+from skylight.work._progress import ProgressForm
+
+# Parsing must not import torch, so the choices stand here again; a test compares the two.
+Light = Literal["auto", "autoencoder", "sunsky", "lamps", "sh9", "sh25"]
+Solver = Literal["scan", "thesis"]
+Landmarks = Literal["mediapipe", "dlib"]
+Head = Literal["fitted", "deformed"]
+Decoding = tyro.conf.create_mutex_group(required=False)
+
+
+def estimate(
+    photo: Positional[Path],
+    more: Positional[tuple[Path, ...]] = (),
+    shared_light: bool = False,
+    light: Light = "autoencoder",
+    model: Path | None = None,
+    solver: Solver = "scan",
+    face: int | None = None,
+    faces: Literal["one", "all"] = "one",
+    head: Head = "fitted",
+    device: Device = "auto",
+    out: Path | None = None,
+    gamma: Annotated[float | None, Decoding] = None,
+    linear: Annotated[bool, Decoding] = False,
+    landmarks: Landmarks = "mediapipe",
+    time: str | None = None,
+    place: str | None = None,
+    heading: float | None = None,
+    ignore_exif_sun: bool = False,
+    keep_place: bool = False,
+    ground_albedo: str | None = None,
+    workers: int = 0,
+    cluster: str | None = None,
+    batch: int | None = None,
+    retry_failed: bool = False,
+    video: bool = False,
+    keyframes: int = 24,
+    rate: float = 30.0,
+    progress: ProgressForm = "bar",
+) -> None:
+    """Recover the light in which a face was photographed, or several.
+
+    Faces under one light tell more of it together: all of a picture with --faces all, those of
+    several pictures with --shared-light. Every face has its own albedo, every picture its own
+    exposure. Cameras are taken to be level and, of several pictures, to look the same way: a
+    burst, a person who turns, a group that is photographed again.
+
+    Writes probe.exr and probe.hdr (linear lat-long maps in the camera's frame, 128 x 256 pixels
+    of a sky and 64 x 128 of other light: the centre is where the camera looks, its right is the
+    picture's right), posterior.exr (how likely the sun stands where, per sr), mesh.obj (the
+    fitted head; mesh_1.obj and so on where there are several), estimate.json (all numbers) and
+    report.png (a picture of it all).
+
+    Of a folder, each picture in it and in folders within is estimated by itself: a/me.jpg into
+    OUT/a/me_jpg. OUT/manifest.jsonl has a line for each picture that is finished; the same
+    command again goes on. A picture that fails is passed over and listed at the end, and the exit
+    code is 0 unless all failed.
+
+    Of a film, or of a folder of its frames, with --video: one person is followed, and the light
+    stands still in the world, whatever head and camera do, or drifts slowly. Writes probe.exr and
+    probe.hdr, a probe_000.exr for each keyframe, all as seen from the first frame's camera,
+    posterior.exr, mesh.obj, film.json and report.png. The same command again goes on.
+
+    Args:
+        photo: Picture of a face: JPEG, PNG, TIFF, EXR, Radiance HDR or RAW; or a folder of such.
+            Of a grey one the colour of the light is only what is usual.
+        more: Further pictures in the same light; only with --shared-light.
+        shared_light: All pictures were taken in one light by cameras that looked the same way.
+        light: Light model: learnt skies, Preetham's sky with a sun, lamps in ambient light (rooms,
+            studios, streets at night), spherical harmonics with 9 or 25 coefficients; or auto, the
+            likelier of learnt skies and lamps, for half as much time again as skies alone.
+        model: Folder of a trained model of your own instead of the one that comes with skylight,
+            for --light auto, autoencoder or sunsky.
+        solver: How --light autoencoder is searched for: from many starts where a scan finds the
+            sun, or as in the thesis (B.1), from the mean sky on four levels.
+        face: Which face of each picture, counted from 1, the largest; 1 unless said otherwise.
+        faces: One face of each picture, or all.
+        head: The morphable model's head as fitted to the landmarks, or deformed to meet them (only
+            for landmarks that are exact to a millimetre).
+        device: Where light is traced and optimised: on the CPU, by CUDA, or by CUDA where it is.
+        out: Folder for the results; by default PHOTO's name with _light, in the current folder.
+        gamma: The picture's values are light to the power of 1/GAMMA, instead of sRGB.
+        linear: The picture's values are proportional to light, instead of sRGB.
+        landmarks: What finds the face: MediaPipe's landmarker, or dlib's, an extra for research.
+        time: When the (first) picture was taken, as 2024-06-01T14:30+02:00, instead of what its
+            EXIF data tell. With the place it tells the sun's height.
+        place: Where, as LAT,LON: degrees north and east (south and west are negative).
+        heading: Where the camera looked: degrees clockwise from true north.
+        ignore_exif_sun: Do not use time, place and heading of the EXIF data.
+        keep_place: Write time, place and heading into estimate.json; they are left out else.
+        ground_albedo: The ground's albedo for skies, as R,G,B or R,G,B,SPREAD (linear, 0 to 1; the
+            spread is relative, 0.1 without it), or the file of `skylight probe ground`; by
+            default what is usual of grounds.
+        workers: Of a folder: processes that work at the same time; 0 for one per core. Each takes
+            up to 0.9 GB.
+        cluster: Of a folder: a dask scheduler's address, whose workers do it instead.
+        batch: Of a folder, for --light auto, autoencoder or sunsky: so many pictures are solved
+            together on the device by one process, while the workers do the rest; by default 16 by
+            CUDA, and 1 on the CPU, where each worker solves its own.
+        retry_failed: Of a folder: try again the pictures that failed before.
+        video: PHOTO is a film (mp4, mov, ...) of up to ten minutes, or a folder of its frames.
+        keyframes: Of a film: estimate the light at so many frames at most.
+        rate: Of a folder of a film's frames: so many are shown in a second.
+        progress: A bar on a terminal; or, for programs that start this, lines of JSON on standard
+            error, {"stage": "tracing light", "share": 0.25}.
+    """
+    from skylight.models._ground import KnownGround
+
+    ground = None if ground_albedo is None else KnownGround.told(ground_albedo)
+    if video:
+        _estimate_film(
+            photo,
+            out or Path(f"{photo.resolve().stem}_light"),
+            {
+                "--faces all": faces == "all",
+                "--shared-light": shared_light or bool(more),
+                "--head": head != "fitted",
+                "--landmarks": landmarks != "mediapipe",
+                "--solver": solver != "scan",
+                "--time, --place and --heading": any(
+                    each is not None for each in (time, place, heading)
+                ),
+                "--workers, --cluster, --batch and --retry-failed": workers != 0
+                or cluster is not None
+                or batch is not None
+                or retry_failed,
+            },
+            progress=progress,
+            light=light,
+            model=model,
+            face=1 if face is None else face,
+            keyframes=keyframes,
+            rate=rate,
+            decode="linear" if linear else gamma,
+            ground=ground,
+            device=device,
+        )
+        return
+    if face is not None and faces == "all":
+        raise InputError(f"--face {face} and --faces all contradict each other: leave one out")
+    which = "all" if faces == "all" else 1 if face is None else face
+    decode = "linear" if linear else gamma
+    taken = taken_by_hand(time, place, heading)
+    if photo.is_dir():
+        if taken is not None:
+            raise InputError(
+                f"{photo} is a folder, whose pictures were not all taken at one time and place: "
+                "--time, --place and --heading are for a picture"
+            )
+        if more or shared_light:
+            raise InputError(
+                f"{photo} is a folder, whose pictures are estimated one by one: name the pictures "
+                "themselves to give them a shared light"
+            )
+        _estimate_folder(
+            photo,
+            out or Path(f"{photo.resolve().name}_light"),
+            workers=workers,
+            cluster=cluster,
+            batch=batch,
+            retry_failed=retry_failed,
+            progress=progress,
+            device=device,
+            light=light,
+            model=model,
+            solver=solver,
+            face=which,
+            head=head,
+            decode=decode,
+            landmarks=landmarks,
+            ignore_exif_sun=ignore_exif_sun,
+            keep_place=keep_place,
+            ground=ground,
+        )
+        return
+    for option, given in (
+        ("workers", workers != 0),
+        ("cluster", cluster is not None),
+        ("batch", batch is not None),
+        ("retry-failed", retry_failed),
+    ):
+        if given:
+            raise InputError(f"--{option} is for a folder of pictures, and {photo} is none")
+    from skylight.estimate._photos import estimate_photo
+    from skylight.estimate._report import MESHES, mesh_names, write_results
+    from skylight.estimate._summary import summary
+    from skylight.faces._landmarkers import choose_landmarker
+    from skylight.imaging._film import FILM_SUFFIXES
+    from skylight.imaging._photo import read_photo
+    from skylight.work._device import choose_device
+    from skylight.work._progress import stage_bar
+    from skylight.work._resumable import results_folder
+
+    if more and not shared_light:
+        raise InputError(
+            f"{1 + len(more)} pictures: add --shared-light if they were taken in the same light by "
+            "cameras that looked the same way, else estimate them one by one, or put them into a "
+            "folder and name that"
+        )
+    out = out or Path(f"{photo.stem}_light")
+    paths = (photo, *more)
+    if photo.suffix.lower() in FILM_SUFFIXES:
+        raise InputError(f"{photo} is a film: add --video")
+    pictures = [read_photo(path, decode=decode) for path in paths]
+    choose_device(device)
+    landmarker = choose_landmarker(landmarks)
+    with stage_bar(progress) as tell, results_folder(out, MESHES) as folder:
+        result = estimate_photo(
+            *pictures,
+            light=light,
+            model=model,
+            solver=solver,
+            face=which,
+            head=head,
+            device=device,
+            landmarks=landmarker,
+            taken=taken,
+            ignore_exif_sun=ignore_exif_sun,
+            ground=ground,
+            names=[str(path) for path in paths],
+            progress=tell,
+        )
+        tell("writing the results", 0.0)
+        write_results(folder, result, keep_place=keep_place)
+    for advice in result.estimate.advice:
+        take_care(advice)
+    print(summary(result))
+    meshes = ", ".join(mesh_names(result))
+    files = f"probe.exr, probe.hdr, posterior.exr, {meshes}, estimate.json, report.png"
+    print(f"written into {out}: {files}")
+
+
+def _estimate_film(
+    film: Path,
+    out: Path,
+    contradictions: dict[str, bool],
+    *,
+    progress: ProgressForm,
+    **settings: Any,
+) -> None:
+    """``settings`` are those of :class:`skylight.estimate.film._files.FilmSettings`."""
+    for option, is_given in contradictions.items():
+        if is_given:
+            raise InputError(f"{option}: not for films, in which one face is followed by MediaPipe")
+    from skylight.estimate.film._files import FilmSettings
+    from skylight.estimate.film._results import film_into, film_summary
+    from skylight.work._device import choose_device
+    from skylight.work._progress import stage_bar
+
+    choose_device(settings["device"])
+    chosen = FilmSettings(**settings)
+    try:
+        with stage_bar(progress) as tell:
+            result = film_into(film, out, chosen, tell)
+    except KeyboardInterrupt:
+        raise SkylightError(f"interrupted; the same command goes on with {out}") from None
+    for advice in result.advice:
+        take_care(advice)
+    print(film_summary(result))
+    count = len(result.light.frames)
+    files = f"probe.exr, probe.hdr, {count} of keyframes, posterior.exr, mesh.obj, film.json"
+    print(f"written into {out}: {files}, report.png")
+
+
+def _estimate_folder(
+    photos: Path,
+    out: Path,
+    *,
+    workers: int,
+    cluster: str | None,
+    batch: int | None,
+    retry_failed: bool,
+    progress: ProgressForm,
+    **settings: Any,
+) -> None:
+    """``settings`` are those of :class:`skylight.estimate._manifest.BatchSettings`."""
+    from skylight.estimate._folder import estimate_folder
+    from skylight.estimate._manifest import MANIFEST, BatchSettings
+    from skylight.work._device import choose_device
+    from skylight.work._progress import stage_bar
+
+    choose_device(settings["device"])
+    who = who_works(workers, cluster, out)
+    chosen = BatchSettings(**settings)
+    try:
+        with stage_bar(progress) as tell:
+            entries = estimate_folder(
+                photos,
+                out,
+                chosen,
+                workers=who,
+                batch=batch,
+                retry_failed=retry_failed,
+                progress=tell,
+            )
+    except KeyboardInterrupt:
+        raise SkylightError(
+            f"interrupted; what {out / MANIFEST} lists is done, and the same command goes on"
+        ) from None
+    failed = [entry for entry in entries if entry.status == "failed"]
+    for entry in failed:
+        print(f"skylight: failed: {entry.error}", file=sys.stderr)
+    if len(failed) == len(entries):
+        raise InputError(f"no light from any of {len(entries)} pictures: see {out / MANIFEST}")
+    print(f"{out}: {len(entries) - len(failed)} of {len(entries)} pictures done, see {MANIFEST}")

@@ -1,0 +1,315 @@
+"""An estimate as estimate.json and as lines for the terminal.
+
+An estimate from photographs with the faces that it was made from.
+
+The uncertainty of an estimate as numbers, text, an environment map and a contour.
+"""
+
+import math
+import platform
+from dataclasses import asdict, dataclass, field, replace
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skylight._figures import angles_deg, describe_lamps, named_angles
+from skylight.faces._fit import FaceFit
+from skylight.faces._landmarks import DetectedFace
+from skylight.faces._observe import FaceView
+from skylight.imaging._photo import Photo
+from skylight.imaging._taken import Taken
+from skylight.inverse._posterior import SHARE, SunPosterior
+from skylight.inverse._result import Estimate, FaceLight
+from skylight.inverse._scan import SCAN_HEIGHT
+from skylight.sphere._envmap import EnvironmentMap
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+# Of transport once the solver has taken what it needs: as many as lamps are found on, so that the
+# faces can be seen under other ones.
+KEPT_ROWS = SCAN_HEIGHT
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeenFace:
+    """Face ``number`` (1 is the largest) of photograph ``photo``, counted from 0, named ``name``.
+
+    Harmonics have coarser transport than skies, without gloss: a sky cannot be fitted to it.
+    Where several heads were fitted, ``view.observation`` keeps its transport on
+    :data:`KEPT_ROWS` rows only.
+    """
+
+    photo: int
+    number: int
+    name: str
+    face: DetectedFace
+    fit: FaceFit
+    view: FaceView
+
+    def on_fewer_rows(self) -> "SeenFace":
+        """With transport on :data:`KEPT_ROWS` rows, a quarter of the memory of a sky's."""
+        observation = self.view.observation.on_rows(KEPT_ROWS)
+        return replace(self, view=replace(self.view, observation=observation))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoEstimate:
+    """The estimate with everything on the way to it; ``seconds`` per stage.
+
+    ``photos`` and their ``names`` are all that were given; ``seen`` holds the faces of
+    ``estimate.faces``, in their order; ``face``, ``fit`` and ``view`` are the first one's.
+    ``taken`` is what was known of time, place and heading, which results do not repeat.
+    """
+
+    estimate: Estimate
+    photos: tuple[Photo, ...]
+    names: tuple[str, ...]
+    seen: tuple[SeenFace, ...]
+    taken: Taken
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def face(self) -> DetectedFace:
+        return self.seen[0].face
+
+    @property
+    def fit(self) -> FaceFit:
+        return self.seen[0].fit
+
+    @property
+    def view(self) -> FaceView:
+        return self.seen[0].view
+
+
+_UNRELIABLE = {
+    "unreliable: the face is not explained": ", were the face explained",
+    "unreliable: hardly a face": ", were it a face",
+}
+REGION = "#ffd23f"  # the line about the region
+
+
+def describe_posterior(posterior: SunPosterior) -> dict[str, object]:
+    """What estimate.json says of it; the density itself is in posterior.exr."""
+    return {
+        "verdict": posterior.verdict,
+        "is_seen": posterior.is_seen,
+        "share": SHARE,
+        "region_sr": posterior.region_sr,
+        "region_radius_deg": math.degrees(posterior.region_radius_rad),
+        "region_edge_per_sr": edge_density(posterior),
+        "region_parts": [
+            {"share": part.share, **named_angles(part.peak)}
+            for part in posterior.parts
+            if part.share >= 0.01
+        ],
+        "sun_gain": posterior.sun_gain,
+        "clock_wrong": posterior.clock_wrong,
+        "exposure_interval": list(posterior.exposure_interval),
+        "albedo_scale_interval": list(posterior.albedo_scale_interval),
+    }
+
+
+def edge_density(posterior: SunPosterior) -> float:
+    """Density per sr along the line that pictures draw about the region.
+
+    That is the region's least density moved by 2 %, since where much of the sky is that dense, its
+    ripples of a thousandth would make edges all over; up or down, whichever encloses a share
+    nearer to the region's. What is enclosed is then the region where the density falls off; 80 to
+    90 % where a lobe in a flat sky holds a little less than 90 %; and all of a flat sky.
+    """
+    least = posterior.density[posterior.region].min()
+    mass = posterior.density * posterior.grid.solid_angles
+
+    def away(level: Float[Tensor, ""]) -> float:
+        return abs(float(mass[posterior.density >= level].sum()) - SHARE)
+
+    return float(min(0.98 * least, 1.02 * least, key=away))
+
+
+def sure_of_the_sun(posterior: SunPosterior) -> str:
+    """The 90 % region in words."""
+    if not posterior.is_seen:
+        sky = not posterior.grid.is_sphere
+        return f"none seen: {'overcast' if sky else 'even light'}, or hidden behind the head"
+    size = f"a circle of {math.degrees(posterior.region_radius_rad):.0f}° radius"
+    parts = sum(part.share > 0.1 * SHARE for part in posterior.parts)
+    place = size if parts < 2 else f"{parts} areas, together as large as {size}"
+    line = f"{100 * SHARE:.0f} % sure within {place}"
+    return line + _UNRELIABLE.get(posterior.verdict, "")
+
+
+def probe_title(posterior: SunPosterior) -> str:
+    """What stands over a picture of the light."""
+    title = f"Light around the camera: {posterior.verdict}"
+    if not posterior.is_seen:
+        return title
+    whose = "main lamp's" if posterior.grid.is_sphere else "sun's"
+    return f"{title} (yellow: the {whose} {100 * SHARE:.0f} % region)"
+
+
+def posterior_map(posterior: SunPosterior) -> EnvironmentMap:
+    """The density per sr as a grey lat-long map of 64 rows; of a sun 0 below the horizon."""
+    assert posterior.grid.layout is not None
+    density = posterior.density.reshape(posterior.grid.layout).float()
+    if posterior.grid.is_sphere:
+        grey = density.repeat_interleave(2, 0).repeat_interleave(2, 1)
+    else:
+        grey = torch.cat([density, torch.zeros_like(density)])
+    return EnvironmentMap(radiance=grey[..., None].repeat(1, 1, 3))
+
+
+def draw_region(axes: "Axes", posterior: SunPosterior, height: int) -> None:
+    """The region's contour on a full lat-long picture of ``height`` rows; none where no sun is
+    seen."""
+    if not posterior.is_seen:
+        return
+    density = posterior_map(posterior).radiance[..., 0].numpy()
+    level = edge_density(posterior)
+    # one column round the seam on either side, one row of nothing above the zenith's
+    wrapped = np.pad(np.pad(density, ((0, 0), (1, 1)), mode="wrap"), ((1, 0), (0, 0)))
+    rows, columns = (
+        (np.arange(-1, end) + 0.5) * height / len(density) - 0.5
+        for end in (len(density), density.shape[1] + 1)
+    )
+    limits = axes.axis()  # a contour would widen them
+    for color, width in (("black", 3.4), (REGION, 1.8)):
+        axes.contour(columns, rows, wrapped, levels=[level], colors=[color], linewidths=[width])
+    axes.axis(limits)
+
+
+PACKAGES = ("skylight", "torch", "numpy", "scipy", "dlib-bin", "onnxruntime", "embreex")
+
+
+def describe(result: PhotoEstimate, *, keep_place: bool) -> dict[str, object]:
+    """What estimate.json holds; ``skylight relight --latent`` reads the autoencoder's."""
+    estimate = result.estimate
+    return {
+        "sources": list(result.names),
+        "light": estimate.light,
+        "frame": "the camera looks along -Z, the centre of the map; +X is the picture's right, "
+        "+Y up; azimuth from -Z towards +X, zenith from +Y; linear Rec.709",
+        "choice": None if estimate.choice is None else asdict(estimate.choice),
+        "sun": named_angles(estimate.sun_direction),
+        "lamps": describe_lamps(estimate.lamps),
+        "posterior": describe_posterior(estimate.posterior),
+        "ground_albedo": estimate.ground_albedo.tolist(),
+        "params": estimate.params.tolist(),
+        "exposure": estimate.exposure,
+        "white_balance": estimate.white_balance.tolist(),
+        "objective": {**estimate.terms, "total": math.fsum(estimate.terms.values())},
+        "status": estimate.status,
+        "advice": list(estimate.advice),
+        "stats": estimate.stats,
+        "faces": [
+            _describe_face(seen, light, result.names[seen.photo])
+            for seen, light in zip(result.seen, estimate.faces, strict=True)
+        ],
+        "seconds": result.seconds,
+        "versions": _versions(),
+        "seed": None,  # no step of an estimate draws random numbers
+        **({"taken": _describe_taken(result.taken)} if keep_place else {}),
+    }
+
+
+def _describe_taken(taken: Taken) -> dict[str, object]:
+    return {
+        "time": None if taken.time is None else taken.time.isoformat(),
+        "latitude_deg": taken.latitude_deg,
+        "longitude_deg": taken.longitude_deg,
+        "heading_deg": taken.heading_deg,
+    }
+
+
+def _describe_face(seen: SeenFace, light: FaceLight, source: str) -> dict[str, object]:
+    fit, eye_distance_px = seen.fit, seen.face.eye_distance_px
+    return {
+        "source": source,
+        "number": seen.number,
+        "albedo": light.albedo.tolist(),
+        "gloss": light.gloss,
+        "exposure": light.exposure,
+        "white_balance": light.white_balance.tolist(),
+        "residual": light.residual,
+        "landmarker": "dlib" if seen.face.readings is None else "mediapipe",
+        "landmark_score": seen.face.score,
+        "landmark_error": fit.landmark_error,
+        "landmark_error_px": fit.landmark_error * eye_distance_px,
+        "outer_eye_distance_px": eye_distance_px,
+        "facing_angle_deg": math.degrees(fit.facing_angle_rad),
+        "focal_length_px": fit.camera.focal_px,
+        "picture_px": [fit.camera.width, fit.camera.height],
+        # metres, in the camera's frame: the head's own origin, mid-head at the height of the eyes
+        "eyes": fit.translation.tolist(),
+        "forward": fit.rotation[:, 2].tolist(),  # where the face looks, a unit vector
+        "fit_converged": fit.converged,
+        "pixels_used": len(seen.view.blocks),
+    }
+
+
+def where(azimuth_deg: float, zenith_deg: float) -> str:
+    """A direction in words, as the photographer would point: "behind, left, high"."""
+    if zenith_deg < 15:
+        return "overhead"
+    height = "high" if zenith_deg < 40 else "low" if zenith_deg > 70 else "half high"
+    turned = abs(azimuth_deg)
+    depth = "ahead" if turned < 67.5 else "behind" if turned > 112.5 else ""
+    side = "" if turned < 22.5 or turned > 157.5 else "left" if azimuth_deg < 0 else "right"
+    return ", ".join(part for part in (depth, side, height) if part)
+
+
+def _versions() -> dict[str, str | None]:
+    found: dict[str, str | None] = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:  # the same modules, installed under another name
+            found[package] = None
+    return found
+
+
+def _scene(estimate: Estimate) -> list[str]:
+    """What light it is, where that was to be found out."""
+    if estimate.choice is None:
+        return []
+    sure = round(100 * estimate.choice.probability)
+    return [f"{'light':<12}{estimate.choice.scene} ({sure} % sure, as '{estimate.light}')"]
+
+
+def _further_lamps(estimate: Estimate) -> list[str]:
+    """Where those are that are not the strongest."""
+    places = (angles_deg(lamp.direction) for lamp in estimate.lamps[1:])
+    return [
+        f"{'lamp':<12}another at azimuth {azimuth_deg:+.0f}°, zenith {zenith_deg:.0f}° "
+        f"({where(azimuth_deg, zenith_deg)})"
+        for azimuth_deg, zenith_deg in places
+    ]
+
+
+def summary(result: PhotoEstimate) -> str:
+    """A few lines for the terminal."""
+    estimate = result.estimate
+    azimuth_deg, zenith_deg = angles_deg(estimate.sun_direction)
+    name = "lamp" if estimate.light == "lamps" else "sun"
+    count = len(estimate.faces)
+    labels = ["face"] if count == 1 else [f"face {n}" for n in range(1, count + 1)]
+    return "\n".join(
+        [
+            *_scene(estimate),
+            f"brightest   azimuth {azimuth_deg:+.0f}°, zenith {zenith_deg:.0f}° "
+            f"({where(azimuth_deg, zenith_deg)})",
+            f"{name:<12}{sure_of_the_sun(estimate.posterior)}",
+            *_further_lamps(estimate),
+            f"verdict     {estimate.posterior.verdict}",
+            *(
+                f"{label:<12}re-rendered to within {100 * face.residual:.0f} % on average"
+                for label, face in zip(labels, estimate.faces, strict=True)
+            ),
+            f"solver      {estimate.status} after {sum(result.seconds.values()):.0f} s",
+        ]
+    )

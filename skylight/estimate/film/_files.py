@@ -1,0 +1,392 @@
+"""The light of a film of one person, or of a folder of its frames.
+
+What following a person through a film found, kept between runs.
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from numpy import ndarray
+
+from skylight.errors import InputError
+from skylight.estimate._manifest import file_hash
+from skylight.estimate._photos import rays_on
+from skylight.estimate.film._follow import Followed, Keyframe, Shot, Source, follow
+from skylight.estimate.film._head import fit_head
+from skylight.estimate.film._light import FilmLight, FilmProblem
+from skylight.estimate.film._smoother import in_world
+from skylight.faces._captures import MOST_TURNED_RAD
+from skylight.faces._fit import FOCAL_GUESS, FOCAL_GUESS_SIGMA, FaceFit
+from skylight.faces._landmarks import DetectedFace
+from skylight.faces._mediapipe import MediaPipeLandmarker, to_ibug
+from skylight.faces._model import HeadModel
+from skylight.faces._observe import observe_face
+from skylight.imaging._camera_turns import Link, focal_from_turns, world_from_cameras
+from skylight.imaging._colour import Decode
+from skylight.imaging._film import FilmFrame, film_frames, told_length_s
+from skylight.imaging._photo import PHOTO_SUFFIXES, Photo, read_photo
+from skylight.inverse._estimate import light_problem
+from skylight.inverse._sky import SkyProblem, SolverOptions
+from skylight.io._files import visible_files, write_png
+from skylight.io._tensors import read_tensors, write_tensors
+from skylight.models._bundle import load_bundle
+from skylight.models._ground import KnownGround
+from skylight.models._names import DEFAULT_LIGHT, LightName
+from skylight.work._progress import StageProgress
+from skylight.work._resumable import results_folder
+
+FOLLOWING = "following"  # the folder in that of the results
+FOLLOWED = "followed.safetensors"
+_FACTS = "facts"
+
+
+def write_followed(folder: Path, followed: Followed) -> None:
+    """followed.safetensors, and a picture of each keyframe that has no file of its own."""
+    shot, pictures, readings = followed.shot, [], []
+    for keyframe in shot.keyframes:
+        assert keyframe.face.readings is not None  # MediaPipe's
+        readings.append(keyframe.face.readings)
+        if isinstance(keyframe.picture, Path):
+            pictures.append(str(keyframe.picture.resolve()))
+        else:
+            pictures.append(f"keyframe_{keyframe.number:06d}.png")
+            write_png(folder / pictures[-1], keyframe.picture)
+    counts = [len(link.before) for link in shot.links]
+    none = np.zeros((0, 2))
+    facts = {
+        "pictures": pictures,
+        "size": followed.size,
+        "frames": followed.frames,
+        "end_s": followed.end_s,
+        "notes": followed.notes,
+        "shot": [shot.first, shot.begin_s, shot.end_s, shot.seen_s],
+        "gaps": shot.gaps,
+    }
+    tensors = {
+        "readings": np.array(readings),
+        "scores": np.array([one.face.score for one in shot.keyframes]),
+        "numbers": np.array([one.number for one in shot.keyframes]),
+        "times_s": np.array([one.time_s for one in shot.keyframes]),
+        "links": np.array([[link.start, link.end] for link in shot.links]).reshape(-1, 2),
+        "counts": np.array(counts, dtype=np.int64),
+        "before": np.concatenate([none, *(link.before for link in shot.links)]),
+        "after": np.concatenate([none, *(link.after for link in shot.links)]),
+    }
+    write_tensors(
+        folder / FOLLOWED,
+        {name: torch.from_numpy(array) for name, array in tensors.items()},
+        {_FACTS: json.dumps(facts)},
+    )
+
+
+def read_followed(folder: Path) -> Followed:
+    """What :func:`write_followed` wrote; pictures are their files.
+
+    Raises
+    ------
+    InputError
+        It is damaged.
+    """
+    try:
+        tensors, metadata = read_tensors(folder / FOLLOWED)
+        arrays = {name: tensor.numpy() for name, tensor in tensors.items()}
+        return _followed(folder, arrays, json.loads(metadata[_FACTS]))
+    except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError,
+            RecursionError) as error:  # fmt: skip
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"{folder / FOLLOWED}: damaged ({reason}); delete {folder}, and the film is followed "
+            "again"
+        ) from error
+
+
+def _followed(folder: Path, arrays: dict[str, np.ndarray], facts: dict[str, Any]) -> Followed:
+    """What arrays and facts say; any error of a look-up, type or value where they cannot be."""
+    first, begin_s, end_s, seen_s = facts["shot"]
+    shot = Shot(
+        first=first,
+        begin_s=begin_s,
+        end_s=end_s,
+        seen_s=seen_s,
+        gaps=[(begin, end) for begin, end in facts["gaps"]],
+    )
+    for k, picture in enumerate(facts["pictures"]):
+        readings = arrays["readings"][k]
+        face = DetectedFace(
+            points=to_ibug(readings.mean(0)),
+            score=float(arrays["scores"][k]),
+            readings=readings,
+        )
+        shot.keyframes.append(
+            Keyframe(
+                number=int(arrays["numbers"][k]),
+                time_s=float(arrays["times_s"][k]),
+                face=face,
+                picture=folder / picture,
+            )
+        )
+    begin = 0
+    for (start, end), count in zip(arrays["links"], arrays["counts"], strict=True):
+        rows = slice(begin, begin + int(count))
+        begin += int(count)
+        shot.links.append(
+            Link(
+                start=int(start),
+                end=int(end),
+                before=arrays["before"][rows],
+                after=arrays["after"][rows],
+            )
+        )
+    width, height = facts["size"]
+    return Followed(
+        shot=shot,
+        size=(width, height),
+        frames=facts["frames"],
+        end_s=facts["end_s"],
+        notes=tuple(facts["notes"]),
+    )
+
+
+LONGEST_S = 600.0
+FOLLOWED_A_SECOND = 10.0
+MOST_SIDE = 1920
+# Of a photograph's face: 0.4 of its height, a sixth of its pixels, of which films have many times
+# as many.
+FACE_HEIGHT_PX = 28
+_KNOWN_FOCAL = 0.1  # a spread of its log below which turns of the camera tell the focal length
+_WHOLE = 0.9  # of the length that a header tells: less is cut short
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilmSettings:
+    """What the light of a film depends on besides its pictures.
+
+    ``rate`` is how many frames of a folder are shown in a second.
+    """
+
+    light: LightName = DEFAULT_LIGHT
+    model: Path | None = None
+    face: int = 1
+    keyframes: int = 24
+    rate: float = 30.0
+    decode: Decode | None = None
+    ground: KnownGround | None = None
+    device: str = "auto"
+
+    def __post_init__(self) -> None:
+        if self.light not in ("autoencoder", "sunsky"):
+            raise InputError(
+                f"--video is for the sky: --light autoencoder or sunsky, not {self.light}"
+            )
+        if self.keyframes < 1:
+            raise InputError(f"--keyframes must be 1 or more, got {self.keyframes}")
+        if not 0.001 <= self.rate <= 1000:
+            raise InputError(f"--rate is frames a second, 0.001 to 1000, got {self.rate:g}")
+
+    def facts(self, source: Path) -> dict[str, object]:
+        """For the note beside the results: the same for the same pictures, wherever they lie."""
+        facts: dict[str, object] = {
+            **asdict(self),
+            "model": None if self.model is None else load_bundle(self.model).fingerprint,
+            "sha256": _sha256(source),
+        }
+        del facts["device"]
+        if self.ground is None:  # notes of runs before it could be told
+            del facts["ground"]
+        return facts
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilmEstimate:
+    """The light of a film with everything on the way to it.
+
+    ``keyframes``, ``fits`` and ``world_from_camera`` are those of ``light.frames``, in order;
+    ``advice`` says what to know of the film.
+    """
+
+    light: FilmLight
+    followed: Followed
+    keyframes: tuple[Keyframe, ...]
+    fits: tuple[FaceFit, ...]
+    world_from_camera: tuple[Float[ndarray, "3 3"], ...]
+    advice: tuple[str, ...]
+
+
+def estimate_film(
+    source: Path, out: Path, settings: FilmSettings, progress: StageProgress | None = None
+) -> FilmEstimate:
+    """Follow the person, fit one head, estimate one light that drifts.
+
+    What following found is kept in ``out``/following: a run that was stopped goes on there.
+
+    Raises
+    ------
+    InputError
+        A film that cannot be read, is too long, or in which no face can be used.
+    """
+    tell = progress or (lambda _stage, _share: None)
+    followed = followed_film(source, out, settings, progress)
+    shot, size = followed.shot, followed.size
+    advice = list(followed.notes)
+    problem = light_problem(
+        settings.light,
+        model=settings.model,
+        options=SolverOptions(ground=settings.ground),
+        device=settings.device,
+    )
+    assert isinstance(problem, SkyProblem)
+    known_px = _photo(shot.keyframes[0], settings).focal_px
+    guess_px = known_px or FOCAL_GUESS * max(size)
+    if known_px is None:
+        turned_px, spread = focal_from_turns(shot.links, guess_px, FOCAL_GUESS_SIGMA, size)
+        known_px = turned_px if spread < _KNOWN_FOCAL else None
+    heads = HeadModel.load()
+    tell("fitting the head", 0.0)
+    fits = fit_head(heads, [one.face for one in shot.keyframes], size, focal_px=known_px)
+    focal_px = fits[0].camera.focal_px
+    world, untold = world_from_cameras(shot.links, focal_px, size)
+    advice += turn_notes(shot, untold)
+    film = FilmProblem(problem)
+    kept: list[int] = []
+    for k, (keyframe, fit) in enumerate(zip(shot.keyframes, fits, strict=True)):
+        tell("tracing light", k / len(fits))
+        photo = _photo(keyframe, settings)
+        try:
+            if fit.facing_angle_rad > MOST_TURNED_RAD:
+                raise InputError(
+                    f"the face is turned away by {np.degrees(fit.facing_angle_rad):.0f} degrees"
+                )
+            view = observe_face(
+                photo.pixels,
+                photo.clipped,
+                heads,
+                fit,
+                face_height_px=FACE_HEIGHT_PX,
+                grid_height=problem.grid_height,
+                grey=photo.grey,
+                workers=os.cpu_count() or 1,
+                rays_on=rays_on(settings.device),
+            )
+        except InputError as error:
+            advice.append(f"left out: {keyframe.time_s:.1f} s: {error}")
+            continue
+        turn = world.get(keyframe.number, np.eye(3))
+        film.add(in_world(view.observation, turn), keyframe.time_s)
+        kept.append(k)
+    if not kept:
+        raise InputError(f"{source}: no keyframe can be used; {advice[-1]}")
+    light = film.solve(lambda share: tell("estimating the light", share))
+    return FilmEstimate(
+        light=light,
+        followed=followed,
+        keyframes=tuple(shot.keyframes[k] for k in kept),
+        fits=tuple(fits[k] for k in kept),
+        world_from_camera=tuple(world.get(shot.keyframes[k].number, np.eye(3)) for k in kept),
+        advice=(*light.start.advice, *advice),
+    )
+
+
+def turn_notes(shot: Shot, untold: list[Link]) -> list[str]:
+    """What to know of the camera, in a line."""
+    if not untold:
+        return []
+    times = {one.number: one.time_s for one in shot.keyframes}
+    told = len(shot.links) - len(untold)
+    ends = [times[link.end] for link in untold if link.end in times]
+    when = "" if told == 0 or not ends else f" at {', '.join(f'{t:.1f}' for t in ends[:5])} s"
+    return [
+        f"the camera's turn cannot be told{when} (too little of the background is seen to keep "
+        "together): it is taken to stand still"
+    ]
+
+
+def followed_film(
+    source: Path, out: Path, settings: FilmSettings, progress: StageProgress | None = None
+) -> Followed:
+    """What following finds, or found in an earlier run, which ``out``/following keeps.
+
+    Raises
+    ------
+    InputError
+        As :func:`estimate_film`.
+    """
+    tell = progress or (lambda _stage, _share: None)
+    kept = out / FOLLOWING
+    if not (kept / FOLLOWED).exists():
+        length_s = _length_s(source, settings)
+        if length_s is not None:
+            _require_short(source, length_s)
+        found = follow(
+            _sources(source, settings),
+            str(source),
+            MediaPipeLandmarker(),
+            face=settings.face,
+            most=settings.keyframes,
+            duration_s=length_s,
+            progress=lambda share: tell("following the face", share),
+        )
+        if length_s is not None and found.end_s + 1 / FOLLOWED_A_SECOND < _WHOLE * length_s:
+            note = f"cut short: pictures end at {found.end_s:.1f} of {length_s:.1f} s"
+            found = replace(found, notes=(*found.notes, note))
+        with results_folder(kept) as folder:
+            write_followed(folder, found)
+    return read_followed(kept)
+
+
+def _length_s(source: Path, settings: FilmSettings) -> float | None:
+    return len(_frame_files(source)) / settings.rate if source.is_dir() else told_length_s(source)
+
+
+def _require_short(source: Path, length_s: float) -> None:
+    if length_s > LONGEST_S:
+        raise InputError(
+            f"{source}: it is {length_s / 60:.0f} minutes long, and at most "
+            f"{LONGEST_S / 60:.0f} are followed; cut out the part that shows the person"
+        )
+
+
+def _sources(source: Path, settings: FilmSettings) -> Iterator[Source]:
+    """At most :data:`FOLLOWED_A_SECOND`; of a folder in the order of the files' names."""
+    if not source.is_dir():
+        frames = film_frames(source, most_a_second=FOLLOWED_A_SECOND, most_side=MOST_SIDE)
+        for frame in frames:
+            _require_short(source, frame.time_s)  # headers may tell less than there is
+            yield Source(frame=frame)
+        return
+    files = _frame_files(source)
+    step = max(1, round(settings.rate / FOLLOWED_A_SECOND))
+    for number in range(0, len(files), step):
+        codes = read_photo(files[number], decode=settings.decode).encoded
+        frame = FilmFrame(number=number, time_s=number / settings.rate, codes=codes)
+        yield Source(frame=frame, file=files[number])
+
+
+def _frame_files(folder: Path) -> list[Path]:
+    files = visible_files(folder, PHOTO_SUFFIXES)
+    if not files:
+        raise InputError(
+            f"{folder}: no pictures ({', '.join(sorted(PHOTO_SUFFIXES))}) in this folder"
+        )
+    return files
+
+
+def _photo(keyframe: Keyframe, settings: FilmSettings) -> Photo:
+    assert isinstance(keyframe.picture, Path)  # as they are kept
+    return read_photo(keyframe.picture, decode=settings.decode)
+
+
+def _sha256(source: Path) -> str:
+    if not source.is_dir():
+        return file_hash(source)
+    digest = hashlib.sha256()
+    for file in _frame_files(source):
+        digest.update(f"{file.name}\0{file_hash(file)}\n".encode())
+    return digest.hexdigest()

@@ -1,0 +1,333 @@
+"""One person followed through a film: landmarks, keyframes, and what the background does.
+
+As MediaPipe does from frame to frame, the landmark network looks where the face was in the frame
+before; the detector looks only where it is lost. Of the frames with the face, every n-th since the
+last cut is a keyframe, n doubling whenever there are too many: so keyframes are spread evenly,
+however long the film is, and no more than they are held in memory.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from numpy import ndarray
+
+from skylight.errors import InputError
+from skylight.faces._blazeface import Square, upright
+from skylight.faces._landmarks import MESH_EYES, DetectedFace
+from skylight.faces._mediapipe import MediaPipeLandmarker, Reading, to_ibug
+from skylight.imaging._camera_turns import BackgroundCorners, Link
+from skylight.imaging._film import FilmFrame
+from skylight.work._progress import Progress
+
+LEAST_PRESENCE = 0.5
+_WEAKEST_SHARE = 0.9  # of the likeliest face's presence
+_LOOK_EVERY = 5  # frames, while there is no face: the detector takes five times as long
+_GAP_S = 0.5  # shorter ones are not told
+# A cut: the small picture is unlike the one before, and few corners are found again.
+_ALIKE, _LEAST_KEPT = 0.6, 0.25
+_THUMBNAIL = (48, 32)
+# Of the face's height and width: hair above and beside it, shoulders below.
+_ABOVE, _BESIDE, _SHOULDERS = 0.5, 0.25, 1.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Keyframe:
+    """A frame whose light is estimated: ``picture`` is its codes, or the file that it came from."""
+
+    number: int
+    time_s: float
+    face: DetectedFace
+    picture: UInt8[ndarray, "h w 3"] | Path
+
+
+@dataclass(kw_only=True)
+class Shot:
+    """Frames between cuts. ``links`` begin at frame ``first``; ``gaps`` are times without a face.
+
+    ``seen_s`` is how long the face was followed.
+    """
+
+    first: int
+    begin_s: float
+    end_s: float
+    seen_s: float = 0.0
+    keyframes: list[Keyframe] = field(default_factory=list)
+    links: list[Link] = field(default_factory=list)
+    gaps: list[tuple[float, float]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Followed:
+    """The shot in which one person was followed longest; pictures are of ``size`` (width, height).
+
+    ``notes`` say in a line each what else was in the film; ``frames`` is how many were followed,
+    the last at ``end_s``.
+    """
+
+    shot: Shot
+    size: tuple[int, int]
+    frames: int
+    end_s: float
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """A frame, and its file where it has one of its own."""
+
+    frame: FilmFrame
+    file: Path | None = None
+
+
+def follow(
+    sources: Iterable[Source],
+    name: str,
+    landmarker: MediaPipeLandmarker,
+    *,
+    face: int = 1,
+    most: int = 24,
+    duration_s: float | None = None,
+    progress: Progress | None = None,
+) -> Followed:
+    """Follow face number ``face`` (1 is the largest) of the first frame that has one.
+
+    At most ``most`` keyframes. Of several shots the one in which a face is seen longest is kept.
+    ``duration_s`` is the film's, for ``progress``.
+
+    Raises
+    ------
+    InputError
+        No face in any frame, or no such face; frames of several sizes.
+    """
+    following: _Following | None = None
+    for source in sources:
+        if following is None:
+            following = _Following(source, name, landmarker, face, most)
+        else:
+            following.add(source)
+        if progress is not None and duration_s:
+            progress(min(source.frame.time_s / duration_s, 1.0))
+    if following is None:
+        raise InputError(f"{name}: it holds no pictures; record it again")
+    return following.end()
+
+
+class _Following:
+    def __init__(
+        self, first: Source, name: str, landmarker: MediaPipeLandmarker, face: int, most: int
+    ) -> None:
+        self.name, self.landmarker, self.face, self.most = name, landmarker, face, most
+        height, width = first.frame.codes.shape[:2]
+        self.size = width, height
+        self.corners = BackgroundCorners(width, height)
+        self.best: Shot | None = None
+        self.cuts: list[float] = []
+        self.notes: list[str] = []
+        self.frames = 0
+        self._begin(first)
+
+    def _begin(self, source: Source) -> None:
+        """A new shot with that frame."""
+        frame = source.frame
+        self.shot = Shot(first=frame.number, begin_s=frame.time_s, end_s=frame.time_s)
+        self.points: Float[ndarray, "478 2"] | None = None
+        self.lost_s: float | None = None
+        self.without = self.stride_count = 0
+        self.stride = 1
+        self.anchor = frame.number
+        self.thumbnail = _thumbnail(frame.codes)
+        self._look(source)
+        self.corners.anchor(frame.codes, self._background())
+
+    def add(self, source: Source) -> None:
+        frame = source.frame
+        height, width = frame.codes.shape[:2]
+        if (width, height) != self.size:
+            was_width, was_height = self.size
+            raise InputError(
+                f"{self.name}, frame {frame.number + 1}: {width}x{height} pixels, but the first "
+                f"has {was_width}x{was_height}; give frames of one film"
+            )
+        before, self.thumbnail = self.thumbnail, _thumbnail(frame.codes)
+        kept = self.corners.follow(frame.codes, self._background())
+        if float((before * self.thumbnail).mean()) < _ALIKE and kept < _LEAST_KEPT:
+            self.cuts.append(frame.time_s)
+            self._close()
+            self._begin(source)
+            return
+        since_s = frame.time_s - self.shot.end_s
+        self.shot.end_s = frame.time_s
+        self._look(source)
+        if self.points is not None and self.lost_s is None:
+            self.shot.seen_s += since_s
+        if self.corners.is_worn:
+            if not self.shot.links or self.shot.links[-1].end != frame.number:
+                self.shot.links.append(self.corners.link(self.anchor, frame.number))
+            self.corners.anchor(frame.codes, self._background())
+            self.anchor = frame.number
+
+    def end(self) -> Followed:
+        self._close()
+        best = self.best
+        if best is None or not best.keyframes:
+            raise InputError(
+                f"{self.name}: no face found in {self.frames} frames; use a film of a face seen "
+                "from the front, at least 60 pixels high"
+            )
+        notes = list(self.notes)
+        if self.cuts:
+            at = ", ".join(f"{time_s:.1f}" for time_s in self.cuts[:5])
+            more = f" and {len(self.cuts) - 5} more" if len(self.cuts) > 5 else ""
+            notes.append(
+                f"cuts at {at} s{more}: the shot from {best.begin_s:.1f} to {best.end_s:.1f} s is "
+                "used, which shows the face longest"
+            )
+        notes += [f"no face from {begin:.1f} to {end:.1f} s" for begin, end in best.gaps]
+        return Followed(
+            shot=best,
+            size=self.size,
+            frames=self.frames,
+            end_s=self.shot.end_s,
+            notes=tuple(notes),
+        )
+
+    def _close(self) -> None:
+        if self.lost_s is not None:
+            self._found_again(self.shot.end_s)
+        if self.best is None or self.shot.seen_s > self.best.seen_s or not self.best.keyframes:
+            self.best = self.shot
+
+    def _look(self, source: Source) -> None:
+        """Where the face is in this frame; one in ``stride`` becomes a keyframe."""
+        frame, self.frames = source.frame, self.frames + 1
+        points = None if self.lost_s is not None else self._followed(frame)
+        if points is None and self.without % _LOOK_EVERY == 0:
+            points = self._detected(frame)
+        if points is None:
+            self.without += 1
+            if self.lost_s is None:
+                self.lost_s = frame.time_s
+            return
+        if self.lost_s is not None:
+            self._found_again(frame.time_s)
+        self.without, self.points = 0, points
+        if self.stride_count % self.stride == 0:
+            self._keep(source, points)
+        self.stride_count += 1
+
+    def _followed(self, frame: FilmFrame) -> Float[ndarray, "478 2"] | None:
+        if self.points is None:
+            return None
+        points, presence = self.landmarker.glance(frame.codes, _square(self.points))
+        return points if presence >= LEAST_PRESENCE else None
+
+    def _detected(self, frame: FilmFrame) -> Float[ndarray, "478 2"] | None:
+        found = self._seen(frame)
+        if not found and self.frames == 1:  # once, with all the effort that a photograph gets
+            found = [face.points for face in self.landmarker.faces(frame.codes)]
+        if not found:
+            return None
+        if self.points is not None:  # whoever is nearest to where the person was
+            there = self.points.mean(0)
+            return min(found, key=lambda points: float(np.linalg.norm(points.mean(0) - there)))
+        if self.face > len(found):
+            raise InputError(
+                f"{self.name}: there is no face {self.face}, only {len(found)} found at "
+                f"{frame.time_s:.1f} s; choose --face 1 to {len(found)}"
+            )
+        if len(found) > 1:
+            which = "the largest" if self.face == 1 else f"number {self.face} by size"
+            self.notes.append(
+                f"{len(found)} faces at {frame.time_s:.1f} s: {which} is followed; choose by --face"
+            )
+        return found[self.face - 1]
+
+    def _seen(self, frame: FilmFrame) -> list[Float[ndarray, "478 2"]]:
+        """The faces that the detector sees at a glance, the largest first."""
+        seen = []
+        for square in self.landmarker.find(frame.codes):
+            points, _ = self.landmarker.glance(frame.codes, square)
+            seen.append(self.landmarker.read(frame.codes, _square(points)))
+        # leaves and cloth reach two thirds of a real face's probability
+        least = max([LEAST_PRESENCE, *(_WEAKEST_SHARE * one.presence for one in seen)])
+        found = [one.points for one in seen if one.presence >= least]
+        found.sort(key=lambda points: -float(np.linalg.norm(np.ptp(points, axis=0))))
+        return [p for i, p in enumerate(found) if not any(_within(p, q) for q in found[:i])]
+
+    def _found_again(self, time_s: float) -> None:
+        assert self.lost_s is not None
+        if time_s - self.lost_s >= _GAP_S:
+            self.shot.gaps.append((self.lost_s, time_s))
+        self.lost_s = None
+
+    def _keep(self, source: Source, points: Float[ndarray, "478 2"]) -> None:
+        frame, shot = source.frame, self.shot
+        reading = self.landmarker.read(frame.codes, _square(points))
+        if reading.presence < LEAST_PRESENCE:
+            return
+        keyframe = Keyframe(
+            number=frame.number,
+            time_s=frame.time_s,
+            face=_face(reading),
+            picture=frame.codes if source.file is None else source.file,
+        )
+        shot.keyframes.append(keyframe)
+        if frame.number != self.anchor:
+            shot.links.append(self.corners.link(self.anchor, frame.number))
+        if len(shot.keyframes) > self.most:
+            self.stride *= 2
+            gone = {one.number for one in shot.keyframes[1::2]}
+            shot.keyframes = shot.keyframes[::2]
+            starts = {link.start for link in shot.links} | {self.anchor}
+            shot.links = [one for one in shot.links if one.end not in gone or one.end in starts]
+
+    def _background(self) -> Bool[ndarray, "h w"]:
+        """Everything but the head where it was last, and what is below and beside it."""
+        width, height = self.size
+        mask = np.ones((height, width), bool)
+        if self.points is None:
+            return mask
+        (left, top), (right, bottom) = self.points.min(0), self.points.max(0)
+        wide, high = right - left, bottom - top
+        middle = (left + right) / 2
+        _cover(mask, left - _BESIDE * wide, right + _BESIDE * wide, top - _ABOVE * high, bottom)
+        shoulders = _SHOULDERS * wide
+        _cover(mask, middle - shoulders, middle + shoulders, bottom, float(height))
+        return mask
+
+
+def _within(points: Float[ndarray, "478 2"], larger: Float[ndarray, "478 2"]) -> bool:
+    """Whether it is a larger face once more."""
+    centre = points.mean(0)
+    return bool(((centre > larger.min(0)) & (centre < larger.max(0))).all())
+
+
+def _cover(
+    mask: Bool[ndarray, "h w"], left: float, right: float, top: float, bottom: float
+) -> None:
+    columns = slice(max(int(left), 0), max(int(np.ceil(right)), 0))
+    mask[max(int(top), 0) : max(int(np.ceil(bottom)), 0), columns] = False
+
+
+def _face(reading: Reading) -> DetectedFace:
+    return DetectedFace(
+        points=to_ibug(reading.points), score=reading.presence, readings=reading.readings
+    )
+
+
+def _square(points: Float[ndarray, "478 2"]) -> Square:
+    """Where the landmark network looks for the face that had these landmarks."""
+    box = np.stack([points.min(0), points.max(0)])
+    right, left = MESH_EYES
+    return upright(box, points[right], points[left])
+
+
+def _thumbnail(codes: UInt8[ndarray, "h w 3"]) -> Float[ndarray, "a b"]:
+    """Small and grey, of mean 0 and variance 1: the mean product of two is their correlation."""
+    small = cv2.resize(codes, _THUMBNAIL, interpolation=cv2.INTER_AREA)
+    grey = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.float64)
+    return (grey - grey.mean()) / max(float(grey.std()), 1.0)

@@ -1,0 +1,203 @@
+"""The files of a film's light: probes, numbers, and a figure over time."""
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skylight._figures import (
+    ACCENT,
+    MUTED,
+    STYLE,
+    angles_deg,
+    named_angles,
+    save,
+    show,
+    show_probe,
+    white_of,
+)
+from skylight.estimate._report import write_mesh
+from skylight.estimate._summary import (
+    describe_posterior,
+    draw_region,
+    posterior_map,
+    probe_title,
+    where,
+)
+from skylight.estimate.film._files import FOLLOWING, FilmEstimate, FilmSettings, estimate_film
+from skylight.estimate.film._light import FrameLight
+from skylight.imaging._photo import read_photo
+from skylight.io._bounded import write_json
+from skylight.io._files import write_environment_map, write_probe
+from skylight.work._progress import StageProgress
+from skylight.work._resumable import SETTINGS, claimed, results_folder, settle
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+FILM_FILES = re.compile(r"probe_[0-9]{3}\.exr")  # the files of :func:`probe_name`
+ABREAST = 6
+
+
+def film_into(
+    source: Path, out: Path, settings: FilmSettings, progress: StageProgress | None = None
+) -> FilmEstimate:
+    """:func:`estimate_film`, its files in ``out``, one run at a time.
+
+    Raises
+    ------
+    InputError
+        As there, or ``out`` was made of another film or with other settings.
+    """
+    facts = settings.facts(source)
+    with claimed(out, out / FOLLOWING):
+        settle(out / SETTINGS, facts)
+        result = estimate_film(source, out, settings, progress)
+        with results_folder(out, FILM_FILES) as folder:
+            write_film_results(folder, result, source=str(source))
+    return result
+
+
+def probe_name(number: int) -> str:
+    """Of keyframe ``number``, counted from 0."""
+    return f"probe_{number:03d}.exr"
+
+
+def write_film_results(folder: Path, result: FilmEstimate, *, source: str) -> None:
+    """probe.exr, probe.hdr, posterior.exr, probe_000.exr ..., mesh.obj, film.json, report.png.
+
+    ``probe`` is the film's, the others each keyframe's; all are in the world's frame, which is the
+    camera's at the first frame.
+    """
+    light = result.light
+    write_probe(folder, light.mean.environment)
+    write_environment_map(folder / "posterior.exr", posterior_map(light.start.posterior))
+    for number, frame in enumerate(light.frames):
+        write_environment_map(folder / probe_name(number), frame.environment)
+    write_mesh(folder / "mesh.obj", result.fits[0])
+    write_json(folder / "film.json", describe_film(result, source=source))
+    write_film_report(folder / "report.png", result, title=Path(source).name)
+
+
+def describe_film(result: FilmEstimate, *, source: str) -> dict[str, object]:
+    """What film.json holds."""
+    light, shot = result.light, result.followed.shot
+    return {
+        "source": source,
+        "light": light.start.light,
+        "frame": "the world's: the first frame's camera, taken to be level, looks along -Z, the "
+        "centre of the maps; +X is the picture's right, +Y up; azimuth from -Z towards +X, zenith "
+        "from +Y; linear Rec.709",
+        "sun": named_angles(light.mean.sun_direction),
+        "posterior": describe_posterior(light.start.posterior),
+        "params": light.mean.params.tolist(),
+        "ground_albedo": light.ground_albedo.tolist(),
+        "albedo": light.albedo.tolist(),
+        "gloss": light.gloss,
+        "drift_per_s": light.drift_per_s,
+        "noise": light.noise,
+        "focal_length_px": result.fits[0].camera.focal_px,
+        "size": list(result.followed.size),
+        "frames_followed": result.followed.frames,
+        "seconds": [shot.begin_s, shot.end_s],
+        "gaps": [list(gap) for gap in shot.gaps],
+        "advice": list(result.advice),
+        "keyframes": [
+            {
+                "time_s": frame.time_s,
+                "frame": keyframe.number,
+                "probe": probe_name(number),
+                "sun": named_angles(frame.sun_direction),
+                "azimuth_spread_deg": _degrees(frame.azimuth_spread_rad),
+                "exposure": frame.exposure,
+                "white_balance": frame.white_balance.tolist(),
+                "residual": frame.residual,
+                "params": frame.params.tolist(),
+                "world_from_camera": turn.tolist(),
+                "facing_angle_deg": float(np.degrees(fit.facing_angle_rad)),
+                "landmark_error": fit.landmark_error,
+            }
+            for number, (frame, keyframe, fit, turn) in enumerate(
+                zip(
+                    light.frames,
+                    result.keyframes,
+                    result.fits,
+                    result.world_from_camera,
+                    strict=True,
+                )
+            )
+        ],
+    }
+
+
+def film_summary(result: FilmEstimate) -> str:
+    """A few lines for the terminal."""
+    light, followed = result.light, result.followed
+    azimuth, zenith = angles_deg(light.mean.sun_direction)
+    apart = _apart_deg(light.frames)
+    return "\n".join(
+        [
+            f"film        {followed.frames} frames followed, {len(light.frames)} keyframes from "
+            f"{light.frames[0].time_s:.1f} to {light.frames[-1].time_s:.1f} s",
+            f"brightest   azimuth {azimuth:+.0f}°, zenith {zenith:.0f}° ({where(azimuth, zenith)})",
+            f"steadiness  within {apart:.1f}° of its mean over the film",
+            f"verdict     {light.start.posterior.verdict}",
+        ]
+    )
+
+
+def write_film_report(path: Path, result: FilmEstimate, *, title: str) -> None:
+    """A PNG: some keyframes, the film's probe, and the sun and the camera over time."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    light = result.light
+    notes = [f"Take care: {line}" for line in result.advice]
+    with rc_context(STYLE):
+        figure = Figure(figsize=(16.0, 9.0), dpi=120, facecolor="white")
+        figure.text(0.02, 0.955, f"Light of {title}", fontsize=17, fontweight="bold")
+        for number, note in enumerate(notes[:4]):
+            figure.text(0.02, 0.93 - 0.022 * number, note, color=ACCENT, fontsize=9.5)
+        grid = figure.add_gridspec(
+            3, ABREAST, top=0.83, bottom=0.08, left=0.06, right=0.98, hspace=0.4, wspace=0.35
+        )
+        chosen = np.unique(np.linspace(0, len(light.frames) - 1, ABREAST).round().astype(int))
+        for column, k in enumerate(chosen):
+            axes = figure.add_subplot(grid[0, column])
+            picture = result.keyframes[k].picture
+            assert isinstance(picture, Path)
+            show(axes, read_photo(picture).encoded, f"{light.frames[k].time_s:.1f} s")
+        axes = figure.add_subplot(grid[1:, :3])
+        environment, posterior = light.mean.environment, light.start.posterior
+        show_probe(axes, environment, probe_title(posterior), white=white_of(environment.flat))
+        draw_region(axes, posterior, environment.layout[0])
+        _over_time(figure.add_subplot(grid[1:, 3:]), result)
+        save(figure, path)
+
+
+def _over_time(axes: "Axes", result: FilmEstimate) -> None:
+    frames = result.light.frames
+    times = [frame.time_s for frame in frames]
+    angles = np.array([angles_deg(frame.sun_direction) for frame in frames])
+    azimuth = np.degrees(np.unwrap(np.radians(angles[:, 0])))
+    spread = np.degrees([frame.azimuth_spread_rad or 0.0 for frame in frames])
+    pans = [np.degrees(np.arctan2(-turn[0, 2], turn[2, 2])) for turn in result.world_from_camera]
+    axes.fill_between(times, azimuth - spread, azimuth + spread, color=ACCENT, alpha=0.2, lw=0)
+    axes.plot(times, azimuth, color=ACCENT, marker="o", ms=3, label="sun's azimuth, in the world")
+    axes.plot(times, angles[:, 1], color="black", marker="o", ms=3, label="sun's zenith angle")
+    axes.plot(times, pans, color=MUTED, ls="--", label="where the camera looks")
+    axes.set_xlabel("time in the film, s")
+    axes.set_ylabel("degrees")
+    axes.legend(frameon=False)
+
+
+def _apart_deg(frames: tuple[FrameLight, ...]) -> float:
+    """Median angle of the keyframes' suns to their mean direction."""
+    suns = np.array([frame.sun_direction.numpy() for frame in frames])
+    mean = suns.mean(0) / np.linalg.norm(suns.mean(0))
+    return float(np.degrees(np.median(np.arccos(np.clip(suns @ mean, -1, 1)))))
+
+
+def _degrees(angle_rad: float | None) -> float | None:
+    return None if angle_rad is None else float(np.degrees(angle_rad))

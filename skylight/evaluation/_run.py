@@ -1,0 +1,251 @@
+"""Items of an evaluation measured in parallel, with a cache of those done.
+
+Light probes, meshes and lists of photographs in the data folder of an evaluation.
+
+Trained models that evaluations use, each read once a process.
+"""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import skylight
+from skylight.errors import InputError, SkylightError
+from skylight.io._atomic import atomic_path
+from skylight.io._bounded import json_content
+from skylight.io._files import INDEX_NAME, visible_files
+from skylight.models._bundle import LightBundle, load_bundle
+from skylight.models.autoencoder import AutoencoderLight
+from skylight.transport._mesh import MESH_SUFFIXES
+from skylight.work._progress import CountProgress
+from skylight.work._resumable import Workers, claimed, share_work
+
+Metrics = dict[str, dict[str, float]]  # method -> metric -> value
+CACHE = "items.jsonl"
+# What no number depends on.
+_UNMEASURED = ("app", "cli", "studio", "relight", "training", "work", "fabrication")
+_WORDS = (
+    "evaluation/main.py",
+    "evaluation/harness/tables.py",
+    "evaluation/harness/thesis_figures.py",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """A measured number and the goal it was set; an evaluation reports both and goes on."""
+
+    value: float
+    goal: str
+    ok: bool
+
+    @staticmethod
+    def at_most(value: float, limit: float) -> "Check":
+        return Check(value=value, goal=f"<= {limit:g}", ok=value <= limit)
+
+    @staticmethod
+    def at_least(value: float, limit: float) -> "Check":
+        return Check(value=value, goal=f">= {limit:g}", ok=value >= limit)
+
+    @staticmethod
+    def within(value: float, low: float, high: float) -> "Check":
+        return Check(value=value, goal=f"{low:g} to {high:g}", ok=low <= value <= high)
+
+    @staticmethod
+    def below(value: float, limit: float, whose: str) -> "Check":
+        return Check(value=value, goal=f"< {limit:.4g} ({whose})", ok=value < limit)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Item:
+    """What one face, sky or photograph gave. ``facts`` is anything else worth keeping.
+
+    ``problem`` says why methods are missing from ``metrics``; empty where none is.
+    """
+
+    name: str
+    metrics: Metrics
+    facts: dict[str, object] = field(default_factory=dict)
+    problem: str = ""
+
+
+@runtime_checkable
+class Evaluation(Protocol):
+    """A frozen dataclass of settings. ``config`` names all that an item's result depends on."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def seed(self) -> int: ...
+
+    def config(self) -> dict[str, object]: ...
+
+    def items(self) -> list[str]: ...
+
+    def measure(self, item: str, picture: Path) -> Item:
+        """One item; may write ``picture``, a PNG strip for the contact sheet."""
+        ...
+
+    def checks(
+        self, rows: dict[str, dict[str, dict[str, float]]], items: list[Item]
+    ) -> dict[str, Check]: ...
+
+
+@runtime_checkable
+class Illustrated(Protocol):
+    """An evaluation with figures of its own."""
+
+    def illustrate(
+        self, out: Path, rows: dict[str, dict[str, dict[str, float]]], items: list[Item]
+    ) -> None:
+        """Writes them into ``out``, from results and the items' pictures."""
+        ...
+
+
+def measure_all(
+    evaluation: Evaluation,
+    out: Path,
+    *,
+    workers: Workers,
+    progress: CountProgress | None = None,
+) -> list[Item]:
+    """All items in order, those measured before with the same settings and code from the cache.
+
+    Each is appended to ``out/items.jsonl`` as soon as it is there, so that a killed run goes on
+    where it was. Processes use one thread each; ``workers=1`` stays in this process.
+    """
+    names = evaluation.items()
+    tell = progress or (lambda count, total: None)
+    pictures = out / "pictures"
+    with claimed(out, pictures):
+        pictures.mkdir(exist_ok=True)
+        config = {"name": evaluation.name, "code": code_hash(), **evaluation.config()}
+        done = _read_cache(out / CACHE, config)
+        missing = [name for name in names if name not in done]
+        tell(len(names) - len(missing), len(names))
+        with (out / CACHE).open("a") as stream:
+            work = [(evaluation, name, picture_of(out, name)) for name in missing]
+            for item in share_work(_measure, work, workers=workers):
+                done[item.name] = item
+                stream.write(json.dumps(asdict(item)) + "\n")
+                stream.flush()
+                missing.remove(item.name)
+                tell(len(names) - len(missing), len(names))
+    return [done[name] for name in names]
+
+
+def picture_of(out: Path, item: str) -> Path:
+    """Where an item's picture lies; one of a file in a folder has the folder in its name."""
+    return out / "pictures" / f"{item.replace('/', '_')}.png"
+
+
+def _measure(evaluation: Evaluation, name: str, picture: Path) -> Item:
+    try:
+        return evaluation.measure(name, picture)
+    except SkylightError as error:
+        return Item(name=name, metrics={}, problem=str(error))
+
+
+def _read_cache(path: Path, config: dict[str, object]) -> dict[str, Item]:
+    """Items of an earlier run with exactly this configuration; otherwise a fresh cache."""
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    items: dict[str, Item] = {}
+    kept = [json.dumps(config, sort_keys=True)]
+    if lines[:1] == kept:
+        for line in lines[1:]:
+            try:
+                item = Item(**json.loads(line))
+            except ValueError:  # cut off by a kill
+                continue
+            items[item.name] = item
+            kept.append(line)
+    with atomic_path(path) as temporary:
+        temporary.write_text("\n".join(kept) + "\n", encoding="utf-8")
+    return items
+
+
+@cache
+def code_hash() -> str:
+    """SHA-256 over the sources and model files that make the numbers: others' are stale."""
+    root = Path(str(skylight.__path__[0]))
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*")):
+        name = path.relative_to(root).as_posix()
+        if name in _WORDS or name.split("/")[0] in _UNMEASURED or not path.is_file():
+            continue
+        if path.suffix == ".py" or "data" in name.split("/"):
+            digest.update(name.encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def probes_folder(data: Path) -> Path:
+    """``data/hdr`` where it has an index of maps, else ``data`` itself.
+
+    Raises
+    ------
+    InputError
+        Neither has one.
+    """
+    for folder in (data / "hdr", data):
+        if (folder / INDEX_NAME).is_file():
+            return folder
+    raise InputError(
+        f"{data}: no {INDEX_NAME} in it or in its folder hdr; it lists light probes (.exr, .hdr) "
+        "in the columns file and category"
+    )
+
+
+def mesh_files(data: Path, usual: Sequence[str]) -> list[Path]:
+    """As many meshes as are ``usual``, at least one: those where they are, others in their place.
+
+    They are in ``data/meshes``, or in ``meshes`` beside ``data``.
+
+    Raises
+    ------
+    InputError
+        There is no mesh.
+    """
+    data = data.resolve()
+    for folder in (data / "meshes", data.parent / "meshes"):
+        found = visible_files(folder, MESH_SUFFIXES) if folder.is_dir() else []
+        if found:
+            here = {path.name: path for path in found}
+            others = [path for path in found if path.name not in usual]
+            return [*(here[name] for name in usual if name in here), *others][: len(usual)]
+    raise InputError(
+        f"{data}: no mesh in its folder meshes; put one or more there ({', '.join(MESH_SUFFIXES)})"
+    )
+
+
+def read_index(path: Path) -> Any:
+    """What a JSON file about a folder's photographs holds.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or is not JSON.
+    """
+    try:
+        return json_content(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    except ValueError as error:
+        raise InputError(f"{path}: not JSON ({error})") from error
+
+
+@cache
+def trained_model(folder: Path | None) -> LightBundle:
+    """The model of that folder; None for the one that comes with skylight."""
+    return load_bundle(folder)
+
+
+@cache
+def trained_light(folder: Path | None) -> AutoencoderLight:
+    """Its light model, shared: do not modify it."""
+    return trained_model(folder).light()

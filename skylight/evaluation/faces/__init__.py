@@ -1,1 +1,0 @@
-"""Evaluations of light estimated from faces."""

@@ -1,1 +1,0 @@
-"""Evaluations of portraits in another light."""

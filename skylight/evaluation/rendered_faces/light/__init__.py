@@ -1,1 +1,0 @@
-"""The illumination of rendered faces: skies with a sun of its true size, or given maps."""

@@ -1,1 +1,0 @@
-"""Scores of estimated against known illumination."""

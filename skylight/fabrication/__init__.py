@@ -1,1 +1,0 @@
-"""Parts for 3D printers: files, layout, mounts and checks."""

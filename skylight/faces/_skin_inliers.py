@@ -1,0 +1,184 @@
+"""Which pixels of a face are skin, by whether light on one skin explains them.
+
+Beards, glasses, hands and strands of hair are told from shadows by a fit: with visibility in the
+transport, some non-negative light explains every shade of one skin, attached and cast shadows
+included, but not what has another albedo or is not where the head's surface is. The residuals are
+a mixture (Jepson & Black 1993), narrow for skin and broad for all else, whose labels agree with
+their neighbours' (a Potts model, solved by mean field).
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+from torch.nn.functional import adaptive_avg_pool2d
+
+from skylight.sphere._envmap import luminance
+from skylight.transport._matrix import TransportMatrix
+from skylight.transport._observation import Observation
+
+# Radiance is constant in cells of 11 degrees.
+LIGHT_ROWS = 16
+# Added to values before logarithms, as part of the face's bright skin: noise, interreflection.
+FLOOR_SHARE = 0.03
+# Skin's residuals: (luminance, red : green, blue : green) in logarithms. The least are those of
+# blotches and of normals that are a few degrees off, the most keep a beard from being a spread.
+LEAST_SPREAD, MOST_SPREAD = (0.1, 0.05, 0.07), (0.2, 0.09, 0.13)
+# All else may be anywhere in ranges of this width.
+OUTLIER_RANGE = (4.0, 1.5, 2.0)
+FEWEST_OUTLIERS, MOST_OUTLIERS = 0.02, 0.5
+NEIGHBOURS = 0.3  # nats by which each of eight neighbours of the same label makes it likelier
+ROUNDS, STEPS, SMOOTHINGS = 6, 40, 10
+# Gloss against shading, 1 / albedo where skin shines as modelled: of light and of dark, oily skin.
+LEAST_GLOSS, MOST_GLOSS = 1.5, 15.0
+# By how much the ln of a ratio of channels may change: as shading grows by a factor of e (a low
+# sun ten times as bright as blue sky is 2.5 times as red), between matt skin and a highlight, and
+# over a face that turns by a radian.
+MOST_TINT = (0.4, 1.0, 0.5, 0.5, 0.5)
+RIDGE = 1e-3
+
+
+def inlier_probability(seen: Observation) -> Float[Tensor, " m"]:
+    """The probability that each pixel of an observation is skin.
+
+    Alternates between the light and the gloss g of ::
+
+        argmin sum_i w_i (y_i - (D l + g G l)_i)^2 / (D l + g G l)_i^2,  l >= 0,
+
+    luminances y, transport D and that of gloss G; the colours that skin has in that light; and the
+    posterior w of the mixture. Over-exposed pixels have no residual: their neighbours decide.
+    """
+    diffuse = _coarse(seen.transport.matrix)
+    glossy = torch.zeros_like(diffuse) if seen.gloss is None else _coarse(seen.gloss.matrix)
+    exact = torch.ones(len(diffuse), dtype=torch.bool) if seen.clipped is None else ~seen.clipped
+    pixels = seen.pixels.double()
+    brightness = luminance(pixels)
+    floor = FLOOR_SHARE * float(brightness[exact].quantile(0.9))
+    bright, logs = (brightness + floor).log(), (pixels + floor).log()
+    ratios = logs[:, [0, 2]] - logs[:, 1:2]
+    towards = _seen_from(seen.transport)
+    neighbours = _Neighbours.of(seen.places)
+    skin = seen.weights.double() * exact
+    light = torch.ones(diffuse.shape[1], dtype=torch.float64)
+    light *= brightness[exact].mean() / (diffuse @ light)[exact].mean()
+    inlier, share, gloss = exact.double(), 0.2, 2 * LEAST_GLOSS
+    for _ in range(ROUNDS):
+        weights = inlier * skin
+        light, gloss = _light(diffuse, glossy, brightness, weights, (light, gloss), floor)
+        matt, shine = diffuse @ light, gloss * (glossy @ light)
+        shading = (matt + shine + floor).log()
+        causes = torch.stack([shading, shine / (matt + shine + floor), *towards.unbind(1)], 1)
+        tint = _tint(ratios, causes, weights)
+        residual = torch.cat([(bright - shading)[:, None], ratios - tint], 1)
+        evidence, share = _evidence(residual, inlier * exact, exact, share)
+        inlier = neighbours.agree(evidence)
+    return inlier.to(seen.weights)
+
+
+def _coarse(matrix: Float[Tensor, "m n"]) -> Float[Tensor, "m k"]:
+    """The transport of light that is constant in coarse cells, but for a factor for each."""
+    rows = math.isqrt(matrix.shape[1] // 2)  # lat-long maps are twice as wide as high
+    if rows > LIGHT_ROWS:
+        maps = matrix.reshape(len(matrix), 1, rows, 2 * rows)
+        matrix = adaptive_avg_pool2d(maps, (LIGHT_ROWS, 2 * LIGHT_ROWS)).flatten(1)
+    return matrix.double()
+
+
+def _light(
+    diffuse: Float[Tensor, "m k"],
+    glossy: Float[Tensor, "m k"],
+    brightness: Float[Tensor, " m"],
+    weights: Float[Tensor, " m"],
+    start: tuple[Float[Tensor, " k"], float],
+    floor: float,
+) -> tuple[Float[Tensor, " k"], float]:
+    """(non-negative light, strength of the gloss) of least squared relative errors.
+
+    By multiplicative updates (Lee & Seung 2001), the two by turns; those of the light, in
+    single precision: nothing is subtracted in them.
+    """
+    light, gloss = start
+    basis = diffuse + gloss * glossy
+    relative = weights / (basis @ light + floor) ** 2
+    aim = basis.T @ (relative * brightness)
+    single, factor, aim, found = (x.float() for x in (basis, relative, aim, light))
+    for _ in range(STEPS):
+        found = found * aim / (single.T @ (factor * (single @ found))).clamp(min=1e-30)
+    light = found.double()
+    shine = relative * (glossy @ light)
+    grown = float(shine @ brightness / (shine @ (basis @ light)).clamp(min=1e-30))
+    return light, min(max(gloss * grown**2, LEAST_GLOSS), MOST_GLOSS)
+
+
+def _seen_from(transport: TransportMatrix) -> Float[Tensor, "m 3"]:
+    """Where each pixel's light can come from, in the mean: its normal if nothing is in the way."""
+    moment = transport.matrix.double() @ transport.grid.directions.double()
+    # 2/3: the mean of a hemisphere, weighted by the cosine
+    return 1.5 * moment / transport.matrix.double().sum(1, keepdim=True).clamp(min=1e-6)
+
+
+def _tint(
+    ratios: Float[Tensor, "m 2"], causes: Float[Tensor, "m c"], weights: Float[Tensor, " m"]
+) -> Float[Tensor, "m 2"]:
+    """ln of red and of blue over green, linear in what changes them, by least squares in bounds.
+
+    Sun, sky and walls have different colours, so that ratios change with the shading and with where
+    skin faces; gloss has the light's own.
+    """
+    total = weights.sum().clamp(min=1e-12)
+    mean, middle = weights @ ratios / total, weights @ causes / total
+    apart = causes - middle
+    moment = apart.T @ (weights[:, None] * apart) / total
+    moment = moment + RIDGE * torch.eye(len(moment)).to(moment)
+    slope = torch.linalg.solve(moment, apart.T @ (weights[:, None] * (ratios - mean)) / total)
+    most = slope.new_tensor(MOST_TINT)[:, None]
+    return mean + apart @ slope.clamp(-most, most)
+
+
+def _evidence(
+    residual: Float[Tensor, "m 3"],
+    inlier: Float[Tensor, " m"],
+    exact: Bool[Tensor, " m"],
+    share: float,
+) -> tuple[Float[Tensor, " m"], float]:
+    """(ln p(residual, skin) - ln p(residual, else), the share of all else)."""
+    least, most = residual.new_tensor(LEAST_SPREAD), residual.new_tensor(MOST_SPREAD)
+    typical = residual[inlier > 0.5] if bool((inlier > 0.5).any()) else residual[exact]
+    spread = (1.4826 * typical.abs().median(0).values).clamp(least, most)
+    distance = (residual / spread).square().sum(1)
+    skin = -0.5 * distance - (spread * math.sqrt(2 * math.pi)).log().sum()
+    other = -residual.new_tensor(OUTLIER_RANGE).log().sum()
+    prior = math.log((1 - share) / share)
+    evidence = torch.where(exact, skin - other + prior, prior)
+    found = 1 - float(torch.sigmoid(evidence)[exact].mean())
+    return evidence, min(max(found, FEWEST_OUTLIERS), MOST_OUTLIERS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Neighbours:
+    """Places (m,2) on a picture's grid: ``grid`` holds each pixel's number, m where none is."""
+
+    places: Int[Tensor, "m 2"]
+    grid: Int[Tensor, "h w"]
+
+    @staticmethod
+    def of(places: Int[Tensor, "m 2"]) -> "_Neighbours":
+        """Of pixels at rows and columns."""
+        places = places - places.min(0).values + 1
+        height, width = (places.max(0).values + 2).tolist()
+        grid = torch.full((height, width), len(places))
+        grid[places[:, 0], places[:, 1]] = torch.arange(len(places))
+        return _Neighbours(places=places, grid=grid)
+
+    def agree(self, evidence: Float[Tensor, " m"]) -> Float[Tensor, " m"]:
+        """Probabilities of a Potts model with this evidence, by mean field."""
+        row, column = self.places.unbind(1)
+        around = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
+        beside = torch.stack([self.grid[row + i, column + j] for i, j in around])
+        inlier = torch.sigmoid(evidence)
+        for _ in range(SMOOTHINGS):
+            votes = torch.cat([2 * inlier - 1, inlier.new_zeros(1)])[beside].sum(0)
+            inlier = torch.sigmoid(evidence + NEIGHBOURS * votes)
+        return inlier

@@ -1,1 +1,0 @@
-"""Faces found in pictures, and the points of each."""

@@ -1,1 +1,0 @@
-"""Faces in films: one person followed, one head for all frames."""

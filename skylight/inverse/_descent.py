@@ -1,0 +1,343 @@
+"""Rounds of descent from many starts, of several problems as one batch.
+
+Where to start: lights towards the sun's candidates, with exposures and albedos that fit.
+
+Deviations of faces and how they change with each free parameter, for Gauss-Newton steps.
+
+Light acts through matrices: only the derivatives of what it radiates are transported, all of a
+start's as one product; what albedo, gloss, exposure and turns do is for each pixel by itself.
+
+Derivatives of the radiance are forward differences, (f(x + h e) - f(x)) / h with h the square
+root of the floating-point precision; those of what is reflected, which is cheap, are central ones
+with h its cube root. Forward differences are off by h / 2 of the second derivative (0.5 % for the
+azimuth of a sun 1.4 degrees wide, the sharpest light), and in single precision by rounding: 1 % of
+a column in the median, 7 % of those of the latents that matter least, 0.1 % of the largest column.
+Steps need no more. Automatic differentiation in forward mode takes longer, and its first use
+imports torch's compiler, 2 s.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from skylight.inverse._faces import FaceTerm, Level, Transported, of_problem
+from skylight.inverse._gauss_newton import minimise_robust
+from skylight.inverse._lbfgs import minimise
+from skylight.inverse._objective import TURN_STEP, LightObjective
+
+_MOST_CHANGES = 512  # of the light at a time: a decoder has 1 MB of activations for each
+
+
+def deviations(
+    objective: LightObjective, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None
+) -> Float[Tensor, "b m"]:
+    """Of all pixels and channels of all faces of each point's problem, as the objective's are."""
+    shadings = objective.shading(objective.unpack(free), problem)
+    every = zip(objective.faces, shadings, strict=True)
+    return torch.cat([face.deviation(shading, problem).flatten(1) for face, shading in every], 1)
+
+
+@torch.no_grad()
+def jacobian(
+    objective: LightObjective, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None
+) -> Float[Tensor, "b m q"]:
+    """Derivatives of the :func:`deviations`."""
+    count, size = free.shape
+    precision = torch.finfo(free.dtype).eps
+    step, axes = precision ** (1 / 3), torch.eye(size).to(free)
+    light, _, skin, ground = torch.arange(size).split(objective.sizes)
+    lit = torch.cat([light, ground])
+    skin = skin.unflatten(0, (len(objective.faces), -1))
+
+    def radiance(x: Tensor) -> tuple[Tensor, Tensor]:
+        return objective.radiance(objective.unpack(x))
+
+    source = radiance(free)
+    most = max(1, _MOST_CHANGES // count)
+    parts_of_axes = (precision**0.5 * axes[lit]).split(most)
+    changes = [_differences(radiance, source, free, some) for some in parts_of_axes]
+    scale = step / precision**0.5
+    skies, grounds = (scale * torch.cat(part, 1) for part in zip(*changes, strict=True))
+    parts = objective.unpack(free)
+    blocks = []
+    for k, face in enumerate(objective.faces):
+        turns = objective.turns(parts, k)
+        here = vars(face.transported(*source, turns, problem))
+        here = {name: field for name, field in here.items() if field is not None}
+        along = {
+            name: field.new_zeros(count, size, *field.shape[1:]) for name, field in here.items()
+        }
+        for name, change in _transported(face, skies, grounds, turns, problem).items():
+            along[name][:, lit] = change
+        if face.normals is not None and turns is not None:
+            vector = face.normals.light_vector(*source, problem)
+            modes = of_problem(face.normals.modes, problem).expand(count, -1, -1, -1)
+            per_mode = torch.einsum("bmdk,bmdc->bkmc", modes, vector)
+            turn = step * TURN_STEP * objective.weights.normal_spread
+            along["turned"][:, skin[k, 4 : 4 + per_mode.shape[1]]] = turn * per_mode
+        each = None if problem is None else problem.repeat_interleave(size)
+
+        def deviation(x: Tensor, light: dict[str, Tensor], k: int = k, each=each) -> Tensor:
+            shading = objective.reflected(objective.unpack(x), k, Transported(**light), each)
+            return objective.faces[k].deviation(shading, each).flatten(1)
+
+        ahead, behind = (
+            deviation(
+                _moved(free, sign * step * axes),
+                {name: (here[name][:, None] + sign * along[name]).flatten(0, 1) for name in here},
+            )
+            for sign in (1, -1)
+        )
+        blocks.append(((ahead - behind) / (2 * step)).unflatten(0, (count, size)).transpose(1, 2))
+    return torch.cat(blocks, 1)
+
+
+def _moved(free: Float[Tensor, "b q"], axes: Float[Tensor, "s q"]) -> Float[Tensor, "bs q"]:
+    """Each point moved along each axis."""
+    return (free[:, None] + axes).flatten(0, 1)
+
+
+def _differences(
+    radiance: Callable[[Tensor], tuple[Tensor, ...]],
+    here: tuple[Tensor, ...],
+    free: Float[Tensor, "b q"],
+    axes: Float[Tensor, "s q"],
+) -> tuple[Tensor, ...]:
+    """By what the radiance ``here`` changes along each axis, (b, s, ...)."""
+    shape = len(free), len(axes)
+    there = radiance(_moved(free, axes))
+    return tuple(a.unflatten(0, shape) - b[:, None] for a, b in zip(there, here, strict=True))
+
+
+def _transported(
+    face: FaceTerm,
+    skies: Float[Tensor, "b s n 3"],
+    grounds: Float[Tensor, "b s 3"],
+    turns: Float[Tensor, "b k"] | None,
+    problem: Int[Tensor, " b"] | None,
+) -> dict[str, Float[Tensor, "b s m 3"]]:
+    """What s changes of each of b lights do to a face, whose normals are turned by so much."""
+    shape = skies.shape[:2]
+    each = None if problem is None else problem.repeat_interleave(shape[1])
+    flat = skies.flatten(0, 1), grounds.flatten(0, 1), each
+    fields = {"diffuse": face.transport.white(*flat).unflatten(0, shape)}
+    if face.gloss is not None:
+        fields["glossy"] = face.gloss.white(*flat).unflatten(0, shape)
+    if face.normals is not None and turns is not None:
+        fields["turned"] = face.normals.turned(skies, grounds, turns, problem)
+    return fields
+
+
+@dataclass(frozen=True, kw_only=True)
+class Round:
+    """So many of the best ``starts``, minimised on a ``level`` of the pyramid.
+
+    With ``even_skin`` each face has one albedo, whatever the weights say. ``steps`` of Gauss and
+    Newton take as many derivatives of the light as that has parameters, those with Broyden's
+    updates about as many in all, which serves near a minimum; those of L-BFGS cost little, for
+    many starts.
+    """
+
+    level: Level
+    starts: int
+    iterations: int
+    even_skin: bool = False
+    steps: Literal["l-bfgs", "gauss-newton", "broyden"] = "l-bfgs"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Points:
+    """Points of one problem, where rounds start and end, and what led there."""
+
+    free: Float[Tensor, "s q"]
+    scores: Float[Tensor, " s"]
+    converged: Bool[Tensor, " s"]
+    evaluations: int = 0
+    nonfinite: int = 0
+
+    @staticmethod
+    def starting(free: Float[Tensor, "s q"], scores: Float[Tensor, " s"]) -> "Points":
+        """Where nothing has been minimised yet."""
+        return Points(free=free, scores=scores, converged=torch.zeros_like(scores) > 0)
+
+
+def descend(
+    objective: LightObjective, points: Sequence[Points], effort: Round, tolerance: float
+) -> list[Points]:
+    """The best of each problem's points, minimised as one batch."""
+    best = [one.free[one.scores.argsort()[: effort.starts]] for one in points]
+    starts = [objective.uneven(free) for free in best]
+    sizes = [len(start) for start in starts]
+    problem = torch.cat([torch.full((n,), p) for p, n in enumerate(sizes)]).to(starts[0].device)
+    if effort.steps != "l-bfgs":
+        result = minimise_robust(
+            lambda x, rows: deviations(objective, x, problem[rows]),
+            lambda x, rows: jacobian(objective, x, problem[rows]),
+            objective.deviation_weights(problem),
+            lambda x, rows: objective.prior(x, problem[rows]),
+            torch.cat(starts),
+            iterations=effort.iterations,
+            tolerance=tolerance,
+            broyden=effort.steps == "broyden",
+        )
+    else:
+        result = minimise(
+            lambda x, rows: objective(x, problem[rows]),
+            torch.cat(starts),
+            iterations=effort.iterations,
+            tolerance=tolerance,
+        )
+    # in the tone to answer with, so that hue and light settle to it
+    free = objective.at_bayes_scale(result.x)
+    with torch.no_grad():
+        scores = objective(free, problem)
+    ends = zip(
+        points,
+        free.split(sizes),
+        scores.split(sizes),
+        result.converged.split(sizes),
+        result.evaluations.split(sizes),
+        result.nonfinite.split(sizes),
+        strict=True,
+    )
+    return [
+        Points(
+            free=free,
+            scores=scores,
+            converged=converged,
+            evaluations=before.evaluations + int(evaluations.sum()),
+            nonfinite=before.nonfinite + int(nonfinite.sum()),
+        )
+        for before, free, scores, converged, evaluations, nonfinite in ends
+    ]
+
+
+START_GROUND = 0.2  # thesis, B.1
+
+
+@torch.no_grad()
+def choose_starts(
+    objective: LightObjective,
+    towards: Float[Tensor, "d c p"],
+    albedo_modes: Float[Tensor, "k 3"],
+    *,
+    centroids: bool = True,
+) -> tuple[Float[Tensor, "s q"], Float[Tensor, " s"]]:
+    """Packed starts and their scores, each with its best exposures and albedo modes.
+
+    The best of the c candidates for each of d directions (what the model has ``starts_towards``
+    those of a scan), and with ``centroids`` the model's own starts, turned to the first.
+    The score is data and the priors of albedo and the sun's place alone: how likely a sky is counts
+    from the first step on.
+    """
+    model = objective.model
+    count, towards = len(towards), towards.flatten(0, 1).to(albedo_modes)
+    light = towards
+    if centroids:
+        others = model.starts().to(albedo_modes).clone()
+        if model.azimuth_index is not None:
+            others[:, model.azimuth_index] = towards[0, model.azimuth_index]
+        light = torch.cat([towards, others])
+    sky = model(light)
+    ground_albedo = light.new_full((len(light), 0 if model.grid.is_sphere else 3), START_GROUND)
+    if objective.known_ground is not None and not model.grid.is_sphere:
+        ground_albedo[:] = light.new_tensor(objective.known_ground.albedo)
+    ground = objective.ground_radiance(sky, ground_albedo)
+    ones = light.new_ones(len(light), 3)
+    losses = objective.sun_nll(light)
+    if losses is None:
+        losses = light.new_zeros(len(light))
+    exposures = light.new_ones(len(light), objective.photo_count)
+    albedos = light.new_ones(len(light), len(objective.faces), 3)
+    for photo in range(objective.photo_count):
+        mine = objective.faces_of(photo)
+        shaded: list[_Shaded] = []
+        for k in mine:
+            face = objective.faces[k]
+            diffuse = face.transport(sky, ground, ones)
+            glossy = torch.zeros_like(diffuse)
+            if face.gloss is not None:
+                glossy = face.gloss(sky, ground, ones)
+            shaded.append(_Shaded(face=face, diffuse=diffuse, glossy=glossy))
+        start = _photo_start(objective, shaded, albedo_modes)
+        exposures[:, photo], albedos[:, mine] = start.exposure, start.albedo
+        losses = losses + start.loss
+    gloss = light.new_ones(len(light), len(objective.faces))
+    packed = objective.pack(light, exposures, gloss, albedos, ground_albedo)
+    # one sky for each direction: many starts are to look in many directions
+    each = losses[: len(towards)].unflatten(0, (count, -1)).min(1)
+    every = torch.arange(len(light), device=light.device)
+    first = every[:count] * (len(towards) // count)
+    kept = torch.cat([first + each.indices, every[len(towards) :]])
+    return packed[kept], losses[kept]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Shaded:
+    """A face in the lights of all starts, apart: what its albedo scales and what its gloss."""
+
+    face: FaceTerm
+    diffuse: Float[Tensor, "s m 3"]
+    glossy: Float[Tensor, "s m 3"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _PhotoStart:
+    loss: Float[Tensor, " s"]
+    exposure: Float[Tensor, " s"]
+    albedo: Float[Tensor, "s f 3"]
+
+
+def _photo_start(
+    objective: LightObjective, shaded: list[_Shaded], albedo_modes: Float[Tensor, "k 3"]
+) -> _PhotoStart:
+    """The best exposure and modes: any mode for the first face, which sets the exposure.
+
+    In that exposure every other face has a best mode of its own.
+    """
+    w = objective.weights
+    nll = -w.albedo_prior * objective.albedo_prior.log_prob(albedo_modes.log())
+    first, *others = shaded
+    count = len(first.diffuse)
+    best = _PhotoStart(
+        loss=first.diffuse.new_full((count,), torch.inf),
+        exposure=first.diffuse.new_ones(count),
+        albedo=first.diffuse.new_ones(count, len(shaded), 3),
+    )
+    for number, mode in enumerate(albedo_modes):
+        # the sky need not be rendered again: shading is linear in exposure and albedo
+        shading = first.diffuse * mode + first.glossy
+        exposure = best_exposure(
+            first.face.seen(shading), first.face.target, first.face.exact_share
+        )
+        scale = exposure[:, None, None]
+        loss = first.face.data_term(shading * scale, w) + nll[number]
+        albedo = [mode.expand(count, 3)]
+        for one in others:
+            fits = [
+                one.face.data_term((one.diffuse * m + one.glossy) * scale, w) for m in albedo_modes
+            ]
+            least = (torch.stack(fits) + nll[:, None]).min(0)
+            loss = loss + least.values
+            albedo.append(albedo_modes[least.indices])
+        better = loss < best.loss
+        best = _PhotoStart(
+            loss=torch.where(better, loss, best.loss),
+            exposure=torch.where(better, exposure, best.exposure),
+            albedo=torch.where(better[:, None, None], torch.stack(albedo, 1), best.albedo),
+        )
+    return best
+
+
+def best_exposure(
+    shading: Float[Tensor, "b m 3"], target: Float[Tensor, "1 m 3"], share: Float[Tensor, "1 m 1"]
+) -> Float[Tensor, " b"]:
+    """The exposure that makes the weighted mean of the shading that of the picture."""
+    return ((target * share).sum() / (shading * share).sum((1, 2)).clamp(min=1e-12)).clamp(
+        min=math.exp(-19), max=math.exp(19)
+    )

@@ -1,0 +1,274 @@
+"""The one entry of inverse lighting: observations under one light -> that light."""
+
+import copy
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol, TypeVar, runtime_checkable
+
+from skylight.errors import InputError
+from skylight.faces._skin import SkinPrior
+from skylight.inverse._auto import AutoProblem, choose_each
+from skylight.inverse._harmonic import HarmonicProblem
+from skylight.inverse._lamps import LampsOptions, LampsProblem
+from skylight.inverse._result import Estimate
+from skylight.inverse._sky import SkyProblem, SolverOptions, solve_together
+from skylight.inverse._sun_prior import SunPrior
+from skylight.models._bundle import LightBundle, load_bundle
+from skylight.models._harmonic import HarmonicLight
+from skylight.models._names import (
+    DEFAULT_LIGHT,
+    SKY_LIGHTS,
+    LightName,
+    check_is_trained,
+    check_light_name,
+)
+from skylight.models._prior import GaussianMixture
+from skylight.models.autoencoder import AutoencoderLight
+from skylight.models.sunsky import SunSky
+from skylight.transport._observation import Observation
+from skylight.work._device import choose_device
+from skylight.work._progress import Progress
+
+SUN_SPREAD_RAD = math.radians(1.4)  # half a pixel of the sky
+Model = str | Path | LightBundle
+Result_co = TypeVar("Result_co", covariant=True)
+
+
+@runtime_checkable
+class LightProblem(Protocol[Result_co]):
+    """Find the light of some observations: give it each of them, then solve.
+
+    ``grid_height`` rows of lat-long directions are what their transport must have at least, and
+    ``uses_gloss`` tells whether it is of use for surfaces that reflect.
+    """
+
+    @property
+    def grid_height(self) -> int: ...
+
+    @property
+    def uses_gloss(self) -> bool: ...
+
+    def add(self, observation: Observation, photo: int = 0) -> None:
+        """One more observation, of photograph number ``photo``; photographs come in order."""
+        ...
+
+    def solve(self, progress: Progress | None = None) -> Result_co:
+        """The light under which the observations are likeliest.
+
+        Raises
+        ------
+        InputError
+            Nothing was added.
+        """
+        ...
+
+
+def estimate_light(
+    observations: Observation | Sequence[Observation],
+    light: LightName = DEFAULT_LIGHT,
+    *,
+    model: Model | None = None,
+    photos: Sequence[int] | None = None,
+    options: SolverOptions | None = None,
+    sun_prior: SunPrior | None = None,
+    exposure: float | None = None,
+    device: str = "auto",
+    progress: Progress | None = None,
+) -> Estimate:
+    """The light of one observed face, or the one light of several: thesis, Eq. 5.8.
+
+    Parameters
+    ----------
+    observations
+        Pixels, weights and transport of each face; :func:`skylight.faces._observe.observe_face`
+        makes them.
+    light
+        "auto" (the likelier of "autoencoder" and "lamps"), "autoencoder" (learnt skies), "sunsky"
+        (Preetham's sky and a sun), "lamps" (up to three in ambient light, on the whole sphere),
+        "sh9" or "sh25" (spherical harmonics up to degree 2 or 4).
+    model
+        A trained model of your own, or its folder, in place of the one that comes with skylight:
+        the network of "autoencoder", or the prior of "sunsky".
+    photos
+        The photograph of each observation, counted from 0; by default all are of one. Faces of
+        one photograph share its exposure.
+    options
+        Effort of the optimisation of skies, and weights of the objective; lamps have efforts of
+        their own, harmonics none.
+    sun_prior
+        What time, place and heading tell of the sun, by
+        :func:`skylight.inverse._sun_prior.sun_prior`.
+    exposure
+        The exposure value at ISO 100, which tells "auto" of rooms and daylight
+        (:func:`~skylight.imaging._exif.exposure_value`); others do not use it.
+    device
+        "cpu", "cuda", or "auto" for CUDA where it is. Transport is moved there once. The estimate
+        is on the CPU.
+
+    Raises
+    ------
+    InputError
+        No observation, or one without a usable pixel; ``photos`` that do not count them; an
+        unknown light model; lamps with a sun prior; no such device.
+    """
+    if isinstance(observations, Observation):
+        observations = (observations,)
+    photos = photos or [0] * len(observations)
+    if len(photos) != len(observations) or {*photos} != {*range(len({*photos}))}:
+        raise InputError(
+            "photos has the number of each observation's photograph, counted from 0 without gaps; "
+            f"for {len(observations)} observations got {list(photos)}"
+        )
+    problem = light_problem(
+        light,
+        model=model,
+        options=options,
+        sun_prior=sun_prior,
+        exposure=exposure,
+        device=device,
+    )
+    for observation, photo in zip(observations, photos, strict=True):
+        problem.add(observation, photo)
+    return problem.solve(progress)
+
+
+def estimate_each(
+    observations: Sequence[Observation],
+    light: LightName = DEFAULT_LIGHT,
+    *,
+    model: Model | None = None,
+    options: SolverOptions | None = None,
+    device: str = "auto",
+    progress: Progress | None = None,
+) -> list[Estimate]:
+    """The light of each observation, each face in a light of its own.
+
+    As :func:`estimate_light` of each, but for rounding, without priors and exposures. On a GPU
+    skies (of "auto", "autoencoder" and "sunsky") are solved as one batch, which keeps it busy: give
+    it as many as its memory holds (:func:`~skylight.inverse._sky.solve_together`). A CPU is
+    busy with one, and takes an eighth longer for a batch: there, and for lamps and harmonics, they
+    are solved in turn.
+
+    Raises
+    ------
+    InputError
+        As :func:`estimate_light`, for all where it is wrong with one.
+    """
+    if choose_device(device).type != "cpu" and light in SKY_LIGHTS:
+        many = light_problems(len(observations), light, model=model, options=options, device=device)
+        for problem, observation in zip(many, observations, strict=True):
+            problem.add(observation)
+        return solve_each(many, progress)
+    found: list[Estimate] = []
+    for observation in observations:
+        (problem,) = light_problems(1, light, model=model, options=options, device=device)
+        problem.add(observation)
+        found.append(problem.solve())
+        if progress is not None:
+            progress(len(found) / len(observations))
+    return found
+
+
+def solve_each(
+    problems: Sequence[LightProblem[Estimate]], progress: Progress | None = None
+) -> list[Estimate]:
+    """The light of each of :func:`light_problems` of "auto", "autoencoder" or "sunsky".
+
+    Skies as one batch, by :func:`~skylight.inverse._sky.solve_together`.
+
+    Raises
+    ------
+    InputError
+        Nothing was added to one of them.
+    """
+    autos = [one for one in problems if isinstance(one, AutoProblem)]
+    if autos:
+        return choose_each(autos, progress)
+    return solve_together([one for one in problems if isinstance(one, SkyProblem)], progress)
+
+
+def light_problem(
+    light: LightName,
+    *,
+    model: Model | None = None,
+    options: SolverOptions | None = None,
+    sun_prior: SunPrior | None = None,
+    exposure: float | None = None,
+    device: str = "auto",
+) -> LightProblem[Estimate]:
+    """The problem that :func:`estimate_light` solves, to be given one observation at a time.
+
+    An observation can be let go once it is added: of several faces, only one at a time need be
+    held with its full transport.
+    """
+    (problem,) = light_problems(
+        1,
+        light,
+        model=model,
+        options=options,
+        sun_priors=[sun_prior],
+        exposures=[exposure],
+        device=device,
+    )
+    return problem
+
+
+def light_problems(
+    count: int,
+    light: LightName,
+    *,
+    model: Model | None = None,
+    options: SolverOptions | None = None,
+    sun_priors: Sequence[SunPrior | None] | None = None,
+    exposures: Sequence[float | None] | None = None,
+    device: str = "auto",
+) -> Sequence[LightProblem[Estimate]]:
+    """So many of :func:`light_problem`, each with a light and, where given, a prior and an exposure
+    of its own."""
+    sun_priors = sun_priors or [None] * count
+    exposures = exposures or [None] * count
+    check_light_name(light)
+    if model is not None:
+        check_is_trained(light)
+    where = choose_device(device)
+    modes, prior = SkinPrior.load().means.float().to(where), albedo_prior().to(where)
+    if light == "sh9" or light == "sh25":
+        harmonics = HarmonicLight(2 if light == "sh9" else 4).to(where)
+        return [HarmonicProblem(harmonics, prior, modes, one) for one in sun_priors]
+    options = options or SolverOptions()
+    lamps = LampsOptions(weights=options.weights)
+    if light == "lamps":
+        if any(one is not None for one in sun_priors):
+            raise InputError("lamps are not the sun: leave sun_prior out, or choose another light")
+        return [LampsProblem(prior, modes, lamps) for _ in sun_priors]
+    bundle = (
+        model
+        if isinstance(model, LightBundle)
+        else load_bundle(None if model is None else Path(model))
+    )
+    if light != "sunsky":
+        sky, over = smooth_autoencoder(bundle), bundle.prior()
+    else:
+        sky, over = SunSky(), copy.deepcopy(bundle.sunsky_prior)
+    if light == "auto":
+        options = replace(options, evidence=True)
+    first = SkyProblem(sky.to(where), over.to(where), prior, modes, options)
+    skies = [first.another(one) for one in sun_priors]
+    if light == "auto":
+        return [
+            AutoProblem(sky, LampsProblem(prior, modes, lamps), exposure)
+            for sky, exposure in zip(skies, exposures, strict=True)
+        ]
+    return skies
+
+
+def smooth_autoencoder(bundle: LightBundle) -> AutoencoderLight:
+    """A trained sky with its sun as wide as faces are fitted with, so that it turns smoothly."""
+    return bundle.light(sun_spread_rad=SUN_SPREAD_RAD)
+
+
+def albedo_prior() -> GaussianMixture:
+    """The mixture over log albedo of skin, in single precision."""
+    return copy.deepcopy(SkinPrior.load().log_albedo).float()

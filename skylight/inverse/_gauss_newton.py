@@ -1,0 +1,162 @@
+"""Robust least squares with a prior: Gauss-Newton steps, damped by Levenberg and Marquardt.
+
+Minimises, for several starts at once, ::
+
+    f(x) = sum_i w_i rho(r_i(x)) + q(x),    rho(r) = sqrt(r^2 + 1e-6).
+
+rho is replaced by the quadratic of the same value and slope that lies above it (half quadratic:
+Geman & Reynolds 1992), of curvature 1 / rho(r), so a step has the Hessian ::
+
+    J^T diag(w / rho(r)) J + Q,
+
+with Q that of q, its negative eigenvalues cut off, plus lambda times its own diagonal (Marquardt
+1963). Descents along gradients alone take hundreds of steps where a residual is nearly linear and
+its unknowns stand for one another, as ambient light and wide lamps do.
+
+With ``broyden``, J is that of the start; each accepted step dx, of change dr, corrects it by the
+least that explains the step (Broyden 1965), ::
+
+    J <- J + (dr - J dx) dx^T / |dx|^2,
+
+and J is computed anew once a step with a corrected one is rejected: derivatives of a decoder take
+several times as long as the rest of a step. Small steps then end the descent, though the slope of
+a corrected J is not exact. Else J is computed after every accepted step.
+
+The robust loss of inverse lighting.
+"""
+
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from skylight.inverse._lbfgs import Minimum
+
+CHARBONNIER_EPSILON = 1e-6
+
+
+def charbonnier(x: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
+    """``sqrt(x^2 + 1e-6)``: smooth, convex, close to ``|x|``."""
+    return torch.sqrt(x * x + CHARBONNIER_EPSILON)
+
+
+# Of points (b,p), and of which starts they are (b,)
+Residuals = Callable[[Tensor, Tensor], Tensor]  # (b,m)
+Jacobian = Callable[[Tensor, Tensor], Tensor]  # (b,m,p)
+Prior = Callable[[Tensor, Tensor], Tensor]  # (b,)
+FIRST_DAMPING, LESS, MORE = 1e-2, 0.3, 5.0
+_STEP = 1e-3  # of differences of q's slope
+
+
+@torch.no_grad()
+def minimise_robust(
+    residuals: Residuals,
+    jacobian: Jacobian,
+    weights: Float[Tensor, "#b m"],
+    prior: Prior,
+    x0: Float[Tensor, "b p"],
+    *,
+    iterations: int,
+    tolerance: float = 1e-5,
+    broyden: bool = False,
+) -> Minimum:
+    """The best point from each start; never worse than the start.
+
+    ``tolerance`` is relative to the loss: a start is finished once an accepted step lowers it by
+    less. Steps to where the loss is not finite are rejected; a start where it is not has an
+    infinite loss. The Jacobian of every start is held.
+    """
+    x = x0.clone()
+    count = len(x)
+    every = torch.arange(count, device=x.device)
+    weights = weights.expand(count, -1)
+
+    def loss_of(points: Tensor, rows: Tensor, r: Tensor) -> Tensor:
+        return (charbonnier(r) * weights[rows]).sum(1) + prior(points, rows)
+
+    r = residuals(x, every)
+    loss = loss_of(x, every, r)
+    loss = torch.where(loss.isfinite(), loss, torch.inf)
+    change = x.new_zeros(count, r.shape[1], x.shape[1])
+    slopes = x.new_zeros(x.shape, dtype=torch.float64)
+    hessians = x.new_zeros((*x.shape, x.shape[1]), dtype=torch.float64)
+    stale = torch.ones(count, dtype=torch.bool, device=x.device)  # change is of no use
+    moved = stale.clone()  # since slope and Hessian were computed
+    corrected = ~stale  # change is not the Jacobian itself
+    moving = stale.clone()
+    damping = x.new_full((count,), FIRST_DAMPING)
+    used, rejected = torch.zeros(count, dtype=torch.long), torch.zeros(count, dtype=torch.long)
+    for _ in range(iterations):
+        which = moving.nonzero()[:, 0]
+        new = which[stale[which]]
+        if len(new):
+            change[new] = jacobian(x[new], new)
+            stale[new] = corrected[new] = False
+        new = which[moved[which]]
+        if len(new):
+            slope, hessian = prior_shape(prior, x[new], new)
+            curved = change[new] * (weights[new] / charbonnier(r[new]))[:, :, None]
+            slopes[new] = slope.double() + torch.einsum("bmp,bm->bp", curved, r[new]).double()
+            data = torch.einsum("bmp,bmq->bpq", change[new], curved).double()
+            hessians[new] = hessian.double() + data
+            # a start where nothing is finite stays where it is
+            usable = slopes[new].isfinite().all(1) & hessians[new].isfinite().all(2).all(1)
+            moved[new], moving[new] = False, usable
+            which = which[moving[which]]
+        if len(which) == 0:
+            break
+        at, slope, hessian = x[which], slopes[which], hessians[which]
+        diagonal = hessian.diagonal(dim1=1, dim2=2).clamp(min=1e-6)
+        damped = hessian + torch.diag_embed(damping[which, None].double() * diagonal)
+        step = -torch.linalg.solve(damped, slope[..., None])[..., 0].to(x)
+        trial = at + step
+        tried = residuals(trial, which)
+        value = loss_of(trial, which, tried)
+        better = value < loss[which]
+        used[which.cpu()] += 1
+        rejected[which.cpu()] += (~value.isfinite()).long().cpu()
+        settled = better & (loss[which] - value <= tolerance * loss[which].abs())
+        damping[which] *= torch.where(better, LESS, MORE)
+        good, bad = which[better], which[~better]
+        if broyden:
+            dx, dr = step[better], tried[better] - r[good]
+            missed = dr - (change[good] @ dx[:, :, None])[:, :, 0]
+            along = dx / dx.square().sum(1, keepdim=True).clamp(min=1e-30)
+            change[good] += missed[:, :, None] * along[:, None]
+            corrected[good] = True
+            stale[bad] = moved[bad] = corrected[bad]
+        else:
+            stale[good] = True
+        x[good], r[good], loss[good] = trial[better], tried[better], value[better]
+        moved[good] = True
+        moving[which] = ~(settled | (damping[which] > 1e8))
+    return Minimum(
+        x=x,
+        loss=loss,
+        converged=~moving,
+        iterations=used.to(x.device),
+        evaluations=used.to(x.device),
+        nonfinite=rejected.to(x.device),
+    )
+
+
+def prior_shape(
+    prior: Prior, x: Float[Tensor, "b p"], rows: Int[Tensor, " b"]
+) -> tuple[Float[Tensor, "b p"], Float[Tensor, "b p p"]]:
+    """Slope of q, and its Hessian without its negative eigenvalues."""
+    count, size = x.shape
+
+    def slope_of(points: Tensor, rows: Tensor) -> Tensor:
+        with torch.enable_grad():
+            leaf = points.detach().requires_grad_(True)
+            (slope,) = torch.autograd.grad(prior(leaf, rows).sum(), leaf)
+        return slope
+
+    steps = _STEP * torch.eye(size).to(x)
+    around = torch.cat([x[:, None] + steps, x[:, None] - steps], 1).flatten(0, 1)
+    rows_around = rows.repeat_interleave(2 * size)
+    ahead, behind = slope_of(around, rows_around).unflatten(0, (count, 2 * size)).chunk(2, 1)
+    hessian = ((ahead - behind) / (2 * _STEP)).nan_to_num(posinf=0.0, neginf=0.0)
+    values, vectors = torch.linalg.eigh(0.5 * (hessian + hessian.mT))
+    return slope_of(x, rows), vectors @ (values.clamp(min=0)[..., None] * vectors.mT)

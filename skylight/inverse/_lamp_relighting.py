@@ -1,0 +1,131 @@
+"""Faces and map of an estimate under its lamps, when these are moved and switched.
+
+The light in the map's units is ::
+
+    l(w) = e A(w) + sum_k E_k / f(s_k) g(w; d_k, s_k),
+
+with A the ambient light of :mod:`skylight.models._lamps`, e its level, and E_k the irradiance of a
+surface that faces lamp k; g and f are ``lobes`` and ``facing`` of
+:class:`~skylight.models._lamps.LampsLight`. A face's transport is kept, so its picture under
+another light is a matrix product.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skylight.inverse._result import Estimate, FaceLight, Lamp
+from skylight.inverse._scan import SCAN_HEIGHT
+from skylight.models._lamps import AMBIENT_PARAMETERS, Lamps, LampsLight
+from skylight.sphere._envmap import EnvironmentMap, luminance
+from skylight.transport._observation import Observation
+
+
+def lamps_radiance(lamps: Sequence[Lamp], rows: int) -> Float[Tensor, "n 3"]:
+    """``sum_k E_k / f(s_k) g(w; d_k, s_k)`` on ``rows`` of the sphere, in float64."""
+    model = LampsLight(len(lamps), rows)
+    if not lamps:
+        return torch.zeros(len(model.grid), 3, dtype=torch.float64)
+    widths = torch.tensor([lamp.spread_rad for lamp in lamps], dtype=torch.float64)
+    received = torch.stack([lamp.irradiance.double() for lamp in lamps])
+    lobes = model.lobes(
+        Lamps(
+            directions=torch.stack([lamp.direction.double() for lamp in lamps]),
+            energies=torch.ones_like(widths),
+            widths_rad=widths,
+            colours=torch.ones_like(received),
+        )
+    )
+    return torch.einsum("kn,kc->nc", lobes, received / LampsLight.facing(widths)[:, None])
+
+
+@dataclass(frozen=True, kw_only=True)
+class LampLight:
+    """Ambient light by its parameters and ``level``, its mean luminance, with some ``lamps``.
+
+    A level of 0 switches the ambient light off; a lamp that is left out is off.
+    """
+
+    ambient: Float[Tensor, "16"]
+    level: float
+    lamps: tuple[Lamp, ...]
+
+    @staticmethod
+    def of(estimate: Estimate) -> "LampLight":
+        """That of an estimate whose light model is "lamps"."""
+        return LampLight(
+            ambient=estimate.params[:AMBIENT_PARAMETERS],
+            level=estimate.exposure,
+            lamps=estimate.lamps,
+        )
+
+    def radiance(self, rows: int) -> Float[Tensor, "n 3"]:
+        """l of the module's text on ``rows`` of the sphere."""
+        ambient = LampsLight(0, rows).ambient(self.ambient.double())
+        return (self.level * ambient + lamps_radiance(self.lamps, rows)).float()
+
+    def environment(self, rows: int) -> EnvironmentMap:
+        """The same as a map."""
+        return EnvironmentMap(radiance=self.radiance(rows).reshape(rows, 2 * rows, 3))
+
+    def ambient_irradiance(self) -> Float[Tensor, "3"]:
+        """pi times the ambient light's mean radiance: what surfaces receive on average.
+
+        Its luminance is ``pi * level``.
+        """
+        model = LampsLight(0)
+        ambient = model.ambient(self.ambient.double())
+        mean = model.grid.solid_angles @ ambient / (4 * math.pi)
+        return (math.pi * self.level * mean).float()
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceTransport:
+    """What a face shows of any light l on ``SCAN_HEIGHT`` rows of the sphere, in the map's units::
+
+        gains * (pixel_albedo * max(matt l, 0) + glossy l)
+
+    ``matt`` is T with the face's normals as they were estimated, ``glossy`` G times the face's
+    gloss (None where it is matt). Of a ``grey`` picture it shows luminance.
+    """
+
+    matt: Float[Tensor, "m n"]
+    glossy: Float[Tensor, "m n"] | None
+    pixel_albedo: Float[Tensor, "m 3"]
+    gains: Float[Tensor, "3"]
+    grey: bool
+
+    @staticmethod
+    def of(observation: Observation, light: FaceLight, exposure: float) -> "FaceTransport":
+        """Of a face as its light explains it; ``exposure`` is the estimate's, in the map.
+
+        Raises
+        ------
+        ValueError
+            The observation has fewer rows of directions than the solver had.
+        """
+        observed = observation.on_rows(SCAN_HEIGHT)
+        matt, modes = observed.transport.matrix, observed.normal_modes
+        if light.turns is not None and modes is not None:
+            turned = modes.modes @ light.turns.to(modes.modes)
+            matt = matt + modes.visible * (turned @ modes.grid.directions.to(matt).T)
+        return FaceTransport(
+            matt=matt,
+            glossy=None if observed.gloss is None else light.gloss * observed.gloss.matrix,
+            pixel_albedo=light.pixel_albedo,
+            gains=light.white_balance * (light.exposure / exposure),
+            grey=observed.grey,
+        )
+
+    def rendered(self, light: LampLight) -> Float[Tensor, "m 3"]:
+        """The face's pixels under that light, in its photograph's radiance units."""
+        radiance = light.radiance(SCAN_HEIGHT)
+        shading = self.pixel_albedo * (self.matt @ radiance).clamp(min=0)
+        if self.glossy is not None:
+            shading = shading + self.glossy @ radiance
+        shading = self.gains * shading
+        return luminance(shading)[:, None].expand(-1, 3) if self.grey else shading

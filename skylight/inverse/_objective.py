@@ -1,0 +1,359 @@
+"""The objective of inverse lighting (thesis, Eq. 5.8) as a function of free parameters.
+
+One light, seen on one face or more: every face adds its own data term and priors. Problems of one
+shape (as many faces in the same photographs, all with gloss or none) share one objective, so that
+points of all of them are evaluated as one batch.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+from torch.nn.functional import pad
+
+from skylight.faces._skin import PIGMENT_COLOURS, PIGMENT_SPREADS
+from skylight.inverse._faces import FaceTerm, ObjectiveWeights, Transported, of_problem
+from skylight.inverse._scale import GLOSS_SPREAD, bayes_scale, gloss_nll, scale_nll, tone_prior
+from skylight.inverse._sun_prior import SunPrior
+from skylight.models._base import LightModel, Prior, without_azimuth
+from skylight.models._ground import KnownGround, LambertianGround, ground_prior
+from skylight.models._prior import GaussianMixture
+from skylight.transport._reflection import shade_scenes
+
+# A free parameter of 1 is so many standard deviations of a turn: without, a turn's slope is so much
+# less than those of light and exposure that quasi-Newton steps do not reach it.
+TURN_STEP = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unpacked:
+    """The physical meaning of a batch of free parameters: n photographs of f faces in all.
+
+    ``balance`` is the log of each photograph's red and blue gain against green, ``pigments`` what
+    each face has of either pigment along k modes, in log green; ``turns`` by how much each face's
+    normals are wrong along j modes, in their standard deviations.
+    """
+
+    light: Float[Tensor, "b p"]
+    exposure: Float[Tensor, "b n"]
+    balance: Float[Tensor, "b n 2"]
+    gloss: Float[Tensor, "b f"]
+    albedo: Float[Tensor, "b f 3"]
+    ground_albedo: Float[Tensor, "b g"]
+    pigments: Float[Tensor, "b f 2 k"]
+    turns: Float[Tensor, "b f j"]
+
+
+class LightObjective:
+    """Eq. 5.8 for a model of the sky over a Lambertian ground, summed over the faces it lights.
+
+    Beyond the thesis, a share of surface reflection: shading is rho T l + gloss G l, with one
+    unknown strength for each face (1 is what the index of refraction of skin says). On dark skin
+    highlights are as bright as the diffuse part, and taken for diffuse they pull the sun aside.
+
+    Beyond it too, every photograph has gains of its channels, diag(g) (rho T l + gloss G l) with
+    sum_c log g_c = 0, which are what its camera's white balance is wrong by. Cameras take away
+    part of what colours the light: without gains a low sun has to be warm, so skin turns blue.
+
+    And the albedo of a face varies with its melanin and blood, as smooth fields that
+    :mod:`skylight.faces._skin` has: rho of pixel p is a prod_i exp(-d_i sum_k Phi_pk u_ik), with
+    u_ik normal. Of one albedo, redder cheeks and a darker jaw would be shading.
+
+    And the head is not known: its normals may be turned along the modes that
+    :mod:`skylight.faces._normal_errors` has, by normal amounts. Trusted, flat cheeks of a fitted
+    head turn the sun, and more than one direction looks certain.
+
+    ``albedo_prior`` is a density over *log* albedo: over albedo itself it would be the same
+    distribution, but its maximum would lean towards dark skin.
+
+    Free parameters of one problem: those of the light model, for each photograph a log exposure
+    and its two log gains against green, for each face log gloss, the logits of skin albedo,
+    its turns and its pigments, then the logits of ground albedo, so that 0 < albedo < 1 always
+    holds. A model of the whole sphere has no ground. Targets are scaled beforehand to a mean
+    luminance of 1 in each photograph, which makes the loss's epsilon mean the same for every
+    picture.
+    """
+
+    def __init__(
+        self,
+        faces: Sequence[FaceTerm],
+        model: LightModel,
+        light_prior: Prior,
+        albedo_prior: GaussianMixture,
+        weights: ObjectiveWeights,
+        sun_priors: Sequence[SunPrior | None] = (),
+        known_ground: KnownGround | None = None,
+    ) -> None:
+        self.faces = tuple(faces)
+        self.sun_priors = tuple(sun_priors)
+        self.photo_count = 1 + max(face.photo for face in faces)
+        self.model = model
+        self.light_prior = light_prior
+        self.albedo_prior = albedo_prior
+        self.tone_prior = tone_prior(albedo_prior)
+        self.weights = weights
+        counts = {face.modes.shape[-1] for face in faces if face.modes is not None}
+        self.mode_count = max(counts, default=0) if weights.pigment_spread > 0 else 0
+        turned = {face.normals.modes.shape[-1] for face in faces if face.normals is not None}
+        self.turn_count = max(turned, default=0) if weights.normal_spread > 0 else 0
+        device = self.faces[0].target.device
+        self.ground: LambertianGround | None = None
+        if not model.grid.is_sphere:
+            self.ground = LambertianGround(model.grid.layout[0]).to(device)  # type: ignore[index]
+        self.known_ground = known_ground
+        self.ground_prior = ground_prior(known_ground).to(device)
+        self.pigment_colours = torch.tensor(PIGMENT_COLOURS).to(self.faces[0].target)
+        spreads = weights.pigment_spread * torch.tensor(PIGMENT_SPREADS)
+        self.pigment_spreads = spreads.to(self.faces[0].target)[:, None]
+
+    @property
+    def size(self) -> int:
+        return sum(self.sizes)
+
+    @property
+    def sizes(self) -> tuple[int, int, int, int]:
+        """Of the light, the photographs, the faces and the ground."""
+        per_face = 4 + self.turn_count + 2 * self.mode_count
+        faces, photos = per_face * len(self.faces), 3 * self.photo_count
+        return self.model.parameter_count, photos, faces, 0 if self.ground is None else 3
+
+    def faces_of(self, photo: int) -> list[int]:
+        """Which faces are of that photograph."""
+        return [k for k, face in enumerate(self.faces) if face.photo == photo]
+
+    def pack(
+        self,
+        light: Float[Tensor, "b p"],
+        exposure: Float[Tensor, "b n"],
+        gloss: Float[Tensor, "b f"],
+        albedo: Float[Tensor, "b f 3"],
+        ground_albedo: Float[Tensor, "b g"],
+        balance: Float[Tensor, "b n 2"] | None = None,
+        pigments: Float[Tensor, "b f 2 k"] | None = None,
+        turns: Float[Tensor, "b f j"] | None = None,
+    ) -> Float[Tensor, "b q"]:
+        """Free parameters of physical ones.
+
+        By default without a cast, of even skin, and of the normals that were fitted.
+        """
+        if balance is None:
+            balance = exposure.new_zeros(*exposure.shape, 2)
+        if pigments is None:
+            pigments = gloss.new_zeros(*gloss.shape, 2, self.mode_count)
+        if turns is None:
+            turns = gloss.new_zeros(*gloss.shape, self.turn_count)
+        camera = torch.cat([exposure.log()[..., None], balance], 2)
+        skin = torch.cat(
+            [
+                gloss.log()[..., None],
+                torch.logit(albedo, eps=1e-4),
+                turns / TURN_STEP,
+                pigments.flatten(2),
+            ],
+            2,
+        )
+        return torch.cat(
+            [
+                self.model.to_free(light),
+                camera.flatten(1),
+                skin.flatten(1),
+                torch.logit(ground_albedo, eps=1e-4),
+            ],
+            1,
+        )
+
+    def uneven(self, free: Float[Tensor, "b _"]) -> Float[Tensor, "b q"]:
+        """Free parameters as they are, or of the same objective with even skin: without pigments.
+
+        Both mean the same.
+        """
+        missing = (self.size - free.shape[1]) // len(self.faces)
+        light, photos, faces, ground = self.sizes
+        even = faces - missing * len(self.faces)
+        parts = free.split((light, photos, even, ground), 1)
+        skin = pad(parts[2].unflatten(1, (len(self.faces), -1)), (0, missing)).flatten(1)
+        return torch.cat([*parts[:2], skin, parts[3]], 1)
+
+    def unpack(self, free: Float[Tensor, "b q"]) -> Unpacked:
+        light, camera, skin, ground_albedo = free.split(self.sizes, 1)
+        camera = camera.unflatten(1, (-1, 3))
+        skin = skin.unflatten(1, (len(self.faces), -1))
+        return Unpacked(
+            light=self.model.from_free(light),
+            # beyond e^+-20 a line search has gone astray; exp must not overflow on its way back
+            exposure=camera[..., 0].clamp(-20, 20).exp(),
+            balance=camera[..., 1:],
+            gloss=skin[..., 0].clamp(-20, 5).exp(),
+            albedo=torch.sigmoid(skin[..., 1:4]),
+            ground_albedo=torch.sigmoid(ground_albedo),
+            turns=TURN_STEP * skin[..., 4 : 4 + self.turn_count],
+            pigments=skin[..., 4 + self.turn_count :].unflatten(2, (2, self.mode_count)),
+        )
+
+    def white_balance(self, parts: Unpacked) -> Float[Tensor, "b n 3"]:
+        """The gains of each photograph's channels; their product is 1."""
+        if self.weights.white_balance_spread == 0:
+            return torch.ones_like(parts.albedo[:, :1]).expand(-1, self.photo_count, -1)
+        log_gains = pad(parts.balance.clamp(-5, 5), (0, 1))[..., [0, 2, 1]]  # green in the middle
+        return (log_gains - log_gains.mean(2, keepdim=True)).exp()
+
+    def albedo(
+        self, parts: Unpacked, k: int, problem: Int[Tensor, " b"] | None = None
+    ) -> Float[Tensor, "b m 3"]:
+        """That of face ``k`` at each pixel."""
+        even, modes = parts.albedo[:, k, None], self.faces[k].modes
+        if modes is None or self.mode_count == 0:
+            return even.expand(-1, self.faces[k].target.shape[1], -1)
+        amounts = shade_scenes(modes, parts.pigments[:, k].transpose(1, 2), problem)
+        return even * torch.exp(-(amounts.clamp(-5, 5) @ self.pigment_colours))
+
+    def shading(
+        self, parts: Unpacked, problem: Int[Tensor, " b"] | None = None
+    ) -> list[Float[Tensor, "b _ 3"]]:
+        """Each face's rho T l + gloss G l times its photograph's exposure and gains.
+
+        Where its normals may be wrong, T l has what they add, and is 0 where that is less.
+        """
+        sky, ground = self.radiance(parts)
+        return [
+            self.reflected(
+                parts, k, face.transported(sky, ground, self.turns(parts, k), problem), problem
+            )
+            for k, face in enumerate(self.faces)
+        ]
+
+    def radiance(self, parts: Unpacked) -> tuple[Float[Tensor, "b n 3"], Float[Tensor, "b 3"]]:
+        """Of the sky, or of the whole sphere, and of the ground, for an exposure of 1."""
+        sky = self.model(parts.light)
+        return sky, self.ground_radiance(sky, parts.ground_albedo)
+
+    def turns(self, parts: Unpacked, k: int) -> Float[Tensor, "b j"] | None:
+        """What face ``k`` is turned by along its modes; None where normals are trusted."""
+        return self.weights.normal_spread * parts.turns[:, k] if self.turn_count else None
+
+    def reflected(
+        self,
+        parts: Unpacked,
+        k: int,
+        light: Transported,
+        problem: Int[Tensor, " b"] | None = None,
+    ) -> Float[Tensor, "b m 3"]:
+        """The shading of face ``k`` in that light."""
+        photo = self.faces[k].photo
+        shading = self.albedo(parts, k, problem) * light.matt
+        if light.glossy is not None:
+            shading = shading + parts.gloss[:, k, None, None] * light.glossy
+        gains = parts.exposure[:, photo, None] * self.white_balance(parts)[:, photo]
+        return gains[:, None] * shading
+
+    def ground_radiance(
+        self, sky: Float[Tensor, "b n 3"], albedo: Float[Tensor, "b g"]
+    ) -> Float[Tensor, "b 3"]:
+        """What the ground reflects of the sky; 0 where the model has all that is below."""
+        return sky.new_zeros(len(sky), 3) if self.ground is None else self.ground(sky, albedo)
+
+    def terms(
+        self, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None
+    ) -> dict[str, Float[Tensor, " b"]]:
+        """Each part of the objective, weighted and summed over faces; they add up to it."""
+        parts, w = self.unpack(free), self.weights
+        shadings = self.shading(parts, problem)
+        data = [f.data_term(s, w, problem) for f, s in zip(self.faces, shadings, strict=True)]
+        return {"data": torch.stack(data).sum(0), **self.priors(free, problem)}
+
+    def priors(
+        self, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None
+    ) -> dict[str, Float[Tensor, " b"]]:
+        """All parts but the data."""
+        parts, w = self.unpack(free), self.weights
+        light = without_azimuth(self.model, free[:, : self.model.parameter_count])
+        skin = self.albedo_prior.log_prob(parts.albedo.log().flatten(0, 1))
+        sun = self.sun_nll(parts.light, problem)
+        return {
+            "light_prior": -w.light_prior * self.light_prior.log_prob(light),
+            "albedo_prior": -w.albedo_prior * skin.unflatten(0, (-1, len(self.faces))).sum(1),
+            **self._ground_nll(parts),
+            "gloss_prior": (0.5 * (parts.gloss.log() / GLOSS_SPREAD) ** 2).sum(1),
+            "white_balance_prior": self._white_balance_nll(parts),
+            "pigment_prior": 0.5 * (parts.pigments / self.pigment_spreads).square().sum((1, 2, 3)),
+            "normal_prior": 0.5 * parts.turns.square().sum((1, 2)),
+            **({} if sun is None else {"sun_prior": sun}),
+        }
+
+    def prior(
+        self, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None
+    ) -> Float[Tensor, " b"]:
+        """The sum of :meth:`priors`."""
+        return torch.stack(list(self.priors(free, problem).values())).sum(0)
+
+    def deviation_weights(self, problem: Int[Tensor, " b"] | None = None) -> Float[Tensor, "#b m"]:
+        """What the Charbonnier of each pixel and channel of all faces counts, nats."""
+        shares = [of_problem(face.share, problem).expand(-1, -1, 3) for face in self.faces]
+        each = torch.cat([share.flatten(1) for share in shares], 1)
+        return self.weights.independent / self.weights.noise * each
+
+    def sun_nll(
+        self, light: Float[Tensor, "b p"], problem: Int[Tensor, " b"] | None = None
+    ) -> Float[Tensor, " b"] | None:
+        """How unlikely the sun's direction is by clock and place, in nats, weighted.
+
+        None where they tell no problem of it, or the model has no sun.
+        """
+        sun = self.model.sun_direction(light)
+        if sun is None or not any(self.sun_priors):
+            return None
+        nll = light.new_zeros(len(light))
+        for number, prior in enumerate(self.sun_priors):
+            if prior is not None:
+                own = -self.weights.sun_prior * prior.log_density(sun)
+                nll = own if problem is None else torch.where(problem == number, own, nll)
+        return nll
+
+    def _ground_nll(self, parts: Unpacked) -> dict[str, Float[Tensor, " b"]]:
+        if self.ground is None:
+            return {}
+        nll = -self.ground_prior.log_prob(parts.ground_albedo.log())
+        return {"ground_prior": self.weights.ground_prior * nll}
+
+    def _white_balance_nll(self, parts: Unpacked) -> Float[Tensor, " b"]:
+        spread = self.weights.white_balance_spread or 1.0  # of gains that do not count
+        return 0.5 * (parts.balance / spread).square().sum((1, 2))
+
+    @torch.no_grad()
+    def at_bayes_scale(self, free: Float[Tensor, "b q"]) -> Float[Tensor, "b q"]:
+        """The same appearance with albedo and exposure at the scale of least expected error.
+
+        Albedo and gloss times c under 1/c of a photograph's exposure look the same: only the
+        priors know c, and between skins of different tone they have valleys that a descent does
+        not cross. Every photograph's c is that of :func:`bayes_scale`.
+        """
+        parts = self.unpack(free)
+        exposure, gloss, albedo = parts.exposure.clone(), parts.gloss.clone(), parts.albedo.clone()
+        for photo in range(self.photo_count):
+            mine = self.faces_of(photo)
+            glossy = free.new_tensor([self.faces[k].gloss is not None for k in mine])
+            scale = bayes_scale(
+                scale_nll(albedo[:, mine], self.tone_prior, self.weights.albedo_prior)
+                + gloss_nll(gloss[:, mine], glossy)
+            )
+            exposure[:, photo] /= scale
+            gloss[:, mine] *= scale[:, None]
+            albedo[:, mine] *= scale[:, None, None]
+        return self.pack(
+            parts.light,
+            exposure,
+            gloss,
+            albedo,
+            parts.ground_albedo,
+            parts.balance,
+            parts.pigments,
+            parts.turns,
+        )
+
+    def __call__(
+        self, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None
+    ) -> Float[Tensor, " b"]:
+        """Of points in ascending order of their problems; None where there is but one."""
+        return torch.stack(list(self.terms(free, problem).values())).sum(0)

@@ -1,0 +1,398 @@
+"""Eq. 5.8 minimised from many starts, coarse to fine, for several skies as one batch.
+
+Observations under one sky -> that sky: Eq. 5.8, of one light or of several at once.
+
+Where light comes from in the mean: the optimal linear direction of a spherical-harmonic fit.
+"""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Literal, TypeVar
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from skylight.errors import InputError
+from skylight.inverse._descent import Points, Round, choose_starts, descend
+from skylight.inverse._faces import FaceTerm, Level, LitFaces, ObjectiveWeights, ScannedFace
+from skylight.inverse._objective import LightObjective
+from skylight.inverse._posterior import (
+    SunEvidence,
+    credible,
+    face_evidence,
+    sun_evidence,
+    sun_posterior,
+)
+from skylight.inverse._result import UNEXPLAINED, Estimate, advice
+from skylight.inverse._scan import SunScan, scan_faces
+from skylight.inverse._solution import Ends, face_lights
+from skylight.inverse._sun_prior import SunPrior
+from skylight.models._base import LightModel, Prior
+from skylight.models._ground import KnownGround, LambertianGround
+from skylight.models._harmonic import solve_linear
+from skylight.models._names import SolverName
+from skylight.models._prior import GaussianMixture
+from skylight.models.autoencoder import AutoencoderLight
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import angles_from_direction
+from skylight.transport._observation import Observation
+from skylight.work._progress import Progress
+
+# A face sees half of the directions, and a sun has more than nine harmonics: with less than this
+# the fit puts light behind the face that cancels what is left of the sun in front.
+_RIDGE = 1e-2
+
+
+def linear_direction(observations: Sequence[Observation]) -> Float[Tensor, "3"]:
+    """The direction of ``int L(w) w dw``, L the nine harmonics that explain faces best.
+
+    The light is fitted to the pixels, channels averaged, by weighted least squares
+    (:func:`solve_linear`); its moment is that of the three harmonics of degree 1 (Green 2003,
+    "Spherical harmonic lighting: the gritty details"). Of several faces the fits'
+    directions add up. Of a ball under a clear sky its azimuth is within 12 degrees of the sun's.
+    """
+    total = torch.zeros(3, dtype=torch.float64)
+    for seen in observations:
+        grid = seen.transport.grid
+        basis = harmonics.evaluate(grid.directions, 2).double()
+        weights = seen.weights.double()
+        if seen.clipped is not None:  # a linear fit has no use for bounds
+            weights = weights * ~seen.clipped
+        shading = seen.transport.matrix.double().cpu() @ basis
+        light = basis @ solve_linear(
+            shading, seen.pixels.double().cpu(), weights.cpu(), ridge=_RIDGE
+        ).mean(1)
+        total += normalize((light * grid.solid_angles) @ grid.directions, dim=0)
+    return normalize(total, dim=0)
+
+
+T = TypeVar("T")
+SKY_ROWS = 64  # of an estimate's sky; the objective works on those of the light model
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolverOptions:
+    """Effort of the optimisation: directions taken from the scan, then rounds, coarse to fine.
+
+    Many starts matter: from three, faces lit from behind ended in minima up to 50 nats above those
+    that ten find. The coarsest level, on which suns compete, has even skin: pigments that settle
+    beside a sun that is wrong excuse it. The last rounds take Gauss-Newton steps: twenty of L-BFGS
+    ended up to 100 nats above where these do, with suns that were not yet where the face has them.
+
+    With a ``start`` from the "mean" there is one: the mean of all latents, its azimuth that of
+    :func:`~skylight.inverse._sky.linear_direction`.
+
+    With ``evidence`` the estimate tells how likely the faces are under the model, which takes as
+    many derivatives of the sky as that has parameters.
+
+    ``ground`` is the ground's albedo where it is known, in place of what is usual.
+    """
+
+    start: Literal["scan", "mean"] = "scan"
+    scan_candidates: int = 10
+    rounds: tuple[Round, ...] = (
+        Round(level=Level(2, light=1), starts=10, iterations=6, even_skin=True),
+        Round(level=Level(2, light=1), starts=4, iterations=10, even_skin=True),
+        Round(level=Level(1, light=1), starts=2, iterations=12),
+        Round(level=Level(0), starts=1, iterations=8, steps="broyden"),
+        Round(level=Level(0), starts=1, iterations=4, steps="broyden"),
+    )
+    tolerance: float = 1e-4
+    weights: ObjectiveWeights = ObjectiveWeights()
+    evidence: bool = False
+    ground: KnownGround | None = None
+
+
+# Thesis, B.1: pyramids of four levels for face and light, on each L-BFGS until it converges (or
+# 100 steps), from the mean of the latents. What is minimised is as for a scan's starts, with gloss,
+# pigments, white balance and wrong normals, which B.1 has not.
+THESIS = SolverOptions(
+    start="mean",
+    rounds=tuple(Round(level=Level(k, light=k), starts=1, iterations=100) for k in (3, 2, 1, 0)),
+)
+SOLVERS: dict[SolverName, SolverOptions] = {"scan": SolverOptions(), "thesis": THESIS}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SkySolver:
+    """A light model, its prior, those of skin and ground, and the effort to spend.
+
+    Everything is computed on the device of ``albedo_modes``.
+    """
+
+    model: LightModel
+    light_prior: Prior
+    albedo_prior: GaussianMixture
+    albedo_modes: Float[Tensor, "k 3"]
+    options: SolverOptions
+
+    def solve(
+        self, problems: Sequence[LitFaces], progress: Progress | None = None
+    ) -> list[Estimate]:
+        """The sky of each problem; all have one :attr:`LitFaces.shape`.
+
+        Starts (of a scan): the directions of the linear scan, each with the model's candidates,
+        and the mixture's centroids turned to the best of them; each with the albedo modes that
+        explain the picture best. All are scored on the coarsest level, the best few optimised,
+        fewer on every finer level; the best end point wins. In each round the starts of all
+        problems are one batch, and a problem's end does not depend on the others but for
+        rounding.
+
+        What clock and place tell of the sun counts unless the faces contradict it
+        (:func:`~skylight.inverse._posterior.credible`): else a wrong clock would draw the sun.
+
+        Raises
+        ------
+        InputError
+            A problem without faces.
+        """
+        if not all(problems):
+            raise InputError("there is no observation to estimate light from; give at least one")
+        rounds, observed = self.options.rounds, [face.scanned for one in problems for face in one]
+        every = scan_faces(observed)
+        evidence = [
+            sun_evidence(each) for each in _per_problem(face_evidence(observed, every), problems)
+        ]
+        priors = [
+            credible(each, problem.sun_prior)
+            for each, problem in zip(evidence, problems, strict=True)
+        ]
+        scans = [
+            SunScan.of(faces, candidates=self.options.scan_candidates, sun_prior=prior)
+            for faces, prior in zip(_per_problem(every, problems), priors, strict=True)
+        ]
+        points = [
+            self.starts(faces, prior, scan.candidates)
+            for faces, prior, scan in zip(problems, priors, scans, strict=True)
+        ]
+        before, objective = None, None
+        for number, effort in enumerate(rounds, start=1):
+            stage = effort.level, effort.even_skin
+            if objective is None or stage != before:
+                objective = None  # of many faces, one level at a time is much memory
+                before, objective = stage, self.objective(problems, priors, effort)
+            points = descend(objective, points, effort, self.options.tolerance)
+            if progress is not None:
+                progress(number / len(rounds))
+        assert objective is not None
+        ends = Ends.of(objective, points, evidence=self.options.evidence)
+        return [
+            _estimate(ends, p, faces, rounds[-1].level, scan, each)
+            for p, (faces, scan, each) in enumerate(zip(problems, scans, evidence, strict=True))
+        ]
+
+    def objective(
+        self, problems: Sequence[LitFaces], priors: Sequence[SunPrior | None], effort: Round
+    ) -> LightObjective:
+        """Of all problems on a round's level; of one, without a copy of its transport."""
+        faces = zip(*(one.terms(effort.level) for one in problems), strict=True)
+        weights, model = self.options.weights, self.model
+        assert model.grid.layout is not None
+        return LightObjective(
+            [FaceTerm.together(terms) for terms in faces],
+            model.on_rows(model.grid.layout[0] >> effort.level.light),
+            self.light_prior,
+            self.albedo_prior,
+            replace(weights, pigment_spread=0.0) if effort.even_skin else weights,
+            priors,
+            self.options.ground,
+        )
+
+    def starts(
+        self, faces: LitFaces, prior: SunPrior | None, directions: Float[Tensor, "d 3"]
+    ) -> Points:
+        """Where descent begins towards each direction and from the mixture's centroids."""
+        objective = self.objective([faces], [prior], self.options.rounds[0])
+        if self.options.start == "mean":
+            towards = self._mean(linear_direction([face.scanned for face in faces]))
+        else:
+            towards = self.model.starts_towards(directions)
+        found = choose_starts(
+            objective, towards, self.albedo_modes, centroids=self.options.start != "mean"
+        )
+        return Points.starting(*found)
+
+    def _mean(self, direction: Float[Tensor, "3"]) -> Float[Tensor, "1 1 p"]:
+        """The mean of all latents, turned to a direction."""
+        if not isinstance(self.model, AutoencoderLight):
+            raise ValueError(f"{self.model.name} has no mean to start from: only latents have")
+        free = self.albedo_modes.new_zeros(1, 1, self.model.parameter_count)
+        free[..., self.model.azimuth_index] = float(angles_from_direction(direction)[0])
+        return self.model.from_free(free)
+
+
+@torch.no_grad()
+def environment_of(
+    model: LightModel,
+    params: Float[Tensor, " p"],
+    ground_albedo: Float[Tensor, "3"],
+    exposure: float,
+) -> EnvironmentMap:
+    """A sky above its ground, on :data:`SKY_ROWS` rows each, in a picture's units, on the CPU."""
+    sky = model.on_rows(SKY_ROWS)(params[None])[0] * exposure
+    full = LambertianGround(SKY_ROWS).append(sky.cpu(), ground_albedo.cpu())
+    return EnvironmentMap(radiance=full.reshape(2 * SKY_ROWS, 4 * SKY_ROWS, 3))
+
+
+def _estimate(
+    ends: Ends, p: int, faces: LitFaces, level: Level, scan: SunScan, evidence: SunEvidence
+) -> Estimate:
+    """The answer to problem ``p``, in its photographs' units and on the CPU."""
+    parts, model = ends.parts, ends.objective.model
+    lights = face_lights(ends, p, faces, level)
+    environment = environment_of(model, parts.light[p], parts.ground_albedo[p], lights[0].exposure)
+    sun = environment.brightest_direction()
+    posterior = sun_posterior(
+        evidence,
+        sun,
+        explained=all(light.residual <= UNEXPLAINED for light in lights),
+        exposure=lights[0].exposure,
+        albedo=lights[0].albedo,
+        gloss=None if faces[0].scanned.gloss is None else lights[0].gloss,
+        albedo_prior=ends.objective.tone_prior,
+        sun_prior=faces.sun_prior,
+    )
+    return Estimate(
+        light=model.name,
+        environment=environment,
+        params=parts.light[p].cpu(),
+        ground_albedo=parts.ground_albedo[p].cpu(),
+        sun_direction=sun,
+        posterior=posterior,
+        faces=lights,
+        terms={name: float(values[p]) for name, values in ends.terms.items()},
+        status=ends.status[p],
+        advice=advice(lights),
+        stats={
+            **ends.stats[p],
+            "scan_residual": float(scan.residuals.min()),
+            "sun_strength": float(scan.strengths[0]),
+        },
+        log_evidence=None if ends.log_evidence is None else float(ends.log_evidence[p]),
+    )
+
+
+def _per_problem(every: Sequence[T], problems: Sequence[LitFaces]) -> list[list[T]]:
+    """What there is for each face, by problem."""
+    rest = iter(every)
+    return [list(islice(rest, len(faces))) for faces in problems]
+
+
+class SkyProblem:
+    """Eq. 5.8 for all faces under one light: give it each face, then solve.
+
+    The faces of one photograph share its exposure. Of an observation's transport only the
+    sky's half is kept, folded with the ground: with the pyramid 0.7 times as much memory as
+    the observation's own, 35 MB for a face in 700 blocks of pixels seen on 64 rows with gloss. Let
+    go of each observation once it is added.
+
+    Everything is computed on the device of ``albedo_modes``, where ``model`` and the priors have
+    to be; observations are moved there when they are added. The estimate is on the CPU.
+    """
+
+    uses_gloss = True
+
+    def __init__(
+        self,
+        model: LightModel,
+        light_prior: Prior,
+        albedo_prior: GaussianMixture,
+        albedo_modes: Float[Tensor, "k 3"],
+        options: SolverOptions | None = None,
+        sun_prior: SunPrior | None = None,
+    ) -> None:
+        self.solver = SkySolver(
+            model=model,
+            light_prior=light_prior,
+            albedo_prior=albedo_prior,
+            albedo_modes=albedo_modes,
+            options=options or SolverOptions(),
+        )
+        self.faces = LitFaces(sun_prior)
+
+    def another(self, sun_prior: SunPrior | None = None) -> "SkyProblem":
+        """An empty problem with the same model, priors and options, to be solved with this one.
+
+        What clock and place tell of the sun is its own.
+        """
+        problem = copy(self)
+        problem.faces = LitFaces(sun_prior)
+        return problem
+
+    @property
+    def grid_height(self) -> int:
+        """Of the observations that it needs: the sky's rows and the ground's."""
+        layout = self.solver.model.grid.layout
+        assert layout is not None
+        return 2 * layout[0]
+
+    def add(self, observation: Observation, photo: int = 0) -> None:
+        """One more face; photographs come in order, counted from 0.
+
+        Raises
+        ------
+        ValueError
+            The observation's light is not on :attr:`grid_height` rows.
+        """
+        layout = observation.transport.grid.layout
+        if layout is None or layout[0] != self.grid_height:
+            raise ValueError(f"a sky needs transport of {self.grid_height} rows, got {layout}")
+        levels = sorted({one.level for one in self.solver.options.rounds})
+        device = self.solver.albedo_modes.device
+        self.faces.append(ScannedFace.of(observation, photo, levels, device))
+
+    def solve(self, progress: Progress | None = None) -> Estimate:
+        """Minimise Eq. 5.8 from the best of many starts, as :meth:`SkySolver.solve` does.
+
+        Raises
+        ------
+        InputError
+            Nothing was added.
+        """
+        return self.solver.solve([self.faces], progress)[0]
+
+
+def solve_together(
+    problems: Sequence[SkyProblem], progress: Progress | None = None
+) -> list[Estimate]:
+    """The light of each problem, as :meth:`SkyProblem.solve` finds it but for rounding.
+
+    Problems of one shape, with as many faces in the same photographs, all with gloss or none and
+    all grey or none, are solved as one batch; numbers of pixels may differ. What a problem holds
+    is copied level by level, padded to the most pixels: beside the 185 MB of a face of 3,700
+    pixels with gloss that is up to 120 MB, 9 GB for a batch of 32 such faces, and 1.3 GB for the
+    autoencoder's gradients with respect to ten starts of each.
+
+    Raises
+    ------
+    InputError
+        Nothing was added to one of them.
+    ValueError
+        A problem that is not :meth:`SkyProblem.another` of the first.
+    """
+    if not problems:
+        return []
+    solver = problems[0].solver
+    if any(problem.solver is not solver for problem in problems):
+        raise ValueError("problems solved together share a solver: make them by another()")
+    if not all(problem.faces for problem in problems):
+        raise InputError("there is no observation to estimate light from; give each at least one")
+    groups: dict[tuple, list[int]] = defaultdict(list)
+    for number, problem in enumerate(problems):
+        groups[problem.faces.shape].append(number)
+    found: dict[int, Estimate] = {}
+    for done, numbers in enumerate(groups.values()):
+
+        def told(share: float, done: int = done) -> None:
+            if progress is not None:
+                progress((done + share) / len(groups))
+
+        estimates = solver.solve([problems[k].faces for k in numbers], told)
+        found.update(zip(numbers, estimates, strict=True))
+    return [found[k] for k in range(len(problems))]

@@ -1,1 +1,0 @@
-"""Spherical harmonic illumination: robust and non-negative least squares."""

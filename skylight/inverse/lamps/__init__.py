@@ -1,1 +1,0 @@
-"""Illumination by lamps in smooth ambient light, on the whole sphere."""

@@ -1,1 +1,0 @@
-"""The objective of inverse lighting (thesis, Eq. 5.8): its faces, weights and starts."""

@@ -1,1 +1,0 @@
-"""Illumination by a sky over a Lambertian ground: coarse to fine, and smoothed over films."""

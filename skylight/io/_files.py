@@ -1,0 +1,283 @@
+"""Environment maps and images: strict reading, atomic writing.
+
+Image files opened with Pillow: formats, size limits, one-line errors.
+
+Visible files of a folder by suffix.
+
+Collections of maps: a folder with an ``index.csv`` of files and categories.
+"""
+
+import csv
+import warnings
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager, nullcontext
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import torch
+from jaxtyping import Float, UInt8
+from PIL import Image, UnidentifiedImageError
+from torch import Tensor
+
+from skylight.errors import InputError, OutputError, SkylightError
+from skylight.io._atomic import atomic_path
+from skylight.io._bounded import file_text, require_bytes, require_pixels
+from skylight.io._hdr import (
+    HALF_MAX,
+    RGBE_MAX,
+    check_suffix,
+    muted,
+    read_linear,
+    write_exr,
+    write_radiance,
+)
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import Convention, convert_latlong
+
+
+def read_environment_map(
+    path: str | Path, *, convention: Convention = "skylight"
+) -> EnvironmentMap:
+    """Light from an .exr or .hdr lat-long file, turned into skylight's frame.
+
+    Parameters
+    ----------
+    path
+        A full map (width = 2 height) or an upper-hemisphere sky (width = 4 height).
+    convention
+        Where the file's columns look: see :data:`skylight.sphere._frame.Convention`.
+
+    Raises
+    ------
+    InputError
+        A missing or damaged file, another shape, or values that are NaN, negative or infinite.
+    """
+    path = Path(path)
+    pixels = read_linear(path)
+    height, width = pixels.shape[:2]
+    if width not in (2 * height, 4 * height):
+        raise InputError(
+            f"{path}: {width}x{height} (width x height) is no lat-long map: expected a width of "
+            "2 heights (whole sphere) or 4 heights (upper half); crop or resize it"
+        )
+    radiance = convert_latlong(_checked(path, pixels), convention, "skylight")
+    return EnvironmentMap(radiance=radiance)
+
+
+def read_light(path: Path) -> Float[Tensor, "h w 3"]:
+    """Linear radiance from an .exr or .hdr file of any shape.
+
+    Raises
+    ------
+    InputError
+        A missing or damaged file, or values that are NaN, negative or infinite.
+    """
+    return _checked(path, read_linear(path))
+
+
+def write_probe(folder: Path, environment: EnvironmentMap) -> None:
+    """probe.exr and probe.hdr, as all commands that make a light probe leave it."""
+    for name in ("probe.exr", "probe.hdr"):
+        write_environment_map(folder / name, environment)
+
+
+def write_environment_map(
+    path: str | Path,
+    environment: EnvironmentMap,
+    *,
+    half: bool = False,
+    convention: Convention = "skylight",
+) -> None:
+    """Write a map as .exr (single precision, or half) or .hdr (RGBE), laid out as asked.
+
+    An .exr carries the Rec.709 chromaticities and, for a full map, the standard ``envmap``
+    attribute. That attribute names the projection; the orientation is OpenEXR's own only where
+    ``convention`` is "openexr", so a comment in the header names it.
+
+    Raises
+    ------
+    OutputError
+        Values that no reader should meet (NaN, negative, infinite, too large for the format),
+        or a disk that does not take the file. A file that was there before is left as it was.
+    """
+    header: dict[str, object] = {"comments": f"lat-long, {convention} convention"}
+    if not environment.is_sky:
+        header["envmap"] = OpenEXR.ENVMAP_LATLONG
+    picture = convert_latlong(environment.radiance, "skylight", convention)
+    write_light(path, picture, header=header, half=half)
+
+
+def write_light(
+    path: str | Path,
+    picture: Float[Tensor, "h w 3"],
+    *,
+    header: dict[str, object],
+    half: bool = False,
+) -> None:
+    """Write linear Rec.709 radiance as .exr, with ``header`` (see OpenEXR), or as .hdr.
+
+    Raises
+    ------
+    InputError, OutputError
+        As :func:`write_environment_map`.
+    """
+    path = Path(path)
+    check_suffix(path)
+    is_exr = path.suffix.lower() == ".exr"
+    if half and not is_exr:
+        raise InputError(f"{path}: half precision is a choice for .exr; RGBE has one precision")
+    pixels = _float_pixels(picture)
+    fault = _fault(pixels)
+    if fault:
+        raise OutputError(f"{path} was not written: {fault}")
+    limit = (HALF_MAX if half else np.inf) if is_exr else RGBE_MAX
+    if pixels.max() > limit:
+        raise OutputError(
+            f"{path} was not written: the brightest value {pixels.max():.6g} exceeds the format's "
+            f"largest, {limit:.6g}; write single-precision .exr (half=False) or scale the map down"
+        )
+    with atomic_path(path) as temporary:
+        if is_exr:
+            write_exr(temporary, pixels, half=half, header=header)
+        else:
+            write_radiance(temporary, pixels)
+
+
+def write_png(path: str | Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
+    """Write an 8-bit picture."""
+    with atomic_path(path) as temporary:
+        Image.fromarray(np.ascontiguousarray(rgb)).save(temporary, format="PNG")
+
+
+def _checked(path: Path, pixels: Float[np.ndarray, "h w 3"]) -> Float[Tensor, "h w 3"]:
+    fault = _fault(pixels)
+    if fault:
+        raise InputError(f"{path}: {fault}; repair or replace these pixels")
+    return torch.from_numpy(pixels)
+
+
+def _float_pixels(radiance: Float[Tensor, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
+    return np.ascontiguousarray(radiance.detach().to("cpu", torch.float32).numpy())
+
+
+def _fault(pixels: Float[np.ndarray, "h w 3"]) -> str | None:
+    """What is wrong with these as radiances, in words: counts of pixels and the first place."""
+    kinds = {"NaN": np.isnan(pixels), "infinite": np.isinf(pixels), "negative": pixels < 0}
+    counts = {name: int(bad.any(-1).sum()) for name, bad in kinds.items()}
+    if not any(counts.values()):
+        return None
+    row, column = np.argwhere(np.any(list(kinds.values()), axis=(0, 3)))[0]
+    listed = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    where = f"the first at row {row}, column {column}"
+    return f"radiance must be finite and >= 0, got {listed} pixel(s), {where}"
+
+
+# what cameras and programs write, decoded within the process; Pillow knows some that start others
+FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "BMP", "GIF")
+# our own limit on the size is the one that counts, and has a clearer message
+warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)
+# so has what cannot be in EXIF data
+warnings.filterwarnings("ignore", module=r"PIL\.TiffImagePlugin")
+
+
+@contextmanager
+def opened_picture(path: Path) -> Iterator[Image.Image]:
+    """A picture whose header was read and whose size is bounded; decode it within the block.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged (which may show within the block), of another kind, or too
+        large: more than ``PIXELS_MAX`` pixels or ``FILE_BYTES_MAX`` bytes.
+    """
+    try:
+        require_bytes(path)
+        with Image.open(path, formats=FORMATS) as image:
+            try:
+                require_pixels(*image.size)
+            except ValueError as error:
+                raise InputError(f"{path}: {error}; scale it down") from error
+            with muted() if image.format == "TIFF" else nullcontext():
+                yield image  # libtiff prints what it dislikes
+    except SkylightError:
+        raise
+    except UnidentifiedImageError as error:
+        raise InputError(f"{path}: no picture known here; give a JPEG, PNG or TIFF") from error
+    except Image.DecompressionBombError as error:
+        raise InputError(f"{path}: the picture is too large; scale it down") from error
+    # Pillow's decoders raise whatever their parsing stumbles over
+    except Exception as error:
+        if reason := getattr(error, "strerror", None):
+            raise InputError(f"cannot read {path}: {reason}; give a JPEG, PNG or TIFF") from error
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: damaged or cut short ({reason}); export it again") from error
+
+
+def visible_files(
+    folder: Path, suffixes: Collection[str], *, recursive: bool = False
+) -> list[Path]:
+    """Files in ``folder``, or below it, whose suffix in lower case is one of ``suffixes``; sorted.
+
+    Hidden ones and those in hidden folders are left out: so are called what a run that was killed
+    left half written (:func:`skylight.io._atomic.atomic_path`), and what systems put beside
+    pictures (``._me.jpg``).
+    """
+    return sorted(
+        path
+        for path in (folder.rglob("*") if recursive else folder.iterdir())
+        if path.suffix.lower() in suffixes
+        and not any(part.startswith(".") for part in path.relative_to(folder).parts)
+        and path.is_file()
+    )
+
+
+INDEX_NAME = "index.csv"
+_COLUMNS = ("file", "category")
+
+
+def names_categories(folder: Path) -> bool:
+    """Whether the folder has an ``index.csv`` whose first line names file and category.
+
+    Raises
+    ------
+    InputError
+        There is one that is damaged.
+    """
+    path = folder / INDEX_NAME
+    if not path.is_file():
+        return False
+    try:
+        text = file_text(path)
+        if not text.strip("\0\r\n "):  # also what a crash leaves of a file
+            raise ValueError("it is empty")
+        return set(_COLUMNS) <= set(next(csv.reader(StringIO(text, newline=""))))
+    except (OSError, ValueError, csv.Error) as error:
+        raise InputError(
+            f"{path}: cannot be read as CSV ({error}); mend it, or move it away"
+        ) from error
+
+
+def read_categories(folder: Path) -> dict[str, str]:
+    """File -> category, in the order of the index.
+
+    Raises
+    ------
+    InputError
+        No readable ``index.csv`` with the columns file and category.
+    """
+    path = folder / INDEX_NAME
+    try:
+        reader = csv.DictReader(StringIO(file_text(path), newline=""))
+        if not set(_COLUMNS) <= set(reader.fieldnames or ()):
+            raise ValueError("its first line names others")
+        rows = list(reader)
+        if any(row["file"] is None or row["category"] is None for row in rows):
+            raise ValueError("a row is too short")
+        return {row["file"]: row["category"] for row in rows}
+    except (OSError, KeyError, ValueError, csv.Error) as error:
+        raise InputError(
+            f"{path}: cannot be read as an index of maps with columns file and category ({error}); "
+            "mend it, or move it away"
+        ) from error

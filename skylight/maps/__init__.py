@@ -1,0 +1,1 @@
+"""Environment maps converted, scored, exported and coded sparsely."""

@@ -1,0 +1,170 @@
+"""``skylight export``: what other programs and browsers read of light and scenes.
+
+``skylight export light``: environment maps for other programs.
+"""
+
+import math
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from tyro.conf import Positional
+
+from skylight.maps._command import Convention
+
+export = tyro.extras.SubcommandApp()
+
+
+@export.command(name="decoder")
+def export_decoder(out: Path = Path("sky_decoder.onnx"), model: Path | None = None) -> None:
+    """Write the sky decoder as an ONNX graph, checked against torch.
+
+    Args:
+        out: The .onnx file.
+        model: Folder that `skylight train` wrote; by default the model that comes with skylight.
+    """
+    from skylight.models._bundle import load_bundle
+    from skylight.relight._export import export_decoder
+
+    difference = export_decoder(load_bundle(model).light(), out)
+    print(f"{out}: onnxruntime and torch differ by {difference:.1g} at most")
+
+
+@export.command(name="scene")
+def export_scene(
+    mesh: Positional[Path],
+    out: Path,
+    height: int = 240,
+    up: Literal["y", "z"] = "y",
+    turn: float = 0.0,
+    ground: bool = True,
+) -> None:
+    """Precompute how light reaches a mesh on a ground, for relighting it anywhere.
+
+    Args:
+        mesh: .obj, .ply, .glb, .gltf, .stl or .off; its materials are not used.
+        out: The .npz file.
+        height: Rows of the picture, which is 4:3.
+        up: The mesh's own up axis.
+        turn: Turn of the mesh to the right about that axis, degrees.
+        ground: Whether there is a ground that takes the mesh's shadow.
+    """
+    from skylight.relight._export import Placement, precompute_scene
+    from skylight.work._progress import stage_bar
+
+    placement = Placement(up=up, turn_rad=math.radians(turn), ground=ground)
+    with stage_bar() as progress:
+        scene = precompute_scene(
+            mesh,
+            out,
+            height=height,
+            placement=placement,
+            progress=lambda share: progress("tracing light", share),
+        )
+    print(f"{out}: {len(scene.pixels)} pixels lit from {len(scene.directions)} directions")
+
+
+@export.command(name="blender")
+def export_blender(
+    estimate: Positional[Path], out: Positional[Path], photo: Path | None = None
+) -> None:
+    """Write a portrait's light, camera, head and photograph for Blender's extension.
+
+    The extension "World from Portrait" runs this itself; docs/blender.md tells how to get it.
+    Writes blender_scene.json, blender_light.hdr (the light without the sun or lamps, which
+    blender_scene.json has), photograph.png (upright, as sRGB shows its light) and head.obj.
+
+    Args:
+        estimate: Folder that skylight estimate wrote for a photograph, or its estimate.json. Of
+            several faces the first one's head and camera are taken.
+        out: Folder for the files.
+        photo: The photograph, if it is not any more where it was.
+    """
+    from skylight.maps._export import export_blender_scene
+
+    files = export_blender_scene(estimate, out, photo=photo)
+    print(f"written into {out}: {', '.join(files)}")
+
+
+@export.command(name="viewer")
+def export_viewer(
+    estimate: Positional[Path],
+    out: Path,
+    photo: Path | None = None,
+    object_: Annotated[Path | None, tyro.conf.arg(name="object")] = None,
+) -> None:
+    """Write an estimate as one web page, which opens without server or network and can be mailed.
+
+    It shows the photograph with an object in it to drag about, lit by the light that was found;
+    the light as a panorama and on balls; and how far to trust it. The page has 3 MB at most. It
+    holds the photograph, in 1280 pixels, its name and the fitted heads, but no EXIF data, paths,
+    time or place.
+
+    Args:
+        estimate: Folder that skylight estimate wrote for a photograph.
+        out: The .html file.
+        photo: The photograph, in any size; by default where it was when it was estimated. Of
+            several that share their light, one.
+        object_: A .glb or .obj of your own that stands in the photograph first.
+    """
+    from skylight.maps._viewer import export_viewer
+
+    written = export_viewer(estimate, out, photo=photo, model=object_)
+    parts = {
+        "photograph": written.photo,
+        "light": written.light,
+        "heads": written.heads,
+        "object": written.model,
+    }
+    told = ", ".join(f"{name} {size / 1e6:.2f}" for name, size in parts.items() if size)
+    print(f"{out}: {written.size / 1e6:.2f} MB ({told})")
+
+
+# Parsing must not import torch, so the choices stand here again; a test compares the two.
+LightTarget = Literal["threejs", "sh", "ar", "gltf", "usd", "mitsuba", "blender"]
+HarmonicConvention = Literal["skylight", "threejs", "arcore", "arkit", "gltf"]
+
+
+def export_light(
+    probe: Positional[Path],
+    out: Positional[Path],
+    as_: Annotated[tuple[LightTarget, ...], tyro.conf.arg(name="as")],
+    from_convention: Convention = "skylight",
+    sh_convention: HarmonicConvention = "skylight",
+    face: int | None = None,
+) -> None:
+    """Write a map of light the way other programs load it; docs/interchange.md tells how.
+
+    threejs: lightprobe.json, a LightProbe for ObjectLoader. sh: sh27.json, nine spherical
+    harmonics. ar: ar_light.json and six .hdr faces, ARCore's and ARKit's main light, ambient
+    harmonics and cube map. gltf: light.glb with EXT_lights_image_based. usd: light.usda, a
+    DomeLight. mitsuba: scene.xml. blender: load_light.py, which loads the .hdr beside it.
+
+    Given an estimate's folder, the lamps that it lists (of --light lamps, or auto) become lights
+    to move and switch, beside the rest of its map: DirectionalLight, KHR_lights_punctual,
+    DistantLight, directional emitters, suns. sh and ar have all light in one.
+
+    Args:
+        probe: .exr or .hdr lat-long map of the sphere, or of the sky; or the folder that skylight
+            estimate wrote, or its estimate.json.
+        out: Folder for the files.
+        as_: One target or more.
+        from_convention: Which program's way of turning lat-long maps the probe has.
+        sh_convention: Of sh27.json: signs, order and what the numbers stand for.
+        face: Pixels of a cube map's side, a power of two; by default as the map's detail asks.
+    """
+    from skylight.maps._export import export_light
+
+    exported = export_light(
+        probe, out, as_, convention=from_convention, harmonics=sh_convention, face=face
+    )
+    print(f"written into {out}: {', '.join(exported.files)}")
+    if exported.lamps:
+        print(f"lamps that are lights of their own, not in the map: {exported.lamps}")
+    if exported.cut > 0.001:
+        print(
+            f"skylight: take care: reflections of light.glb lack {100 * exported.cut:.1f} % of the "
+            "light, cut off at 255 where its format ends; its diffuse light is whole",
+            file=sys.stderr,
+        )

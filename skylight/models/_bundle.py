@@ -1,0 +1,327 @@
+"""A trained light model as a folder, as training writes it and everything else reads it.
+
+=============================  ==================================================================
+``bundle.json``                format version, name, number of training skies, SHA-256 of the
+                               training data and of all tensors together
+``network.safetensors``        weights of the :class:`SkyNetwork`
+``latent_prior.safetensors``   :class:`GaussianMixture` over whitened latents
+``bank.safetensors``           mean and scale of the latents, latents of training skies
+``sunsky_prior.safetensors``   :class:`GaussianMixture` over the free parameters of
+                               :class:`SunSky` but the azimuth, of the same skies
+``card.md``                    the model card
+=============================  ==================================================================
+
+The model that comes with skylight is such a folder too.
+
+``bundle.json`` of a light model's folder, read without torch.
+
+Networks in safetensors files.
+"""
+
+import copy
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from functools import cache, partial
+from importlib.resources import files
+from pathlib import Path
+from typing import TypeVar
+
+import torch
+from jaxtyping import UInt8
+from numpy import ndarray
+from torch import Tensor
+
+from skylight.errors import AssetError, InputError
+from skylight.io._bounded import read_object, read_whole, require_keys, write_json
+from skylight.io._files import write_png
+from skylight.io._tensors import read_tensors, tensors_sha256, write_tensors
+from skylight.models._convolutional import LATENT, ConvolutionalAutoencoder
+from skylight.models._network import Coding, SkyNetwork
+from skylight.models._prior import GaussianMixture
+from skylight.models._splines import SplineAutoencoder
+from skylight.models._sun_head import COORDINATES
+from skylight.models.autoencoder import AutoencoderLight
+from skylight.work._resumable import results_folder
+
+MANIFEST = "bundle.json"
+KIND, VERSION = "light model", 1
+MAKE_ONE = "make one with: skylight train FOLDER --out DIR"
+
+
+@dataclass(frozen=True, kw_only=True)
+class BundleManifest:
+    """What a :class:`~skylight.models._bundle.LightBundle` is, but for its tensors."""
+
+    name: str
+    skies: int
+    data_sha256: str
+    fingerprint: str
+
+    def entries(self) -> dict[str, object]:
+        """The content of the file."""
+        return {"kind": KIND, "version": VERSION, **asdict(self)}
+
+
+def read_manifest(folder: Path) -> BundleManifest:
+    """The manifest of a light model's folder.
+
+    Raises
+    ------
+    InputError
+        The folder is no light model, its manifest is damaged or of a newer version.
+    """
+    path = folder / MANIFEST
+    if not path.is_file():
+        kind = f"no light model, it has no {MANIFEST}" if folder.is_dir() else "no folder is there"
+        raise InputError(f"{folder}: {kind}; {MAKE_ONE}")
+    try:
+        entries = read_object(path, KIND)
+        require_keys(path, entries, ["version"])
+        version = read_whole(entries, "version")
+    except InputError as error:
+        raise InputError(f"{folder}: {error}; {MAKE_ONE}") from error
+    if version > VERSION:
+        raise InputError(
+            f"{folder}: of format {version}, but this skylight reads formats up to {VERSION}; "
+            "upgrade skylight"
+        )
+    try:
+        require_keys(path, entries, ["name", "skies", "data_sha256", "fingerprint"])
+        skies = read_whole(entries, "skies")
+    except InputError as error:
+        raise InputError(f"{folder}: {error}; {MAKE_ONE}") from error
+    return BundleManifest(
+        name=str(entries["name"]),
+        skies=skies,
+        data_sha256=str(entries["data_sha256"]),
+        fingerprint=str(entries["fingerprint"]),
+    )
+
+
+LATENTS_MAX = 1024  # a network has memory for as many before it can refuse its weights
+
+
+def network_state(network: SkyNetwork) -> dict[str, Tensor]:
+    """The weights as :func:`save_network` writes them.
+
+    Those of splines have half precision: its eleven bits change a sky's radiance by less than
+    0.5 %, and the file is half as large.
+    """
+    state = dict(network.state_dict())
+    if isinstance(network, SplineAutoencoder):
+        return {name: weight.half() for name, weight in state.items()}
+    if network.coding == "linear":
+        state["coding_linear"] = torch.ones(1)
+    return state
+
+
+def network_of(state: dict[str, Tensor]) -> SkyNetwork:
+    """The network of the tensors that :func:`save_network` wrote.
+
+    Raises
+    ------
+    KeyError, RuntimeError, ValueError
+        They are of another network.
+    """
+    weights = {name: weight.float() for name, weight in state.items()}
+    named = weights.get("linear.weight", weights.get("to_latent.bias", torch.zeros(LATENT)))
+    if named.ndim == 0 or not COORDINATES < named.shape[-1] <= LATENTS_MAX:
+        raise ValueError(f"weights of shape {tuple(named.shape)} are of no sky's latents")
+    if not all(bool(weight.isfinite().all()) for weight in weights.values()):
+        raise ValueError("its weights are not finite")
+    if "linear.weight" in weights:
+        network = SplineAutoencoder(named.shape[-1])
+    else:
+        coding: Coding = "linear" if weights.pop("coding_linear", None) is not None else "log"
+        sun = len(weights["to_latent.bias"]) < LATENT
+        network = ConvolutionalAutoencoder(coding, sun=sun)
+    network.load_state_dict(weights)
+    return network.eval()
+
+
+def load_network(path: Path) -> SkyNetwork:
+    """The autoencoder of a checkpoint that training wrote (safetensors)."""
+    if not path.is_file():
+        raise AssetError(f"{path}: no checkpoint there; train one with train.py CONFIG")
+    try:
+        return network_of(read_tensors(path)[0])
+    except (ValueError, RuntimeError, OSError, KeyError) as error:
+        first = str(error).splitlines()[0]
+        raise AssetError(
+            f"{path}: not a sky autoencoder's checkpoint, or damaged ({first}); "
+            "train one with train.py CONFIG"
+        ) from error
+
+
+def save_network(network: SkyNetwork, path: Path) -> None:
+    """Write the weights as :func:`load_network` reads them."""
+    write_tensors(path, network_state(network))
+
+
+Part = TypeVar("Part")
+
+CARD = "card.md"
+NETWORK, BANK = "network.safetensors", "bank.safetensors"
+LATENT_PRIOR, SUNSKY_PRIOR = "latent_prior.safetensors", "sunsky_prior.safetensors"
+SHIPPED = Path(str(files("skylight.models") / "data" / "sky_autoencoder"))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LightBundle:
+    """A trained :class:`AutoencoderLight` with its priors, and where it comes from.
+
+    ``latents`` holds ``latent_mean``, ``latent_scale``, ``bank`` and ``bank_zenith_rad`` of
+    :class:`AutoencoderLight`. ``skies`` is the number of training skies, ``data_sha256`` the hash
+    of their index and maps.
+    """
+
+    name: str
+    skies: int
+    data_sha256: str
+    network: SkyNetwork
+    latent_prior: GaussianMixture
+    latents: Mapping[str, Tensor]
+    sunsky_prior: GaussianMixture
+
+    def light(self, *, sun_spread_rad: float = 0.0) -> AutoencoderLight:
+        """A light model with its own copy of everything; see :class:`AutoencoderLight`."""
+        return AutoencoderLight(
+            copy.deepcopy(self.network),
+            **{name: tensor.clone() for name, tensor in self.latents.items()},
+            white_centroids=self.latent_prior.means.clone(),
+            sun_spread_rad=sun_spread_rad,
+        )
+
+    def prior(self) -> GaussianMixture:
+        """A copy of the mixture over whitened latents."""
+        return copy.deepcopy(self.latent_prior)
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 over all tensors: equal for models that give equal results."""
+        parts = {
+            "network": network_state(self.network),
+            "prior": self.latent_prior.state_dict(),
+            "latents": self.latents,
+            "sunsky": self.sunsky_prior.state_dict(),
+        }
+        tensors = {f"{part}.{n}": t for part, named in parts.items() for n, t in named.items()}
+        return tensors_sha256(tensors, {"coding": self.network.coding})
+
+    def save(
+        self, folder: Path, *, card: str, pictures: Mapping[str, UInt8[ndarray, "_ _ 3"]]
+    ) -> None:
+        """Write the folder; ``pictures`` are those that the card shows, by file name.
+
+        A process that is killed meanwhile leaves a folder that :func:`load_bundle` refuses or one
+        that is whole: the manifest's hash is that of all tensors.
+
+        Raises
+        ------
+        OutputError
+            The disk does not take it.
+        """
+        with results_folder(folder) as unfinished:
+            save_network(self.network, unfinished / NETWORK)
+            self.latent_prior.save(unfinished / LATENT_PRIOR)
+            self.sunsky_prior.save(unfinished / SUNSKY_PRIOR)
+            write_tensors(unfinished / BANK, self.latents)
+            (unfinished / CARD).write_text(card, encoding="utf-8")
+            for name, picture in pictures.items():
+                write_png(unfinished / name, picture)
+            manifest = BundleManifest(
+                name=self.name,
+                skies=self.skies,
+                data_sha256=self.data_sha256,
+                fingerprint=self.fingerprint,
+            )
+            write_json(unfinished / MANIFEST, manifest.entries())
+
+
+def load_bundle(folder: Path | None = None) -> LightBundle:
+    """The trained light model in ``folder``; by default the one that comes with skylight.
+
+    Raises
+    ------
+    InputError
+        The folder is no such model, lacks a part, is damaged or of a newer version.
+    AssetError
+        The same of the model that comes with skylight.
+    """
+    if folder is not None:
+        return _read(folder)
+    try:
+        # a copy: a network that is moved to a GPU or made trainable must not be another's
+        return copy.deepcopy(_shipped(SHIPPED))
+    except InputError as error:
+        reason = str(error).removesuffix(f"; {MAKE_ONE}")
+        raise AssetError(f"{reason}; reinstall skylight") from error
+
+
+@cache
+def _shipped(folder: Path) -> LightBundle:
+    return _read(folder)
+
+
+def _read(folder: Path) -> LightBundle:
+    manifest = read_manifest(folder)
+    latents = _part(folder / BANK, _latents)
+    count = len(latents["latent_mean"])
+    bundle = LightBundle(
+        name=manifest.name,
+        skies=manifest.skies,
+        data_sha256=manifest.data_sha256,
+        latents=latents,
+        latent_prior=_part(folder / LATENT_PRIOR, partial(_latent_prior, count)),
+        sunsky_prior=_part(folder / SUNSKY_PRIOR, GaussianMixture.of),
+        network=_part(folder / NETWORK, partial(_network, count)),  # last: it takes the longest
+    )
+    if bundle.fingerprint != manifest.fingerprint:
+        raise InputError(
+            f"{folder}: its tensors are not those that {MANIFEST} was written for; {MAKE_ONE}"
+        )
+    return bundle
+
+
+def _part(path: Path, make: Callable[[dict[str, Tensor]], Part]) -> Part:
+    try:
+        return make(read_tensors(path)[0])
+    except FileNotFoundError as error:
+        raise InputError(f"{path.parent}: {path.name} is missing; {MAKE_ONE}") from error
+    except (OSError, ValueError, RuntimeError, KeyError, IndexError) as error:
+        reason = str(error).partition("\n")[0]
+        raise InputError(f"{path}: cannot be used ({reason}); {MAKE_ONE}") from error
+
+
+def _latent_prior(latents: int, tensors: dict[str, Tensor]) -> GaussianMixture:
+    mixture = GaussianMixture.of(tensors)
+    if mixture.means.shape[1] != latents:
+        raise ValueError(f"it is over {mixture.means.shape[1]} numbers, not {latents} latents")
+    return mixture
+
+
+def _network(latents: int, tensors: dict[str, Tensor]) -> SkyNetwork:
+    network = network_of(tensors)
+    if network.latents != latents:
+        raise ValueError(f"it has {network.latents} latents, not {latents}")
+    return network
+
+
+def _latents(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    """The tensors; ValueError for any but those that :class:`AutoencoderLight` takes."""
+    count, latents = tensors["bank"].shape
+    shapes = {
+        "latent_mean": (latents,),
+        "latent_scale": (latents, latents),
+        "bank": (count, latents),
+        "bank_zenith_rad": (count,),
+    }
+    found = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+    if found != shapes or count < AutoencoderLight.candidates:
+        raise ValueError(f"it holds {found}")
+    if not all(t.dtype == torch.float32 and bool(t.isfinite().all()) for t in tensors.values()):
+        raise ValueError("its values are no finite float32 numbers")
+    scale = tensors["latent_scale"]
+    if not torch.equal(scale, scale.tril()) or not bool((scale.diagonal() > 0).all()):
+        raise ValueError("latent_scale is no lower triangle with a positive diagonal")
+    return tensors

@@ -1,0 +1,168 @@
+"""Light reflected by the ground: one Lambertian bounce of the sky, and a prior of its albedo.
+
+The albedo of the ground, where it was measured or is known.
+"""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from skylight.errors import InputError
+from skylight.io._bounded import read_number, read_object, require_keys, write_json
+from skylight.models._names import SKY_LIGHTS, LightName
+from skylight.models._prior import GaussianMixture
+from skylight.sphere._frame import row_edges_cos
+
+USUAL_SPREAD = 0.1
+_KIND = "ground albedo"
+_CHANNELS = ("red", "green", "blue")
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownGround:
+    """Linear Rec.709 ``albedo`` of the ground, and the ``spread`` of its log.
+
+    ``spread`` is the standard deviation in each channel: by how much, relatively, the ground
+    round a face may differ from what was measured.
+    """
+
+    albedo: tuple[float, float, float]
+    spread: float = USUAL_SPREAD
+
+    def __post_init__(self) -> None:
+        if not all(math.isfinite(value) and 0 < value < 1 for value in self.albedo):
+            told = ", ".join(f"{value:g}" for value in self.albedo)
+            raise InputError(f"a ground's albedo is above 0 and below 1 in each colour: {told}")
+        if not (math.isfinite(self.spread) and 0.01 <= self.spread <= 2):
+            raise InputError(
+                f"the spread of a ground's albedo is relative, 0.01 to 2, not {self.spread:g}"
+            )
+
+    def option(self) -> str:
+        """As ``--ground-albedo`` takes it."""
+        return ",".join(f"{value:.3g}" for value in (*self.albedo, self.spread))
+
+    def save(self, path: Path, facts: dict[str, object]) -> None:
+        """Write it as JSON, with ``facts`` of how it was measured."""
+        albedo = dict(zip(_CHANNELS, self.albedo, strict=True))
+        write_json(path, {"kind": _KIND, **albedo, "spread": self.spread, **facts})
+
+    @staticmethod
+    def told(text: str) -> "KnownGround":
+        """From "R,G,B" or "R,G,B,SPREAD", or the name of a file that :meth:`save` wrote.
+
+        Raises
+        ------
+        InputError
+            It is neither, or no albedo.
+        """
+        if text.lower().endswith(".json"):
+            return load_ground(Path(text))
+        try:
+            numbers = [float(part) for part in text.split(",")]
+        except ValueError:
+            numbers = []
+        if len(numbers) not in (3, 4):
+            raise InputError(
+                f"--ground-albedo {text!r}: give R,G,B or R,G,B,SPREAD, such as 0.2,0.17,0.14,0.1, "
+                "or a file (.json) of `skylight probe ground`"
+            )
+        red, green, blue, *spread = numbers
+        return KnownGround(albedo=(red, green, blue), spread=(spread or [USUAL_SPREAD])[0])
+
+
+def check_has_ground(light: LightName, ground: KnownGround | None) -> None:
+    """:class:`InputError` for a ground and a light without one."""
+    if ground is not None and light not in SKY_LIGHTS:
+        raise InputError(
+            f"--ground-albedo is for skies over a ground, and {light} has none: leave it out, or "
+            "choose --light autoencoder or sunsky"
+        )
+
+
+def load_ground(path: Path) -> KnownGround:
+    """The ground that :meth:`KnownGround.save` wrote.
+
+    Raises
+    ------
+    InputError
+        The file is missing or no such file, or its values cannot be.
+    """
+    content = read_object(path, _KIND)
+    require_keys(path, content, [*_CHANNELS, "spread"])
+    try:
+        red, green, blue, spread = (read_number(content, name) for name in (*_CHANNELS, "spread"))
+        return KnownGround(albedo=(red, green, blue), spread=spread)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+# Mean linear albedos of nine grounds (thesis, Fig. B.4): light and dark concrete, asphalt, dry
+# and wet dirt, grass, rocks, gravel, mulch.
+GROUND_ALBEDOS = (
+    (0.20, 0.17, 0.14),
+    (0.14, 0.13, 0.12),
+    (0.05, 0.04, 0.03),
+    (0.09, 0.08, 0.06),
+    (0.05, 0.04, 0.03),
+    (0.09, 0.10, 0.03),
+    (0.20, 0.18, 0.15),
+    (0.17, 0.15, 0.13),
+    (0.14, 0.10, 0.08),
+)
+# The nine lie close together; real grounds do not (snow, sand, paving): this much wider.
+GROUND_SPREAD = 1.5
+
+
+class LambertianGround(nn.Module):
+    """A horizontal plane of constant albedo under an unoccluded sky of ``height`` rows.
+
+    Thesis, eq. 5.7: ``s = rho / pi sum_w l(w) <n, w>+ dw``. The weight of a pixel is the exact
+    integral of the cosine over it, ``dphi (cos^2 t_0 - cos^2 t_1) / 2``, so the weights sum to pi
+    to rounding and a constant sky of 1 gives exactly rho.
+    """
+
+    transfer: Tensor
+
+    def __init__(self, height: int = 32) -> None:
+        super().__init__()
+        width = 4 * height
+        row = -torch.diff(row_edges_cos(height, width) ** 2) * math.pi / width
+        self.register_buffer("transfer", row.repeat_interleave(width), persistent=False)
+
+    def forward(
+        self, sky: Float[Tensor, "*batch n 3"], albedo: Float[Tensor, "*#batch 3"]
+    ) -> Float[Tensor, "*batch 3"]:
+        """Radiance of the ground, the same in all directions."""
+        irradiance = torch.einsum("n,...nc->...c", self.transfer.to(sky), sky)
+        return albedo / math.pi * irradiance
+
+    def append(
+        self, sky: Float[Tensor, "*batch n 3"], albedo: Float[Tensor, "*#batch 3"]
+    ) -> Float[Tensor, "*batch m 3"]:
+        """The full sphere, (h,4h) sky rows above (h,4h) ground rows: m = 2 n."""
+        ground = self(sky, albedo)[..., None, :].expand_as(sky)
+        return torch.cat([sky, ground], dim=-2)
+
+
+def ground_prior(known: KnownGround | None = None) -> GaussianMixture:
+    """Density of log albedos (RGB): one Gaussian, from the moments of the nine grounds.
+
+    Of a ground that is known, N(log albedo, spread^2) in each channel.
+
+    One component, because nine grounds carry no more: with two, the Bayesian information
+    criterion is higher. Its covariance is :data:`GROUND_SPREAD` squared times theirs, plus 0.01
+    where they leave no room.
+    """
+    if known is not None:
+        mean = torch.tensor(known.albedo).log()
+        return GaussianMixture(torch.ones(1), mean[None], torch.eye(3)[None] / known.spread)
+    log_albedo = torch.tensor(GROUND_ALBEDOS).log()
+    covariance = torch.cov(log_albedo.T) * GROUND_SPREAD**2 + 0.01 * torch.eye(3)
+    # precision = B B^T with an upper triangular B
+    factor = torch.linalg.inv(torch.linalg.cholesky(covariance)).mT.contiguous()
+    return GaussianMixture(torch.ones(1), log_albedo.mean(0)[None], factor.triu()[None])

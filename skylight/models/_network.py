@@ -1,0 +1,114 @@
+"""What the networks that code skies have in common.
+
+Skies are 32 x 128 upper hemispheres of relative radiance (mean luminance 1) with the sun in the
+centre column. A network works on *coded* radiance, its logarithm: a clear sky spans five orders of
+magnitude, and in linear values the L1 loss of the thesis leaves the sun to one pixel's gradient.
+
+Where ``sun_head`` is set, the last five latents are the sun's own coordinates
+(:mod:`sun_head`): the rest codes the sky without its sun, knowing where and how strong it is, and
+decoding adds the sun's lobe. Its height, energy and sharpness then vary smoothly and
+independently of the sky, whereas a network that paints the sun on pixels has to be told of every
+height that a sun may have.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from functools import lru_cache
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from skylight.models._sun_head import COORDINATES, SunHead
+
+HEIGHT, WIDTH = 32, 128
+COARSE_HEIGHTS = (4, 8, 16)  # on which skies can be had as well
+# The middle of column 64, where training skies have their sun.
+CENTRE_AZIMUTH_RAD = math.pi / WIDTH
+# of coded radiance; exp(13) is 20 times the brightest pixel of 440 simulated days
+CODE_LIMIT = 13.0
+
+
+@lru_cache(maxsize=4)
+def _sun_on_rows(height: int, device: torch.device) -> SunHead:
+    return SunHead(height, CENTRE_AZIMUTH_RAD).to(device)
+
+
+Kind = Literal["splines", "convolutions"]
+Coding = Literal["log", "linear"]
+
+
+class SkyNetwork(nn.Module, ABC):
+    """Latents (b, ``latents``) <-> radiance (b, 32, 128, 3)."""
+
+    kind: Kind
+
+    def __init__(self, latents: int, *, coding: Coding = "log", sun: bool = True) -> None:
+        super().__init__()
+        self.latents = latents
+        self.coding: Coding = coding
+        self.sun_head = SunHead(HEIGHT, CENTRE_AZIMUTH_RAD) if sun else None
+
+    @property
+    def sun(self) -> bool:
+        """Whether the sun has coordinates of its own."""
+        return self.sun_head is not None
+
+    @abstractmethod
+    def code(self, radiance: Float[Tensor, "b h w 3"]) -> Float[Tensor, "b 3 h w"]:
+        """Radiance as the network sees it."""
+
+    @abstractmethod
+    def uncode(self, coded: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b h w 3"]:
+        """The inverse of :meth:`code`, negative radiance cut to zero."""
+
+    @abstractmethod
+    def encode_coded(
+        self, sun: Float[Tensor, "b s"], coded: Float[Tensor, "b 3 h w"]
+    ) -> Float[Tensor, "b z"]:
+        """Latents of the two parts that :meth:`split` gives, the second one coded."""
+
+    @abstractmethod
+    def decode_coded(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
+        """Coded radiance, without the sun where it has its own head."""
+
+    @abstractmethod
+    def turned(
+        self,
+        z: Float[Tensor, "b z"],
+        azimuth_rad: Float[Tensor, " t"],
+        sun_spread_rad: float,
+        height: int = HEIGHT,
+    ) -> Float[Tensor, "b h w 3"]:
+        """:meth:`decode` in evaluation mode, the suns turned to those azimuths.
+
+        Differentiable in both; one azimuth serves any number of skies. ``sun_spread_rad`` widens
+        the sun's lobe: see :meth:`~skylight.models._sun_head.SunHead.lobe`. ``height`` is
+        the number of rows, one of :data:`COARSE_HEIGHTS`, :data:`HEIGHT` or a multiple of it.
+        """
+
+    def _sun_head(self, height: int, device: torch.device) -> SunHead:
+        """That of maps of so many rows."""
+        assert self.sun_head is not None
+        return self.sun_head if height == HEIGHT else _sun_on_rows(height, device)
+
+    def split(
+        self, radiance: Float[Tensor, "b h w 3"]
+    ) -> tuple[Float[Tensor, "b s"], Float[Tensor, "b h w 3"]]:
+        """(coordinates of the sun, none without a sun head; the sky without it)."""
+        if self.sun_head is None:
+            return radiance.new_zeros(len(radiance), 0), radiance
+        return self.sun_head.split(radiance)
+
+    def encode(self, radiance: Float[Tensor, "b h w 3"]) -> Float[Tensor, "b z"]:
+        """Latents of skies with the sun in the centre column and mean luminance 1."""
+        sun, rest = self.split(radiance)
+        return self.encode_coded(sun, self.code(rest))
+
+    def decode(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b h w 3"]:
+        """Relative radiance, >= 0."""
+        sky = self.uncode(self.decode_coded(z))
+        if self.sun_head is None:
+            return sky
+        return sky + self.sun_head.lobe(z[:, -COORDINATES:])

@@ -1,0 +1,185 @@
+"""Priors over parameters: Gaussian mixtures with full covariances."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from skylight.errors import AssetError, InputError
+from skylight.io._tensors import read_tensors, write_tensors
+
+_STARTS, _KMEANS_ITERATIONS = 3, 50
+_ITERATIONS, _LEAST_GAIN = 500, 1e-5  # of expectation-maximisation
+
+
+class GaussianMixture(nn.Module):
+    """``p(x) = sum_k w_k N(x; mu_k, (B_k B_k^T)^-1)``, normalised over R^p.
+
+    Parameters
+    ----------
+    weights : (k,), positive, sum 1
+    means : (k, p)
+    precision_factors : (k, p, p)
+        upper-triangular B_k with a positive diagonal; ``B_k B_k^T`` is the inverse covariance.
+    """
+
+    weights: Tensor
+    means: Tensor
+    precision_factors: Tensor
+
+    def __init__(
+        self,
+        weights: Float[Tensor, " k"],
+        means: Float[Tensor, "k p"],
+        precision_factors: Float[Tensor, "k p p"],
+    ) -> None:
+        super().__init__()
+        diagonal = precision_factors.diagonal(dim1=1, dim2=2)
+        tensors = (weights, means, precision_factors)
+        if not all(bool(t.isfinite().all()) for t in tensors):
+            raise ValueError("weights, means and precision_factors must be finite")
+        if not (weights > 0).all() or abs(float(weights.sum()) - 1) > 1e-4:
+            raise ValueError("weights must be positive and sum to 1")
+        if not (diagonal > 0).all() or not torch.equal(precision_factors.triu(), precision_factors):
+            raise ValueError("precision_factors must be upper triangular with positive diagonals")
+        self.register_buffer("weights", weights)
+        self.register_buffer("means", means)
+        self.register_buffer("precision_factors", precision_factors)
+
+    def log_prob(self, x: Float[Tensor, "b p"]) -> Float[Tensor, " b"]:
+        """Natural logarithm of the density, differentiable in x."""
+        return torch.logsumexp(self._log_weighted(x), dim=1)
+
+    def _log_weighted(self, x: Float[Tensor, "b p"]) -> Float[Tensor, "b k"]:
+        """``log w_k + log N(x; mu_k, (B_k B_k^T)^-1)``."""
+        factors = self.precision_factors.to(x)
+        white = torch.einsum("bkp,kpq->bkq", x[:, None] - self.means.to(x), factors)
+        log_det = factors.diagonal(dim1=1, dim2=2).log().sum(1)
+        constant = log_det - 0.5 * x.shape[1] * math.log(2 * math.pi)
+        return self.weights.to(x).log() + constant - 0.5 * (white**2).sum(2)
+
+    def sample(self, count: int, generator: torch.Generator) -> Float[Tensor, "n p"]:
+        """``count`` independent draws; ``generator`` lives where the mixture does."""
+        which = torch.multinomial(self.weights, count, replacement=True, generator=generator)
+        means = self.means[which]
+        noise = torch.randn(
+            means.shape, generator=generator, dtype=means.dtype, device=means.device
+        )
+        # B^-T z has the covariance (B B^T)^-1
+        factors = self.precision_factors[which].mT
+        offset = torch.linalg.solve_triangular(factors, noise[..., None], upper=False)
+        return means + offset[..., 0]
+
+    @property
+    def covariances(self) -> Float[Tensor, "k p p"]:
+        """Of the components: (B_k B_k^T)^-1."""
+        return torch.linalg.inv(self.precision_factors @ self.precision_factors.mT)
+
+    def widened(self, covariance: Float[Tensor, "p p"]) -> "GaussianMixture":
+        """The density of x + e with e from N(0, ``covariance``), which may be semi-definite."""
+        own = self.covariances
+        wider = torch.linalg.inv(own + covariance.to(own))
+        # the upper factor B of B B^T is Cholesky's lower one of the reversed matrix
+        factors = torch.linalg.cholesky(wider.flip(1, 2)).flip(1, 2)
+        return GaussianMixture(self.weights, self.means, factors.triu())
+
+    @staticmethod
+    def fit(
+        samples: Float[Tensor, "n p"],
+        components: int,
+        *,
+        seed: int = 0,
+        covariance_floor: float = 1e-6,
+    ) -> "GaussianMixture":
+        """Maximum likelihood by expectation-maximisation, heaviest component first; float64.
+
+        From three k-means clusterings, each until an iteration gains less than 1e-5 of mean
+        log-likelihood; the likeliest end counts. ``covariance_floor`` is added to every variance,
+        in squared units of the samples: it keeps components from collapsing on to repeated or
+        degenerate samples.
+
+        Raises
+        ------
+        InputError
+            Fewer samples than components, or fewer than two.
+        """
+        if samples.shape[0] < max(components, 2) or components < 1:
+            raise InputError(
+                f"{components} components cannot be fitted to {samples.shape[0]} samples: "
+                "give more samples or ask for fewer components"
+            )
+        x = samples.detach().cpu().double()
+        from scipy.cluster import vq  # takes 0.4 s to import, and priors that ship are fitted
+
+        rng = np.random.default_rng(seed)
+        ends = []
+        for _ in range(_STARTS):
+            _, cluster = vq.kmeans2(
+                x.numpy(), components, iter=_KMEANS_ITERATIONS, minit="++", rng=rng
+            )
+            share = nn.functional.one_hot(torch.from_numpy(cluster).long(), components).double()
+            ends.append(_maximise_expectation(x, share, covariance_floor))
+        fitted, _ = max(ends, key=lambda end: end[1])
+        order = fitted.weights.argsort(descending=True)
+        return GaussianMixture(
+            fitted.weights[order], fitted.means[order], fitted.precision_factors[order]
+        )
+
+    def save(self, path: Path) -> None:
+        """Write a safetensors file, whole or not at all."""
+        write_tensors(path, self.state_dict(), {"kind": "GaussianMixture"})
+
+    @staticmethod
+    def of(tensors: Mapping[str, Tensor]) -> "GaussianMixture":
+        """The mixture of a ``state_dict``; KeyError or ValueError where that is none."""
+        weights, means, factors = (
+            tensors[name] for name in ("weights", "means", "precision_factors")
+        )
+        k, p = means.shape
+        if weights.shape != (k,) or factors.shape != (k, p, p):
+            raise ValueError("the shapes of its tensors do not match")
+        return GaussianMixture(weights, means, factors)
+
+    @staticmethod
+    def load(path: Path) -> "GaussianMixture":
+        """Read what :meth:`save` wrote; :class:`AssetError` where that is not in the file."""
+        try:
+            return GaussianMixture.of(read_tensors(path)[0])
+        except (OSError, KeyError, ValueError, RuntimeError, IndexError) as error:
+            raise AssetError(
+                f"{path} holds no usable Gaussian mixture ({error}): fit or fetch it again"
+            ) from error
+
+
+def _maximise_expectation(
+    x: Float[Tensor, "n p"], share: Float[Tensor, "n k"], floor: float
+) -> tuple[GaussianMixture, float]:
+    """The mixture that EM ends in from these shares, and its mean log-likelihood."""
+    before = -math.inf
+    for _ in range(_ITERATIONS):
+        mixture = _most_likely(x, share, floor)
+        joint = mixture._log_weighted(x)
+        total = torch.logsumexp(joint, dim=1)
+        likelihood = float(total.mean())
+        if likelihood - before < _LEAST_GAIN:
+            break
+        share, before = (joint - total[:, None]).exp(), likelihood
+    return mixture, likelihood
+
+
+def _most_likely(
+    x: Float[Tensor, "n p"], share: Float[Tensor, "n k"], floor: float
+) -> GaussianMixture:
+    """The M step: weights, means and covariances of the samples, each shared out as ``share``."""
+    mass = share.sum(0) + 10 * torch.finfo(share.dtype).eps  # a component may hold no sample
+    means = share.T @ x / mass[:, None]
+    offset = x - means[:, None]  # (k, n, p)
+    covariance = (offset * share.T[..., None]).mT @ offset / mass[:, None, None]
+    identity = torch.eye(x.shape[1], dtype=x.dtype)
+    lower = torch.linalg.cholesky(covariance + floor * identity)
+    factors = torch.linalg.solve_triangular(lower, identity, upper=False).mT
+    return GaussianMixture(mass / mass.sum(), means, factors.triu())

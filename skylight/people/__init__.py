@@ -1,0 +1,1 @@
+"""Rendered people under known illumination, and captures of real ones."""

@@ -1,0 +1,156 @@
+"""Rendered faces on disk: a folder each."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skylight.errors import InputError
+from skylight.faces._fit import FaceFit
+from skylight.imaging._colour import srgb_to_linear
+from skylight.io._atomic import atomic_path
+from skylight.io._bounded import json_content, load_arrays, write_json
+from skylight.io._files import (
+    opened_picture,
+    read_environment_map,
+    write_environment_map,
+    write_png,
+)
+from skylight.io._hdr import HALF_MAX, read_linear, write_exr
+from skylight.people._light import RenderOptions, TurnedMap
+from skylight.people._render import RenderedFace
+from skylight.transport._cameras import Camera
+
+_FACTS = ("number", "scene", "cluster", "sky_seed", "sun_transmittance", "exposure")
+_ARRAYS = ("rotation", "translation", "identity", "expression", "vertices")
+
+
+def folder_name(number: int) -> str:
+    return f"face{number:04d}"
+
+
+def rendered_faces(directory: Path) -> list[Path]:
+    """The faces' folders in ``directory``, in order.
+
+    Raises :class:`InputError` where there are none.
+    """
+    found = sorted(note.parent for note in directory.glob("face*/face.json"))
+    if not found:
+        raise InputError(
+            f"{directory}: no rendered faces; make some with: "
+            f"skylight faces render --out {directory}"
+        )
+    return found
+
+
+def write_rendered_face(folder: Path, face: RenderedFace, options: RenderOptions) -> None:
+    """picture.png, picture.exr, hair.png, probe.exr, mesh.npz and face.json.
+
+    The mesh is the head model's, in metres and the camera's frame: the camera is at the origin,
+    looks along -Z, and +Y is up.
+    """
+    write_png(folder / "picture.png", face.encoded)
+    write_png(folder / "hair.png", np.repeat(face.hair[..., None], 3, 2).astype(np.uint8) * 255)
+    fits = float(face.linear.max()) <= HALF_MAX  # a lamp behind somebody may not
+    with atomic_path(folder / "picture.exr") as temporary:
+        write_exr(temporary, face.linear.numpy(), half=fits, header={})
+    write_environment_map(folder / "probe.exr", face.environment)
+    arrays = {name: getattr(face.truth, name) for name in _ARRAYS}
+    with atomic_path(folder / "mesh.npz") as temporary:
+        np.savez_compressed(temporary, landmarks=face.landmarks, **arrays)
+    camera = face.truth.camera
+    write_json(
+        folder / "face.json",
+        {name: getattr(face, name) for name in _FACTS}
+        | {
+            "camera": {"focal_px": camera.focal_px, "center_px": list(camera.center_px)},
+            "albedo": face.albedo.tolist(),
+            "ground_albedo": _listed(face.ground_albedo),
+            "sun_direction": _listed(face.sun_direction),
+            "turbidity": face.turbidity,
+            "options": options.settings(),
+        }
+        | _map_facts(face.turned_map),
+    )
+
+
+def read_rendered_face(folder: Path) -> RenderedFace:
+    """What :func:`write_rendered_face` wrote.
+
+    Raises :class:`InputError` for a folder that is not complete.
+    """
+    try:
+        facts = json_content(folder / "face.json")
+        with opened_picture(folder / "picture.png") as image:
+            encoded = np.array(image.convert("RGB"))
+        with opened_picture(folder / "hair.png") as image:
+            hair = np.array(image.convert("RGB"))[..., 0] > 0
+        arrays = load_arrays(folder / "mesh.npz", (*_ARRAYS, "landmarks"))
+        height, width = encoded.shape[:2]
+        camera = Camera(
+            focal_px=facts["camera"]["focal_px"],
+            width=width,
+            height=height,
+            center_px=tuple(facts["camera"]["center_px"]),
+        )
+        plain = {name: facts[name] for name in _FACTS}
+        albedo, ground = torch.tensor(facts["albedo"]), _vector(facts["ground_albedo"])
+        sun = _vector(facts["sun_direction"], torch.float64)
+        turbidity = facts.get("turbidity")  # faces of simulated skies alone once had none
+        turned_map = _turned_map(facts)
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise InputError(f"{folder}: no complete rendered face ({error})") from error
+    codes = torch.from_numpy(encoded)
+    landmarks = arrays.pop("landmarks")
+    return RenderedFace(
+        encoded=encoded,
+        picture=srgb_to_linear(codes.float() / 255),
+        clipped=(codes == 255).any(2),
+        environment=read_environment_map(folder / "probe.exr"),
+        albedo=albedo,
+        ground_albedo=ground,
+        truth=FaceFit(camera=camera, landmark_error=0.0, converged=True, **arrays),
+        linear=torch.from_numpy(read_linear(folder / "picture.exr")),
+        landmarks=landmarks,
+        hair=hair,
+        sun_direction=sun,
+        turbidity=turbidity,
+        turned_map=turned_map,
+        **plain,
+    )
+
+
+def read_turned_map(folder: Path) -> TurnedMap | None:
+    """Which given map lights a face, from its facts alone; None where a simulated sky does.
+
+    Raises :class:`InputError` for facts that cannot be read.
+    """
+    try:
+        return _turned_map(json_content(folder / "face.json"))
+    except (OSError, KeyError, ValueError, TypeError, AttributeError) as error:
+        raise InputError(f"{folder}: no facts of a rendered face ({error})") from error
+
+
+def _listed(vector: Float[Tensor, "3"] | None) -> list[float] | None:
+    return None if vector is None else vector.tolist()
+
+
+def _vector(listed: list[float] | None, dtype: torch.dtype = torch.float32) -> Tensor | None:
+    return None if listed is None else torch.tensor(listed, dtype=dtype)
+
+
+def _map_facts(turned: TurnedMap | None) -> dict[str, object]:
+    if turned is None:
+        return {"map": None, "category": None, "turn_deg": None}
+    return {"map": turned.file, "category": turned.category, "turn_deg": turned.turn_deg}
+
+
+def _turned_map(facts: dict) -> TurnedMap | None:
+    """None also for faces written before there were maps, whose facts do not mention any."""
+    if facts.get("map") is None:
+        return None
+    return TurnedMap(
+        file=facts["map"], category=facts["category"], turn_deg=float(facts["turn_deg"])
+    )

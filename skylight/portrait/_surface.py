@@ -1,0 +1,271 @@
+"""Head, hair and bust as the camera sees them, and their shading by any distant light.
+
+A bust under a fitted head: where neck and shoulders are, roughly.
+
+The head model ends at the neck. What the light does to shoulders, and which of it the head keeps
+from them, is taken from a superellipsoid (Barr 1981) of an adult's proportions, ::
+
+    |x / a|^(2/e) + |y / b|^(2/e) + |z / c|^(2/e) = 1,
+
+upright, turned half as far as the head. Nothing in the picture is fitted to it.
+
+Hair as a shell over a fitted head.
+
+The head model is bald. Where a photograph shows hair on scalp or forehead, its triangles are
+repeated :data:`THICKNESS_M` farther out, so that hair hides the light from the skin below it and is
+shaded as the round thing that it is. Thickness, locks and strands are not those of the person.
+"""
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int, UInt8
+from numpy import ndarray
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from skylight.faces._fit import FaceFit
+from skylight.faces._model import HeadModel, Region
+from skylight.faces._normal_errors import normal_turns
+from skylight.faces._observe import skin_seen
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.transport._cameras import Camera
+from skylight.transport._matrix import BLOCK_DIRECTIONS, SeenDirections, SurfaceRays
+from skylight.transport._rays import Raycaster
+from skylight.transport._reflection import specular_lobe
+from skylight.transport._render import (
+    SMOOTH_HEIGHT,
+    GBuffer,
+    Specular,
+    rasterize,
+    split_bright,
+    vertex_normals,
+)
+from skylight.transport._visibility import adaptive_visibility
+from skylight.work._progress import Progress
+
+SEMI_AXES_M = np.array([0.215, 0.27, 0.115])  # shoulders 43 cm wide: between women's and men's
+SQUARENESS = 0.75  # e: 1 is an ellipsoid, towards 0 a box
+CENTRE_M = np.array([0.0, -0.44, -0.05])  # from the middle of the head
+TURN = 0.5  # of the head's yaw
+_RINGS, _SIDES = 24, 48
+
+
+def bust(fit: FaceFit) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "f 3"]]:
+    """Vertices (metres, the camera's frame) and triangles, counter-clockwise from outside."""
+    latitudes = np.linspace(-math.pi / 2, math.pi / 2, _RINGS + 1)[1:-1, None]
+    longitudes = np.linspace(0, 2 * math.pi, _SIDES, endpoint=False)[None]
+    unit = np.stack(
+        [
+            _power(np.cos(latitudes)) * _power(np.sin(longitudes)),
+            np.broadcast_to(_power(np.sin(latitudes)), (_RINGS - 1, _SIDES)),
+            _power(np.cos(latitudes)) * _power(np.cos(longitudes)),
+        ],
+        axis=-1,
+    ).reshape(-1, 3)
+    points = SEMI_AXES_M * np.concatenate([unit, [[0, -1, 0], [0, 1, 0]]])
+    ring = np.arange(len(unit)).reshape(_RINGS - 1, _SIDES)
+    beside = np.roll(ring, -1, axis=1)
+    bottom, top = np.full(_SIDES, len(unit)), np.full(_SIDES, len(unit) + 1)
+    faces = np.concatenate(
+        [
+            np.stack([ring[:-1], beside[:-1], beside[1:]], -1).reshape(-1, 3),
+            np.stack([ring[:-1], beside[1:], ring[1:]], -1).reshape(-1, 3),
+            np.stack([bottom, beside[0], ring[0]], -1),
+            np.stack([top, ring[-1], beside[-1]], -1),
+        ]
+    )
+    forward = fit.rotation @ np.array([0.0, 0.0, 1.0])
+    yaw = TURN * math.atan2(forward[0], forward[2])
+    c, s = math.cos(yaw), math.sin(yaw)
+    turned = (points + CENTRE_M) @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+    return turned + fit.translation, faces
+
+
+def _power(value: Float[ndarray, "*s"]) -> Float[ndarray, "*s"]:
+    return np.sign(value) * np.abs(value) ** SQUARENESS
+
+
+THICKNESS_M = 0.011  # as that of the rendered people, 6 to 16 mm; longer hair stands off farther
+
+
+def hair_shell(
+    fit: FaceFit, hair: Float[ndarray, "h w"]
+) -> tuple[Float[ndarray, "n 3"], Int[ndarray, "f 3"]]:
+    """Vertices (metres, the camera's frame) and triangles, counter-clockwise from outside.
+
+    ``hair`` is how likely a pixel of the photograph shows hair. It stands where that is more than a
+    half at what the picture shows of scalp and forehead. The scalp that it does not show is as
+    hairy as what it shows in the mean. Both arrays are empty of a bald head.
+    """
+    model = HeadModel.load()
+    vertices, faces = torch.from_numpy(fit.vertices), torch.from_numpy(model.faces.copy())
+    normals = vertex_normals(vertices, faces)
+    scalp = model.regions == Region.SCALP
+    height = model.mean[:, 1]
+    brows = height[model.regions == Region.BROW].max()
+    forehead = (model.regions == Region.FACE) & (height > brows)
+    places = fit.camera.project(vertices).numpy().astype(np.float32)
+    inside = ((places >= 0) & (places < (fit.camera.width, fit.camera.height))).all(1)
+    seen = inside & _faces_camera(vertices, normals, Raycaster(vertices, faces))
+    x, y = (places[:, None, k] - 0.5 for k in (0, 1))  # of cv2's pixels, whose centres are whole
+    likely = cv2.remap(
+        hair.astype(np.float32), x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )[:, 0]
+    hidden = scalp & ~seen
+    likely[hidden] = likely[scalp & seen].mean() if (scalp & seen).any() else 0
+    hairy = (likely > 0.5) & (hidden | seen & (scalp | forehead))
+    kept, shell = np.unique(model.faces[hairy[model.faces].all(1)], return_inverse=True)
+    return fit.vertices[kept] + THICKNESS_M * normals[kept].numpy(), shell.reshape(-1, 3)
+
+
+def _faces_camera(
+    vertices: Float[Tensor, "n 3"], normals: Float[Tensor, "n 3"], raycaster: Raycaster
+) -> Bool[ndarray, " n"]:
+    """Which vertices the camera at the origin sees, in the picture or beside it."""
+    towards = normalize(-vertices, dim=1)
+    starts = vertices + raycaster.epsilon * normals
+    hidden = raycaster.occluded(starts.float(), towards.float())
+    return (((normals * towards).sum(1) > 0) & ~hidden).numpy()
+
+
+FACE_PX = 144  # height of the face's skin where shading is computed; photographs are not enlarged
+HAIR, BUST = 254, 255  # among the regions
+FINE_ROWS = 128  # of the grid of bright pixels: cells of 1.4 degrees
+_BLOCK_POINTS = 256
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shading:
+    """What points of albedo 1 send to the camera: ``diffuse`` (m,3) and, by gloss, ``glossy``."""
+
+    diffuse: Float[Tensor, "m 3"]
+    glossy: Float[Tensor, "m 3"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PersonSurface:
+    """The surface at the pixels of ``camera``, whose face is ``face_px`` high.
+
+    ``normals`` are the head's as an estimate has turned them; ``regions`` (m,) are values of
+    :class:`~skylight.faces._model.Region`, :data:`HAIR` or :data:`BUST`.
+    """
+
+    surface: GBuffer
+    camera: Camera
+    face_px: float
+    normals: Float[Tensor, "m 3"]
+    regions: UInt8[Tensor, " m"]
+    sight: SeenDirections
+    rays: SurfaceRays
+
+    @staticmethod
+    def of(
+        fit: FaceFit,
+        head_error: Float[Tensor, " d"] | None = None,
+        hair: Float[np.ndarray, "h w"] | None = None,
+        *,
+        face_px: int = FACE_PX,
+        workers: int = 1,
+        progress: Progress | None = None,
+    ) -> "PersonSurface":
+        """Of a fitted head whose face is at most ``face_px`` high.
+
+        ``head_error`` turns its normals by :func:`~skylight.faces._normal_errors.normal_turns`.
+        ``hair`` is how likely a pixel of the photograph shows hair; without it the head has no
+        shell of hair.
+
+        Visibility is that of 32 rows of directions; m * 2048 bytes, 80 MB of 40,000 pixels.
+        """
+        model = HeadModel.load()
+        height = float(np.ptp(skin_seen(model, fit)[:, 1]))
+        scale = min(1.0, face_px / height)
+        camera = scaled(fit.camera, scale)
+        parts = [(fit.vertices, model.faces), bust(fit)]
+        if hair is not None:
+            parts.append(hair_shell(fit, hair))
+        starts = np.cumsum([0, *(len(points) for points, _ in parts)])
+        vertices = torch.from_numpy(np.concatenate([points for points, _ in parts]))
+        faces = torch.from_numpy(
+            np.concatenate(
+                [part + start for (_, part), start in zip(parts, starts[:-1], strict=True)]
+            )
+        )
+        raycaster = Raycaster(vertices, faces)
+        surface = rasterize(camera, vertices, faces, raycaster)
+        of_vertices = np.repeat([0, BUST, HAIR][: len(parts)], np.diff(starts)).astype(np.uint8)
+        of_vertices[: len(model.regions)] = model.regions
+        nearest = surface.barycentric.argmax(1, keepdim=True)
+        corners = faces[surface.faces].gather(1, nearest)[:, 0]
+        normals = surface.normals.clone()
+        if head_error is not None:
+            on_head = (surface.faces < len(model.faces)).nonzero()[:, 0]
+            turns = normal_turns(model, fit, surface, on_head, head_error)
+            normals[on_head] = normalize(normals[on_head] + turns, dim=1)
+        sight = adaptive_visibility(
+            surface.origins,
+            normals,
+            surface.geometric_normals,
+            raycaster,
+            SMOOTH_HEIGHT,
+            workers=workers,
+            progress=progress,
+        )
+        return PersonSurface(
+            surface=surface,
+            camera=camera,
+            face_px=scale * height,
+            normals=normals,
+            regions=torch.from_numpy(of_vertices)[corners],
+            sight=sight,
+            rays=SurfaceRays.leaving(
+                surface.origins, normals, surface.geometric_normals, raycaster
+            ),
+        )
+
+    def region_image(self) -> Int[np.ndarray, "h w"]:
+        """The regions as a picture, -1 where there is no surface."""
+        shown = self.surface.image(self.regions[:, None].float() + 1)
+        return shown[..., 0].long().numpy() - 1
+
+    def shade(self, light: EnvironmentMap, specular: Specular) -> Shading:
+        """Direct light with shadows: ``sum_w V <n, w>+ L dw / pi``, and so with f_s for 1 / pi.
+
+        Bright pixels of the map are cast one by one on 128 rows, the rest is averaged onto 32.
+        """
+        smooth, directions, flux = split_bright(light, FINE_ROWS)
+        if smooth.layout[0] != SMOOTH_HEIGHT:
+            raise ValueError(f"a map needs {SMOOTH_HEIGHT} rows or more, got {light.layout[0]}")
+        normals = self.normals.float()
+        views = -normalize(self.surface.positions, dim=1).float()
+        diffuse, glossy = torch.zeros(2, len(normals), 3)
+        towards, radiance = self.sight.grid.directions.float(), smooth.flat.float()
+        for points in torch.arange(len(normals)).split(_BLOCK_POINTS):
+            transport = self.sight[points]  # V <n, w>+ dw / pi
+            lobe = specular_lobe(normals[points], views[points], towards, specular)
+            diffuse[points] = transport @ radiance
+            glossy[points] = (math.pi * transport * lobe) @ radiance
+        for some, sent in zip(
+            directions.float().split(BLOCK_DIRECTIONS),
+            flux.float().split(BLOCK_DIRECTIONS),
+            strict=True,
+        ):
+            seen = torch.from_numpy(self.rays.visible_cosines(some.numpy())).T
+            diffuse += seen @ sent / math.pi
+            glossy += (seen * specular_lobe(normals, views, some, specular)) @ sent
+        return Shading(diffuse=diffuse, glossy=glossy)
+
+
+def scaled(camera: Camera, scale: float) -> Camera:
+    """The camera of the same picture at ``scale`` times its size, in whole pixels."""
+    width, height = (max(1, round(side * scale)) for side in (camera.width, camera.height))
+    across, down = width / camera.width, height / camera.height
+    return Camera(
+        focal_px=camera.focal_px * (across + down) / 2,
+        width=width,
+        height=height,
+        center_px=(camera.center_px[0] * across, camera.center_px[1] * down),
+    )

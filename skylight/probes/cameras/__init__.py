@@ -1,0 +1,1 @@
+"""Cameras: calibration boards, lens and response, merged exposures, live film."""

@@ -1,1 +1,0 @@
-"""Albedos by a ColorChecker in the same photograph."""

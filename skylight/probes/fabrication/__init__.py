@@ -1,0 +1,1 @@
+"""Parts for 3D printing: their checks, mounts, files and reports."""

@@ -1,1 +1,0 @@
-"""Shading of the partitions probe from photographs."""

@@ -1,1 +1,0 @@
-"""Designs of the partitions probe, and their optimisation."""

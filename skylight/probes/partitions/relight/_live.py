@@ -1,0 +1,126 @@
+"""Live relighting, frame by frame: track the board, read the faces, relight a scene, draw it."""
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from skylight.probes.cameras._board import Board
+from skylight.probes.cameras._drawing import lens_rays
+from skylight.probes.cameras._intrinsics import Intrinsics
+from skylight.probes.cameras._live import Clock, LiveFrame
+from skylight.probes.cameras._response import Response
+from skylight.probes.cameras._tracking import BoardTracker
+from skylight.probes.partitions._captured import (
+    FaceDiscs,
+    FaceSample,
+    complete_shading,
+    nonnegative_light,
+    read_samples,
+)
+from skylight.probes.partitions._probe import PartitionProbe
+from skylight.probes.partitions.printed._assembly import PlacedPartitions
+from skylight.probes.partitions.relight._composite import (
+    LitScene,
+    SceneOnBoard,
+    TurningSceneOnBoard,
+)
+
+STAGES = ("track", "capture", "relight", "draw")
+NEWER = 0.2  # weight of a new sample: light follows within five frames or so
+
+
+class RunningShading:
+    """Exponential moving average of the faces' shading (thesis, section 4.6.1).
+
+    A new sample of a face changes its value by ``s <- s + 0.2 (new - s)``, which follows changes of
+    the light in the faces in view, and averages noise.
+    """
+
+    def __init__(self, shading: Float[Tensor, "n 3"], known: Bool[Tensor, " n"]) -> None:
+        self.shading, self.known = shading.clone(), known.clone()
+
+    def add(self, samples: list[FaceSample]) -> int:
+        """Add samples that are large enough and not over-exposed; returns their number."""
+        taken = 0
+        for sample in samples:
+            if sample.too_small or sample.too_bright:
+                continue
+            share = NEWER if self.known[sample.cell] else 1.0
+            kept = self.shading[sample.cell]
+            self.shading[sample.cell] = kept + share * (sample.radiance - kept)
+            self.known[sample.cell] = True
+            taken += 1
+        return taken
+
+
+class PartitionLiveView:
+    """Camera frames to frames with the scene composited, one after the other.
+
+    ``probe`` makes light of the shading of ``placed``, which ``shading`` begins with. A scene that
+    turns is at ``start_rad`` in the first frame, and ``step_rad`` further in each one after it.
+    """
+
+    def __init__(
+        self,
+        *,
+        intrinsics: Intrinsics,
+        board: Board,
+        response: Response,
+        placed: PlacedPartitions,
+        probe: PartitionProbe,
+        scene: SceneOnBoard | TurningSceneOnBoard,
+        shading: RunningShading,
+        start_rad: float = 0.0,
+        step_rad: float = 0.0,
+    ) -> None:
+        self._intrinsics, self._response = intrinsics, response
+        self._tracker = BoardTracker(board, intrinsics)
+        self._discs, self._probe = FaceDiscs(placed), probe
+        self._scene, self.shading = scene, shading
+        self._angle_rad, self._step_rad = start_rad - step_rad, step_rad
+        self._rays = lens_rays(intrinsics).float()
+        self._light: Float[Tensor, "n 3"] | None = None
+        self._lit: LitScene | None = None
+
+    def show(self, image: UInt8[np.ndarray, "h w 3"]) -> LiveFrame:
+        """The frame with the scene in it, as soon as half of the cells were seen."""
+        self._angle_rad += self._step_rad
+        clock = Clock()
+        found = self._tracker.pose(image)
+        clock.mark("track")
+        if found is None or found.is_ambiguous:  # a mirrored pose would spoil what is captured
+            return self._frame(image, False, clock)
+        samples = read_samples(image, self._response, self._discs, found.pose, self._intrinsics)
+        taken = self.shading.add(samples)
+        clock.mark("capture")
+        if taken or self._light is None:
+            self._read_light()
+        if taken or self._lit is None or self._step_rad != 0:
+            self._relight()
+        if self._lit is None:
+            return self._frame(image, True, clock)
+        clock.mark("relight")
+        picture = self._scene.put_into(
+            image, self._lit, found.pose, self._intrinsics, self._response, self._rays.__getitem__
+        )
+        clock.mark("draw")
+        return self._frame(picture, True, clock)
+
+    def _read_light(self) -> None:
+        known = self.shading.known
+        if 2 * int(known.sum()) < len(known):
+            return
+        shading = complete_shading(self.shading.shading, known, self._probe)
+        self._light = nonnegative_light(shading, self._probe)[0]
+
+    def _relight(self) -> None:
+        if self._light is None:
+            return
+        if isinstance(self._scene, TurningSceneOnBoard):
+            self._lit = self._scene.lit(self._light, self._angle_rad)
+        else:
+            self._lit = self._scene.lit(self._light)
+
+    def _frame(self, picture: np.ndarray, tracked: bool, clock: Clock) -> LiveFrame:
+        known = int(self.shading.known.sum())
+        return LiveFrame(picture=picture, tracked=tracked, known=known, times=clock.times)

@@ -1,0 +1,258 @@
+"""The shading of a printed voxel probe from photographs or a film, files to files.
+
+Video with a voxel model lit by the voxel probe that it shows.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from skylight import __version__
+from skylight.errors import InputError
+from skylight.io._bounded import write_json
+from skylight.io._files import write_png
+from skylight.probes.cameras._files import (
+    MOVED,
+    BoardPictures,
+    Setup,
+    report_warnings,
+    require_capture,
+)
+from skylight.probes.cameras._live import (
+    FRAMES_MOST,
+    Frame,
+    LiveReport,
+    check_film,
+    read_frames,
+    write_film,
+)
+from skylight.probes.voxel._captured import Aligner, Alignment, LightmapCapture
+from skylight.probes.voxel._lightmap import Lightmap, load_lightmap
+from skylight.probes.voxel._model import OCCLUDERS, ORIENTATIONS, VoxelModel
+from skylight.probes.voxel._parts import PlacedProbe, VoxelAssembly, load_voxel_assembly
+from skylight.probes.voxel._reconstruct import first_slot, ranks
+from skylight.probes.voxel._relight import LiveView
+from skylight.probes.voxel._render_files import Reconstruction, VoxelPlacement, reconstruction_for
+from skylight.sphere._rotation import RigidTransform
+from skylight.work._progress import Tell
+from skylight.work._resumable import results_folder
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaptureResult:
+    """``warnings`` are sentences for the user, empty when all went well."""
+
+    lightmap: Lightmap
+    assembly: VoxelAssembly
+    used: list[str]
+    left_out: list[tuple[str, str]]
+    disagreement: float | None
+    alignment: Alignment | None
+    aligned: bool
+    warnings: list[str]
+
+
+def capture_voxel_probe(
+    source: Path | Sequence[Path] | int,
+    *,
+    setup: Setup,
+    assembly: Path,
+    out: Path,
+    most: int = FRAMES_MOST,
+    more: bool = False,
+    tell: Tell = print,
+    warn: Tell = print,
+) -> CaptureResult:
+    """lightmap.npz, lightmap.png, capture.json and assembly.json in ``out``.
+
+    ``more`` adds to an earlier capture: a slot is replaced where a new
+    picture shows it larger. assembly.json has the probe where it was found to stand.
+
+    Raises
+    ------
+    InputError
+        No picture shows the board and the probe, or a file cannot be used; nothing is written.
+    """
+    before = out / "lightmap.npz"
+    require_capture(before, more=more, most=most)
+    printed = load_voxel_assembly(assembly)
+    printed.require_board(setup.board.size_mm)
+    start = load_lightmap(before) if more else None
+    with results_folder(out) as folder:
+        found = capture_frames(read_frames(source, most=most), printed, setup, start)
+        found.lightmap.save(folder / "lightmap.npz")
+        write_png(folder / "lightmap.png", found.lightmap.png())
+        write_json(folder / "assembly.json", found.assembly.to_json())
+        write_json(folder / "capture.json", describe_capture(found))
+    report_warnings(found.left_out, found.warnings, warn)
+    slots = int(found.lightmap.known.sum())
+    tell(f"{out}: {slots} of 192 slots from {len(found.used)} pictures")
+    if found.alignment is not None and found.aligned:
+        turn, shift = (
+            float(np.linalg.norm(v)) for v in (found.alignment.turn_deg, found.alignment.shift_mm)
+        )
+        tell(f"the probe stands {turn:.1f} degrees and {shift:.1f} mm off its place; allowed for")
+    return found
+
+
+def capture_frames(
+    frames: Iterable[Frame], assembly: VoxelAssembly, setup: Setup, start: Lightmap | None = None
+) -> CaptureResult:
+    """Everything that pictures tell, the board found in each on its own.
+
+    The probe's own edges in all of them say where it stands, if they agree; all pictures are held
+    in memory for that.
+    """
+    seen: list[tuple[Frame, RigidTransform]] = []
+    pictures = BoardPictures(frames, setup)
+    aligner = Aligner(PlacedProbe(assembly), setup.intrinsics)
+    for frame, pose in pictures:
+        aligner.add(frame.image, pose)
+        seen.append((frame, pose))
+    pictures.require_some()
+    alignment = aligner.alignment()
+    aligned = alignment is not None and alignment.trusted(assembly.voxel_mm)
+    if alignment is not None and aligned:
+        assembly = alignment.applied(assembly)
+    capture = LightmapCapture(PlacedProbe(assembly), start)
+    for frame, pose in seen:
+        capture.add_photo(frame.image, setup.response, pose, setup.intrinsics)
+    lightmap = capture.lightmap()
+    if not bool(lightmap.known.any()):
+        burnt = int(capture.rejected.sum())
+        raise InputError(
+            f"all {burnt} faces in view are over-exposed: expose shorter"
+            if burnt
+            else f"no face of the probe is whole in any of {len(seen)} pictures: step back, and "
+            "check that the assembly is that of the probe"
+        )
+    disagreement = float(np.median(capture.disagreements)) if capture.disagreements else None
+    return CaptureResult(
+        lightmap=lightmap,
+        assembly=assembly,
+        used=pictures.used,
+        left_out=pictures.left_out,
+        disagreement=disagreement,
+        alignment=alignment,
+        aligned=aligned,
+        warnings=_capture_warnings(capture, lightmap, disagreement, alignment),
+    )
+
+
+def describe_capture(found: CaptureResult) -> dict[str, object]:
+    """In plain numbers."""
+    return {
+        "slots": int(found.lightmap.known.sum()),
+        "pictures": found.used,
+        "left_out": [{"name": name, "reason": reason} for name, reason in found.left_out],
+        "disagreement": found.disagreement,
+        "alignment": None
+        if found.alignment is None
+        else {
+            **describe_alignment(found.alignment),
+            "applied": found.aligned,
+        },
+        "warnings": found.warnings,
+        "coverage": found.lightmap.coverage.tolist(),
+        "pixels_per_texel": found.lightmap.confidence.tolist(),
+        "version": __version__,
+    }
+
+
+def describe_alignment(alignment: Alignment) -> dict[str, object]:
+    """How the probe stands otherwise than it was meant to."""
+    return {
+        "turn_deg": alignment.turn_deg.tolist(),
+        "shift_mm": alignment.shift_mm.tolist(),
+        "turn_spread_deg": alignment.turn_spread_deg,
+        "shift_spread_mm": alignment.shift_spread_mm,
+        "pictures": alignment.pictures,
+    }
+
+
+def _capture_warnings(
+    capture: LightmapCapture,
+    lightmap: Lightmap,
+    disagreement: float | None,
+    alignment: Alignment | None,
+) -> list[str]:
+    warnings = []
+    if alignment is None:
+        warnings.append(
+            "the probe's edges are clear in too few pictures to tell where it stands: the "
+            "assembly's pose is used"
+        )
+    elif not alignment.agrees:
+        warnings.append(
+            "pictures disagree about where the probe stands (by "
+            f"{alignment.turn_spread_deg:.1f} degrees and {alignment.shift_spread_mm:.1f} mm): did "
+            "it move? The assembly's pose is used"
+        )
+    elif not alignment.plausible(capture.probe.assembly.voxel_mm):
+        warnings.append(
+            "by its edges the probe stands far from where the assembly says "
+            f"({np.linalg.norm(alignment.turn_deg):.0f} degrees, "
+            f"{np.linalg.norm(alignment.shift_mm):.0f} mm), further than they can be told from "
+            "one another: turn its notch to the base's, and check the files"
+        )
+    if disagreement is not None and disagreement > MOVED:
+        warnings.append(
+            f"faces seen twice differ by {disagreement:.0%} (median): the light moved or changed, "
+            "the exposure was not fixed, or the probe stands elsewhere than the assembly says"
+        )
+    burnt = capture.rejected
+    if bool(burnt.any()):
+        warnings.append(
+            f"{int(burnt.sum())} slots are over-exposed in every picture, the first "
+            f"{first_slot(burnt)}: expose shorter"
+        )
+    slots, needed = lightmap.known.sum(1).tolist(), len(OCCLUDERS)
+    for name, count, rank in zip(ORIENTATIONS, slots, ranks(lightmap.known).tolist(), strict=True):
+        if rank < needed:
+            warnings.append(
+                f"orientation {name} has {count} captured slots of rank {rank}, {needed} "
+                "are needed: walk round the probe, or use a probe that encodes more"
+            )
+    return warnings
+
+
+def live_film(
+    source: Path | int,
+    out: Path,
+    *,
+    setup: Setup,
+    assembly: Path,
+    model: VoxelModel,
+    placement: VoxelPlacement,
+    kind: Reconstruction = "direct",
+    albedo: float = 0.8,
+    most: int | None = None,
+    tell: Tell = print,
+) -> LiveReport:
+    """Write ``out`` (.mp4) with the model drawn into each frame of a video or webcam.
+
+    Ctrl-C ends a webcam's film, which is kept.
+
+    Raises
+    ------
+    InputError
+        The source or another file cannot be used, or no frame shows the board.
+    """
+    check_film(source, out, most)
+    printed = load_voxel_assembly(assembly)
+    printed.require_board(setup.board.size_mm)
+    view = LiveView(
+        intrinsics=setup.intrinsics,
+        board=setup.board,
+        response=setup.response,
+        probe=PlacedProbe(printed),
+        model=model,
+        to_board=placement.matrix(model, printed.board_from_probe.rotation),
+        reconstruction=lambda lightmap: reconstruction_for(lightmap, kind, albedo),
+    )
+    size = setup.intrinsics.width, setup.intrinsics.height
+    report = write_film(source, out, view.show, size=size, most=most)
+    tell(report.sentence(out, "slots"))
+    return report

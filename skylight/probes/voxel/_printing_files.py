@@ -1,0 +1,247 @@
+"""The files of a printed voxel probe: parts for the printer, assembly, report, pictures.
+
+The figure of a printed voxel probe: assembled, exploded, on the bed, and numbers.
+"""
+
+import math
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from manifold3d import Manifold
+
+from skylight import __version__
+from skylight.errors import InputError
+from skylight.io._bounded import write_json
+from skylight.probes.fabrication._files import shaded_picture, write_printed_parts
+from skylight.probes.fabrication._parts import PrintedPart, box, part_of
+from skylight.probes.fabrication._report import (
+    BASE,
+    INK,
+    PANEL_PX,
+    PAPER,
+    POLE,
+    paper_parts,
+    write_sheet_of_prints,
+)
+from skylight.probes.voxel._model import ORIENTATIONS, VoxelModel, read_voxels, star_probe
+from skylight.probes.voxel._printing import PrintedProbe, hidden_by_pole, voxel_assembly
+
+# linear reflectances
+_VOXELS = np.array(
+    [
+        [0.80, 0.42, 0.20],
+        [0.28, 0.52, 0.66],
+        [0.83, 0.66, 0.30],
+        [0.35, 0.58, 0.42],
+        [0.72, 0.7, 0.66],
+    ]
+)
+_FOOT = (0.33, 0.36, 0.40)
+_APART = 1.0  # of a face, between parts taken apart
+
+
+def write_print_picture(path: Path, result: PrintedProbe, *, panel_px: int = PANEL_PX) -> None:
+    """Write the picture as a PNG; panels are ``panel_px`` high."""
+    sizes = result.printed.sizes
+    write_sheet_of_prints(
+        path,
+        title=result.title,
+        sizes=f"faces {sizes.face_mm:g} mm, walls {sizes.wall_mm:g} mm, "
+        f"clearance {sizes.clearance_mm:g} mm",
+        problems=result.report.problems,
+        panels={
+            "On its pole and marker base": assembled(result, panel_px),
+            "Taken apart": taken_apart(result, panel_px),
+            "On the printer's bed": on_bed(result, panel_px),
+        },
+        rows=_rows(result),
+        panel_px=panel_px,
+    )
+
+
+def assembled(result: PrintedProbe, panel_px: int) -> UInt8[np.ndarray, "h w 3"]:
+    """The probe assembled on its pole and marker base."""
+    mount = result.mount
+    parts = [mount.on_base(part) for part in (*result.printed.parts, mount.foot)]
+    paper = paper_parts(result.board, result.mount.paper_hole_mm)
+    colours = [*_voxel_colours(result), _FOOT, BASE, POLE, PAPER, *[INK] * (len(paper) - 1)]
+    return shaded_picture(
+        [*parts, mount.base, _rod(result), *paper],
+        np.array(colours),
+        size=(panel_px, panel_px),
+        up=(0, 0, -1),
+        azimuth_rad=math.radians(-62.0),
+        elevation_rad=math.radians(24.0),
+    )
+
+
+def taken_apart(result: PrintedProbe, panel_px: int) -> UInt8[np.ndarray, "h w 3"]:
+    """Every part drawn away from where the foot plugs in."""
+    printed = result.printed
+    step = _APART * printed.sizes.face_mm
+    cells = printed.assembly.cells
+    parts = [
+        part.shifted(step * (cell - cells[0]).astype(float))
+        for part, cell in zip(printed.parts, cells, strict=True)
+    ]
+    foot = result.mount.foot.shifted(np.array([0.0, -0.8 * step, 0.0]))
+    return shaded_picture(
+        [*parts, foot],
+        np.array([*_voxel_colours(result), _FOOT]),
+        size=(panel_px, panel_px),
+        up=(0, 1, 0),
+        azimuth_rad=math.radians(28.0),
+        elevation_rad=math.radians(22.0),
+    )
+
+
+def on_bed(result: PrintedProbe, panel_px: int) -> UInt8[np.ndarray, "h w 3"]:
+    """Parts and foot as they are printed."""
+    width, depth, _ = result.bed.size_mm
+    bed = part_of("bed", box(np.array([-4.0, -4.0, -1.0]), np.array([width + 4, depth + 4, -0.01])))
+    return shaded_picture(
+        [*result.bed.parts, bed],
+        np.array([*_voxel_colours(result), _FOOT, (0.86, 0.87, 0.88)]),
+        size=(panel_px, panel_px),
+        up=(0, 0, 1),
+        azimuth_rad=math.radians(-65.0),
+        elevation_rad=math.radians(48.0),
+    )
+
+
+def _voxel_colours(result: PrintedProbe) -> Float[np.ndarray, "n 3"]:
+    return _VOXELS[np.arange(len(result.printed.parts)) % len(_VOXELS)]
+
+
+def _rod(result: PrintedProbe) -> PrintedPart:
+    """The pole, between its stops, in the board's frame."""
+    board, pole, sizes = result.board, result.pole, result.printed.sizes
+    radius = pole.diameter_mm / 2
+    rod = Manifold.cylinder(pole.length_mm, radius, radius, 48)
+    low = board.paper_mm + sizes.wall_mm - pole.length_mm
+    return part_of("pole", rod.translate((board.width_mm / 2, board.height_mm / 2, low)))
+
+
+def _rows(result: PrintedProbe) -> list[tuple[str, str]]:
+    report, printed = result.report, result.printed
+    least, largest = report.clearances_mm
+    width, depth, height = result.bed.size_mm
+    return [
+        ("parts, and a foot", f"{len(printed.parts)}"),
+        ("material", f"{printed.volume_mm3 / 1000:.1f} cm³"),
+        ("saved against the solid model", f"{100 * result.saved:.1f} %"),
+        ("foot", f"{result.mount.foot.volume_mm3 / 1000:.1f} cm³"),
+        ("marker base", f"{result.mount.base.volume_mm3 / 1000:.1f} cm³"),
+        ("on the bed", f"{width:.0f} × {depth:.0f} × {height:.0f} mm"),
+        ("thinnest wall, measured", f"{report.thinnest_mm:.3f} mm"),
+        ("clearances, measured", f"{least:.3f} to {largest:.3f} mm"),
+        ("faces off the model's plane", f"{report.face_deviation_mm:.1g} mm"),
+        ("parts share, when assembled", f"{report.overlap_mm3:.1g} mm³"),
+        ("longest bridge to print", f"{max(p.bridge_mm for p in report.parts):.1f} mm"),
+        ("pole", f"{result.pole.diameter_mm:g} × {result.pole.length_mm:g} mm"),
+        ("hole in the marker's paper", f"{result.mount.paper_hole_mm:.1f} mm"),
+        ("all checks", "pass" if report.sound else f"{len(report.problems)} fail"),
+    ]
+
+
+def probe_model(probe: int | None, voxels: Path | None, resolution: int) -> tuple[VoxelModel, str]:
+    """(model, title) that the command line's options describe: a star, or a file."""
+    if (probe is None) == (voxels is None):
+        raise InputError("give either --probe, such as 3, or --voxels with a file")
+    if probe is not None:
+        return star_probe(probe), f"{probe}-probe"
+    assert voxels is not None
+    return read_voxels(voxels, resolution=resolution).cropped(), voxels.name
+
+
+def write_printed_probe(folder: Path, result: PrintedProbe, *, panel_px: int = 600) -> None:
+    """STL and 3MF files, assembly.png (panels of so many pixels), assembly.json, report.json."""
+    write_printed_parts(folder, result.bed, result.mount.base)
+    write_json(folder / "assembly.json", describe_assembly(result))
+    write_json(folder / "report.json", describe_print(result))
+    write_print_picture(folder / "assembly.png", result, panel_px=panel_px)
+
+
+def describe_assembly(result: PrintedProbe) -> dict[str, object]:
+    """What assembly.json holds: how the probe stands on the board, and how it goes together."""
+    printed, mount = result.printed, result.mount
+    sizes, steps = printed.sizes, printed.assembly
+    cells = np.argwhere(printed.model.occupied)
+    centre = sizes.face_mm * (cells.min(0) + cells.max(0) + 1) / 2
+    pole_hidden = hidden_by_pole(result)
+    assembly = voxel_assembly(result)
+    return {
+        **assembly.to_json(),
+        "probe_frame": "voxel (x, y, z) begins at that corner; +Y is up",
+        "board_frame": "mm: origin at the top left corner of the printed pattern, x right along "
+        "its upper edge, y out of the paper, z towards its lower edge; a point p of the probe "
+        "stands at rotation (voxel_mm p) + translation_mm",
+        "probe_centre_mm": assembly.to_board(centre / sizes.face_mm).tolist(),
+        "turn": "the notches in the front edges of foot and base point the same way: to the "
+        "bottom of the printed picture, which is the probe's +Z",
+        "board": {
+            **asdict(result.board),
+            "paper_width_mm": result.board.width_mm + 2 * result.board.margin_mm,
+            "paper_height_mm": result.board.height_mm + 2 * result.board.margin_mm,
+            "paper_hole_mm": mount.paper_hole_mm,
+        },
+        "pole": asdict(result.pole),
+        "hidden_face": pole_hidden,
+        "steps": [
+            {
+                "part": part.name,
+                "voxel": cell,
+                "onto": "foot" if parent < 0 else printed.parts[parent].name,
+                "moves": ORIENTATIONS[side],
+            }
+            for part, cell, parent, side in zip(
+                printed.parts,
+                steps.cells.tolist(),
+                steps.parents.tolist(),
+                steps.toward_parent.tolist(),
+                strict=True,
+            )
+        ],
+        "version": __version__,
+    }
+
+
+def describe_print(result: PrintedProbe) -> dict[str, object]:
+    """What report.json holds."""
+    printed = result.printed
+    return {
+        "title": result.title,
+        "voxels": len(printed.model),
+        "solid_mm3": printed.solid_mm3,
+        "parts_mm3": printed.volume_mm3,
+        "foot_mm3": result.mount.foot.volume_mm3,
+        "marker_base_mm3": result.mount.base.volume_mm3,
+        "material_saved": result.saved,
+        "bed_mm": list(result.bed.size_mm),
+        "bed_mm3": result.bed.volume_mm3,
+        **result.report.content(),
+        "version": __version__,
+    }
+
+
+def summarise_print(result: PrintedProbe) -> str:
+    """A few lines for the terminal."""
+    report, printed = result.report, result.printed
+    least, largest = report.clearances_mm
+    hidden = hidden_by_pole(result)
+    slot = f"lightmap slot {hidden['orientation']} / {hidden['configuration']}"
+    width, depth, height = result.bed.size_mm
+    lost = "which no other face has" if hidden["slot_lost"] else "which other faces have too"
+    return "\n".join(
+        [
+            f"parts       {len(printed.parts)} and a foot, on {width:.0f} x {depth:.0f} mm, "
+            f"{height:.0f} mm high",
+            f"material    {printed.volume_mm3 / 1000:.1f} cm3, {100 * result.saved:.0f} % less "
+            "than the solid model",
+            f"measured    walls {report.thinnest_mm:.2f} mm or more, clearances {least:.2f} to "
+            f"{largest:.2f} mm, faces off by {report.face_deviation_mm:.1g} mm",
+            f"hidden      the pole takes {slot}, {lost}",
+        ]
+    )

@@ -1,0 +1,81 @@
+"""The voxel probe as a linear encoder of light: radiance to its lightmap."""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from skylight.errors import InputError
+from skylight.probes.voxel._interreflection import DEGREE, SIZE, face_frame, slot_transfer
+from skylight.probes.voxel._model import ORIENTATIONS, VoxelModel, exposed_faces
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._frame import DirectionGrid
+from skylight.sphere._rotation import rotate
+
+
+class VoxelProbe(nn.Module):
+    """A voxel model of one Lambertian material as an encoder of light (thesis, 3.4.4).
+
+    ``probe(radiance, grid)`` is the lightmap: of texel x of each slot
+    ``s(x) = sum_i c_i t_i(x)`` (Eq. 3.15), with c the light's spherical harmonics up to
+    ``degree`` and t the transfer coefficients, all bounces between a face and its neighbours
+    included. Slots of which the model has no face are 0;
+    :class:`~skylight.probes.voxel._reconstruct.SlotReconstruction` makes them from the others::
+
+        slots = DirectReconstruction(probe.known)(probe(radiance, grid))
+
+    Parameters
+    ----------
+    albedo
+        An ``nn.Parameter`` (3,), a number or one for each colour. While it needs a gradient, the
+        transfer is solved for in every call, in a second or so a colour; to optimise the light
+        alone, ``probe.requires_grad_(False)``.
+    size
+        Texels along a slot's side, n.
+    """
+
+    albedo: nn.Parameter
+    known: Bool[Tensor, "6 32"]
+
+    def __init__(
+        self,
+        model: VoxelModel,
+        albedo: float | Float[Tensor, "*_"] = 0.8,
+        *,
+        size: int = SIZE,
+        degree: int = DEGREE,
+    ) -> None:
+        super().__init__()
+        value = torch.as_tensor(albedo, dtype=torch.float64)
+        if value.shape not in ((), (3,)):
+            raise InputError(
+                f"an albedo of shape {tuple(value.shape)}: a voxel probe is of one material, give "
+                "a number or 3 colours"
+            )
+        if not bool(((value >= 0) & (value <= 1)).all()):
+            raise InputError(f"an albedo lies in 0 to 1, got {value.tolist()}")
+        self.size, self.degree = size, degree
+        self.albedo = nn.Parameter(value.expand(3).clone())
+        self.register_buffer("known", exposed_faces(model).counts() > 0, persistent=False)
+
+    def forward(
+        self, radiance: Float[Tensor, "*b d 3"], grid: DirectionGrid
+    ) -> Float[Tensor, "*b 6 32 n n 3"]:
+        """The lightmap under radiance on a grid; linear in it, differentiable."""
+        if radiance.shape[-2:] != (len(grid), 3):
+            raise InputError(
+                f"radiance {tuple(radiance.shape)} on a grid of {len(grid)} directions: give "
+                f"(..., {len(grid)}, 3)"
+            )
+        # float64 sums: a sun is 1e5 times brighter than the pixels it is added to
+        basis = harmonics.evaluate(grid.directions, self.degree) * grid.solid_angles[:, None]
+        light = torch.einsum("dk,...dc->...ck", basis.to(radiance.device), radiance.double())
+        frames = [face_frame(o) for o in range(len(ORIENTATIONS))]
+        turned = torch.stack([rotate(light, frame.T) for frame in frames], -3)
+        slots = torch.einsum("cjxyk,...ock->...ojxyc", self._transfer().to(turned), turned)
+        return (slots * self.known[..., None, None, None].to(slots)).to(radiance.dtype)
+
+    def _transfer(self) -> Float[Tensor, "3 32 n n k"]:
+        """t of each colour, for light in the face's frame."""
+        return torch.stack(
+            [slot_transfer(a, size=self.size, degree=self.degree) for a in self.albedo.cpu()]
+        )

@@ -1,1 +1,0 @@
-"""Shading of the voxel probe from photographs."""

@@ -1,1 +1,0 @@
-"""Interreflection between the faces of a voxel model."""

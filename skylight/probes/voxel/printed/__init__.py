@@ -1,1 +1,0 @@
-"""The voxel probe as press-fit parts for 3D printing."""

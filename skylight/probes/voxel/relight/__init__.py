@@ -1,1 +1,0 @@
-"""Voxel models rendered with the probe's lightmap."""

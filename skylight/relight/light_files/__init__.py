@@ -1,1 +1,0 @@
-"""Environment maps as files of other programs, one module for each."""

@@ -1,1 +1,0 @@
-"""The clear sky: its spectrum, its scattering, and what of it reaches the observer."""

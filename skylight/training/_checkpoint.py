@@ -1,0 +1,186 @@
+"""Checkpoints of a run.
+
+Logs of a run: curves, TensorBoard, reconstructions.
+"""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from skylight.errors import InputError
+from skylight.imaging._colour import tone_map
+from skylight.io._bounded import write_json
+from skylight.io._files import write_png
+from skylight.io._tensors import read_tensors, write_tensors
+from skylight.models._network import SkyNetwork
+from skylight.work._progress import Tell
+
+NEWEST, PREVIOUS = "state.safetensors", "state.previous.safetensors"
+
+
+def write_state(folder: Path, state: dict[str, Any]) -> None:
+    """Write ``state.safetensors``, what it held before to ``state.previous.safetensors``.
+
+    ``state`` nests dictionaries, lists, tensors, numbers and texts; all but the tensors is JSON in
+    the file's header. At every moment one of the two files is whole.
+    """
+    tensors: dict[str, Tensor] = {}
+    plain = json.dumps(_without_tensors(state, tensors))
+    newest = folder / NEWEST
+    if newest.exists():
+        os.replace(newest, folder / PREVIOUS)
+    write_tensors(newest, tensors, {"state": plain})
+
+
+def read_state(folder: Path, identity: str, report: Tell = print) -> dict[str, Any] | None:
+    """The newest whole state of a run, or None where there is none yet.
+
+    Raises
+    ------
+    InputError
+        Both states are damaged, or they belong to a run with another ``identity``.
+    """
+    present = [p for p in (folder / NEWEST, folder / PREVIOUS) if p.exists()]
+    if not present:
+        return None
+    for path in present:
+        state = _read(path)
+        if state is None:
+            report(f"{path}: damaged (its checksum differs)")
+        elif state["identity"] != identity:
+            raise InputError(
+                f"{path}: belongs to a run with other data or another configuration; "
+                "choose another `out`, or delete it to start anew"
+            )
+        else:
+            return state
+    names = " and ".join(str(p) for p in present)
+    raise InputError(f"{names}: damaged, nothing to go on from; delete to start the run anew")
+
+
+def drop_damaged(folder: Path) -> None:
+    """Remove a damaged newest state, before the next one pushes it over the whole one."""
+    newest = folder / NEWEST
+    if newest.exists() and _read(newest) is None:
+        newest.unlink()
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    """None for a file that is damaged; :class:`InputError` where it cannot be read at all."""
+    try:
+        tensors, metadata = read_tensors(path)
+        state = _with_tensors(json.loads(metadata["state"]), tensors)
+        return state if isinstance(state, dict) and "identity" in state else None
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be read ({error.strerror or error}); mend that, or choose another out"
+        ) from error
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+def _without_tensors(value: Any, tensors: dict[str, Tensor]) -> Any:
+    """``value`` as JSON can hold it; its tensors go to ``tensors`` and leave their names."""
+    if isinstance(value, Tensor):
+        name = str(len(tensors))
+        tensors[name] = value.clone()  # tensors of a file share no memory
+        return {"tensor": name}
+    if isinstance(value, dict):  # pairs, since keys may be numbers
+        return {"pairs": [[key, _without_tensors(each, tensors)] for key, each in value.items()]}
+    if isinstance(value, list | tuple):
+        return [_without_tensors(each, tensors) for each in value]
+    return value
+
+
+def _with_tensors(value: Any, tensors: dict[str, Tensor]) -> Any:
+    if isinstance(value, list):
+        return [_with_tensors(each, tensors) for each in value]
+    if not isinstance(value, dict):
+        return value
+    if "tensor" in value:
+        return tensors[value["tensor"]]
+    return {key: _with_tensors(each, tensors) for key, each in value["pairs"]}
+
+
+SHOWN = 8  # validation skies
+WHITE = 1.5  # shown as full white; skies have mean luminance 1, clear ones most of it in the sun
+
+
+class Logs:
+    """Writes ``curves.json``, ``reconstructions/*.png`` and, where installed, TensorBoard's logs.
+
+    ``step`` is where the run goes on: TensorBoard hides what an earlier one logged beyond it.
+    """
+
+    def __init__(
+        self,
+        out: Path,
+        validation: Float[np.ndarray, "m h w 3"],
+        *,
+        facts: dict[str, Any],
+        step: int,
+        report: Tell,
+    ) -> None:
+        self.out, self.facts, self.report = out, facts, report
+        self.truth = spread(validation)
+        (out / "reconstructions").mkdir(exist_ok=True)
+        self.board = _tensorboard(out / "tensorboard", step, report)
+
+    def epoch(self, network: SkyNetwork, curves: list[dict[str, int | float]], best: float) -> None:
+        """Log the last of ``curves``, an entry per epoch."""
+        last = curves[-1]
+        step = int(last["step"])
+        write_json(self.out / "curves.json", {**self.facts, "curves": curves})
+        picture = reconstructions(network, self.truth)
+        write_png(self.out / "reconstructions" / f"epoch_{len(curves):04d}.png", picture)
+        if self.board:
+            for name in ("train", "validation", "denoising"):
+                self.board.add_scalar(f"loss/{name}", last[name], step)
+            for name in ("learning_rate", "images_per_s"):
+                self.board.add_scalar(name, last[name], step)
+            self.board.add_image("reconstructions", picture, step, dataformats="HWC")
+            self.board.flush()
+        self.report(
+            f"epoch {len(curves)}  train {last['train']:.4f}  validation "
+            f"{last['validation']:.4f}  corrupted {last['denoising']:.4f}  best {best:.4f}  "
+            f"{last['images_per_s']:.0f} images/s"
+        )
+
+    def close(self) -> None:
+        if self.board:
+            self.board.close()
+
+
+def spread(
+    skies: Float[np.ndarray, "m h w 3"] | Float[Tensor, "m h w 3"],
+) -> Float[Tensor, "n h w 3"]:
+    """At most :data:`SHOWN` skies, evenly spread over all."""
+    fixed = np.linspace(0, len(skies) - 1, min(SHOWN, len(skies))).round().astype(int)
+    return torch.as_tensor(skies[fixed])
+
+
+@torch.no_grad()
+def reconstructions(
+    network: SkyNetwork, truth: Float[Tensor, "n h w 3"]
+) -> UInt8[np.ndarray, "_ _ 3"]:
+    """Truth over reconstruction, 2h x nw pixels, under one exposure."""
+    network.eval()
+    device = next(network.parameters()).device
+    again = network.decode(network.encode(truth.to(device))).cpu()
+    rows = [torch.cat(list(skies), 1) for skies in (truth, again)]
+    return tone_map(torch.cat(rows), white=WHITE)
+
+
+def _tensorboard(folder: Path, step: int, report: Tell) -> Any:
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        report("no TensorBoard logs: install tensorboard for them (pip install 'skylight[train]')")
+        return None
+    return SummaryWriter(str(folder), purge_step=step + 1)

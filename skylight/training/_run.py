@@ -1,0 +1,194 @@
+"""The command line of ``train.py``.
+
+From a folder of skies to a light model that everything can use.
+"""
+
+import math
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import tyro
+
+from skylight.errors import InputError, SkylightError
+from skylight.models._bundle import NETWORK, SHIPPED, load_bundle
+from skylight.skies._captures import Refusal, index_folder
+from skylight.skies._index import INDEX_NAME, SkyRecord, is_index, map_path, read_index
+from skylight.training._autoencoder import train
+from skylight.training._config import (
+    AutoencoderConfig,
+    Config,
+    DictionaryConfig,
+    PriorConfig,
+    find_config,
+    read_config,
+)
+from skylight.training._prior import fit_priors, splits_for_priors
+from skylight.work._progress import CountProgress, Tell
+from skylight.work._resumable import claimed
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """``train.py CONFIG [--key value ...]``: overrides are checked against the configuration.
+
+    ``torchrun --nproc-per-node N train.py CONFIG`` trains in N processes on one machine.
+    """
+    arguments = sys.argv[1:] if arguments is None else arguments
+    rank = int(os.environ.get("RANK", "0"))
+    name = f"train.py, process {rank}" if rank else "train.py"
+    try:
+        if not arguments or arguments[0].startswith("-"):
+            raise InputError("usage: python train.py configs/NAME.yaml [--key value ...]")
+        config = read_config(find_config(arguments[0]))
+        config = tyro.cli(type(config), default=config, args=arguments[1:], prog="train.py")
+        run(config)
+    except SkylightError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        raise SystemExit(error.exit_code) from None
+    except OSError as error:  # a folder that cannot be made or written
+        print(f"{name}: {error}", file=sys.stderr)
+        raise SystemExit(1) from None
+    except KeyboardInterrupt:
+        print(f"{name}: interrupted; the same command goes on from here", file=sys.stderr)
+        raise SystemExit(1) from None
+    if "LOCAL_RANK" in os.environ:
+        # gloo's threads outlive its process group now and then, and ending Python would abort then
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(0)
+
+
+def run(config: Config) -> None:
+    """Do what a configuration says, and print where the result is."""
+    if isinstance(config, AutoencoderConfig):
+        from skylight.training._autoencoder import train
+
+        best = train(config)
+        if os.environ.get("RANK", "0") == "0":
+            print(f"best network: {best}")
+    elif isinstance(config, DictionaryConfig):
+        from skylight.training._dictionary import learn_dictionary
+
+        print(f"dictionary: {learn_dictionary(config)}")
+    else:
+        from skylight.training._prior import fit_priors
+
+        print(f"light model: {fit_priors(config)}")
+
+
+RUN = "training"  # in the model's folder: what training goes on from
+SHIPPED_LATENTS = 64
+FEW = 2000  # training skies; below, the shipped network is trained on instead of a new one
+LEAST_STEPS = 300
+
+
+def train_folder(
+    folder: Path,
+    out: Path,
+    config: AutoencoderConfig,
+    *,
+    epochs: int | None = None,
+    report: Tell = print,
+    progress: CountProgress | None = None,
+) -> Path:
+    """Index ``folder``, train the network, fit the priors; returns ``out``, a light model's folder.
+
+    ``folder`` is one of .exr or .hdr maps, or has an index of skies already. ``config`` says how
+    to train; what the number of skies does not allow is changed, and ``report`` told: a batch of
+    at most a quarter of the training skies, at least 300 steps, and below 2,000 training skies
+    the weights of the shipped model to start from.
+    A run that was killed goes on where it was, in ``out / "training"``.
+
+    Raises
+    ------
+    InputError
+        No usable skies, too few days to divide, or too few training skies for the priors.
+    """
+    run = out / RUN
+    with claimed(run):
+        place = _indexed(folder, run, report, progress)
+        records = read_index(place)
+        skies = sum(record.split == "train" for record in records)
+        days = len({record.day for record in records})
+        if len({record.split for record in records}) < 3:
+            raise InputError(
+                f"{folder}: {len(records)} skies of {days} day(s) cannot be divided into training, "
+                "validation and test days; add skies of other days, or name their days with: "
+                f"skylight skies index {folder} --days DAYS.csv"
+            )
+        priors = PriorConfig(data=place, out=out, seed=config.seed)
+        try:
+            splits_for_priors(priors, records)  # refuses too few before hours of training
+        except InputError as error:
+            again = f"; then delete {place}" if place != folder else ""
+            raise InputError(f"{folder}: {error}{again}") from error
+        best = train(fitting(config, place, run, skies, epochs, report), report)
+        report("fitting the priors")
+        fit_priors(replace(priors, checkpoint=best))
+    load_bundle(out)
+    return out
+
+
+def fitting(
+    config: AutoencoderConfig,
+    place: Path,
+    run: Path,
+    skies: int,
+    epochs: int | None,
+    report: Tell,
+) -> AutoencoderConfig:
+    """``config`` for so many training skies, as :func:`train_folder` says."""
+    batch = min(config.batch, max(1, skies // 4))
+    steps = max(1, skies // batch)
+    wanted = max(config.epochs, math.ceil(LEAST_STEPS / steps)) if epochs is None else epochs
+    fitted = replace(
+        config,
+        data=place,
+        out=run,
+        batch=batch,
+        epochs=wanted,
+        patience=max(config.patience, wanted // 4),
+        warmup_steps=min(config.warmup_steps, steps * wanted // 10),
+    )
+    start = SHIPPED / NETWORK
+    like_shipped = (config.network, config.latents) == ("splines", SHIPPED_LATENTS)
+    if skies < FEW and config.starts_from is None and like_shipped:
+        fitted = replace(fitted, starts_from=start, learning_rate=config.learning_rate / 3)
+        report(f"{skies} training skies are few: the shipped model's weights are trained further")
+    if batch != config.batch:
+        report(f"batches of {batch} instead of {config.batch} skies")
+    if wanted != config.epochs:
+        report(f"{wanted} epochs instead of {config.epochs}")
+    return fitted
+
+
+def _indexed(folder: Path, run: Path, report: Tell, progress: CountProgress | None) -> Path:
+    """The place of an index of ``folder``: its own, that of an earlier run, or a new one."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: there is no such folder; give one with .exr or .hdr maps")
+    if is_index(folder / INDEX_NAME):
+        return folder
+    index = run / INDEX_NAME
+    if index.exists():
+        maps = (map_path(index, record).resolve() for record in read_index(index))
+        if not any(folder.resolve() in path.parents for path in maps):
+            raise InputError(
+                f"{index} is of another folder than {folder}; choose another --out, or delete it"
+            )
+        report(f"{index}: used again; delete it to index {folder} anew")
+        return index
+    _, records, refusals = index_folder(folder, out=index, progress=progress)
+    for line in _counted(records, refusals):
+        report(line)
+    return index
+
+
+def _counted(records: list[SkyRecord], refusals: list[Refusal]) -> list[str]:
+    return [
+        f"{len(records)} skies indexed",
+        *(
+            f"{refusal.file}: {'refused' if refusal.is_sky else 'left out'}, {refusal.reason}"
+            for refusal in refusals
+        ),
+    ]

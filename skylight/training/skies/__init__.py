@@ -1,1 +1,0 @@
-"""Training skies: read, varied, coded, drawn in batches."""

@@ -1,0 +1,334 @@
+"""The evaluation scene's meshes, and tracing them.
+
+What of the evaluation scene has to be traced, and the files that come with skylight.
+
+A fixed evaluation scene with shading and cast shadows.
+"""
+
+import io
+import lzma
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import torch
+import trimesh.creation as make
+from jaxtyping import Bool, Float, Int, UInt8
+from torch import Tensor
+from torch.nn.functional import grid_sample, normalize
+from trimesh.transformations import rotation_matrix
+
+from skylight.errors import AssetError
+from skylight.io._atomic import atomic_path
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import DirectionGrid, pixel_from_direction
+from skylight.transport._cameras import Camera
+from skylight.transport._matrix import SeenDirections, TransportMatrix, visibility
+from skylight.transport._rays import Raycaster
+from skylight.transport._render import CoveredPixels, GBuffer, rasterize, reflection_weights
+
+DATA = Path(__file__).parent / "data"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TracedScene:
+    """What has to be traced for an :class:`EvaluationScene`: its pixels and what they see.
+
+    ``visible`` tells which directions of the grid are free, wherever they are above the normal's
+    horizon: bits, eight pixels of a direction a byte (:meth:`seen_by` unpacks some). ``mirrored``
+    is where the metal's pixels mirror to.
+    """
+
+    height: int
+    grid_height: int
+    matt: CoveredPixels
+    normals: Float[Tensor, "m 3"]
+    on_ground: Bool[Tensor, " m"]
+    visible: UInt8[np.ndarray, "n bytes"]
+    metal: CoveredPixels
+    mirrored: Float[Tensor, "k 3"]
+
+    @property
+    def path(self) -> Path:
+        """Of the file in the package."""
+        return shipped_path(self.height, self.grid_height)
+
+    def seen_by(self, first: int, count: int) -> UInt8[Tensor, "n b"]:
+        """1 where a direction is free for so many pixels from ``first`` on, a multiple of 8."""
+        some = self.visible[:, first // 8 : -(-(first + count) // 8)]
+        bits = np.unpackbits(some, axis=1)[:, : min(count, len(self.normals) - first)]
+        return torch.from_numpy(bits)
+
+    def save(self, path: Path) -> None:
+        """Bits and float32 numbers, packed by LZMA."""
+        arrays = {
+            "layout": np.array(self.matt.layout),
+            "matt": self.matt.pixels.numpy().astype(np.uint16),
+            "normals": self.normals.numpy(),
+            "on_ground": self.on_ground.numpy(),
+            "visible": self.visible,
+            "metal": self.metal.pixels.numpy().astype(np.uint16),
+            "mirrored": self.mirrored.numpy(),
+        }
+        packed = io.BytesIO()
+        np.savez(packed, **arrays)
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(lzma.compress(packed.getvalue()))
+
+    @staticmethod
+    def load(path: Path) -> "TracedScene":
+        """:class:`AssetError` for a file that is damaged."""
+        try:
+            arrays = np.load(io.BytesIO(lzma.decompress(path.read_bytes())))
+            found = {name: torch.from_numpy(arrays[name]) for name in ("normals", "mirrored")}
+            layout = tuple(arrays["layout"].tolist())
+            return TracedScene(
+                height=layout[0],
+                grid_height=round((len(arrays["visible"]) / 2) ** 0.5),
+                matt=_traced_pixels(layout, arrays["matt"]),
+                on_ground=torch.from_numpy(arrays["on_ground"]),
+                visible=np.ascontiguousarray(arrays["visible"]),
+                metal=_traced_pixels(layout, arrays["metal"]),
+                **found,
+            )
+        except (OSError, ValueError, KeyError, EOFError, lzma.LZMAError) as error:
+            raise AssetError(f"{path}: damaged ({error}); reinstall skylight") from error
+
+
+def _traced_pixels(layout: tuple[int, int], pixels: np.ndarray) -> CoveredPixels:
+    return CoveredPixels(layout=layout, pixels=torch.from_numpy(pixels.astype(np.int64)))
+
+
+def shipped_path(height: int, grid_height: int) -> Path:
+    """Where the traced scene of a size is, if it is one of those that come with skylight."""
+    return DATA / f"scene_{height}_{grid_height}.npz.xz"
+
+
+def scene_camera(height: int) -> Camera:
+    """It stays level, and looks down on the scene by a principal point near the top edge."""
+    width = height * 4 // 3
+    return Camera(
+        focal_px=1.3 * height, width=width, height=height, center_px=(width / 2, 0.08 * height)
+    )
+
+
+GROUND_Y = -1.5  # the camera is at the origin, so it stands 1.5 above the ground
+
+
+def trace_scene(height: int, grid_height: int, *, workers: int = 1) -> TracedScene:
+    """The scene from its camera, with the directions from which each matt pixel is lit."""
+    camera, grid = scene_camera(height), DirectionGrid.latlong(grid_height)
+    matt, raycaster, on_ground = matt_surface(camera)
+    free = visibility(matt.origins, matt.geometric_normals, raycaster, grid, workers=workers)
+    below = matt.normals @ grid.directions.T <= 0  # as good as free, and packed better so
+    vertices, faces, _ = _mesh(_metal_parts())
+    metal = rasterize(camera, vertices, faces, Raycaster(vertices, faces))
+    return TracedScene(
+        height=height,
+        grid_height=grid_height,
+        matt=_pixels(matt),
+        normals=matt.normals.float(),
+        on_ground=on_ground,
+        # a direction's pixels side by side: neighbours are alike, for whatever packs the file
+        visible=np.packbits((free | below).T.numpy(), axis=1),
+        metal=_pixels(metal),
+        mirrored=_mirrored(metal).float(),
+    )
+
+
+def matt_surface(camera: Camera) -> tuple[GBuffer, Raycaster, Bool[Tensor, " m"]]:
+    """What the camera sees of the matt scene, and which pixels are of the ground."""
+    vertices, faces, of_ground = _mesh(_matt_parts())
+    raycaster = Raycaster(vertices, faces)
+    matt = rasterize(camera, vertices, faces, raycaster)
+    return matt, raycaster, of_ground[matt.faces]
+
+
+def _pixels(surface: GBuffer) -> CoveredPixels:
+    return CoveredPixels(layout=surface.layout, pixels=surface.pixels)
+
+
+def _mirrored(metal: GBuffer) -> Float[Tensor, "k 3"]:
+    """The direction that each point of the metal mirrors."""
+    view = normalize(metal.positions, dim=1)
+    cosine = (view * metal.normals).sum(1, keepdim=True)
+    return view - 2 * cosine * metal.normals
+
+
+def _matt_parts() -> list:
+    ground = make.cylinder(radius=9, height=0.02, sections=96)
+    ground.apply_transform(_turned(1.5 * np.pi, axis=(1.0, 0.0, 0.0)))
+    ball = make.icosphere(subdivisions=4, radius=0.42)
+    ring = make.torus(0.36, 0.13, major_sections=96, minor_sections=40)
+    block = make.box(extents=(0.55, 0.9, 0.55))
+    block.apply_transform(_turned(0.6, axis=(0.0, 1.0, 0.0)))
+    return [
+        # facets, not smoothed corners, for what has true edges
+        _at(_faceted(ground), (0, GROUND_Y - 0.01, -4)),
+        _at(ball, (-1.1, GROUND_Y + 0.42, -3.3)),
+        _at(_faceted(block), (-0.35, GROUND_Y + 0.45, -4.3)),
+        *[_at(part, (0.25, GROUND_Y, -3.1)) for part in _rabbit()],
+        _at(ring, (1.15, GROUND_Y + 0.49, -3.5)),
+    ]
+
+
+def _metal_parts() -> list:
+    ring = make.torus(0.42, 0.17, major_sections=128, minor_sections=48)
+    ring.apply_transform(_turned(-0.5, axis=(1.0, 1.0, 0.0)))
+    ball = make.icosphere(subdivisions=5, radius=0.62)
+    return [_at(ball, (-0.72, -0.95, -3.2)), _at(ring, (0.8, -0.95, -3.2))]
+
+
+def _rabbit() -> list:
+    """Body, head, ears, paws and tail of a sitting rabbit that looks to the left; feet at y = 0."""
+
+    def blob(centre: tuple, radii: tuple, turn_rad: float = 0.0):
+        part = make.icosphere(subdivisions=3)
+        part.apply_scale(radii)
+        part.apply_transform(_turned(turn_rad, axis=(0.0, 0.0, 1.0)))
+        return _at(part, centre)
+
+    return [
+        blob((0.05, 0.30, 0.0), (0.34, 0.28, 0.25), turn_rad=-0.5),
+        blob((-0.20, 0.66, 0.0), (0.20, 0.17, 0.16)),
+        blob((-0.06, 0.95, 0.08), (0.06, 0.22, 0.04), turn_rad=-0.25),
+        blob((-0.06, 0.95, -0.08), (0.06, 0.22, 0.04), turn_rad=-0.45),
+        blob((-0.20, 0.08, 0.12), (0.14, 0.08, 0.07)),
+        blob((-0.20, 0.08, -0.12), (0.14, 0.08, 0.07)),
+        blob((0.38, 0.16, 0.0), (0.10, 0.10, 0.10)),
+    ]
+
+
+def _turned(angle_rad: float, axis: tuple[float, float, float]) -> np.ndarray:
+    return np.asarray(rotation_matrix(angle_rad, axis))
+
+
+def _at(part, position: tuple):
+    part.apply_translation(position)
+    return part
+
+
+def _faceted(part):
+    part.unmerge_vertices()
+    return part
+
+
+def _mesh(
+    parts: list,
+) -> tuple[Float[Tensor, "n 3"], Int[Tensor, "f 3"], Tensor]:
+    """All parts as one mesh, and which faces are the first part's."""
+    first = np.cumsum([0] + [len(part.vertices) for part in parts])
+    vertices = np.concatenate([np.asarray(part.vertices) for part in parts])
+    faces = np.concatenate(
+        [np.asarray(part.faces) + start for part, start in zip(parts, first[:-1], strict=True)]
+    )
+    in_first = torch.arange(len(faces)) < len(parts[0].faces)
+    return torch.from_numpy(vertices), torch.from_numpy(faces), in_first
+
+
+GROUND_ALBEDO = 0.5
+OBJECT_ALBEDO = 0.7
+METAL_REFLECTANCE = 0.9
+METAL_ROUGHNESS = 0.25
+_PIXELS = 64  # whose rows are computed together
+
+
+@dataclass(frozen=True)
+class EvaluationScene:
+    """A ball, a ring, a block and a rabbit on a grey ground, traced for one camera.
+
+    Light is a full lat-long map, resized to ``grid``, keeping its energy. Shading is computed from
+    what each pixel sees, block by block: as long as making a matrix of 170 MB takes, again for each
+    light. Memory: a bit for each pixel and direction, 5 MB.
+    """
+
+    traced: TracedScene
+
+    @property
+    def grid(self) -> DirectionGrid:
+        return DirectionGrid.latlong(self.traced.grid_height)
+
+    @property
+    def camera(self) -> Camera:
+        return scene_camera(self.traced.height)
+
+    @property
+    def matt(self) -> CoveredPixels:
+        """Pixels of the matt scene; ``metal`` those of a metal ball and ring without ground."""
+        return self.traced.matt
+
+    @property
+    def metal(self) -> CoveredPixels:
+        return self.traced.metal
+
+    @property
+    def albedo(self) -> Float[Tensor, "m 3"]:
+        albedo = torch.where(self.traced.on_ground, GROUND_ALBEDO, OBJECT_ALBEDO)
+        return albedo[:, None].expand(-1, 3)
+
+    @property
+    def transport(self) -> TransportMatrix:
+        """The matt scene's, made anew by every call: 4 bytes for each pixel and direction."""
+        seen = self.traced.seen_by(0, len(self.traced.normals)).T.bool()
+        sight = SeenDirections(visible=seen, normals=self.traced.normals, grid=self.grid)
+        return sight.transport()
+
+    def shade(self, environment: EnvironmentMap) -> Float[Tensor, "m 3"]:
+        """Direct diffuse light at the matt scene's pixels, albedo * T l."""
+        grid, traced = self.grid, self.traced
+        irradiance = self._light(environment) * (grid.solid_angles / torch.pi).float()[:, None]
+        directions, shading = grid.directions.float(), []
+        for first in range(0, len(traced.normals), _PIXELS):
+            cosine = directions @ traced.normals[first : first + _PIXELS].T
+            cosine.clamp_(min=0).mul_(traced.seen_by(first, _PIXELS))
+            shading.append(irradiance.T @ cosine)
+        return self.albedo * torch.cat(shading, 1).T
+
+    def relight(self, environment: EnvironmentMap) -> Float[Tensor, "h w 3"]:
+        """Picture of the matt scene; where it ends, the environment itself is seen."""
+        return self.matt.image(self.shade(environment), self._background(environment))
+
+    def relight_glossy(self, environment: EnvironmentMap) -> Float[Tensor, "h w 3"]:
+        """Picture of the metal objects before the environment, without shadows."""
+        light, alpha = self._light(environment), METAL_ROUGHNESS**2
+        reflected = METAL_REFLECTANCE * torch.cat(
+            [
+                reflection_weights(some, self.grid, alpha) @ light
+                for some in self.traced.mirrored.split(_PIXELS)
+            ]
+        )
+        return self.metal.image(reflected, self._background(environment))
+
+    def _light(self, environment: EnvironmentMap) -> Float[Tensor, "n 3"]:
+        if environment.is_sky:
+            raise ValueError("a sky alone leaves the ground unknown: add one with .with_ground()")
+        if environment.layout != self.grid.layout:
+            environment = environment.resize(self.traced.grid_height)
+        return environment.flat.to(self.traced.normals)
+
+    def _background(self, environment: EnvironmentMap) -> Float[Tensor, "h w 3"]:
+        height, width = environment.layout
+        row, column = pixel_from_direction(self.camera.rays(), height, width)
+        # grid_sample's -1 and 1 are the picture's borders; the map's seam is behind the camera
+        where = torch.stack([(column + 0.5) / width, (row + 0.5) / height], dim=-1) * 2 - 1
+        picture = grid_sample(
+            environment.radiance.float().permute(2, 0, 1)[None],
+            where.float()[None, None],
+            padding_mode="border",
+            align_corners=False,
+        )
+        return picture[0, :, 0].T.reshape(self.camera.height, self.camera.width, 3)
+
+
+@cache
+def evaluation_scene(height: int = 72, grid_height: int = 64) -> EvaluationScene:
+    """The scene at ``height`` x 4/3 ``height`` pixels over a full lat-long grid; made once.
+
+    Sizes that do not come with skylight are traced.
+    """
+    path = shipped_path(height, grid_height)
+    if path.exists():
+        return EvaluationScene(TracedScene.load(path))
+
+    return EvaluationScene(trace_scene(height, grid_height))

@@ -1,1 +1,0 @@
-"""Light that bounces between surfaces: traced path by path, or as a transport matrix."""

@@ -1,1 +1,0 @@
-"""Occlusion by PyTorch: a bounding volume hierarchy, and rays through it on any device."""

@@ -1,0 +1,80 @@
+"""Progress on standard error: a bar where it is a terminal, or lines for other programs.
+
+Signatures of progress callbacks, and the forms in which commands show progress.
+"""
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Literal
+
+Progress = Callable[[float], None]  # the share that is done, 0 to 1
+StageProgress = Callable[[str, float], None]  # a stage's name, and the share of it that is done
+CountProgress = Callable[[int, int], None]  # items done, items in all
+Tell = Callable[[str], None]  # a line for people
+ProgressForm = Literal["bar", "json"]  # for people; for programs that start a command
+
+
+LEAST_STEP = 0.01  # of a stage's share: less is no news
+
+
+@contextmanager
+def stage_bar(form: ProgressForm = "bar") -> Iterator[StageProgress]:
+    """Shows a stage's name and its share done.
+
+    "bar": where standard error is a terminal, else nothing. "json": an object on a line of its own
+    for each new stage and each hundredth of it, ``{"stage": "tracing light", "share": 0.25}``.
+    """
+    if form == "json":
+        yield _json_lines()
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
+
+    console = Console(stderr=True)
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description:<22}"),
+        BarColumn(bar_width=32),
+        TimeElapsedColumn(),
+    )
+    with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("starting", total=1.0)
+
+        def tell(stage: str, share: float) -> None:
+            bar.update(task, description=stage, completed=share)
+
+        yield tell
+
+
+def _json_lines() -> StageProgress:
+    told = "", 0.0
+
+    def tell(stage: str, share: float) -> None:
+        nonlocal told
+        if stage != told[0] or abs(share - told[1]) >= LEAST_STEP:
+            told = stage, share
+            line = json.dumps({"stage": stage, "share": round(share, 4)})
+            print(line, file=sys.stderr, flush=True)
+
+    return tell
+
+
+def with_time_left(thing: str, tell: StageProgress) -> CountProgress:
+    """StageProgress by counts; the time left goes by those done since the first report."""
+    start: tuple[float, int] | None = None
+
+    def progress(done: int, total: int) -> None:
+        nonlocal start
+        now = time.monotonic()
+        start = start or (now, done)
+        text = f"{thing} {done} of {total}"
+        if done > start[1]:
+            left = (now - start[0]) / (done - start[1]) * (total - done)
+            text += f", {left / 60:.0f} min left" if left > 90 else f", {left:.0f} s left"
+        tell(text, done / total)
+
+    return progress

@@ -1,0 +1,64 @@
+"""Boxes of pixels at every place, against boxes drawn pixel by pixel."""
+
+import pytest
+import torch
+
+from skylight.csc._positions import BoxCorrelation
+from skylight.errors import InputError
+from skylight.sphere._frame import DirectionGrid
+
+F64 = torch.float64
+ROWS = 7
+SIZES = ((1, 1), (2, 3), (3, 2), (4, 14), (7, 1))
+
+
+def drawn(size: tuple[int, int], row: int, column: int) -> torch.Tensor:
+    """A box of unit norm, middle (upper, left) pixel at this place; zeros beyond a pole."""
+    solid_angles = DirectionGrid.latlong(ROWS).solid_angles.view(ROWS, 2 * ROWS)
+    out = torch.zeros(ROWS, 2 * ROWS, dtype=F64)
+    for i in range(size[0]):
+        for j in range(size[1]):
+            at = row - (size[0] - 1) // 2 + i
+            if not 0 <= at < ROWS:
+                return torch.zeros_like(out)
+            out[at, (column - (size[1] - 1) // 2 + j) % (2 * ROWS)] = 1
+    return out / (out.square() * solid_angles).sum().sqrt()
+
+
+def every_place() -> torch.Tensor:
+    axes = (torch.arange(len(SIZES)), torch.arange(ROWS), torch.arange(2 * ROWS))
+    return torch.cartesian_prod(*axes)
+
+
+def test_boxes_are_drawn_at_their_places() -> None:
+    filters, rows, columns = every_place().unbind(1)
+    places = torch.stack([rows, columns, torch.zeros_like(rows)], 1)
+    found = BoxCorrelation(ROWS, SIZES).rotated(filters, places)
+    expected = torch.stack([drawn(SIZES[f], r, c).flatten() for f, r, c in every_place().tolist()])
+    torch.testing.assert_close(found, expected, atol=1e-14, rtol=1e-14)
+    norms = found.square() @ DirectionGrid.latlong(ROWS).solid_angles
+    there = norms > 0
+    torch.testing.assert_close(norms[there], torch.ones_like(norms[there]))
+    # of h rows, ROWS + 1 - h places
+    expected_places = sum((ROWS + 1 - rows) * 2 * ROWS for rows, _ in SIZES)
+    assert int(there.sum()) == expected_places
+
+
+def test_correlations_are_products_with_every_box() -> None:
+    residual = torch.randn(2, 2 * ROWS**2, generator=torch.Generator().manual_seed(0), dtype=F64)
+    correlation = BoxCorrelation(ROWS, SIZES)
+    (values,) = correlation.by_group(residual)
+    assert values.shape == (2, 1, len(SIZES), ROWS, 2 * ROWS)
+    boxes = torch.stack([drawn(SIZES[f], r, c).flatten() for f, r, c in every_place().tolist()])
+    expected = (residual @ boxes.T).view(2, 1, len(SIZES), ROWS, 2 * ROWS)
+    torch.testing.assert_close(values, expected, atol=1e-12, rtol=0)
+    (first, second) = correlation.in_chunks(residual)
+    for n, chunk in enumerate((first, second)):
+        torch.testing.assert_close(chunk.values[0].movedim(2, 0), values[n])
+
+
+def test_a_box_larger_than_the_map_is_refused() -> None:
+    with pytest.raises(InputError, match="8 rows and 1 columns do not fit a map of 7x14"):
+        BoxCorrelation(7, ((8, 1), (1, 1)))
+    with pytest.raises(InputError, match="1 rows and 15 columns do not fit"):
+        BoxCorrelation(7, ((1, 15),))

@@ -1,0 +1,62 @@
+"""The lines for the terminal: what light it is, and where its lamps are."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from skylight.estimate._summary import PhotoEstimate, summary
+from skylight.imaging._taken import Taken
+from skylight.inverse._auto import choose
+from skylight.inverse._result import Lamp
+from tests.inverse.test_lamps import ONE, found_in
+
+
+@pytest.fixture(scope="module")
+def found():
+    return found_in((ONE, 3.0))
+
+
+def lines(estimate):
+    told = PhotoEstimate(estimate=estimate, photos=(), names=(), seen=(), taken=Taken())
+    return [(line[:12].strip(), line[12:]) for line in summary(told).split("\n")]
+
+
+def of(name, told):
+    return [text for label, text in told if label == name]
+
+
+def test_one_lamp_is_a_lamp(found):
+    told = lines(found)
+    assert not of("sun", told)
+    assert not of("light", told)
+    # (0.7, 0.4, 0.6) is to the right of the face and on the camera's side, behind the picture
+    assert of("brightest", told)[0].startswith("azimuth +131°, zenith 67°")
+    (lamp,) = of("lamp", told)
+    assert lamp.startswith("90 % sure within a circle of")
+
+
+def test_every_lamp_is_named(found):
+    second = Lamp(
+        direction=torch.tensor([-1.0, 0.0, 0.0], dtype=torch.float64),
+        irradiance=0.1 * torch.ones(3),
+        spread_rad=0.1,
+    )
+    told = lines(replace(found, lamps=(*found.lamps, second)))
+    main, other = of("lamp", told)
+    assert main.startswith("90 % sure within")
+    assert other.startswith("another at azimuth -90°, zenith 90°")
+
+
+@pytest.mark.parametrize("explained", [True, False])
+def test_light_without_lamps_has_none(explained):
+    even = found_in()
+    verdict = even.posterior.verdict if explained else "unreliable: the face is not explained"
+    told = lines(replace(even, posterior=replace(even.posterior, verdict=verdict)))
+    assert of("lamp", told) == ["none seen: even light, or hidden behind the head"]
+
+
+def test_what_was_chosen_comes_first(found):
+    sky = replace(found, light="autoencoder", lamps=(), log_evidence=found.log_evidence - 1000)
+    told = lines(choose([sky, found]))
+    assert told[0] == ("light", "no open sky, one lamp (100 % sure, as 'lamps')")

@@ -1,0 +1,187 @@
+"""The evaluation of partition probes, on small meshes under made-up lights."""
+
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+import trimesh
+
+from skylight.errors import DependencyError
+from skylight.evaluation._partition_probe import (
+    THESIS_MEAN,
+    PartitionProbeTable,
+    scored,
+    with_sun_in_the_east,
+)
+from skylight.evaluation._partition_scene import ALBEDO, MODELS, partition_scene
+from skylight.io._files import write_environment_map
+from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._optimise import named_design
+from skylight.probes.partitions._probe import PartitionProbe
+from skylight.probes.partitions._seeds import ProbeDesign
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import angle_between
+
+
+def uniform() -> EnvironmentMap:
+    return EnvironmentMap(radiance=torch.tensor([1.0, 0.8, 0.6]).expand(16, 32, 3).clone())
+
+
+def sunny(column: int = 5) -> EnvironmentMap:
+    radiance = uniform().radiance.clone()
+    radiance[4, column] = 400.0
+    return EnvironmentMap(radiance=radiance)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data")
+    (folder / "hdr").mkdir()
+    (folder / "meshes").mkdir()
+    write_environment_map(folder / "hdr" / "room.exr", uniform())
+    write_environment_map(folder / "hdr" / "day.exr", sunny())
+    lines = ["file,category", "room.exr,indoor", "day.exr,outdoor-sun"]
+    (folder / "hdr" / "index.csv").write_text("\n".join(lines) + "\n")
+    for name in MODELS:
+        trimesh.creation.icosphere(subdivisions=2).export(folder / "meshes" / name)
+    return folder
+
+
+def small(data: Path) -> PartitionProbeTable:
+    return PartitionProbeTable(data=data, samples=64, rays=64, even=(6,), width=48, searches=0)
+
+
+def test_uniform_light_is_drawn_right_by_all_that_know_shadows(data: Path, tmp_path: Path) -> None:
+    item = small(data).measure("room.exr", tmp_path / "a.png")
+    noise = float(item.facts["noise"])  # type: ignore[arg-type]
+    for row in ("6d", "6d_np_corr", "14d_indoor", "sh9", "sh25"):
+        assert item.metrics[row]["mae"] < 0.02 + 2 * noise, row
+    # without walls, faces show pi over what their cells send
+    excess = math.pi / named_facing("6d") - 1
+    assert item.metrics["6d_np"]["mae"] == pytest.approx(excess, rel=0.05)
+    assert item.metrics["unshadowed"]["mae"] > 0.03
+    assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def named_facing(name: str) -> float:
+    facing = Cells.of(named_design(name)).facing
+    assert float(facing.max() - facing.min()) < 1e-9
+    return float(facing[0])
+
+
+def test_a_sun_on_the_path_casts_shadows_that_even_cells_miss(data: Path, tmp_path: Path) -> None:
+    evaluation = small(data)
+    assert evaluation.items() == ["room.exr", "day.exr"]
+    item = evaluation.measure("day.exr", tmp_path / "b.png")
+    found = item.metrics
+    assert found["14d_outdoor"]["rmse_sunny"] < 0.8 * found["6d"]["rmse_sunny"]
+    assert all(set(scores) == {f"{s.removesuffix('_sunny')}_sunny" for s in scores}
+               for scores in found.values())  # fmt: skip
+
+
+def test_errors_are_means_over_azimuths_of_the_probe(data: Path, tmp_path: Path) -> None:
+    once, twice = (replace(small(data), turns=turns) for turns in (1, 2))
+    first, mean = (
+        one.measure("day.exr", tmp_path / "c.png").metrics["6d"]["mae_sunny"]
+        for one in (once, twice)
+    )
+    scene = partition_scene(once.meshes, once.width)
+    light = with_sun_in_the_east(sunny().resize(128))
+    angle = math.radians(180 + 45)
+    around = torch.tensor(
+        [
+            [math.cos(angle), 0, math.sin(angle)],
+            [0, 1, 0],
+            [-math.sin(angle), 0, math.cos(angle)],
+        ],
+        dtype=torch.float64,
+    )
+    design = ProbeDesign.of("turned", named_design("6d").seeds @ around.T)
+    probe = PartitionProbe(Cells.of(design))
+    lit = scene.relighting(design, once.rays, 0)(probe.light(probe.encode_map(light)))
+    truth, _ = scene.traced(light, once.samples, once.seed)
+    second = scored(scene, lit.detach(), truth)["mae"]
+    assert abs(second / first - 1) > 0.05
+    assert mean == pytest.approx((first + second) / 2, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_a_searched_design_is_scored_on_maps_that_the_search_did_not_see(
+    data: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "hdr"
+    folder.mkdir()
+    for name, column in (("a.exr", 5), ("b.exr", 20)):
+        write_environment_map(folder / name, sunny(column))
+    lines = ["file,category", "a.exr,indoor", "b.exr,indoor"]
+    (folder / "index.csv").write_text("\n".join(lines) + "\n")
+    (tmp_path / "meshes").symlink_to(data / "meshes")
+    evaluation = replace(small(data), data=tmp_path, searches=1, steps=20, even=(6, 14))
+    items = [evaluation.measure(name, tmp_path / f"{name}.png") for name in ("a.exr", "b.exr")]
+    held = ["14d_optimised" in item.metrics for item in items]
+    assert sorted(held) == [False, True]
+    found = items[held.index(True)].metrics
+    assert set(found["14d_optimised"]) == {f"{name}_held_out" for name in found["6d"]}
+    assert found["14d"]["mae_held_out"] == found["14d"]["mae"]
+    assert found["14d_optimised"]["mae_held_out"] != found["14d"]["mae"]
+
+
+def test_checks_tell_good_from_bad() -> None:
+    """Rows as in the thesis' table 4.1, where only the goals that are ours can be missed."""
+    mae = {"110d": 0.114, "sh25": 0.138, "38d": 0.21, "sh9": 0.242, "14d": 0.442, "6d": 0.546}
+    mae |= {"unshadowed": 0.646, "6d_np": 1.991, "14d_np": 7.668, "38d_np": 24.7, "110d_np": 75.7}
+    mae |= {"6d_np_corr": 0.694, "14d_np_corr": 0.702, "38d_np_corr": 0.673, "110d_np_corr": 0.663}
+    rows = {
+        row: {name: {"mean": v} for name in ("mae", "rmse", "mae_thesis")} for row, v in mae.items()
+    }
+    rows["14d"] |= {"mae_held_out": {"mean": 0.4}, "rmse_sunny": {"mean": 0.5}}
+    rows["14d_optimised"] = {"mae_held_out": {"mean": 0.33}}
+    rows["14d_outdoor"] = {"rmse_sunny": {"mean": 0.2}}
+    evaluation = PartitionProbeTable.__new__(PartitionProbeTable)
+    object.__setattr__(evaluation, "even", (6, 14, 38, 110))
+    checks = evaluation.checks(rows, [])
+    assert len(checks) == 24
+    missed = [name for name, check in checks.items() if not check.ok]
+    assert missed == ["mae_held_out: 14d_optimised / 14d"]
+    rows["sh25"]["mae"]["mean"] = 0.1
+    missed = {name for name, check in evaluation.checks(rows, []).items() if not check.ok}
+    assert {"mae: 110d is the best", "mae: 110d before sh25"} <= missed
+
+
+def test_the_sun_is_turned_to_the_east() -> None:
+    for column in (0, 5, 20, 31):
+        turned = with_sun_in_the_east(sunny(column))
+        direction = turned.brightest_direction()
+        level = torch.tensor([float(direction[0]), 0.0, float(direction[2])]).double()
+        east = torch.tensor([1.0, 0.0, 0.0]).double()
+        assert float(angle_between(level / level.norm(), east)) < math.radians(6)
+
+
+def test_the_thesis_measures(data: Path) -> None:
+    scene = partition_scene(small(data).meshes, 48)
+    truth = torch.full((len(scene.points), 3), 2.0)
+    found = scored(scene, truth * torch.tensor([1.1, 1.0, 0.7]), truth)
+    assert found["mae"] == pytest.approx(0.4 / 3, rel=1e-5)
+    assert found["mae_thesis"] == pytest.approx(0.4 * THESIS_MEAN, rel=1e-5)
+    assert found["rmse_thesis"] == pytest.approx(math.hypot(0.1, 0.3) * THESIS_MEAN, rel=1e-5)
+
+
+def test_a_ball_in_the_sun_is_lit_by_its_cosine(data: Path) -> None:
+    scene = partition_scene(small(data).meshes, 48)
+    light = uniform()
+    lit = scene.lit_sphere(light)
+    expected = ALBEDO * torch.tensor([1.0, 0.8, 0.6]).double()
+    assert torch.allclose(lit, expected.expand_as(lit), rtol=0.02)
+
+
+def test_fine_meshes_without_libigl_name_its_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sphere = trimesh.creation.icosphere(subdivisions=5)  # 20480 triangles
+    sphere.export(tmp_path / MODELS[0])
+    monkeypatch.setitem(sys.modules, "igl", None)
+    with pytest.raises(DependencyError, match=r"skylight\[decimation\]"):
+        partition_scene((tmp_path / MODELS[0],), 24)

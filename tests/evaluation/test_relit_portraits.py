@@ -1,0 +1,92 @@
+"""Relit portraits scored against the same people under the other light."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from skimage.color import rgb2lab
+
+from skylight.errors import InputError
+from skylight.evaluation._relit_portraits import (
+    RelitPortraits,
+    colour_transfer,
+    nearest_exposure,
+    score,
+)
+from skylight.imaging._colour import linear_to_srgb
+
+MASK = np.zeros((24, 32), bool)
+MASK[4:20, 6:30] = True
+
+
+def picture(seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return rng.uniform(0.35, 0.65, (24, 32, 3)).astype(np.float32)
+
+
+def test_a_transferred_picture_has_the_statistics_of_the_other() -> None:
+    moved = colour_transfer(picture(0), 0.9 * picture(1), MASK)
+    own, wanted = rgb2lab(moved)[MASK], rgb2lab(0.9 * picture(1))[MASK]
+    np.testing.assert_allclose(own.mean(0), wanted.mean(0), atol=0.3)
+    np.testing.assert_allclose(own.std(0), wanted.std(0), rtol=0.03)
+    same = colour_transfer(picture(0), picture(0), MASK)
+    np.testing.assert_allclose(same, picture(0), atol=1e-4)
+
+
+def test_the_exposure_of_a_picture_that_is_another_times_a_factor() -> None:
+    linear = np.random.default_rng(2).uniform(0.05, 0.9, (24, 32, 3)).astype(np.float32)
+    truth = linear_to_srgb(torch.from_numpy(linear)).numpy()
+    assert nearest_exposure(0.3 * linear, truth, MASK) == pytest.approx(1 / 0.3, rel=0.03)
+
+
+def test_scores_are_of_the_mask_alone() -> None:
+    truth = picture(3)
+    other = truth.copy()
+    other[:1] = 0  # farther from the mask than a window reaches
+    assert score(other, truth, MASK) == pytest.approx({"srgb_rmse": 0.0, "srgb_ssim": 1.0})
+    lighter = score(truth + np.float32(0.1), truth, MASK)
+    assert lighter["srgb_rmse"] == pytest.approx(0.1, abs=1e-5)
+    assert lighter["srgb_ssim"] < 1
+
+
+def test_folders_are_checked(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no folder from"):
+        RelitPortraits(data=tmp_path)
+    (tmp_path / "from").mkdir()
+    with pytest.raises(InputError, match="--light-seed"):
+        RelitPortraits(data=tmp_path)
+
+
+def test_people_are_relit_and_compared(tmp_path: Path) -> None:
+    pytest.importorskip("mitsuba", reason="mitsuba is not installed")
+    from skylight.evaluation._main import evaluate
+    from skylight.people._batch import render_folder
+    from skylight.people._light import RenderOptions
+
+    options = RenderOptions(size=144, samples=4, seed=9, hair=True)
+    data = tmp_path / "faces"
+    render_folder(data / "from", 1, options)
+    other = RenderOptions(size=144, samples=4, seed=9, hair=True, light_seed=10)
+    render_folder(data / "to", 1, other)
+    results = evaluate("relit-portraits", quick=True, data=data, out=tmp_path / "out", workers=1)
+    rows = json.loads(results.read_text())["rows"]
+    assert set(rows) == {
+        "relit",
+        "relit_true_light",
+        "relit_true_head",
+        "relit_true_light_and_head",
+        "relit_without_shell",
+        "transfer",
+        "unchanged",
+    }
+    rmse = {name: row["srgb_rmse_skin"]["mean"] for name, row in rows.items()}
+    assert rmse["relit_true_light"] < rmse["unchanged"]
+    assert (tmp_path / "out" / "sheet.png").is_file()
+
+    render_folder(tmp_path / "others" / "to", 1, RenderOptions(size=144, samples=4, seed=11))
+    (data / "to").rename(data / "kept")
+    (tmp_path / "others" / "to").rename(data / "to")
+    with pytest.raises(InputError, match="another person"):
+        RelitPortraits(data=data)

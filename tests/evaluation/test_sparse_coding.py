@@ -1,0 +1,204 @@
+"""What is measured of one map, which maps are measured, and what is asked of the rows."""
+
+import math
+from pathlib import Path
+
+import pytest
+import torch
+
+from skylight.errors import InputError
+from skylight.evaluation._run import Item
+from skylight.evaluation._sparse_coding import SparseCoding, relative_error
+from skylight.imaging._metrics import ssim
+from skylight.io._files import read_environment_map, write_environment_map
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._envmap import EnvironmentMap, luminance
+from skylight.sphere._frame import DirectionGrid
+from skylight.sphere._latlong_transform import LatLongTransform
+from skylight.sphere._wavelets import approximate, cube_from_latlong, latlong_from_cube
+
+HEIGHT = 64
+SIGNS = ("nnls", "l1")
+CODED = [
+    f"{dictionary}_{sign}"
+    for dictionary in ("iso_k40", "ani_k40", "kmeans_k40", "vmf_k40", "iso", "ani", "kmeans", "box")
+    for sign in SIGNS
+]
+
+
+def indexed(folder: Path, categories: dict[str, str]) -> Path:
+    lines = ["file,category", *(f"{name},{kind}" for name, kind in categories.items())]
+    (folder / "index.csv").write_text("\n".join(lines))
+    return folder
+
+
+# which maps
+
+
+def test_indoor_maps_come_first_and_each_kind_has_its_limit(tmp_path: Path) -> None:
+    data = indexed(
+        tmp_path,
+        {"d": "indoor", "a": "night", "c": "indoor-studio", "e": "outdoor-sun", "b": "indoor"},
+    )
+    assert SparseCoding(data=data).items() == ["b", "c", "d", "a", "e"]
+    assert SparseCoding(data=data, indoor=2).items() == ["b", "c", "a", "e"]
+    assert SparseCoding(data=data, indoor=1, outdoor=1).items() == ["b", "a"]
+    assert SparseCoding(data=data, outdoor=0).items() == ["b", "c", "d"]
+
+
+def test_a_collection_without_rooms_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no map of the category indoor"):
+        SparseCoding(data=indexed(tmp_path, {"a": "night", "b": "outdoor-sun"}))
+
+
+# what is asked of the rows
+
+
+def as_in_the_thesis() -> dict[str, dict[str, dict[str, float]]]:
+    """Means of made-up rows that have every ordering asked for, at 4, 16 and 64 activations."""
+    errors = {"ani": 0.3, "iso": 0.4, "kmeans": 0.4, "vmf": 0.6, "box": 0.2}
+    rows = {"haar": {"l2_16": 0.6, "l2_64": 0.5}, "sh": {"l2_16": 0.7, "l2_64": 0.6}}
+    for name in CODED:
+        error = errors[name.split("_")[0]] + 0.2 * name.endswith("nnls")
+        # from 16 to 64 activations weights of either sign gain more
+        rows[name] = {"l2_64": error, "l2_16": error + (0.1 if name.endswith("nnls") else 0.4)}
+    for name, row in rows.items():
+        for metric in ("ssim_64", "ssim_mean_64", "ssim_unit_64"):
+            row[metric] = 0.8 if name.endswith("nnls") else 0.7
+    return {name: {metric: {"mean": v} for metric, v in row.items()} for name, row in rows.items()}
+
+
+@pytest.mark.parametrize(
+    ("row", "metric", "value", "missed"),
+    [
+        ("box_l1", "l2_64", 0.2, set()),
+        ("box_l1", "l2_64", 0.35, {"l2_64: box_l1 < ani_l1"}),
+        ("ani_l1", "l2_64", 0.43, {"l2_64: ani_l1 < iso_l1", "l2_64: ani_l1 / sh"}),
+        ("ani_k40_l1", "l2_64", 0.45, {"l2_64: ani_k40_l1 < iso_k40_l1", "l2_64: ani_k40_l1 / sh"}),
+        ("haar", "l2_64", 0.61, {"l2_64: haar < sh"}),
+        (
+            "vmf_k40_nnls",
+            "l2_64",
+            0.59,
+            {
+                "l2_64: vmf_k40_nnls is the worst, of 40 bands",
+                "l2_64: vmf_k40_nnls is the worst, of sharper filters",
+            },
+        ),
+        (
+            "kmeans_nnls",
+            "l2_64",
+            0.85,
+            {"l2_64: vmf_k40_nnls is the worst, of sharper filters"},
+        ),
+        (
+            "kmeans_nnls",
+            "ssim_mean_64",
+            0.6,
+            {"ssim_mean_64: kmeans_nnls > kmeans_l1", "ssim_mean_64: kmeans_nnls > sh"},
+        ),
+        ("iso_k40_l1", "ssim_unit_64", 0.9, {"ssim_unit_64: iso_k40_nnls > iso_k40_l1"}),
+        ("iso_nnls", "l2_16", 1.01, {"fall of iso_nnls < of iso_l1, 16 to 64"}),
+    ],
+)
+def test_checks_name_the_orderings_that_are_missed(
+    tmp_path: Path, row: str, metric: str, value: float, missed: set[str]
+) -> None:
+    coding = SparseCoding(data=indexed(tmp_path, {"a": "indoor"}), counts=(4, 16, 64))
+    rows = as_in_the_thesis()
+    rows[row][metric]["mean"] = value
+    checks = coding.checks(rows, [])
+    # l2 of two coders with haar and sh in common, three SSIMs and falls of seven, the boxes
+    assert len(checks) == 1 + 2 * 4 + 3 * 7 * 2 + 7 + 1
+    assert {name for name, check in checks.items() if not check.ok} == missed
+
+
+# what is measured
+
+
+def room(seed: int) -> EnvironmentMap:
+    """Dim noise, and forty windows of 6 x 6 pixels."""
+    generator = torch.Generator().manual_seed(seed)
+    radiance = torch.rand(HEIGHT, 2 * HEIGHT, 3, generator=generator)
+    rows = torch.randint(HEIGHT - 6, (40,), generator=generator).tolist()
+    columns = torch.randint(2 * HEIGHT - 6, (40,), generator=generator).tolist()
+    for row, column in zip(rows, columns, strict=True):
+        radiance[row : row + 6, column : column + 6] += 5 * torch.rand(3, generator=generator)
+    return EnvironmentMap(radiance=radiance)
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[torch.Tensor, Item, Path]:
+    """The map, what was measured of it, and the picture; k-means learns from the other map."""
+    data = indexed(tmp_path_factory.mktemp("maps"), {"a.exr": "indoor", "b.exr": "night"})
+    write_environment_map(data / "a.exr", room(0))
+    write_environment_map(data / "b.exr", room(1))
+    coding = SparseCoding(data=data, height=HEIGHT, counts=(4, 64), learned=4, learned_from=1)
+    item = coding.measure("a.exr", data / "picture.png")
+    return read_environment_map(data / "a.exr").radiance.double(), item, data / "picture.png"
+
+
+@pytest.mark.slow
+def test_every_method_has_its_row_of_errors(
+    measured: tuple[torch.Tensor, Item, Path],
+) -> None:
+    """Boxes have the coder of sharper filters alone, the single lobe that of 40 bands."""
+    truth, item, picture = measured
+    assert picture.stat().st_size > 0
+    assert (item.name, item.facts, item.problem) == ("a.exr", {"category": "indoor"}, "")
+    rows = dict(item.metrics)
+    limits = rows.pop("band_limit")
+    assert set(rows) == {"sh", "sh_windowed", "haar", "sg", *CODED}
+    for row in rows.values():
+        assert set(row) == {
+            "floats_per_activation",
+            *(f"{metric}_{count}" for metric in ("l2", "ssim") for count in (4, 64)),
+            "ssim_mean_64",
+            "ssim_unit_64",
+        }
+        assert 0 < row["l2_64"] < row["l2_4"] < 1
+    floats = {name: row["floats_per_activation"] for name, row in rows.items()}
+    assert floats == dict.fromkeys(rows, 4) | {"sh": 3, "sh_windowed": 3, "sg": 6}
+
+    # Gaussians start from a code, whose places they refine; windows are what boxes are for
+    assert rows["sg"]["l2_64"] < rows["iso_l1"]["l2_64"]
+    assert rows["box_l1"]["l2_64"] < 0.8 * rows["ani_l1"]["l2_64"]
+    assert list(limits) == ["l2_degree40", "l2_degree60", "l2_degree63"]
+    assert list(limits.values()) == sorted(limits.values(), reverse=True)
+    # Bessel: what harmonics up to degree 1 do not hold, by sums over pixels
+    grid = DirectionGrid.latlong(HEIGHT)
+    weighted = grid.solid_angles[:, None] * truth.flatten(0, 1)
+    held = (harmonics.evaluate_about_zenith(grid.directions, 1).T @ weighted).square().sum()
+    energy = (weighted * truth.flatten(0, 1)).sum()
+    assert rows["sh"]["l2_4"] == pytest.approx(math.sqrt(1 - held / energy), rel=1e-3)
+
+
+@pytest.mark.slow
+def test_the_whites_are_the_mean_luminance_and_the_norm(
+    measured: tuple[torch.Tensor, Item, Path],
+) -> None:
+    """A map of unit length has the luminance 1 where this one has its norm over the sphere."""
+    truth, item, _ = measured
+    (wavelets,) = approximate(cube_from_latlong(truth, 64), [64], "weighted")
+    fit = latlong_from_cube(wavelets, HEIGHT)
+    solid_angles = DirectionGrid.latlong(HEIGHT).solid_angles
+    norm = float((solid_angles @ truth.flatten(0, 1).square()).sum().sqrt())
+    found = item.metrics["haar"]
+    assert found["ssim_64"] == pytest.approx(ssim(fit, truth))
+    for metric, white in (("ssim_mean", float(luminance(truth).mean())), ("ssim_unit", norm)):
+        assert found[f"{metric}_64"] == pytest.approx(ssim(fit, truth, white=white))
+        assert found[f"{metric}_64"] != pytest.approx(ssim(fit, truth, white=1.1 * white), rel=1e-3)
+
+
+def test_errors_are_weighted_by_solid_angle() -> None:
+    """Off by a tenth of it on the upper half of the sphere: 0.1 / sqrt(2) of a constant map."""
+    truth = torch.ones(HEIGHT, 2 * HEIGHT, 3, dtype=torch.float64)
+    fit = truth.clone()
+    fit[: HEIGHT // 2] = 0.9
+    scale = LatLongTransform(0, HEIGHT).solid_angles[..., None]
+    assert relative_error(fit, truth, scale) == pytest.approx(0.1 / math.sqrt(2))
+    # the two rows beside the poles have 2 (1 - cos(pi / 64)) of 4 pi each
+    fit = truth.clone()
+    fit[[0, -1]] = 0
+    share = 1 - math.cos(math.pi / HEIGHT)
+    assert relative_error(fit, truth, scale) == pytest.approx(math.sqrt(share), rel=1e-3)

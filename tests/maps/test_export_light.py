@@ -1,0 +1,197 @@
+"""``skylight export light``: what it writes and what it refuses."""
+
+import json
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import get_args
+
+import pytest
+import torch
+
+from skylight._figures import describe_lamps
+from skylight.cli import main
+from skylight.io._bounded import write_json
+from skylight.io._files import read_environment_map, read_light, write_environment_map
+from skylight.maps._export import LightTarget, default_face
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._frame import convert_latlong
+from skylight.sphere._harmonics import HarmonicConvention, project, to_convention
+from skylight.sphere._projections import FACES
+from tests.lamp_lit import lamp_lit, lamp_params
+
+
+def test_the_command_offers_what_there_is() -> None:
+    command = __import__("skylight.maps._export_command", fromlist=["LightTarget"])
+    assert get_args(command.LightTarget) == get_args(LightTarget)
+    assert get_args(command.HarmonicConvention) == get_args(HarmonicConvention)
+
+
+def test_all_targets_at_once(probe: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = probe.parent / "out"
+    targets = get_args(LightTarget)
+    assert main(["export", "light", str(probe), str(out), "--as", *targets]) == 0
+    written = sorted(path.name for path in out.iterdir())
+    assert written == sorted(
+        ["lightprobe.json", "threejs_light.hdr", "sh27.json", "ar_light.json", "light.glb",
+         "light.usda", "usd_light.exr", "scene.xml", "mitsuba_light.exr", "load_light.py",
+         "blender_light.hdr", *[f"cube_{name}.hdr" for name in FACES]]
+    )  # fmt: skip
+    told = capsys.readouterr()
+    assert all(name in told.out for name in written)
+    assert "reflections of light.glb lack" in told.err  # a sun of 500
+
+
+def test_a_probe_of_another_convention_is_turned_first(probe: Path) -> None:
+    turned = convert_latlong(read_light(probe), "skylight", "unity")
+    write_environment_map(probe.parent / "unity.exr", EnvironmentMap(radiance=turned))
+    out = probe.parent / "out"
+    options = ["--as", "sh", "--from-convention", "unity", "--sh-convention", "arcore"]
+    assert main(["export", "light", str(probe.parent / "unity.exr"), str(out), *options]) == 0
+    told = json.loads((out / "sh27.json").read_text(encoding="utf-8"))
+    light = EnvironmentMap(radiance=read_light(probe))
+    expected = to_convention(project(light.flat.double(), light.grid, 2), "arcore")
+    torch.testing.assert_close(torch.tensor(told["sh"]).double(), expected, rtol=1e-5, atol=1e-5)
+
+
+def test_a_sky_gets_a_dark_half(tmp_path: Path) -> None:
+    write_environment_map(tmp_path / "sky.exr", EnvironmentMap(radiance=torch.ones(8, 32, 3)))
+    assert main(["export", "light", str(tmp_path / "sky.exr"), str(tmp_path), "--as", "usd"]) == 0
+    picture = read_light(tmp_path / "usd_light.exr")
+    assert picture.shape == (16, 32, 3)
+    assert picture[8:].max() == 0
+
+
+def test_faces_are_as_large_as_the_map_asks() -> None:
+    for rows, face in ((16, 64), (128, 64), (512, 256), (2048, 512)):
+        assert default_face(EnvironmentMap(radiance=torch.zeros(rows, 2 * rows, 3))) == face
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--as", "ar", "--face", "100"], "power of two from 32 to 2048"),
+        (["--as", "gltf", "--face", "16"], "power of two from 32 to 2048"),
+    ],
+)
+def test_what_cannot_be_is_told_and_nothing_written(
+    probe: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
+) -> None:
+    out = probe.parent / "out"
+    assert main(["export", "light", str(probe), str(out), *options]) == 2
+    assert message in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_file_that_is_no_map_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    missing = str(tmp_path / "missing.exr")
+    assert main(["export", "light", missing, str(tmp_path / "out"), "--as", "usd"]) == 2
+    assert "there is no such file" in capsys.readouterr().err
+
+
+# estimates
+
+
+@pytest.fixture
+def estimate(tmp_path: Path) -> Path:
+    """A folder with what an estimate writes of its light: two lamps, the map and the numbers."""
+    light, lamps = lamp_lit(lamp_params())
+    folder = tmp_path / "estimate"
+    folder.mkdir()
+    write_environment_map(folder / "probe.exr", light)
+    content = {"light": "lamps", "lamps": describe_lamps(lamps)}
+    write_json(folder / "estimate.json", content)
+    return folder
+
+
+def rewrite(folder: Path, **changed: object) -> None:
+    content = json.loads((folder / "estimate.json").read_text(encoding="utf-8"))
+    write_json(folder / "estimate.json", content | changed)
+
+
+@pytest.mark.parametrize("given", ["", "estimate.json"])
+def test_an_estimates_lamps_become_lights_and_leave_the_map(
+    estimate: Path, given: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = estimate.parent / "out"
+    targets = get_args(LightTarget)
+    assert main(["export", "light", str(estimate / given), str(out), "--as", *targets]) == 0
+    assert "not in the map: 2" in capsys.readouterr().out
+    light, lamps = lamp_lit(lamp_params())
+    scene = ElementTree.parse(out / "scene.xml").getroot()
+    emitters = scene.findall("emitter[@type='directional']")
+    for emitter, lamp in zip(emitters, lamps, strict=True):
+        vector = emitter.find("vector")
+        assert vector is not None
+        along = [float(vector.attrib[axis]) for axis in "xyz"]
+        assert along == pytest.approx((-lamp.direction).tolist(), abs=1e-6)
+    rest = read_environment_map(out / "mitsuba_light.exr", convention="mitsuba")
+    received = rest.irradiance(lamps[0].direction) + lamps[0].irradiance
+    torch.testing.assert_close(received, light.irradiance(lamps[0].direction), rtol=0.01, atol=0)
+    # harmonics alone, and ARCore's light with its own sun, are of all light
+    told = json.loads((out / "sh27.json").read_text(encoding="utf-8"))
+    whole = project(light.flat.double(), light.grid, 2)
+    found = torch.tensor(told["sh"]).double().reshape(9, 3)
+    torch.testing.assert_close(found, whole, rtol=1e-4, atol=1e-4)
+
+
+def test_all_light_in_one_has_no_lamps_to_tell_of(
+    estimate: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["export", "light", str(estimate), str(estimate.parent), "--as", "sh"]) == 0
+    assert "lamps" not in capsys.readouterr().out
+
+
+def test_an_estimate_without_lamps_is_its_map(estimate: Path) -> None:
+    map_out, out = estimate.parent / "map", estimate.parent / "out"
+    probe = estimate / "probe.exr"
+    targets = ["--as", *get_args(LightTarget)]
+    assert main(["export", "light", str(probe), str(map_out), *targets]) == 0
+    for content in ({"light": "sh9", "lamps": []}, {"light": "vmf"}):  # of a face, of an object
+        write_json(estimate / "estimate.json", content)
+        assert main(["export", "light", str(estimate), str(out), *targets]) == 0
+        for path in map_out.iterdir():
+            assert (out / path.name).read_bytes() == path.read_bytes()
+
+
+GOOD = {"azimuth_deg": 10.0, "zenith_deg": 40.0, "irradiance": [1, 1, 1], "spread_deg": 8.0}
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"lamps": 3}, '"lamps" must be a list, got a int'),
+        ({"lamps": [GOOD, 3]}, "lamp 2 needs azimuth_deg"),
+        ({"lamps": [GOOD | {"irradiance": [1, 1]}]}, "lamp 1 needs azimuth_deg"),
+        ({"lamps": [GOOD | {"irradiance": [1, 1, -1]}]}, "irradiance of 0 or more"),
+        ({"lamps": [GOOD | {"spread_deg": 0}]}, "a spread of 0.01 to 42.0 degrees"),
+        ({"lamps": [GOOD | {"spread_deg": "wide"}]}, "lamp 1 needs azimuth_deg"),
+        ({"lamps": [GOOD | {"irradiance": [99, 99, 99]}]}, "does not hold the light"),
+    ],
+)
+def test_a_list_of_lamps_that_cannot_be_is_told(
+    estimate: Path, capsys: pytest.CaptureFixture[str], changed: dict[str, object], message: str
+) -> None:
+    rewrite(estimate, **changed)
+    out = estimate.parent / "out"
+    assert main(["export", "light", str(estimate), str(out), "--as", "usd"]) == 2
+    assert message in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_what_is_no_estimate_is_told(estimate: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["export", "light", str(estimate), str(estimate.parent / "out"), "--as", "usd"]
+    assert main([*command, "--from-convention", "blender"]) == 2
+    assert "leave --from-convention out" in capsys.readouterr().err
+    (estimate / "estimate.json").write_text("[1]")
+    assert main(command) == 2
+    assert '"light" is missing' in capsys.readouterr().err
+    (estimate / "estimate.json").write_text("{")
+    assert main(command) == 2
+    assert "not JSON" in capsys.readouterr().err
+    write_json(estimate / "estimate.json", {"light": "sh9"})
+    (estimate / "probe.exr").unlink()
+    assert main(command) == 2
+    assert "probe.exr: there is no such file" in capsys.readouterr().err
+    (estimate / "estimate.json").unlink()
+    assert main(command) == 2
+    assert "a folder that skylight estimate wrote" in capsys.readouterr().err

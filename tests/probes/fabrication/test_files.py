@@ -1,0 +1,71 @@
+import xml.etree.ElementTree as ElementTree
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from skylight.errors import InputError
+from skylight.probes.fabrication._files import write_3mf, write_stl
+from skylight.probes.voxel._parts import VoxelParts
+
+CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
+
+
+def test_stl_is_read_back_closed_and_of_the_same_volume(cross: VoxelParts, tmp_path: Path) -> None:
+    write_stl(tmp_path / "part.stl", cross.parts[1:2])
+    mesh = trimesh.load_mesh(tmp_path / "part.stl")
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(cross.parts[1].volume_mm3, rel=1e-6)
+    # its own normals, which trimesh takes from the file
+    data = np.frombuffer(
+        (tmp_path / "part.stl").read_bytes()[84:],
+        np.dtype([("n", "<f4", 3), ("c", "<f4", (3, 3)), ("a", "<u2")]),
+    )
+    cross_product = np.cross(data["c"][:, 1] - data["c"][:, 0], data["c"][:, 2] - data["c"][:, 0])
+    assert ((cross_product * data["n"]).sum(1) > 0).all()
+
+
+def test_3mf_has_units_names_and_every_triangle(cross: VoxelParts, tmp_path: Path) -> None:
+    write_3mf(tmp_path / "parts.3mf", cross.parts)
+    with zipfile.ZipFile(tmp_path / "parts.3mf") as archive:
+        assert archive.testzip() is None
+        assert set(archive.namelist()) == {
+            "[Content_Types].xml",
+            "_rels/.rels",
+            "3D/3dmodel.model",
+        }
+        types = ElementTree.fromstring(archive.read("[Content_Types].xml"))
+        assert {entry.get("Extension") for entry in types} == {"rels", "model"}
+        relation = ElementTree.fromstring(archive.read("_rels/.rels"))[0]
+        assert relation.get("Target") == "/3D/3dmodel.model"
+        model = ElementTree.fromstring(archive.read("3D/3dmodel.model"))
+    assert model.get("unit") == "millimeter"
+    objects = model.findall(f"{CORE}resources/{CORE}object")
+    items = model.findall(f"{CORE}build/{CORE}item")
+    assert [o.get("name") for o in objects] == [part.name for part in cross.parts]
+    assert [i.get("objectid") for i in items] == [o.get("id") for o in objects]
+    for element, part in zip(objects, cross.parts, strict=True):
+        vertices = np.array(
+            [[float(v.get(k)) for k in "xyz"] for v in element.iter(f"{CORE}vertex")]
+        )
+        faces = np.array(
+            [[int(t.get(k)) for k in ("v1", "v2", "v3")] for t in element.iter(f"{CORE}triangle")]
+        )
+        np.testing.assert_allclose(vertices, part.vertices, atol=1e-6)
+        np.testing.assert_array_equal(faces, part.faces)
+
+
+def test_same_parts_same_bytes(cross: VoxelParts, tmp_path: Path) -> None:
+    for write, name in ((write_stl, "a.stl"), (write_3mf, "a.3mf")):
+        write(tmp_path / name, cross.parts)
+        first = (tmp_path / name).read_bytes()
+        write(tmp_path / name, cross.parts)
+        assert (tmp_path / name).read_bytes() == first
+
+
+def test_nothing_to_write(tmp_path: Path) -> None:
+    for write in (write_stl, write_3mf):
+        with pytest.raises(InputError, match="no part"):
+            write(tmp_path / "none", [])
