@@ -4,7 +4,6 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -15,12 +14,10 @@ from skylight.cli import main
 from skylight.csc._code import SparseCode
 from skylight.csc._coder import SphericalSparseCoder
 from skylight.csc._dictionary import FilterBank, builtin, isotropic
-from skylight.csc._greedy import Sign
 from skylight.csc._positions import centres_of
 from skylight.csc._sub_dictionaries import BOX_SIZES
 from skylight.io._files import read_environment_map, write_environment_map
 from skylight.io._hdr import write_exr
-from skylight.maps._command import CodeWeights
 from skylight.maps._sparse_codes import _unrolled, outlines
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import EnvironmentMap
@@ -81,9 +78,6 @@ class TestCode:
         assert "activations    3\n" in told
         assert f"relative error {100 * code.relative_error:.1f} %" in told
         assert "floats         12 for 13824 (0.087 %)" in told
-
-    def test_choices_are_those_of_the_library(self) -> None:
-        assert get_args(CodeWeights) == get_args(Sign)
 
     @pytest.mark.parametrize(
         ("change", "message"),

@@ -12,18 +12,13 @@ from skylight._figures import describe_lamps
 from skylight.cli import main
 from skylight.io._bounded import write_json
 from skylight.io._files import read_environment_map, read_light, write_environment_map
-from skylight.maps._export import LightTarget, default_face
+from skylight.maps._export import default_face
+from skylight.maps._names import LightTarget
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import convert_latlong
-from skylight.sphere._harmonics import HarmonicConvention, project, to_convention
+from skylight.sphere._harmonics import project, to_convention
 from skylight.sphere._projections import FACES
 from tests.lamp_lit import lamp_lit, lamp_params
-
-
-def test_the_command_offers_what_there_is() -> None:
-    command = __import__("skylight.maps._export_command", fromlist=["LightTarget"])
-    assert get_args(command.LightTarget) == get_args(LightTarget)
-    assert get_args(command.HarmonicConvention) == get_args(HarmonicConvention)
 
 
 def test_all_targets_at_once(probe: Path, capsys: pytest.CaptureFixture[str]) -> None:
