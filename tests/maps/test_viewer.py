@@ -27,15 +27,15 @@ from skylight.io._files import write_environment_map
 from skylight.maps._viewer import PAGE_BYTES_MAX
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid
-from tests.estimated import MAKER, estimated, rewrite
+from tests.estimated import MAKER, rewrite
 
 SOURCES = Path(__file__).resolve().parents[2] / "studio" / "src" / "viewer"
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(estimated_portrait: tuple[Path, Path]) -> Path:
     """The folder of an estimate, beside its photograph portrait.jpg."""
-    return estimated(tmp_path_factory.mktemp("estimated"))[1]
+    return estimated_portrait[1]
 
 
 @pytest.fixture

@@ -35,10 +35,12 @@ _WATCH = """() => {
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def made(request: pytest.FixtureRequest) -> tuple[Path, Path]:
     """A photograph and the folder of its estimate."""
-    light = "autoencoder" if FOR_DOCUMENTATION else "sh9"
-    return estimated(tmp_path_factory.mktemp("estimated"), light)
+    if FOR_DOCUMENTATION:
+        folders: pytest.TempPathFactory = request.getfixturevalue("tmp_path_factory")
+        return estimated(folders.mktemp("estimated"), "autoencoder")
+    return request.getfixturevalue("estimated_portrait")
 
 
 @pytest.fixture
