@@ -31,7 +31,7 @@ from skylight.portrait._relit import (
 from skylight.sphere._envmap import LUMINANCE, EnvironmentMap
 from skylight.sphere._frame import DirectionGrid
 from skylight.studio.tasks._portrait import FACE_PX, command_of, kept_person, packed
-from tests.studio.conftest import begin, finished
+from tests.studio.conftest import finished
 from tests.studio.tasks.taken_apart import PHOTO, apart
 from tests.sunny_face import direction
 from tests.three_js import run_in_node
@@ -201,16 +201,19 @@ def test_the_command_line_names_what_was_chosen() -> None:
     assert not command_of(PHOTO, "auto", "all", None)["is_alone"]
 
 
-def test_the_studio_takes_a_person_apart(client: httpx.Client, photo: str) -> None:
-    estimate = finished(client, kind="estimate", photo=photo, light="sh9")
-    assert "person.safetensors" not in [file["name"] for file in estimate["files"]]
-    done = finished(client, kind="portrait", job=estimate["job"])
+def test_the_studio_takes_a_person_apart(
+    client: httpx.Client, photo: str, estimated: list[dict[str, Any]]
+) -> None:
+    assert "person.safetensors" not in [file["name"] for file in estimated[-1]["files"]]
+    done = finished(client, kind="portrait", job=estimated[-1]["job"])
     assert done["state"] == "done", done.get("error")
     assert [file["name"] for file in done["files"]] == ["portrait.safetensors"]
-    # of a portrait there is no portrait
-    answer = client.post("/api/jobs", json={"kind": "portrait", "job": done["job"]})
-    assert answer.status_code == 409
-    assert "name an estimate that is done" in answer.json()["error"]
+    # of a portrait there is no portrait, nor of an estimate that is not done
+    failed = finished(client, kind="estimate", photo=photo, face=3)
+    for job in (done, failed):
+        answer = client.post("/api/jobs", json={"kind": "portrait", "job": job["job"]})
+        assert answer.status_code == 409
+        assert "name an estimate that is done" in answer.json()["error"]
 
 
 @pytest.mark.parametrize(
@@ -228,9 +231,3 @@ def test_wrong_requests_are_one_line(
     assert answer.status_code == status
     assert words in answer.json()["error"]
     assert "\n" not in answer.json()["error"]
-
-
-def test_an_estimate_that_is_not_done_has_no_person_yet(client: httpx.Client, photo: str) -> None:
-    waiting = begin(client, kind="estimate", photo=photo, light="sh9")
-    answer = client.post("/api/jobs", json={"kind": "portrait", "job": waiting})
-    assert answer.status_code == 409
