@@ -84,6 +84,17 @@ def face_captures(tmp_path_factory: pytest.TempPathFactory) -> MadeCaptures:
     return make_captures(tmp_path_factory.mktemp("captures") / "faces")
 
 
+@pytest.fixture(scope="session")
+def estimated_portrait(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """(A photograph, the folder of its estimate): the one run of the command that most tests need.
+
+    Tests that write take a copy of the folder.
+    """
+    from tests.estimated import estimated
+
+    return estimated(tmp_path_factory.mktemp("estimated"))
+
+
 @pytest.fixture
 def probe(tmp_path: Path) -> Path:
     """A map of 16 rows with a sun of 500 in row 4, column 20."""
