@@ -38,8 +38,10 @@ test test-all: $(VENV)/.dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(LEFT_OUT) $(ARGS)
 
 night: WALK := 1
-night: test-all docs fuzz $(VENV)/.dev
-	$(BIN)/python tools/kill_runs.py
+night: test-all docs
+	rm -rf out/night && mkdir -p out/night
+	$(BIN)/python tools/kill_runs.py --out out/night/kill-runs.json
+	$(BIN)/python tools/fuzz.py --seconds $(SECONDS_EACH) --findings out/night --out out/night/fuzz.json
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
