@@ -13,7 +13,7 @@ from sphinx.application import Sphinx  # noqa: E402
 project = "skylight"
 author = "the skylight authors"
 copyright = author
-release = version = installed("skylight")
+release = version = installed("skylight-lighting")
 
 extensions = [
     "myst_parser",

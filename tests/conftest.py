@@ -57,7 +57,7 @@ def pytest_terminal_summary(
     terminalreporter: pytest.TerminalReporter, config: pytest.Config
 ) -> None:
     if count := config.stash.get(_left_out, 0):
-        terminalreporter.write_line(f"{count} slow tests were left out; make test-all runs them")
+        terminalreporter.write_line(f"{count} slow tests were left out; make night runs them")
 
 
 @pytest.fixture(scope="session", params=["cpu", "cuda"])

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
-from skylight.errors import InputError
+from skylight.errors import not_installed
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import convert_latlong
 from skylight.transport._cameras import Camera
@@ -175,9 +175,7 @@ def mitsuba_variant():
     try:
         import mitsuba as mi
     except ImportError as error:
-        raise InputError(
-            "this evaluation renders with Mitsuba: pip install 'skylight[render]'"
-        ) from error
+        raise not_installed("mitsuba", "rendering by another program") from error
     if os.environ.get("DRJIT_LIBLLVM_PATH") and "llvm_ad_rgb" in mi.variants():
         mi.set_variant("llvm_ad_rgb")
     else:

@@ -183,5 +183,5 @@ def test_fine_meshes_without_libigl_name_its_extra(
     sphere = trimesh.creation.icosphere(subdivisions=5)  # 20480 triangles
     sphere.export(tmp_path / MODELS[0])
     monkeypatch.setitem(sys.modules, "igl", None)
-    with pytest.raises(DependencyError, match=r"skylight\[decimation\]"):
+    with pytest.raises(DependencyError, match=r"skylight-lighting\[decimation\]"):
         partition_scene((tmp_path / MODELS[0],), 24)
