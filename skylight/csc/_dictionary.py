@@ -19,8 +19,7 @@ from torch import Tensor, nn
 
 from skylight.errors import InputError
 from skylight.io._tensors import read_tensors, write_tensors
-from skylight.sphere import _harmonics as harmonics
-from skylight.sphere import _lobes as lobes
+from skylight.sphere import _harmonics as harmonics, _lobes as lobes
 
 BuiltinName = Literal["iso", "ani", "vmf", "box"]
 PolarFunction = Callable[[Tensor, Tensor], Tensor]

@@ -22,8 +22,7 @@ from skylight.imaging._exif import CameraFacts, camera_facts
 from skylight.imaging._taken import Taken
 from skylight.io._bounded import file_bytes, require_bytes, require_pixels
 from skylight.io._files import opened_picture
-from skylight.io._hdr import SUFFIXES as HDR_SUFFIXES
-from skylight.io._hdr import muted, read_linear
+from skylight.io._hdr import SUFFIXES as HDR_SUFFIXES, muted, read_linear
 from skylight.sphere._envmap import luminance
 
 RAW_SUFFIXES = (

@@ -19,8 +19,7 @@ import skylight
 from skylight._options import who_works
 from skylight.cli import main
 from skylight.errors import InputError, explain
-from skylight.estimate._command import Landmarks, Light, Solver
-from skylight.estimate._command import estimate as estimate_command
+from skylight.estimate._command import Landmarks, Light, Solver, estimate as estimate_command
 from skylight.estimate._photos import estimate, estimate_photo
 from skylight.faces._landmarkers import choose_landmarker
 from skylight.faces._landmarks import DetectedFace

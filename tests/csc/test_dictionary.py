@@ -13,8 +13,7 @@ from skylight.csc import _dictionary as dictionary
 from skylight.csc._dictionary import FilterBank, builtin, load_dictionary, project_about_pole
 from skylight.errors import InputError
 from skylight.io._tensors import write_tensors
-from skylight.sphere import _harmonics as harmonics
-from skylight.sphere import _lobes as lobes
+from skylight.sphere import _harmonics as harmonics, _lobes as lobes
 from skylight.sphere._frame import DirectionGrid
 
 F64 = torch.float64

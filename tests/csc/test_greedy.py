@@ -10,8 +10,7 @@ import torch
 from scipy.optimize import nnls
 from sklearn.linear_model import Lasso, orthogonal_mp
 
-from skylight.csc import _dictionary as dictionary
-from skylight.csc import _greedy as pursuit
+from skylight.csc import _dictionary as dictionary, _greedy as pursuit
 from skylight.csc._active_set import SampledSignal
 from skylight.csc._dictionary import FilterBank
 from skylight.csc._greedy import (

@@ -14,8 +14,7 @@ from skimage.data import astronaut
 
 from skylight.cli import main
 from skylight.errors import InputError, OutputError
-from skylight.estimate import _folder as batch
-from skylight.estimate import _report as results
+from skylight.estimate import _folder as batch, _report as results
 from skylight.estimate._folder import estimate_folder, time_left_s
 from skylight.estimate._manifest import (
     MANIFEST,

@@ -10,8 +10,7 @@ from PIL import Image
 from skimage.data import astronaut
 
 from skylight.cli import main
-from skylight.estimate import _folder as batch
-from skylight.estimate import _many as together
+from skylight.estimate import _folder as batch, _many as together
 from skylight.estimate._folder import estimate_folder
 from skylight.estimate._manifest import MANIFEST, BatchSettings, Entry, read_manifest
 from skylight.io._files import read_environment_map

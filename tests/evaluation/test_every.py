@@ -3,8 +3,7 @@
 import pytest
 
 from skylight.errors import InputError
-from skylight.evaluation import _main as every
-from skylight.evaluation import _main as main
+from skylight.evaluation import _main as every, _main as main
 from tests.evaluation.test_run import Counting, measured
 
 

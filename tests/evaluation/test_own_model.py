@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from skylight.evaluation import _main as main
-from skylight.evaluation import _sky_models as sky_models
+from skylight.evaluation import _main as main, _sky_models as sky_models
 from skylight.evaluation._known_faces import EstimateOptions
 from skylight.evaluation._run import Evaluation
 from skylight.evaluation._sky_models import SkyModels

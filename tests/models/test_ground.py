@@ -2,8 +2,7 @@ import math
 
 import numpy as np
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from skylight.models._ground import GROUND_ALBEDOS, GROUND_SPREAD, LambertianGround, ground_prior
 from skylight.models._prior import GaussianMixture

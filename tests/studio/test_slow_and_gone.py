@@ -18,9 +18,7 @@ import httpx
 import pytest
 import uvicorn
 
-from skylight.studio import _guard as guard
-from skylight.studio import _jobs as jobs
-from skylight.studio import _server as server
+from skylight.studio import _guard as guard, _jobs as jobs, _server as server
 from skylight.studio._guard import Limits
 from skylight.studio._server import make_application
 from skylight.studio._state import UPLOADS_AT_ONCE, Studio
