@@ -22,7 +22,7 @@ from skylight.evaluation._known_faces import fitted_head, read_face
 from skylight.faces._model import HeadModel
 from skylight.faces._observe import observe_face
 from skylight.inverse._descent import Round, descend
-from skylight.inverse._estimate import light_problem
+from skylight.inverse._estimate import light_problems
 from skylight.inverse._faces import Level
 from skylight.inverse._scan import SunScan, scan_faces
 from skylight.inverse._sky import SkyProblem, SolverOptions
@@ -41,7 +41,7 @@ SAME_NATS, SAME_SUN_DEG = 1.0, 5.0
 
 def ends(observation: Observation, model: Path | None) -> dict[str, float]:
     """Shares of the starts of one face that end where the best one does."""
-    problem = light_problem("autoencoder", model=model, options=SolverOptions(rounds=ROUNDS))
+    (problem,) = light_problems("autoencoder", model=model, options=SolverOptions(rounds=ROUNDS))
     assert isinstance(problem, SkyProblem)
     problem.add(observation)
     solver, faces = problem.solver, problem.faces

@@ -43,6 +43,7 @@ from skylight.evaluation._sky_fits import (
 from skylight.evaluation._tables import Rows
 from skylight.faces._skin import SkinPrior
 from skylight.inverse._estimate import albedo_prior, smooth_autoencoder
+from skylight.inverse._problem import solve
 from skylight.inverse._result import Estimate
 from skylight.inverse._sky import THESIS, SkyProblem
 from skylight.io._files import write_png
@@ -69,7 +70,7 @@ def with_true_albedo(observation: Observation, face: KnownFace) -> Estimate:
     bundle = load_bundle()
     problem = SkyProblem(smooth_autoencoder(bundle), bundle.prior(), known, face.albedo[None])
     problem.add(observation)
-    return problem.solve()
+    return solve([problem])[0]
 
 
 def from_true_light(observation: Observation, face: KnownFace) -> Estimate:
@@ -78,7 +79,7 @@ def from_true_light(observation: Observation, face: KnownFace) -> Estimate:
     modes = SkinPrior.load().means.float()
     problem = SkyProblem(model, load_bundle().prior(), albedo_prior(), modes)
     problem.add(observation)
-    return problem.solve()
+    return solve([problem])[0]
 
 
 def true_parameters(
