@@ -26,8 +26,8 @@ from skylight.inverse._result import Estimate
 from skylight.inverse._sky import SOLVERS
 from skylight.inverse._sun_prior import SunPrior
 from skylight.models._bundle import LightBundle, load_bundle
-from skylight.work._cluster import send_tensors_by_value
 from skylight.work._device import choose_device
+from skylight.work._processes import send_tensors_by_value
 from skylight.work._resumable import results_folder, share_work
 
 T = TypeVar("T")

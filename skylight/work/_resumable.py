@@ -23,8 +23,9 @@ from typing import IO, TypeVar
 from skylight.errors import InputError, OutputError, SkylightError
 from skylight.io._atomic import PARTIAL
 from skylight.io._bounded import json_content, write_json
-from skylight.work._cluster import Cluster, run_piece, share_on_cluster
-from skylight.work._processes import collect_seldom
+from skylight.work._cluster import Cluster, share_on_cluster
+from skylight.work._memory import collect_seldom
+from skylight.work._processes import run_piece
 
 SETTINGS = "settings.json"  # the note of :func:`settle`
 Result = TypeVar("Result")
