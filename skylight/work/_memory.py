@@ -1,7 +1,7 @@
-"""Memory of long work: how often Python searches for cycles of objects that nothing refers to any
-more, and what becomes of their memory.
+"""Memory of long work: how often Python searches for cycles, and what goes back to the system.
 
-Nothing here imports torch: a command asks for it before it knows what it has to do.
+Cycles are objects that refer to each other and that nothing else refers to. Nothing here imports
+torch: a command asks for it before it knows what it has to do.
 """
 
 import ctypes

@@ -1,6 +1,7 @@
-"""Resumable folders, and work shared by processes.
+"""Work that may be interrupted: folders that keep what is done, and processes that share the rest.
 
-Folders of results, replaced as a whole when a run succeeds.
+A folder is claimed by one run at a time, notes the settings that it is made with, or is replaced
+as a whole when a run succeeds. A piece of work whose process dies is given to another one.
 """
 
 import json
