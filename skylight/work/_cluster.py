@@ -14,7 +14,7 @@ from uuid import uuid4
 import torch
 
 from skylight import __version__
-from skylight.errors import DependencyError, InputError, OutputError, SkylightError
+from skylight.errors import InputError, OutputError, SkylightError, not_installed
 from skylight.io._atomic import PARTIAL
 from skylight.work._processes import run_piece
 
@@ -146,9 +146,7 @@ def _connect(address: str) -> Any:
     try:
         from distributed import Client
     except ImportError as error:
-        raise DependencyError(
-            "a cluster needs dask and distributed: pip install 'skylight[cluster]'"
-        ) from error
+        raise not_installed("distributed", "a cluster") from error
     try:
         if address.endswith(".json"):
             return Client(scheduler_file=address, timeout=CONNECT_S, set_as_default=False)

@@ -166,5 +166,5 @@ def test_what_is_missing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     with pytest.raises(InputError, match="no dask scheduler at tcp:"):
         list(share_work(_fail, [(1,), (2,)], workers=where))
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(DependencyError, match=r"skylight\[cluster\]"):
+    with pytest.raises(DependencyError, match=r"skylight-lighting\[cluster\]"):
         list(share_work(_fail, [(1,), (2,)], workers=where))
