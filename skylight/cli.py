@@ -20,8 +20,8 @@ from skylight.maps._export_command import export, export_light
 from skylight.object._command import estimate_object
 from skylight.people._command import faces
 from skylight.portrait._command import relight_portrait
+from skylight.probes._command import probe
 from skylight.probes.cameras._command import camera
-from skylight.probes.voxel._command import probe
 from skylight.relight._command import relight
 from skylight.skies._command import skies
 from skylight.studio._command import studio

@@ -1,19 +1,15 @@
-"""The position of the sun for a place and a time.
+"""The sun: its position for a place and a time, and what a captured map shows of it.
 
-The sun in a captured sky: position, visibility, clipping.
+A sun counts as visible by the share of the light on a plane that faces the brightest place which
+comes from within 4 degrees of it. The threshold lies in a gap between published outdoor maps of
+known content: 35 % and more with a visible sun, 12 % and less with none.
 
-The threshold lies in a gap between published outdoor maps of known content: with a visible
-sun, 35 % and more of the light that a plane facing the brightest place receives comes from
-within 4 degrees of it; with none, 12 % and less.
-
-Whether a whole lat-long map shows a sky above, judged by the map alone.
-
-Collections of light probes mix skies with rooms, studios and nights. The thresholds lie in a
-gap between published maps of known content: without a visible sun, the zenith of outdoor maps has
-a blue of 0.99 of its red and more, that of rooms under lamps mostly 0.90 and less; its luminance is
-at least that of the ground, but 0.3 of it and less under a dark ceiling.
-A night under lamps or the moon differs from a day by its level alone, which relative maps lack: it
-is told only where the lower half outshines the upper.
+Collections of light probes mix skies with rooms, studios and nights; whether a whole lat-long map
+shows a sky is judged by the map alone. Without a visible sun, the zenith of published outdoor maps
+has a blue of 0.99 of its red and more, that of rooms under lamps mostly 0.90 and less; its
+luminance is at least that of the ground, but 0.3 of it and less under a dark ceiling. A night under
+lamps or the moon differs from a day by its level alone, which relative maps lack: it is told only
+where the lower half outshines the upper.
 """
 
 import math

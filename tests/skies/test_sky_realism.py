@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from tools import measure_sky_realism
 from tools.measure_sky_realism import NAMES, distances, floor, place, sky_statistics, told_apart
 
 HEIGHT = 32
@@ -95,8 +96,10 @@ def test_one_place_for_maps_of_one_place() -> None:
 
 @pytest.mark.parametrize(("apart", "low", "high"), [(4.0, 0.97, 1.0), (0.0, 0.35, 0.65)])
 def test_classifiers_know_what_differs_and_nothing_else(
-    apart: float, low: float, high: float
+    apart: float, low: float, high: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """By one cross-validation; chance moves an area under the curve by 0.05 of 40 and 100 skies."""
+    monkeypatch.setattr(measure_sky_realism, "REPEATS", 1)
     rng = np.random.default_rng(0)
     real, simulated = rng.normal(size=(40, 4)) + apart, rng.normal(size=(100, 4))
     found = told_apart(real, simulated, [str(i) for i in range(len(real))])

@@ -1,13 +1,22 @@
-"""``skylight probe ground``."""
+"""``skylight probe``: one command for each kind of light probe, and the ground's albedo."""
 
 from pathlib import Path
 
+import tyro
 from tyro.conf import Positional
 
 from skylight._options import take_care
-from skylight.probes.partitions._command import Box
+from skylight.probes.mirror_balls._command import merge_exposures
+from skylight.probes.panorama._command import stitch_shots
+from skylight.probes.partitions._command import Box, partitions
+from skylight.probes.voxel._command import voxel
+
+probe = tyro.extras.SubcommandApp()
+probe.command(name="merge")(merge_exposures)
+probe.command(name="stitch")(stitch_shots)
 
 
+@probe.command(name="ground")
 def ground(
     photo: Positional[Path],
     flat: Path | None = None,
@@ -32,3 +41,7 @@ def ground(
     from skylight.probes._ground_files import ground_albedo
 
     ground_albedo(photo, out, flat=flat, region=region, response=response, warn=take_care)
+
+
+probe.command(voxel, name="voxel", help="Voxel shading probes.")
+probe.command(partitions, name="partitions", help="Shading probes that part the sphere.")
