@@ -1,4 +1,4 @@
-"""The documentation's site: ``make docs``, or ``sphinx-build -W --keep-going docs docs/_build``."""
+"""The documentation's site: ``make docs``; ``WALK=1`` runs its walk-throughs."""
 
 import sys
 from importlib.metadata import version as installed
