@@ -1,6 +1,7 @@
-"""Rendering by Mitsuba 3 (extra ``render``).
+"""Rendering by Mitsuba 3 (extra ``render``): solids, lamps, photographs of them.
 
-Many rays through Mitsuba at once: a wavefront where it compiles kernels, else one by one.
+Mitsuba's variant decides how many rays are traced at once: a wavefront where it compiles kernels,
+else one by one.
 """
 
 import os

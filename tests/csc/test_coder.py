@@ -19,7 +19,7 @@ from skylight.errors import InputError
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid, direction_from_angles
-from tools import measure_planted_codes as planted_codes
+from tests.csc import planted_codes
 
 F64 = torch.float64
 

@@ -1,4 +1,4 @@
-"""Table 5.3 on a folder of captures."""
+"""Photographs of people: with captured light (Table 5.3), or with notes on its side."""
 
 import json
 import shutil
@@ -9,7 +9,12 @@ import torch
 
 from skylight.errors import InputError
 from skylight.evaluation._main import EVALUATIONS, run_evaluation
-from skylight.evaluation._real_faces import CapturedFaces, aligned_scores
+from skylight.evaluation._real_faces import (
+    CapturedFaces,
+    RealFaces,
+    aligned_scores,
+    side_of_light,
+)
 from skylight.evaluation._run import picture_of
 from skylight.evaluation._tables import METRICS
 from skylight.faces._captures import FaceCapture, write_azimuths
@@ -56,7 +61,7 @@ def test_captures_without_azimuth_are_refused(face_captures):
 
 
 def test_a_folder_of_captures_is_recognised(calibrated):
-    chosen = EVALUATIONS["real-faces"](True, calibrated)
+    chosen = EVALUATIONS["real-faces"].over(calibrated, quick=True)
     assert chosen == CapturedFaces(data=calibrated, every=3)
 
 
@@ -86,3 +91,49 @@ def test_the_table(calibrated, tmp_path):
     text = (tmp_path / "out" / "results.md").read_text()
     assert "Table 5.3" in text
     assert "45.88 ± 46.72" in text
+
+
+@pytest.mark.slow
+def test_real_faces(tmp_path, shared_data):
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    name = "gov03.jpg"
+    (folder / name).write_bytes((shared_data / "faces" / name).read_bytes())
+    entry = {"light": "sun-hard", "desc": "warm hard sun from viewer's right front above"}
+    (folder / "index.json").write_text(json.dumps({name: entry}))
+    path = run_evaluation(RealFaces(data=folder), tmp_path / "out", command="c")
+    results = json.loads(path.read_text())
+    assert results["items"][name]["side"] == "right"
+    assert results["rows"]["autoencoder"]["finite"]["mean"] == 1
+    assert results["rows"]["autoencoder"]["right_side"]["n"] == 1
+
+
+@pytest.mark.parametrize(
+    ("note", "side"),
+    [
+        ("hard sun from viewer's left and above, right half nearly black", "left"),
+        ("direct light from front/upper left, deep shadow under brow and at right", "left"),
+        ("outdoor, soft light from viewer's right; 3/4 view", "right"),
+        ("soft key from front, slightly viewer's right", "right"),
+        ("window light front/left plus back rim", "left"),
+        ("direct light from the front and above; both cheeks lit, left one brighter", "left"),
+        ("soft directional light, right cheek and neck darker", "left"),
+        ("hard low sun: lit left jaw and neck, hair glow", "left"),
+        ("bright light from viewer's right, bluish fill at left", "right"),
+        # none, both, or from behind
+        ("soft frontal light; cap, right edge partly occluded", None),
+        ("hair over left", None),
+        ("key from viewer's left plus rim from the right", None),
+        ("soft light with two sides: left cheek brighter", None),
+        ("sun behind viewer's right on the hair", None),
+        ("", None),
+    ],
+)
+def test_side_of_light(note, side):
+    assert side_of_light(note) == side
+
+
+def test_a_mirrored_note_names_the_other_side():
+    note = "sun from viewer's left: lit left cheek, right side darker"
+    swapped = note.replace("left", "LEFT").replace("right", "left").replace("LEFT", "right")
+    assert (side_of_light(note), side_of_light(swapped)) == ("left", "right")

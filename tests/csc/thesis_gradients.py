@@ -2,7 +2,7 @@
 
 They compute what :class:`skylight.csc._wigner.RotationCorrelation` computes, at every
 direction and twist of :class:`~skylight.csc._positions.Positions`, to be compared with
-it by ``tools.measure_correlation_growth``, benchmarks and tests:
+it by benchmarks and tests:
 
 =============================  ================  =====================================
 :class:`IsotropicGradient`     6.4.3             isotropic filters: products per band

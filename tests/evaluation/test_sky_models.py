@@ -1,14 +1,25 @@
-"""Collections of real maps, read as they come."""
+"""Skies that are known, read as they come, and light models fitted to them."""
+
+import copy
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.evaluation._sky_models import KnownSkies
+from skylight.evaluation import _sky_models as sky_models
+from skylight.evaluation._main import run_evaluation
+from skylight.evaluation._sky_models import KnownSkies, SkyModels
 from skylight.io._files import write_environment_map
+from skylight.models._bundle import load_bundle
+from skylight.models._splines import SplineAutoencoder
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import angles_from_direction
 
+SHADING = {"mae", "rmse", "si_rmse", "ssim", "mae_aligned", "rmse_aligned", "brightness"}
 MAPS = {
     "c.exr": "outdoor-nosun",
     "a.exr": "outdoor-sun",
@@ -80,3 +91,43 @@ def test_real_maps_are_the_ones_that_their_index_promises(shared_data):
     visible = [skies.sky(i).facts for i in (0, 1)]
     assert [f["half"] for f in visible] == ["development", "held-out"]
     assert len(skies.names()) > 30
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The shipped model, its skies (but not their suns) three times as bright."""
+    shipped = load_bundle()
+    network = copy.deepcopy(shipped.network)
+    assert isinstance(network, SplineAutoencoder)
+    with torch.no_grad():
+        network.linear.bias.copy_((network.linear.bias + math.log(3)).half())  # as it is stored
+    folder = tmp_path_factory.mktemp("own") / "model"
+    replace(shipped, name="own", network=network).save(folder, card="", pictures={})
+    return folder
+
+
+def test_its_autoencoder_is_what_is_scored(
+    own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    every = sky_models.fits
+    quick = ("sh9", "autoencoder_feedforward")
+    monkeypatch.setattr(sky_models, "fits", lambda light: {k: every(light)[k] for k in quick})
+    scores = {}
+    for model in (own, None):
+        evaluation = SkyModels(count=1, model=model)
+        item = evaluation.measure(evaluation.items()[0], tmp_path / "picture.png")
+        scores[model] = {method: row["brightness"] for method, row in item.metrics.items()}
+    assert scores[own]["sh9"] == scores[None]["sh9"]
+    brighter = scores[own]["autoencoder_feedforward"]
+    assert brighter > 1.2 * scores[None]["autoencoder_feedforward"]
+
+
+@pytest.mark.slow
+def test_sky_models(tmp_path):
+    path = run_evaluation(SkyModels(count=1), tmp_path, command="c")
+    rows = json.loads(path.read_text())["rows"]
+    assert list(rows) == ["sh9", "sh25", "sunsky", "autoencoder_feedforward", "autoencoder"]
+    for row in rows.values():
+        assert set(row) >= SHADING | {"full_dw_mae", "sky_dw_mae"}
+    assert rows["autoencoder"]["full_dw_mae"]["mean"] < rows["sh9"]["full_dw_mae"]["mean"]
+    assert "autoencoder_feedforward mae" in json.loads(path.read_text())["checks"]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import torch
 
-from skylight.people._batch import film_truth, textured
+from skylight.people._film import film_truth, textured
 from skylight.people._light import DistantLight, RenderOptions, SunDisc
 from skylight.people._people import person, seen_parts
 from skylight.people._render import background

@@ -1,29 +1,15 @@
-"""Recovery of synthetic codes. Makes csc-planted.json.
-
-    OMP_NUM_THREADS=1 python -m tools.measure_planted_codes --trials 200 --workers 2
+"""Codes that are planted in a map, and whether the pursuit finds them again.
 
 A trial plants ten activations of ``ani`` (201 filters, 32 x 64 x 32 rotations) in a map of 32 x 64:
 random filters, places and twists, weights of 0.5 to 1.5 in each colour, and no two within one
 filter width, which is the full width at half maximum of the wider one, along its longer axis. Ten
 find room where filters are at most 34 degrees wide. It is coded with plain least squares and up to
 30 sweeps of exchanges; found is a code with the same filters, places and twists (modulo the
-filter's symmetry) and weights to 1e-4. Trials are kept as lines of JSON beside the result, so that
-a stopped run goes on.
+filter's symmetry) and weights to 1e-4.
 """
 
-import argparse
-import json
 import math
-import os
-import platform
-import shlex
-import sys
-import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from datetime import UTC, datetime
 from functools import cache
-from multiprocessing import get_context
-from pathlib import Path
 
 import torch
 from jaxtyping import Float
@@ -34,8 +20,6 @@ from skylight.csc._coder import SphericalSparseCoder
 from skylight.csc._dictionary import FilterBank
 from skylight.csc._greedy import Atom, Pursuit, PursuitOptions, Support, pursue
 from skylight.csc._positions import centres_of
-from skylight.evaluation._main import commit
-from skylight.io._bounded import write_json
 from skylight.sphere._frame import angle_between
 
 Code = dict[Atom, Float[Tensor, " c"]]
@@ -45,95 +29,18 @@ WIDEST_DEG = 34.0
 CLOSE = 1e-4  # of the weights
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--trials", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=Path("benchmarks/results/csc-planted.json"))
-    arguments = parser.parse_args()
-    lines = arguments.out.with_suffix(".trials.jsonl")
-    done = _read(lines, arguments.seed)
-    wanted = [n for n in range(arguments.trials) if n not in done]
-    print(f"{arguments.trials - len(wanted)} of {arguments.trials} trials are there", flush=True)
-    os.environ["OMP_NUM_THREADS"] = "1"  # for the workers
-    lines.parent.mkdir(parents=True, exist_ok=True)
-    # spawned, not forked: a fork would inherit torch's thread pool without its threads
-    with (
-        ProcessPoolExecutor(arguments.workers, mp_context=get_context("spawn")) as pool,
-        lines.open("a", encoding="utf-8") as stream,
-    ):
-        futures = [pool.submit(run_trial, number, arguments.seed) for number in wanted]
-        for future in as_completed(futures):
-            trial = future.result()
-            done[trial["trial"]] = trial
-            stream.write(json.dumps(trial) + "\n")
-            stream.flush()
-            found = sum(t["found"] for t in done.values())
-            print(f"{len(done)}/{arguments.trials}: {found} found", flush=True)
-    trials = [done[n] for n in range(arguments.trials)]
-    write_json(
-        arguments.out,
-        {
-            "name": "csc-planted",
-            "what": f"planted codes of {ACTIVATIONS} activations found again at {HEIGHT} rows",
-            "command": "python -m tools.measure_planted_codes "
-            + " ".join(shlex.quote(a) for a in sys.argv[1:]),
-            "commit": commit(),
-            "date": datetime.now(UTC).date().isoformat(),
-            "machine": f"{platform.machine()}, torch {torch.__version__}, "
-            f"{arguments.workers} processes of 1 thread",
-            "seed": arguments.seed,
-            "dictionary": DICTIONARY,
-            "widest_deg": WIDEST_DEG,
-            "sweeps": SWEEPS,
-            **summary(trials),
-            "trials": trials,
-        },
-    )
-
-
-def summary(trials: list[dict]) -> dict[str, object]:
-    """Shares of the trials, and the largest weight error of those whose atoms were all found."""
-    errors = [t["weight_error"] for t in trials if t["weight_error"] is not None]
-    return {
-        "count": len(trials),
-        "share_recovered": sum(t["found"] for t in trials) / len(trials),
-        "largest_weight_error": max(errors, default=None),
-        "atoms_missed": sum(t["missed"] for t in trials),
-        "cpu_s": sum(t["cpu_s"] for t in trials),
-    }
-
-
-def _read(path: Path, seed: int) -> dict[int, dict]:
-    """Trials of this seed, by number; a line cut off by a stop is left out."""
-    done = {}
-    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
-        try:
-            trial = json.loads(line)
-        except ValueError:
-            continue
-        if trial["seed"] == seed:
-            done[trial["trial"]] = trial
-    return done
-
-
 def run_trial(number: int, seed: int) -> dict:
     """One trial in plain numbers."""
-    torch.set_num_threads(1)
     coder, usable = _coder()
     generator = torch.Generator().manual_seed(1_000_003 * seed + number)
-    begun = time.process_time()
     planted = plant(coder, usable, generator)
     result = compared(coder, planted, find(coder, planted))
-    seconds = time.process_time() - begun
-    return {"seed": seed, "trial": number, **result, "cpu_s": round(seconds, 2)}
+    return {"seed": seed, "trial": number, **result}
 
 
 @cache
 def _coder() -> tuple[SphericalSparseCoder, list[int]]:
     coder = SphericalSparseCoder(DICTIONARY, height=HEIGHT)
-    coder.norms()  # made once, out of the trials' time
     wide = filter_widths(coder.bank)
     return coder, [i for i, w in enumerate(wide.tolist()) if math.degrees(w) <= WIDEST_DEG]
 
@@ -204,7 +111,3 @@ def named(coder: SphericalSparseCoder, atom: Atom) -> Atom:
 
 def _draw(below: int, generator: torch.Generator) -> int:
     return int(torch.randint(below, (1,), generator=generator))
-
-
-if __name__ == "__main__":
-    main()
