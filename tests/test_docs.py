@@ -19,6 +19,7 @@ from skylight.io._files import write_png
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
+MADE = ["docs/measurements.md"]  # by the site's builder
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 # Declared names of licences, as people write them, to SPDX's
 SPDX = {
@@ -49,7 +50,9 @@ def pages() -> list[str]:
 def test_links_lead_somewhere(page):
     path = ROOT / page
     links = re.findall(r"\]\((?!https?:|#|_walkthroughs/|_drawings/)([^)#]+)", path.read_text())
-    assert [link for link in links if not (path.parent / link).exists()] == []
+    there = {ROOT / made for made in MADE}
+    missing = [link for link in links if not (path.parent / link).exists()]
+    assert [link for link in missing if (path.parent / link).resolve() not in there] == []
 
 
 @pytest.mark.parametrize("page", pages())
