@@ -22,7 +22,7 @@ from skylight.errors import InputError
 from skylight.evaluation._known_faces import FaceSource
 from skylight.evaluation._lamps import INDEX, read_lamp_photo
 from skylight.evaluation._run import read_index
-from skylight.faces._captures import fit_visible
+from skylight.faces._fit import fit_visible
 from skylight.faces._landmarkers import choose_landmarker
 from skylight.faces._model import HeadModel
 from skylight.faces._names import HeadName

@@ -118,7 +118,7 @@ def estimate(
     """
     from skylight.models._ground import KnownGround
 
-    ground = None if ground_albedo is None else KnownGround.told(ground_albedo)
+    ground = None if ground_albedo is None else KnownGround.parse(ground_albedo)
     if video:
         _estimate_film(
             photo,

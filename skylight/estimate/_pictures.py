@@ -13,9 +13,8 @@ from jaxtyping import UInt8
 
 from skylight.errors import InputError
 from skylight.estimate._summary import PhotoEstimate, SeenFace
-from skylight.faces._captures import FoundFace, find_faces, fit_visible
-from skylight.faces._fit import FaceFit
-from skylight.faces._landmarks import FaceLandmarker
+from skylight.faces._fit import FaceFit, fit_visible
+from skylight.faces._landmarks import FaceLandmarker, FoundFace, find_faces
 from skylight.faces._model import HeadModel
 from skylight.faces._names import HeadName, WhichFaces
 from skylight.faces._observe import SKIN_GLOSS, observe_face

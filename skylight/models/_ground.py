@@ -52,7 +52,7 @@ class KnownGround:
         write_json(path, {"kind": _KIND, **albedo, "spread": self.spread, **facts})
 
     @staticmethod
-    def told(text: str) -> "KnownGround":
+    def parse(text: str) -> "KnownGround":
         """From "R,G,B" or "R,G,B,SPREAD", or the name of a file that :meth:`save` wrote.
 
         Raises

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from skylight.csc._positions import BoxCorrelation
+from skylight.csc._sub_dictionaries import BoxCorrelation
 from skylight.errors import InputError
 from skylight.sphere._frame import DirectionGrid
 

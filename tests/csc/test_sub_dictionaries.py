@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from skylight.csc import _dictionary as dictionary
-from skylight.csc._active_set import SampledSignal
 from skylight.csc._dictionary import FilterBank
+from skylight.csc._least_squares import SampledSignal
 from skylight.csc._positions import Positions
 from skylight.csc._sub_dictionaries import (
     BoxDictionary,

@@ -6,7 +6,7 @@ import pytest
 from skimage.data import astronaut
 
 from skylight.faces._blazeface import Square
-from skylight.faces._landmarks import brightened, looks, mirrored, turned
+from skylight.faces._mediapipe import brightened, looks, mirrored, rotated
 
 MIDDLE = Square(centre=np.array([230.0, 120.0]), side=90.0, angle_rad=0.3)
 
@@ -50,7 +50,7 @@ def test_a_margin_is_the_mirror_image(picture):
 
 @pytest.mark.parametrize("quarter_turns", [1, 2, 3])
 def test_quarter_turns_are_exact(picture, quarter_turns):
-    shown, _ = turned(picture, 90.0 * quarter_turns)
+    shown, _ = rotated(picture, 90.0 * quarter_turns)
     np.testing.assert_array_equal(shown, np.rot90(picture, -quarter_turns))
 
 
