@@ -1,6 +1,7 @@
 """Light reflected by the ground: one Lambertian bounce of the sky, and a prior of its albedo.
 
-The albedo of the ground, where it was measured or is known.
+The prior is that of grounds in general, or narrow about one that was measured
+(:class:`KnownGround`).
 """
 
 import math
@@ -20,6 +21,52 @@ from skylight.sphere._frame import row_edges_cos
 USUAL_SPREAD = 0.1
 _KIND = "ground albedo"
 _CHANNELS = ("red", "green", "blue")
+# Mean linear albedos of nine grounds (thesis, Fig. B.4): light and dark concrete, asphalt, dry
+# and wet dirt, grass, rocks, gravel, mulch.
+GROUND_ALBEDOS = (
+    (0.20, 0.17, 0.14),
+    (0.14, 0.13, 0.12),
+    (0.05, 0.04, 0.03),
+    (0.09, 0.08, 0.06),
+    (0.05, 0.04, 0.03),
+    (0.09, 0.10, 0.03),
+    (0.20, 0.18, 0.15),
+    (0.17, 0.15, 0.13),
+    (0.14, 0.10, 0.08),
+)
+# The nine lie close together; real grounds do not (snow, sand, paving): this much wider.
+GROUND_SPREAD = 1.5
+
+
+class LambertianGround(nn.Module):
+    """A horizontal plane of constant albedo under an unoccluded sky of ``height`` rows.
+
+    Thesis, eq. 5.7: ``s = rho / pi sum_w l(w) <n, w>+ dw``. The weight of a pixel is the exact
+    integral of the cosine over it, ``dphi (cos^2 t_0 - cos^2 t_1) / 2``, so the weights sum to pi
+    to rounding and a constant sky of 1 gives exactly rho.
+    """
+
+    transfer: Tensor
+
+    def __init__(self, height: int = 32) -> None:
+        super().__init__()
+        width = 4 * height
+        row = -torch.diff(row_edges_cos(height, width) ** 2) * math.pi / width
+        self.register_buffer("transfer", row.repeat_interleave(width), persistent=False)
+
+    def forward(
+        self, sky: Float[Tensor, "*batch n 3"], albedo: Float[Tensor, "*#batch 3"]
+    ) -> Float[Tensor, "*batch 3"]:
+        """Radiance of the ground, the same in all directions."""
+        irradiance = torch.einsum("n,...nc->...c", self.transfer.to(sky), sky)
+        return albedo / math.pi * irradiance
+
+    def append(
+        self, sky: Float[Tensor, "*batch n 3"], albedo: Float[Tensor, "*#batch 3"]
+    ) -> Float[Tensor, "*batch m 3"]:
+        """The full sphere, (h,4h) sky rows above (h,4h) ground rows: m = 2 n."""
+        ground = self(sky, albedo)[..., None, :].expand_as(sky)
+        return torch.cat([sky, ground], dim=-2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,54 +146,6 @@ def load_ground(path: Path) -> KnownGround:
         return KnownGround(albedo=(red, green, blue), spread=spread)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-
-
-# Mean linear albedos of nine grounds (thesis, Fig. B.4): light and dark concrete, asphalt, dry
-# and wet dirt, grass, rocks, gravel, mulch.
-GROUND_ALBEDOS = (
-    (0.20, 0.17, 0.14),
-    (0.14, 0.13, 0.12),
-    (0.05, 0.04, 0.03),
-    (0.09, 0.08, 0.06),
-    (0.05, 0.04, 0.03),
-    (0.09, 0.10, 0.03),
-    (0.20, 0.18, 0.15),
-    (0.17, 0.15, 0.13),
-    (0.14, 0.10, 0.08),
-)
-# The nine lie close together; real grounds do not (snow, sand, paving): this much wider.
-GROUND_SPREAD = 1.5
-
-
-class LambertianGround(nn.Module):
-    """A horizontal plane of constant albedo under an unoccluded sky of ``height`` rows.
-
-    Thesis, eq. 5.7: ``s = rho / pi sum_w l(w) <n, w>+ dw``. The weight of a pixel is the exact
-    integral of the cosine over it, ``dphi (cos^2 t_0 - cos^2 t_1) / 2``, so the weights sum to pi
-    to rounding and a constant sky of 1 gives exactly rho.
-    """
-
-    transfer: Tensor
-
-    def __init__(self, height: int = 32) -> None:
-        super().__init__()
-        width = 4 * height
-        row = -torch.diff(row_edges_cos(height, width) ** 2) * math.pi / width
-        self.register_buffer("transfer", row.repeat_interleave(width), persistent=False)
-
-    def forward(
-        self, sky: Float[Tensor, "*batch n 3"], albedo: Float[Tensor, "*#batch 3"]
-    ) -> Float[Tensor, "*batch 3"]:
-        """Radiance of the ground, the same in all directions."""
-        irradiance = torch.einsum("n,...nc->...c", self.transfer.to(sky), sky)
-        return albedo / math.pi * irradiance
-
-    def append(
-        self, sky: Float[Tensor, "*batch n 3"], albedo: Float[Tensor, "*#batch 3"]
-    ) -> Float[Tensor, "*batch m 3"]:
-        """The full sphere, (h,4h) sky rows above (h,4h) ground rows: m = 2 n."""
-        ground = self(sky, albedo)[..., None, :].expand_as(sky)
-        return torch.cat([sky, ground], dim=-2)
 
 
 def ground_prior(known: KnownGround | None = None) -> GaussianMixture:
