@@ -214,7 +214,7 @@ class ActiveSet:
                 self._signs[best] = np.sign(gradient[best])
             else:
                 useless.add(best)
-        raise RuntimeError(f"the active set of {len(right)} atoms did not settle")
+        raise RuntimeError(f"the active set of {len(right)} atoms did not converge")
 
     def _descend(self, right: Float[np.ndarray, " s"]) -> None:
         """To the minimum over the atoms in use, leaving out those that would change sign."""

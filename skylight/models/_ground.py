@@ -82,8 +82,8 @@ class KnownGround:
 
     def __post_init__(self) -> None:
         if not all(math.isfinite(value) and 0 < value < 1 for value in self.albedo):
-            told = ", ".join(f"{value:g}" for value in self.albedo)
-            raise InputError(f"a ground's albedo is above 0 and below 1 in each colour: {told}")
+            given = ", ".join(f"{value:g}" for value in self.albedo)
+            raise InputError(f"a ground's albedo is above 0 and below 1 in each colour: {given}")
         if not (math.isfinite(self.spread) and 0.01 <= self.spread <= 2):
             raise InputError(
                 f"the spread of a ground's albedo is relative, 0.01 to 2, not {self.spread:g}"

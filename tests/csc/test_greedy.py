@@ -28,14 +28,10 @@ from skylight.csc._sub_dictionaries import BoxDictionary, SubDictionary
 from skylight.csc._wigner import RotationCorrelation, atom_norms, rotated_filters
 from skylight.errors import InputError
 from skylight.sphere._latlong_transform import LatLongTransform
+from tests.csc.draws import F64, random
 
-F64 = torch.float64
 DEGREE = ROWS = TWISTS = 8
 SIGNS: list[Sign] = ["free", "nonnegative", "l1"]
-
-
-def random(*shape: int, seed: int = 0) -> torch.Tensor:
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from skylight.csc._least_squares import (
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._frame import DirectionGrid
 from skylight.sphere._latlong_transform import LatLongTransform
+from tests.csc.draws import F64, random
 
 SAMPLES = 40
 
@@ -171,12 +172,7 @@ def test_cholesky_factor_refuses_dependent_atoms() -> None:
     assert not CholeskyFactor().append(0, np.zeros((1, 1)))
 
 
-F64 = torch.float64
 HEIGHT, DEGREE = 6, 4
-
-
-def random(*shape: int, seed: int = 0) -> torch.Tensor:
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
 
 
 @dataclass

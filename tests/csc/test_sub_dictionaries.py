@@ -23,12 +23,7 @@ from skylight.csc._wigner import (
 )
 from skylight.sphere._frame import DirectionGrid
 from skylight.sphere._latlong_transform import LatLongTransform
-
-F64 = torch.float64
-
-
-def random(*shape: int, seed: int = 0) -> torch.Tensor:
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
+from tests.csc.draws import F64, random
 
 
 @cache
