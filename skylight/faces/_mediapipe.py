@@ -4,9 +4,9 @@ BlazeFace (Bazarevsky et al. 2019) finds faces in a square of the picture; the l
 (Kartynnik et al. 2019, Grishchenko et al. 2020) sees each face in an upright square of its own.
 What stands around them, anchors, suppression and squares, follows MediaPipe's graphs
 (``mediapipe/tasks/cc/vision/face_landmarker``), with these additions: BlazeFace looks at parts of
-the picture too, for small faces, and at it brightened, turned and continued beyond its borders
-where it sees none (:func:`looks`); and the landmark network looks again at
-the square that its own landmarks ask for, as MediaPipe does from frame to frame, several times.
+the picture too, for small faces, and at it brightened, rotated and continued beyond its borders
+where it sees none (:func:`looks`); and the landmark network looks again at the square that its own
+landmarks ask for, as MediaPipe does from frame to frame, several times.
 
 BlazeFace was trained on faces that are whole, lit and about upright. A face that fills its picture
 is whole where the picture is continued by its mirror image, a dark one is lit where local contrast
@@ -38,11 +38,13 @@ from skylight.faces._landmarks import MESH_EYES, DetectedFace, landmark_errors
 
 Picture = UInt8[ndarray, "h w 3"]
 Shown = UInt8[ndarray, "h2 w2 3"]
+
+POINTS = 478
+# Of looks:
 _LOWEST_SCORE = 0.3  # where a face must be sure by its landmarks
 _ROTATIONS_DEG = (45.0, -45.0, 90.0, -90.0)
 _CLIP_LIMIT, _TILES = 4.0, (4, 4)  # of CLAHE
-
-POINTS = 478
+# Of readings:
 _LEAST_PRESENCE, _WEAKEST_SHARE = 0.5, 0.9
 _FAINTEST_GLANCE = 0.1  # at BlazeFace's own square
 # 14 environment maps without people stay below one or the other, whatever the look
