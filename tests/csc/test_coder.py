@@ -19,8 +19,8 @@ from skylight.errors import InputError
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid, direction_from_angles
+from tests.csc import planted_codes
 from tests.csc.draws import F64, random
-from tools import measure_planted_codes as planted_codes
 
 
 @cache

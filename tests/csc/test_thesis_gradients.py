@@ -7,7 +7,7 @@ from skylight.csc._positions import Positions
 from skylight.csc._wigner import RotationCorrelation, rotated_filters
 from skylight.sphere import _harmonics as harmonics
 from tests.csc.draws import F64, random
-from tools.thesis_gradients import IsotropicGradient, RotatedResiduals, RotatedZonalGradient
+from tests.csc.thesis_gradients import IsotropicGradient, RotatedResiduals, RotatedZonalGradient
 
 TOLERANCE = {torch.float32: 1e-4, F64: 1e-9}
 GENERAL = [RotationCorrelation, RotatedResiduals, RotatedZonalGradient]
@@ -78,8 +78,8 @@ def test_pieces_do_not_show(method: type, monkeypatch: pytest.MonkeyPatch) -> No
     filters, residual = random(3, 49), random(49, seed=1)
     gradient = method(filters, Positions(rows=5, twists=3), dtype=F64)
     whole = gradient(residual)
-    monkeypatch.setattr("tools.thesis_gradients._TWISTED_BYTES", 7 * 3 * 49 * 8)
-    monkeypatch.setattr("tools.thesis_gradients._LOOKUP_BYTES", 7 * 13 * 49 * 8)
+    monkeypatch.setattr("tests.csc.thesis_gradients._TWISTED_BYTES", 7 * 3 * 49 * 8)
+    monkeypatch.setattr("tests.csc.thesis_gradients._LOOKUP_BYTES", 7 * 13 * 49 * 8)
     torch.testing.assert_close(gradient(residual), whole, atol=1e-12, rtol=0)
 
 

@@ -120,13 +120,13 @@ def test_a_missing_predictor_says_what_to_install(monkeypatch, tmp_path):
     with pytest.raises(AssetError, match="reinstall"):
         predictor_path()
     monkeypatch.setattr(metadata, "distribution", nothing)
-    with pytest.raises(DependencyError, match=r"pip install 'skylight\[dlib\]'"):
+    with pytest.raises(DependencyError, match=r"pip install 'skylight-lighting\[dlib\]'"):
         predictor_path()
 
 
 def test_without_the_extra_mediapipe_works_and_dlib_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "dlib", None)  # Python's own way to refuse an import
-    with pytest.raises(DependencyError, match=r"pip install 'skylight\[dlib\]'$"):
+    with pytest.raises(DependencyError, match=r"pip install 'skylight-lighting\[dlib\]'$"):
         DlibLandmarker()
     assert MediaPipeLandmarker().detect(astronaut())
 

@@ -42,6 +42,7 @@ def test_mutated_files_are_read_or_refused(name: str) -> None:
     assert told["read"] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TEXTS)
 def test_any_bytes_are_read_or_refused(name: str) -> None:
     target = import_module(f"tests.fuzz.targets.{name}")
