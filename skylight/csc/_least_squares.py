@@ -6,8 +6,8 @@ coded signal and A the linear map from c to what was observed, ::
     |x - A c|^2_W = x^T W x - 2 b^T c + c^T H c,    b = A^T W x,    H = A^T W A,
 
 so a pursuit needs b, the product with H (:class:`Quadratic`), and no more. With the Gram matrix
-``G_ij = a_i^T H a_j`` of the atoms that it has chosen, :class:`ActiveSet` finds their weights, with
-signs or a weak L1 norm, from those of the last time on as atoms come and go.
+``G_ij = a_i^T H a_j`` of the atoms that it has chosen, :class:`ActiveSet` finds their weights:
+free, not negative, or with a weak L1 norm. It starts from its last solution as atoms come and go.
 """
 
 from dataclasses import dataclass

@@ -165,6 +165,8 @@ def camera_project(camera: Camera, points: Float[ndarray, "n 3"]) -> Float[ndarr
 
 @dataclass(frozen=True, kw_only=True)
 class FitState:
+    """Pose, focal length (its logarithm, pixels) and shape of a head: what a fit changes."""
+
     rotation: Float[ndarray, "3 3"]
     translation: Float[ndarray, "3"]
     log_focal: float
