@@ -11,11 +11,8 @@
 ``card.md``                    the model card
 =============================  ==================================================================
 
-The model that comes with skylight is such a folder too.
-
-``bundle.json`` of a light model's folder, read without torch.
-
-Networks in safetensors files.
+The model that comes with skylight is such a folder too. Checkpoints of training are the network's
+file alone (:func:`save_network`).
 """
 
 import copy
@@ -46,6 +43,12 @@ from skylight.work._resumable import results_folder
 MANIFEST = "bundle.json"
 KIND, VERSION = "light model", 1
 MAKE_ONE = "make one with: skylight train FOLDER --out DIR"
+CARD = "card.md"
+NETWORK, BANK = "network.safetensors", "bank.safetensors"
+LATENT_PRIOR, SUNSKY_PRIOR = "latent_prior.safetensors", "sunsky_prior.safetensors"
+SHIPPED = Path(str(files("skylight.models") / "data" / "sky_autoencoder"))
+LATENTS_MAX = 1024  # a network has memory for as many before it can refuse its weights
+Part = TypeVar("Part")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,9 +99,6 @@ def read_manifest(folder: Path) -> BundleManifest:
         data_sha256=str(entries["data_sha256"]),
         fingerprint=str(entries["fingerprint"]),
     )
-
-
-LATENTS_MAX = 1024  # a network has memory for as many before it can refuse its weights
 
 
 def network_state(network: SkyNetwork) -> dict[str, Tensor]:
@@ -156,14 +156,6 @@ def load_network(path: Path) -> SkyNetwork:
 def save_network(network: SkyNetwork, path: Path) -> None:
     """Write the weights as :func:`load_network` reads them."""
     write_tensors(path, network_state(network))
-
-
-Part = TypeVar("Part")
-
-CARD = "card.md"
-NETWORK, BANK = "network.safetensors", "bank.safetensors"
-LATENT_PRIOR, SUNSKY_PRIOR = "latent_prior.safetensors", "sunsky_prior.safetensors"
-SHIPPED = Path(str(files("skylight.models") / "data" / "sky_autoencoder"))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
