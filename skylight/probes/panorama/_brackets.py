@@ -12,7 +12,7 @@ from skylight.errors import InputError
 from skylight.imaging._photo import PHOTO_SUFFIXES
 from skylight.io._files import visible_files
 from skylight.io._hdr import SUFFIXES as HDR_SUFFIXES
-from skylight.probes.cameras._files import exif_exposures, exposure_times
+from skylight.probes.cameras._exposure_files import exif_exposures, exposure_times
 from skylight.probes.panorama._panorama import hinted
 
 _ALIKE = 0.05  # relative difference of two exposure times that are meant to be the same

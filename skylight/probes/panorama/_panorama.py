@@ -33,6 +33,15 @@ from skylight.work._progress import Progress, StageProgress
 
 _TOLD = 0.02  # of the shots' number: least spread of their right-hand sides that tells the vertical
 _STEEP = 0.9  # sine of the elevation above which a shot tells no azimuth
+_MARGIN_PX = 1.0
+_POWER = 3  # of the weight that falls from a shot's middle to its edges
+# Weight of what is saturated in all exposures: it counts, as a bound, where nothing else is seen.
+_SATURATED = 1e-4
+# Of the longer side: where nothing tells, a picture is 53 degrees wide, give or take a factor of 3.
+_FOCAL_GUESS, _FOCAL_SPREAD = 1.0, 0.37
+_FEW_FEATURES = 30
+_HINT_MARGIN_RAD = math.radians(10.0)
+Turns = Mapping[int, Float[np.ndarray, "3 3"]]
 
 
 def levelled(
@@ -76,12 +85,6 @@ def hinted(azimuth_deg: float, elevation_deg: float) -> Float[np.ndarray, "3 3"]
     turned = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
     raised = np.array([[1, 0, 0], [0, np.cos(e), -np.sin(e)], [0, np.sin(e), np.cos(e)]])
     return turned @ raised
-
-
-_MARGIN_PX = 1.0
-_POWER = 3  # of the weight that falls from a shot's middle to its edges
-# Weight of what is saturated in all exposures: it counts, as a bound, where nothing else is seen.
-_SATURATED = 1e-4
 
 
 def stitch(
@@ -166,14 +169,6 @@ def _filled(probe: ProbeMap) -> ProbeMap:
         clipped=torch.from_numpy(clipped).reshape(probe.seen.shape),
         seen=probe.seen,
     )
-
-
-# Of the longer side: where nothing tells, a picture is 53 degrees wide, give or take a factor of 3.
-_FOCAL_GUESS, _FOCAL_SPREAD = 1.0, 0.37
-_FEW_FEATURES = 30
-_HINT_MARGIN_RAD = math.radians(10.0)
-
-Turns = Mapping[int, Float[np.ndarray, "3 3"]]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from skylight.cli import main
 from skylight.errors import InputError
 from skylight.probes.cameras._board import Board, Page, load_board, save_board
 from skylight.probes.cameras._command import BoardPage
-from skylight.probes.cameras._files import exif_exposures, exposure_times
+from skylight.probes.cameras._exposure_files import exif_exposures, exposure_times
 from skylight.probes.cameras._intrinsics import load_intrinsics
 from skylight.probes.cameras._response import load_response
 from tests.probes.cameras.conftest import VIEWS
