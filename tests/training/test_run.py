@@ -1,9 +1,8 @@
 """From a folder of EXR skies to a light model, and the command line of train.py."""
 
 import re
+import runpy
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -252,9 +251,9 @@ def test_an_output_folder_that_cannot_be(
     assert said.count("\n") == 1
 
 
-def test_the_script() -> None:
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "train.py")], capture_output=True, text=True, cwd=ROOT
-    )
-    assert done.returncode == 2
-    assert done.stderr.startswith("train.py: usage")
+def test_the_script(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.argv", ["train.py"])
+    with pytest.raises(SystemExit) as caught:
+        runpy.run_path(str(ROOT / "train.py"), run_name="__main__")
+    assert caught.value.code == 2
+    assert capsys.readouterr().err.startswith("train.py: usage")

@@ -157,7 +157,7 @@ class Features:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Turned:
+class RotatedLink:
     """A link whose matches agree on a turn from the later shot's frame to the earlier one's."""
 
     link: Link
@@ -229,18 +229,18 @@ def _lamp(shot: Shot) -> tuple[Float[np.ndarray, "2"], float] | None:
     return place, float(weight.sum())
 
 
-def most_told(links: Sequence[Link]) -> list[Link]:
+def strongest_links(links: Sequence[Link]) -> list[Link]:
     """The links of most matches, enough to search for a focal length by."""
     return sorted(links, key=lambda link: -len(link.before))[:_SEARCHED]
 
 
-def turned_links(links: Sequence[Link], lens: Lens) -> list[Turned]:
+def rotated_links(links: Sequence[Link], lens: Lens) -> list[RotatedLink]:
     """Those whose matches agree on a turn."""
     found = []
     for link in links:
         rotation = turn_between(link, lens.focal_px, lens.size)
         if rotation is not None:
-            found.append(Turned(link=link, rotation=rotation))
+            found.append(RotatedLink(link=link, rotation=rotation))
     return found
 
 
