@@ -9,7 +9,7 @@ from jaxtyping import Float
 from skylight.probes.cameras._exposures import merge
 from skylight.probes.panorama._matches import Lens, Shot, shot_of
 from skylight.sphere._envmap import EnvironmentMap
-from tools.virtual_camera import Head, expose, picture
+from tests.virtual_camera import Head, expose, picture
 
 SUN = np.array([0.5, 0.35, -0.79]) / np.linalg.norm([0.5, 0.35, -0.79])
 SUN_RAD, SUN_RADIANCE = math.radians(1.5), 3000.0

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from torch import Tensor
 
+from skylight.skies._solar_position import sun_azimuth_zenith
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import angles_from_direction
 
@@ -61,23 +62,15 @@ def sun_midnight(place: Place, day: date) -> datetime:
 def sun_angles(place: Place, times: list[datetime]) -> tuple[NDArray, NDArray]:
     """True (refraction-free) sun azimuth (clockwise from north) and zenith angle, radians.
 
-    pvlib's implementation of NREL's solar position algorithm (Reda & Andreas 2004), good to
-    0.0003 degrees. ``times`` must carry a time zone.
+    Good to 0.0003 degrees. ``times`` must carry a time zone.
     """
-    import pandas as pd
-    import pvlib
-
     if any(moment.tzinfo is None for moment in times):
         raise ValueError("sun_angles needs times with a time zone, e.g. datetime(..., tzinfo=UTC)")
-    table = pvlib.solarposition.get_solarposition(
-        pd.DatetimeIndex(times),
-        place.latitude_deg,
-        place.longitude_deg,
-        altitude=place.altitude_m,
-    )
-    return (
-        np.radians(np.asarray(table["azimuth"], dtype=float)),
-        np.radians(np.asarray(table["zenith"], dtype=float)),
+    return sun_azimuth_zenith(
+        np.array([moment.timestamp() for moment in times]),
+        latitude_deg=place.latitude_deg,
+        longitude_deg=place.longitude_deg,
+        altitude_m=place.altitude_m,
     )
 
 

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from skylight.errors import InputError
+from skylight.errors import InputError, not_installed
 from skylight.imaging._colour import tone_map
 from skylight.io._bounded import write_json
 from skylight.io._files import write_png
@@ -211,6 +211,6 @@ def _tensorboard(folder: Path, step: int, report: Tell) -> Any:
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
-        report("no TensorBoard logs: install tensorboard for them (pip install 'skylight[train]')")
+        report(f"no TensorBoard logs: {not_installed('tensorboard', 'writing them')}")
         return None
     return SummaryWriter(str(folder), purge_step=step + 1)

@@ -13,8 +13,7 @@ from skylight.errors import InputError
 from skylight.io._hdr import write_exr
 from skylight.models._bundle import NETWORK, SHIPPED, load_bundle
 from skylight.models.autoencoder import AutoencoderLight
-from skylight.training import _autoencoder as autoencoder
-from skylight.training import _run as folder
+from skylight.training import _autoencoder as autoencoder, _run as folder
 from skylight.training._config import AutoencoderConfig, find_config, read_config
 from skylight.training._run import fitting, main, train_folder
 from tests.drawn_skies import draw_skies
