@@ -27,10 +27,14 @@ from skylight.io._files import read_environment_map
 from skylight.io._hdr import RGBE_MAX
 from skylight.maps._names import LightTarget
 from skylight.relight._blender import PortraitScene, write_blender, write_blender_scene
-from skylight.relight._gltf import write_gltf, write_threejs
-from skylight.relight._lamps import LAST_SIZE, split_main_light, without_lamps
-from skylight.relight._mitsuba import write_harmonics, write_mitsuba
-from skylight.relight._usd import write_augmented_reality, write_usd
+from skylight.relight._gltf import LAST_SIZE, write_gltf
+from skylight.relight._harmonics import (
+    write_augmented_reality,
+    write_harmonics,
+    write_threejs,
+)
+from skylight.relight._lamps import split_main_light, without_lamps
+from skylight.relight._scenes import write_mitsuba, write_usd
 from skylight.skies._sun import SUN_RADIUS_RAD
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import direction_from_angles
