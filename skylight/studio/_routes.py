@@ -1,9 +1,4 @@
-"""Routes of jobs: start, events, cancel, files.
-
-Routes of the photographs to try.
-
-Routes of uploads: photographs and environment maps.
-"""
+"""Routes of the HTTP interface: jobs with their events and files, examples, and uploads."""
 
 import json
 import zipfile

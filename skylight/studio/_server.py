@@ -1,8 +1,6 @@
-"""The life of a server: socket, folder, processes, browser.
+"""The studio's server: its HTTP application, the built page, and its life from socket to end.
 
-The HTTP application; errors are JSON, ``{"error": "one line"}``.
-
-The built page, served with entity tags.
+Errors are JSON, ``{"error": "one line"}``. Files of the page are served with entity tags.
 """
 
 import gzip
@@ -14,7 +12,7 @@ import socket
 import sys
 import threading
 import webbrowser
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterable, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 from functools import lru_cache, partial
 from importlib.resources import files
@@ -116,8 +114,8 @@ async def about(request: Request) -> dict[str, Any]:
             "megapixels": limits.megapixels,
             "jobs": limits.jobs,
         },
-        "lights": _choices(LIGHTS),
-        "dictionaries": _choices(DICTIONARIES),
+        "lights": _choices(LIGHTS.items()),
+        "dictionaries": _choices(DICTIONARIES.items()),
     }
 
 
@@ -148,8 +146,8 @@ async def page(request: Request, name: str) -> Response:
     return static_file(request, name or "index.html")
 
 
-def _choices(named: dict[str, str]) -> list[dict[str, str]]:
-    return [{"name": name, "title": title} for name, title in named.items()]
+def _choices(named: Iterable[tuple[str, str]]) -> list[dict[str, str]]:
+    return [{"name": name, "title": title} for name, title in named]
 
 
 _FAREWELL_S = 1  # that open connections have when the server ends
