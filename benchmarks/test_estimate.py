@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.estimate._photos import estimate_photo
-from skylight.estimate._pictures import STAGES
+from skylight.estimate._photos import STAGES, estimate_photo
 from skylight.imaging._colour import srgb_to_linear
 from skylight.imaging._photo import Photo
 from skylight.inverse._estimate import estimate_light, light_problems
-from skylight.inverse._sky import solve_together
+from skylight.inverse._problem import solve
 from skylight.models._bundle import load_bundle
 from skylight.models._names import LIGHT_NAMES
 from skylight.skies._atmosphere import ClearSky
@@ -92,10 +91,10 @@ def test_lights_one_by_one(benchmark, eight, light, device):
 @pytest.mark.parametrize("light", ["sunsky", "autoencoder"])
 def test_lights_as_one_batch(benchmark, eight, light, device):
     def together():
-        skies = light_problems(len(eight), light, device=device)
+        skies = light_problems(light, len(eight), device=device)
         for sky, one in zip(skies, eight, strict=True):
             sky.add(one)
-        return solve_together(skies)
+        return solve(skies)
 
     benchmark.pedantic(together, rounds=1)
 

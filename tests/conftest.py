@@ -1,6 +1,8 @@
 """What every test may ask for."""
 
+import gc
 import os
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,17 @@ hypothesis.settings.load_profile("skylight")
 
 
 _left_out = pytest.StashKey[int]()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Imports make millions of objects that stay, so no search for cycles among them pays."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -44,7 +57,7 @@ def pytest_terminal_summary(
     terminalreporter: pytest.TerminalReporter, config: pytest.Config
 ) -> None:
     if count := config.stash.get(_left_out, 0):
-        terminalreporter.write_line(f"{count} slow tests were left out; make test-all runs them")
+        terminalreporter.write_line(f"{count} slow tests were left out; make night runs them")
 
 
 @pytest.fixture(scope="session", params=["cpu", "cuda"])

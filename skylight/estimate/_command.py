@@ -1,22 +1,25 @@
 """``skylight estimate``: illumination from photographs, folders and films of faces."""
 
+from __future__ import annotations
+
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from tyro.conf import Positional
 
 from skylight._options import take_care, taken_by_hand, who_works
 from skylight.errors import InputError, SkylightError
+from skylight.faces._names import HeadName, LandmarkerName
+from skylight.models._names import LightName, SolverName
 from skylight.work._device import Device
 from skylight.work._progress import ProgressForm
 
-# Parsing must not import torch, so the choices stand here again; a test compares the two.
-Light = Literal["auto", "autoencoder", "sunsky", "lamps", "sh9", "sh25"]
-Solver = Literal["scan", "thesis"]
-Landmarks = Literal["mediapipe", "dlib"]
-Head = Literal["fitted", "deformed"]
+if TYPE_CHECKING:
+    from skylight.estimate._settings import EstimateSettings
+    from skylight.imaging._taken import Taken
+
 Decoding = tyro.conf.create_mutex_group(required=False)
 
 
@@ -24,17 +27,17 @@ def estimate(
     photo: Positional[Path],
     more: Positional[tuple[Path, ...]] = (),
     shared_light: bool = False,
-    light: Light = "autoencoder",
+    light: LightName = "autoencoder",
     model: Path | None = None,
-    solver: Solver = "scan",
+    solver: SolverName = "scan",
     face: int | None = None,
     faces: Literal["one", "all"] = "one",
-    head: Head = "fitted",
+    head: HeadName = "fitted",
     device: Device = "auto",
     out: Path | None = None,
     gamma: Annotated[float | None, Decoding] = None,
     linear: Annotated[bool, Decoding] = False,
-    landmarks: Landmarks = "mediapipe",
+    landmarks: LandmarkerName = "mediapipe",
     time: str | None = None,
     place: str | None = None,
     heading: float | None = None,
@@ -116,50 +119,45 @@ def estimate(
         progress: A bar on a terminal; or, for programs that start this, lines of JSON on standard
             error, {"stage": "tracing light", "share": 0.25}.
     """
-    from skylight.models._ground import KnownGround
-
-    ground = None if ground_albedo is None else KnownGround.told(ground_albedo)
-    if video:
-        _estimate_film(
-            photo,
-            out or Path(f"{photo.resolve().stem}_light"),
-            {
-                "--faces all": faces == "all",
-                "--shared-light": shared_light or bool(more),
-                "--head": head != "fitted",
-                "--landmarks": landmarks != "mediapipe",
-                "--solver": solver != "scan",
-                "--time, --place and --heading": any(
-                    each is not None for each in (time, place, heading)
-                ),
-                "--workers, --cluster, --batch and --retry-failed": workers != 0
-                or cluster is not None
-                or batch is not None
-                or retry_failed,
-            },
-            progress=progress,
-            light=light,
-            model=model,
-            face=1 if face is None else face,
-            keyframes=keyframes,
-            rate=rate,
-            decode="linear" if linear else gamma,
-            ground=ground,
-            device=device,
-        )
-        return
     if face is not None and faces == "all":
         raise InputError(f"--face {face} and --faces all contradict each other: leave one out")
-    which = "all" if faces == "all" else 1 if face is None else face
-    decode = "linear" if linear else gamma
+    from skylight.estimate._settings import EstimateSettings
+    from skylight.models._ground import KnownGround
+
+    settings = EstimateSettings(
+        light=light,
+        model=model,
+        solver=solver,
+        face="all" if faces == "all" else 1 if face is None else face,
+        head=head,
+        decode="linear" if linear else gamma,
+        landmarks=landmarks,
+        ignore_exif_sun=ignore_exif_sun,
+        ground=None if ground_albedo is None else KnownGround.told(ground_albedo),
+        device=device,
+    )
     taken = taken_by_hand(time, place, heading)
-    if photo.is_dir():
+    together = shared_light or bool(more)
+    of_folders = {
+        "--workers": workers != 0,
+        "--cluster": cluster is not None,
+        "--batch": batch is not None,
+        "--retry-failed": retry_failed,
+    }
+    if video:
+        _refuse(
+            {"--shared-light": together, "--time, --place and --heading": taken is not None}
+            | of_folders,
+            ": not for films, in which one face is followed by MediaPipe",
+        )
+        _estimate_film(photo, out, settings, keyframes, rate, progress)
+    elif photo.is_dir():
         if taken is not None:
             raise InputError(
                 f"{photo} is a folder, whose pictures were not all taken at one time and place: "
                 "--time, --place and --heading are for a picture"
             )
-        if more or shared_light:
+        if together:
             raise InputError(
                 f"{photo} is a folder, whose pictures are estimated one by one: name the pictures "
                 "themselves to give them a shared light"
@@ -167,73 +165,57 @@ def estimate(
         _estimate_folder(
             photo,
             out or Path(f"{photo.resolve().name}_light"),
+            settings,
+            keep_place=keep_place,
             workers=workers,
             cluster=cluster,
             batch=batch,
             retry_failed=retry_failed,
             progress=progress,
-            device=device,
-            light=light,
-            model=model,
-            solver=solver,
-            face=which,
-            head=head,
-            decode=decode,
-            landmarks=landmarks,
-            ignore_exif_sun=ignore_exif_sun,
-            keep_place=keep_place,
-            ground=ground,
         )
-        return
-    for option, given in (
-        ("workers", workers != 0),
-        ("cluster", cluster is not None),
-        ("batch", batch is not None),
-        ("retry-failed", retry_failed),
-    ):
-        if given:
-            raise InputError(f"--{option} is for a folder of pictures, and {photo} is none")
-    from skylight.estimate._photos import estimate_photo
+    else:
+        _refuse(of_folders, f" is for a folder of pictures, and {photo} is none")
+        if more and not shared_light:
+            raise InputError(
+                f"{1 + len(more)} pictures: add --shared-light if they were taken in the same "
+                "light by cameras that looked the same way, else estimate them one by one, or put "
+                "them into a folder and name that"
+            )
+        _estimate_photos((photo, *more), out, settings, taken, keep_place, progress)
+
+
+def _refuse(options: dict[str, bool], why: str) -> None:
+    """The first of the options that was given."""
+    for option, is_given in options.items():
+        if is_given:
+            raise InputError(f"{option}{why}")
+
+
+def _estimate_photos(
+    paths: tuple[Path, ...],
+    out: Path | None,
+    settings: EstimateSettings,
+    taken: Taken | None,
+    keep_place: bool,
+    progress: ProgressForm,
+) -> None:
+    from skylight.estimate._photos import Pictures
     from skylight.estimate._report import MESHES, mesh_names, write_results
     from skylight.estimate._summary import summary
-    from skylight.faces._landmarkers import choose_landmarker
     from skylight.imaging._film import FILM_SUFFIXES
-    from skylight.imaging._photo import read_photo
-    from skylight.work._device import choose_device
     from skylight.work._progress import stage_bar
     from skylight.work._resumable import results_folder
 
-    if more and not shared_light:
-        raise InputError(
-            f"{1 + len(more)} pictures: add --shared-light if they were taken in the same light by "
-            "cameras that looked the same way, else estimate them one by one, or put them into a "
-            "folder and name that"
-        )
-    out = out or Path(f"{photo.stem}_light")
-    paths = (photo, *more)
-    if photo.suffix.lower() in FILM_SUFFIXES:
-        raise InputError(f"{photo} is a film: add --video")
-    pictures = [read_photo(path, decode=decode) for path in paths]
-    choose_device(device)
-    landmarker = choose_landmarker(landmarks)
-    with stage_bar(progress) as tell, results_folder(out, MESHES) as folder:
-        result = estimate_photo(
-            *pictures,
-            light=light,
-            model=model,
-            solver=solver,
-            face=which,
-            head=head,
-            device=device,
-            landmarks=landmarker,
-            taken=taken,
-            ignore_exif_sun=ignore_exif_sun,
-            ground=ground,
-            names=[str(path) for path in paths],
-            progress=tell,
-        )
-        tell("writing the results", 0.0)
-        write_results(folder, result, keep_place=keep_place)
+    out = out or Path(f"{paths[0].stem}_light")
+    if paths[0].suffix.lower() in FILM_SUFFIXES:
+        raise InputError(f"{paths[0]} is a film: add --video")
+    with stage_bar(progress) as tell:
+        pictures = Pictures.of(paths, settings, taken=taken, progress=tell)
+        _ = settings.landmarker  # refuses what cannot be used
+        with results_folder(out, MESHES) as folder:
+            result = pictures.estimate()
+            tell("writing the results", 0.0)
+            write_results(folder, result, keep_place=keep_place)
     for advice in result.estimate.advice:
         take_care(advice)
     print(summary(result))
@@ -244,23 +226,18 @@ def estimate(
 
 def _estimate_film(
     film: Path,
-    out: Path,
-    contradictions: dict[str, bool],
-    *,
+    out: Path | None,
+    settings: EstimateSettings,
+    keyframes: int,
+    rate: float,
     progress: ProgressForm,
-    **settings: Any,
 ) -> None:
-    """``settings`` are those of :class:`skylight.estimate.film._files.FilmSettings`."""
-    for option, is_given in contradictions.items():
-        if is_given:
-            raise InputError(f"{option}: not for films, in which one face is followed by MediaPipe")
     from skylight.estimate.film._files import FilmSettings
     from skylight.estimate.film._results import film_into, film_summary
-    from skylight.work._device import choose_device
     from skylight.work._progress import stage_bar
 
-    choose_device(settings["device"])
-    chosen = FilmSettings(**settings)
+    out = out or Path(f"{film.resolve().stem}_light")
+    chosen = FilmSettings(estimate=settings, keyframes=keyframes, rate=rate)
     try:
         with stage_bar(progress) as tell:
             result = film_into(film, out, chosen, tell)
@@ -277,29 +254,27 @@ def _estimate_film(
 def _estimate_folder(
     photos: Path,
     out: Path,
+    settings: EstimateSettings,
     *,
+    keep_place: bool,
     workers: int,
     cluster: str | None,
     batch: int | None,
     retry_failed: bool,
     progress: ProgressForm,
-    **settings: Any,
 ) -> None:
-    """``settings`` are those of :class:`skylight.estimate._manifest.BatchSettings`."""
     from skylight.estimate._folder import estimate_folder
-    from skylight.estimate._manifest import MANIFEST, BatchSettings
-    from skylight.work._device import choose_device
+    from skylight.estimate._manifest import MANIFEST
     from skylight.work._progress import stage_bar
 
-    choose_device(settings["device"])
     who = who_works(workers, cluster, out)
-    chosen = BatchSettings(**settings)
     try:
         with stage_bar(progress) as tell:
             entries = estimate_folder(
                 photos,
                 out,
-                chosen,
+                settings,
+                keep_place=keep_place,
                 workers=who,
                 batch=batch,
                 retry_failed=retry_failed,

@@ -1,17 +1,27 @@
-"""Illumination of many photographs: a folder of results for each."""
+"""Illumination of many photographs: a folder of results for each.
+
+Each photograph goes through :class:`~skylight.estimate._photos.Pictures`: wholly in a worker
+(:func:`estimate_one`), or, on a GPU, up to the light and after it in workers, and its light is
+found by this process together with others' (:func:`estimate_together`).
+"""
 
 import hashlib
 import json
+import logging
 import math
 import statistics
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, TypeVar
 
-from skylight.errors import InputError
+import torch
+
+from skylight.errors import DependencyError, InputError, SkylightError
 from skylight.estimate._manifest import (
     MANIFEST,
-    BatchSettings,
     Entry,
     append_entry,
     folder_name,
@@ -20,22 +30,36 @@ from skylight.estimate._manifest import (
     read_manifest,
     write_manifest,
 )
-from skylight.estimate._many import Piece, estimate_one, lost
-from skylight.faces._landmarkers import choose_landmarker
+from skylight.estimate._photos import STAGES, Pictures
+from skylight.estimate._report import MESHES, write_results
+from skylight.estimate._settings import EstimateSettings
+from skylight.estimate._summary import PhotoEstimate, SeenFace
+from skylight.inverse._problem import solve
+from skylight.inverse._result import Estimate
+from skylight.inverse._sun_prior import SunPrior
 from skylight.models._names import SKY_LIGHTS
-from skylight.work._cluster import Cluster
+from skylight.work._cluster import Cluster, send_tensors_by_value
 from skylight.work._device import choose_device
 from skylight.work._progress import StageProgress
-from skylight.work._resumable import SETTINGS, Workers, claimed, settle, share_work
+from skylight.work._resumable import (
+    SETTINGS,
+    Workers,
+    claimed,
+    results_folder,
+    settle,
+    share_work,
+)
 
 GPU_BATCH = 16  # photos
+T = TypeVar("T")
 
 
 def estimate_folder(
     photos: Path,
     out: Path,
-    settings: BatchSettings,
+    settings: EstimateSettings,
     *,
+    keep_place: bool = False,
     workers: Workers = 1,
     batch: int | None = None,
     retry_failed: bool = False,
@@ -49,8 +73,8 @@ def estimate_folder(
     with a photo is its entry; only what is wrong with the rest (a full disk, other settings, a
     missing model) ends the run.
 
-    So many photos as ``batch`` are solved together on the device of the settings
-    (:func:`~skylight.estimate._many.estimate_together`); by default
+    With ``keep_place`` results tell time, place and heading. So many photos as ``batch`` are solved
+    together on the device of the settings (:func:`estimate_together`); by default
     :data:`GPU_BATCH` on a GPU for the lights that can be, else each by its worker.
 
     Memory: each worker takes up to 0.9 GB.
@@ -64,9 +88,9 @@ def estimate_folder(
         ``out`` cannot be written to.
     """
     sources = list_photos(photos, out)
-    choose_landmarker(settings.landmarks)  # refuses what cannot be used
+    _ = settings.landmarker  # refuses what cannot be used
     together = _batch(settings, workers, batch)
-    facts = settings.facts()
+    facts = settings.facts() | {"keep_place": keep_place}
     with claimed(out, *(out / folder_name(source) for source in sources)):
         settle(out / SETTINGS, facts)
         entries = read_manifest(out / MANIFEST)
@@ -87,6 +111,7 @@ def estimate_folder(
                 out=out,
                 settings=settings,
                 settings_hash=_hash(facts),
+                keep_place=keep_place,
             )
             for source in missing
         ]
@@ -97,7 +122,7 @@ def estimate_folder(
     return [entries[source] for source in sources]
 
 
-def _batch(settings: BatchSettings, workers: Workers, asked: int | None) -> int:
+def _batch(settings: EstimateSettings, workers: Workers, asked: int | None) -> int:
     """How many photos are solved together."""
     can = settings.light in SKY_LIGHTS and not isinstance(workers, Cluster)
     if asked is None:
@@ -116,13 +141,10 @@ def _batch(settings: BatchSettings, workers: Workers, asked: int | None) -> int:
     return asked
 
 
-def _estimates(pieces: Sequence[Piece], together: int, workers: Workers) -> Iterator[Entry]:
+def _estimates(pieces: Sequence["Piece"], together: int, workers: Workers) -> Iterator[Entry]:
     if together == 1 or isinstance(workers, Cluster):
         each = [(piece,) for piece in pieces]
         return share_work(estimate_one, each, workers=workers, finish=True, lost=lost)
-    # torch, which whoever only shares out photos does not wait for
-    from skylight.estimate._many import estimate_together
-
     return estimate_together(pieces, batch=together, workers=workers)
 
 
@@ -164,3 +186,286 @@ def _teller(
         progress(text, len(there) / len(sources))
 
     return tell
+
+
+@dataclass(frozen=True, kw_only=True)
+class Piece:
+    """A photo of the folder ``photos``, whose results go below ``out``.
+
+    ``settings_hash`` is that of what the manifest says about the settings.
+    """
+
+    photos: Path
+    source: str
+    out: Path
+    settings: EstimateSettings
+    settings_hash: str
+    keep_place: bool
+
+    @property
+    def path(self) -> Path:
+        return self.photos / self.source
+
+    @property
+    def folder(self) -> Path:
+        return self.out / folder_name(self.source)
+
+    def pictures(self) -> Pictures:
+        """The photo, read; light is traced by one process."""
+        return Pictures.of([self.path], self.settings, names=[self.source], workers=1)
+
+    def write(self, result: Callable[[], PhotoEstimate]) -> dict[str, Any]:
+        """Claim the folder, write what comes of the photo; what its estimate.json says."""
+        with results_folder(self.folder, MESHES) as folder:
+            write_results(folder, result(), keep_place=self.keep_place)
+            return json.loads((folder / "estimate.json").read_text(encoding="utf-8"))
+
+    def done(self, sha256: str | None, seconds: float, told: dict[str, Any]) -> Entry:
+        """With what its estimate.json says."""
+        return Entry(
+            source=self.source,
+            sha256=sha256,
+            settings=self.settings_hash,
+            status="done",
+            seconds=round(seconds, 3),
+            results=folder_name(self.source),
+            sun=told["sun"],
+            verdict=told["posterior"]["verdict"],
+            advice=told["advice"],
+            versions=told["versions"],
+        )
+
+    def failed(self, sha256: str | None, seconds: float | None, error: str) -> Entry:
+        """With one line that says why."""
+        return Entry(
+            source=self.source,
+            sha256=sha256,
+            settings=self.settings_hash,
+            status="failed",
+            error=error,
+            seconds=None if seconds is None else round(seconds, 3),
+        )
+
+    def attempt(self, work: Callable[[], T]) -> tuple[T | None, str]:
+        """(what ``work`` makes, ""), or (None, the photo's error in one line).
+
+        Raises
+        ------
+        OutputError, AssetError
+            What would be wrong with every photo: a full disk, a damaged installation.
+        """
+        try:
+            return work(), ""
+        except (InputError, DependencyError) as fault:
+            error = str(fault).replace(str(self.path), self.source)
+        except SkylightError:
+            raise
+        except Exception as fault:
+            first = str(fault).partition("\n")[0]
+            error = f"{self.source}: internal error ({type(fault).__name__}: {first})"
+        return None, " ".join(error.split())
+
+
+def estimate_one(piece: Piece) -> Entry:
+    """One photo, in a worker: its results, and what the manifest says of it.
+
+    Raises
+    ------
+    OutputError, AssetError
+        As :meth:`Piece.attempt`.
+    """
+    begun = time.perf_counter()
+    sha256 = photo_hash(piece.path)
+    told, error = piece.attempt(lambda: piece.write(piece.pictures().estimate))
+    seconds = time.perf_counter() - begun
+    if told is None:
+        return piece.failed(sha256, seconds, error)
+    return piece.done(sha256, seconds, told)
+
+
+def lost(piece: Piece) -> Entry:
+    """Of a photo that no worker survived."""
+    return piece.failed(
+        photo_hash(piece.path),
+        None,
+        f"{piece.source}: its workers were killed again and again, so memory may be short: try "
+        "again with --retry-failed and fewer workers, or more memory for each",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observed:
+    """A photo whose faces were seen, and what that took; its light is not known yet."""
+
+    piece: Piece
+    sha256: str | None
+    seen: tuple[SeenFace, ...]
+    left_out: list[str]
+    sun_prior: SunPrior | None
+    exposure: float | None
+    stages: dict[str, float]
+    seconds: float
+
+    @property
+    def source(self) -> str:
+        return self.piece.source
+
+
+def estimate_together(pieces: Sequence[Piece], *, batch: int, workers: int) -> Iterator[Entry]:
+    """The entry of each photo, once its results are written.
+
+    ``workers`` processes read photos, find faces, fit heads and trace light by embree; as soon as
+    ``batch`` faces were seen, this process solves for their lights together on the device of the
+    settings; and workers write the results, before they look at further photos. A light is the one
+    that the photo gets by itself but for rounding (:func:`~skylight.inverse._problem.solve`), and
+    everything else is the same.
+
+    What fails with one photo is its entry: where a batch cannot be solved, each of it is solved by
+    itself. At Ctrl-C results that are being written are finished, and come before the interrupt.
+
+    Memory: 60 MB for each face of a batch, and what :class:`~skylight.inverse._sky.SkyProblem`
+    says, on the device.
+
+    Raises
+    ------
+    OutputError, AssetError
+        As :meth:`Piece.attempt`.
+    """
+    if not pieces:
+        return
+    send_tensors_by_value()
+    settings = pieces[0].settings.with_model
+    (needs,) = settings.problems()
+    queue: deque[tuple] = deque(
+        (_observe, piece, needs.grid_height, needs.uses_gloss) for piece in pieces
+    )
+    left, waiting = {piece.source for piece in pieces}, []
+    stream = share_work(
+        _run, queue, workers=workers, finish=lambda step, *_: step is _write, lost=_lost
+    )
+    for result in stream:
+        left.discard(result.source)
+        if isinstance(result, Entry):
+            yield result
+        else:
+            waiting.append(result)
+        if waiting and (sum(len(one.seen) for one in waiting) >= batch or not left):
+            begun = time.perf_counter()
+            try:
+                lights = _lights(waiting, settings)
+            except KeyboardInterrupt as interrupt:
+                yield from _finished(stream, interrupt)
+                raise
+            share = (time.perf_counter() - begun) / len(waiting)
+            for one, (light, error) in zip(waiting, lights, strict=True):
+                if light is None:
+                    yield one.piece.failed(one.sha256, one.seconds + share, error)
+                else:
+                    queue.appendleft((_write, one.piece, _solved(one, share), light))
+            waiting = []
+
+
+def _finished(
+    stream: Generator[Entry | Observed, None, None], interrupt: KeyboardInterrupt
+) -> Iterator[Entry]:
+    """The photos whose results are being written, and then the interrupt."""
+    result = stream.throw(interrupt)
+    while isinstance(result, Entry):
+        yield result
+        result = next(stream)
+
+
+def _run(step: Callable[..., Any], piece: Piece, *more: Any) -> Entry | Observed:
+    """A step of a photo, in a worker."""
+    send_tensors_by_value()
+    return step(piece, *more)
+
+
+def _lost(step: Callable[..., Any], piece: Piece, *_: Any) -> Entry:
+    return lost(piece)
+
+
+def _observe(piece: Piece, grid_height: int, gloss: bool) -> Entry | Observed:
+    """Everything that comes before the light."""
+    begun = time.perf_counter()
+    sha256 = photo_hash(piece.path)
+
+    def seen() -> tuple[Pictures, tuple[SeenFace, ...]]:
+        pictures = piece.pictures()
+        return pictures, tuple(pictures.observe(pictures.fit_heads(), grid_height, gloss))
+
+    found, error = piece.attempt(seen)
+    seconds = time.perf_counter() - begun
+    if found is None:
+        return piece.failed(sha256, seconds, error)
+    pictures, faces = found
+    return Observed(
+        piece=piece,
+        sha256=sha256,
+        seen=faces,
+        left_out=pictures.left_out,
+        sun_prior=pictures.sun_prior,
+        exposure=pictures.exposure,
+        stages=pictures.seconds,
+        seconds=seconds,
+    )
+
+
+def _lights(
+    batch: Sequence[Observed], settings: EstimateSettings
+) -> list[tuple[Estimate | None, str]]:
+    """(the light, "") of each photo, or (None, why there is none).
+
+    On the CPU by one thread, as workers have: where a descent ends, depends on its rounding.
+    """
+    threads = torch.get_num_threads()
+    if choose_device(settings.device).type == "cpu":
+        torch.set_num_threads(1)
+    try:
+        if len(batch) > 1:
+            try:
+                return [(light, "") for light in _solve(batch, settings)]
+            except Exception as fault:  # of one of them, or of memory that does for one
+                logging.getLogger(__name__).warning(
+                    "skylight: %d photos could not be solved together (%s: %s); each is solved by "
+                    "itself",
+                    len(batch),
+                    type(fault).__name__,
+                    str(fault).partition("\n")[0],
+                )
+        return [one.piece.attempt(lambda one=one: _solve([one], settings)[0]) for one in batch]
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _solve(batch: Sequence[Observed], settings: EstimateSettings) -> list[Estimate]:
+    problems = settings.problems([one.sun_prior for one in batch], [one.exposure for one in batch])
+    for problem, one in zip(problems, batch, strict=True):
+        for face in one.seen:
+            problem.add(face.view.observation)
+    return solve(problems)
+
+
+def _solved(one: Observed, seconds: float) -> Observed:
+    """Without the transport that has served, and with what its light took."""
+    return replace(
+        one,
+        seen=tuple(face.on_fewer_rows() for face in one.seen),
+        stages={**one.stages, STAGES[3]: seconds},
+        seconds=one.seconds + seconds,
+    )
+
+
+def _write(piece: Piece, observed: Observed, light: Estimate) -> Entry:
+    """The results of a photo, which is read again."""
+    begun = time.perf_counter()
+
+    def written() -> PhotoEstimate:
+        before = {"left_out": observed.left_out, "seconds": observed.stages}
+        return replace(piece.pictures(), **before).result(light, observed.seen)
+
+    told, error = piece.attempt(lambda: piece.write(written))
+    seconds = observed.seconds + time.perf_counter() - begun
+    if told is None:
+        return piece.failed(observed.sha256, seconds, error)
+    return piece.done(observed.sha256, seconds, told)

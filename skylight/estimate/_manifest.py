@@ -1,8 +1,6 @@
-"""The manifest of a batch: a line of JSON for each photograph that is done.
+"""The photographs of a folder, where the results of each go, and the manifest of what is done.
 
-The photographs of a folder, and where the results of each go.
-
-What the estimates of a folder depend on besides its photographs.
+The manifest has a line of JSON for each photograph.
 """
 
 import hashlib
@@ -11,27 +9,12 @@ import os
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from skylight.errors import InputError, OutputError
-from skylight.faces._names import HeadName, LandmarkerName, WhichFaces
 from skylight.imaging._photo import PHOTO_SUFFIXES
 from skylight.io._atomic import atomic_path
 from skylight.io._files import visible_files
-from skylight.models._ground import KnownGround, check_has_ground
-from skylight.models._names import (
-    DEFAULT_LIGHT,
-    DEFAULT_SOLVER,
-    LightName,
-    SolverName,
-    check_is_trained,
-    check_light_name,
-    check_solver_name,
-)
-
-if TYPE_CHECKING:
-    from skylight.imaging._colour import Decode
-
 
 MANIFEST = "manifest.jsonl"
 
@@ -178,45 +161,3 @@ def photo_hash(path: Path) -> str | None:
         return file_hash(path)
     except InputError:
         return None
-
-
-@dataclass(frozen=True, kw_only=True)
-class BatchSettings:
-    """What every estimate of a batch depends on besides its photo; as in ``skylight.estimate``.
-
-    With ``keep_place`` results tell time, place and heading.
-    """
-
-    light: LightName = DEFAULT_LIGHT
-    model: Path | None = None
-    solver: SolverName = DEFAULT_SOLVER
-    face: WhichFaces = 1
-    head: HeadName = "fitted"
-    decode: "Decode | None" = None
-    landmarks: LandmarkerName = "mediapipe"
-    ignore_exif_sun: bool = False
-    keep_place: bool = False
-    ground: KnownGround | None = None
-    device: str = "auto"
-
-    def __post_init__(self) -> None:
-        check_light_name(self.light)
-        check_solver_name(self.solver, self.light)
-        check_has_ground(self.light, self.ground)
-        if self.model is not None:
-            check_is_trained(self.light)
-
-    def facts(self) -> dict[str, object]:
-        """For notes: the same for the same model files, wherever they lie, and on any device."""
-        fingerprint = None
-        if self.model is not None:
-            from skylight.models._bundle import load_bundle
-
-            fingerprint = load_bundle(self.model).fingerprint
-        facts: dict[str, object] = {**asdict(self), "model": fingerprint}
-        del facts["device"]
-        if self.solver == DEFAULT_SOLVER:  # notes of runs before there was another
-            del facts["solver"]
-        if self.ground is None:
-            del facts["ground"]
-        return facts

@@ -7,8 +7,9 @@ from dataclasses import replace
 import torch
 
 from skylight.inverse._lamps import LampsProblem
+from skylight.inverse._problem import LightProblem, solve
 from skylight.inverse._result import Choice, Estimate, Scene
-from skylight.inverse._sky import SkyProblem, solve_together
+from skylight.inverse._sky import SkyProblem
 from skylight.models._names import LightName
 from skylight.sphere._frame import angle_between
 from skylight.transport._observation import Observation
@@ -33,15 +34,13 @@ FLASH_RAD = math.radians(12.0)  # a flash on a camera, seen from a portrait's di
 RIVALS: tuple[LightName, ...] = ("autoencoder", "lamps")
 
 
-class AutoProblem:
+class AutoProblem(LightProblem):
     """The light of faces as a sky over ground or as lamps, whichever is likelier.
 
     The two are solved in turn, and compete by
     :func:`~skylight.inverse._solution.log_evidence`, in which lamps have to lead, and by
     what the ``exposure`` value of the picture tells (:func:`open_sky_log_odds`).
     """
-
-    uses_gloss = True
 
     def __init__(self, sky: SkyProblem, lamps: LampsProblem, exposure: float | None = None) -> None:
         self.sky, self.lamps, self.exposure = sky, lamps, exposure
@@ -50,45 +49,27 @@ class AutoProblem:
     def grid_height(self) -> int:
         return max(self.sky.grid_height, self.lamps.grid_height)
 
+    @property
+    def is_empty(self) -> bool:
+        return self.sky.is_empty
+
     def add(self, observation: Observation, photo: int = 0) -> None:
         """One more face; photographs come in order, counted from 0."""
         self.sky.add(observation, photo)
         self.lamps.add(observation, photo)
 
-    def solve(self, progress: Progress | None = None) -> Estimate:
-        """The likelier model's estimate, with what it was chosen from.
+    def _solve(self, progress: Progress) -> Estimate:
+        return self._solve_each([self], progress)[0]
 
-        Raises
-        ------
-        InputError
-            Nothing was added.
-        """
-        return choose_each([self], progress)[0]
-
-
-def choose_each(
-    problems: Sequence[AutoProblem], progress: Progress | None = None
-) -> list[Estimate]:
-    """The estimate of each problem; skies as :func:`solve_together`, lamps in turn.
-
-    Raises
-    ------
-    InputError
-        Nothing was added to one of them.
-    """
-
-    def told(share: float, before: float, part: float) -> None:
-        if progress is not None:
-            progress(before + share * part)
-
-    skies = solve_together([one.sky for one in problems], lambda share: told(share, 0.0, 0.5))
-    part = 0.5 / len(problems)
-    found: list[Estimate] = []
-    for sky, one in zip(skies, problems, strict=True):
-        before = 0.5 + len(found) * part
-        lamps = one.lamps.solve(lambda share, at=before: told(share, at, part))
-        found.append(choose([sky, lamps], one.exposure))
-    return found
+    @classmethod
+    def _solve_each(cls, problems: Sequence["AutoProblem"], progress: Progress) -> list[Estimate]:
+        """The likelier model's estimates, with what they were chosen from."""
+        skies = solve([one.sky for one in problems], lambda share: progress(0.5 * share))
+        lamps = solve([one.lamps for one in problems], lambda share: progress(0.5 + 0.5 * share))
+        return [
+            choose([sky, lit], one.exposure)
+            for sky, lit, one in zip(skies, lamps, problems, strict=True)
+        ]
 
 
 def open_sky_log_odds(exposure: float | None) -> float:

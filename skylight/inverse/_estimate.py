@@ -1,19 +1,19 @@
-"""The one entry of inverse lighting: observations under one light -> that light."""
+"""The doors of inverse lighting: observations -> the light that they were seen in."""
 
 import copy
 import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol, TypeVar, runtime_checkable
 
 from skylight.errors import InputError
 from skylight.faces._skin import SkinPrior
-from skylight.inverse._auto import AutoProblem, choose_each
+from skylight.inverse._auto import AutoProblem
 from skylight.inverse._harmonic import HarmonicProblem
 from skylight.inverse._lamps import LampsOptions, LampsProblem
+from skylight.inverse._problem import LightProblem, solve
 from skylight.inverse._result import Estimate
-from skylight.inverse._sky import SkyProblem, SolverOptions, solve_together
+from skylight.inverse._sky import SkyProblem, SolverOptions
 from skylight.inverse._sun_prior import SunPrior
 from skylight.models._bundle import LightBundle, load_bundle
 from skylight.models._harmonic import HarmonicLight
@@ -33,36 +33,6 @@ from skylight.work._progress import Progress
 
 SUN_SPREAD_RAD = math.radians(1.4)  # half a pixel of the sky
 Model = str | Path | LightBundle
-Result_co = TypeVar("Result_co", covariant=True)
-
-
-@runtime_checkable
-class LightProblem(Protocol[Result_co]):
-    """Find the light of some observations: give it each of them, then solve.
-
-    ``grid_height`` rows of lat-long directions are what their transport must have at least, and
-    ``uses_gloss`` tells whether it is of use for surfaces that reflect.
-    """
-
-    @property
-    def grid_height(self) -> int: ...
-
-    @property
-    def uses_gloss(self) -> bool: ...
-
-    def add(self, observation: Observation, photo: int = 0) -> None:
-        """One more observation, of photograph number ``photo``; photographs come in order."""
-        ...
-
-    def solve(self, progress: Progress | None = None) -> Result_co:
-        """The light under which the observations are likeliest.
-
-        Raises
-        ------
-        InputError
-            Nothing was added.
-        """
-        ...
 
 
 def estimate_light(
@@ -121,17 +91,17 @@ def estimate_light(
             "photos has the number of each observation's photograph, counted from 0 without gaps; "
             f"for {len(observations)} observations got {list(photos)}"
         )
-    problem = light_problem(
+    (problem,) = light_problems(
         light,
         model=model,
         options=options,
-        sun_prior=sun_prior,
-        exposure=exposure,
+        sun_priors=[sun_prior],
+        exposures=[exposure],
         device=device,
     )
     for observation, photo in zip(observations, photos, strict=True):
         problem.add(observation, photo)
-    return problem.solve(progress)
+    return solve([problem], progress)[0]
 
 
 def estimate_each(
@@ -147,7 +117,7 @@ def estimate_each(
 
     As :func:`estimate_light` of each, but for rounding, without priors and exposures. On a GPU
     skies (of "auto", "autoencoder" and "sunsky") are solved as one batch, which keeps it busy: give
-    it as many as its memory holds (:func:`~skylight.inverse._sky.solve_together`). A CPU is
+    it as many as its memory holds (:class:`~skylight.inverse._sky.SkyProblem`). A CPU is
     busy with one, and takes an eighth longer for a batch: there, and for lamps and harmonics, they
     are solved in turn.
 
@@ -157,76 +127,35 @@ def estimate_each(
         As :func:`estimate_light`, for all where it is wrong with one.
     """
     if choose_device(device).type != "cpu" and light in SKY_LIGHTS:
-        many = light_problems(len(observations), light, model=model, options=options, device=device)
+        many = light_problems(light, len(observations), model=model, options=options, device=device)
         for problem, observation in zip(many, observations, strict=True):
             problem.add(observation)
-        return solve_each(many, progress)
+        return solve(many, progress)
     found: list[Estimate] = []
-    for observation in observations:
-        (problem,) = light_problems(1, light, model=model, options=options, device=device)
+    for observation in observations:  # a problem at a time in memory
+        (problem,) = light_problems(light, model=model, options=options, device=device)
         problem.add(observation)
-        found.append(problem.solve())
+        found += solve([problem])
         if progress is not None:
             progress(len(found) / len(observations))
     return found
 
 
-def solve_each(
-    problems: Sequence[LightProblem[Estimate]], progress: Progress | None = None
-) -> list[Estimate]:
-    """The light of each of :func:`light_problems` of "auto", "autoencoder" or "sunsky".
-
-    Skies as one batch, by :func:`~skylight.inverse._sky.solve_together`.
-
-    Raises
-    ------
-    InputError
-        Nothing was added to one of them.
-    """
-    autos = [one for one in problems if isinstance(one, AutoProblem)]
-    if autos:
-        return choose_each(autos, progress)
-    return solve_together([one for one in problems if isinstance(one, SkyProblem)], progress)
-
-
-def light_problem(
-    light: LightName,
-    *,
-    model: Model | None = None,
-    options: SolverOptions | None = None,
-    sun_prior: SunPrior | None = None,
-    exposure: float | None = None,
-    device: str = "auto",
-) -> LightProblem[Estimate]:
-    """The problem that :func:`estimate_light` solves, to be given one observation at a time.
-
-    An observation can be let go once it is added: of several faces, only one at a time need be
-    held with its full transport.
-    """
-    (problem,) = light_problems(
-        1,
-        light,
-        model=model,
-        options=options,
-        sun_priors=[sun_prior],
-        exposures=[exposure],
-        device=device,
-    )
-    return problem
-
-
 def light_problems(
-    count: int,
     light: LightName,
+    count: int = 1,
     *,
     model: Model | None = None,
     options: SolverOptions | None = None,
     sun_priors: Sequence[SunPrior | None] | None = None,
     exposures: Sequence[float | None] | None = None,
     device: str = "auto",
-) -> Sequence[LightProblem[Estimate]]:
-    """So many of :func:`light_problem`, each with a light and, where given, a prior and an exposure
-    of its own."""
+) -> Sequence[LightProblem]:
+    """So many empty problems of one light model, for :func:`~skylight.inverse._problem.solve`.
+
+    Each has a light and, where given, a prior and an exposure of its own. The other parameters are
+    those of :func:`estimate_light`.
+    """
     sun_priors = sun_priors or [None] * count
     exposures = exposures or [None] * count
     check_light_name(light)
@@ -243,11 +172,7 @@ def light_problems(
         if any(one is not None for one in sun_priors):
             raise InputError("lamps are not the sun: leave sun_prior out, or choose another light")
         return [LampsProblem(prior, modes, lamps) for _ in sun_priors]
-    bundle = (
-        model
-        if isinstance(model, LightBundle)
-        else load_bundle(None if model is None else Path(model))
-    )
+    bundle = bundle_of(model)
     if light != "sunsky":
         sky, over = smooth_autoencoder(bundle), bundle.prior()
     else:
@@ -262,6 +187,13 @@ def light_problems(
             for sky, exposure in zip(skies, exposures, strict=True)
         ]
     return skies
+
+
+def bundle_of(model: Model | None) -> LightBundle:
+    """A trained model that is given, or read from its folder; by default skylight's."""
+    if isinstance(model, LightBundle):
+        return model
+    return load_bundle(None if model is None else Path(model))
 
 
 def smooth_autoencoder(bundle: LightBundle) -> AutoencoderLight:

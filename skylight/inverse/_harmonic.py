@@ -14,10 +14,12 @@ from torch import Tensor
 from skylight.errors import InputError
 from skylight.inverse._faces import ObjectiveWeights, data_term
 from skylight.inverse._gauss_newton import charbonnier
-from skylight.inverse._posterior import face_evidence, sun_evidence, sun_posterior
-from skylight.inverse._result import UNEXPLAINED, Estimate, FaceLight, advice, residual
+from skylight.inverse._posterior import face_evidence, sun_evidence
+from skylight.inverse._problem import LightProblem
+from skylight.inverse._result import Estimate, FaceLight, residual
 from skylight.inverse._scale import bayes_scale, scale_nll, tone_prior
 from skylight.inverse._scan import SCAN_HEIGHT, scan_faces
+from skylight.inverse._solution import Search, estimate_of
 from skylight.inverse._sun_prior import SunPrior
 from skylight.models._harmonic import HarmonicLight, solve_linear
 from skylight.models._prior import GaussianMixture
@@ -153,8 +155,8 @@ class _Fit:
     settled: bool
 
 
-class HarmonicProblem:
-    """SH coefficients from all faces under one light: give it each face, then solve.
+class HarmonicProblem(LightProblem):
+    """SH coefficients from all faces under one light.
 
     Surface reflection is left out, in the posterior too: highlights count as outliers. Keeps
     each observation's transport on :data:`ROWS` rows, without its gloss. Where one of the pictures
@@ -163,7 +165,6 @@ class HarmonicProblem:
     estimate is on the CPU.
     """
 
-    grid_height = ROWS  # of the observations that it needs
     uses_gloss = False
 
     def __init__(
@@ -183,6 +184,14 @@ class HarmonicProblem:
         self._faces: list[Observation] = []
         self._photos: list[int] = []
         self._scanned: list[Observation] = []
+
+    @property
+    def grid_height(self) -> int:
+        return ROWS
+
+    @property
+    def is_empty(self) -> bool:
+        return not self._faces
 
     def add(self, observation: Observation, photo: int = 0) -> None:
         """One more face; photographs come in order, counted from 0.
@@ -204,7 +213,7 @@ class HarmonicProblem:
         self._photos.append(photo)
         self._scanned.append(matt.coarser(1).on_rows(SCAN_HEIGHT))
 
-    def solve(self, progress: Progress | None = None) -> Estimate:
+    def _solve(self, progress: Progress) -> Estimate:
         """Robust fit of non-negative light by reweighted linear least squares.
 
         A pixel's weight is divided by its mean Charbonnier residual over the channels, which
@@ -216,14 +225,7 @@ class HarmonicProblem:
         a colour factor each (albedo times exposure; the first one's is 1), and light and factors
         are fitted together, by Gauss-Newton steps that share the reweighting.
         ``status`` is "converged" unless they did not settle.
-
-        Raises
-        ------
-        InputError
-            Nothing was added.
         """
-        if not self._faces:
-            raise InputError("there is no observation to estimate light from; give at least one")
         model = self.model
         if self._grey:
             self._faces = [replace(face, pixels=_grey(face.pixels)) for face in self._faces]
@@ -254,33 +256,23 @@ class HarmonicProblem:
                     residual=residual(rendered, face.pixels, face.clipped),
                 )
             )
-        ground = environment.radiance[layout[0] // 2 :].reshape(-1, 3).mean(0)
-        down = environment.upper().irradiance(torch.tensor([0.0, 1.0, 0.0])) / torch.pi
-        if progress is not None:
-            progress(1.0)
+        progress(1.0)
         # harmonics this smooth have no sun of their own to add to the scan's
-        posterior = sun_posterior(
+        return estimate_of(
+            model.name,
+            coefficients.reshape(-1).cpu(),
+            environment,
+            tuple(lights),
+            Search(
+                terms={"data": fit.data},
+                status="converged" if fit.settled else "iteration limit",
+                stats={"evaluations": fit.rounds, "nonfinite": 0},
+            ),
             sun_evidence(face_evidence(self._scanned, scan_faces(self._scanned))),
-            None,
-            explained=all(light.residual <= UNEXPLAINED for light in lights),
-            exposure=lights[0].exposure,
-            albedo=lights[0].albedo,
-            gloss=None,
+            sun=None,
             albedo_prior=self.tone_prior,
+            reflects=False,
             sun_prior=self.sun_prior,
-        )
-        return Estimate(
-            light=model.name,
-            environment=environment,
-            params=coefficients.reshape(-1).cpu(),
-            ground_albedo=(ground / down.clamp(min=1e-12)).clamp(0, 1),
-            sun_direction=environment.brightest_direction(),
-            posterior=posterior,
-            faces=tuple(lights),
-            terms={"data": fit.data},
-            status="converged" if fit.settled else "iteration limit",
-            advice=advice(tuple(lights)),
-            stats={"evaluations": fit.rounds, "nonfinite": 0},
         )
 
     @property

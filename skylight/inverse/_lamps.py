@@ -1,10 +1,9 @@
-"""Eq. 5.8 for lamps in ambient light, as many lamps as the picture tells of.
+"""Observations under one light -> lamps in ambient light, as many as the pictures tell of.
 
-Observations under one light -> that light as lamps in ambient light.
-
-Where could so many lamps be? A non-negative least-squares problem for each set of directions.
-
-The face's luminance is explained by lamps in the directions of a set S and by light that is even
+Eq. 5.8 is minimised for no lamp, one, two and three, as long as one more pays
+(:class:`LampsProblem`, :func:`as_many_as_pay`). Where so many lamps could be is told beforehand by
+a non-negative least-squares problem for each set of directions (:class:`Pursuit`). There
+the face's luminance is explained by lamps in the directions of a set S and by light that is even
 above the horizon and even below it, all non-negative::
 
     min_{a, b >= 0}  sum_p w_p (y_p - sum_{d in S} a_d T[p, d] - b_1 U[p] - b_2 L[p])^2
@@ -12,8 +11,6 @@ above the horizon and even below it, all non-negative::
 Sets grow as in matching pursuit, but :data:`BEAM` of the best are kept, not one: of two lamps that
 are alike, the best single lamp is neither. Where ambient light may be anything, as in
 :mod:`skylight.inverse._scan`, it takes a lamp's place.
-
-How many lamps a picture tells of, and what they are in its units.
 """
 
 import math
@@ -25,15 +22,15 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from skylight.errors import InputError
 from skylight.inverse._descent import Points, Round, choose_starts, descend
 from skylight.inverse._faces import Level, LitFaces, ObjectiveWeights, ScannedFace
 from skylight.inverse._least_squares import nnls
 from skylight.inverse._objective import LightObjective
-from skylight.inverse._posterior import SunEvidence, face_evidence, sun_evidence, sun_posterior
-from skylight.inverse._result import UNEXPLAINED, Estimate, Lamp, advice
+from skylight.inverse._posterior import face_evidence, sun_evidence
+from skylight.inverse._problem import LightProblem
+from skylight.inverse._result import Estimate, Lamp
 from skylight.inverse._scan import SCAN_HEIGHT, SunScan, scan_faces
-from skylight.inverse._solution import Ends, face_lights, log_evidence
+from skylight.inverse._solution import Ends, estimate_of, face_lights, log_evidence
 from skylight.models._lamps import LampsLight, LampsPrior
 from skylight.models._prior import GaussianMixture
 from skylight.sphere._envmap import EnvironmentMap, luminance
@@ -238,129 +235,13 @@ class LampsOptions:
         return sorted({one.level for one in (*self.coarse, *self.fine)})
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LampsSolver:
-    """The priors of skin, and the effort to spend; on the device of ``albedo_modes``."""
-
-    albedo_prior: GaussianMixture
-    albedo_modes: Float[Tensor, "k 3"]
-    options: LampsOptions
-
-    def solve(self, faces: LitFaces, progress: Progress | None = None) -> Estimate:
-        """Ambient light alone, then one lamp more as long as that is likelier.
-
-        Each number of lamps starts from the sets that explain the face best
-        (:class:`~skylight.inverse._lamps.Pursuit`), one lamp also from the directions of the
-        scan over the sphere. Numbers compete on a coarse level by
-        :func:`~skylight.inverse._solution.log_evidence`: one more is to bring
-        :data:`~skylight.inverse._lamps.LEAST_GAIN`.
-        """
-        options, observed = self.options, [face.scanned for face in faces]
-        every = scan_faces(observed, sphere=True)
-        scan = SunScan.of(every, candidates=options.scan_candidates)
-        evidence = sun_evidence(face_evidence(observed, every, sphere=True))
-        pursuit = Pursuit(observed)
-
-        def fitted(count: int) -> Fitted[Points]:
-            objective = self._objective(faces, count, options.coarse[0])
-            assert isinstance(objective.model, LampsLight)
-            towards = pursuit.starts(objective.model, options.sets)
-            if count == 1:
-                scanned = objective.model.starts_towards(scan.candidates)
-                towards = torch.cat([towards, scanned.to(towards)])
-            points = Points.starting(*choose_starts(objective, towards, self.albedo_modes))
-            objective, points = self._descend(faces, count, points, options.coarse)
-            end = points.free[points.scores.argmin(), None]
-            return Fitted(
-                count=count, point=points, log_evidence=float(log_evidence(objective, end))
-            )
-
-        best = as_many_as_pay(fitted)
-        objective, points = self._descend(faces, best.count, best.point, options.fine, progress)
-        ends = Ends.of(objective, [points], evidence=True)
-        return _estimate(ends, faces, options.fine[-1].level, scan, evidence)
-
-    def _descend(
-        self,
-        faces: LitFaces,
-        count: int,
-        points: Points,
-        rounds: Sequence[Round],
-        progress: Progress | None = None,
-    ) -> tuple[LightObjective, Points]:
-        """The last round's objective, and its points."""
-        for number, effort in enumerate(rounds, start=1):
-            objective = self._objective(faces, count, effort)
-            (points,) = descend(objective, [points], effort, self.options.tolerance)
-            if progress is not None:
-                progress(number / len(rounds))
-        return objective, points
-
-    def _objective(self, faces: LitFaces, count: int, effort: Round) -> LightObjective:
-        weights = self.options.weights
-        return LightObjective(
-            faces.terms(effort.level),
-            LampsLight(count).to(self.albedo_modes.device),
-            LampsPrior(count),
-            self.albedo_prior,
-            replace(weights, pigment_spread=0.0) if effort.even_skin else weights,
-        )
-
-
-def _estimate(
-    ends: Ends, faces: LitFaces, level: Level, scan: SunScan, evidence: SunEvidence
-) -> Estimate:
-    """The answer, in its photographs' units and on the CPU."""
-    model = ends.objective.model
-    assert isinstance(model, LampsLight)
-    assert ends.log_evidence is not None
-    params = ends.parts.light[0].cpu()
-    lights = face_lights(ends, 0, faces, level)
-    exposure = lights[0].exposure
-    environment, lamps = in_pictures_units(model.count, params, exposure)
-    ground = environment.radiance[MAP_ROWS // 2 :].reshape(-1, 3).mean(0)
-    down = environment.upper().irradiance(torch.tensor([0.0, 1.0, 0.0])) / torch.pi
-    main = lamps[0].direction if lamps else None
-    posterior = sun_posterior(
-        evidence,
-        main,
-        seen=bool(lamps),
-        explained=all(light.residual <= UNEXPLAINED for light in lights),
-        exposure=exposure,
-        albedo=lights[0].albedo,
-        gloss=None if faces[0].scanned.gloss is None else lights[0].gloss,
-        albedo_prior=ends.objective.tone_prior,
-    )
-    return Estimate(
-        light=model.name,
-        environment=environment,
-        params=params,
-        ground_albedo=(ground / down.clamp(min=1e-12)).clamp(0, 1),
-        sun_direction=environment.brightest_direction() if main is None else main,
-        posterior=posterior,
-        faces=lights,
-        terms={name: float(values[0]) for name, values in ends.terms.items()},
-        status=ends.status[0],
-        advice=advice(lights),
-        stats={
-            **ends.stats[0],
-            "scan_residual": float(scan.residuals.min()),
-            "sun_strength": float(scan.strengths[0]),
-        },
-        lamps=lamps,
-        log_evidence=float(ends.log_evidence),
-    )
-
-
-class LampsProblem:
-    """Eq. 5.8 for all faces under one light that is no sky: give it each face, then solve.
+class LampsProblem(LightProblem):
+    """Eq. 5.8 for all faces under one light that is no sky.
 
     Light is on :data:`~skylight.inverse._scan.SCAN_HEIGHT` rows of the sphere: two thirds of the
-    memory that a sky has, 130 MB for a face of 3,700 pixels with gloss.
+    memory that a sky has, 130 MB for a face of 3,700 pixels with gloss. Everything is computed on
+    the device of ``albedo_modes``, where the prior has to be.
     """
-
-    grid_height = SCAN_HEIGHT
-    uses_gloss = True
 
     def __init__(
         self,
@@ -368,28 +249,92 @@ class LampsProblem:
         albedo_modes: Float[Tensor, "k 3"],
         options: LampsOptions | None = None,
     ) -> None:
-        self.solver = LampsSolver(
-            albedo_prior=albedo_prior,
-            albedo_modes=albedo_modes,
-            options=options or LampsOptions(),
-        )
+        self.albedo_prior, self.albedo_modes = albedo_prior, albedo_modes
+        self.options = options or LampsOptions()
         self.faces = LitFaces()
+
+    @property
+    def grid_height(self) -> int:
+        return SCAN_HEIGHT
+
+    @property
+    def is_empty(self) -> bool:
+        return not self.faces
 
     def add(self, observation: Observation, photo: int = 0) -> None:
         """One more face; photographs come in order, counted from 0."""
-        device = self.solver.albedo_modes.device
-        levels = self.solver.options.levels
         coarse = observation.on_rows(SCAN_HEIGHT)
+        device, levels = self.albedo_modes.device, self.options.levels
         self.faces.append(ScannedFace.of(coarse, photo, levels, device, sphere=True))
 
-    def solve(self, progress: Progress | None = None) -> Estimate:
-        """Minimise Eq. 5.8 for as many lamps as pay, as :meth:`LampsSolver.solve` does.
+    def _solve(self, progress: Progress) -> Estimate:
+        """Ambient light alone, then one lamp more as long as that is likelier.
 
-        Raises
-        ------
-        InputError
-            Nothing was added.
+        Each number of lamps starts from the sets that explain the face best (:class:`Pursuit`), one
+        lamp also from the directions of the scan over the sphere. Numbers compete on a coarse level
+        by :func:`~skylight.inverse._solution.log_evidence`: one more is to bring
+        :data:`LEAST_GAIN`.
         """
-        if not self.faces:
-            raise InputError("there is no observation to estimate light from; give at least one")
-        return self.solver.solve(self.faces, progress)
+        options, observed = self.options, [face.scanned for face in self.faces]
+        every = scan_faces(observed, sphere=True)
+        scan = SunScan.of(every, candidates=options.scan_candidates)
+        evidence = sun_evidence(face_evidence(observed, every, sphere=True))
+        pursuit = Pursuit(observed)
+
+        def fitted(count: int) -> Fitted[Points]:
+            objective = self._objective(count, options.coarse[0])
+            assert isinstance(objective.model, LampsLight)
+            towards = pursuit.starts(objective.model, options.sets)
+            if count == 1:
+                scanned = objective.model.starts_towards(scan.candidates)
+                towards = torch.cat([towards, scanned.to(towards)])
+            points = Points.starting(*choose_starts(objective, towards, self.albedo_modes))
+            objective, points = self._descend(count, points, options.coarse)
+            end = points.free[points.scores.argmin(), None]
+            return Fitted(
+                count=count, point=points, log_evidence=float(log_evidence(objective, end))
+            )
+
+        best = as_many_as_pay(fitted)
+        objective, points = self._descend(best.count, best.point, options.fine, progress)
+        ends = Ends.of(objective, [points], evidence=True)
+        params = ends.parts.light[0].cpu()
+        lights = face_lights(ends, 0, self.faces, options.fine[-1].level)
+        environment, lamps = in_pictures_units(best.count, params, lights[0].exposure)
+        return estimate_of(
+            objective.model.name,
+            params,
+            environment,
+            lights,
+            ends.search(0, scan),
+            evidence,
+            sun=lamps[0].direction if lamps else None,
+            albedo_prior=objective.tone_prior,
+            reflects=self.faces[0].scanned.gloss is not None,
+            lamps=lamps,
+        )
+
+    def _descend(
+        self,
+        count: int,
+        points: Points,
+        rounds: Sequence[Round],
+        progress: Progress | None = None,
+    ) -> tuple[LightObjective, Points]:
+        """The last round's objective, and its points."""
+        for number, effort in enumerate(rounds, start=1):
+            objective = self._objective(count, effort)
+            (points,) = descend(objective, [points], effort, self.options.tolerance)
+            if progress is not None:
+                progress(number / len(rounds))
+        return objective, points
+
+    def _objective(self, count: int, effort: Round) -> LightObjective:
+        weights = self.options.weights
+        return LightObjective(
+            self.faces.terms(effort.level),
+            LampsLight(count).to(self.albedo_modes.device),
+            LampsPrior(count),
+            self.albedo_prior,
+            replace(weights, pigment_spread=0.0) if effort.even_skin else weights,
+        )

@@ -1,8 +1,8 @@
-"""Eq. 5.8 minimised from many starts, coarse to fine, for several skies as one batch.
+"""Observations under one sky -> that sky, of one light or of several as one batch.
 
-Observations under one sky -> that sky: Eq. 5.8, of one light or of several at once.
-
-Where light comes from in the mean: the optimal linear direction of a spherical-harmonic fit.
+Eq. 5.8 is minimised coarse to fine, from many starts that a linear scan for the sun proposes, or,
+as in the thesis, from the mean sky turned to where light comes from in the mean
+(:func:`linear_direction`).
 """
 
 from collections import defaultdict
@@ -17,20 +17,14 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from skylight.errors import InputError
 from skylight.inverse._descent import Points, Round, choose_starts, descend
 from skylight.inverse._faces import FaceTerm, Level, LitFaces, ObjectiveWeights, ScannedFace
 from skylight.inverse._objective import LightObjective
-from skylight.inverse._posterior import (
-    SunEvidence,
-    credible,
-    face_evidence,
-    sun_evidence,
-    sun_posterior,
-)
-from skylight.inverse._result import UNEXPLAINED, Estimate, advice
+from skylight.inverse._posterior import SunEvidence, credible, face_evidence, sun_evidence
+from skylight.inverse._problem import LightProblem
+from skylight.inverse._result import Estimate
 from skylight.inverse._scan import SunScan, scan_faces
-from skylight.inverse._solution import Ends, face_lights
+from skylight.inverse._solution import Ends, estimate_of, face_lights
 from skylight.inverse._sun_prior import SunPrior
 from skylight.models._base import LightModel, Prior
 from skylight.models._ground import KnownGround, LambertianGround
@@ -43,34 +37,6 @@ from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import angles_from_direction
 from skylight.transport._observation import Observation
 from skylight.work._progress import Progress
-
-# A face sees half of the directions, and a sun has more than nine harmonics: with less than this
-# the fit puts light behind the face that cancels what is left of the sun in front.
-_RIDGE = 1e-2
-
-
-def linear_direction(observations: Sequence[Observation]) -> Float[Tensor, "3"]:
-    """The direction of ``int L(w) w dw``, L the nine harmonics that explain faces best.
-
-    The light is fitted to the pixels, channels averaged, by weighted least squares
-    (:func:`solve_linear`); its moment is that of the three harmonics of degree 1 (Green 2003,
-    "Spherical harmonic lighting: the gritty details"). Of several faces the fits'
-    directions add up. Of a ball under a clear sky its azimuth is within 12 degrees of the sun's.
-    """
-    total = torch.zeros(3, dtype=torch.float64)
-    for seen in observations:
-        grid = seen.transport.grid
-        basis = harmonics.evaluate(grid.directions, 2).double()
-        weights = seen.weights.double()
-        if seen.clipped is not None:  # a linear fit has no use for bounds
-            weights = weights * ~seen.clipped
-        shading = seen.transport.matrix.double().cpu() @ basis
-        light = basis @ solve_linear(
-            shading, seen.pixels.double().cpu(), weights.cpu(), ridge=_RIDGE
-        ).mean(1)
-        total += normalize((light * grid.solid_angles) @ grid.directions, dim=0)
-    return normalize(total, dim=0)
-
 
 T = TypeVar("T")
 SKY_ROWS = 64  # of an estimate's sky; the objective works on those of the light model
@@ -146,14 +112,7 @@ class SkySolver:
 
         What clock and place tell of the sun counts unless the faces contradict it
         (:func:`~skylight.inverse._posterior.credible`): else a wrong clock would draw the sun.
-
-        Raises
-        ------
-        InputError
-            A problem without faces.
         """
-        if not all(problems):
-            raise InputError("there is no observation to estimate light from; give at least one")
         rounds, observed = self.options.rounds, [face.scanned for one in problems for face in one]
         every = scan_faces(observed)
         evidence = [
@@ -247,34 +206,18 @@ def _estimate(
     parts, model = ends.parts, ends.objective.model
     lights = face_lights(ends, p, faces, level)
     environment = environment_of(model, parts.light[p], parts.ground_albedo[p], lights[0].exposure)
-    sun = environment.brightest_direction()
-    posterior = sun_posterior(
+    return estimate_of(
+        model.name,
+        parts.light[p].cpu(),
+        environment,
+        lights,
+        ends.search(p, scan),
         evidence,
-        sun,
-        explained=all(light.residual <= UNEXPLAINED for light in lights),
-        exposure=lights[0].exposure,
-        albedo=lights[0].albedo,
-        gloss=None if faces[0].scanned.gloss is None else lights[0].gloss,
+        sun=environment.brightest_direction(),
         albedo_prior=ends.objective.tone_prior,
+        reflects=faces[0].scanned.gloss is not None,
         sun_prior=faces.sun_prior,
-    )
-    return Estimate(
-        light=model.name,
-        environment=environment,
-        params=parts.light[p].cpu(),
         ground_albedo=parts.ground_albedo[p].cpu(),
-        sun_direction=sun,
-        posterior=posterior,
-        faces=lights,
-        terms={name: float(values[p]) for name, values in ends.terms.items()},
-        status=ends.status[p],
-        advice=advice(lights),
-        stats={
-            **ends.stats[p],
-            "scan_residual": float(scan.residuals.min()),
-            "sun_strength": float(scan.strengths[0]),
-        },
-        log_evidence=None if ends.log_evidence is None else float(ends.log_evidence[p]),
     )
 
 
@@ -284,19 +227,50 @@ def _per_problem(every: Sequence[T], problems: Sequence[LitFaces]) -> list[list[
     return [list(islice(rest, len(faces))) for faces in problems]
 
 
-class SkyProblem:
-    """Eq. 5.8 for all faces under one light: give it each face, then solve.
+# A face sees half of the directions, and a sun has more than nine harmonics: with less than this
+# the fit puts light behind the face that cancels what is left of the sun in front.
+_RIDGE = 1e-2
+
+
+def linear_direction(observations: Sequence[Observation]) -> Float[Tensor, "3"]:
+    """The direction of ``int L(w) w dw``, L the nine harmonics that explain faces best.
+
+    The light is fitted to the pixels, channels averaged, by weighted least squares
+    (:func:`solve_linear`); its moment is that of the three harmonics of degree 1 (Green 2003,
+    "Spherical harmonic lighting: the gritty details"). Of several faces the fits'
+    directions add up. Of a ball under a clear sky its azimuth is within 12 degrees of the sun's.
+    """
+    total = torch.zeros(3, dtype=torch.float64)
+    for seen in observations:
+        grid = seen.transport.grid
+        basis = harmonics.evaluate(grid.directions, 2).double()
+        weights = seen.weights.double()
+        if seen.clipped is not None:  # a linear fit has no use for bounds
+            weights = weights * ~seen.clipped
+        shading = seen.transport.matrix.double().cpu() @ basis
+        light = basis @ solve_linear(
+            shading, seen.pixels.double().cpu(), weights.cpu(), ridge=_RIDGE
+        ).mean(1)
+        total += normalize((light * grid.solid_angles) @ grid.directions, dim=0)
+    return normalize(total, dim=0)
+
+
+class SkyProblem(LightProblem):
+    """Eq. 5.8 for all faces under one sky, to be solved with :meth:`another`'s as one batch.
 
     The faces of one photograph share its exposure. Of an observation's transport only the
     sky's half is kept, folded with the ground: with the pyramid 0.7 times as much memory as
-    the observation's own, 35 MB for a face in 700 blocks of pixels seen on 64 rows with gloss. Let
-    go of each observation once it is added.
+    the observation's own, 35 MB for a face in 700 blocks of pixels seen on 64 rows with gloss.
+
+    Problems of one shape, with as many faces in the same photographs, all with gloss or none and
+    all grey or none, are solved as one batch; numbers of pixels may differ. What a problem holds
+    is copied level by level, padded to the most pixels: beside the 185 MB of a face of 3,700
+    pixels with gloss that is up to 120 MB, 9 GB for a batch of 32 such faces, and 1.3 GB for the
+    autoencoder's gradients with respect to ten starts of each.
 
     Everything is computed on the device of ``albedo_modes``, where ``model`` and the priors have
     to be; observations are moved there when they are added. The estimate is on the CPU.
     """
-
-    uses_gloss = True
 
     def __init__(
         self,
@@ -327,10 +301,14 @@ class SkyProblem:
 
     @property
     def grid_height(self) -> int:
-        """Of the observations that it needs: the sky's rows and the ground's."""
+        """The sky's rows and the ground's."""
         layout = self.solver.model.grid.layout
         assert layout is not None
         return 2 * layout[0]
+
+    @property
+    def is_empty(self) -> bool:
+        return not self.faces
 
     def add(self, observation: Observation, photo: int = 0) -> None:
         """One more face; photographs come in order, counted from 0.
@@ -347,52 +325,30 @@ class SkyProblem:
         device = self.solver.albedo_modes.device
         self.faces.append(ScannedFace.of(observation, photo, levels, device))
 
-    def solve(self, progress: Progress | None = None) -> Estimate:
-        """Minimise Eq. 5.8 from the best of many starts, as :meth:`SkySolver.solve` does.
+    def _solve(self, progress: Progress) -> Estimate:
+        return self.solver.solve([self.faces], progress)[0]
+
+    @classmethod
+    def _solve_each(cls, problems: Sequence["SkyProblem"], progress: Progress) -> list[Estimate]:
+        """As batches of one shape each.
 
         Raises
         ------
-        InputError
-            Nothing was added.
+        ValueError
+            A problem that is not :meth:`another` of the first.
         """
-        return self.solver.solve([self.faces], progress)[0]
+        solver = problems[0].solver
+        if any(problem.solver is not solver for problem in problems):
+            raise ValueError("problems solved together share a solver: make them by another()")
+        groups: dict[tuple, list[int]] = defaultdict(list)
+        for number, problem in enumerate(problems):
+            groups[problem.faces.shape].append(number)
+        found: dict[int, Estimate] = {}
+        for done, numbers in enumerate(groups.values()):
 
-
-def solve_together(
-    problems: Sequence[SkyProblem], progress: Progress | None = None
-) -> list[Estimate]:
-    """The light of each problem, as :meth:`SkyProblem.solve` finds it but for rounding.
-
-    Problems of one shape, with as many faces in the same photographs, all with gloss or none and
-    all grey or none, are solved as one batch; numbers of pixels may differ. What a problem holds
-    is copied level by level, padded to the most pixels: beside the 185 MB of a face of 3,700
-    pixels with gloss that is up to 120 MB, 9 GB for a batch of 32 such faces, and 1.3 GB for the
-    autoencoder's gradients with respect to ten starts of each.
-
-    Raises
-    ------
-    InputError
-        Nothing was added to one of them.
-    ValueError
-        A problem that is not :meth:`SkyProblem.another` of the first.
-    """
-    if not problems:
-        return []
-    solver = problems[0].solver
-    if any(problem.solver is not solver for problem in problems):
-        raise ValueError("problems solved together share a solver: make them by another()")
-    if not all(problem.faces for problem in problems):
-        raise InputError("there is no observation to estimate light from; give each at least one")
-    groups: dict[tuple, list[int]] = defaultdict(list)
-    for number, problem in enumerate(problems):
-        groups[problem.faces.shape].append(number)
-    found: dict[int, Estimate] = {}
-    for done, numbers in enumerate(groups.values()):
-
-        def told(share: float, done: int = done) -> None:
-            if progress is not None:
+            def told(share: float, done: int = done) -> None:
                 progress((done + share) / len(groups))
 
-        estimates = solver.solve([problems[k].faces for k in numbers], told)
-        found.update(zip(numbers, estimates, strict=True))
-    return [found[k] for k in range(len(problems))]
+            estimates = solver.solve([problems[k].faces for k in numbers], told)
+            found.update(zip(numbers, estimates, strict=True))
+        return [found[k] for k in range(len(problems))]

@@ -1,6 +1,8 @@
-"""The best points of an objective, and what they mean in the photographs' units.
+"""From the best points of an objective to an estimate in the photographs' units.
 
-How likely faces are under a light model, by which models compete.
+:class:`Ends` holds the best point of each problem and how likely the faces are under its light
+model (:func:`log_evidence`, by which models compete); :func:`face_lights` is what the light does to
+each face; :func:`estimate_of` puts the answer of any solver together, with its posterior.
 """
 
 import math
@@ -15,7 +17,20 @@ from skylight.inverse._descent import Points, deviations, jacobian
 from skylight.inverse._faces import Level, LitFaces
 from skylight.inverse._least_squares import laplace
 from skylight.inverse._objective import LightObjective, Unpacked
-from skylight.inverse._result import FaceLight, Status, residual
+from skylight.inverse._posterior import SunEvidence, sun_posterior
+from skylight.inverse._result import (
+    UNEXPLAINED,
+    Estimate,
+    FaceLight,
+    Lamp,
+    Status,
+    advice,
+    residual,
+)
+from skylight.inverse._scan import SunScan
+from skylight.inverse._sun_prior import SunPrior
+from skylight.models._base import Prior
+from skylight.sphere._envmap import EnvironmentMap
 
 
 @torch.no_grad()
@@ -45,6 +60,16 @@ def log_evidence(
         prior,
     )
     return nats - turn
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search:
+    """How the search for a light ended: the fields of that name of an ``Estimate``."""
+
+    terms: dict[str, float]
+    status: Status
+    stats: dict[str, float | int]
+    log_evidence: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +116,19 @@ class Ends:
             log_evidence=log_evidence(objective, free, problem) if evidence else None,
         )
 
+    def search(self, p: int, scan: SunScan) -> Search:
+        """How that of problem ``p`` ended, which began with the scan."""
+        return Search(
+            terms={name: float(values[p]) for name, values in self.terms.items()},
+            status=self.status[p],
+            stats={
+                **self.stats[p],
+                "scan_residual": float(scan.residuals.min()),
+                "sun_strength": float(scan.strengths[0]),
+            },
+            log_evidence=None if self.log_evidence is None else float(self.log_evidence[p]),
+        )
+
 
 def face_lights(ends: Ends, p: int, faces: LitFaces, level: Level) -> tuple[FaceLight, ...]:
     """What the light of problem ``p`` does to its faces, in their units and on the CPU."""
@@ -115,3 +153,60 @@ def face_lights(ends: Ends, p: int, faces: LitFaces, level: Level) -> tuple[Face
             )
         )
     return tuple(lights)
+
+
+def estimate_of(
+    light: str,
+    params: Float[Tensor, " p"],
+    environment: EnvironmentMap,
+    faces: tuple[FaceLight, ...],
+    search: Search,
+    evidence: SunEvidence,
+    *,
+    sun: Float[Tensor, "3"] | None,
+    albedo_prior: Prior,
+    reflects: bool,
+    sun_prior: SunPrior | None = None,
+    ground_albedo: Float[Tensor, "3"] | None = None,
+    lamps: tuple[Lamp, ...] | None = None,
+) -> Estimate:
+    """The answer of a solver, with its posterior and advice, on the CPU.
+
+    ``sun`` is the optimised direction of the sun or main lamp, None of light without one.
+    ``albedo_prior`` and ``reflects``, whether gloss was estimated, say how sure exposure and albedo
+    are; ``ground_albedo`` is None where the map's lower half is free, and is then measured there.
+    ``lamps`` are those of a model that has some, None of skies.
+    """
+    posterior = sun_posterior(
+        evidence,
+        sun,
+        seen=None if lamps is None else bool(lamps),
+        explained=all(face.residual <= UNEXPLAINED for face in faces),
+        exposure=faces[0].exposure,
+        albedo=faces[0].albedo,
+        gloss=faces[0].gloss if reflects else None,
+        albedo_prior=albedo_prior,
+        sun_prior=sun_prior,
+    )
+    return Estimate(
+        light=light,
+        environment=environment,
+        params=params,
+        ground_albedo=_ground_albedo(environment) if ground_albedo is None else ground_albedo,
+        sun_direction=environment.brightest_direction() if sun is None else sun,
+        posterior=posterior,
+        faces=faces,
+        terms=search.terms,
+        status=search.status,
+        advice=advice(faces),
+        stats=search.stats,
+        lamps=lamps or (),
+        log_evidence=search.log_evidence,
+    )
+
+
+def _ground_albedo(environment: EnvironmentMap) -> Float[Tensor, "3"]:
+    """Mean radiance of the lower half over that of a white ground below the upper half."""
+    ground = environment.radiance[environment.layout[0] // 2 :].reshape(-1, 3).mean(0)
+    down = environment.upper().irradiance(torch.tensor([0.0, 1.0, 0.0])) / torch.pi
+    return (ground / down.clamp(min=1e-12)).clamp(0, 1)

@@ -9,8 +9,8 @@ from tyro.conf import Positional
 
 from skylight._options import take_care
 from skylight.errors import InputError
-from skylight.estimate._command import Light
 from skylight.io._atomic import require_place
+from skylight.models._names import LightName
 from skylight.work._device import Device
 
 Decoding = tyro.conf.create_mutex_group(required=False)
@@ -24,7 +24,7 @@ def relight_portrait(
     sun: Annotated[str | None, NewLight] = None,
     strength: float | None = None,
     ev: float = 0.0,
-    light: Light = "auto",
+    light: LightName = "auto",
     model: Path | None = None,
     face: int = 1,
     device: Device = "auto",

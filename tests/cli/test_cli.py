@@ -7,6 +7,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -20,14 +21,13 @@ import skylight
 from skylight._options import who_works
 from skylight.cli import main
 from skylight.errors import InputError, explain
-from skylight.estimate._command import Landmarks, Light, Solver, estimate as estimate_command
+from skylight.estimate._command import estimate as estimate_command
 from skylight.estimate._photos import estimate, estimate_photo
+from skylight.estimate._settings import EstimateSettings, SettingKeywords
 from skylight.faces._landmarkers import choose_landmarker
 from skylight.faces._landmarks import DetectedFace
 from skylight.faces._model import HeadModel
-from skylight.faces._names import LandmarkerName
 from skylight.io._files import read_environment_map
-from skylight.models._names import DEFAULT_LIGHT, DEFAULT_SOLVER, LightName, SolverName
 from skylight.sphere._frame import angles_from_direction
 from skylight.work._progress import ProgressForm, StageProgress
 
@@ -334,12 +334,11 @@ class TestFailures:
         assert expected in message
 
 
-def test_light_choices_are_the_models() -> None:
-    assert Light == LightName
+def test_defaults_are_the_settings() -> None:
     parameters = inspect.signature(estimate_command).parameters
-    assert parameters["light"].default == DEFAULT_LIGHT
-    assert Solver == SolverName
-    assert parameters["solver"].default == DEFAULT_SOLVER
+    for name in {*SettingKeywords.__annotations__} - {"face", "decode", "ground"}:
+        assert parameters[name].default == getattr(EstimateSettings(), name)
+    assert {*SettingKeywords.__annotations__} == {each.name for each in fields(EstimateSettings)}
 
 
 def test_without_a_number_each_core_that_this_process_may_use_gets_a_worker(
@@ -348,10 +347,6 @@ def test_without_a_number_each_core_that_this_process_may_use_gets_a_worker(
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 3, 5}, raising=False)
     assert who_works(0, None, tmp_path) == 3
     assert who_works(2, None, tmp_path) == 2
-
-
-def test_landmark_choices_are_the_landmarkers() -> None:
-    assert Landmarks == LandmarkerName
 
 
 def test_public_names_exist() -> None:

@@ -12,10 +12,9 @@ from PIL import ExifTags, Image
 from skimage.data import camera
 
 from skylight.cli import main
-from skylight.estimate import _photos as photos
+from skylight.estimate import _settings
 from skylight.estimate._photos import estimate
 from skylight.imaging._colour import srgb_to_linear
-from skylight.inverse._estimate import light_problem
 from skylight.io._files import read_environment_map
 from skylight.io._hdr import write_exr
 from skylight.models._names import LightName
@@ -72,12 +71,11 @@ def test_the_exposure_reaches_the_choice(tmp_path: Path, monkeypatch: pytest.Mon
     Image.fromarray(face()).save(tmp_path / "a.jpg", exif=data)
     asked: list[float] = []
 
-    def spy(light: LightName, *, exposure: float, **rest: Any) -> None:
-        asked.append(exposure)
-        light_problem(light, exposure=exposure, **rest)
+    def spy(light: LightName, count: int, *, exposures: list[float], **rest: Any) -> None:
+        asked.extend(exposures)
         raise StopIteration  # of the estimate no more is looked at
 
-    monkeypatch.setattr(photos, "light_problem", spy)
+    monkeypatch.setattr(_settings, "light_problems", spy)
     with pytest.raises(StopIteration):
         estimate(tmp_path / "a.jpg", light="sh9")
     assert asked == [pytest.approx(15)]

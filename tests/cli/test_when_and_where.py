@@ -13,7 +13,7 @@ from PIL import ExifTags, Image
 import skylight
 from skylight.cli import main
 from skylight.estimate._folder import estimate_folder
-from skylight.estimate._manifest import BatchSettings
+from skylight.estimate._settings import EstimateSettings
 from skylight.imaging._photo import photo_from_codes
 from skylight.imaging._taken import Taken
 from skylight.skies._sun import Place, sun_angles
@@ -187,7 +187,7 @@ def test_each_photo_of_a_folder_has_its_own(taken_photo: Path, tmp_path: Path) -
     (tmp_path / "photos" / "a.jpg").write_bytes(taken_photo.read_bytes())
     plain = Image.open(taken_photo)
     plain.save(tmp_path / "photos" / "b.png", exif=b"")
-    settings = BatchSettings(light="sh9", device="cpu")
+    settings = EstimateSettings(light="sh9", device="cpu")
     entries = estimate_folder(tmp_path / "photos", tmp_path / "out", settings)
     assert [entry.status for entry in entries] == ["done", "done"]
     assert told(tmp_path / "out" / "a_jpg")["posterior"]["clock_wrong"] is not None

@@ -14,23 +14,23 @@ from skimage.data import astronaut
 
 from skylight.cli import main
 from skylight.errors import InputError, OutputError
-from skylight.estimate import _folder as batch, _report as results
+from skylight.estimate import _folder as batch
 from skylight.estimate._folder import estimate_folder, time_left_s
 from skylight.estimate._manifest import (
     MANIFEST,
-    BatchSettings,
     Entry,
     folder_name,
     list_photos,
     read_manifest,
 )
 from skylight.estimate._photos import estimate
+from skylight.estimate._settings import EstimateSettings
 from skylight.imaging._photo import PHOTO_SUFFIXES
 from skylight.io._files import read_environment_map
 from skylight.models._ground import KnownGround
 from skylight.work._resumable import claimed
 
-SH9 = BatchSettings(light="sh9")
+SH9 = EstimateSettings(light="sh9")
 RESULTS = {"probe.exr", "probe.hdr", "posterior.exr", "mesh.obj", "estimate.json", "report.png"}
 
 
@@ -191,22 +191,22 @@ class TestGoingOn:
     def test_other_settings_want_another_folder(self, copied: tuple[Path, Path]) -> None:
         photos, out = copied
         with pytest.raises(InputError, match="other settings"):
-            estimate_folder(photos, out, BatchSettings(light="sh25"))
+            estimate_folder(photos, out, EstimateSettings(light="sh25"))
 
     def test_notes_tell_of_a_solver_that_is_not_the_usual_one(self) -> None:
         """Folders of runs before there was another go on."""
-        assert "solver" not in BatchSettings().facts()
-        assert BatchSettings(solver="thesis").facts()["solver"] == "thesis"
+        assert "solver" not in EstimateSettings().facts()
+        assert EstimateSettings(solver="thesis").facts()["solver"] == "thesis"
         with pytest.raises(InputError, match="not for sunsky"):
-            BatchSettings(solver="thesis", light="sunsky")
+            EstimateSettings(solver="thesis", light="sunsky")
 
     def test_notes_tell_of_a_ground_that_is_known(self) -> None:
-        assert "ground" not in BatchSettings().facts()
+        assert "ground" not in EstimateSettings().facts()
         ground = KnownGround(albedo=(0.5, 0.4, 0.3))
-        told = BatchSettings(ground=ground).facts()["ground"]
+        told = EstimateSettings(ground=ground).facts()["ground"]
         assert told == {"albedo": (0.5, 0.4, 0.3), "spread": 0.1}
         with pytest.raises(InputError, match="sh9 has none"):
-            BatchSettings(ground=ground, light="sh9")
+            EstimateSettings(ground=ground, light="sh9")
 
     def test_what_a_killed_worker_left_goes(self, copied: tuple[Path, Path]) -> None:
         photos, out = copied
@@ -237,7 +237,7 @@ class TestFailures:
         def full(*_: object, **__: object) -> None:
             raise OutputError("cannot write probe.exr: No space left on device")
 
-        monkeypatch.setattr(results, "write_results", full)
+        monkeypatch.setattr(batch, "write_results", full)
         with pytest.raises(OutputError, match="No space left"):
             estimate_folder(*one_photo, SH9)
         assert here == ["a.png", "me.png"]
@@ -250,7 +250,7 @@ class TestFailures:
         def broken(*_: object, **__: object) -> None:
             raise ValueError("no\nsecond line")
 
-        monkeypatch.setattr(results, "write_results", broken)
+        monkeypatch.setattr(batch, "write_results", broken)
         entries = estimate_folder(*one_photo, SH9)
         assert entries[1].error == "me.png: internal error (ValueError: no)"
 

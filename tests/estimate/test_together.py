@@ -10,16 +10,17 @@ from PIL import Image
 from skimage.data import astronaut
 
 from skylight.cli import main
-from skylight.estimate import _folder as batch, _many as together
+from skylight.estimate import _folder as batch
 from skylight.estimate._folder import estimate_folder
-from skylight.estimate._manifest import MANIFEST, BatchSettings, Entry, read_manifest
+from skylight.estimate._manifest import MANIFEST, Entry, read_manifest
+from skylight.estimate._settings import EstimateSettings
 from skylight.io._files import read_environment_map
 from skylight.models._names import LightName
 from skylight.sphere._frame import angle_between, direction_from_angles
 from skylight.work._cluster import Cluster
 from skylight.work._resumable import Workers
 
-SUNSKY = BatchSettings(light="sunsky", device="cpu")
+SUNSKY = EstimateSettings(light="sunsky", device="cpu")
 OPTIONS = ["--light", "sunsky", "--device", "cpu", "--workers", "2"]
 # Of lights that are found together against those found one by one: rounding decides where a
 # descent ends that is cut off, by 1.3 degrees and 12 % of the radiance on one machine, by 36 % of
@@ -98,14 +99,14 @@ def test_what_workers_send_loses_nothing(
 ) -> None:
     """Batches of one, solved as if by a worker: the same bytes; and of batches that cannot be
     solved, as memory is short for two, each photo is solved by itself."""
-    solve = together._solve
+    solve = batch._solve
 
     def short(observed: list, model: object) -> list:
         if len(observed) > 1:
             raise RuntimeError("out of memory")
         return solve(observed, model)
 
-    monkeypatch.setattr(together, "_solve", short)
+    monkeypatch.setattr(batch, "_solve", short)
     estimate_folder(photos, tmp_path, SUNSKY, workers=2, batch=2)
     (line,) = {record.getMessage() for record in caplog.records}
     assert "2 photos could not be solved together (RuntimeError: out of memory)" in line
@@ -123,14 +124,14 @@ def test_what_workers_send_loses_nothing(
 def test_a_photo_without_a_light_fails_alone(
     photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    solve = together._solve
+    solve = batch._solve
 
     def broken(observed: list, model: object) -> list:
         if any(one.source == "b.jpg" for one in observed):
             raise ValueError("no\nsecond line")
         return solve(observed, model)
 
-    monkeypatch.setattr(together, "_solve", broken)
+    monkeypatch.setattr(batch, "_solve", broken)
     entries = estimate_folder(photos, tmp_path, SUNSKY, workers=1, batch=3)
     assert {entry.source: entry.status for entry in entries} == {
         "a.png": "done",
@@ -149,7 +150,7 @@ def test_an_interrupt_keeps_what_is_being_written(
 ) -> None:
     """In the second batch: of the first, what was begun to be written is noted."""
     solved: list[str] = []
-    lights = together._lights
+    lights = batch._lights
 
     def interrupted(observed: list, model: object) -> list:
         solved.extend(one.source for one in observed)
@@ -157,7 +158,7 @@ def test_an_interrupt_keeps_what_is_being_written(
             raise KeyboardInterrupt
         return lights(observed, model)
 
-    monkeypatch.setattr(together, "_lights", interrupted)
+    monkeypatch.setattr(batch, "_lights", interrupted)
     with pytest.raises(KeyboardInterrupt):
         estimate_folder(photos, tmp_path, SUNSKY, workers=2, batch=2)
     noted = read_manifest(tmp_path / MANIFEST).values()
@@ -167,7 +168,7 @@ def test_an_interrupt_keeps_what_is_being_written(
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("probe.exr")}
     assert len(before) == len(done)
     assert not list(tmp_path.rglob(".partial-*"))
-    monkeypatch.setattr(together, "_lights", lights)
+    monkeypatch.setattr(batch, "_lights", lights)
     entries = estimate_folder(photos, tmp_path, SUNSKY, workers=2, batch=2)
     assert sum(entry.status == "done" for entry in entries) == 3
     assert all(path.stat().st_mtime_ns == then for path, then in before.items())
@@ -198,7 +199,7 @@ def test_batches_of_what_cannot_be_solved_together_are_refused(
 
 def test_a_gpu_solves_many_together_unless_it_cannot(monkeypatch: pytest.MonkeyPatch) -> None:
     def choice(light: LightName, workers: Workers = 4) -> int:
-        return batch._batch(BatchSettings(light=light), workers, None)
+        return batch._batch(EstimateSettings(light=light), workers, None)
 
     assert [choice("sunsky"), choice("autoencoder")] == [1, 1] or torch.cuda.is_available()
     monkeypatch.setattr(batch, "choose_device", lambda _: torch.device("cuda"))

@@ -10,8 +10,9 @@ import torch
 from skylight.errors import InputError
 from skylight.inverse._auto import LEAD, TEMPERATURE, choose, open_sky_log_odds, scene_of
 from skylight.inverse._descent import Round
-from skylight.inverse._estimate import estimate_light, light_problem, smooth_autoencoder
+from skylight.inverse._estimate import estimate_light, light_problems, smooth_autoencoder
 from skylight.inverse._faces import Level
+from skylight.inverse._problem import solve
 from skylight.inverse._result import Lamp
 from skylight.inverse._sky import SolverOptions
 from skylight.models._bundle import load_bundle
@@ -91,7 +92,7 @@ def test_the_exposure_weighs_in(from_below):
     assert open_sky_log_odds(10.5) == pytest.approx(
         math.log(4 / 3) - 0.5 * (2.5 / 1.5) ** 2 + 0.5 * (3.5 / 2) ** 2
     )
-    assert light_problem("auto", exposure=5.0).exposure == 5.0
+    assert light_problems("auto", exposures=[5.0])[0].exposure == 5.0
     assert (
         open_sky_log_odds(40.0)
         == open_sky_log_odds(20.0)
@@ -123,4 +124,4 @@ def test_even_light_that_does_not_explain_the_face_has_no_lamp_either():
 
 def test_without_observations():
     with pytest.raises(InputError, match="no observation"):
-        light_problem("auto").solve()
+        solve(light_problems("auto"))

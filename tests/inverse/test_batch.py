@@ -8,14 +8,15 @@ import torch
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.inverse._auto import AutoProblem, choose_each
+from skylight.inverse._auto import AutoProblem
 from skylight.inverse._descent import Round
 from skylight.inverse._estimate import estimate_each, estimate_light, light_problems
 from skylight.inverse._faces import FaceTerm, Level, ObjectiveWeights
 from skylight.inverse._objective import LightObjective
+from skylight.inverse._problem import solve
 from skylight.inverse._result import Estimate
 from skylight.inverse._scan import scan_faces
-from skylight.inverse._sky import SkyProblem, SkySolver, SolverOptions, solve_together
+from skylight.inverse._sky import SkyProblem, SkySolver, SolverOptions
 from skylight.models._names import LightName
 from skylight.models.sunsky import SunSky
 from skylight.sphere._envmap import luminance
@@ -109,9 +110,9 @@ def test_each_problem_of_a_batch_ends_as_alone(seen: list[Observation]) -> None:
         problem.add(double(observation))
         single = first.another()
         single.add(double(observation))
-        alone.append(single.solve())
+        alone.append(solve([single])[0])
     told: list[float] = []
-    found = solve_together(problems, told.append)
+    found = solve(problems, told.append)
     assert told == sorted(told)
     assert told[-1] == 1
     assert len({len(one.rendered) for one in found}) == 2  # some were padded
@@ -122,11 +123,11 @@ def test_each_problem_of_a_batch_ends_as_alone(seen: list[Observation]) -> None:
 
 def together(observations: list[Observation], light: LightName) -> list[Estimate]:
     """As one batch, on the CPU too."""
-    problems = light_problems(len(observations), light, options=FEWER, device="cpu")
+    problems = light_problems(light, len(observations), options=FEWER, device="cpu")
     skies = [problem for problem in problems if isinstance(problem, SkyProblem)]
     for problem, observation in zip(skies, observations, strict=True):
         problem.add(observation)
-    return solve_together(skies)
+    return solve(skies)
 
 
 @pytest.mark.slow
@@ -151,11 +152,11 @@ def test_the_light_of_each_observation_is_its_own(
 @pytest.mark.slow
 def test_each_observation_has_a_choice_of_its_own(seen: list[Observation]) -> None:
     two, told = [seen[1], seen[3]], []
-    problems = light_problems(2, "auto", options=FEWER, device="cpu")
+    problems = light_problems("auto", 2, options=FEWER, device="cpu")
     autos = [problem for problem in problems if isinstance(problem, AutoProblem)]
     for problem, observation in zip(autos, two, strict=True):
         problem.add(observation)
-    found = choose_each(autos, told.append)
+    found = solve(autos, told.append)
     assert told == sorted(told)
     assert told[-1] == 1
     for one, observation in zip(found, two, strict=True):
@@ -184,9 +185,9 @@ def test_several_faces_a_problem_keep_their_photographs(seen: list[Observation])
     for problem, (one, other) in zip(problems, [(1, 0), (0, 3)], strict=True):
         problem.add(seen[one], 0)
         problem.add(seen[other].scaled(3.0), 1)
-    found = solve_together(problems)
+    found = solve(problems)
     for problem, one in zip(problems, found, strict=True):
-        alone = problem.solve()
+        alone = solve([problem])[0]
         assert [face.photo for face in one.faces] == [0, 1]
         for face, expected in zip(one.faces, alone.faces, strict=True):
             assert len(face.rendered) == len(expected.rendered)
@@ -237,19 +238,19 @@ def test_scans_do_not_depend_on_how_many_are_made_at_once(seen: list[Observation
 
 
 def test_what_cannot_be_solved_together_is_refused(seen: list[Observation]) -> None:
-    def problem() -> SkyProblem:
-        return SkyProblem(SunSky(), SUNSKY_PRIOR, ALBEDO_PRIOR, MODES)
-
+    problems = [SkyProblem(SunSky(), SUNSKY_PRIOR, ALBEDO_PRIOR, MODES) for _ in range(2)]
+    with pytest.raises(InputError, match="no observation"):
+        solve(problems)
+    for problem in problems:
+        problem.add(seen[0])
     with pytest.raises(ValueError, match="share a solver"):
-        solve_together([problem(), problem()])
+        solve(problems)
     with pytest.raises(ValueError, match="gloss or none"):
         FaceTerm.together([FaceTerm.of(seen[0]), FaceTerm.of(seen[2])])
-    with pytest.raises(InputError, match="no observation"):
-        problem().solve()
 
 
 def test_no_photographs_have_no_lights() -> None:
-    assert estimate_each([]) == estimate_each([], "sh9") == solve_together([]) == []
+    assert estimate_each([]) == estimate_each([], "sh9") == solve([]) == []
 
 
 def test_an_empty_problem_among_others_is_refused_before_any_is_solved(
@@ -259,7 +260,7 @@ def test_an_empty_problem_among_others_is_refused_before_any_is_solved(
     first.add(seen[0])
     monkeypatch.setattr(SkySolver, "solve", lambda *_: pytest.fail("solved"))
     with pytest.raises(InputError, match="no observation"):
-        solve_together([first, first.another()])
+        solve([first, first.another()])
 
 
 @pytest.mark.parametrize("photos", [[1, 1], [0, 2], [0]])

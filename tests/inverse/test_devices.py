@@ -9,8 +9,9 @@ from skylight.inverse import _estimate as entry
 from skylight.inverse._descent import Round
 from skylight.inverse._estimate import estimate_each, estimate_light, light_problems
 from skylight.inverse._faces import Level
+from skylight.inverse._problem import solve
 from skylight.inverse._result import Estimate
-from skylight.inverse._sky import SkyProblem, SolverOptions, solve_together
+from skylight.inverse._sky import SkyProblem, SolverOptions
 from skylight.object import _problem as of_object
 from skylight.object._problem import ObjectLight, ObjectLightName, estimate_object_light
 from skylight.object._view import ObjectMaterial
@@ -56,12 +57,12 @@ def test_no_operation_of_a_batch_mixes_devices(monkeypatch: pytest.MonkeyPatch) 
     coarse = watched(*SUNS[1])[0].coarser(1)
     level = coarse.pixels.mean(1)
     both = [whole, replace(coarse, clipped=level > level.quantile(0.8))]
-    first, second = light_problems(2, "sunsky", options=FEW, device="cpu")
+    first, second = light_problems("sunsky", 2, options=FEW, device="cpu")
     assert isinstance(first, SkyProblem)
     assert isinstance(second, SkyProblem)
     first.add(both[0])
     second.add(both[1])
-    expected = solve_together([first, second])
+    expected = solve([first, second])
     monkeypatch.setattr(entry, "choose_device", torch.device)
     with CheckedDevice():
         found = estimate_each(both, "sunsky", options=FEW, device=str(DEVICE))

@@ -8,6 +8,7 @@ import torch
 
 from skylight.inverse._descent import Round
 from skylight.inverse._faces import FaceTerm, Level, ObjectiveWeights
+from skylight.inverse._problem import solve
 from skylight.inverse._sky import SkyProblem, SolverOptions
 from skylight.models.sunsky import SunSky
 from skylight.sphere._envmap import luminance
@@ -79,7 +80,7 @@ def test_a_sky_is_found_from_luminance(faces):
     _, grey, world = faces
     problem = SkyProblem(SunSky(), SUNSKY_PRIOR, ALBEDO_PRIOR, MODES, FEW)
     problem.add(grey)
-    found = problem.solve()
+    found = solve([problem])[0]
     assert math.degrees(math.acos(float(found.sun_direction.double().numpy() @ world.sun))) < 3
     assert found.faces[0].residual < 0.04
     torch.testing.assert_close(found.rendered[:, 0], found.rendered[:, 2])

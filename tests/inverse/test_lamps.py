@@ -11,6 +11,7 @@ import torch
 from skylight.errors import InputError
 from skylight.inverse._estimate import estimate_light
 from skylight.inverse._lamps import LampsProblem
+from skylight.inverse._problem import solve
 from skylight.inverse._sun_prior import SunPart, SunPrior
 from skylight.sphere._envmap import luminance
 from skylight.sphere._frame import DirectionGrid, angle_between
@@ -146,4 +147,4 @@ def test_lamps_do_not_follow_the_clock():
 
 def test_a_problem_without_faces_is_refused():
     with pytest.raises(InputError, match="no observation"):
-        LampsProblem(ALBEDO_PRIOR, MODES).solve()
+        solve([LampsProblem(ALBEDO_PRIOR, MODES)])

@@ -12,6 +12,7 @@ from skylight.inverse._descent import Round
 from skylight.inverse._faces import FaceTerm, Level, ObjectiveWeights
 from skylight.inverse._harmonic import HarmonicProblem
 from skylight.inverse._objective import LightObjective
+from skylight.inverse._problem import solve
 from skylight.inverse._scan import SunScan, scan_faces
 from skylight.inverse._sky import SkyProblem, SolverOptions
 from skylight.models._bundle import load_bundle
@@ -150,9 +151,9 @@ def test_a_face_twice_gives_the_light_of_once() -> None:
     twice = problem(options)
     for photo in range(2):
         twice.add(seen, photo)
-    found, once = twice.solve(), problem(options)
+    found, once = solve([twice])[0], problem(options)
     once.add(seen)
-    single = once.solve()
+    single = solve([once])[0]
     assert float(found.sun_direction @ single.sun_direction) > math.cos(math.radians(2))
     first, second = found.faces
     ratio = (first.exposure * first.albedo) / (second.exposure * second.albedo)
@@ -173,7 +174,7 @@ def test_faces_of_one_picture_keep_the_ratio_of_their_albedos() -> None:
         _, normals = half_ball_normals(turn)
         shading = torch.from_numpy(world.irradiance(normals.numpy())) / math.pi
         joint.add(replace(half_ball(turn), pixels=(1.7 * albedo * shading).float()))
-    found = joint.solve()
+    found = solve([joint])[0]
     assert sun_error_deg(found.sun_direction) < 5
     first, second = found.faces
     assert first.exposure == second.exposure == found.exposure
@@ -230,7 +231,7 @@ def test_harmonic_light_is_shared() -> None:
         shading = irradiance(coefficients, normals) / math.pi
         pixels = (exposure * albedo * shading).float()
         joint.add(replace(half_ball(turn), pixels=pixels), photo)
-    found = joint.solve()
+    found = solve([joint])[0]
     assert found.status == "converged"
     one, two, other = found.faces
     torch.testing.assert_close(two.albedo / one.albedo, MODES[1] / MODES[2], rtol=0.02, atol=0)

@@ -15,6 +15,7 @@ from skylight.inverse._descent import Round
 from skylight.inverse._estimate import estimate_light
 from skylight.inverse._faces import Level, ObjectiveWeights
 from skylight.inverse._harmonic import HarmonicProblem
+from skylight.inverse._problem import solve
 from skylight.inverse._result import residual
 from skylight.inverse._scale import bayes_scale, scale_nll, tone_prior
 from skylight.inverse._sky import SkyProblem, SolverOptions
@@ -106,7 +107,7 @@ def solved(observation, prior=None, progress=None, **options):
         SunSky(), prior or SUNSKY_PRIOR, ALBEDO_PRIOR, MODES, SolverOptions(**options)
     )
     problem.add(observation)
-    return problem.solve(progress)
+    return solve([problem], progress)[0]
 
 
 @cache
@@ -302,7 +303,7 @@ def test_nothing_observed_is_refused(light):
 def solve_harmonic(observation, model):
     problem = HarmonicProblem(model, ALBEDO_PRIOR, MODES)
     problem.add(observation)
-    return problem.solve()
+    return solve([problem])[0]
 
 
 @pytest.mark.parametrize("degree", [2, 4])

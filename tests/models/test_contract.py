@@ -155,7 +155,7 @@ def test_gradients_through_the_free_parameters(model: LightModel) -> None:
     assert gradient.isfinite().all()
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=15)
 @given(data=st.data())
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
@@ -173,7 +173,7 @@ def test_from_free_never_leaves_the_bounds(
     assert ((params >= low) & (params <= high)).all()
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=15)
 @given(data=st.data())
 @pytest.mark.parametrize("name", CASES)
 def test_free_and_back(name: str, data: st.DataObject) -> None:

@@ -71,7 +71,7 @@ def test_a_graph_that_differs_is_not_written(light, tmp_path, monkeypatch, diffe
 
 def test_without_onnx_it_says_what_to_install(light, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(DependencyError, match=r"skylight\[export\]"):
+    with pytest.raises(DependencyError, match=r"skylight-lighting\[export\]"):
         export_decoder(light, tmp_path / "decoder.onnx")
 
 

@@ -62,14 +62,16 @@ def test_forty_skies_make_a_model(model: tuple[Path, list[str]], exr_skies: Path
     assert not (exr_skies / "index.csv").exists()  # FOLDER may be read-only
 
 
-SELDOM = [pytest.param(moment, marks=pytest.mark.slow) for moment in ("trained", "priors")]
+SELDOM = [
+    pytest.param(moment, marks=pytest.mark.slow) for moment in ("indexed", "trained", "priors")
+]
 
 
 class Killed(BaseException):
     """A kill as far as Python can feel one."""
 
 
-@pytest.mark.parametrize("moment", ["indexed", "within the epoch", *SELDOM])
+@pytest.mark.parametrize("moment", ["within the epoch", *SELDOM])
 def test_a_run_that_was_killed_goes_on_to_the_same_model(
     moment: str,
     model: tuple[Path, list[str]],

@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from numpy import ndarray
 
 from skylight.errors import InputError
 from skylight.estimate._manifest import file_hash
-from skylight.estimate._photos import rays_on
+from skylight.estimate._settings import EstimateSettings
 from skylight.estimate.film._follow import Followed, Keyframe, Shot, Source, follow
 from skylight.estimate.film._head import fit_head
 from skylight.estimate.film._light import FilmLight, FilmProblem
@@ -30,16 +30,11 @@ from skylight.faces._mediapipe import MediaPipeLandmarker, to_ibug
 from skylight.faces._model import HeadModel
 from skylight.faces._observe import observe_face
 from skylight.imaging._camera_turns import Link, focal_from_turns, world_from_cameras
-from skylight.imaging._colour import Decode
 from skylight.imaging._film import FilmFrame, film_frames, told_length_s
 from skylight.imaging._photo import PHOTO_SUFFIXES, Photo, read_photo
-from skylight.inverse._estimate import light_problem
-from skylight.inverse._sky import SkyProblem, SolverOptions
+from skylight.inverse._sky import SkyProblem
 from skylight.io._files import visible_files, write_png
 from skylight.io._tensors import read_tensors, write_tensors
-from skylight.models._bundle import load_bundle
-from skylight.models._ground import KnownGround
-from skylight.models._names import DEFAULT_LIGHT, LightName
 from skylight.work._progress import StageProgress
 from skylight.work._resumable import results_folder
 
@@ -157,6 +152,7 @@ def _followed(folder: Path, arrays: dict[str, np.ndarray], facts: dict[str, Any]
 
 LONGEST_S = 600.0
 FOLLOWED_A_SECOND = 10.0
+_OPTIONS = ("light", "model", "face", "decode", "ground")  # others are for photographs
 MOST_SIDE = 1920
 # Of a photograph's face: 0.4 of its height, a sixth of its pixels, of which films have many times
 # as many.
@@ -169,22 +165,29 @@ _WHOLE = 0.9  # of the length that a header tells: less is cut short
 class FilmSettings:
     """What the light of a film depends on besides its pictures.
 
-    ``rate`` is how many frames of a folder are shown in a second.
+    Of ``estimate`` the :data:`_OPTIONS` count, and the device; ``keyframes`` are the most that
+    light is estimated at, and ``rate`` is how many frames of a folder are shown in a second.
     """
 
-    light: LightName = DEFAULT_LIGHT
-    model: Path | None = None
-    face: int = 1
+    estimate: EstimateSettings = field(default_factory=EstimateSettings)
     keyframes: int = 24
     rate: float = 30.0
-    decode: Decode | None = None
-    ground: KnownGround | None = None
-    device: str = "auto"
 
     def __post_init__(self) -> None:
-        if self.light not in ("autoencoder", "sunsky"):
+        usual = EstimateSettings()
+        for option, is_given in {
+            "--faces all": self.estimate.face == "all",
+            "--head": self.estimate.head != usual.head,
+            "--landmarks": self.estimate.landmarks != usual.landmarks,
+            "--solver": self.estimate.solver != usual.solver,
+        }.items():
+            if is_given:
+                raise InputError(
+                    f"{option}: not for films, in which one face is followed by MediaPipe"
+                )
+        if self.estimate.light not in ("autoencoder", "sunsky"):
             raise InputError(
-                f"--video is for the sky: --light autoencoder or sunsky, not {self.light}"
+                f"--video is for the sky: --light autoencoder or sunsky, not {self.estimate.light}"
             )
         if self.keyframes < 1:
             raise InputError(f"--keyframes must be 1 or more, got {self.keyframes}")
@@ -193,15 +196,13 @@ class FilmSettings:
 
     def facts(self, source: Path) -> dict[str, object]:
         """For the note beside the results: the same for the same pictures, wherever they lie."""
-        facts: dict[str, object] = {
-            **asdict(self),
-            "model": None if self.model is None else load_bundle(self.model).fingerprint,
+        told = self.estimate.facts()
+        return {
+            **{name: told[name] for name in _OPTIONS if name in told},
+            "keyframes": self.keyframes,
+            "rate": self.rate,
             "sha256": _sha256(source),
         }
-        del facts["device"]
-        if self.ground is None:  # notes of runs before it could be told
-            del facts["ground"]
-        return facts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -236,12 +237,7 @@ def estimate_film(
     followed = followed_film(source, out, settings, progress)
     shot, size = followed.shot, followed.size
     advice = list(followed.notes)
-    problem = light_problem(
-        settings.light,
-        model=settings.model,
-        options=SolverOptions(ground=settings.ground),
-        device=settings.device,
-    )
+    (problem,) = settings.estimate.problems()
     assert isinstance(problem, SkyProblem)
     known_px = _photo(shot.keyframes[0], settings).focal_px
     guess_px = known_px or FOCAL_GUESS * max(size)
@@ -273,7 +269,7 @@ def estimate_film(
                 grid_height=problem.grid_height,
                 grey=photo.grey,
                 workers=os.cpu_count() or 1,
-                rays_on=rays_on(settings.device),
+                rays_on=settings.estimate.rays_on,
             )
         except InputError as error:
             advice.append(f"left out: {keyframe.time_s:.1f} s: {error}")
@@ -324,11 +320,13 @@ def followed_film(
         length_s = _length_s(source, settings)
         if length_s is not None:
             _require_short(source, length_s)
+        face = settings.estimate.face
+        assert isinstance(face, int)
         found = follow(
             _sources(source, settings),
             str(source),
             MediaPipeLandmarker(),
-            face=settings.face,
+            face=face,
             most=settings.keyframes,
             duration_s=length_s,
             progress=lambda share: tell("following the face", share),
@@ -364,7 +362,7 @@ def _sources(source: Path, settings: FilmSettings) -> Iterator[Source]:
     files = _frame_files(source)
     step = max(1, round(settings.rate / FOLLOWED_A_SECOND))
     for number in range(0, len(files), step):
-        codes = read_photo(files[number], decode=settings.decode).encoded
+        codes = read_photo(files[number], decode=settings.estimate.decode).encoded
         frame = FilmFrame(number=number, time_s=number / settings.rate, codes=codes)
         yield Source(frame=frame, file=files[number])
 
@@ -380,7 +378,7 @@ def _frame_files(folder: Path) -> list[Path]:
 
 def _photo(keyframe: Keyframe, settings: FilmSettings) -> Photo:
     assert isinstance(keyframe.picture, Path)  # as they are kept
-    return read_photo(keyframe.picture, decode=settings.decode)
+    return read_photo(keyframe.picture, decode=settings.estimate.decode)
 
 
 def _sha256(source: Path) -> str:

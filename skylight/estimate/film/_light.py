@@ -27,6 +27,7 @@ from skylight.inverse._faces import Level, LitFaces, ScannedFace
 from skylight.inverse._gauss_newton import charbonnier, prior_shape
 from skylight.inverse._least_squares import curvatures
 from skylight.inverse._objective import LightObjective
+from skylight.inverse._problem import solve
 from skylight.inverse._result import Estimate, residual
 from skylight.inverse._sky import SkyProblem, environment_of
 from skylight.sphere._envmap import EnvironmentMap
@@ -136,7 +137,7 @@ class FilmProblem:
         chosen = np.unique(np.linspace(0, len(self._frames) - 1, count).round().astype(int))
         together = self._empty.another()
         together.faces.extend(_photographs([self._frames[k] for k in chosen]))
-        return together.solve(progress)
+        return solve([together], progress)[0]
 
 
 class _Film:

@@ -1,0 +1,158 @@
+"""What an estimate depends on besides its pictures: one set of options for all who ask for one.
+
+Python's :func:`~skylight.estimate._photos.estimate`, the commands, folders, films, portraits and
+the studio take theirs from here. A new option is a field of :class:`EstimateSettings`, its line in
+:class:`SettingKeywords`, and a parameter of the command.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from typing import TypedDict
+
+import torch
+
+from skylight.faces._landmarkers import choose_landmarker
+from skylight.faces._landmarks import FaceLandmarker
+from skylight.faces._names import HeadName, LandmarkerName, WhichFaces
+from skylight.imaging._colour import Decode
+from skylight.inverse._estimate import Model, bundle_of, light_problems
+from skylight.inverse._problem import LightProblem
+from skylight.inverse._sky import SOLVERS
+from skylight.inverse._sun_prior import SunPrior
+from skylight.models._ground import KnownGround, check_has_ground
+from skylight.models._names import (
+    DEFAULT_LIGHT,
+    DEFAULT_SOLVER,
+    LightName,
+    SolverName,
+    check_is_trained,
+    check_light_name,
+    check_solver_name,
+)
+from skylight.work._device import choose_device
+
+
+class SettingKeywords(TypedDict, total=False):
+    """The fields of :class:`EstimateSettings` as keyword arguments."""
+
+    light: LightName
+    model: Model | None
+    solver: SolverName
+    face: WhichFaces
+    head: HeadName
+    decode: Decode | None
+    landmarks: LandmarkerName | FaceLandmarker
+    ignore_exif_sun: bool
+    ground: KnownGround | None
+    device: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class EstimateSettings:
+    """Options of an estimate.
+
+    Parameters
+    ----------
+    light
+        The light model: "auto" (the likelier of "autoencoder" and "lamps"), "autoencoder" (learnt
+        skies), "sunsky" (Preetham's sky and a sun), "lamps" (up to three in ambient light), "sh9"
+        or "sh25" (spherical harmonics up to degree 2 or 4).
+    model
+        A trained model of your own, or its folder, in place of the one that comes with skylight:
+        the network of "autoencoder", or the prior of "sunsky". ``skylight train`` makes them.
+    solver
+        How the sky of "autoencoder" is searched for: "scan", from many starts where a scan finds
+        the sun, or "thesis", from the mean sky by L-BFGS on four levels (B.1).
+    face
+        Which face of each picture, counted from 1, the largest; or "all", under one light.
+    head
+        "fitted": the morphable model's head. "deformed": that head bent by bounded biharmonic
+        weights until its inner landmarks are where they were detected, as in the thesis; better
+        only with landmarks that are exact to a millimetre.
+    decode
+        How values encode light: "srgb", "linear" or the exponent of a power law; None for what
+        the file says. Not for a ``Photo``, which is decoded already.
+    landmarks
+        What finds the face: "mediapipe", "dlib" (for research only, an extra), or a
+        :class:`~skylight.faces._landmarks.FaceLandmarker` of your own.
+    ignore_exif_sun
+        Leave the time, place and heading of EXIF data unused. Their focal length counts all the
+        same, and for "auto" the exposure of the first picture.
+    ground
+        The albedo of the ground where it is known, for skies over a ground ("auto",
+        "autoencoder", "sunsky"); by default what is usual.
+    device
+        Where light is traced and optimised: "cpu", "cuda", or "auto" for CUDA where it is.
+
+    Raises
+    ------
+    InputError
+        An unknown name, or options that do not go together.
+    """
+
+    light: LightName = DEFAULT_LIGHT
+    model: Model | None = None
+    solver: SolverName = DEFAULT_SOLVER
+    face: WhichFaces = 1
+    head: HeadName = "fitted"
+    decode: Decode | None = None
+    landmarks: LandmarkerName | FaceLandmarker = "mediapipe"
+    ignore_exif_sun: bool = False
+    ground: KnownGround | None = None
+    device: str = "auto"
+
+    def __post_init__(self) -> None:
+        check_light_name(self.light)
+        check_solver_name(self.solver, self.light)
+        check_has_ground(self.light, self.ground)
+        if self.model is not None:
+            check_is_trained(self.light)
+        choose_device(self.device)
+
+    @property
+    def landmarker(self) -> FaceLandmarker:
+        """What finds faces; names of what is not installed are refused here."""
+        if isinstance(self.landmarks, str):
+            return choose_landmarker(self.landmarks)
+        return self.landmarks
+
+    @property
+    def rays_on(self) -> torch.device | None:
+        """Where light is traced: on the GPU that is used, else by embree (None)."""
+        chosen = choose_device(self.device)
+        return None if chosen.type == "cpu" else chosen
+
+    @property
+    def with_model(self) -> "EstimateSettings":
+        """With a model that was read, for many estimates."""
+        return self if self.model is None else replace(self, model=bundle_of(self.model))
+
+    def problems(
+        self,
+        sun_priors: Sequence[SunPrior | None] = (None,),
+        exposures: Sequence[float | None] = (None,),
+    ) -> Sequence[LightProblem]:
+        """An empty problem for each prior of a sun and exposure value."""
+        return light_problems(
+            self.light,
+            len(sun_priors),
+            model=self.model,
+            options=replace(SOLVERS[self.solver], ground=self.ground),
+            sun_priors=sun_priors,
+            exposures=exposures,
+            device=self.device,
+        )
+
+    def facts(self) -> dict[str, object]:
+        """For notes: the same for the same model files, wherever they lie, and on any device."""
+        facts: dict[str, object] = {each.name: getattr(self, each.name) for each in fields(self)}
+        del facts["device"]
+        if self.model is not None:
+            facts["model"] = bundle_of(self.model).fingerprint
+        if self.solver == DEFAULT_SOLVER:  # notes of runs before there was another
+            del facts["solver"]
+        if self.ground is None:
+            del facts["ground"]
+        else:
+            facts["ground"] = asdict(self.ground)
+        return facts
