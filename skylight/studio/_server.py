@@ -28,7 +28,7 @@ from starlette.types import ASGIApp
 
 from skylight import __version__
 from skylight.errors import InputError
-from skylight.models._bundle import read_manifest
+from skylight.models._manifest import read_manifest
 from skylight.studio._guard import Guard, Limits, Refused, answer_failure, answer_refusal, refusal
 from skylight.studio._requests import DICTIONARIES, LIGHTS, what_is_wrong
 from skylight.studio._routes import examples, jobs, uploads

@@ -15,7 +15,6 @@ from skylight.models._bundle import (
     BANK,
     CARD,
     LATENT_PRIOR,
-    MANIFEST,
     NETWORK,
     SUNSKY_PRIOR,
     LightBundle,
@@ -23,6 +22,7 @@ from skylight.models._bundle import (
     save_network,
 )
 from skylight.models._convolutional import LATENT, ConvolutionalAutoencoder
+from skylight.models._manifest import MANIFEST
 from skylight.models._prior import GaussianMixture
 
 
