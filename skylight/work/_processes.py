@@ -15,7 +15,6 @@ from collections.abc import Callable
 from functools import cache
 
 import numpy as np
-import torch
 from jaxtyping import Shaped
 from numpy.typing import DTypeLike
 
@@ -49,6 +48,8 @@ def in_processes(
     """
     if workers < 1:
         raise ValueError(f"workers must be 1 or more, got {workers}")
+    import torch  # here: every command begins with this module, and not all need it
+
     parent = os.getpid()
 
     def help_out(share: range) -> None:
