@@ -87,7 +87,8 @@ def demo(out: Path = Path("skylight_demo")) -> None:
     Args:
         out: Folder for the results.
     """
-    from skylight.estimate._demo import EXAMPLES, demonstrate
+    from skylight.estimate._demo import demonstrate
+    from skylight.estimate._examples import EXAMPLES
     from skylight.work._progress import stage_bar
 
     with stage_bar() as progress:

@@ -1,13 +1,8 @@
-"""A demonstration without data: a rendered face in known light, and two photographs.
+"""A demonstration without data: a rendered face in known light, and two photographs."""
 
-Photographs to try the estimate on, which scikit-image installs, and what comes of each.
-"""
-
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
 from jaxtyping import UInt8
 from numpy import ndarray
@@ -23,6 +18,7 @@ from skylight._figures import (
     white_of,
     write_numbers,
 )
+from skylight.estimate._examples import EXAMPLES
 from skylight.estimate._photos import estimate_photo
 from skylight.estimate._report import write_results
 from skylight.estimate._summary import PhotoEstimate
@@ -35,51 +31,6 @@ from skylight.sphere._envmap import EnvironmentMap
 from skylight.transport._scene import evaluation_scene
 from skylight.work._progress import StageProgress
 from skylight.work._resumable import results_folder
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExamplePhoto:
-    """``codes()`` are its 8-bit sRGB pixels; ``expected`` says whether its light is found."""
-
-    name: str
-    author: str
-    licence: str
-    description: str
-    expected: str
-    codes: Callable[[], UInt8[ndarray, "h w 3"]]
-
-
-def _astronaut() -> UInt8[ndarray, "h w 3"]:
-    from skimage.data import astronaut
-
-    return astronaut()
-
-
-def _cameraman() -> UInt8[ndarray, "h w 3"]:
-    from skimage.data import camera
-
-    return np.repeat(camera()[..., None], 3, axis=2)
-
-
-EXAMPLES = (
-    ExamplePhoto(
-        name="astronaut",
-        author="NASA",
-        licence="public domain",
-        description="Portrait of the astronaut Eileen Collins",
-        expected="works: a studio's flat light, called overcast",
-        codes=_astronaut,
-    ),
-    ExamplePhoto(
-        name="cameraman",
-        author="Lav Varshney",
-        licence="CC0",
-        description="A man in profile behind a camera, in black and white",
-        expected="fails, and says so: a face in profile",
-        codes=_cameraman,
-    ),
-)
-
 
 # A day with a seed for evaluation, which no model was trained on, with the sun out; and a turn
 # that puts the sun to the left behind the camera, where it lights the face from the side.

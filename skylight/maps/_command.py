@@ -1,9 +1,4 @@
-"""``skylight convert``: environment maps in the conventions of other programs.
-
-``skylight score``: predicted against true environment maps.
-
-``skylight code`` and ``decode``: environment maps as sparse codes, and back.
-"""
+"""The commands ``convert``, ``score``, ``code`` and ``decode``: environment maps as files."""
 
 import sys
 from pathlib import Path

@@ -1,11 +1,9 @@
-"""Environment maps exported for other programs.
+"""Light exported for other programs: a map, or an estimate with its lamps and its portrait.
 
-The map and the lamps of an estimate's results, or a map alone.
-
-An estimate of a portrait as a scene of Blender.
+:func:`export_light` writes files of any program, :func:`export_blender_scene` all that Blender's
+extension sets up for a portrait: light, camera, head and photograph.
 """
 
-import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,135 +12,29 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
-from torch import Tensor
+from jaxtyping import UInt8
 
 from skylight.errors import InputError
 from skylight.faces._observe import SKIN_GLOSS
 from skylight.imaging._colour import tone_map
 from skylight.imaging._photo import read_photo
 from skylight.inverse._result import Lamp
-from skylight.io._bounded import json_content
-from skylight.io._files import read_environment_map
 from skylight.io._hdr import RGBE_MAX
+from skylight.maps._estimated import head_file, picked, read_light, read_numbers
 from skylight.maps._names import LightTarget
 from skylight.relight._blender import PortraitScene, write_blender, write_blender_scene
-from skylight.relight._gltf import write_gltf, write_threejs
-from skylight.relight._lamps import LAST_SIZE, split_main_light, without_lamps
-from skylight.relight._mitsuba import write_harmonics, write_mitsuba
-from skylight.relight._usd import write_augmented_reality, write_usd
+from skylight.relight._gltf import LAST_SIZE, write_gltf
+from skylight.relight._harmonics import (
+    write_augmented_reality,
+    write_harmonics,
+    write_threejs,
+)
+from skylight.relight._lamps import split_main_light, without_lamps
+from skylight.relight._scenes import write_mitsuba, write_usd
 from skylight.skies._sun import SUN_RADIUS_RAD
 from skylight.sphere._envmap import EnvironmentMap
-from skylight.sphere._frame import direction_from_angles
 from skylight.sphere._names import Convention, HarmonicConvention
 from skylight.work._resumable import results_folder
-
-NUMBERS, MAP = "estimate.json", "probe.exr"
-# The disc of a lamp of 42 degrees is half of the sphere, the widest light that programs have.
-SPREADS_DEG = 0.01, 42.0
-
-
-def read_light(path: Path, convention: Convention) -> tuple[EnvironmentMap, tuple[Lamp, ...]]:
-    """A map's light without lamps; that of an estimate's folder or estimate.json with its lamps.
-
-    A sky alone gets a black lower half.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged, or a map of an estimate is said to have another convention.
-    """
-    if not path.is_dir() and path.suffix.lower() != ".json":
-        return whole_sphere(read_environment_map(path, convention=convention)), ()
-    if convention != "skylight":
-        raise InputError(
-            f"{path}: an estimate's map is in skylight's convention, not {convention}'s: leave "
-            "--from-convention out"
-        )
-    numbers, content = read_numbers(path)
-    lamps = _lamps(numbers, content)
-    return whole_sphere(read_environment_map(numbers.parent / MAP)), lamps
-
-
-def read_numbers(path: Path) -> tuple[Path, dict[str, Any]]:
-    """The estimate.json of a folder, or that file itself, and what it holds.
-
-    Raises
-    ------
-    InputError
-        The file is missing or damaged, or is that of something else.
-    """
-    path = path / NUMBERS if path.is_dir() else path
-    try:
-        content = json_content(path)
-    except FileNotFoundError as error:
-        raise InputError(
-            f"{path}: there is no such file; give a lat-long map, or a folder that skylight "
-            "estimate wrote"
-        ) from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except ValueError as error:
-        raise InputError(f"{path}: not JSON ({error})") from error
-    if not isinstance(content, dict) or "light" not in content:
-        raise InputError(f'{path}: these are not the numbers of an estimate: "light" is missing')
-    return path, content
-
-
-def head_file(numbers: Path, place: int, *, of: int) -> Path:
-    """The mesh of one of so many faces of an estimate.json, at a place from 0 in its list.
-
-    Raises
-    ------
-    InputError
-        It is not there.
-    """
-    path = numbers.parent / ("mesh.obj" if of == 1 else f"mesh_{place + 1}.obj")
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file; estimate the photograph again")
-    return path
-
-
-def whole_sphere(light: EnvironmentMap) -> EnvironmentMap:
-    """The light, a sky alone with a black lower half."""
-    return light.with_ground(torch.zeros(3)) if light.is_sky else light
-
-
-def _lamps(path: Path, content: dict[str, Any]) -> tuple[Lamp, ...]:
-    listed = content.get("lamps", [])
-    if not isinstance(listed, list):
-        raise InputError(f'{path}: "lamps" must be a list, got a {type(listed).__name__}')
-    return tuple(_lamp(path, number, entry) for number, entry in enumerate(listed, start=1))
-
-
-def _lamp(path: Path, number: int, entry: Any) -> Lamp:
-    low, high = SPREADS_DEG
-    try:
-        azimuth, zenith, spread = (
-            float(entry[name]) for name in ("azimuth_deg", "zenith_deg", "spread_deg")
-        )
-        red, green, blue = irradiance = [float(channel) for channel in entry["irradiance"]]
-    except (KeyError, TypeError, ValueError, OverflowError):
-        raise InputError(
-            f"{path}: lamp {number} needs azimuth_deg, zenith_deg, spread_deg and three numbers "
-            "of irradiance"
-        ) from None
-    if not all(map(math.isfinite, (azimuth, zenith))) or not low <= spread <= high:
-        raise InputError(
-            f"{path}: lamp {number} needs finite angles and a spread of {low} to {high} degrees, "
-            f"got azimuth {azimuth}, zenith {zenith}, spread {spread}"
-        )
-    if not all(0 <= channel < math.inf for channel in irradiance):
-        raise InputError(
-            f"{path}: lamp {number} needs a finite irradiance of 0 or more, got {irradiance}"
-        )
-    angles = torch.tensor([azimuth, zenith], dtype=torch.float64).deg2rad()
-    return Lamp(
-        direction=direction_from_angles(*angles),
-        irradiance=torch.tensor([red, green, blue], dtype=torch.float64),
-        spread_rad=math.radians(spread),
-    )
-
 
 WHOLE = {"sh", "ar"}  # targets that have no lights of an artist's own to move
 LARGEST_FACE = 2048
@@ -224,6 +116,21 @@ def default_face(light: EnvironmentMap) -> int:
 
 MOST_REFLECTED = 0.99  # at normal incidence: no index of refraction reflects all
 _LARGEST = 1e6  # of albedos and white balances, of sides and focal lengths in pixels
+_RGB = [float, float, float]
+_NEEDED = {
+    "faces": [
+        {
+            "source": str,
+            "picture_px": [int, int],
+            "focal_length_px": float,
+            "albedo": _RGB,
+            "gloss": float,
+        }
+    ],
+    "white_balance": _RGB,
+    "posterior": {"verdict": str},
+    "advice": [str],
+}
 
 
 def export_blender_scene(estimate: Path, out: Path, *, photo: Path | None = None) -> list[str]:
@@ -249,34 +156,35 @@ def export_blender_scene(estimate: Path, out: Path, *, photo: Path | None = None
         The estimate or the photograph is missing or damaged, or they do not belong together.
     """
     numbers, content = read_numbers(estimate)
-    told = _Numbers(numbers, content)
-    picture = photo or _where_it_was(told.source, numbers)
+    told = _checked(numbers, content)
+    face = told["faces"][0]
+    picture = photo or _where_it_was(Path(face["source"]), numbers)
     if not os.path.isfile(picture):  # Path's raises for names that cannot be
         raise InputError(f"{picture}: the photograph is not there; say where it is with --photo")
     codes = _codes(picture)
     height, width = codes.shape[:2]
-    if [width, height] != told.picture_px:
+    if [width, height] != face["picture_px"]:
         raise InputError(
             f"{picture}: {width} x {height} pixels, and the estimate is of a photograph of "
-            f"{told.picture_px[0]} x {told.picture_px[1]}; give that with --photo"
+            f"{face['picture_px'][0]} x {face['picture_px'][1]}; give that with --photo"
         )
     light, lamps = read_light(numbers, "skylight")
     brightest = max([light.radiance.max(), *(lamp.irradiance.max() for lamp in lamps)])
     if brightest > RGBE_MAX / _LARGEST:  # so that it is finite times the white balance
         raise InputError(f"{numbers}: radiance of {brightest:.3g} is no light; estimate again")
     ambient, named = _named_lights(light, lamps)
-    head = head_file(numbers, 0, of=told.faces)
-    shown = told.white_balance
+    head = head_file(numbers, 0, of=len(told["faces"]))
+    shown = torch.tensor(told["white_balance"], dtype=torch.float64)
     scene = PortraitScene(
         ambient=EnvironmentMap(radiance=ambient.radiance * shown.to(ambient.radiance)),
         lamps=[(name, replace(each, irradiance=each.irradiance * shown)) for name, each in named],
         photograph=codes,
-        focal_px=told.focal_px,
+        focal_px=face["focal_length_px"],
         head=head,
-        albedo=told.albedo,
-        specular=replace(SKIN_GLOSS, f0=min(told.gloss * SKIN_GLOSS.f0, MOST_REFLECTED)),
-        verdict=told.verdict,
-        advice=told.advice,
+        albedo=torch.tensor(face["albedo"], dtype=torch.float64),
+        specular=replace(SKIN_GLOSS, f0=min(face["gloss"] * SKIN_GLOSS.f0, MOST_REFLECTED)),
+        verdict=told["posterior"]["verdict"],
+        advice=told["advice"],
     )
     with results_folder(out) as folder:
         return write_blender_scene(folder, scene)
@@ -287,39 +195,24 @@ def _where_it_was(source: Path, numbers: Path) -> Path:
     return beside if os.path.isfile(beside) and not os.path.isfile(source) else source
 
 
-class _Numbers:
-    """What of estimate.json is needed."""
-
-    def __init__(self, path: Path, content: dict[str, Any]) -> None:
-        try:
-            face = content["faces"][0]
-            self.faces = len(content["faces"])
-            self.source = Path(face["source"])
-            self.picture_px = [int(side) for side in face["picture_px"]]
-            self.focal_px = float(face["focal_length_px"])
-            self.albedo = _three(face["albedo"])
-            self.gloss = float(face["gloss"])
-            self.white_balance = _three(content["white_balance"])
-            self.verdict = str(content["posterior"]["verdict"])
-            self.advice = [str(line) for line in content["advice"]]
-            whole = len(self.picture_px) == 2 and max(self.picture_px) < _LARGEST
-            whole = whole and 0 < self.focal_px < _LARGEST and 0 <= self.gloss < math.inf
-            whole = whole and str(self.source).isprintable()
-        except (KeyError, IndexError, TypeError, ValueError, OverflowError):
-            whole = False
-        if not whole:
-            raise InputError(
-                f"{path}: not the numbers of a photograph of a face, or those of an older "
-                "skylight; estimate the photograph again"
-            )
-
-
-def _three(numbers: Sequence[float]) -> Float[Tensor, "3"]:
-    red, green, blue = numbers
-    found = torch.tensor([red, green, blue], dtype=torch.float64)
-    if not ((found > 0) & (found < _LARGEST)).all():
-        raise ValueError("positive numbers are needed")
-    return found
+def _checked(path: Path, content: dict[str, Any]) -> dict[str, Any]:
+    """What is needed of estimate.json."""
+    try:
+        told = picked(content, _NEEDED, "")
+        face = told["faces"][0]
+        positive = [
+            *face["picture_px"], face["focal_length_px"], *face["albedo"], *told["white_balance"]
+        ]  # fmt: skip
+        whole = all(0 < number < _LARGEST for number in positive)
+        whole = whole and face["gloss"] >= 0 and face["source"].isprintable()
+    except (IndexError, ValueError):
+        whole = False
+    if not whole:
+        raise InputError(
+            f"{path}: not the numbers of a photograph of a face, or those of an older skylight; "
+            "estimate the photograph again"
+        )
+    return told
 
 
 def _codes(photo: Path) -> UInt8[np.ndarray, "h w 3"]:

@@ -1,7 +1,4 @@
-"""``skylight export``: what other programs and browsers read of light and scenes.
-
-``skylight export light``: environment maps for other programs.
-"""
+"""``skylight export``: what other programs and browsers read of light and scenes."""
 
 import math
 import sys

@@ -1,10 +1,7 @@
-"""An estimate's photograph and light, and a model, in one web page.
+"""An estimate as one web page that opens from its file: photograph, light, heads and a model.
 
-What of estimate.json goes into a page that is given away, checked.
-
-A fitted head for the page.
-
-A model of the user's own for the page, checked before it goes in.
+The page is given away, so of estimate.json it gets what :data:`SHOWN` names and nothing else; a
+model of the user's own is checked before it goes in.
 """
 
 import base64
@@ -29,10 +26,26 @@ from skylight.io._atomic import atomic_path, require_place
 from skylight.io._bounded import file_bytes, json_loads
 from skylight.io._files import read_environment_map
 from skylight.io._hdr import RGBE_MAX, rgbe_codes
-from skylight.maps._export import MAP, NUMBERS, head_file, read_numbers, whole_sphere
+from skylight.maps._estimated import (
+    LARGEST,
+    MAP,
+    NUMBERS,
+    head_file,
+    picked,
+    read_numbers,
+    whole_sphere,
+)
 from skylight.transport._mesh import read_mesh
 
-LARGEST = 1e15  # beyond every number of an estimate, and products of several are finite
+PAGE_BYTES_MAX = 3_000_000  # what mail takes everywhere
+PHOTO_PX = 1280  # longest side
+MAP_ROWS = 128  # of a sky's estimate, the largest
+MAP_BYTES_MAX = 2**26
+_QUALITY = 85
+_POSTERIOR = "posterior.exr"
+# Built from studio/, where the script looks for this element.
+_TEMPLATE = files("skylight.maps") / "data" / "viewer.html"
+_PLACE = '<script type="application/json" id="estimate">'
 _ANGLES = {"azimuth_deg": float, "zenith_deg": float}
 _RGB = _XYZ = [float, float, float]
 # Whatever is not named here stays out of the page: paths, time and place among it.
@@ -68,154 +81,13 @@ SEEN = {
         },
     ],
 }
-
-
-def picked(value: Any, form: Any, name: str) -> Any:
-    """The part of a JSON value that ``form`` describes, and nothing else of it.
-
-    A form is a type, a list with the form of all elements or with the forms of so many, a dict
-    with those of some keys (or of all of them, under ``str``), or a tuple of a form and None,
-    where there may be null.
-
-    Raises
-    ------
-    ValueError
-        Something is missing, of another type or beyond :data:`LARGEST`; the message names it.
-    """
-    if isinstance(form, tuple):
-        return None if value is None else picked(value, form[0], name)
-    if isinstance(form, list):
-        if not isinstance(value, list) or len(form) not in (1, len(value)):
-            raise ValueError(f'"{name}" is no list' + (f" of {len(form)}" if len(form) > 1 else ""))
-        forms = form if len(form) > 1 else form * len(value)
-        return [picked(one, inner, name) for one, inner in zip(value, forms, strict=True)]
-    if isinstance(form, dict):
-        if not isinstance(value, dict):
-            raise ValueError(f'"{name}" is no object')
-        if str in form:
-            return {key: picked(one, form[str], name) for key, one in value.items()}
-        missing = [key for key in form if key not in value]
-        if missing:
-            raise ValueError(f'"{missing[0]}" is missing')
-        return {key: picked(value[key], inner, key) for key, inner in form.items()}
-    if type(value) in (int, float) and abs(value) > LARGEST:
-        raise ValueError(f'"{name}" is too large')
-    if form is float and type(value) in (int, float):
-        return float(value)
-    if form is float or type(value) is not form:
-        raise ValueError(f'"{name}" is no {_IN_WORDS[form]}')
-    return value
-
-
-_IN_WORDS = {str: "text", bool: "true or false", int: "whole number", float: "number"}
-
-
 _VERTICES_MAX = 2**16
 _STEPS = 2**15 - 1
-
-
-def stored_head(path: Path, eyes: list[float]) -> dict[str, Any]:
-    """A mesh as the page decodes it: v = eyes + ``scale`` * code, and the codes of 16 bits.
-
-    ``eyes`` is in the mesh's units; ``scale`` is the farthest coordinate from there over 32767, so
-    that each coordinate is off by half of it at most: for a head by 5 micrometres.
-
-    Raises
-    ------
-    InputError
-        The mesh is missing or damaged, or has more vertices than 16 bits can number.
-    """
-    vertices, faces = (part.numpy() for part in read_mesh(path))
-    if len(vertices) > _VERTICES_MAX:
-        raise InputError(
-            f"{path}: {len(vertices)} vertices are more than the {_VERTICES_MAX} of a head: "
-            "estimate the photograph again"
-        )
-    apart = vertices - np.array(eyes)
-    scale = float(np.abs(apart).max()) / _STEPS or 1.0
-    return {
-        "scale": scale,
-        "vertices": _array_base64((apart / scale).round().astype("<i2")),
-        "faces": _array_base64(faces.astype("<u2")),
-    }
-
-
-def _array_base64(codes: np.ndarray) -> str:
-    return base64.b64encode(codes.tobytes()).decode("ascii")
-
-
 SUFFIXES = (".glb", ".obj")
 TRIANGLES_MAX = 500_000  # of all copies that its scene places
 _JSON_CHUNK = 0x4E4F534A
 # Their decoders are not in the page.
 _PACKED = {"KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_texture_basisu"}
-
-
-def read_model(path: Path, *, most: int) -> bytes:
-    """The content of a .glb or .obj file of at most ``most`` bytes that the page can show.
-
-    Raises
-    ------
-    InputError
-        Another format, a file that is missing, damaged, too large, not as long as it says, or not
-        whole: one that names other files, which a page by itself cannot fetch.
-    """
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(f"{path}: '{suffix}' is no model that the page reads: use .glb or .obj")
-    try:
-        content = file_bytes(path, most=most)
-        if suffix == ".glb":
-            _require_whole(content)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give another file") from error
-    # readers of other people's scenes stumble over whatever is in there
-    except (ValueError, struct.error, TypeError, AttributeError, KeyError, RecursionError) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: the page cannot hold it ({reason})") from error
-    triangles = len(read_mesh(path)[1])
-    if triangles > TRIANGLES_MAX:
-        raise InputError(
-            f"{path}: {triangles} triangles are more than the {TRIANGLES_MAX} that the page draws: "
-            "simplify it"
-        )
-    return content
-
-
-def _require_whole(content: bytes) -> None:
-    """ValueError, or whatever is raised by what is no scene, unless a .glb is all in itself."""
-    magic, version, length = struct.unpack_from("<4sII", content)
-    if magic != b"glTF" or version != 2:
-        raise ValueError("it is no binary glTF 2.0")
-    if length != len(content):
-        raise ValueError(f"its header tells of {length} bytes, it has {len(content)}")
-    chunks, at = [], 12
-    while at < length:
-        size, kind = struct.unpack_from("<II", content, at)
-        if at + 8 + size > length:
-            raise ValueError(f"a part of it tells of {size} bytes, {length - at - 8} are left")
-        chunks.append((kind, content[at + 8 : at + 8 + size]))
-        at += 8 + size
-    if not chunks or chunks[0][0] != _JSON_CHUNK:
-        raise ValueError("it has no scene")
-    scene: Any = json_loads(chunks[0][1].decode("utf-8"))
-    named = [entry.get("uri") for kind in ("buffers", "images") for entry in scene.get(kind, [])]
-    if any(uri is not None and not uri.startswith("data:") for uri in named):
-        raise ValueError("it names other files: pack buffers and textures into it")
-    used = {*scene.get("extensionsUsed", []), *scene.get("extensionsRequired", [])} & _PACKED
-    if used:
-        raise ValueError(f"it is packed by {min(used)}: export it without compression")
-
-
-PAGE_BYTES_MAX = 3_000_000  # what mail takes everywhere
-PHOTO_PX = 1280  # longest side
-MAP_ROWS = 128  # of a sky's estimate, the largest
-MAP_BYTES_MAX = 2**26
-_QUALITY = 85
-_POSTERIOR = "posterior.exr"
-# Built from studio/, where the script looks for this element.
-_TEMPLATE = files("skylight.maps") / "data" / "viewer.html"
-_PLACE = '<script type="application/json" id="estimate">'
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,10 +107,10 @@ def export_viewer(
     """Write a page that shows the results of ``skylight estimate`` in the folder ``estimate``.
 
     The page holds the viewer (``studio/src/viewer``), the photograph as a JPEG of at most 1280
-    pixels a side, the fitted heads in it (:func:`~skylight.maps._viewer.stored_head`), the
+    pixels a side, the fitted heads in it (:func:`stored_head`), the
     probe, where a sun or lamp was seen its posterior, and ``model``, a .glb or .obj that stands in
     the photograph first. Of estimate.json it holds what it shows
-    (:data:`~skylight.maps._viewer.SHOWN`), of the photograph pixels and name alone.
+    (:data:`SHOWN`), of the photograph pixels and name alone.
     The composite is lit by the probe times the photograph's white balance and, where several share
     the light, its exposure over the first one's.
 
@@ -415,6 +287,88 @@ def _without_folders(line: str, sources: list[str]) -> str:
     for source in sorted(sources, key=len, reverse=True):
         line = line.replace(source, Path(source).name)
     return line
+
+
+def stored_head(path: Path, eyes: list[float]) -> dict[str, Any]:
+    """A mesh as the page decodes it: v = eyes + ``scale`` * code, and the codes of 16 bits.
+
+    ``eyes`` is in the mesh's units; ``scale`` is the farthest coordinate from there over 32767, so
+    that each coordinate is off by half of it at most: for a head by 5 micrometres.
+
+    Raises
+    ------
+    InputError
+        The mesh is missing or damaged, or has more vertices than 16 bits can number.
+    """
+    vertices, faces = (part.numpy() for part in read_mesh(path))
+    if len(vertices) > _VERTICES_MAX:
+        raise InputError(
+            f"{path}: {len(vertices)} vertices are more than the {_VERTICES_MAX} of a head: "
+            "estimate the photograph again"
+        )
+    apart = vertices - np.array(eyes)
+    scale = float(np.abs(apart).max()) / _STEPS or 1.0
+    return {
+        "scale": scale,
+        "vertices": _base64((apart / scale).round().astype("<i2").tobytes()),
+        "faces": _base64(faces.astype("<u2").tobytes()),
+    }
+
+
+def read_model(path: Path, *, most: int) -> bytes:
+    """The content of a .glb or .obj file of at most ``most`` bytes that the page can show.
+
+    Raises
+    ------
+    InputError
+        Another format, a file that is missing, damaged, too large, not as long as it says, or not
+        whole: one that names other files, which a page by itself cannot fetch.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InputError(f"{path}: '{suffix}' is no model that the page reads: use .glb or .obj")
+    try:
+        content = file_bytes(path, most=most)
+        if suffix == ".glb":
+            _require_whole(content)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give another file") from error
+    # readers of other people's scenes stumble over whatever is in there
+    except (ValueError, struct.error, TypeError, AttributeError, KeyError, RecursionError) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: the page cannot hold it ({reason})") from error
+    triangles = len(read_mesh(path)[1])
+    if triangles > TRIANGLES_MAX:
+        raise InputError(
+            f"{path}: {triangles} triangles are more than the {TRIANGLES_MAX} that the page draws: "
+            "simplify it"
+        )
+    return content
+
+
+def _require_whole(content: bytes) -> None:
+    """ValueError, or whatever is raised by what is no scene, unless a .glb is all in itself."""
+    magic, version, length = struct.unpack_from("<4sII", content)
+    if magic != b"glTF" or version != 2:
+        raise ValueError("it is no binary glTF 2.0")
+    if length != len(content):
+        raise ValueError(f"its header tells of {length} bytes, it has {len(content)}")
+    chunks, at = [], 12
+    while at < length:
+        size, kind = struct.unpack_from("<II", content, at)
+        if at + 8 + size > length:
+            raise ValueError(f"a part of it tells of {size} bytes, {length - at - 8} are left")
+        chunks.append((kind, content[at + 8 : at + 8 + size]))
+        at += 8 + size
+    if not chunks or chunks[0][0] != _JSON_CHUNK:
+        raise ValueError("it has no scene")
+    scene: Any = json_loads(chunks[0][1].decode("utf-8"))
+    named = [entry.get("uri") for kind in ("buffers", "images") for entry in scene.get(kind, [])]
+    if any(uri is not None and not uri.startswith("data:") for uri in named):
+        raise ValueError("it names other files: pack buffers and textures into it")
+    used = {*scene.get("extensionsUsed", []), *scene.get("extensionsRequired", [])} & _PACKED
+    if used:
+        raise ValueError(f"it is packed by {min(used)}: export it without compression")
 
 
 def _base64(content: bytes) -> str:

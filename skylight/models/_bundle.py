@@ -17,7 +17,7 @@ file alone (:func:`save_network`).
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache, partial
 from importlib.resources import files
 from pathlib import Path
@@ -29,10 +29,11 @@ from numpy import ndarray
 from torch import Tensor
 
 from skylight.errors import AssetError, InputError
-from skylight.io._bounded import read_object, read_whole, require_keys, write_json
+from skylight.io._bounded import write_json
 from skylight.io._files import write_png
 from skylight.io._tensors import read_tensors, tensors_sha256, write_tensors
 from skylight.models._convolutional import LATENT, ConvolutionalAutoencoder
+from skylight.models._manifest import MAKE_ONE, MANIFEST, BundleManifest, read_manifest
 from skylight.models._network import Coding, SkyNetwork
 from skylight.models._prior import GaussianMixture
 from skylight.models._splines import SplineAutoencoder
@@ -40,65 +41,12 @@ from skylight.models._sun_head import COORDINATES
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.work._resumable import results_folder
 
-MANIFEST = "bundle.json"
-KIND, VERSION = "light model", 1
-MAKE_ONE = "make one with: skylight train FOLDER --out DIR"
 CARD = "card.md"
 NETWORK, BANK = "network.safetensors", "bank.safetensors"
 LATENT_PRIOR, SUNSKY_PRIOR = "latent_prior.safetensors", "sunsky_prior.safetensors"
 SHIPPED = Path(str(files("skylight.models") / "data" / "sky_autoencoder"))
 LATENTS_MAX = 1024  # a network has memory for as many before it can refuse its weights
 Part = TypeVar("Part")
-
-
-@dataclass(frozen=True, kw_only=True)
-class BundleManifest:
-    """What a :class:`~skylight.models._bundle.LightBundle` is, but for its tensors."""
-
-    name: str
-    skies: int
-    data_sha256: str
-    fingerprint: str
-
-    def entries(self) -> dict[str, object]:
-        """The content of the file."""
-        return {"kind": KIND, "version": VERSION, **asdict(self)}
-
-
-def read_manifest(folder: Path) -> BundleManifest:
-    """The manifest of a light model's folder.
-
-    Raises
-    ------
-    InputError
-        The folder is no light model, its manifest is damaged or of a newer version.
-    """
-    path = folder / MANIFEST
-    if not path.is_file():
-        kind = f"no light model, it has no {MANIFEST}" if folder.is_dir() else "no folder is there"
-        raise InputError(f"{folder}: {kind}; {MAKE_ONE}")
-    try:
-        entries = read_object(path, KIND)
-        require_keys(path, entries, ["version"])
-        version = read_whole(entries, "version")
-    except InputError as error:
-        raise InputError(f"{folder}: {error}; {MAKE_ONE}") from error
-    if version > VERSION:
-        raise InputError(
-            f"{folder}: of format {version}, but this skylight reads formats up to {VERSION}; "
-            "upgrade skylight"
-        )
-    try:
-        require_keys(path, entries, ["name", "skies", "data_sha256", "fingerprint"])
-        skies = read_whole(entries, "skies")
-    except InputError as error:
-        raise InputError(f"{folder}: {error}; {MAKE_ONE}") from error
-    return BundleManifest(
-        name=str(entries["name"]),
-        skies=skies,
-        data_sha256=str(entries["data_sha256"]),
-        fingerprint=str(entries["fingerprint"]),
-    )
 
 
 def network_state(network: SkyNetwork) -> dict[str, Tensor]:

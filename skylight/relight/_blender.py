@@ -1,6 +1,7 @@
-"""Blender: the map as an .hdr, and a script that loads it as the world, and lamps as suns.
+"""Blender: light as a script with its .hdr, or a portrait's whole scene for the extension.
 
-Blender: a portrait's light, camera, head and photograph, for the extension of blender/.
+The script loads the map as the world and the lamps as suns; the scene has light, camera, head and
+photograph, for the extension in ``blender/``.
 """
 
 import math

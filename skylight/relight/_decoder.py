@@ -1,11 +1,8 @@
-"""The sky decoder as an ONNX graph, run by onnxruntime: torch is never imported here.
+"""The sky decoder: an ONNX graph run by onnxruntime, and files of its latents; without torch.
 
-JSON files of sky latents; without torch.
-
-Checks of ONNX graphs before the runtime loads them.
-
-Reads protocol buffers' wire format itself, as relighting needs no ``onnx`` package. Numbers of
-fields: onnx.proto, https://github.com/onnx/onnx/blob/main/onnx/onnx.proto
+A graph is checked before the runtime loads it. As relighting needs no ``onnx`` package, protocol
+buffers' wire format is read here; numbers of fields are those of onnx.proto,
+https://github.com/onnx/onnx/blob/main/onnx/onnx.proto
 """
 
 import math

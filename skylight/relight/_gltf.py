@@ -1,8 +1,6 @@
 """glTF 2.0 with EXT_lights_image_based: prefiltered cube faces and harmonics of irradiance.
 
 Lamps are directional lights of KHR_lights_punctual.
-
-three.js: a ``LightProbe`` for its ObjectLoader, its lamps, and the map for reflections.
 """
 
 import json
@@ -10,27 +8,28 @@ import struct
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
-from uuid import NAMESPACE_URL, uuid5
 
 import numpy as np
 import torch
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from PIL import Image
+from torch import Tensor
 
-from skylight.imaging._colour import linear_to_srgb, srgb_to_linear
 from skylight.inverse._result import Lamp
 from skylight.io._atomic import atomic_path
-from skylight.io._bounded import write_json
-from skylight.io._files import write_environment_map
 from skylight.io._hdr import LARGEST, encode_rgbd
-from skylight.relight._lamps import colour_and_strength, prefiltered_levels, quaternion_towards
-from skylight.relight._mitsuba import rounded, second_degree
-from skylight.sphere._envmap import EnvironmentMap, luminance
-from skylight.sphere._projections import FACES
+from skylight.relight._harmonics import rounded, second_degree
+from skylight.relight._lamps import colour_and_strength, quaternion_towards
+from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._projections import FACES, cube_faces, face_directions
 from skylight.sphere._wavelets import texel_solid_angles
+from skylight.transport._render import reflection_weights
 
 LIGHT = "light.glb"
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942  # names of a .glb file's chunks
+LAST_SIZE = 16  # pixels of the roughest level
+BLURRED_ROWS = 64  # of the map that rough levels are made from: cells of 2.8 degrees
+_BLOCK = 1024  # directions at a time: 64 MB of scratch
 
 
 def write_gltf(
@@ -42,7 +41,7 @@ def write_gltf(
     of the sun are that much too dark, diffuse light is whole. The extension's ``intensity`` could
     scale it in, but Babylon.js multiplies diffuse light by that twice, so it stays 1.
 
-    Levels are those of :func:`skylight.relight._lamps.prefiltered_levels`, as RGBD PNGs.
+    Levels are those of :func:`prefiltered_levels`, as RGBD PNGs.
 
     The extension's text asks for OpenGL's faces, "each flipped about its vertical axis". It was
     written for Babylon.js, where glTF's (x, y, z) is (-x, y, z): the faces here are OpenGL's of
@@ -72,6 +71,33 @@ def write_gltf(
     }
     _write_glb(folder / LIGHT, light, pictures, names, lamps)
     return [LIGHT], float((whole - held) / max(whole, 1e-30))
+
+
+def prefiltered_levels(environment: EnvironmentMap, size: int) -> list[Float[Tensor, "6 s s 3"]]:
+    """Faces of ``size``, half of it, and so on down to 16 pixels a side.
+
+    Level m of n stands for the perceptual roughness m / (n - 1) and alpha, its square. Level 0 is
+    the map itself; the others are
+
+        L'(r) = sum_w L(w) D(h) <r,w>+ dw / sum_w D(h) <r,w>+ dw,
+
+    with D the GGX density (:func:`skylight.transport._render.reflection_weights`).
+    """
+    levels = [cube_faces(environment, size)]
+    coarse = environment
+    if environment.layout[0] > BLURRED_ROWS:
+        coarse = environment.resize(BLURRED_ROWS)
+    grid, light = coarse.grid, coarse.flat.float()
+    sizes = []
+    while size // 2 >= LAST_SIZE:
+        size //= 2
+        sizes.append(size)
+    for number, smaller in enumerate(sizes, start=1):
+        alpha = (number / len(sizes)) ** 2
+        towards = face_directions(smaller).reshape(-1, 3)
+        blurred = [reflection_weights(r, grid, alpha) @ light for r in towards.split(_BLOCK)]
+        levels.append(torch.cat(blurred).reshape(6, smaller, smaller, 3).to(levels[0]))
+    return levels
 
 
 def _png(codes: UInt8[np.ndarray, "h w 4"]) -> bytes:
@@ -128,66 +154,3 @@ def _add_lamps(tree: dict, lamps: Sequence[Lamp]) -> None:
     tree["extensions"][extension] = {"lights": lights}
     tree["nodes"] = nodes
     tree["scenes"][0]["nodes"] = list(range(len(nodes)))
-
-
-LIGHT_PROBE, TEXTURE = "lightprobe.json", "threejs_light.hdr"
-_OBJECT_FORMAT = 4.7  # of three.js r187's Object3D.toJSON; its loader reads older ones too
-_DISTANCE = 10  # of a lamp, where it can be seen and grabbed: its light is parallel
-
-
-def write_threejs(
-    folder: Path, environment: EnvironmentMap, lamps: Sequence[Lamp] = ()
-) -> list[str]:
-    """lightprobe.json: ``new ObjectLoader().parse(json)`` is a LightProbe with this light.
-
-    Its 27 numbers are those of radiance, not irradiance (the renderer convolves them), in our
-    basis and our axes, which are three.js' own: right-handed, +Y up. threejs_light.hdr is the map
-    as its EquirectangularReflectionMapping looks it up, for ``scene.environment``: use either for
-    diffuse light, not both.
-
-    With ``lamps`` beside the ``environment``, it is a Group of that probe and a DirectionalLight
-    for each lamp.
-    """
-    write_environment_map(folder / TEXTURE, environment, convention="threejs")
-    numbers = rounded(second_degree(environment), "threejs")
-    tree = _object("LightProbe", "skylight", numbers, color=0xFFFFFF, intensity=1, sh=numbers)
-    if lamps:
-        lights = [_directional(number, lamp) for number, lamp in enumerate(lamps, start=1)]
-        tree = _object("Group", "skylight", lights, children=[tree, *lights])
-    metadata = {"version": _OBJECT_FORMAT, "type": "Object", "generator": "skylight"}
-    write_json(folder / LIGHT_PROBE, {"metadata": metadata, "object": tree})
-    return [LIGHT_PROBE, TEXTURE]
-
-
-def _directional(number: int, lamp: Lamp) -> dict[str, object]:
-    """A lamp that shines on the origin: irradiance is intensity times linear colour.
-
-    So it is since three.js r155. Its files have colours of eight bits in sRGB: luminance is exact,
-    each channel to half a code.
-    """
-    colour, _ = colour_and_strength(lamp.irradiance)
-    codes = (255 * linear_to_srgb(torch.tensor(colour))).round()
-    red, green, blue = codes.int().tolist()
-    intensity = luminance(lamp.irradiance.float()) / luminance(srgb_to_linear(codes / 255))
-    x, y, z = (_DISTANCE * lamp.direction).tolist()
-    return _object(
-        "DirectionalLight",
-        f"lamp {number}",
-        [number, codes.tolist(), float(intensity), x, y, z],
-        matrix=[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, x, y, z, 1],
-        color=red << 16 | green << 8 | blue,
-        intensity=float(intensity),
-    )
-
-
-def _object(kind: str, name: str, content: list, **more: object) -> dict[str, object]:
-    return {
-        # made from the content: the same light, the same file
-        "uuid": str(uuid5(NAMESPACE_URL, json.dumps(content))),
-        "type": kind,
-        "name": name,
-        "layers": 1,
-        "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
-        "up": [0, 1, 0],
-        **more,
-    }

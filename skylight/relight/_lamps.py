@@ -1,8 +1,8 @@
-"""An estimate's lamps as lights of their own, and the map of the light without them.
+"""Lights of their own, and the rest of an environment map.
 
-An environment map split into one directional light and the rest, as in augmented reality.
-
-Cube maps prefiltered for rough metals, one level per roughness.
+An estimate's lamps leave its map (:func:`without_lamps`); of any other map the sun becomes one
+directional light (:func:`split_main_light`), as in augmented reality. What other programs take of
+such a light: its colour and strength, its width as a disc, and its orientation.
 """
 
 import math
@@ -19,8 +19,6 @@ from skylight.inverse._result import Lamp
 from skylight.skies._sun import find_sun
 from skylight.sphere._envmap import SUN_REGION_RAD, EnvironmentMap, luminance
 from skylight.sphere._frame import angle_between
-from skylight.sphere._projections import cube_faces, face_directions
-from skylight.transport._render import reflection_weights
 
 # Of the lamps' energy. An estimate's map is ambient light, which is positive, plus its lamps' lobes
 # in float32: what is wrong without them is rounding, and below 2e-5 over 300 draws of the prior.
@@ -149,35 +147,3 @@ def split_main_light(environment: EnvironmentMap) -> tuple[MainLight, Environmen
 def _sun_is_visible(environment: EnvironmentMap) -> bool:
     sky = environment.upper()
     return bool(sky.radiance.sum() > 0) and find_sun(sky).visible
-
-
-LAST_SIZE = 16  # pixels of the roughest level
-BLURRED_ROWS = 64  # of the map that rough levels are made from: cells of 2.8 degrees
-_BLOCK = 1024  # directions at a time: 64 MB of scratch
-
-
-def prefiltered_levels(environment: EnvironmentMap, size: int) -> list[Float[Tensor, "6 s s 3"]]:
-    """Faces of ``size``, half of it, and so on down to 16 pixels a side.
-
-    Level m of n stands for the perceptual roughness m / (n - 1) and alpha, its square. Level 0 is
-    the map itself; the others are
-
-        L'(r) = sum_w L(w) D(h) <r,w>+ dw / sum_w D(h) <r,w>+ dw,
-
-    with D the GGX density (:func:`skylight.transport._render.reflection_weights`).
-    """
-    levels = [cube_faces(environment, size)]
-    coarse = environment
-    if environment.layout[0] > BLURRED_ROWS:
-        coarse = environment.resize(BLURRED_ROWS)
-    grid, light = coarse.grid, coarse.flat.float()
-    sizes = []
-    while size // 2 >= LAST_SIZE:
-        size //= 2
-        sizes.append(size)
-    for number, smaller in enumerate(sizes, start=1):
-        alpha = (number / len(sizes)) ** 2
-        towards = face_directions(smaller).reshape(-1, 3)
-        blurred = [reflection_weights(r, grid, alpha) @ light for r in towards.split(_BLOCK)]
-        levels.append(torch.cat(blurred).reshape(6, smaller, smaller, 3).to(levels[0]))
-    return levels

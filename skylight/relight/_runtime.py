@@ -1,11 +1,9 @@
 """Relighting with numpy and onnxruntime alone: torch is never imported here.
 
-What :mod:`skylight.relight._export` wrote is read back by :mod:`skylight.relight._decoder` (the
-sky decoder as an ONNX graph) and :mod:`skylight.relight._runtime` (a scene as its visibility).
-The few formulas that the package has in torch too (named at each) are written again in numpy, and
-the tests hold the two together.
-
-Precomputed scenes: pixels of one camera and their transport; without torch.
+What :mod:`skylight.relight._export` wrote is read back: a precomputed scene, the pixels of one
+camera and their transport, here, and the sky decoder by :mod:`skylight.relight._decoder`. The few
+formulas that the package has in torch too (named at each) are written again in numpy, and the tests
+hold the two together.
 """
 
 import math

@@ -1,12 +1,8 @@
-"""Access control: origins, sizes of requests and the time that they take, security headers.
+"""What the server refuses: limits, error responses, and the middleware that stands before it all.
 
 A page of another site can send requests to 127.0.0.1, and by DNS rebinding even from a name that it
 chose for that address. So the Host must be a name that the server goes by, and whatever changes
 something must come from its own page (the Origin that browsers send) or from no page at all.
-
-Error responses: a status and a line.
-
-Limits of a server.
 """
 
 import asyncio

@@ -1,8 +1,8 @@
-"""The queue of jobs in a worker process, with events, cancelled when no page watches.
+"""Jobs: a queue of tasks for a worker process, whose files are kept within a limit of size.
 
-The handle of a worker process: tasks in order, and cancellation.
-
-Uploads and results kept in folders, within a size limit.
+:class:`WorkerProcess` runs tasks in order and can be stopped, :class:`Kept` holds items with files
+(uploads and jobs) until the oldest are forgotten, and :class:`Jobs` is the queue: each job tells
+its progress as events, and is cancelled when no page watches it any more.
 """
 
 import asyncio

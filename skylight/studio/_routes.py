@@ -1,9 +1,4 @@
-"""Routes of jobs: start, events, cancel, files.
-
-Routes of the photographs to try.
-
-Routes of uploads: photographs and environment maps.
-"""
+"""Routes of the HTTP interface: jobs with their events and files, examples, and uploads."""
 
 import json
 import zipfile
@@ -19,7 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
-from skylight.estimate._demo import EXAMPLES
+from skylight.estimate._examples import EXAMPLES
 from skylight.io._atomic import atomic_path
 from skylight.models._names import is_trained
 from skylight.studio._guard import Refused

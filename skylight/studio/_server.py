@@ -1,8 +1,6 @@
-"""The life of a server: socket, folder, processes, browser.
+"""The studio's server: its HTTP application, the built page, and its life from socket to end.
 
-The HTTP application; errors are JSON, ``{"error": "one line"}``.
-
-The built page, served with entity tags.
+Errors are JSON, ``{"error": "one line"}``. Files of the page are served with entity tags.
 """
 
 import gzip
@@ -14,7 +12,7 @@ import socket
 import sys
 import threading
 import webbrowser
-from collections.abc import AsyncIterator, Iterator, Mapping
+from collections.abc import AsyncIterator, Iterable, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 from functools import lru_cache, partial
 from importlib.resources import files
@@ -30,7 +28,7 @@ from starlette.types import ASGIApp
 
 from skylight import __version__
 from skylight.errors import InputError
-from skylight.models._bundle import read_manifest
+from skylight.models._manifest import read_manifest
 from skylight.studio._guard import Guard, Limits, Refused, answer_failure, answer_refusal, refusal
 from skylight.studio._requests import DICTIONARIES, LIGHTS, what_is_wrong
 from skylight.studio._routes import examples, jobs, uploads
@@ -116,8 +114,8 @@ async def about(request: Request) -> dict[str, Any]:
             "megapixels": limits.megapixels,
             "jobs": limits.jobs,
         },
-        "lights": _choices(LIGHTS),
-        "dictionaries": _choices(DICTIONARIES),
+        "lights": _choices(LIGHTS.items()),
+        "dictionaries": _choices(DICTIONARIES.items()),
     }
 
 
@@ -148,8 +146,8 @@ async def page(request: Request, name: str) -> Response:
     return static_file(request, name or "index.html")
 
 
-def _choices(named: Mapping[Any, str]) -> list[dict[str, str]]:
-    return [{"name": name, "title": title} for name, title in named.items()]
+def _choices(named: Iterable[tuple[str, str]]) -> list[dict[str, str]]:
+    return [{"name": name, "title": title} for name, title in named]
 
 
 _FAREWELL_S = 1  # that open connections have when the server ends

@@ -1,8 +1,7 @@
-"""The state of a running server: uploads, jobs, processes.
+"""The state of a running server: uploads, jobs, processes, and its temporary folder.
 
-The server's temporary folder, removed at its end or by the next server.
-
-Each server holds a lock on its folder, which the system lets go however the process ends.
+The folder is removed at the server's end, or by the next server: each holds a lock on its own,
+which the system lets go however the process ends.
 """
 
 import asyncio

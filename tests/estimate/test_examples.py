@@ -10,7 +10,7 @@ from PIL import Image
 from skimage.data import astronaut, camera
 
 from skylight.estimate import _demo as demo
-from skylight.estimate._demo import EXAMPLES
+from skylight.estimate._examples import EXAMPLES
 
 
 def test_they_have_the_pixels_of_their_source() -> None:

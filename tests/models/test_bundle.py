@@ -16,7 +16,6 @@ from skylight.models._bundle import (
     BANK,
     CARD,
     LATENT_PRIOR,
-    MANIFEST,
     NETWORK,
     SUNSKY_PRIOR,
     LightBundle,
@@ -25,6 +24,7 @@ from skylight.models._bundle import (
     save_network,
 )
 from skylight.models._convolutional import LATENT, ConvolutionalAutoencoder
+from skylight.models._manifest import MANIFEST
 from skylight.models._network import SkyNetwork
 from skylight.models._prior import GaussianMixture
 from skylight.models._splines import SplineAutoencoder

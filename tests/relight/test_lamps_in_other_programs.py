@@ -19,16 +19,17 @@ from torch import Tensor
 from skylight.imaging._colour import srgb_to_linear
 from skylight.io._files import read_environment_map
 from skylight.relight._blender import SCRIPT, TEXTURE as BLENDER_TEXTURE, write_blender
-from skylight.relight._gltf import (
-    LIGHT,
-    LIGHT_PROBE,
-    TEXTURE as THREEJS_TEXTURE,
-    write_gltf,
-    write_threejs,
-)
+from skylight.relight._gltf import LIGHT, write_gltf
+from skylight.relight._harmonics import LIGHT_PROBE, REFLECTED, write_threejs
 from skylight.relight._lamps import disc_diameter_rad, without_lamps
-from skylight.relight._mitsuba import SCENE, TEXTURE as MITSUBA_TEXTURE, write_mitsuba
-from skylight.relight._usd import LAYER, TEXTURE as USD_TEXTURE, write_usd
+from skylight.relight._scenes import (
+    LAYER,
+    MITSUBA_TEXTURE,
+    SCENE,
+    USD_TEXTURE,
+    write_mitsuba,
+    write_usd,
+)
 from skylight.sphere._envmap import EnvironmentMap
 from tests.lamp_lit import lamp_lit, lamp_params
 from tests.oracles.harmonics import from_convention, irradiance
@@ -68,7 +69,7 @@ def threejs(folder: Path) -> tuple[list[Parsed], Callable[[Tensor], Tensor]]:
         found.append((place / place.norm(), irradiance_rgb.double(), None))
     names = [each["uuid"] for each in (root, probe, *lights)]
     assert len(set(names)) == len(names)
-    rest = read_environment_map(folder / THREEJS_TEXTURE, convention="threejs")
+    rest = read_environment_map(folder / REFLECTED, convention="threejs")
     torch.testing.assert_close(rest.radiance, REST.radiance, rtol=0.03, atol=0)  # in RGBE
     return found, shaded(torch.tensor(probe["sh"]).reshape(9, 3))
 

@@ -16,20 +16,14 @@ from PIL import Image
 from skylight.io._files import read_light
 from skylight.relight._blender import SCRIPT, TEXTURE as BLENDER_TEXTURE, write_blender
 from skylight.relight._gltf import LIGHT, write_gltf
-from skylight.relight._mitsuba import (
+from skylight.relight._harmonics import (
+    AR_LIGHT,
     HARMONICS,
-    SCENE,
     second_degree,
-    write_harmonics,
-    write_mitsuba,
-)
-from skylight.relight._usd import (
-    DESCRIPTION,
-    LAYER,
-    TEXTURE as USD_TEXTURE,
     write_augmented_reality,
-    write_usd,
+    write_harmonics,
 )
+from skylight.relight._scenes import LAYER, SCENE, USD_TEXTURE, write_mitsuba, write_usd
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid, direction_from_angles
 from skylight.sphere._projections import face_directions
@@ -57,7 +51,7 @@ def test_what_arcores_shader_adds_up_is_the_probes_irradiance(tmp_path: Path) ->
     light = sunny_map()
     names = write_augmented_reality(tmp_path, light, 64)
     assert sorted(names) == sorted(path.name for path in tmp_path.iterdir())
-    told = json.loads((tmp_path / DESCRIPTION).read_text(encoding="utf-8"))
+    told = json.loads((tmp_path / AR_LIGHT).read_text(encoding="utf-8"))
     main = told["main_light"]
     assert main["visible"]
     direction = torch.tensor(main["direction_towards_light"]).double()
@@ -81,7 +75,7 @@ def test_what_arcores_shader_adds_up_is_the_probes_irradiance(tmp_path: Path) ->
 def test_the_cube_map_shows_all_light_the_sun_too(tmp_path: Path) -> None:
     light = sunny_map()
     write_augmented_reality(tmp_path, light, 64)
-    told = json.loads((tmp_path / DESCRIPTION).read_text(encoding="utf-8"))
+    told = json.loads((tmp_path / AR_LIGHT).read_text(encoding="utf-8"))
     faces = torch.stack([read_light(tmp_path / name) for name in told["cube_map"]["order"]])
     solid = texel_solid_angles(64)[..., None]
     total = (faces.double() * solid).sum((0, 1, 2))
@@ -96,7 +90,7 @@ def test_faces_have_the_axes_colours(tmp_path: Path) -> None:
     for name, (_, colour) in AXES.items():
         middle = read_light(tmp_path / f"cube_{name}.hdr")[16, 16]
         assert middle.tolist() == pytest.approx(colour, abs=0.02)
-    told = json.loads((tmp_path / DESCRIPTION).read_text(encoding="utf-8"))
+    told = json.loads((tmp_path / AR_LIGHT).read_text(encoding="utf-8"))
     assert not told["main_light"]["visible"]
 
 

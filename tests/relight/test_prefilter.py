@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from skylight.relight._lamps import prefiltered_levels
+from skylight.relight._gltf import prefiltered_levels
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._projections import cube_faces, face_directions
 from tests.axis_colours import AXES, axis_map

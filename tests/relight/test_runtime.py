@@ -201,6 +201,10 @@ def test_a_sky_probe_gets_a_ground_and_an_exposure(scene_path, tmp_path):
             r"skylight 0\.1\.0, .*probe\.exr",
         ),
         ({"z": [0.0] * 64}, 'an object with "latent"'),
+        (
+            {"params": [0.0] * 65, "versions": {"skylight": "0.1.0"}},
+            r"skylight 0\.1\.0, whose sky decoder was another; relight with the probe\.exr",
+        ),
         (7, "expected 64 numbers"),
     ],
 )

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from skylight.relight._gltf import LIGHT_PROBE, TEXTURE, write_threejs
-from skylight.relight._mitsuba import second_degree
+from skylight.relight._harmonics import LIGHT_PROBE, REFLECTED, second_degree, write_threejs
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid
 from tests.axis_colours import AXES, axis_map
@@ -81,7 +80,7 @@ def test_its_numbers_are_as_the_library_evaluated_them() -> None:
 def test_the_library_reads_our_probe(tmp_path: Path) -> None:
     generator = torch.Generator().manual_seed(5)
     light = EnvironmentMap(radiance=torch.rand(16, 32, 3, generator=generator) * 4)
-    assert write_threejs(tmp_path, light) == [LIGHT_PROBE, TEXTURE]
+    assert write_threejs(tmp_path, light) == [LIGHT_PROBE, REFLECTED]
     probe = json.loads((tmp_path / LIGHT_PROBE).read_text(encoding="utf-8"))
     found = run_in_node(IRRADIANCES, {"probe": probe, "normals": NORMALS})
     assert found["again"] == probe["object"]["sh"]

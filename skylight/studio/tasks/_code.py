@@ -13,7 +13,7 @@ from skylight.io._files import write_environment_map
 from skylight.maps._sparse_codes import MOST_ROWS, CodedMap, Outline, outlines, write_code
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import angle_between, angles_from_direction
-from skylight.studio.tasks._light import Light, read_light
+from skylight.studio.tasks._uploads import Light, read_light
 from skylight.work._progress import StageProgress
 
 _SIDES = 24  # of the polygon that stands for a filter's outline

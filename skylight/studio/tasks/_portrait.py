@@ -9,7 +9,9 @@ for a sun of irradiance E at d, and goes on as :mod:`skylight.portrait._relit` d
 interpolated between the four nearest of 32 x 64 directions, so shadows have penumbras of 5.6
 degrees.
 
-Of an estimate, what its person can be taken apart from later, without estimating again.
+Of every estimate is kept what its person can be taken apart from later, without estimating again
+(:class:`KeptPerson`): fit, reflection and light are stored exactly, so the portrait is the one that
+the estimate itself would have given.
 """
 
 import json

@@ -1,9 +1,4 @@
-"""Printing of a partition probe, and its shading under a light.
-
-A printed partition probe as a .glb preview.
-
-Printing of a voxel probe, and its shading under a light.
-"""
+"""Printing of voxel and partition probes, and what they would show under a light."""
 
 from io import BytesIO
 from pathlib import Path
@@ -49,7 +44,7 @@ from skylight.probes.voxel._relight import write_glb
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid
 from skylight.sphere._harmonics import project
-from skylight.studio.tasks._light import Light, read_light
+from skylight.studio.tasks._uploads import Light, read_light
 from skylight.work._progress import StageProgress
 
 _SHELL = (0.05, 0.05, 0.06)  # linear reflectance of dull black paint

@@ -1,13 +1,13 @@
 """Uploaded photographs and environment maps: checked, read, previewed.
 
-Image dimensions from headers, before decoding.
+The number of pixels is read from a file's header, before anything is decoded.
 """
 
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import OpenEXR
 from PIL import Image
@@ -19,45 +19,8 @@ from skylight.imaging._photo import Photo, read_photo
 from skylight.io._atomic import atomic_path
 from skylight.io._files import opened_picture, read_environment_map
 from skylight.io._hdr import muted, radiance_sizes
+from skylight.sphere._envmap import EnvironmentMap
 from skylight.work._progress import StageProgress
-
-
-def check_pixels(path: Path, most: int) -> None:
-    """:class:`InputError` where a picture's header tells of more than ``most`` pixels.
-
-    A file without a readable header passes: the reader will say what is wrong with it.
-    """
-    count = pixel_count(path)
-    if count is not None and count > most:
-        raise InputError(
-            f"{path}: {count / 1e6:.3g} million pixels, {most / 1e6:.3g} at most; scale it down"
-        )
-
-
-def pixel_count(path: Path) -> int | None:
-    """Width times height of an .exr (all its parts), .hdr or other picture; None if unknown."""
-    suffix = path.suffix.lower()
-    if suffix == ".exr":
-        return _of_exr(path)
-    if suffix == ".hdr":
-        sizes = radiance_sizes(path.read_bytes())
-        return max((abs(height * width) for height, width in sizes), default=None)
-    try:
-        with opened_picture(path) as image:
-            return image.width * image.height
-    except InputError:
-        return None
-
-
-def _of_exr(path: Path) -> int | None:
-    try:
-        with muted():
-            parts = OpenEXR.File(str(path), header_only=True).parts
-        windows = [part.header["dataWindow"] for part in parts]
-    except (RuntimeError, KeyError, ValueError, TypeError):
-        return None
-    return sum((int(x1) - int(x0) + 1) * (int(y1) - int(y0) + 1) for (x0, y0), (x1, y1) in windows)
-
 
 PREVIEW_PX = 1600  # longest side
 _QUALITY = 88
@@ -113,6 +76,20 @@ def see_map(path: str, name: str, pixels: int, *, tell: StageProgress) -> dict[s
     return {"width": width, "height": height}
 
 
+class Light(TypedDict):
+    """Where its file is, and what the user calls it."""
+
+    path: str
+    name: str
+
+
+def read_light(light: Light) -> EnvironmentMap:
+    """The map of the whole sphere."""
+    path = Path(light["path"])
+    with named(path, light["name"]):
+        return read_environment_map(path)
+
+
 @contextmanager
 def named(path: Path, name: str) -> Iterator[None]:
     """Errors within tell the user's name for a file instead of the path where it was put."""
@@ -127,3 +104,40 @@ def _box(face: DetectedFace, scale: float) -> list[int]:
     low, high = scale * face.points.min(0), scale * face.points.max(0)
     x, y = (math.floor(side) for side in low)
     return [x, y, math.ceil(high[0]) - x, math.ceil(high[1]) - y]
+
+
+def check_pixels(path: Path, most: int) -> None:
+    """:class:`InputError` where a picture's header tells of more than ``most`` pixels.
+
+    A file without a readable header passes: the reader will say what is wrong with it.
+    """
+    count = pixel_count(path)
+    if count is not None and count > most:
+        raise InputError(
+            f"{path}: {count / 1e6:.3g} million pixels, {most / 1e6:.3g} at most; scale it down"
+        )
+
+
+def pixel_count(path: Path) -> int | None:
+    """Width times height of an .exr (all its parts), .hdr or other picture; None if unknown."""
+    suffix = path.suffix.lower()
+    if suffix == ".exr":
+        return _of_exr(path)
+    if suffix == ".hdr":
+        sizes = radiance_sizes(path.read_bytes())
+        return max((abs(height * width) for height, width in sizes), default=None)
+    try:
+        with opened_picture(path) as image:
+            return image.width * image.height
+    except InputError:
+        return None
+
+
+def _of_exr(path: Path) -> int | None:
+    try:
+        with muted():
+            parts = OpenEXR.File(str(path), header_only=True).parts
+        windows = [part.header["dataWindow"] for part in parts]
+    except (RuntimeError, KeyError, ValueError, TypeError):
+        return None
+    return sum((int(x1) - int(x0) + 1) * (int(y1) - int(y0) + 1) for (x0, y0), (x1, y1) in windows)

@@ -35,7 +35,7 @@ _TASKS = {
     "code": ("skylight.studio.tasks._code", "code_light"),
     "voxel": ("skylight.studio.tasks._probes", "make_voxel_probe"),
     "partitions": ("skylight.studio.tasks._probes", "make_partition_probe"),
-    "sky": ("skylight.studio.tasks._light", "describe_sky"),
+    "sky": ("skylight.studio.tasks._sky", "describe_sky"),
     "designs": ("skylight.studio.tasks._probes", "describe_designs"),
 }
 _PAUSE_S = 0.05  # between words of progress in one stage

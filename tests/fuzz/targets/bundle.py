@@ -14,13 +14,12 @@ from skylight.io._tensors import read_tensors, tensors_sha256
 from skylight.models._bundle import (
     BANK,
     LATENT_PRIOR,
-    MANIFEST,
     NETWORK,
     SHIPPED,
     SUNSKY_PRIOR,
-    BundleManifest,
     load_bundle,
 )
+from skylight.models._manifest import MANIFEST, BundleManifest
 from tests.fuzz.files import PLACE, joined, parted
 from tests.fuzz.tensor_files import described, write_described
 

@@ -13,7 +13,8 @@ import torch
 from PIL import Image
 
 from skylight.io._files import write_environment_map
-from skylight.maps._export import MAP, NUMBERS, export_blender_scene, read_light
+from skylight.maps._estimated import MAP, NUMBERS, read_light
+from skylight.maps._export import export_blender_scene
 from skylight.maps._viewer import export_viewer
 from skylight.sphere._envmap import EnvironmentMap
 from tests.fuzz.files import PLACE, joined, parted, read_by_any

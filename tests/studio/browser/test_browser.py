@@ -143,8 +143,6 @@ def test_from_a_dropped_photo_to_a_downloaded_map(
     zenith = page.locator("dt:text('Zenith angle') + dd").text_content() or ""
     assert zenith.startswith(f"{round(told['sun']['zenith_deg'])}°")
 
-    gathered(page, 1 if FOR_DOCUMENTATION else 1 / 64)
-
     # another page and back: the result is still there
     page.goto(f"{studio_address}/#/codes")
     page.get_by_role("heading", level=1, name="Sparse codes").wait_for()

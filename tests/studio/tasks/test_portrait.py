@@ -1,9 +1,13 @@
 """A person taken apart: what is kept and sent, and what the page's own program makes of it."""
 
+import asyncio
 import base64
 import dataclasses
+import inspect
 import json
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -30,7 +34,11 @@ from skylight.portrait._relit import (
 )
 from skylight.sphere._envmap import LUMINANCE, EnvironmentMap
 from skylight.sphere._frame import DirectionGrid
-from skylight.studio.tasks._portrait import FACE_PX, command_of, kept_person, packed
+from skylight.studio._guard import Limits
+from skylight.studio._jobs import Job, State
+from skylight.studio._server import make_application
+from skylight.studio._state import Studio, Upload
+from skylight.studio.tasks._portrait import FACE_PX, command_of, kept_person, packed, take_apart
 from tests.studio.conftest import finished
 from tests.studio.tasks.taken_apart import PHOTO, apart
 from tests.sunny_face import direction
@@ -201,6 +209,38 @@ def test_the_command_line_names_what_was_chosen() -> None:
     assert not command_of(PHOTO, "auto", "all", None)["is_alone"]
 
 
+def test_a_portrait_is_asked_of_its_task(tmp_path: Path) -> None:
+    """With the arguments that it takes, and no portrait of what is no estimate."""
+    studio = Studio(tmp_path, Limits())
+    folder = studio.photos.new_folder()
+    photo = Upload(folder=folder, name="me.jpg", path=folder / "upload", seen={})
+    studio.photos.add(photo)
+    named: tuple[tuple[str, State], ...] = (
+        ("estimate", "done"), ("estimate", "failed"), ("code", "done")
+    )  # fmt: skip
+    jobs = [
+        Job(folder=folder, kind=kind, arguments={}, state=state, uses=(photo.id,))
+        for kind, state in named
+    ]
+    for job in jobs:
+        studio.jobs.kept.add(job)
+
+    async def ask() -> list[int]:
+        transport = httpx.ASGITransport(make_application(studio, host="127.0.0.1"))
+        async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:
+            wanted = [{"kind": "portrait", "job": job.id} for job in jobs]
+            return [(await client.post("/api/jobs", json=one)).status_code for one in wanted]
+
+    with ThreadPoolExecutor(1) as thread:  # the main one may hold the loop of the browser's driver
+        assert thread.submit(asyncio.run, ask()).result() == [202, 409, 409]
+    *_, begun = studio.jobs.kept
+    told = inspect.signature(take_apart).bind(**begun.arguments, tell=lambda *_: None).arguments
+    assert (told["path"], told["name"]) == (str(photo.path), "me.jpg")
+    assert told["estimate"] == str(jobs[0].folder)
+    assert begun.uses == (photo.id, jobs[0].id)
+
+
+@pytest.mark.slow
 def test_the_studio_takes_a_person_apart(
     client: httpx.Client, photo: str, estimated: list[dict[str, Any]]
 ) -> None:

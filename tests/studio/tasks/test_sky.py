@@ -12,7 +12,7 @@ from skylight.models._bundle import load_bundle
 from skylight.models._network import CENTRE_AZIMUTH_RAD
 from skylight.relight._decoder import SkyDecoder
 from skylight.relight._export import BATCHES, TOLERANCE, decoder_difference
-from skylight.studio.tasks._light import describe_sky, latent_moments
+from skylight.studio.tasks._sky import describe_sky, latent_moments
 
 
 def test_moments_are_those_of_samples() -> None:
