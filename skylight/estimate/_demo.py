@@ -1,6 +1,6 @@
-"""A demonstration without data: a rendered face in known light, and two photographs.
+"""Estimates to try without data of one's own: a rendered face in known light, and two photographs.
 
-Photographs to try the estimate on, which scikit-image installs, and what comes of each.
+The photographs come with scikit-image.
 """
 
 from collections.abc import Callable
