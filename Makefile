@@ -1,11 +1,11 @@
 # Every target sets itself up: a fresh clone needs only make and Python 3.11 or newer (with venv).
 #   make demo     a rendered face with its true light, and two photographs; results in out/demo
-#   make test     the tests that take no longer than minutes together; tells how many it leaves out
-#   make test-all all tests: also fuzzing by the thousand, kills, clusters and slow pages
+#   make test     the tests that take minutes together; tells how many it leaves out
+#   make night    what a release needs: all tests, walk-throughs, fuzzing and kills; takes hours
 #   make lint     style, types, and which module may import which
 #   make format   rewrite the code in the project's style
 #   make bench    timings
-#   make docs     the documentation as a site, its walk-throughs run: see out/site/index.html
+#   make docs     the documentation as a site: see out/site/index.html; WALK=1 runs its walk-throughs
 #   make wheel    the package for pip in dist/, tried in an empty environment
 #   make studio   the studio's page and the viewer built anew from studio/; needs Node.js 20 or newer
 #   make blender  the extension for Blender 4.2 and newer as a zip in dist/
@@ -17,12 +17,14 @@ PYTHON ?= python3
 OUT ?= out/demo
 JOBS ?= 2
 SECONDS_EACH ?= 300
+WALK ?= 0
 VENV := .venv
+unexport PYTHONDONTWRITEBYTECODE  # compiling and instrumenting what the tests import takes 20 s
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-all lint format bench docs wheel studio blender fuzz clean
+.PHONY: help demo test test-all night lint format bench docs wheel studio blender fuzz clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -35,6 +37,12 @@ demo: $(VENV)/.runtime
 test: LEFT_OUT := -m "not slow"
 test test-all: $(VENV)/.dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(LEFT_OUT) $(ARGS)
+
+night: WALK := 1
+night: test-all docs
+	rm -rf out/night && mkdir -p out/night
+	$(BIN)/python tools/kill_runs.py --out out/night/kill-runs.json
+	$(BIN)/python tools/fuzz.py --seconds $(SECONDS_EACH) --findings out/night --out out/night/fuzz.json
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -51,7 +59,8 @@ bench: $(VENV)/.dev
 	$(BIN)/python -m pytest -o addopts=--import-mode=importlib -s benchmarks $(ARGS)
 
 docs: $(VENV)/.dev
-	OMP_NUM_THREADS=$(JOBS) $(BIN)/sphinx-build -j $(JOBS) -W --keep-going -q docs out/site
+	OMP_NUM_THREADS=$(JOBS) $(BIN)/sphinx-build -j $(JOBS) -W --keep-going -q \
+		-D plot_gallery=$(WALK) docs out/site
 
 wheel: $(VENV)/.dev
 	$(BIN)/python tools/try_wheel.py
@@ -66,7 +75,7 @@ blender:
 	$(PYTHON) tools/build_blender_extension.py
 
 clean:
-	rm -rf docs/_walkthroughs docs/_drawings docs/api/_modules studio/node_modules
+	rm -rf docs/_walkthroughs docs/_drawings docs/api/_packages studio/node_modules
 	rm -rf $(VENV) build dist out *.egg-info .benchmarks .hypothesis .import_linter_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
@@ -75,10 +84,10 @@ $(VENV)/.created:
 	$(PYTHON) -m venv --clear $(VENV)
 	@touch $@
 
-$(VENV)/.runtime: pyproject.toml | $(VENV)/.created
-	$(PIP) install --quiet --editable .
+$(VENV)/.runtime: pyproject.toml constraints.txt | $(VENV)/.created
+	$(PIP) install --quiet --constraint constraints.txt --editable .
 	@touch $@
 
-$(VENV)/.dev: pyproject.toml | $(VENV)/.created
-	$(PIP) install --quiet --editable '.[dev]'
+$(VENV)/.dev: pyproject.toml constraints.txt | $(VENV)/.created
+	$(PIP) install --quiet --constraint constraints.txt --editable '.[dev]'
 	@touch $@ $(VENV)/.runtime

@@ -14,7 +14,7 @@ from skylight.csc._coder import SphericalSparseCoder
 from skylight.csc._dictionary import builtin
 from skylight.csc._positions import Positions
 from skylight.csc._wigner import RotationCorrelation
-from tools.thesis_gradients import RotatedResiduals
+from tests.csc.thesis_gradients import RotatedResiduals
 
 POSITIONS = Positions(rows=32, twists=32)
 MAPS, ACTIVATIONS = 32, 16

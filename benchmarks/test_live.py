@@ -15,10 +15,9 @@ import numpy as np
 import pytest
 import torch
 
+from skylight.probes._capture import LiveView
 from skylight.probes.cameras._live import LiveFrame
 from skylight.probes.cameras._tracking import BoardTracker
-from skylight.probes.partitions.relight._live import PartitionLiveView
-from skylight.probes.voxel._relight import LiveView
 from tests.probes.partitions.boards import box
 from tests.probes.test_live_light import (
     ORBIT,
@@ -31,12 +30,11 @@ from tests.probes.test_live_light import (
 
 WAY = [(40.0 + 3 * i, 35.0) for i in range(12)]
 ROUNDS = 66
-View = LiveView | PartitionLiveView
 Film = list[np.ndarray]
 
 
 @pytest.fixture(params=["voxel", "partitions"])
-def live(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[list[View], Film]]:
+def live(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[list[LiveView], Film]]:
     """Two views that have seen all sides of a probe, and a film."""
     threads = torch.get_num_threads(), cv2.getNumThreads()
     torch.set_num_threads(1)
@@ -54,7 +52,7 @@ def live(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[list[
 
 
 def test_live_film(
-    benchmark, monkeypatch: pytest.MonkeyPatch, live: tuple[list[View], Film]
+    benchmark, monkeypatch: pytest.MonkeyPatch, live: tuple[list[LiveView], Film]
 ) -> None:
     """Frames a second; each frame is searched before it is followed, for the ratio."""
     (following, searching), film = live
@@ -62,7 +60,7 @@ def test_live_film(
     times: dict[str, list[float]] = {"followed": [], "searched": []}
     shown = []
 
-    def timed(name: str, view: View, image: np.ndarray) -> LiveFrame:
+    def timed(name: str, view: LiveView, image: np.ndarray) -> LiveFrame:
         begun = process_time()
         frame = view.show(image)
         times[name].append(process_time() - begun)

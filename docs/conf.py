@@ -10,10 +10,12 @@ sys.path[:0] = [str(HERE), str(HERE.parent)]  # mathml, drawings; the package it
 import drawings  # noqa: E402
 from sphinx.application import Sphinx  # noqa: E402
 
+from tools import build_measurements  # noqa: E402
+
 project = "skylight"
 author = "the skylight authors"
 copyright = author
-release = version = installed("skylight")
+release = version = installed("skylight-lighting")
 
 extensions = [
     "myst_parser",
@@ -64,6 +66,7 @@ sphinx_gallery_conf = {
 }
 
 drawings.write(HERE / "_drawings")
+build_measurements.write(HERE / "measurements.md")
 
 
 def open_one_branch(app: Sphinx, page: str, template: str, context: dict, _: object) -> None:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from skylight.transport._matrix import TransportMatrix
     from skylight.transport._reflection import DiffuseTransport
 
-__version__ = _version("skylight")
+__version__ = _version("skylight-lighting")
 
 # Lazy, because torch takes seconds to import and relighting does without it.
 _HOME = {

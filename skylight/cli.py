@@ -1,5 +1,6 @@
 """The ``skylight`` command: typed functions, imported when they are run."""
 
+import inspect
 import re
 import sys
 import traceback
@@ -19,8 +20,8 @@ from skylight.maps._export_command import export, export_light
 from skylight.object._command import estimate_object
 from skylight.people._command import faces
 from skylight.portrait._command import relight_portrait
+from skylight.probes._command import probe
 from skylight.probes.cameras._command import camera
-from skylight.probes.voxel._command import probe
 from skylight.relight._command import relight
 from skylight.skies._command import skies
 from skylight.studio._command import studio
@@ -32,8 +33,6 @@ DESCRIPTION = """Recovers the light of a scene from a photo of a face, and light
 Results go to files and standard output, progress and errors to standard error. The exit code is
 0 for success, 2 for a command or input that cannot be used, 1 for any other failure. Add --debug
 to any command to see where in the program an error came from."""
-
-app = tyro.extras.SubcommandApp()
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -48,14 +47,17 @@ def main(arguments: list[str] | None = None) -> int:
     if arguments == ["--version"]:
         print(f"skylight {__version__}")
         return 0
+    if arguments in ([], ["-h"], ["--help"]):
+        print(_all_commands())
+        return 0
     try:
         with warnings.catch_warnings():
             if not debug:
                 warnings.simplefilter("ignore")  # what libraries tell programmers
-            app.cli(
+            _app().cli(
                 prog="skylight",
                 description=DESCRIPTION,
-                args=arguments or ["--help"],
+                args=arguments,
                 config=(
                     tyro.conf.FlagCreatePairsOff,
                     tyro.conf.PositionalMetavarFromFieldName,
@@ -73,7 +75,6 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-@app.command
 def demo(out: Path = Path("skylight_demo")) -> None:
     """Show what skylight does, without any data: three estimates.
 
@@ -99,7 +100,6 @@ def demo(out: Path = Path("skylight_demo")) -> None:
         print(f"{folder / 'report.png'}: {example.expected}")
 
 
-@app.command
 def evaluate(
     name: Positional[str],
     out: Path,
@@ -137,19 +137,49 @@ def evaluate(
         evaluate(name, quick=quick, data=data, out=out, workers=who, options=options)
 
 
-app.command(estimate)
-app.command(name="estimate-object")(estimate_object)
-app.command(name="code")(code_probe)
-app.command(name="decode")(decode_code)
-app.command(relight)
-app.command(name="relight-portrait")(relight_portrait)
-app.command(convert)
-app.command(score)
-app.command(train)
-app.command(studio)
-app.command(skies, name="skies", help="Simulate skies, or index a folder of captured ones.")
 export.command(name="light")(export_light)
-app.command(export, name="export", help="Write what other programs and browsers need.")
-app.command(probe, name="probe", help="Make light probes, and use them.")
-app.command(faces, name="faces", help="Faces whose light is known: render or calibrate.")
-app.command(camera, name="camera", help="Measure a camera: a board to print, lens and response.")
+# In the order in which they are listed; the first are for every day.
+EVERYDAY = {
+    "estimate": estimate,
+    "relight-portrait": relight_portrait,
+    "studio": studio,
+    "demo": demo,
+    "export": (export, "Write what other programs and browsers need."),
+}
+RESEARCH = {
+    "estimate-object": estimate_object,
+    "relight": relight,
+    "convert": convert,
+    "score": score,
+    "code": code_probe,
+    "decode": decode_code,
+    "probe": (probe, "Make light probes, and use them."),
+    "camera": (camera, "Measure a camera: a board to print, lens and response."),
+    "skies": (skies, "Simulate skies, or index a folder of captured ones."),
+    "train": train,
+    "faces": (faces, "Faces whose light is known: render or calibrate."),
+    "evaluate": evaluate,
+}
+
+
+def _app() -> tyro.extras.SubcommandApp:
+    app = tyro.extras.SubcommandApp()
+    for name, command in (EVERYDAY | RESEARCH).items():
+        if isinstance(command, tuple):
+            app.command(command[0], name=name, help=command[1])
+        else:
+            app.command(name=name)(command)
+    return app
+
+
+def _all_commands() -> str:
+    """The page of ``skylight --help``: a line for each command, to its first colon or semicolon."""
+    lines = ["usage: skylight [-h] [--version] COMMAND ...", "", DESCRIPTION]
+    for heading, commands in (("Every day", EVERYDAY), ("Research", RESEARCH)):
+        lines += ["", f"{heading}:"]
+        for name, command in commands.items():
+            text = command[1] if isinstance(command, tuple) else inspect.getdoc(command) or ""
+            does = re.split(r"[:;.\n]", text)[0]
+            lines.append(f"  {name:<18}{does}")
+    lines += ["", "`skylight COMMAND --help` tells of each, and lists its options."]
+    return "\n".join(lines)

@@ -36,11 +36,40 @@ class DependencyError(SkylightError):
     """An optional package is needed for this command and is not installed."""
 
 
+EXTRAS = {  # optional packages, by the names that they are imported by
+    "dask": "cluster",
+    "distributed": "cluster",
+    "dlib": "dlib",
+    "fastapi": "studio",
+    "igl": "decimation",
+    "manifold3d": "print",
+    "mitsuba": "render",
+    "onnx": "export",
+    "onnxscript": "export",
+    "rawpy": "raw",
+    "starlette": "studio",
+    "tensorboard": "train",
+    "uvicorn": "studio",
+    "xatlas": "atlas",
+    "yaml": "train",
+}
+
+
+def not_installed(package: str, what: str = "this command") -> DependencyError:
+    """``what`` needs ``package``, one of :data:`EXTRAS`: how to install it."""
+    extra = EXTRAS[package.partition(".")[0]]
+    return DependencyError(
+        f"{what} needs {package}, which is not installed: pip install 'skylight-lighting[{extra}]'"
+    )
+
+
 def explain(error: BaseException, *, more: str = "rerun with --debug") -> tuple[str, int]:
     """(what to tell the user, exit code) of whatever ended a command; ``more``: how to learn more.
 
-    ``more`` is said of bugs alone.
+    ``more`` is said of bugs alone. A missing package of an extra is told by its extra's name.
     """
+    if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in EXTRAS:
+        error = not_installed(str(error.name).partition(".")[0])
     if isinstance(error, SkylightError):
         return str(error), error.exit_code
     if isinstance(error, KeyboardInterrupt):

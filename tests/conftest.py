@@ -1,6 +1,8 @@
 """What every test may ask for."""
 
+import gc
 import os
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,17 @@ hypothesis.settings.load_profile("skylight")
 
 
 _left_out = pytest.StashKey[int]()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Imports make millions of objects that stay, so no search for cycles among them pays."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -44,7 +57,7 @@ def pytest_terminal_summary(
     terminalreporter: pytest.TerminalReporter, config: pytest.Config
 ) -> None:
     if count := config.stash.get(_left_out, 0):
-        terminalreporter.write_line(f"{count} slow tests were left out; make test-all runs them")
+        terminalreporter.write_line(f"{count} slow tests were left out; make night runs them")
 
 
 @pytest.fixture(scope="session", params=["cpu", "cuda"])
@@ -69,6 +82,17 @@ def shared_data() -> Path:
 def face_captures(tmp_path_factory: pytest.TempPathFactory) -> MadeCaptures:
     """Captures of a rendered person; tests that write take a copy of the folder."""
     return make_captures(tmp_path_factory.mktemp("captures") / "faces")
+
+
+@pytest.fixture(scope="session")
+def estimated_portrait(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """(A photograph, the folder of its estimate): the one run of the command that most tests need.
+
+    Tests that write take a copy of the folder.
+    """
+    from tests.estimated import estimated
+
+    return estimated(tmp_path_factory.mktemp("estimated"))
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ import pytest
 import yaml
 from skimage.data import astronaut
 
+from skylight.cli import EVERYDAY, RESEARCH, main
 from skylight.faces._landmarkers import choose_landmarker
 from skylight.io._files import write_png
 
@@ -113,14 +114,15 @@ def test_the_reference_has_every_public_name():
 
 def test_the_page_of_commands_has_each():
     text = (DOCS / "commands.md").read_text()
-    commands = re.findall(r'^app\.command\((?:\w+, )?(?:name="([\w-]+)"|(\w+))', _cli(), re.M)
-    names = {first or second for first, second in commands}
-    assert len(names) > 10
-    assert [name for name in sorted(names) if f"`skylight {name}" not in text] == []
+    assert [name for name in EVERYDAY | RESEARCH if f"`skylight {name}" not in text] == []
 
 
-def _cli() -> str:
-    return (ROOT / "skylight/cli.py").read_text()
+@pytest.mark.parametrize("arguments", [[], ["-h"], ["--help"]])
+def test_help_lists_each_command_in_a_line_the_everyday_ones_first(arguments, capsys):
+    assert main(arguments) == 0
+    listed = re.findall(r"^  ([\w-]+) +\w.*$", capsys.readouterr().out, re.M)
+    assert listed == [*EVERYDAY, *RESEARCH]
+    assert len(EVERYDAY) == 5
 
 
 def test_versions_agree():
@@ -129,6 +131,7 @@ def test_versions_agree():
     assert str(citation["version"]) == PROJECT["version"]
     assert citation["license"] == PROJECT["license"]
     assert f"## {PROJECT['version']} - " in (ROOT / "CHANGELOG.md").read_text()
+    assert metadata(PROJECT["name"])["Version"] == PROJECT["version"]
 
 
 def test_relighting_alone_is_the_same_version_with_fewer_needs():
@@ -156,7 +159,7 @@ def test_changelog_keeps_its_form():
 def required() -> set[str]:
     lists = [PROJECT["dependencies"], *PROJECT["optional-dependencies"].values()]
     names = {re.split(r"[\[<>=;~! ]", one)[0] for each in lists for one in each}
-    return names - {"skylight"}
+    return names - {"skylight-lighting"}
 
 
 def supply_chain() -> dict[str, list[str]]:

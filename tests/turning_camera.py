@@ -9,7 +9,7 @@ from jaxtyping import Float
 from skylight.probes.cameras._exposures import merge
 from skylight.probes.panorama._matches import Lens, Shot, shot_of
 from skylight.sphere._envmap import EnvironmentMap
-from tools.virtual_camera import Head, expose, picture
+from tests.virtual_camera import Head, expose, picture
 
 SUN = np.array([0.5, 0.35, -0.79]) / np.linalg.norm([0.5, 0.35, -0.79])
 SUN_RAD, SUN_RADIANCE = math.radians(1.5), 3000.0
@@ -21,11 +21,12 @@ TIMES = (1 / 4096, 1 / 256, 1 / 16, 1.0)
 
 
 def rippled(w: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """About 0.2, with ripples of 4 to 40 degrees."""
+    """About 0.2, with ripples of 4 to 40 degrees; their phases in float32, good to 1e-5."""
     rng = np.random.default_rng(5)
     waves = rng.standard_normal((60, 3))
     waves *= np.geomspace(9, 90, 60)[:, None] / np.linalg.norm(waves, axis=1, keepdims=True)
-    heights = np.sin(w @ waves.T + rng.uniform(0, 6, 60)) @ np.full(60, 0.16)
+    phases = w.astype(np.float32) @ waves.T.astype(np.float32)
+    heights = np.sin(phases + rng.uniform(0, 6, 60).astype(np.float32)).sum(1) * 0.16
     return 0.2 * np.exp(heights)[:, None] * np.array([1.0, 0.9, 0.7])
 
 

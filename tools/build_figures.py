@@ -167,7 +167,6 @@ def voxel_probe() -> list[Figure]:
         ),
         beside("Table 3.2, MAE", "relit models, order as in 3.9", _MAE, of("mae"), evaluation),
         beside("Table 3.2, SSIM", "the same", _SSIM, of("ssim"), evaluation, more_is_better=True),
-        *_coarse_models(),
         Figure(
             name="Fig. 3.12",
             shows="relit models beside path tracing",
@@ -182,24 +181,6 @@ def voxel_probe() -> list[Figure]:
             met=results("live")["voxel"]["frames_per_s"] >= 30,
             where="`python -m tools.measure_live`",
         ),
-    ]
-
-
-def _coarse_models() -> list[Figure]:
-    """Table 3.2 with models of 12 voxels and 512 paths: the thesis states neither number."""
-    found = results("voxel-table")["coarse models"]
-    shows, where = (
-        "the same, models of 12 voxels, 512 paths",
-        "`python -m tools.measure_voxel_table`",
-    )
-
-    def of(metric: str) -> list[float]:
-        kinds = (kind.removeprefix("probe").replace("_", "-") for kind in THESIS_L1)
-        return [found[kind][f"{metric} mean"] for kind in kinds]
-
-    return [
-        beside("Table 3.2, MAE", shows, _MAE, of("mae"), where),
-        beside("Table 3.2, SSIM", shows, _SSIM, of("ssim"), where, more_is_better=True),
     ]
 
 
@@ -437,44 +418,11 @@ def sparse_codes() -> list[Figure]:
                 ("ani_k40_l1", "kmeans_k40_l1", "iso_k40_l1", "haar", "sh"), coding),
         ordered("Fig. 6.8", "the same with sharper filters", "sparse-coding", "l2_100",
                 ("ani_l1", "kmeans_l1", "iso_l1", "haar", "sh"), coding),
-        *_beyond_filters(),
         ordered("Fig. 6.9", "SSIM at 100, 40 bands", "sparse-coding", "ssim_100",
                 ("ani_k40_nnls", "ani_k40_l1"), coding, rises=True),
         ordered("Fig. 6.9", "the same, and harmonics", "sparse-coding", "ssim_100",
                 ("ani_k40_nnls", "sh"), coding, rises=True),
     ]  # fmt: skip
-
-
-def _beyond_filters() -> list[Figure]:
-    """Section 6.1 argues with planar codes, 6.6.1.3 hopes for better dictionaries than ``ani``."""
-    planar = results("planar-codes")
-    of = {
-        name: planar[f"indoor {name}"]["64"]
-        for name in ("spherical fine", "spherical", "planar pursuit", "planar")
-    }
-    box = results("csc-box-dictionary")
-    falls_by = [
-        1 - box["mean"]["box"][count] / box["mean"]["ani"][count] for count in ("16", "36", "64")
-    ]
-    return [
-        Figure(
-            name="6.1",
-            shows=f"error of codes of the plane and the sphere, at 64, {planar['maps']['indoor']} "
-            "rooms",
-            thesis="the sphere's are better (argued)",
-            ours=", ".join(f"{name} {value:.3f}" for name, value in of.items()),
-            met=min(of.values()) == of["spherical fine"],
-            where="`python -m tools.measure_planar_codes`",
-        ),
-        Figure(
-            name="6.6.1.3",
-            shows="a dictionary better than ani, at 16, 36, 64, maps held out",
-            thesis="none: k-means' is worse",
-            ours=f"`box`: {', '.join(f'{100 * fall:.0f}' for fall in falls_by)} % lower",
-            met=min(falls_by) > 0,
-            where="`python -m tools.measure_box_dictionary`",
-        ),
-    ]
 
 
 def beside(

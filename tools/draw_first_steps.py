@@ -1,15 +1,13 @@
 """The first minutes with skylight, as a newcomer's: docs/first_steps.md, with times and pictures.
 
-    make wheel blender
-    python -m tools.draw_first_steps --wheel dist/skylight-*.whl --extension dist/world_*.zip
+    python -m tools.draw_first_steps
 
-Installs the wheel into an empty environment far from the sources and Blender's module into another,
-runs the commands that the page shows, one after the other, and takes their times. Nothing else
+Clones this repository as it is committed, types there what the page shows, step by step, and takes
+the times: skylight goes into an empty environment, Blender's module into another. Nothing else
 should run on the machine.
 """
 
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -28,9 +26,11 @@ from tools.viewer_page import CHROMIUM, opened
 PAGE = Path("docs/first_steps.md")
 IMAGES = Path("docs/images/first_steps")
 RESULT = Path("benchmarks/results/first-steps.json")
+ROOT = Path(__file__).resolve().parents[1]
+PLACE = "out/first_steps"  # in the clone; git ignores it
 BPY = "bpy==4.2.*"
 WIDTH = 640
-IN_BLENDER = """
+BALL = """
 import bpy
 import sys
 from os.path import abspath
@@ -54,28 +54,28 @@ bpy.ops.render.render(write_still=True)
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """A heading, what is typed, what to expect, and the picture that comes of it."""
+    """A heading, a program to save, what is typed, what to expect, and the picture of it."""
 
     title: str
     typed: str
     then: str
+    program: tuple[str, str, str] = ("", "", "")  # its name, what it does, and its text
     picture: str = ""
 
 
-PORTRAIT = """
-from skimage import data
-from PIL import Image
-
-Image.fromarray(data.astronaut()).save("portrait.png")
-"""
+PORTRAIT = (
+    "from skimage import data; from PIL import Image; "
+    "Image.fromarray(data.astronaut()).save('portrait.png')"
+)
 STEPS = (
     Step(
         title="Install",
-        typed="python3 -m venv skylight-env\n. skylight-env/bin/activate\npip install {wheel}\n"
-        "python portrait.py",
-        then="torch is most of it. `portrait.py` saves the picture that these steps use, which "
+        typed=f"mkdir -p {PLACE}\ncd {PLACE}\npython3 -m venv skylight-env\n"
+        ". skylight-env/bin/activate\npip install --constraint ../../constraints.txt ../..\n"
+        f'python -c "{PORTRAIT}"',
+        then="torch is most of it. The last line saves the picture that these steps use, which "
         "comes with scikit-image (NASA's portrait of Eileen Collins, public domain); one of your "
-        "own will do:\n\n```python" + PORTRAIT + "```",
+        "own will do. All other steps are typed in the same folder.",
     ),
     Step(
         title="The light of a portrait",
@@ -97,21 +97,27 @@ STEPS = (
     ),
     Step(
         title="The light in Blender",
-        typed="skylight export blender light for_blender",
-        then="The extension's *Set Up from Photo* does this and the estimate from a panel: "
-        "[Blender](blender.md).",
+        typed="skylight export blender light for_blender\n"
+        "python3 ../../tools/build_blender_extension.py --out .",
+        then="The second line packs Blender's extension, `world_from_portrait-*.zip`. Its *Set Up "
+        "from Photo* does this step and the estimate from a panel: [Blender](blender.md).",
     ),
     Step(
         title="Blender without its window",
         typed=f"python3 -m venv blender-env\n. blender-env/bin/activate\npip install '{BPY}'",
-        then="Blender itself needs no such environment: its *Install from Disk* takes the zip.",
+        then="Blender's module needs Python 3.11. Blender itself needs no such environment: its "
+        "*Install from Disk* takes the zip.",
     ),
     Step(
         title="A ball beside the head, by Blender",
         typed="export BLENDER_USER_RESOURCES=$PWD/blender\n. blender-env/bin/activate\n"
-        "python ball.py {extension}",
-        then="`ball.py` installs the extension, sets the scene up, adds a matt ball and renders; "
-        "here laid over the photograph:\n\n```python" + IN_BLENDER + "```",
+        "python ball.py world_from_portrait-*.zip",
+        then="`ball.png`, here laid over the photograph.",
+        program=(
+            "ball.py",
+            "installs the extension, sets the scene up, adds a diffuse ball and renders",
+            BALL,
+        ),
         picture="with_ball.png",
     ),
 )
@@ -121,24 +127,17 @@ STEPS = (
 class Options:
     """Walk through the first steps, and write the page about them."""
 
-    wheel: Path
-    """skylight's wheel."""
-    extension: Path
-    """The zip of the Blender extension."""
     chromium: str = CHROMIUM
     """Its program, to look at the page."""
 
 
 def main(options: Options) -> None:
     begun = time.time()
-    files = {"wheel": options.wheel.name, "extension": options.extension.name}
     with tempfile.TemporaryDirectory(prefix="skylight-first-") as folder:
-        place = Path(folder)
-        for file in (options.wheel, options.extension):
-            shutil.copy(file, place)
-        for name, program in (("portrait.py", PORTRAIT), ("ball.py", IN_BLENDER)):
-            (place / name).write_text(program)
-        seconds = {step.title: taken(step.typed.format(**files), place) for step in STEPS}
+        clone = Path(folder) / "skylight"
+        subprocess.run(["git", "clone", "--quiet", "--depth=1", ROOT.as_uri(), clone], check=True)
+        place = clone / PLACE
+        seconds = {step.title: taken(step, place if place.is_dir() else clone) for step in STEPS}
         with opened(place / "page.html", options.chromium) as shown:
             gathered(shown, 1)
             shown.screenshot(path=place / "page.png")
@@ -151,26 +150,28 @@ def main(options: Options) -> None:
         }
     whole = sum(seconds.values())
     with atomic_path(PAGE) as temporary:
-        temporary.write_text(page(seconds, files), encoding="utf-8")
+        temporary.write_text(page(seconds), encoding="utf-8")
     write_measured(
         RESULT,
         name=RESULT.stem,
-        what="Seconds of a newcomer's first steps, from the wheel in an empty environment",
-        command=f"python -m tools.draw_first_steps --wheel {options.wheel.name} "
-        f"--extension {options.extension.name}",
+        what="Seconds of a newcomer's first steps, from a fresh clone and an empty environment",
+        command="python -m tools.draw_first_steps",
         begun=begun,
         facts={"cores": os.cpu_count(), "steps_s": seconds, "whole_s": whole, **sizes},
     )
 
 
-def taken(typed: str, place: Path) -> float:
-    """Seconds of commands in a shell that knows the newcomer's environment, not this one."""
-    print(typed, flush=True)
+def taken(step: Step, place: Path) -> float:
+    """Seconds of its commands in a shell that knows the newcomer's environment, not this one."""
+    print(step.typed, flush=True)
+    name, _, program = step.program
+    if name:
+        (place / name).write_text(program.lstrip())
     paths = (place / "skylight-env" / "bin", Path(sys.base_prefix) / "bin", "/usr/bin", "/bin")
     kept = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
     started = time.monotonic()
     subprocess.run(
-        ["bash", "-ec", typed],
+        ["bash", "-ec", step.typed],
         cwd=place,
         check=True,
         env={**kept, "PATH": ":".join(map(str, paths))},
@@ -191,18 +192,22 @@ def small(source: Path, to: Path) -> None:
         picture.save(temporary, format="JPEG", quality=85)
 
 
-def page(seconds: dict[str, float], files: dict[str, str]) -> str:
+def page(seconds: dict[str, float]) -> str:
     whole = sum(seconds.values()) / 60
     lines = [
         "# First steps",
         "",
-        f"From nothing to a portrait in another light, a page to send and a scene in Blender: "
+        f"From a clone to a portrait in another light, a page to send and a scene in Blender: "
         f"{whole:.1f} minutes of waiting on {os.cpu_count()} cores without a graphics card. "
-        "`python -m tools.draw_first_steps` types what stands here, and wrote it down.",
+        "What is typed first is typed in a clone of skylight. `python -m tools.draw_first_steps` "
+        "types what stands here, and wrote it down.",
     ]
     for number, step in enumerate(STEPS, start=1):
-        lines += ["", f"## {number}. {step.title}", "", "```sh"]
-        lines += [step.typed.format(**files), "```", ""]
+        lines += ["", f"## {number}. {step.title}", ""]
+        name, does, program = step.program
+        if name:
+            lines += [f"Save this as `{name}`; it {does}:", "", f"```python{program}```", ""]
+        lines += ["```sh", step.typed, "```", ""]
         lines += [f"{seconds[step.title]:.0f} s. {step.then}"]
         if step.picture:
             stem = Path(step.picture).stem

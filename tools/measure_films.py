@@ -4,7 +4,7 @@
 
 Goes on where it was stopped; what is measured of a film is kept beside it.
 
-Renders path-traced films (:mod:`skylight.people._batch`) whose sun stands still
+Renders path-traced films (:mod:`skylight.people._film`) whose sun stands still
 while head and camera turn, where they are not in the folder yet, estimates the light of each film
 and of some of its frames alone, and compares both in the world's frame. Single frames are turned
 by the true turns of the camera, films by those that were found.
@@ -34,7 +34,7 @@ from skylight.estimate.film._files import FilmEstimate, FilmSettings, estimate_f
 from skylight.estimate.film._light import SHARE_OF_START
 from skylight.io._atomic import atomic_path
 from skylight.io._files import write_png
-from skylight.people._batch import FilmTruth, film_frame, film_truth
+from skylight.people._film import FilmTruth, film_frame, film_truth
 from skylight.people._light import RenderOptions
 from skylight.sphere._envmap import EnvironmentMap
 from tools.measured import kept, write_measured

@@ -28,8 +28,7 @@ from skylight.probes.cameras._tracking import BoardTracker
 from skylight.probes.partitions._relight_files import VirtualScene, live_scene
 from skylight.probes.voxel._capture_files import live_film
 from skylight.probes.voxel._model import voxelise
-from tools import measure_partition_end_to_end as partitions
-from tools import measure_voxel_end_to_end as voxel
+from tools import measure_partition_end_to_end as partitions, measure_voxel_end_to_end as voxel
 from tools.measured import write_measured
 from tools.rendered_photos import ALBEDO, BOARD, LENS, Photographer, halved
 

@@ -34,8 +34,8 @@ from skylight.probes.cameras._live import read_picture
 from skylight.probes.cameras._response import Response
 from skylight.probes.fabrication._mount import MarkerBoard, Pole
 from skylight.probes.partitions._captured import FaceDiscs, ProbeCapture, load_capture, save_capture
-from skylight.probes.partitions._design_files import describe_partition_assembly
 from skylight.probes.partitions._optimise import named_design
+from skylight.probes.partitions._printing_files import describe_partition_assembly
 from skylight.probes.partitions._relight_files import ScenePlacement, VirtualScene, live_scene
 from skylight.probes.partitions.printed._assembly import PartitionAssembly
 from skylight.probes.partitions.printed._printing import print_partition_probe

@@ -19,6 +19,7 @@ import urllib.request
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+CONSTRAINTS = ROOT / "constraints.txt"
 PHOTO = "from skimage import data; from PIL import Image; Image.fromarray(data.astronaut())"
 NOTHING_FOR_RESEARCH_ONLY = (  # dlib's landmark model is an extra
     "from importlib.util import find_spec as f; "
@@ -38,11 +39,11 @@ def main() -> int:
         bin_ = home / "empty" / "bin"
         pip = bin_ / "python", "-m", "pip", "--disable-pip-version-check"
         run(*pip, "uninstall", "-q", "-y", "setuptools", cwd=home)  # some venvs have it, some not
-        run(*pip, "install", "-q", home / "sources" / "relight", cwd=home)
+        run(*pip, "install", "-q", "-c", CONSTRAINTS, home / "sources" / "relight", cwd=home)
         say(started, f"relighting alone installed: {megabytes(home / 'empty')} MB")
         relight(bin_ / "skylight", home)
         say(started, "it relights as the tree does")
-        run(*pip, "install", "-q", wheel, cwd=home)
+        run(*pip, "install", "-q", "-c", CONSTRAINTS, f"{wheel}[studio]", cwd=home)
         say(started, f"the full package installed over it: {megabytes(home / 'empty')} MB")
         run(bin_ / "python", "-c", NOTHING_FOR_RESEARCH_ONLY, cwd=home)
         run(bin_ / "python", "-c", f"{PHOTO}.save('photo.png')", cwd=home)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from .run import Failure, Step
 
-COMPATIBLE = (0, 2), (0, 3)  # from the first on, below the second
+COMPATIBLE = (0, 2), (0, 4)  # from the first on, below the second
 EXPORTED = "blender"  # folder within an estimate's
 LIGHTS = (
     ("autoencoder", "Outdoors", "A sky, sun or clouds, over a ground"),

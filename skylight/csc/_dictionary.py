@@ -10,19 +10,18 @@ import math
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
+from skylight.csc._names import BuiltinName
 from skylight.errors import InputError
 from skylight.io._tensors import read_tensors, write_tensors
-from skylight.sphere import _harmonics as harmonics
-from skylight.sphere import _lobes as lobes
+from skylight.sphere import _harmonics as harmonics, _lobes as lobes
 
-BuiltinName = Literal["iso", "ani", "vmf", "box"]
 PolarFunction = Callable[[Tensor, Tensor], Tensor]
 
 DEGREE = 40

@@ -5,7 +5,7 @@ Codes of given sizes: a greedy pursuit, then exchanges that improve on its choic
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 import torch
@@ -15,6 +15,7 @@ from torch.nn.functional import max_pool2d, pad
 
 from skylight.csc._active_set import ActiveSet, Quadratic
 from skylight.csc._code import CodeTensors
+from skylight.csc._names import Sign
 from skylight.csc._search import Atom, Found, Query, Search, Values
 from skylight.csc._sub_dictionaries import Part, part_of
 from skylight.errors import InputError
@@ -23,7 +24,6 @@ from skylight.work._progress import Progress
 _EXACT = 1e-12  # of the signal's energy: an error of the weights of 1e-6
 _PEAK, _MOST_PEAKS = 0.4, 600  # a share of the highest; pairs are tried among so many
 _ROOM = 192  # images at first: 144 activations and some rivals
-Sign = Literal["l1", "nonnegative", "free"]
 WEAK_L1 = 1e-5  # of the largest correlation with the signal
 _ROUNDING = 2e-6  # of the same: what is left in float32 of a correlation that is 0
 

@@ -33,8 +33,7 @@ from skylight.csc._dictionary import (
     unit_rows,
 )
 from skylight.errors import InputError
-from skylight.sphere import _harmonics as harmonics
-from skylight.sphere import _lobes as lobes
+from skylight.sphere import _harmonics as harmonics, _lobes as lobes
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import DirectionGrid, direction_from_angles, pixel_from_direction
 from skylight.sphere._rotation import turn_about_pole

@@ -18,7 +18,7 @@ from skylight.sphere._frame import DirectionGrid, direction_from_angles, row_edg
 from skylight.sphere._rotation import matrix_from_euler
 
 # Least share of uniform directions: of 0.02 to 0.5 the best over 32 maps at 64 activations, by 4 %
-# against 0.1 (`tools/measure_code_sampling.py`).
+# against 0.1.
 UNIFORM = 0.2
 _AT_ONCE = 2**14  # directions whose densities are evaluated together
 

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skylight import __version__
 from skylight._figures import angles_deg, describe_lamps, named_angles
 from skylight.faces._fit import FaceFit
 from skylight.faces._landmarks import DetectedFace
@@ -181,7 +182,7 @@ def draw_region(axes: "Axes", posterior: SunPosterior, height: int) -> None:
     axes.axis(limits)
 
 
-PACKAGES = ("skylight", "torch", "numpy", "scipy", "dlib-bin", "onnxruntime", "embreex")
+PACKAGES = ("torch", "numpy", "scipy", "dlib-bin", "onnxruntime", "embreex")
 
 
 def describe(result: PhotoEstimate, *, keep_place: bool) -> dict[str, object]:
@@ -262,7 +263,7 @@ def where(azimuth_deg: float, zenith_deg: float) -> str:
 
 
 def _versions() -> dict[str, str | None]:
-    found: dict[str, str | None] = {"python": platform.python_version()}
+    found: dict[str, str | None] = {"python": platform.python_version(), "skylight": __version__}
     for package in PACKAGES:
         try:
             found[package] = version(package)

@@ -4,6 +4,7 @@ import math
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -12,21 +13,15 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.evaluation._known_faces import (
-    NOT_FOUND,
-    EstimateOptions,
+    FaceEvaluation,
     FaceSource,
-    choice_facts,
     coverage,
     face_score,
-    fitted_head,
     lamps_chosen,
-    light_of,
-    peak_mib,
     pose_error_deg,
 )
 from skylight.evaluation._pictures import beside, strip
-from skylight.evaluation._run import Check, Item
-from skylight.evaluation._tables import Rows
+from skylight.evaluation._run import Check, Item, Rows
 from skylight.faces._skin import SkinPrior
 from skylight.inverse._posterior import SunPosterior
 from skylight.inverse._result import Lamp
@@ -52,7 +47,7 @@ COMPARED = ("mae", "rmse", "full_dw_mae")
 
 
 @dataclass(frozen=True, kw_only=True)
-class AnyLight:
+class AnyLight(FaceEvaluation):
     """Faces of ``skylight faces render --maps`` in the folder ``data``, the first ``count`` of it.
 
     Every light model of ``methods`` has a row, and ``grey`` is what one has without inverse
@@ -67,12 +62,14 @@ class AnyLight:
       include the truth's main lamp.
     """
 
+    title = "any-light"
+    needs = "faces under given maps, made by 'skylight faces render --maps DIR'"
+    data_folder = "indoor"
+    quick = MappingProxyType({"count": 12})
+
     data: Path
     count: int | None = None
     methods: tuple[LightName, ...] = ("sh25", "autoencoder", "lamps", "auto")
-    seed: int = 0  # nothing is drawn
-    options: EstimateOptions = EstimateOptions()
-    name: str = "any-light"
 
     def __post_init__(self) -> None:
         for name in self.items():
@@ -104,11 +101,7 @@ class AnyLight:
         }
         if turned.category is not None:
             facts["category"] = turned.category
-        seconds: dict[str, float] = {}
-        fit = fitted_head(face, seconds)
-        if fit is None:
-            return Item(name=item, metrics={}, facts=facts, problem=NOT_FOUND)
-        found = light_of(face, fit, self.methods, seconds, options=self.options)
+        found = self.lit(face, self.methods)
         environments = {name: one.environment for name, one in found.estimates.items()}
         environments[GREY] = grey_light(found.view.observation)
         metrics = found.metrics | {GREY: face_score(environments[GREY], face)}
@@ -117,16 +110,14 @@ class AnyLight:
             own = lamps_of(estimate.light, estimate.lamps, estimate.environment)
             metrics[name] |= lamp_scores(own, lamps)
             metrics[name] |= main_lamp_coverage(estimate.posterior, lamps)
-        facts |= choice_facts(found.estimates)
         shown = f"{item} {Path(turned.file).stem}"
         write_png(picture, beside(face.encoded, strip(face.environment, environments), shown))
         facts |= {
             "verdicts": {name: one.posterior.verdict for name, one in found.estimates.items()},
             "residuals": {name: one.faces[0].residual for name, one in found.estimates.items()},
-            "pose_deg": pose_error_deg(fit, face.truth),
+            "pose_deg": pose_error_deg(found.fit, face.truth),
             "pixels": len(found.view.blocks),
-            "seconds": seconds,
-            "peak_mib": peak_mib(),
+            **found.facts,
         }
         return Item(name=item, metrics=metrics, facts=facts)
 

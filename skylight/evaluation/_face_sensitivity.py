@@ -1,17 +1,14 @@
 """Sensitivity to resolution, pose and shape (thesis, 5.5.5, Figs. 5.8, B.5 to B.7).
 
-As in the thesis every curve starts from the true head. All methods share one transport per
-condition.
-
-Heads with errors of known size, and smaller pictures (thesis, 5.5.5).
-
-Figures of the sensitivity analysis: Figs. 5.8 and B.5 to B.7 with the thesis' curves.
+Light is estimated from heads with errors of known size and from smaller pictures. As in the thesis
+every curve starts from the true head. All methods share one transport per condition.
 """
 
 import zlib
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal
 
 import cv2
@@ -20,15 +17,16 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from skylight.evaluation._known_faces import (
+    FIRST_SEED,
     METHODS,
-    EstimateOptions,
+    FaceEvaluation,
     FaceSource,
     KnownFace,
     light_of,
 )
 from skylight.evaluation._pictures import NAMES
-from skylight.evaluation._run import Check, Item
-from skylight.evaluation._tables import LABELS, METRICS, Rows
+from skylight.evaluation._run import Check, Item, Rows
+from skylight.evaluation._tables import LABELS, METRICS
 from skylight.faces._fit import FaceFit, camera_project
 from skylight.faces._model import HeadModel, Region
 from skylight.io._atomic import atomic_path
@@ -173,25 +171,39 @@ MOST_GROWTH = 0.2  # of Full-dω MAE
 
 
 @dataclass(frozen=True, kw_only=True)
-class FaceSensitivity:
+class FaceSensitivity(FaceEvaluation):
     """The seven metrics over picture size, two axes of pose error and noise of the shape.
 
-    Rendered here, pictures have the largest size's side. Sizes beyond a folder's pictures are
+    Of the first ``count`` faces of the folder ``data``, or of so many that are rendered here, whose
+    pictures have ``size`` pixels a side. Sizes beyond a folder's pictures are
     left out: there is nothing more to see in a picture blown up. In pictures resampled to one of
     ``sizes`` every pixel counts; the other curves use the usual working resolution.
     """
 
-    source: FaceSource
+    title = "face-sensitivity"
+    data_folder = None
+    quick = MappingProxyType(
+        {
+            "count": 3,
+            "methods": ("sh9", "autoencoder"),
+            "sizes": (90, 192),
+            "angles_deg": (0.0, 15.0),
+            "sigmas": (0.0, 1.1),
+        }
+    )
+
+    data: Path | None = None
+    count: int | None = 24
+    size: int = max(SIZES)
+    seed: int = FIRST_SEED
     sizes: tuple[int, ...] = SIZES
     angles_deg: tuple[float, ...] = ANGLES_DEG
     sigmas: tuple[float, ...] = SIGMAS
     methods: tuple[LightName, ...] = METHODS
-    options: EstimateOptions = EstimateOptions()
-    name: str = "face-sensitivity"
 
     @property
-    def seed(self) -> int:
-        return self.source.seed
+    def source(self) -> FaceSource:
+        return FaceSource(data=self.data, count=self.count, size=self.size, seed=self.seed)
 
     def config(self) -> dict[str, object]:
         return self.source.config() | {

@@ -1,8 +1,8 @@
-"""Faces of known illumination, geometry and skin: simulated, or read from a folder.
+"""Faces whose illumination, geometry and skin are known, and light estimated from them.
 
-Light models estimated from one face under known illumination: scores and cost.
-
-With which trained model, effort and device the light of faces is estimated.
+They are rendered on the spot or read from a folder of ``skylight faces render``. What evaluations
+of faces have in common is here: with which trained model, effort and device light is estimated,
+and what the estimates' scores and costs are.
 """
 
 import hashlib
@@ -24,7 +24,7 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.evaluation._run import Check, Item, trained_model
+from skylight.evaluation._run import Check, Evaluation, Item, trained_model
 from skylight.faces._captures import fit_visible
 from skylight.faces._fit import FaceFit, fit_face
 from skylight.faces._landmarkers import choose_landmarker
@@ -47,6 +47,7 @@ from skylight.people._light import LOWEST_TRANSMITTANCE
 from skylight.skies._simulated import simulated_skies
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.transport._observation import Observation
+from skylight.work._device import choose_device
 
 FIRST_SEED = 20_000_000
 _SEEDS_APART = 1000  # so that each face finds a day of its own
@@ -201,23 +202,62 @@ METHODS: tuple[LightName, ...] = ("sh9", "sh25", "sunsky", "autoencoder")
 
 @dataclass(frozen=True, kw_only=True)
 class LitFace:
-    """Estimates by method, all from one ``view``, and their metrics."""
+    """Estimates by method, all from one ``view`` of the head ``fit``, and their metrics.
 
+    ``seconds`` are what each stage took.
+    """
+
+    fit: FaceFit
     view: FaceView
     estimates: dict[str, Estimate]
     metrics: dict[str, dict[str, float]]
+    seconds: dict[str, float]
+
+    @property
+    def facts(self) -> dict[str, object]:
+        """What "auto" chose, where it was asked, and what the estimates took."""
+        costs = {"seconds": self.seconds, "peak_mib": peak_mib()}
+        return choice_facts(self.estimates) | costs
 
 
-def fitted_head(face: KnownFace, seconds: dict[str, float]) -> FaceFit | None:
-    """The head as a photograph's would be fitted; None where the landmark detector finds none.
+@dataclass(frozen=True, kw_only=True)
+class FaceEvaluation(Evaluation):
+    """An evaluation that estimates light from faces, as ``options`` say."""
+
+    options: EstimateOptions = EstimateOptions()
+
+    def with_model(self, model: Path | None, device: str) -> "FaceEvaluation":
+        choose_device(device)
+        return replace(self, options=replace(self.options, model=model, device=device))
+
+    def lit(self, face: KnownFace, methods: tuple[LightName, ...]) -> LitFace:
+        """Every method's light of a rendered face, from the head that its picture gives.
+
+        Raises
+        ------
+        InputError
+            The landmark detector finds no face.
+        """
+        seconds: dict[str, float] = {}
+        fit = fitted_head(face, seconds)
+        return light_of(face, fit, methods, seconds, options=self.options)
+
+
+def fitted_head(face: KnownFace, seconds: dict[str, float]) -> FaceFit:
+    """The head as a photograph's would be fitted.
 
     ``seconds`` is told what each stage took: "landmarks" and "head".
+
+    Raises
+    ------
+    InputError
+        The landmark detector finds no face.
     """
     height, width = face.encoded.shape[:2]
     with stage(seconds, "landmarks"):
         faces = choose_landmarker().detect(face.encoded)
     if not faces:
-        return None
+        raise InputError(NOT_FOUND)
     with stage(seconds, "head"):
         return fit_face(HeadModel.load(), faces[0], width, height)
 
@@ -251,7 +291,7 @@ def light_of(
         }
         for method, estimate in estimates.items()
     }
-    return LitFace(view=view, estimates=estimates, metrics=metrics)
+    return LitFace(fit=fit, view=view, estimates=estimates, metrics=metrics, seconds=seconds)
 
 
 def light_by_method(

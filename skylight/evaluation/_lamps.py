@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from types import MappingProxyType
 
 import cv2
 import numpy as np
@@ -14,8 +15,7 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.evaluation._known_faces import (
-    NOT_FOUND,
-    EstimateOptions,
+    FaceEvaluation,
     choice_facts,
     coverage,
     lamps_chosen,
@@ -24,8 +24,7 @@ from skylight.evaluation._known_faces import (
     seen_and_rendered,
 )
 from skylight.evaluation._pictures import beside, strip
-from skylight.evaluation._run import Check, Item, read_index
-from skylight.evaluation._tables import Rows
+from skylight.evaluation._run import Check, Item, Rows, read_index
 from skylight.faces._captures import fit_visible
 from skylight.faces._fit import FaceFit
 from skylight.faces._landmarkers import choose_landmarker
@@ -51,7 +50,7 @@ POSE_SCATTER_DEG, POSE_MEDIAN_DEG, POSE_WORST_DEG = 1.5, 2.0, 8.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lamps:
+class Lamps(FaceEvaluation):
     """The grey, linear photographs of ``data/lamps.json``: {file: unit vector to the lamp}.
 
     The vector is in the camera's frame (-Z ahead, +X right, +Y up). A file's name begins with the
@@ -65,12 +64,14 @@ class Lamps:
     (``_68_points``) and, where it is installed, to dlib's (``_dlib``): six times the time.
     """
 
+    title = "lamps"
+    needs = "grey photographs of faces and a lamps.json with the direction of each one's lamp"
+    data_folder = "lamps"
+    quick = MappingProxyType({"every": 4})
+
     data: Path
     every: int = 1
     ablation: bool = False
-    seed: int = 0  # nothing is drawn
-    options: EstimateOptions = EstimateOptions()
-    name: str = "lamps"
 
     def __post_init__(self) -> None:
         _read_index(self.data)
@@ -84,22 +85,16 @@ class Lamps:
 
     def measure(self, item: str, picture: Path) -> Item:
         lamp = torch.tensor(_read_index(self.data)[item], dtype=torch.float64)
-        facts: dict[str, object] = {"person": item.partition("_")[0], "found": False}
         seconds: dict[str, float] = {}
         photo = read_lamp_photo(self.data / item)
-        try:
-            fit, view = observe_largest(photo, item, seconds)
-        except InputError as error:
-            facts["found"] = "no face found" not in str(error)
-            problem = NOT_FOUND if not facts["found"] else str(error)
-            return Item(name=item, metrics={}, facts=facts, problem=problem)
+        fit, view = observe_largest(photo, item, seconds)
         estimates = light_by_method(view.observation, METHODS, seconds, self.options)
         estimate = estimates[OURS]
         shown = seen_and_rendered(view, estimate.rendered)
         environments = {name: one.environment for name, one in estimates.items()}
         write_png(picture, beside(shown, strip(None, environments), item))
-        facts |= {
-            "found": True,
+        facts: dict[str, object] = {
+            "person": item.partition("_")[0],
             "verdict": estimate.posterior.verdict,
             "verdicts": {name: one.posterior.verdict for name, one in estimates.items()},
             **choice_facts(estimates),
@@ -145,7 +140,7 @@ class Lamps:
         return rows
 
     def checks(self, rows: Rows, items: list[Item]) -> dict[str, Check]:
-        found = float(np.mean([bool(item.facts.get("found")) for item in items]))
+        found = float(np.mean(["no face found" not in item.problem for item in items]))
         checks = {"faces found": Check.at_least(found, FOUND)}
         ours = rows.get(OURS, {})
         if ours:

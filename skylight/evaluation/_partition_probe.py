@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
 
 import torch
 from jaxtyping import Float
@@ -41,7 +42,16 @@ from skylight.evaluation._partition_scene import (
     partition_scene,
 )
 from skylight.evaluation._pictures import captioned_rows
-from skylight.evaluation._run import Check, Item, Metrics, mesh_files, probes_folder
+from skylight.evaluation._run import (
+    PROBES_AND_MESHES,
+    Check,
+    Evaluation,
+    Item,
+    Metrics,
+    Rows,
+    mesh_files,
+    probes_folder,
+)
 from skylight.imaging._colour import tone_map
 from skylight.imaging._metrics import shading_metrics
 from skylight.io._files import INDEX_NAME, read_categories, read_environment_map, write_png
@@ -71,12 +81,27 @@ Found = dict[str, list[Float[Tensor, "m 3"]]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class PartitionProbeTable:
+class PartitionProbeTable(Evaluation):
     """``data`` holds the folders hdr (maps and an index.csv) and meshes: up to three of them.
 
     ``rays`` leave each point, or more: 8 for each cell, rounded up to a power of 2.
     ``searches`` of ``steps`` for the design of 14 cells, the best of which counts; 0 for none.
     """
+
+    title = "partition-probe"
+    needs = PROBES_AND_MESHES
+    # one map each, noisy references, and probes of few cells
+    quick = MappingProxyType(
+        {
+            "indoor": 1,
+            "sunny": 1,
+            "samples": 64,
+            "rays": 64,
+            "even": (6, 14),
+            "width": 96,
+            "searches": 0,
+        }
+    )
 
     data: Path
     indoor: int = 100
@@ -88,8 +113,6 @@ class PartitionProbeTable:
     searches: int = 4
     steps: int = 4000
     turns: int = 4
-    name: str = "partition-probe"
-    seed: int = 0
 
     def __post_init__(self) -> None:
         if self.turns < 1:
@@ -228,9 +251,7 @@ class PartitionProbeTable:
     def _harmonic(self, scene: PartitionScene) -> Float[Tensor, "m k"]:
         return _harmonic_transfer(scene, self.samples, self.seed)
 
-    def checks(
-        self, rows: dict[str, dict[str, dict[str, float]]], items: list[Item]
-    ) -> dict[str, Check]:
+    def checks(self, rows: Rows, items: list[Item]) -> dict[str, Check]:
         """The thesis' orderings, three of its numbers, and what outdoor designs are for."""
         found: dict[str, Check] = {}
 

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.errors import DependencyError
+from skylight.errors import not_installed
 from skylight.probes.cameras._drawing import looking_at
 from skylight.probes.partitions._cells import Cells
 from skylight.probes.partitions._seeds import ProbeDesign
@@ -148,10 +148,8 @@ def _standing(path: Path) -> tuple[Float[Tensor, "v 3"], Tensor]:
         try:
             import igl
         except ImportError as error:
-            raise DependencyError(
-                f"{path} has more than {_FACES} triangles, and fewer need libigl: "
-                "pip install 'skylight[decimation]'"
-            ) from error
+            what = f"{path} has more than {_FACES} triangles, and making fewer of them"
+            raise not_installed("igl", what) from error
         places, triangles, _, _ = igl.qslim(places, triangles.astype(np.int32), _FACES, False)
     places, triangles = (torch.from_numpy(np.ascontiguousarray(a)) for a in (places, triangles))
     low, high = places.amin(0), places.amax(0)

@@ -1,9 +1,7 @@
-"""Illumination from photographs of people, checked by notes on the side of the light.
+"""Illumination from photographs of people.
 
-Illumination from photographs with captured light probes (thesis, 5.5.4, Table 5.3, Fig. 5.7).
-
-The side of the light, from the notes on a photograph.
-
+Where a light probe was captured with each photograph the estimates are scored by it (thesis,
+5.5.4, Table 5.3, Fig. 5.7); where there are but notes on the light, by the side that a note names.
 Sides are the viewer's: "right" is +X of the camera's frame.
 """
 
@@ -12,6 +10,7 @@ import re
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -20,14 +19,14 @@ from jaxtyping import UInt8
 from skylight.errors import InputError
 from skylight.evaluation._known_faces import (
     METHODS,
-    EstimateOptions,
+    FaceEvaluation,
     choice_facts,
     light_by_method,
     observe_largest,
     seen_and_rendered,
 )
 from skylight.evaluation._pictures import PROBE, SCENE, WIDTH, beside, caption, sized, strip
-from skylight.evaluation._run import Check, Item, read_index
+from skylight.evaluation._run import Check, Evaluation, Item, Rows, read_index
 from skylight.faces._captures import (
     CAPTURES_NAME,
     FaceCapture,
@@ -79,21 +78,30 @@ BEHIND = "sun-back"  # the class of photographs with the sun behind the head
 
 
 @dataclass(frozen=True, kw_only=True)
-class RealFaces:
+class RealFaces(FaceEvaluation):
     """The photographs of ``data/index.json``: {file: {"light": class, "desc": note, ...}}.
 
     There is no true light to compare with, so this counts: probes that are finite, and lights
     that come from the side that the note names. ``every`` n-th photograph only.
     """
 
+    title = "real-faces"
+    needs = "photographs with a captures.csv (the true light is known) or an index.json (notes)"
+    data_folder = "faces"
+    quick = MappingProxyType({"every": 3})
+
     data: Path
     every: int = 1
-    seed: int = 0  # nothing is drawn
-    options: EstimateOptions = EstimateOptions()
-    name: str = "real-faces"
 
     def __post_init__(self) -> None:
         _read_index(self.data)
+
+    @classmethod
+    def over(cls, data: Path | None, *, quick: bool = False) -> Evaluation:
+        """Of captures where the folder has a list of them, else of photographs with notes."""
+        if data is not None and (data / CAPTURES_NAME).is_file():
+            return CapturedFaces.over(data, quick=quick)
+        return super().over(data, quick=quick)
 
     def config(self) -> dict[str, object]:
         return {"data": str(self.data.resolve())} | self.options.config()
@@ -141,9 +149,7 @@ class RealFaces:
         }
         return Item(name=item, metrics=metrics, facts=facts)
 
-    def checks(
-        self, rows: dict[str, dict[str, dict[str, float]]], items: list[Item]
-    ) -> dict[str, Check]:
+    def checks(self, rows: Rows, items: list[Item]) -> dict[str, Check]:
         ours = rows.get(OURS, {})
         checks = {}
         if "finite" in ours:
@@ -170,7 +176,7 @@ OF_SCALE = ("brightness", "mae_aligned", "rmse_aligned")  # which is aligned bef
 
 
 @dataclass(frozen=True, kw_only=True)
-class CapturedFaces:
+class CapturedFaces(FaceEvaluation):
     """The photographs of ``data/captures.csv``, each ``every``-th, against their probes.
 
     Photograph and probe come from different exposures, so brightness cannot be compared: every
@@ -179,12 +185,12 @@ class CapturedFaces:
     capture says that none was visible.
     """
 
+    title = "captured-faces"
+    quick = RealFaces.quick
+
     data: Path
     every: int = 1
     methods: tuple[LightName, ...] = METHODS
-    seed: int = 0  # nothing is drawn
-    options: EstimateOptions = EstimateOptions()
-    name: str = "captured-faces"
 
     def __post_init__(self) -> None:
         unknown = [c.photo for c in self._captures().values() if c.azimuth_deg is None]
@@ -228,9 +234,7 @@ class CapturedFaces:
             facts=facts,
         )
 
-    def checks(
-        self, rows: dict[str, dict[str, dict[str, float]]], items: list[Item]
-    ) -> dict[str, Check]:
+    def checks(self, rows: Rows, items: list[Item]) -> dict[str, Check]:
         """In the thesis the autoencoder has the best shading and the best sun."""
         ours = rows.get("autoencoder", {})
         checks = {}

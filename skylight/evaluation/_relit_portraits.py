@@ -1,10 +1,11 @@
 """Rendered people under one light relit to another, beside their rendering under that one.
 
-Global colour transfer between pictures, the baseline of relighting (Reinhard et al. 2001).
+The baseline is a global transfer of colour between pictures (Reinhard et al. 2001).
 """
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -15,17 +16,12 @@ from skimage.metrics import structural_similarity
 
 from skylight.errors import InputError
 from skylight.evaluation._known_faces import (
-    NOT_FOUND,
-    EstimateOptions,
+    FaceEvaluation,
     FaceSource,
-    fitted_head,
     known_face,
-    light_of,
-    peak_mib,
 )
 from skylight.evaluation._pictures import caption, sized
-from skylight.evaluation._run import Check, Item
-from skylight.evaluation._tables import Rows
+from skylight.evaluation._run import Check, Item, Rows
 from skylight.faces._model import HeadModel
 from skylight.imaging._colour import linear_to_srgb, srgb_to_linear
 from skylight.imaging._photo import photo_from_codes
@@ -63,7 +59,7 @@ EXPOSURES = np.exp2(np.linspace(-1.5, 1.5, 61))  # about that of equal medians
 
 
 @dataclass(frozen=True, kw_only=True)
-class RelitPortraits:
+class RelitPortraits(FaceEvaluation):
     """People of ``data``/from relit to the light of the same people in ``data``/to.
 
     Both folders are made by ``skylight faces render``, the second one with ``--light-seed``.
@@ -81,11 +77,13 @@ class RelitPortraits:
     (:func:`~skylight.portrait._relit.shared_light`).
     """
 
+    title = "relit-portraits"
+    needs = "folders from and to of the same people, made by 'skylight faces render --light-seed'"
+    data_folder = "relit"
+    quick = MappingProxyType({"count": 4})
+
     data: Path
     count: int | None = None
-    seed: int = 0  # nothing is drawn
-    options: EstimateOptions = EstimateOptions()
-    name: str = "relit-portraits"
 
     def __post_init__(self) -> None:
         for folder in ("from", "to"):
@@ -116,14 +114,8 @@ class RelitPortraits:
 
     def measure(self, item: str, picture: Path) -> Item:
         old, new = (read_rendered_face(self.data / folder / item) for folder in ("from", "to"))
-        seconds: dict[str, float] = {}
-        face = known_face(old)
-        facts: dict[str, object] = {"skin tone": old.cluster}
-        fit = fitted_head(face, seconds)
-        if fit is None:
-            return Item(name=item, metrics={}, facts=facts, problem=NOT_FOUND)
-        found = light_of(face, fit, (LIGHT,), seconds, options=self.options)
-        estimate = found.estimates[LIGHT]
+        found = self.lit(known_face(old), (LIGHT,))
+        fit, estimate = found.fit, found.estimates[LIGHT]
         photo = photo_from_codes(old.encoded)
 
         truth = _encoded(new.linear.numpy())
@@ -150,11 +142,11 @@ class RelitPortraits:
         }
         rows = {"photograph": old.encoded / np.float32(255), **shown, "truth": truth}
         write_png(picture, np.hstack([_tile(name, one) for name, one in rows.items()]))
-        facts |= {
+        facts: dict[str, object] = {
+            "skin tone": old.cluster,
             "verdict": estimate.posterior.verdict,
             "shared light": shared_light(old.environment, new.environment),
-            "seconds": seconds,
-            "peak_mib": peak_mib(),
+            **found.facts,
         }
         return Item(name=item, metrics=metrics, facts=facts)
 

@@ -1,17 +1,19 @@
-"""Items of an evaluation measured in parallel, with a cache of those done.
+"""What an evaluation is, and how its items are measured: in parallel, each of them once.
 
-Light probes, meshes and lists of photographs in the data folder of an evaluation.
-
-Trained models that evaluations use, each read once a process.
+An evaluation is a frozen dataclass, its settings are the fields. What does not depend on settings
+(its name, the data that it needs, how a quick run differs) are attributes of the class. Also here:
+where light probes, meshes and lists of photographs lie in a folder of data, and trained models,
+each read once a process.
 """
 
 import hashlib
 import json
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar
 
 import skylight
 from skylight.errors import InputError, SkylightError
@@ -25,13 +27,23 @@ from skylight.work._progress import CountProgress
 from skylight.work._resumable import Workers, claimed, share_work
 
 Metrics = dict[str, dict[str, float]]  # method -> metric -> value
+Rows = dict[str, dict[str, dict[str, float]]]  # method -> metric -> mean, median, std, n
 CACHE = "items.jsonl"
-# What no number depends on.
-_UNMEASURED = ("app", "cli", "studio", "relight", "training", "work", "fabrication")
-_WORDS = (
-    "evaluation/main.py",
-    "evaluation/harness/tables.py",
-    "evaluation/harness/thesis_figures.py",
+# What evaluations with light probes need.
+PROBES = "light probes with an index.csv"
+PROBES_AND_MESHES = "a folder hdr of light probes with an index.csv, and a folder meshes"
+# Sources that no number depends on.
+_UNMEASURED = (
+    "cli.py",
+    "estimate/",
+    "film/",
+    "maps/",
+    "relight/",
+    "studio/",
+    "training/",
+    "work/",
+    "evaluation/_main.py",
+    "evaluation/_tables.py",
 )
 
 
@@ -73,38 +85,84 @@ class Item:
     problem: str = ""
 
 
-@runtime_checkable
-class Evaluation(Protocol):
-    """A frozen dataclass of settings. ``config`` names all that an item's result depends on."""
+@dataclass(frozen=True, kw_only=True)
+class Evaluation(ABC):
+    """What is measured: items, each by :meth:`measure`, and goals for their means.
+
+    Every evaluation of the table :data:`skylight.evaluation._main.EVALUATIONS` has a field
+    ``data``, the folder of its data.
+
+    Attributes
+    ----------
+    title
+        Its name on the command line.
+    needs
+        What the folder of data must hold; empty where there may be none.
+    data_folder
+        Where ``skylight evaluate all`` looks for that in its own folder of data: "" for that
+        folder itself, None where it is run without any.
+    quick
+        Settings of a quick run, which shows the form of the results in minutes.
+    """
+
+    title: ClassVar[str]
+    needs: ClassVar[str] = ""
+    data_folder: ClassVar[str | None] = ""
+    quick: ClassVar[Mapping[str, Any]] = {}
+
+    seed: int = 0
+
+    @classmethod
+    def over(cls, data: Path | None, *, quick: bool = False) -> "Evaluation":
+        """The evaluation of a folder, with its usual settings or those of a quick run.
+
+        Raises
+        ------
+        InputError
+            There is no such folder, or none is given and one is needed.
+        """
+        if cls.needs and data is None:
+            raise InputError(f"{cls.title} needs --data DIR: {cls.needs}")
+        if cls.needs and data is not None and not data.is_dir():
+            raise InputError(f"{data}: there is no such folder; {cls.title} needs {cls.needs}")
+        settings: dict[str, Any] = {"data": data, **(cls.quick if quick else {})}
+        return cls(**settings)
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Its name in the results."""
+        return self.title
 
-    @property
-    def seed(self) -> int: ...
+    @abstractmethod
+    def config(self) -> dict[str, object]:
+        """All that an item's result depends on."""
 
-    def config(self) -> dict[str, object]: ...
-
+    @abstractmethod
     def items(self) -> list[str]: ...
 
+    @abstractmethod
     def measure(self, item: str, picture: Path) -> Item:
-        """One item; may write ``picture``, a PNG strip for the contact sheet."""
-        ...
+        """One item; may write ``picture``, a PNG strip for the contact sheet.
 
-    def checks(
-        self, rows: dict[str, dict[str, dict[str, float]]], items: list[Item]
-    ) -> dict[str, Check]: ...
+        An error that is skylight's own leaves the item out, its text is the item's problem.
+        """
 
+    def checks(self, rows: Rows, items: list[Item]) -> dict[str, Check]:
+        """Goals by name, and whether they are met."""
+        return {}
 
-@runtime_checkable
-class Illustrated(Protocol):
-    """An evaluation with figures of its own."""
+    def illustrate(self, out: Path, rows: Rows, items: list[Item]) -> None:  # noqa: B027
+        """Writes figures of its own into ``out``, from results and the items' pictures."""
 
-    def illustrate(
-        self, out: Path, rows: dict[str, dict[str, dict[str, float]]], items: list[Item]
-    ) -> None:
-        """Writes them into ``out``, from results and the items' pictures."""
-        ...
+    def with_model(self, model: Path | None, device: str) -> "Evaluation":
+        """The same with a trained model of one's own, on a device.
+
+        Raises
+        ------
+        InputError
+            It uses no trained model, or does not work on a device of choice.
+        """
+        raise InputError(f"{self.title} uses no trained model: leave --model and --device out")
 
 
 def measure_all(
@@ -176,7 +234,7 @@ def code_hash() -> str:
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*")):
         name = path.relative_to(root).as_posix()
-        if name in _WORDS or name.split("/")[0] in _UNMEASURED or not path.is_file():
+        if name.startswith(_UNMEASURED) or not path.is_file():
             continue
         if path.suffix == ".py" or "data" in name.split("/"):
             digest.update(name.encode())

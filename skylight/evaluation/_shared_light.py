@@ -4,13 +4,13 @@ from collections import defaultdict
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from skylight.errors import InputError
 from skylight.evaluation._known_faces import (
-    NOT_FOUND,
-    EstimateOptions,
+    FaceEvaluation,
     FaceSource,
     face_score,
     fitted_head,
@@ -18,8 +18,7 @@ from skylight.evaluation._known_faces import (
     stage,
 )
 from skylight.evaluation._pictures import beside, strip
-from skylight.evaluation._run import Check, Item
-from skylight.evaluation._tables import Rows
+from skylight.evaluation._run import Check, Item, Rows
 from skylight.faces._model import HeadModel
 from skylight.faces._observe import observe_face
 from skylight.io._files import write_png
@@ -30,7 +29,7 @@ BETTER = 0.6  # mean sun angle of four faces over that of one
 
 
 @dataclass(frozen=True, kw_only=True)
-class SharedLight:
+class SharedLight(FaceEvaluation):
     """The autoencoder from one, two and four of a scene's first four faces.
 
     ``data`` is a folder of ``skylight faces render --per-scene 4``: the faces of a scene share
@@ -38,11 +37,13 @@ class SharedLight:
     mean over its four, that for two the mean over two pairs. ``scenes`` takes the first so many.
     """
 
+    title = "shared-light"
+    needs = "faces in scenes of four, made by 'skylight faces render --per-scene 4'"
+    data_folder = "scenes"
+    quick = MappingProxyType({"scenes": 8})
+
     data: Path
     scenes: int | None = None
-    seed: int = 0  # nothing is drawn
-    options: EstimateOptions = EstimateOptions()
-    name: str = "shared-light"
 
     def __post_init__(self) -> None:
         _ = self.names  # refuses a folder that cannot be used before anything is measured
@@ -75,9 +76,10 @@ class SharedLight:
         seconds: dict[str, float] = {}
         observations = []
         for name, face in zip(self.names[item], faces, strict=True):
-            fit = fitted_head(face, seconds)
-            if fit is None:
-                return Item(name=item, metrics={}, problem=f"{name}: {NOT_FOUND}")
+            try:
+                fit = fitted_head(face, seconds)
+            except InputError as error:
+                raise InputError(f"{name}: {error}") from error
             with stage(seconds, "transport"):
                 view = observe_face(face.picture, face.clipped, HeadModel.load(), fit)
             observations.append(view.observation)

@@ -1,24 +1,21 @@
-"""Test skies: simulated, or captured maps from a folder.
+"""Light models fitted to known skies: their errors of representation (thesis, 5.5.2, Table 5.1).
 
-Two kinds of folder are read: one with skylight's own index (:mod:`skylight.skies._index`), of
-which the test days are taken, and a collection whose ``index.csv`` says what each map shows in
-the columns ``file`` and ``category``. Of the latter the outdoor maps by day are taken, those of
-:data:`OUTDOOR`; every second of them in the order of their names is the *development* half,
-which settings may be chosen by, and the rest is the *held-out* half.
-
-Representation error of light models fitted to skies (thesis, 5.5.2, Table 5.1).
-
-The fits are in :mod:`skylight.evaluation._sky_fits`, the skies and the halves of the real
-ones in :mod:`skylight.evaluation._sky_models`.
+The skies are simulated, or captured maps from a folder; how models are fitted to them is in
+:mod:`skylight.evaluation._sky_fits`. Two kinds of folder are read: one with skylight's own index
+(:mod:`skylight.skies._index`), of which the test days are taken, and a collection whose
+``index.csv`` says what each map shows in the columns ``file`` and ``category``. Of the latter the
+outdoor maps by day are taken, those of :data:`OUTDOOR`; every second of them in the order of their
+names is the *development* half, which settings may be chosen by, and the rest is the *held-out*
+half.
 """
 
 import hashlib
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import ClassVar
+from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -27,7 +24,7 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.evaluation._pictures import panorama_rows
-from skylight.evaluation._run import Check, Item, trained_light, trained_model
+from skylight.evaluation._run import Check, Evaluation, Item, Rows, trained_light, trained_model
 from skylight.evaluation._sky_fits import fits, over_ground
 from skylight.inverse._scores import score
 from skylight.io._files import names_categories, read_categories, read_environment_map, write_png
@@ -115,7 +112,7 @@ class KnownSkies:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SkyEvaluation:
+class SkyEvaluation(Evaluation):
     """What evaluations over ``count`` known skies have in common.
 
     The skies are simulated ones, or those of a folder of maps (``data``). Over a collection of
@@ -123,7 +120,7 @@ class SkyEvaluation:
     ``model`` is a trained model's folder, None for the one that comes with skylight.
     """
 
-    title: ClassVar[str]
+    data_folder = None
 
     count: int
     data: Path | None = None
@@ -150,6 +147,11 @@ class SkyEvaluation:
 
     def items(self) -> list[str]:
         return self.skies.names()
+
+    def with_model(self, model: Path | None, device: str) -> "SkyEvaluation":
+        if device != "auto":
+            raise InputError(f"{self.title} fits skies on the CPU: leave --device out")
+        return replace(self, model=model)
 
 
 def _collected_sky(data: Path, number: int) -> KnownSky:
@@ -192,8 +194,6 @@ def _test_records(data: Path) -> list[SkyRecord]:
     return records
 
 
-Means = dict[str, dict[str, dict[str, float]]]
-
 # On simulated skies: what the optimised autoencoder, and the one that is only fed, must reach.
 SIMULATED_GOALS = {
     "mae": 0.25,
@@ -227,6 +227,9 @@ class SkyModels(SkyEvaluation):
     """
 
     title = "sky-models"
+    quick = MappingProxyType({"count": 24})
+
+    count: int = 150
 
     def measure(self, item: str, picture: Path) -> Item:
         number = self.items().index(item)
@@ -245,7 +248,7 @@ class SkyModels(SkyEvaluation):
         write_png(picture, panorama_rows(truth, environments))
         return Item(name=item, metrics=metrics, facts=known.facts)
 
-    def checks(self, rows: Means, items: list[Item]) -> dict[str, Check]:
+    def checks(self, rows: Rows, items: list[Item]) -> dict[str, Check]:
         if "autoencoder" not in rows:
             return {}
         if self.skies.collected:
@@ -254,7 +257,7 @@ class SkyModels(SkyEvaluation):
         return checks | (_simulated_checks(rows) if self.data is None else {})
 
 
-def _simulated_checks(rows: Means) -> dict[str, Check]:
+def _simulated_checks(rows: Rows) -> dict[str, Check]:
     model = rows["autoencoder"]
     checks = {
         f"autoencoder {metric}": Check.at_most(model[metric]["mean"], limit)
@@ -265,7 +268,7 @@ def _simulated_checks(rows: Means) -> dict[str, Check]:
     return checks | {"autoencoder_feedforward mae": Check.at_most(fed, FEED_FORWARD_MAE)}
 
 
-def _real_checks(rows: Means) -> dict[str, Check]:
+def _real_checks(rows: Rows) -> dict[str, Check]:
     checks = _compared(rows, REAL_GOALS)
     angle = rows["autoencoder"].get("sun_angle_deg")
     if angle is not None:
@@ -273,7 +276,7 @@ def _real_checks(rows: Means) -> dict[str, Check]:
     return checks
 
 
-def _compared(rows: Means, goals: dict[str, tuple[str, ...]]) -> dict[str, Check]:
+def _compared(rows: Rows, goals: dict[str, tuple[str, ...]]) -> dict[str, Check]:
     """The autoencoder's means against the least of the named methods'."""
     checks = {}
     for metric, methods in goals.items():

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -22,7 +23,7 @@ from kornia.metrics import ssim as ssim_map
 from torch import Tensor
 
 from skylight.evaluation._pictures import sky_grid
-from skylight.evaluation._run import Check, Item, trained_light
+from skylight.evaluation._run import Item, trained_light
 from skylight.evaluation._sky_fits import (
     HELD,
     RELEASED,
@@ -55,6 +56,9 @@ class SkyRepresentations(SkyEvaluation):
     """What each representation makes of a sky that it is fitted to."""
 
     title = "sky-representations"
+    quick = MappingProxyType({"count": 12})
+
+    count: int = 45
 
     def measure(self, item: str, picture: Path) -> Item:
         known = self.skies.sky(self.items().index(item))
@@ -69,11 +73,6 @@ class SkyRepresentations(SkyEvaluation):
         codes = {name: (255 * p).round().to(torch.uint8).numpy() for name, p in shown.items()}
         write_png(picture, sky_grid(codes))
         return Item(name=item, metrics=metrics, facts=known.facts)
-
-    def checks(
-        self, rows: dict[str, dict[str, dict[str, float]]], items: list[Item]
-    ) -> dict[str, Check]:
-        return {}
 
 
 def tone_mapped(radiance: Sky) -> Sky:

@@ -9,14 +9,11 @@ equal *activations*, coefficients or lobes, as in the thesis; the floats that ea
 indices included, are given too.
 
 Every dictionary codes with weights that are ``nnls`` or ``l1``, and as the thesis' coder of 40
-bands (``_k40``) beside the default one with sharper filters; ``box`` has the latter alone. Indoor
+bands (``_k40``) beside the default one with sharper filters; ``box`` has the latter alone. Sums of
+spherical Gaussians (``sg``) have axes, sharpnesses and colours that are optimised jointly. Indoor
 maps give the main rows, as the thesis' maps are indoor; others have rows with ``_outdoor``
 appended. k-means filters come from the other half of the collection (every second map in the order
 of names), so that no map is coded with filters learned from it.
-
-Figs. 6.8 and 6.9: error and similarity over activations, indoors.
-
-Sums of spherical Gaussians fitted to a map: axes, sharpnesses and colours optimised jointly.
 """
 
 import math
@@ -24,6 +21,7 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
 
 import torch
 from jaxtyping import Float
@@ -37,8 +35,8 @@ from skylight.csc._learning import learn_patches
 from skylight.csc._sub_dictionaries import SubDictionary, part_of
 from skylight.errors import InputError
 from skylight.evaluation._pictures import captioned_rows
-from skylight.evaluation._run import Check, Item
-from skylight.evaluation._tables import Rows, curves_of
+from skylight.evaluation._run import PROBES, Check, Evaluation, Item, Rows, probes_folder
+from skylight.evaluation._tables import curves_of
 from skylight.imaging._colour import tone_map
 from skylight.imaging._metrics import ssim
 from skylight.io._atomic import atomic_path
@@ -174,13 +172,20 @@ OTHER_WHITES = ("ssim_mean", "ssim_unit")
 
 
 @dataclass(frozen=True, kw_only=True)
-class SparseCoding:
+class SparseCoding(Evaluation):
     """``data`` holds maps and an index.csv with the columns file and category.
 
     All maps are measured, or the first ``indoor`` and ``outdoor`` ones: one takes two to three
     minutes of a core at 128 rows. ``kmeans`` has ``learned`` filters from at most ``learned_from``
     maps. Free Gaussians (``sg``) are fitted to indoor maps alone, which they take 24 s each.
     """
+
+    title = "sparse-coding"
+    needs = PROBES
+    # two maps of 64 rows and short codes
+    quick = MappingProxyType(
+        {"height": 64, "counts": (4, 16), "indoor": 2, "outdoor": 0, "learned": 6}
+    )
 
     data: Path
     height: int = 128
@@ -189,16 +194,18 @@ class SparseCoding:
     outdoor: int | None = None
     learned: int = 100
     learned_from: int = 100
-    name: str = "sparse-coding"
-    seed: int = 0
 
     def __post_init__(self) -> None:
-        if not any(self._is_indoor(name) for name in _index(self.data)):
-            raise InputError(f"{self.data / 'index.csv'}: no map of the category indoor in it")
+        if not any(self._is_indoor(name) for name in _index(self.maps)):
+            raise InputError(f"{self.maps / 'index.csv'}: no map of the category indoor in it")
+
+    @property
+    def maps(self) -> Path:
+        return probes_folder(self.data)
 
     def config(self) -> dict[str, object]:
         return {
-            "folder": self.data.name,
+            "folder": self.maps.name,
             "height": self.height,
             "counts": list(self.counts),
             "learned": self.learned,
@@ -206,17 +213,17 @@ class SparseCoding:
         }
 
     def items(self) -> list[str]:
-        every = list(_index(self.data))
+        every = list(_index(self.maps))
         outdoor = [name for name in every if not self._is_indoor(name)]
         return [name for name in every if self._is_indoor(name)][: self.indoor] + outdoor[
             : self.outdoor
         ]
 
     def _is_indoor(self, name: str) -> bool:
-        return _index(self.data)[name].startswith("indoor")
+        return _index(self.maps)[name].startswith("indoor")
 
     def measure(self, item: str, picture: Path) -> Item:
-        truth = _read(self.data / item, self.height)
+        truth = _read(self.maps / item, self.height)
         indoor = self._is_indoor(item)
         scale = LatLongTransform(0, self.height).solid_angles[..., None]
         metrics: dict[str, dict[str, float]] = {}
@@ -281,13 +288,11 @@ class SparseCoding:
     def _coder(self, dictionary: str, item: str, *, banded: bool) -> SphericalSparseCoder:
         if dictionary != "kmeans":
             return _builtin_coder(dictionary, self.height, banded)
-        half = list(_index(self.data)).index(item) % 2
+        half = list(_index(self.maps)).index(item) % 2
         sizes = self.learned, self.learned_from
-        return _learned_coder(self.data, 1 - half, self.height, sizes, self.seed, banded)
+        return _learned_coder(self.maps, 1 - half, self.height, sizes, self.seed, banded)
 
-    def checks(
-        self, rows: dict[str, dict[str, dict[str, float]]], items: list[Item]
-    ) -> dict[str, Check]:
+    def checks(self, rows: Rows, items: list[Item]) -> dict[str, Check]:
         """The thesis' orderings, of its own coder and of the default one; how much below SH."""
 
         def mean(method: str, metric: str) -> float:
@@ -333,9 +338,7 @@ class SparseCoding:
             )
         return checks
 
-    def illustrate(
-        self, out: Path, rows: dict[str, dict[str, dict[str, float]]], items: list[Item]
-    ) -> None:
+    def illustrate(self, out: Path, rows: Rows, items: list[Item]) -> None:
         """``figure_6_8.png``, which has Fig. 6.9 too."""
         write_sparse_curves(out / "figure_6_8.png", rows)
 

@@ -20,6 +20,7 @@ import time
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -32,9 +33,18 @@ from skylight.csc._greedy import Pursuit, PursuitOptions, Sign, pursue
 from skylight.csc._positions import Positions
 from skylight.csc._sub_dictionaries import SubDictionary, rotated_atoms
 from skylight.errors import InputError
-from skylight.evaluation._lit_object import SHOWN_HEIGHT, lit_object
+from skylight.evaluation._lit_object import MESH, SHOWN_HEIGHT, lit_object
 from skylight.evaluation._pictures import Picture, caption, sized
-from skylight.evaluation._run import Check, Item, Metrics
+from skylight.evaluation._run import (
+    PROBES_AND_MESHES,
+    Check,
+    Evaluation,
+    Item,
+    Metrics,
+    Rows,
+    mesh_files,
+    probes_folder,
+)
 from skylight.imaging._colour import tone_map
 from skylight.io._files import read_categories, read_environment_map, write_png
 from skylight.models._harmonic import solve_linear
@@ -71,18 +81,28 @@ TILE = 64  # rows of a map in a picture
 
 
 @dataclass(frozen=True, kw_only=True)
-class SparseInverse:
+class SparseInverse(Evaluation):
     """All indoor maps and every :data:`OUTDOOR_STEP`-th other one of the folder ``data``.
 
     ``every`` takes every so many of both, ``counts`` are the sparsities, squares and ascending.
     Methods of outdoor maps end in ``_outdoor``.
     """
 
+    title = "sparse-inverse"
+    needs = PROBES_AND_MESHES
+    quick = MappingProxyType({"every": 11, "counts": (4, 16)})
+
     data: Path
-    every: int = 1
+    every: int = 3
     counts: tuple[int, ...] = COUNTS
-    seed: int = 0
-    name: str = "sparse-inverse"
+
+    def __post_init__(self) -> None:
+        _ = self.maps
+        mesh_files(self.data, [MESH])
+
+    @property
+    def maps(self) -> Path:
+        return probes_folder(self.data)
 
     def config(self) -> dict[str, object]:
         return {
@@ -95,11 +115,11 @@ class SparseInverse:
         }
 
     def items(self) -> list[str]:
-        return list(_chosen(self.data, self.every))
+        return list(_chosen(self.maps, self.every))
 
     def measure(self, item: str, picture: Path) -> Item:
-        indoor = _chosen(self.data, self.every)[item]
-        fine = read_environment_map(self.data / f"{item}.exr").resize(FINE_HEIGHT)
+        indoor = _chosen(self.maps, self.every)[item]
+        fine = read_environment_map(self.maps / f"{item}.exr").resize(FINE_HEIGHT)
         true = fine.resize(HEIGHT).flat.double()
         scene = observed_scene(self.data)
         generator = torch.Generator().manual_seed(self.seed)
@@ -139,9 +159,7 @@ class SparseInverse:
             },
         )
 
-    def checks(
-        self, rows: dict[str, dict[str, dict[str, float]]], items: list[Item]
-    ) -> dict[str, Check]:
+    def checks(self, rows: Rows, items: list[Item]) -> dict[str, Check]:
         """The thesis, Fig. 6.4b: ``ani`` is closer than SH, here from 16 numbers on."""
         tables = [i.facts["sh_by_ridge"] for i in items if i.facts.get("category") == INDOOR]
         if "ani_nnls" not in rows or not tables:

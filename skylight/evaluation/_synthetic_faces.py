@@ -1,13 +1,13 @@
 """Illumination from rendered faces (thesis, 5.5.3, Table 5.2).
 
-Ablation: the autoencoder with the true albedo, or started at its fit to the true sky.
-
-(The third answer, true geometry, is a matter of which head the transport is traced on.)
+An ablation says what the errors come from: rows with the true geometry (the transport is traced
+on the true head), with the true albedo, and started at the autoencoder's fit to the true sky.
 """
 
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -17,22 +17,19 @@ from torch import Tensor
 from skylight.evaluation._known_faces import (
     FIRST_SEED,
     METHODS,
-    NOT_FOUND,
-    EstimateOptions,
+    FaceEvaluation,
     FaceSource,
     KnownFace,
     LitFace,
-    choice_facts,
     coverage,
     face_score,
-    fitted_head,
     light_by_method,
     light_of,
     peak_mib,
     pose_error_deg,
 )
 from skylight.evaluation._pictures import beside, strip, write_sheet
-from skylight.evaluation._run import Check, Item, picture_of
+from skylight.evaluation._run import Check, Item, Rows, picture_of
 from skylight.evaluation._sky_fits import (
     HELD,
     RELEASED,
@@ -40,7 +37,6 @@ from skylight.evaluation._sky_fits import (
     autoencoder_start,
     fitted_parameters,
 )
-from skylight.evaluation._tables import Rows
 from skylight.faces._skin import SkinPrior
 from skylight.inverse._estimate import albedo_prior, smooth_autoencoder
 from skylight.inverse._problem import solve
@@ -163,32 +159,40 @@ AUTO: LightName = "auto"
 SKIES_KEPT, AUTO_RATIO = 0.95, 1.05  # of faces under a visible sun
 WORST_TONE = 1.5  # mean sun angle of the worst cluster of skin tones over the best's
 FEWEST_OF_A_TONE = 3
+RENDERED = 150  # people where there is no folder of them
 SHOWN, SHEET_WIDTH = 10, 2500  # faces of Fig. 5.6, in two columns
 
 
 @dataclass(frozen=True, kw_only=True)
-class SyntheticFaces:
-    """Rendered people (of the folder ``data``, or rendered here), heads from their landmarks.
+class SyntheticFaces(FaceEvaluation):
+    """Rendered people, heads from their landmarks.
+
+    Those of the folder ``data``, the first ``count`` of them or all; without a folder so many are
+    rendered here, 150 where ``count`` is None.
 
     ``ablation`` adds what the autoencoder makes of the true head, and of the fitted one with the
     true albedo and from the true light: three times the time.
     """
 
-    count: int | None
+    title = "synthetic-faces"
+    data_folder = None
+    quick = MappingProxyType({"count": 8, "methods": ("sh9", "autoencoder")})
+
+    count: int | None = None
     data: Path | None = None
     size: int = 256
     seed: int = FIRST_SEED
     methods: tuple[LightName, ...] = (*METHODS, "lamps", AUTO)
     ablation: bool = False
-    options: EstimateOptions = EstimateOptions()
 
     @property
     def name(self) -> str:
-        return "synthetic-faces" if self.data is None else "rendered-faces"
+        return self.title if self.data is None else "rendered-faces"
 
     @property
     def source(self) -> FaceSource:
-        return FaceSource(data=self.data, count=self.count, size=self.size, seed=self.seed)
+        count = RENDERED if self.data is None and self.count is None else self.count
+        return FaceSource(data=self.data, count=count, size=self.size, seed=self.seed)
 
     def config(self) -> dict[str, object]:
         return self.source.config() | {
@@ -202,31 +206,26 @@ class SyntheticFaces:
 
     def measure(self, item: str, picture: Path) -> Item:
         face = self.source.read(item)
-        seconds: dict[str, float] = {}
-        fit = fitted_head(face, seconds)
-        facts: dict[str, object] = {"found": fit is not None, "sun_visible": face.sun_visible}
+        found = self.lit(face, self.methods)
+        pose_deg = pose_error_deg(found.fit, face.truth)
+        facts: dict[str, object] = {
+            "sun_visible": face.sun_visible,
+            "landmark_error": found.fit.landmark_error,
+            "pose_deg": pose_deg,
+            "pixels": len(found.view.blocks),
+            **found.facts,
+        }
         if face.tone is not None:
             facts["skin tone"] = face.tone
-        if fit is None:
-            return Item(name=item, metrics={}, facts=facts, problem=NOT_FOUND)
-        found = light_of(face, fit, self.methods, seconds, options=self.options)
-        facts |= {
-            "landmark_error": fit.landmark_error,
-            "pose_deg": pose_error_deg(fit, face.truth),
-            "pixels": len(found.view.blocks),
-        }
         environments = {m: e.environment for m, e in found.estimates.items()}
         write_png(picture, beside(face.encoded, strip(face.environment, environments), item))
         metrics = found.metrics | self._by_thesis(face, found) | self._known(face, found)
         if OURS in metrics:
-            metrics[OURS]["pose_deg"] = pose_error_deg(fit, face.truth)
-            metrics[OURS]["peak_mib"] = peak_mib()
+            metrics[OURS] |= {"pose_deg": pose_deg, "peak_mib": peak_mib()}
             posterior = found.estimates[OURS].posterior
             facts["verdict"] = posterior.verdict
             if face.sun_visible:
                 metrics[OURS] |= coverage(posterior, face.environment.brightest_direction())
-        facts |= choice_facts(found.estimates)
-        facts |= {"seconds": seconds, "peak_mib": peak_mib()}
         return Item(name=item, metrics=metrics, facts=facts)
 
     def _by_thesis(self, face: KnownFace, found: LitFace) -> dict[str, dict[str, float]]:

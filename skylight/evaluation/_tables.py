@@ -1,11 +1,8 @@
-"""Results as Markdown tables, with the thesis' figures.
+"""Results summarised: means over items, Markdown tables and plots.
 
-Tables 5.1 to 5.3 of the thesis ("From Faces to Outdoor Light Probes"), as printed.
-
-Mean and standard deviation of seven metrics (``docs/architecture.md`` and
-``skylight.imaging._metrics`` say how each is computed here) for each light model.
-
-Plots of metrics measured at several counts: ``l2_4``, ``l2_16``, ...
+Beside them stand Tables 5.1 to 5.3 of the thesis ("From Faces to Outdoor Light Probes"), as
+printed: mean and standard deviation of seven metrics for each light model.
+:mod:`skylight.imaging._metrics` says how each metric is computed here.
 """
 
 import math
@@ -16,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skylight.evaluation._run import Item
+from skylight.evaluation._run import Item, Rows
 from skylight.io._atomic import atomic_path
 
 METRICS = ("mae", "rmse", "si_rmse", "full_dw_mae", "sky_dw_mae", "sun_dw_mae", "sun_angle_deg")
@@ -94,9 +91,6 @@ BESIDE = {
     "captured-faces": TABLE_5_3,
 }
 
-
-Rows = dict[str, dict[str, dict[str, float]]]  # method -> metric -> mean, median, std, n
-
 LABELS = {
     "mae": "MAE (s)",
     "rmse": "RMSE (s)",
@@ -126,6 +120,8 @@ LABELS = {
     "srgb_ssim_skin": "SSIM, skin",
     "seconds": "seconds",
     "cpu_seconds": "seconds of a core",
+    "photos_per_minute": "photographs a minute",
+    "seconds_of_a_photo": "seconds of a photograph, by a worker",
     "transport_seconds": "seconds of ray tracing",
     "peak_mib": "peak memory of the process so far, MiB",
 }

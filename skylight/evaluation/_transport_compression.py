@@ -16,6 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -32,9 +33,18 @@ from skylight.csc._dictionary import BuiltinName, FilterBank, anisotropic, built
 from skylight.csc._greedy import PursuitOptions, Sign, Support
 from skylight.csc._positions import Positions
 from skylight.csc._sub_dictionaries import SubDictionary, rotated_atoms
-from skylight.evaluation._lit_object import PIXELS, lit_object
+from skylight.evaluation._lit_object import MESH, PIXELS, lit_object
 from skylight.evaluation._pictures import Picture, caption, sized
-from skylight.evaluation._run import Check, Item, Metrics
+from skylight.evaluation._run import (
+    PROBES_AND_MESHES,
+    Check,
+    Evaluation,
+    Item,
+    Metrics,
+    Rows,
+    mesh_files,
+    probes_folder,
+)
 from skylight.imaging._colour import linear_to_srgb
 from skylight.io._files import read_categories, read_environment_map, write_png
 from skylight.sphere import _harmonics as harmonics
@@ -69,7 +79,7 @@ POSITIONS = Positions(rows=16, twists=16)
 
 
 @dataclass(frozen=True, kw_only=True)
-class TransportCompression:
+class TransportCompression(Evaluation):
     """``rows`` of T, spread evenly, in items of ``chunk``.
 
     Every ``nonnegative_every``-th is coded with ``ani_nnls`` too, which is slow.
@@ -78,13 +88,23 @@ class TransportCompression:
     as the thesis has.
     """
 
+    title = "transport-compression"
+    needs = PROBES_AND_MESHES
+    quick = MappingProxyType({"rows": 24, "chunk": 4, "nonnegative_every": 4, "timed_rows": 4})
+
     data: Path
     rows: int = 1000
     chunk: int = 25
     nonnegative_every: int = 10
     timed_rows: int = 60
-    seed: int = 0
-    name: str = "transport-compression"
+
+    def __post_init__(self) -> None:
+        _ = self.maps
+        mesh_files(self.data, [MESH])
+
+    @property
+    def maps(self) -> Path:
+        return probes_folder(self.data)
 
     def config(self) -> dict[str, object]:
         return {
@@ -109,7 +129,7 @@ class TransportCompression:
         mine = range(start, min(start + self.chunk, self.rows))
         spread = [p * len(transport.matrix) // self.rows for p in mine]
         signals = row_signals(transport)
-        lit = _lights(self.data)
+        lit = _lights(self.maps)
         scores: dict[str, dict[str, list[float]]] = {}
         shown: dict[str, _Shown] = {}
         for number, p in zip(mine, spread, strict=True):
@@ -133,7 +153,7 @@ class TransportCompression:
 
     def _timed(self, transport: TransportMatrix) -> Item:
         """Sizes, seconds for one light, and errors of shading, of :data:`PIXELS` rows."""
-        light = _lights(self.data)[:, :3]
+        light = _lights(self.maps)[:, :3]
         coded = torch.linspace(0, len(transport.matrix) - 1, self.timed_rows).long()
         repeat = torch.arange(PIXELS) % len(coded)
         dense = transport.matrix[coded][repeat]
@@ -170,9 +190,7 @@ class TransportCompression:
             facts[f"haar_{count}"] = _haar_relighting(signals, count, repeat, light, truth)
         return Item(name=RELIGHTING, metrics={}, facts=facts)
 
-    def checks(
-        self, rows: dict[str, dict[str, dict[str, float]]], items: list[Item]
-    ) -> dict[str, Check]:
+    def checks(self, rows: Rows, items: list[Item]) -> dict[str, Check]:
         """The thesis: convolutional models give better results that are more compact."""
         if "ani_l1" not in rows:
             return {}

@@ -6,8 +6,6 @@ compared with path tracing. ``mae`` is relative to the model's mean; ``ssim`` is
 picture, dark background and all, which is what the thesis' values agree with, ``ssim_model`` that
 of the model's pixels alone. The item "transfer" has the errors of the transfer vectors themselves
 and which sets of configurations tell how much.
-
-Voxel models rendered from a probe's lightmap and by path tracing (thesis, 3.6.1).
 """
 
 from collections.abc import Sequence
@@ -15,6 +13,7 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import combinations
 from pathlib import Path
+from types import MappingProxyType
 
 import torch
 from jaxtyping import Bool, Float
@@ -22,7 +21,16 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.evaluation._pictures import Picture, captioned_rows
-from skylight.evaluation._run import Check, Item, Metrics, mesh_files, probes_folder
+from skylight.evaluation._run import (
+    PROBES_AND_MESHES,
+    Check,
+    Evaluation,
+    Item,
+    Metrics,
+    Rows,
+    mesh_files,
+    probes_folder,
+)
 from skylight.imaging._colour import tone_map
 from skylight.imaging._metrics import shading_metrics, ssim
 from skylight.io._atomic import atomic_path
@@ -209,8 +217,13 @@ ORDER = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class VoxelProbe:
+class VoxelProbe(Evaluation):
     """``data`` holds the folders hdr (maps and an index.csv) and meshes: the first ``models``."""
+
+    title = "voxel-probe"
+    needs = PROBES_AND_MESHES
+    # one map, one mesh, noisy references, and some of the sets
+    quick = MappingProxyType({"maps": 1, "models": 1, "samples": 32, "best": 6, "every_set": 20})
 
     data: Path
     maps: int = MAPS
@@ -218,8 +231,6 @@ class VoxelProbe:
     samples: int = 256
     best: int = 12
     every_set: int = 1
-    name: str = "voxel-probe"
-    seed: int = 0
 
     def __post_init__(self) -> None:
         if self.maps < 1 or not 1 <= self.best < LIT:
@@ -331,9 +342,7 @@ class VoxelProbe:
         probe = residuals(torch.tensor([[0, 1, 2, 4, 8]]), albedo=ALBEDO)[0, :LIT]
         return {"sets_of_five": mean, "probe3_set": float(probe.sum()) / (LIT - 5)}
 
-    def checks(
-        self, rows: dict[str, dict[str, dict[str, float]]], items: list[Item]
-    ) -> dict[str, Check]:
+    def checks(self, rows: Rows, items: list[Item]) -> dict[str, Check]:
         """The thesis' numbers and orderings."""
         found: dict[str, Check] = {}
         facts = next((item.facts for item in items if item.name == TRANSFER), None)

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from skylight.errors import AssetError, DependencyError, InputError
+from skylight.errors import AssetError, InputError, not_installed
 from skylight.faces._landmarks import DetectedFace, FaceLandmarker
 from skylight.faces._mediapipe import MediaPipeLandmarker
 from skylight.faces._names import LandmarkerName
@@ -22,7 +22,7 @@ from skylight.faces._names import LandmarkerName
 WEAKEST_SHARE = 0.15
 WEAKEST_SCORE = -0.3  # of dlib's detector, whose faces have 0 and more
 _PREDICTOR = "face_recognition_models/models/shape_predictor_68_face_landmarks.dat"
-_INSTALL = "dlib's landmarks (for research only) are an extra: pip install 'skylight[dlib]'"
+_BY_DLIB = "finding landmarks as the thesis does, for research only,"
 _DETECTION_SIDE_PX = 800  # dlib's detector finds faces of 80 px and more; larger costs only time
 
 
@@ -43,7 +43,7 @@ class DlibLandmarker:
         try:
             self._dlib: Any = importlib.import_module("dlib")  # without type stubs
         except ImportError as error:
-            raise DependencyError(_INSTALL) from error
+            raise not_installed("dlib", _BY_DLIB) from error
         self._detector = self._dlib.get_frontal_face_detector()
         self._predictor = self._dlib.shape_predictor(str(predictor_path()))
         self._one_at_a_time = threading.Lock()  # the detector keeps its picture's features
@@ -79,7 +79,7 @@ def predictor_path() -> Path:
     try:
         package = importlib.metadata.distribution("face_recognition_models")
     except importlib.metadata.PackageNotFoundError as error:
-        raise DependencyError(_INSTALL) from error
+        raise not_installed("dlib", _BY_DLIB) from error
     path = Path(str(package.locate_file(_PREDICTOR)))
     if not path.is_file():
         raise AssetError(f"{path}: dlib's landmark model is missing; reinstall its package")

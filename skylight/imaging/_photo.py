@@ -16,14 +16,13 @@ from jaxtyping import Bool, Float, UInt8, UInt16
 from PIL import Image, ImageCms, ImageOps
 from torch import Tensor
 
-from skylight.errors import DependencyError, InputError
+from skylight.errors import InputError, not_installed
 from skylight.imaging._colour import Decode, decode_values, linear_to_srgb, tone_map
 from skylight.imaging._exif import CameraFacts, camera_facts
 from skylight.imaging._taken import Taken
 from skylight.io._bounded import file_bytes, require_bytes, require_pixels
 from skylight.io._files import opened_picture
-from skylight.io._hdr import SUFFIXES as HDR_SUFFIXES
-from skylight.io._hdr import muted, read_linear
+from skylight.io._hdr import SUFFIXES as HDR_SUFFIXES, muted, read_linear
 from skylight.sphere._envmap import luminance
 
 RAW_SUFFIXES = (
@@ -49,9 +48,7 @@ def develop(path: Path) -> tuple[UInt16[np.ndarray, "h w 3"], Bool[np.ndarray, "
     try:
         import rawpy
     except ImportError as error:
-        raise DependencyError(
-            f"{path}: RAW files need rawpy, which is not installed: pip install 'skylight[raw]'"
-        ) from error
+        raise not_installed("rawpy", f"{path}: a RAW file") from error
     try:
         require_bytes(path)
         with muted(), rawpy.imread(str(path)) as raw:  # LibRaw prints what it dislikes

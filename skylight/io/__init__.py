@@ -1,1 +1,5 @@
 """Files: read strictly, written beside their place and moved there."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -12,12 +12,10 @@ from typing import Annotated, Literal
 import tyro
 from tyro.conf import Positional
 
+from skylight.csc._names import Sign
 from skylight.errors import InputError
+from skylight.sphere._names import Convention, Projection
 from skylight.work._device import Device
-
-# Parsing must not import torch, so the choices stand here again; a test compares the two.
-Projection = Literal["latlong", "cube", "octahedral", "angular", "mirrorball"]
-Convention = Literal["skylight", "openexr", "mitsuba", "threejs", "blender", "unity"]
 
 
 def convert(
@@ -134,15 +132,12 @@ def score(
         write_table(out, results)
 
 
-CodeWeights = Literal["l1", "nonnegative", "free"]  # a test compares it with the coder's own
-
-
 def code_probe(
     probe: Positional[Path],
     out: Path,
     dictionary: str = "ani",
     activations: int = 64,
-    weights: CodeWeights = "l1",
+    weights: Sign = "l1",
     height: Literal[32, 64, 128] | None = None,
     device: Device = "auto",
 ) -> None:

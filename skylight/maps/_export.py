@@ -10,7 +10,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -25,6 +25,7 @@ from skylight.inverse._result import Lamp
 from skylight.io._bounded import json_content
 from skylight.io._files import read_environment_map
 from skylight.io._hdr import RGBE_MAX
+from skylight.maps._names import LightTarget
 from skylight.relight._blender import PortraitScene, write_blender, write_blender_scene
 from skylight.relight._gltf import write_gltf, write_threejs
 from skylight.relight._lamps import LAST_SIZE, split_main_light, without_lamps
@@ -32,8 +33,8 @@ from skylight.relight._mitsuba import write_harmonics, write_mitsuba
 from skylight.relight._usd import write_augmented_reality, write_usd
 from skylight.skies._sun import SUN_RADIUS_RAD
 from skylight.sphere._envmap import EnvironmentMap
-from skylight.sphere._frame import Convention, direction_from_angles
-from skylight.sphere._harmonics import HarmonicConvention
+from skylight.sphere._frame import direction_from_angles
+from skylight.sphere._names import Convention, HarmonicConvention
 from skylight.work._resumable import results_folder
 
 NUMBERS, MAP = "estimate.json", "probe.exr"
@@ -143,7 +144,6 @@ def _lamp(path: Path, number: int, entry: Any) -> Lamp:
     )
 
 
-LightTarget = Literal["threejs", "sh", "ar", "gltf", "usd", "mitsuba", "blender"]
 WHOLE = {"sh", "ar"}  # targets that have no lights of an artist's own to move
 LARGEST_FACE = 2048
 

@@ -11,7 +11,8 @@ from typing import Annotated, Literal
 import tyro
 from tyro.conf import Positional
 
-from skylight.maps._command import Convention
+from skylight.maps._names import LightTarget
+from skylight.sphere._names import Convention, HarmonicConvention
 
 export = tyro.extras.SubcommandApp()
 
@@ -119,11 +120,6 @@ def export_viewer(
     }
     told = ", ".join(f"{name} {size / 1e6:.2f}" for name, size in parts.items() if size)
     print(f"{out}: {written.size / 1e6:.2f} MB ({told})")
-
-
-# Parsing must not import torch, so the choices stand here again; a test compares the two.
-LightTarget = Literal["threejs", "sh", "ar", "gltf", "usd", "mitsuba", "blender"]
-HarmonicConvention = Literal["skylight", "threejs", "arcore", "arkit", "gltf"]
 
 
 def export_light(

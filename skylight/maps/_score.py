@@ -16,7 +16,7 @@ from skylight.io._bounded import write_json
 from skylight.io._files import read_environment_map, visible_files
 from skylight.io._hdr import SUFFIXES
 from skylight.sphere._envmap import EnvironmentMap
-from skylight.sphere._frame import Convention
+from skylight.sphere._names import Convention
 from skylight.work._progress import Progress
 
 COMPARED_ROWS = 64  # of the thesis' probes; larger maps are averaged down to it

@@ -1,1 +1,5 @@
 """Light models: parameters to radiance, with their bounds and priors."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

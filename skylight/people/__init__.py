@@ -1,1 +1,5 @@
 """Rendered people under known illumination, and captures of real ones."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,10 +1,8 @@
 """Azimuths of the light probes in a folder of captures: candidates, and the choice of a person.
 
 In two steps, as in the thesis (5.4.2): errors of the relit face for all azimuths, then one of
-their local minima chosen by eye, since a face lit from the left by a low sun may look much like
-one lit by bright clouds further back.
-
-The figure from which a person chooses the azimuth of a probe.
+their local minima chosen by eye, from a figure that shows each, since a face lit from the left by a
+low sun may look much like one lit by bright clouds further back.
 """
 
 import math

@@ -115,8 +115,12 @@ def calibrate_azimuth(
         choose: PHOTO=N, several of them if you like: minimum N is right for PHOTO.
         auto: Take the best minimum of each photograph that has no azimuth.
     """
-    from skylight.people._azimuth import choose as write_choice
-    from skylight.people._azimuth import parse_choices, picture_path, propose
+    from skylight.people._azimuth import (
+        choose as write_choice,
+        parse_choices,
+        picture_path,
+        propose,
+    )
     from skylight.work._progress import stage_bar, with_time_left
 
     for photo, azimuth_deg in write_choice(data, parse_choices(choose)).items() if choose else ():

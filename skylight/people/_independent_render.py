@@ -1,6 +1,7 @@
-"""Rendering by Mitsuba 3 (extra ``render``).
+"""Rendering by Mitsuba 3 (extra ``render``): solids, lamps, photographs of them.
 
-Many rays through Mitsuba at once: a wavefront where it compiles kernels, else one by one.
+Mitsuba's variant decides how many rays are traced at once: a wavefront where it compiles kernels,
+else one by one.
 """
 
 import os
@@ -13,7 +14,7 @@ import torch
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
-from skylight.errors import InputError
+from skylight.errors import not_installed
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import convert_latlong
 from skylight.transport._cameras import Camera
@@ -175,9 +176,7 @@ def mitsuba_variant():
     try:
         import mitsuba as mi
     except ImportError as error:
-        raise InputError(
-            "this evaluation renders with Mitsuba: pip install 'skylight[render]'"
-        ) from error
+        raise not_installed("mitsuba", "rendering by another program") from error
     if os.environ.get("DRJIT_LIBLLVM_PATH") and "llvm_ad_rgb" in mi.variants():
         mi.set_variant("llvm_ad_rgb")
     else:

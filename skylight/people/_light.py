@@ -1,16 +1,15 @@
-"""The illumination of a scene: a sky over one of nine grounds, or a given map.
+"""The illumination that people are rendered under, and the options of rendering.
 
-Light from far away: a map of all but the sun, and the sun as a disc of its true size.
+A scene's light is one of three:
 
-Clear skies of a model other than the simulator that skylight's light models are fitted to.
+* a sky of skylight's simulator over one of nine grounds;
+* a clear sky of another model than the simulator, which light models are fitted to: Hosek & Wilkie
+  2012, "An Analytic Model for Full Spectral Sky-Dome Radiance", and 2013, "Adding a Solar-Radiance
+  Function to the Hosek-Wilkie Skylight Model", fitted to path-traced atmospheres of spherical
+  shells, as Mitsuba's emitter ``sunsky`` has them;
+* a map of a folder of environment maps, rotated about the vertical.
 
-Hosek & Wilkie 2012, "An Analytic Model for Full Spectral Sky-Dome Radiance", and 2013, "Adding a
-Solar-Radiance Function to the Hosek-Wilkie Skylight Model", as Mitsuba's emitter ``sunsky`` has
-them, fitted to path-traced atmospheres of spherical shells.
-
-Folders of environment maps whose light people are rendered under.
-
-Options of rendered faces.
+All light comes from far away: a map of all but the sun, and the sun as a disc of its true size.
 """
 
 import hashlib

@@ -1,6 +1,6 @@
 """One rendered face: person, pose, illumination, path tracing, photograph.
 
-From radiance to an 8-bit photograph: scattering, background, exposure, noise, sRGB.
+The photograph is made of radiance: scattering, background, exposure, noise, 8-bit sRGB.
 """
 
 from collections.abc import Sequence

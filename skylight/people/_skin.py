@@ -1,6 +1,7 @@
-"""Textures of a head: skin of melanin and blood, lips, stubble, eyes.
+"""A head's surface for rendering: a finer mesh and its textures.
 
-A subdivided head mesh for rendering; the head model's vertices stay the ground truth.
+Skin is of melanin and blood; lips, stubble and eyes have colours of their own. The mesh is the head
+model's, subdivided; the model's own vertices stay the ground truth.
 """
 
 from __future__ import annotations

@@ -8,9 +8,8 @@ Reflectance Profiles for Efficient Subsurface Scattering", Pixar Technical Memo 
 
 whose integral over a plane is 1, and that within r is P(r) = 1 - exp(-r/d) / 4 - 3 exp(-r/3d) / 4.
 d is the diffuse mean free path over s = 3.5 + 100 (A - 0.33)^4, where A is the albedo of the
-measured skin. Distances are straight lines, as with dipoles: light also passes through an ear.
-
-The skin's surface as small patches, in the picture and round the corner.
+measured skin. Distances are straight lines, as with dipoles: light also passes through an ear. The
+integral is a sum over small patches of the skin, those in the picture and those round the corner.
 """
 
 import math

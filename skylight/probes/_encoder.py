@@ -1,12 +1,11 @@
-"""A known object as an encoder of light: the dual of its own basis (thesis, 4.4.4 and 7.1.1).
+"""A known object as an encoder of light: the dual of its points' basis (thesis, 4.4.4 and 7.1.1).
 
-Transfer functions of points of a known object: a basis on the sphere.
-
-A Lambertian point p turns light into the radiance ``s_p = int b_p(w) L(w) dw`` with
-``b_p(w) = rho_p / pi V_p(w) <n_p, w>+`` plus interreflection from other parts of the object, so
-every point measures the light against a function of its own (thesis, Eq. 4.18 and section 7.1.1).
-
-Selection of the points of a known object that determine the light best.
+A Lambertian point p of an object whose shape and colour are known turns light into the radiance
+``s_p = int b_p(w) L(w) dw`` with ``b_p(w) = rho_p / pi V_p(w) <n_p, w>+`` plus the interreflection
+from other parts of the object, so every point measures the light against a function of its own
+(thesis, Eq. 4.18 and section 7.1.1). :func:`surface_transfer` traces these functions,
+:func:`choose_points` selects the points that determine the light best, and
+:class:`ObjectEncoder` tells the light from what they show, or lights other objects with it.
 """
 
 from dataclasses import dataclass

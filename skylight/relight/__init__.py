@@ -1,1 +1,5 @@
 """Relighting with numpy and onnxruntime alone, and light as files of other programs."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -3,7 +3,6 @@
 import logging
 import warnings
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,7 +11,8 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor, nn
 
-from skylight.errors import DependencyError, InputError, SkylightError
+from skylight import __version__
+from skylight.errors import InputError, SkylightError, not_installed
 from skylight.io._atomic import atomic_path
 from skylight.models._network import CENTRE_AZIMUTH_RAD, SkyNetwork
 from skylight.models._splines import SplineAutoencoder
@@ -93,9 +93,7 @@ def _decoder_graph(network: SkyNetwork, opset: int) -> bytes:
         import onnx
         import onnxscript.optimizer
     except ImportError as error:
-        raise DependencyError(
-            f"{error.name} is not installed: pip install 'skylight[export]'"
-        ) from error
+        raise not_installed(error.name or "onnx", "exporting the decoder") from error
     # it reports every operator of torchvision, which is not needed
     registration = logging.getLogger("torch.onnx._internal.exporter._registration")
     level = registration.level
@@ -128,7 +126,7 @@ def _decoder_graph(network: SkyNetwork, opset: int) -> bytes:
     onnx.helper.set_model_props(
         model,
         {
-            "skylight_version": version("skylight"),
+            "skylight_version": __version__,
             "centre_azimuth_rad": repr(CENTRE_AZIMUTH_RAD),
             "radiance": "linear Rec.709, relative: mean luminance about 1",
             "layout": "upper half of a lat-long image, row 0 at the zenith, centre along -Z",

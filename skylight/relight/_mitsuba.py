@@ -15,7 +15,8 @@ from skylight.io._atomic import atomic_path
 from skylight.io._bounded import write_json
 from skylight.io._files import write_environment_map
 from skylight.sphere._envmap import EnvironmentMap
-from skylight.sphere._harmonics import HarmonicConvention, project, to_convention
+from skylight.sphere._harmonics import project, to_convention
+from skylight.sphere._names import HarmonicConvention
 
 SCENE, TEXTURE = "scene.xml", "mitsuba_light.exr"
 # The map is turned to Mitsuba's own convention, so that the emitter needs no to_world.

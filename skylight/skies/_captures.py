@@ -1,6 +1,6 @@
-"""Folders of captured skies: checks, and an index.
+"""Folders of captured skies: each map checked and dated, and an index of those that can be used.
 
-Capture dates of skies, from a list, file names or headers.
+A capture is dated by a list, its file's name or its file's header, in this order.
 """
 
 import csv

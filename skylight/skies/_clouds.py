@@ -1,25 +1,24 @@
-"""Cloud layers: procedural density, ray marched.
+"""Cloud layers: procedural density, ray marched, and the diffuse light within.
 
-A layer lies between two spherical shells. Its density is periodic noise (:mod:`noise`) cut at a
-threshold, so that a given fraction of it is cloud, advected and changed with time. Ray marching
-along each view ray accumulates
+A layer lies between two spherical shells. Its density is periodic noise, tabulated and
+interpolated, cut at a threshold, so that a given fraction of it is cloud, advected and changed with
+time. Ray marching along each view ray accumulates
 
 - single scattering of sunlight: the beam attenuated in the layer, two-lobe phase function;
 - multiple scattering of light from the sun, the sky above and the ground below: the Eddington
-  solution of a slab (:mod:`slab`) as deep as the cloud is, at the point, towards the sun and away
-  from it. Exact in a homogeneous layer to what that solution is; on the flank of a tower, where
-  light also enters sideways, an approximation (no error bound is known: Monte Carlo in three
+  solution of a slab (:func:`slab_light`) as deep as the cloud is, at the point, towards the sun
+  and away from it. Exact in a homogeneous layer to what that solution is; on the flank of a tower,
+  where light also enters sideways, an approximation (no error bound is known: Monte Carlo in three
   dimensions would have to give it);
 - sunlight in the droplets' forward peak: the aureole and the silver lining.
 
 Layers shadow those below them (:func:`shadow`). Droplets and ice absorb nothing. Not modelled:
 haloes, and the angle between the cloud's sides and the sun.
 
-Multiple scattering in a plane-parallel, non-absorbing cloud: the Eddington approximation.
-
-Droplets scatter sharply forward. By delta scaling (Joseph, Wiscombe & Weinman 1976) a part
-f = g^2 of what they scatter is treated as transmitted, the rest as scattered with the
-asymmetry g' = g / (1 + g) at optical depths tau' = (1 - f) tau. All depths here are scaled ones.
+A slab is a plane-parallel, non-absorbing cloud in Eddington's approximation. Droplets scatter
+sharply forward. By delta scaling (Joseph, Wiscombe & Weinman 1976) a part f = g^2 of what they
+scatter is treated as transmitted, the rest as scattered with the asymmetry g' = g / (1 + g) at
+optical depths tau' = (1 - f) tau. All depths here are scaled ones.
 
 With mean diffuse radiance J and net diffuse flux F (downwards), the beam E on top at the cosine
 mu0, light without absorption obeys (Eddington's closure)::
@@ -32,8 +31,6 @@ pi J - F/2 = A (all light going down) over ground of albedo A.
 
 Against Monte Carlo photons in homogeneous slabs the transmitted flux is wrong by at most 0.14 of
 the incident flux, 0.05 for suns above 30 degrees (see the tests).
-
-Periodic noise in three dimensions, tabulated and interpolated.
 """
 
 import math

@@ -1,17 +1,16 @@
-"""Light scattered more than once between layers of air and haze over level ground.
-
-Discrete ordinates (Chandrasekhar 1960), order by order: the radiance L(mu, phi) of each order
-is known at the cosines mu of Gauss' quadrature, at cosines m phi in azimuth, and as the mean of
-each layer. mu > 0 looks up; the cosine of an angle of scattering is that between the direction
-from which light comes and the one in which it is then seen.
-
-The wavelengths at which clear skies are computed, and the Rec.709 colour of light at them.
+"""Scattering of sunlight: its wavelengths and their colours, phase functions, and flat layers.
 
 Light is known at seven wavelengths and taken as linear between them; weighted by the sun's
 spectrum and the CIE 1931 colour matching functions, each of the seven has a colour. Before what
 Rec.709 cannot say is cut off, light that has passed air and haze in equal parts, and up to a fifth
 of ozone, is thus within 0.003 in x and y and 1 % in luminance of steps of 1 nm up to an optical
 depth of 2 at 550 nm; at a depth of 5 within 0.01 and 5 %, at 10 within 0.014 and 25 %.
+
+Light scattered more than once between layers of air and haze over level ground is computed by
+discrete ordinates (Chandrasekhar 1960), order by order: the radiance L(mu, phi) of each order is
+known at the cosines mu of Gauss' quadrature, at cosines m phi in azimuth, and as the mean of each
+layer. mu > 0 looks up; the cosine of an angle of scattering is that between the direction from
+which light comes and the one in which it is then seen.
 """
 
 import math

@@ -1,7 +1,4 @@
-"""Simulated skies: folders for training, and single ones for evaluation.
-
-Options and output of the ``skylight skies`` commands.
-"""
+"""Simulated skies: folders of whole days for training, and single skies for evaluation."""
 
 import math
 from collections import Counter

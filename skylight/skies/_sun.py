@@ -1,19 +1,15 @@
-"""The position of the sun for a place and a time.
+"""The sun: its position for a place and a time, and what a captured map shows of it.
 
-The sun in a captured sky: position, visibility, clipping.
+A sun counts as visible by the share of the light on a plane that faces the brightest place which
+comes from within 4 degrees of it. The threshold lies in a gap between published outdoor maps of
+known content: 35 % and more with a visible sun, 12 % and less with none.
 
-The threshold lies in a gap between published outdoor maps of known content: with a visible
-sun, 35 % and more of the light that a plane facing the brightest place receives comes from
-within 4 degrees of it; with none, 12 % and less.
-
-Whether a whole lat-long map shows a sky above, judged by the map alone.
-
-Collections of light probes mix skies with rooms, studios and nights. The thresholds lie in a
-gap between published maps of known content: without a visible sun, the zenith of outdoor maps has
-a blue of 0.99 of its red and more, that of rooms under lamps mostly 0.90 and less; its luminance is
-at least that of the ground, but 0.3 of it and less under a dark ceiling.
-A night under lamps or the moon differs from a day by its level alone, which relative maps lack: it
-is told only where the lower half outshines the upper.
+Collections of light probes mix skies with rooms, studios and nights; whether a whole lat-long map
+shows a sky is judged by the map alone. Without a visible sun, the zenith of published outdoor maps
+has a blue of 0.99 of its red and more, that of rooms under lamps mostly 0.90 and less; its
+luminance is at least that of the ground, but 0.3 of it and less under a dark ceiling. A night under
+lamps or the moon differs from a day by its level alone, which relative maps lack: it is told only
+where the lower half outshines the upper.
 """
 
 import math
@@ -26,6 +22,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from torch import Tensor
 
+from skylight.skies._solar_position import sun_azimuth_zenith
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import angles_from_direction
 
@@ -50,23 +47,15 @@ def sun_midnight(place: Place, day: date) -> datetime:
 def sun_angles(place: Place, times: list[datetime]) -> tuple[NDArray, NDArray]:
     """True (refraction-free) sun azimuth (clockwise from north) and zenith angle, radians.
 
-    pvlib's implementation of NREL's solar position algorithm (Reda & Andreas 2004), good to
-    0.0003 degrees. ``times`` must carry a time zone.
+    Good to 0.0003 degrees. ``times`` must carry a time zone.
     """
-    import pandas as pd
-    import pvlib
-
     if any(moment.tzinfo is None for moment in times):
         raise ValueError("sun_angles needs times with a time zone, e.g. datetime(..., tzinfo=UTC)")
-    table = pvlib.solarposition.get_solarposition(
-        pd.DatetimeIndex(times),
-        place.latitude_deg,
-        place.longitude_deg,
-        altitude=place.altitude_m,
-    )
-    return (
-        np.radians(np.asarray(table["azimuth"], dtype=float)),
-        np.radians(np.asarray(table["zenith"], dtype=float)),
+    return sun_azimuth_zenith(
+        np.array([moment.timestamp() for moment in times]),
+        latitude_deg=place.latitude_deg,
+        longitude_deg=place.longitude_deg,
+        altitude_m=place.altitude_m,
     )
 
 

@@ -16,15 +16,14 @@ Quadrature on the sphere: directions and their solid angles.
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import Literal, get_args
+from typing import get_args
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
-
-Convention = Literal["skylight", "openexr", "mitsuba", "threejs", "blender", "unity"]
+from skylight.sphere._names import Convention
 
 # Azimuth (ours, in turns) seen by the *centre* of a lat-long image written in each convention.
 # openexr  ImfEnvmap.h: longitude 0 (centre) is +Z, longitude pi/2 (left of it) is +X.

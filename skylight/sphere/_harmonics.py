@@ -52,6 +52,7 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.sphere._frame import DirectionGrid
+from skylight.sphere._names import HarmonicConvention
 
 ProjectionMethod = Literal["solid_angle", "quadrature", "least_squares"]
 WindowKind = Literal["hann", "lanczos"]
@@ -223,9 +224,6 @@ def _fejer_weights(grid: DirectionGrid, degree: int) -> Float[Tensor, " n"]:
     series = (torch.cos(2 * j * zenith[:, None]) / (4 * j**2 - 1)).sum(1)
     row = 2 / height * (1 - 2 * series) * 2 * math.pi / width
     return row.repeat_interleave(width)
-
-
-HarmonicConvention = Literal["skylight", "threejs", "arcore", "arkit", "gltf"]
 
 
 def to_convention(

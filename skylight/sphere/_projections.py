@@ -38,7 +38,6 @@ Each is the mirror image of what an eye inside the cube sees. Its pixels' solid 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float
@@ -51,8 +50,8 @@ from skylight.sphere._frame import (
     direction_from_angles,
     pixel_from_direction,
 )
+from skylight.sphere._names import Projection
 
-Projection = Literal["latlong", "cube", "octahedral", "angular", "mirrorball"]
 _ASPECTS: dict[Projection, tuple[int, int]] = {
     "latlong": (1, 2),
     "cube": (3, 4),

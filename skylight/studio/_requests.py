@@ -5,8 +5,10 @@ from typing import Annotated, Literal, get_args
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field
 
-# The server does not import torch, so these choices stand here again; a test compares.
-LIGHTS = {
+from skylight.csc._names import BuiltinName
+from skylight.models._names import DEFAULT_LIGHT, LightName
+
+LIGHTS: dict[LightName, str] = {
     "auto": "Open sky or lamps, whichever is likelier",
     "autoencoder": "Learnt skies",
     "sunsky": "Preetham's sky and a sun",
@@ -14,7 +16,7 @@ LIGHTS = {
     "sh9": "Spherical harmonics, 9 coefficients",
     "sh25": "Spherical harmonics, 25 coefficients",
 }
-DICTIONARIES = {
+DICTIONARIES: dict[BuiltinName, str] = {
     "ani": "Anisotropic Gaussians",
     "iso": "Isotropic Gaussians",
     "vmf": "Lobes of one width",
@@ -34,7 +36,7 @@ class EstimateRequest(_Request):
     kind: Literal["estimate"]
     photo: Token
     face: Annotated[int, Field(ge=1, le=1000)] | Literal["all"] = 1
-    light: Literal["auto", "autoencoder", "sunsky", "lamps", "sh9", "sh25"] = "autoencoder"
+    light: LightName = DEFAULT_LIGHT
 
 
 class PortraitRequest(_Request):
@@ -55,7 +57,7 @@ class CodeRequest(_LitRequest):
     """A map of light as a sparse code."""
 
     kind: Literal["code"]
-    dictionary: Literal["ani", "iso", "vmf", "box"] = "ani"
+    dictionary: BuiltinName = "ani"
     activations: Annotated[int, Field(ge=1, le=256)] = 64
 
 

@@ -1,6 +1,6 @@
-"""Training of the sky autoencoder; an interrupted run is resumed bit for bit.
+"""Training of the sky autoencoder: the loop, its loss, validation and schedule.
 
-The loss of the sky autoencoder.
+An interrupted run is resumed bit for bit: what a step draws depends on the seed and its number.
 """
 
 import hashlib
@@ -21,7 +21,13 @@ from skylight.models._bundle import save_network
 from skylight.models._network import SkyNetwork
 from skylight.models._sun_head import COORDINATES
 from skylight.sphere._frame import DirectionGrid
-from skylight.training._checkpoint import Logs, drop_damaged, read_state, write_state
+from skylight.training._checkpoint import (
+    Logs,
+    drop_damaged,
+    initial_network,
+    read_state,
+    write_state,
+)
 from skylight.training._config import AutoencoderConfig, config_yaml
 from skylight.training._processes import Processes, processes, share_batch_statistics
 from skylight.training._skies import (
@@ -31,13 +37,164 @@ from skylight.training._skies import (
     SkyData,
     draw_batch,
     draw_corruption,
-    initial_network,
     load_data,
     open_cache,
     open_prepared,
     prepare,
 )
 from skylight.work._progress import Tell
+
+
+@dataclass(kw_only=True)
+class RunState:
+    """Where a run stands, beside its weights; ``losses`` are those of the epoch so far."""
+
+    step: int = 0
+    best: float = math.inf
+    since_best: int = 0
+    curves: list[dict[str, int | float]] = field(default_factory=list)
+    losses: list[float] = field(default_factory=list)
+
+    def end_epoch(self, **numbers: float) -> bool:
+        """Add the epoch's entry to the curves; whether its validation loss is the best so far."""
+        train = sum(self.losses) / len(self.losses)
+        self.curves.append({"step": self.step, "train": train, **numbers})
+        self.losses = []
+        is_best = numbers["validation"] < self.best
+        self.best = min(self.best, numbers["validation"])
+        self.since_best = 0 if is_best else self.since_best + 1
+        return is_best
+
+
+def train(config: AutoencoderConfig, report: Tell = print) -> Path:
+    """Run to the end or to early stopping; returns the path of the best network.
+
+    Writes ``model.safetensors`` (best on validation), ``config.yaml`` (resolved), what
+    :class:`Logs` says, and ``state.safetensors`` (everything needed to go on; the one before it
+    in ``state.previous.safetensors``). The order of the skies, the noise and the augmentation of
+    step n depend on the seed and n alone, so a resumed run computes what the uninterrupted one
+    would have, bit by bit on the same machine; started by ``torchrun`` with several processes,
+    what one process would have, but for rounding.
+
+    Raises
+    ------
+    InputError
+        Data, configuration or state that cannot be used, or a loss that is no number.
+    """
+    with processes(config.device) as here:
+        return _train(config, here, report if here.first else lambda _: None)
+
+
+def _train(config: AutoencoderConfig, here: Processes, report: Tell) -> Path:
+    share = here.share(config.batch)
+    if config.threads:
+        torch.set_num_threads(config.threads)
+    data = _load(config, here, report)
+    config.out.mkdir(parents=True, exist_ok=True)
+    steps_per_epoch = len(data.train) // config.batch
+    if steps_per_epoch < 1:
+        raise InputError(
+            f"{config.data}: {len(data.train)} training skies do not fill a batch of "
+            f"{config.batch}; simulate more days or lower `batch`"
+        )
+    total = steps_per_epoch * config.epochs
+
+    # network and optimiser: new, or where an earlier run left them
+    network = initial_network(config)
+    if here.size > 1:
+        share_batch_statistics(network)
+    # torch's stubs leave memory_format out
+    network = network.to(here.device, memory_format=torch.channels_last)  # pyright: ignore
+    optimiser = _optimiser(network, config)
+    now = RunState()
+    identity = run_identity(config, data.hash)
+    if state := read_state(config.out, identity, report):
+        network.load_state_dict(state["network"])
+        optimiser.load_state_dict(state["optimiser"])
+        now = RunState(**state["progress"])
+        report(f"resuming at step {now.step} of {total}")
+    best = config.out / "model.safetensors"
+    if now.step >= total or now.since_best >= config.patience:
+        if here.first:
+            shutil.rmtree(config.out / FOLDER, ignore_errors=True)
+        return best
+
+    copies, validation = _prepared(config, data, here, report)
+    here.meet()  # the first writes the state that the others have read by now
+    logs = None
+    if here.first:
+        drop_damaged(config.out)
+        with atomic_path(config.out / "config.yaml") as path:
+            path.write_text(config_yaml(config))
+        facts = {"data_sha256": data.hash, "skies": len(data.train), "processes": here.size}
+        logs = Logs(config.out, data.validation, facts=facts, step=now.step, report=report)
+    objective = Objective(network, config)
+    if config.compile:
+        objective = torch.compile(objective)
+
+    started, first_step = time.monotonic(), now.step
+    while now.step < total and now.since_best < config.patience:
+        epoch, within = divmod(now.step, steps_per_epoch)
+        rate = config.learning_rate * schedule(now.step, total, config)
+        for group in optimiser.param_groups:
+            group["lr"] = rate
+
+        # a step
+        batch = draw_batch(copies, config, epoch, within, share)
+        network.train()
+        loss = objective(*(x.to(here.device) for x in batch))
+        optimiser.zero_grad()
+        loss.backward()
+        here.mean_gradients(network)
+        if config.gradient_clip:
+            torch.nn.utils.clip_grad_norm_(network.parameters(), config.gradient_clip)
+        optimiser.step()
+        now.losses.append(float(here.sum(loss.detach())) / here.size)
+        now.step += 1
+
+        # after the last step of an epoch: its losses, and its network where it is the best
+        epoch_ends = now.step % steps_per_epoch == 0
+        if epoch_ends:
+            speed = (now.step - first_step) * config.batch / (time.monotonic() - started)
+            score = validate(network, validation, config, here)
+            if not math.isfinite(score):
+                raise InputError(
+                    f"training diverged in epoch {epoch + 1} (validation loss {score}): lower "
+                    f"`learning_rate` and start anew in another `out`"
+                )
+            is_best = now.end_epoch(
+                validation=score,
+                denoising=validate(network, validation, config, here, corrupted=True),
+                learning_rate=rate,
+                images_per_s=speed,
+            )
+            if is_best and here.first:
+                save_network(network, best)
+            if logs:
+                logs.epoch(network, now.curves, now.best)
+            started, first_step = time.monotonic(), now.step
+        if here.first and (epoch_ends or now.step % config.checkpoint_steps == 0):
+            weights = {"network": network.state_dict(), "optimiser": optimiser.state_dict()}
+            write_state(config.out, {"identity": identity, "progress": asdict(now), **weights})
+    if logs:
+        logs.close()
+        shutil.rmtree(config.out / FOLDER)
+    return best
+
+
+class Objective(nn.Module):
+    """The mean loss of a batch, as one module: what is compiled."""
+
+    def __init__(self, network: SkyNetwork, config: AutoencoderConfig) -> None:
+        super().__init__()
+        self.network, self.config = network, config
+
+    def forward(
+        self, sun: Float[Tensor, "b s"], coded: Float[Tensor, "b 3 h w"], corruption: Corruption
+    ) -> Float[Tensor, ""]:
+        mixed = self.config.bfloat16 and has_bfloat16(coded.device)
+        with torch.autocast(coded.device.type, torch.bfloat16, enabled=mixed):
+            return reconstruction_loss(self.network, sun, coded, self.config, corruption).mean()
 
 
 def reconstruction_loss(
@@ -94,149 +251,6 @@ def _radiance(network: SkyNetwork, coded: Float[Tensor, "b 3 h w"]) -> Float[Ten
     return network.uncode(coded).permute(0, 3, 1, 2)
 
 
-@dataclass(kw_only=True)
-class RunState:
-    """Where a run stands, beside its weights; ``losses`` are those of the epoch so far."""
-
-    step: int = 0
-    best: float = math.inf
-    since_best: int = 0
-    curves: list[dict[str, int | float]] = field(default_factory=list)
-    losses: list[float] = field(default_factory=list)
-
-
-class Objective(nn.Module):
-    """The mean loss of a batch, as one module: what is compiled."""
-
-    def __init__(self, network: SkyNetwork, config: AutoencoderConfig) -> None:
-        super().__init__()
-        self.network, self.config = network, config
-
-    def forward(
-        self, sun: Float[Tensor, "b s"], coded: Float[Tensor, "b 3 h w"], corruption: Corruption
-    ) -> Float[Tensor, ""]:
-        mixed = self.config.bfloat16 and has_bfloat16(coded.device)
-        with torch.autocast(coded.device.type, torch.bfloat16, enabled=mixed):
-            return reconstruction_loss(self.network, sun, coded, self.config, corruption).mean()
-
-
-def train(config: AutoencoderConfig, report: Tell = print) -> Path:
-    """Run to the end or to early stopping; returns the path of the best network.
-
-    Writes ``model.safetensors`` (best on validation), ``config.yaml`` (resolved), what
-    :class:`Logs` says, and ``state.safetensors`` (everything needed to go on; the one before it
-    in ``state.previous.safetensors``). The order of the skies, the noise and the augmentation of
-    step n depend on the seed and n alone, so a resumed run computes what the uninterrupted one
-    would have, bit by bit on the same machine; started by ``torchrun`` with several processes,
-    what one process would have, but for rounding.
-
-    Raises
-    ------
-    InputError
-        Data, configuration or state that cannot be used, or a loss that is no number.
-    """
-    with processes(config.device) as here:
-        return _train(config, here, report if here.first else lambda _: None)
-
-
-def _train(config: AutoencoderConfig, here: Processes, report: Tell) -> Path:
-    share = here.share(config.batch)
-    if config.threads:
-        torch.set_num_threads(config.threads)
-    data = _load(config, here, report)
-    config.out.mkdir(parents=True, exist_ok=True)
-    steps_per_epoch = len(data.train) // config.batch
-    if steps_per_epoch < 1:
-        raise InputError(
-            f"{config.data}: {len(data.train)} training skies do not fill a batch of "
-            f"{config.batch}; simulate more days or lower `batch`"
-        )
-    total = steps_per_epoch * config.epochs
-    network = initial_network(config)
-    if here.size > 1:
-        share_batch_statistics(network)
-    # torch's stubs leave memory_format out
-    network = network.to(here.device, memory_format=torch.channels_last)  # pyright: ignore
-    optimiser = _optimiser(network, config)
-    now = RunState()
-    identity = run_identity(config, data.hash)
-    if state := read_state(config.out, identity, report):
-        network.load_state_dict(state["network"])
-        optimiser.load_state_dict(state["optimiser"])
-        now = RunState(**state["progress"])
-        report(f"resuming at step {now.step} of {total}")
-    best = config.out / "model.safetensors"
-    if now.step >= total or now.since_best >= config.patience:
-        if here.first:
-            shutil.rmtree(config.out / FOLDER, ignore_errors=True)
-        return best
-    objective = Objective(network, config)
-    copies, validation = _prepared(config, data, here, report)
-    here.meet()  # the first writes the state that the others have read by now
-    logs = None
-    if here.first:
-        drop_damaged(config.out)
-        with atomic_path(config.out / "config.yaml") as path:
-            path.write_text(config_yaml(config))
-        facts = {"data_sha256": data.hash, "skies": len(data.train), "processes": here.size}
-        logs = Logs(config.out, data.validation, facts=facts, step=now.step, report=report)
-    if config.compile:
-        objective = torch.compile(objective)
-
-    started, first_step = time.monotonic(), now.step
-    while now.step < total and now.since_best < config.patience:
-        epoch, within = divmod(now.step, steps_per_epoch)
-        sun, coded, corruption = draw_batch(copies, config, epoch, within, share)
-        rate = config.learning_rate * schedule(now.step, total, config)
-        for group in optimiser.param_groups:
-            group["lr"] = rate
-        network.train()
-        loss = objective(*(x.to(here.device) for x in (sun, coded, corruption)))
-        optimiser.zero_grad()
-        loss.backward()
-        here.mean_gradients(network)
-        if config.gradient_clip:
-            torch.nn.utils.clip_grad_norm_(network.parameters(), config.gradient_clip)
-        optimiser.step()
-        now.losses.append(float(here.sum(loss.detach())) / here.size)
-        now.step += 1
-        if now.step % steps_per_epoch == 0:
-            seconds = time.monotonic() - started
-            score = validate(network, validation, config, here)
-            denoising = validate(network, validation, config, here, corrupted=True)
-            if not math.isfinite(score):
-                raise InputError(
-                    f"training diverged in epoch {epoch + 1} (validation loss {score}): lower "
-                    f"`learning_rate` and start anew in another `out`"
-                )
-            entry = {
-                "step": now.step,
-                "train": sum(now.losses) / len(now.losses),
-                "validation": score,
-                "denoising": denoising,
-                "learning_rate": rate,
-                "images_per_s": (now.step - first_step) * config.batch / seconds,
-            }
-            now.curves.append(entry)
-            now.losses = []
-            now.since_best = 0 if score < now.best else now.since_best + 1
-            if score < now.best:
-                now.best = score
-                if here.first:
-                    save_network(network, best)
-            if logs:
-                logs.epoch(network, now.curves, now.best)
-            started, first_step = time.monotonic(), now.step
-        due = now.step % config.checkpoint_steps == 0 or now.step % steps_per_epoch == 0
-        if due and here.first:
-            weights = {"network": network.state_dict(), "optimiser": optimiser.state_dict()}
-            write_state(config.out, {"identity": identity, "progress": asdict(now), **weights})
-    if logs:
-        logs.close()
-        shutil.rmtree(config.out / FOLDER)
-    return best
-
-
 @torch.no_grad()
 def validate(
     network: SkyNetwork,
@@ -284,25 +298,6 @@ def _optimiser(network: SkyNetwork, config: AutoencoderConfig) -> torch.optim.Op
     )
 
 
-def _prepared(
-    config: AutoencoderConfig, data: SkyData, here: Processes, report: Tell
-) -> tuple[list[CodedSkies], CodedSkies]:
-    """(the copies of the training skies, the validation skies), made by the first process."""
-    folder, copies = config.out / FOLDER, range(config.copies)
-    if here.first:
-        prepare(data.paths["train"], config, folder, copies, report)
-        prepare(data.paths["validation"], config, folder, [0], report)
-    here.meet()
-    train = [open_prepared(data.paths["train"], config, folder, copy) for copy in copies]
-    return train, open_prepared(data.paths["validation"], config, folder, 0)
-
-
-def has_bfloat16(device: torch.device) -> bool:
-    """Whether bfloat16 is no slower there than float32: without AVX-512, CPUs take 100 times as
-    long for its convolutions."""
-    return device.type != "cpu" or torch.backends.cpu.get_cpu_capability().startswith("AVX512")
-
-
 def schedule(step: int, total: int, config: AutoencoderConfig) -> float:
     """The learning rate of a step as a part of its height.
 
@@ -314,6 +309,34 @@ def schedule(step: int, total: int, config: AutoencoderConfig) -> float:
     if config.schedule == "constant":
         return 1.0
     return 0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * (step - warmup) / max(1, total - warmup)))
+
+
+def has_bfloat16(device: torch.device) -> bool:
+    """Whether bfloat16 is no slower there than float32: without AVX-512, CPUs take 100 times as
+    long for its convolutions."""
+    return device.type != "cpu" or torch.backends.cpu.get_cpu_capability().startswith("AVX512")
+
+
+def _load(config: AutoencoderConfig, here: Processes, report: Tell) -> SkyData:
+    """The data, read and checked by the first process, then opened by the others."""
+    if not here.first:
+        return open_cache(config.data, here.from_first())
+    data = load_data(config.data, report)
+    here.from_first(data.hash)
+    return data
+
+
+def _prepared(
+    config: AutoencoderConfig, data: SkyData, here: Processes, report: Tell
+) -> tuple[list[CodedSkies], CodedSkies]:
+    """(the copies of the training skies, the validation skies), made by the first process."""
+    folder, copies = config.out / FOLDER, range(config.copies)
+    if here.first:
+        prepare(data.paths["train"], config, folder, copies, report)
+        prepare(data.paths["validation"], config, folder, [0], report)
+    here.meet()
+    train = [open_prepared(data.paths["train"], config, folder, copy) for copy in copies]
+    return train, open_prepared(data.paths["validation"], config, folder, 0)
 
 
 def run_identity(config: AutoencoderConfig, data_hash: str) -> str:
@@ -328,12 +351,3 @@ def run_identity(config: AutoencoderConfig, data_hash: str) -> str:
     if config.starts_from and config.starts_from.is_file():
         start = hashlib.sha256(config.starts_from.read_bytes()).hexdigest()
     return f"{data_hash}\n{start}\n{config_yaml(anywhere)}"
-
-
-def _load(config: AutoencoderConfig, here: Processes, report: Tell) -> SkyData:
-    """The data, read and checked by the first process, then opened by the others."""
-    if not here.first:
-        return open_cache(config.data, here.from_first())
-    data = load_data(config.data, report)
-    here.from_first(data.hash)
-    return data

@@ -1,6 +1,8 @@
-"""Checkpoints of a run.
+"""What a training run starts from, goes on from and shows: weights, states and logs.
 
-Logs of a run: curves, TensorBoard, reconstructions.
+A state is everything that a run needs to go on, in a file with a checksum; the one before it is
+kept, so that one of the two is whole whenever the run is killed. Logs are the curves as JSON,
+reconstructions as PNG, and both for TensorBoard where it is installed.
 """
 
 import json
@@ -13,15 +15,47 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from skylight.errors import InputError
+from skylight.errors import InputError, not_installed
 from skylight.imaging._colour import tone_map
 from skylight.io._bounded import write_json
 from skylight.io._files import write_png
 from skylight.io._tensors import read_tensors, write_tensors
+from skylight.models._bundle import load_network
+from skylight.models._convolutional import ConvolutionalAutoencoder
 from skylight.models._network import SkyNetwork
+from skylight.models._splines import SplineAutoencoder
+from skylight.training._config import AutoencoderConfig
 from skylight.work._progress import Tell
 
 NEWEST, PREVIOUS = "state.safetensors", "state.previous.safetensors"
+SHOWN = 8  # validation skies
+WHITE = 1.5  # shown as full white; skies have mean luminance 1, clear ones most of it in the sun
+
+
+def initial_network(config: AutoencoderConfig) -> SkyNetwork:
+    """A network with weights of ``config.seed``, or those of ``config.starts_from``.
+
+    Raises
+    ------
+    InputError
+        The latter are of a network of another kind.
+    """
+    if config.starts_from:
+        network = load_network(config.starts_from)
+        found = (network.kind, network.latents, network.coding, network.sun)
+        wanted = (config.network, config.latents, config.coding, config.sun)
+        if found != wanted:
+            told = "network: {}, latents: {}, coding: {}, sun: {}"
+            raise InputError(
+                f"{config.starts_from}: made with {told.format(*found)}; the configuration says "
+                f"{told.format(*wanted)}"
+            )
+        return network
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        if config.network == "splines":
+            return SplineAutoencoder(config.latents)
+        return ConvolutionalAutoencoder(config.coding, sun=config.sun)
 
 
 def write_state(folder: Path, state: dict[str, Any]) -> None:
@@ -108,10 +142,6 @@ def _with_tensors(value: Any, tensors: dict[str, Tensor]) -> Any:
     return {key: _with_tensors(each, tensors) for key, each in value["pairs"]}
 
 
-SHOWN = 8  # validation skies
-WHITE = 1.5  # shown as full white; skies have mean luminance 1, clear ones most of it in the sun
-
-
 class Logs:
     """Writes ``curves.json``, ``reconstructions/*.png`` and, where installed, TensorBoard's logs.
 
@@ -181,6 +211,6 @@ def _tensorboard(folder: Path, step: int, report: Tell) -> Any:
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:
-        report("no TensorBoard logs: install tensorboard for them (pip install 'skylight[train]')")
+        report(f"no TensorBoard logs: {not_installed('tensorboard', 'writing them')}")
         return None
     return SummaryWriter(str(folder), purge_step=step + 1)

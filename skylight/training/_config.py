@@ -1,7 +1,12 @@
-"""Configurations of training runs: YAML with overrides from the command line."""
+"""Configurations of training runs: YAML with overrides from the command line.
 
+An option's type, default, bounds and meaning stand in one place, its field: files are checked
+against it, and ``train.py --help`` shows it.
+"""
+
+import math
 import reprlib  # which stays short: YAML makes much of little
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
@@ -12,84 +17,104 @@ from skylight.errors import InputError
 from skylight.io._bounded import file_text
 
 
+def _bounded(default: int | float, *, least: int, most: int | float = math.inf) -> Any:
+    """A field with a default and the values that it may have, both ends included."""
+    return field(default=default, metadata={"least": least, "most": most})
+
+
+class _Checked:
+    """A configuration whose bounded fields are checked when it is made."""
+
+    def __post_init__(self) -> None:
+        for each in fields(self):  # pyright: ignore[reportArgumentType]: of dataclasses alone
+            if "least" not in each.metadata:
+                continue
+            value, least, most = getattr(self, each.name), *each.metadata.values()
+            if not least <= value <= most:
+                allowed = f"at least {least}" if most == math.inf else f"from {least} to {most}"
+                raise InputError(f"`{each.name}` must be {allowed}, got {value}")
+
+
 @dataclass(frozen=True, kw_only=True)
-class AutoencoderConfig:
-    """A run of the sky autoencoder.
-
-    ``network`` is the kind: "splines" with so many ``latents``, or the thesis' "convolutions",
-    with 64, to which ``coding`` and ``sun`` (whether the sun has coordinates of its own) belong.
-
-    ``energy_weight``, ``squared_weight``, ``scale_invariant`` and ``latent_penalty`` are weights of
-    the loss: see ``reconstruction_loss``. ``noise_sigma`` (of coded radiance), ``masked`` (the
-    probability that a block is hidden), ``sun_noise`` (of the sun's coordinates) and
-    ``latent_noise`` corrupt what the network sees: see ``draw_corruption``.
-
-    ``surroundings`` is the probability that a scene stands before a sky, ``tint`` the spread of
-    white balances, ``white_balance`` how far they go at most towards a grey mean, ``mirror``
-    whether every other sky is mirrored. So many ``copies`` of every sky
-    are varied by them, and shown in turn, one an epoch.
-
-    ``bfloat16`` is mixed precision where the device has it. ``batch`` is that of all processes
-    together. ``momentum`` and ``nesterov`` are of ``optimiser: sgd``. ``starts_from`` names a
-    checkpoint with the initial weights. A ``gradient_clip`` of 0 clips nothing; ``threads`` 0
-    leaves their number to torch.
-    """
+class AutoencoderConfig(_Checked):
+    """A run of the sky autoencoder."""
 
     kind: Literal["autoencoder"] = "autoencoder"
     data: Path = Path("runs/skies")
+    """Folder of skies with an index, or the index."""
     out: Path = Path("runs/sky_autoencoder")
+    """Folder of the run."""
     starts_from: Path | None = None
+    """Checkpoint with the initial weights."""
+
     network: Literal["splines", "convolutions"] = "splines"
+    """Kind of network: splines, or the thesis' convolutions."""
     latents: int = 64
+    """8 to 512 of splines; convolutions have 64."""
     coding: Literal["log", "linear"] = "log"
+    """Of radiance, a choice of convolutions alone."""
     sun: bool = True
-    noise_sigma: float = 0.01
-    masked: float = 0.0
-    sun_noise: float = 0.0
-    latent_noise: float = 0.0
-    energy_weight: float = 0.3
-    squared_weight: float = 0.0
-    scale_invariant: float = 0.0
-    latent_penalty: float = 0.0
+    """Whether the sun has coordinates of its own, a choice of convolutions alone."""
+
+    noise_sigma: float = _bounded(0.01, least=0)
+    """Standard deviation of the noise on the coded radiance that the encoder sees."""
+    masked: float = _bounded(0.0, least=0, most=1)
+    """Probability that a block of 8x8 pixels is hidden from the encoder."""
+    sun_noise: float = _bounded(0.0, least=0)
+    """Standard deviation of the noise on the sun's coordinates."""
+    latent_noise: float = _bounded(0.0, least=0)
+    """Standard deviation of the noise on the other latents."""
+
+    energy_weight: float = _bounded(0.3, least=0)
+    """Weight g of the loss, of errors times the pixel's energy."""
+    squared_weight: float = _bounded(0.0, least=0)
+    """Weight q of the loss, of squared errors."""
+    scale_invariant: float = _bounded(0.0, least=0)
+    """Weight s of the loss, which forgives a wrong exposure."""
+    latent_penalty: float = _bounded(0.0, least=0)
+    """Weight p of the loss, of the squared latents."""
+
     mirror: bool = True
-    surroundings: float = 0.0
-    tint: float = 0.0
-    white_balance: float = 0.0
-    copies: int = 1
-    epochs: int = 60
-    batch: int = 32
+    """Whether every other sky is mirrored."""
+    surroundings: float = _bounded(0.0, least=0, most=1)
+    """Probability that a scene stands before a sky."""
+    tint: float = _bounded(0.0, least=0)
+    """Standard deviation of the log gains of the colour channels."""
+    white_balance: float = _bounded(0.0, least=0, most=1)
+    """How far white balances go at most towards a grey mean."""
+    copies: int = _bounded(1, least=1)
+    """Variants of every sky, shown in turn, one an epoch."""
+
+    epochs: int = _bounded(60, least=1)
+    batch: int = _bounded(32, least=1)
+    """Skies of a step, of all processes together."""
     optimiser: Literal["adamw", "sgd"] = "adamw"
     learning_rate: float = 0.001
     schedule: Literal["cosine", "constant"] = "cosine"
-    warmup_steps: int = 200
-    momentum: float = 0.9
+    """Of the learning rate, after the warm-up."""
+    warmup_steps: int = _bounded(200, least=0)
+    momentum: float = _bounded(0.9, least=0)
+    """Of sgd."""
     nesterov: bool = True
-    weight_decay: float = 1e-5
-    gradient_clip: float = 1.0
-    patience: int = 12
-    checkpoint_steps: int = 100
+    """Of sgd."""
+    weight_decay: float = _bounded(1e-5, least=0)
+    gradient_clip: float = _bounded(1.0, least=0)
+    """Largest norm of the gradients; 0 clips nothing."""
+    patience: int = _bounded(12, least=1)
+    """Epochs without a better validation loss after which the run ends."""
+    checkpoint_steps: int = _bounded(100, least=1)
+    """Steps between two states on disk, besides those after each epoch."""
     bfloat16: bool = True
+    """Mixed precision where the device has it."""
     compile: bool = False
-    threads: int = 0
+    """Whether torch compiles the loss."""
+    threads: int = _bounded(0, least=0)
+    """Of a process; 0 leaves their number to torch."""
     device: str = "auto"
-    seed: int = 0
+    seed: int = _bounded(0, least=0, most=9_999_999)  # steps' seeds are made of it, in 64 bits
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "batch", "checkpoint_steps", "patience", "copies"):
-            if getattr(self, name) < 1:
-                raise InputError(f"`{name}` must be at least 1, got {getattr(self, name)}")
-        for name in (
-            *("noise_sigma", "energy_weight", "scale_invariant", "weight_decay"),
-            *("gradient_clip", "warmup_steps", "momentum", "threads", "tint", "sun_noise"),
-            *("squared_weight", "latent_penalty", "latent_noise"),
-        ):
-            if getattr(self, name) < 0:
-                raise InputError(f"`{name}` must be at least 0, got {getattr(self, name)}")
-        if not 0 <= self.seed < 10_000_000:  # of which steps' seeds are made, in 64 bits
-            raise InputError(f"`seed` must be from 0 to 9999999, got {self.seed}")
-        for name in ("surroundings", "masked", "white_balance"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise InputError(f"`{name}` must be from 0 to 1, got {getattr(self, name)}")
+        super().__post_init__()
         if self.optimiser == "sgd" and self.nesterov and self.momentum == 0:
             raise InputError("`nesterov` needs a `momentum` above 0; give one, or nesterov: false")
         if self.network == "splines" and (self.coding, self.sun) != ("log", True):
@@ -103,53 +128,55 @@ class AutoencoderConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PriorConfig:
+class PriorConfig(_Checked):
     """A fit of the mixtures over latents and over Sun+Sky parameters."""
 
     kind: Literal["prior"] = "prior"
     data: Path = Path("runs/skies")
+    """Folder of skies with an index, or the index."""
     checkpoint: Path = Path("runs/sky_autoencoder/model.safetensors")
+    """The network whose latents have the prior."""
     out: Path = Path("runs/sky_prior")
-    most_components: int = 8
-    bank: int = 480
+    """Folder for the light model."""
+    most_components: int = _bounded(8, least=1)
+    """Most Gaussians of a mixture."""
+    bank: int = _bounded(480, least=24)
+    """Training skies that estimates may start from."""
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.most_components < 1 or self.bank < 24:
-            raise InputError("`most_components` must be at least 1 and `bank` at least 24")
 
 
 @dataclass(frozen=True, kw_only=True)
-class DictionaryConfig:
-    """Learning filters for sparse codes from a folder of light probes.
-
-    ``maps`` names the files to take and ``category`` how theirs in index.csv begins; empty, both
-    take all. ``filters`` counts the learned ones. From ``rows`` on all is of the method "gradient":
-    maps of so many rows, coded by ``activations``, filters of ``radius_deg`` that may be negative
-    where ``signed``.
-    """
+class DictionaryConfig(_Checked):
+    """Learning filters for sparse codes from a folder of light probes."""
 
     kind: Literal["dictionary"] = "dictionary"
     data: Path = Path("runs/probes")
+    """Folder of .exr or .hdr light probes."""
     out: Path = Path("runs/dictionary")
+    """Folder for the dictionary."""
     method: Literal["kmeans", "gradient"] = "gradient"
-    filters: int = 100
+    filters: int = _bounded(100, least=1)
+    """Learned ones."""
     category: str = ""
+    """How the categories in index.csv of the maps to take begin; empty takes all."""
     maps: tuple[str, ...] = ()
-    degree: int = 40
-    seed: int = 0
+    """Files to take; none takes all."""
+    degree: int = _bounded(40, least=3)
+    """Of the filters' spherical harmonics."""
+    seed: int = _bounded(0, least=0, most=2**32 - 1)  # NumPy's
+
     rows: int = 32
-    activations: int = 36
-    epochs: int = 1
+    """Of the maps, for the method gradient, as what follows is."""
+    activations: int = _bounded(36, least=1)
+    """Filters that code a map."""
+    epochs: int = _bounded(1, least=1)
     radius_deg: float = 30.0
+    """Of a filter."""
     signed: bool = False
+    """Whether filters may be negative."""
 
     def __post_init__(self) -> None:
-        for name in ("filters", "activations", "epochs"):
-            if getattr(self, name) < 1:
-                raise InputError(f"`{name}` must be at least 1, got {getattr(self, name)}")
-        if self.degree < 3:
-            raise InputError(f"`degree` must be at least 3, got {self.degree}")
+        super().__post_init__()
         if not (self.degree + 1) ** 2 <= 2 * self.rows**2 or self.rows >= 64:
             raise InputError(
                 f"`rows` must be below 64, and 2 rows^2 at least (degree + 1)^2 = "
@@ -157,8 +184,6 @@ class DictionaryConfig:
             )
         if not 0 < self.radius_deg <= 90:
             raise InputError(f"`radius_deg` must be above 0, at most 90, got {self.radius_deg}")
-        if not 0 <= self.seed < 2**32:  # NumPy's
-            raise InputError(f"`seed` must be from 0 to {2**32 - 1}, got {self.seed}")
 
 
 Config = AutoencoderConfig | PriorConfig | DictionaryConfig

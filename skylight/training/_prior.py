@@ -1,7 +1,4 @@
-"""Fitting of priors over latents and Sun+Sky parameters, written with their network.
-
-The model card of a light model that training wrote.
-"""
+"""Priors over latents and Sun+Sky parameters, written with their network and a model card."""
 
 import math
 from collections.abc import Mapping, Sequence

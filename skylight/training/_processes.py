@@ -1,16 +1,25 @@
-"""Distributed training (``torchrun``): shares, gradients, synchronised batch normalisation."""
+"""Training in several processes: ``torchrun`` starts them, ``torch.distributed`` links them.
+
+Each process computes the loss of an equal part of every batch; gradients are averaged and batch
+normalisation's statistics added up by torch's ``all_reduce``, by gloo on CPUs and NCCL on CUDA.
+
+Two of torch's own modules are left aside. ``DistributedDataParallel`` keeps the process group, and
+with it the threads of gloo, beyond ``destroy_process_group``, where they may abort a process that
+ends; one ``all_reduce`` of all gradients does what is needed of it. ``SyncBatchNorm`` exists on
+CUDA alone, so that two processes on a CPU could not be compared with one.
+"""
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
-from typing import Any
 
 import torch
 import torch.distributed as dist
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.distributed.nn.functional import all_reduce  # which has a gradient
 from torch.nn.modules.batchnorm import _BatchNorm
 
 from skylight.errors import InputError
@@ -50,26 +59,20 @@ class Processes:
             dist.all_reduce(value)
         return value
 
-    def from_first(self, text: str = "") -> str:
-        """What the first process has as ``text``; the others give nothing."""
+    def from_first(self, sha256: str = "") -> str:
+        """What the first process has as ``sha256``; the others give nothing."""
         if self.size == 1:
-            return text
+            return sha256
         # as plain bytes: torch's way to send objects is pickle
-        length = torch.tensor(len(text.encode()), device=self.device)
-        dist.broadcast(length, src=0)
-        content = torch.zeros(int(length), dtype=torch.uint8, device=self.device)
-        if self.first:
-            content += torch.tensor(list(text.encode()), dtype=torch.uint8, device=self.device)
+        content = torch.tensor(list(bytes.fromhex(sha256) or bytes(32)), dtype=torch.uint8)
+        content = content.to(self.device)
         dist.broadcast(content, src=0)
-        return bytes(content.tolist()).decode()
+        return bytes(content.tolist()).hex()
 
     def mean_gradients(self, module: nn.Module) -> None:
         """Replace the gradients of a module by their means over all processes, in one message.
 
         All processes have gradients of the same parameters.
-
-        Not by DistributedDataParallel: it keeps the process group, and with it the threads of
-        gloo, beyond ``destroy_process_group``, where they may abort a process that ends.
         """
         if self.size == 1:
             return
@@ -120,28 +123,11 @@ def _device(name: str, local_rank: int | None) -> torch.device:
     return device
 
 
-class _SumOverProcesses(torch.autograd.Function):
-    """y = sum over processes of x; every process' loss depends on y, so gradients add up too."""
-
-    @staticmethod
-    def forward(ctx: Any, x: Tensor) -> Tensor:
-        y = x.clone()
-        dist.all_reduce(y)
-        return y
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
-        total = gradients[0].contiguous().clone()
-        dist.all_reduce(total)
-        return total
-
-
 class SharedBatchNorm(_BatchNorm):
     """Batch normalisation by the mean and variance of all processes' equal shares.
 
     y = (x - m) / sqrt(v + eps) w + b with m, v over the global batch and all places, running
-    statistics as torch's own (v n / (n - 1)). torch.nn.SyncBatchNorm, which does the same,
-    exists on CUDA alone.
+    statistics as torch's own (v n / (n - 1)).
     """
 
     def _check_input_dim(self, input: Tensor) -> None:
@@ -160,9 +146,9 @@ class SharedBatchNorm(_BatchNorm):
         over = [d for d in range(x.dim()) if d != 1]
         column = [1, -1] + [1] * (x.dim() - 2)
         count = x.numel() // x.shape[1] * dist.get_world_size()
-        mean = _SumOverProcesses.apply(x.sum(over)) / count
+        mean = all_reduce(x.sum(over)) / count
         centred = x - mean.reshape(column)
-        variance = _SumOverProcesses.apply(centred.square().sum(over)) / count
+        variance = all_reduce(centred.square().sum(over)) / count
         with torch.no_grad():
             tracked += 1
             running_mean.lerp_(mean, momentum)

@@ -1,7 +1,4 @@
-"""The command line of ``train.py``.
-
-From a folder of skies to a light model that everything can use.
-"""
+"""Runs of a configuration (``train.py``), and from a folder of skies to a light model."""
 
 import math
 import os
@@ -13,8 +10,8 @@ import tyro
 
 from skylight.errors import InputError, SkylightError
 from skylight.models._bundle import NETWORK, SHIPPED, load_bundle
-from skylight.skies._captures import Refusal, index_folder
-from skylight.skies._index import INDEX_NAME, SkyRecord, is_index, map_path, read_index
+from skylight.skies._captures import index_folder
+from skylight.skies._index import INDEX_NAME, is_index, map_path, read_index
 from skylight.training._autoencoder import train
 from skylight.training._config import (
     AutoencoderConfig,
@@ -24,9 +21,15 @@ from skylight.training._config import (
     find_config,
     read_config,
 )
+from skylight.training._dictionary import learn_dictionary
 from skylight.training._prior import fit_priors, splits_for_priors
 from skylight.work._progress import CountProgress, Tell
 from skylight.work._resumable import claimed
+
+RUN = "training"  # in the model's folder: what training goes on from
+SHIPPED_LATENTS = 64
+FEW = 2000  # training skies; below, the shipped network is trained on instead of a new one
+LEAST_STEPS = 300
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -62,25 +65,13 @@ def main(arguments: list[str] | None = None) -> None:
 def run(config: Config) -> None:
     """Do what a configuration says, and print where the result is."""
     if isinstance(config, AutoencoderConfig):
-        from skylight.training._autoencoder import train
-
         best = train(config)
         if os.environ.get("RANK", "0") == "0":
             print(f"best network: {best}")
     elif isinstance(config, DictionaryConfig):
-        from skylight.training._dictionary import learn_dictionary
-
         print(f"dictionary: {learn_dictionary(config)}")
     else:
-        from skylight.training._prior import fit_priors
-
         print(f"light model: {fit_priors(config)}")
-
-
-RUN = "training"  # in the model's folder: what training goes on from
-SHIPPED_LATENTS = 64
-FEW = 2000  # training skies; below, the shipped network is trained on instead of a new one
-LEAST_STEPS = 300
 
 
 def train_folder(
@@ -179,16 +170,7 @@ def _indexed(folder: Path, run: Path, report: Tell, progress: CountProgress | No
         report(f"{index}: used again; delete it to index {folder} anew")
         return index
     _, records, refusals = index_folder(folder, out=index, progress=progress)
-    for line in _counted(records, refusals):
-        report(line)
+    report(f"{len(records)} skies indexed")
+    for refusal in refusals:
+        report(f"{refusal.file}: {'refused' if refusal.is_sky else 'left out'}, {refusal.reason}")
     return index
-
-
-def _counted(records: list[SkyRecord], refusals: list[Refusal]) -> list[str]:
-    return [
-        f"{len(records)} skies indexed",
-        *(
-            f"{refusal.file}: {'refused' if refusal.is_sky else 'left out'}, {refusal.reason}"
-            for refusal in refusals
-        ),
-    ]

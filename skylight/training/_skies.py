@@ -1,19 +1,13 @@
-"""Training skies, converted once to memory-mapped arrays.
+"""The skies of a training run, from the index to a step's batch.
 
-Skies as a run's network takes them, made once by all cores: varied, without their sun, coded.
+1. :func:`load_data` converts the maps of an index once to float32 arrays, mapped from disk.
+2. :func:`prepare` varies them as :func:`augment` says (mirrored, tinted, with surroundings), takes
+   their suns out and codes the rest as the run's network takes it, once for all epochs and by all
+   cores: drawing surroundings and finding suns take ten times as long as a small network's step.
+3. :func:`draw_batch` reads a step's skies and draws their :class:`Corruption`, which the network
+   learns to undo.
 
-A step then reads its batch from disk. Drawing surroundings and finding suns takes ten times as
-long as a step of a small network.
-
-Augmentation of skies.
-
-Batches of skies: their order and corruption, as functions of the seed.
-
-Work on skies by all cores.
-
-What the network is shown instead of a clean sky: the corruption that it learns to undo.
-
-The network that a run begins with.
+All of it is a function of the seed, and of the place in the run.
 """
 
 import hashlib
@@ -34,51 +28,24 @@ from torch import Tensor
 
 from skylight.errors import InputError, SkylightError
 from skylight.io._atomic import atomic_path
-from skylight.models._bundle import load_network
-from skylight.models._convolutional import ConvolutionalAutoencoder
 from skylight.models._network import HEIGHT, WIDTH, SkyNetwork
-from skylight.models._splines import SplineAutoencoder
 from skylight.models._sun_head import COORDINATES
 from skylight.skies._index import SkyRecord, folder_hash, load_skies, normalise, read_index
 from skylight.skies.surroundings._scenes import surroundings
 from skylight.sphere._frame import DirectionGrid
+from skylight.training._checkpoint import initial_network
 from skylight.training._config import AutoencoderConfig
 from skylight.work._progress import Tell
 
+CHUNK = 32  # skies that one process converts at a time
+CACHE = ".cache"  # folder beside the index
+FOLDER = "prepared"  # in a run's folder, until it ends
+BLOCK = 8  # rows and columns of what is hidden together: 22.5 degrees
+_CHUNK = 64  # skies varied by the same generator
+_HALF_LIMIT = 6e4  # of half precision; reached by suns of the linear coding alone
+
 Job = TypeVar("Job")
 Result = TypeVar("Result")
-
-
-def in_order(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
-    """``work(job)`` of all jobs in their order, by as many processes as cores.
-
-    Raises
-    ------
-    SkylightError
-        A process died, as one does where memory is short.
-    """
-    workers = min(os.cpu_count() or 1, len(jobs))
-    if workers <= 1:
-        yield from map(work, jobs)
-        return
-    # spawned, because a process that has run torch's threads cannot be forked safely
-    with ProcessPoolExecutor(
-        workers,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=torch.set_num_threads,
-        initargs=(1,),
-    ) as pool:
-        try:
-            yield from pool.map(work, jobs)
-        except BrokenProcessPool as error:
-            raise SkylightError(
-                "a process that worked on skies died; where memory is short, let the same command "
-                "run alone, and again"
-            ) from error
-
-
-CHUNK = 32  # skies that one process converts at a time
-CACHE = ".cache"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,37 +178,6 @@ def augment(
     return normalise(batch)
 
 
-def initial_network(config: AutoencoderConfig) -> SkyNetwork:
-    """A network with weights of ``config.seed``, or those of ``config.starts_from``.
-
-    Raises
-    ------
-    InputError
-        The latter are of a network of another kind.
-    """
-    if config.starts_from:
-        network = load_network(config.starts_from)
-        found = (network.kind, network.latents, network.coding, network.sun)
-        wanted = (config.network, config.latents, config.coding, config.sun)
-        if found != wanted:
-            told = "network: {}, latents: {}, coding: {}, sun: {}"
-            raise InputError(
-                f"{config.starts_from}: made with {told.format(*found)}; the configuration says "
-                f"{told.format(*wanted)}"
-            )
-        return network
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(config.seed)
-        if config.network == "splines":
-            return SplineAutoencoder(config.latents)
-        return ConvolutionalAutoencoder(config.coding, sun=config.sun)
-
-
-FOLDER = "prepared"  # in a run's folder, until it ends
-_CHUNK = 64  # skies varied by the same generator
-_HALF_LIMIT = 6e4  # of half precision; reached by suns of the linear coding alone
-
-
 @dataclass(frozen=True)
 class CodedSkies:
     """What :meth:`SkyNetwork.split` makes of n skies: ``sun`` (n,s), and the rest coded, on disk
@@ -323,9 +259,6 @@ def _network(config: AutoencoderConfig) -> SkyNetwork:
     return initial_network(config)
 
 
-BLOCK = 8  # rows and columns of what is hidden together: 22.5 degrees
-
-
 class Corruption(NamedTuple):
     """The encoder sees ``kept * (y + noise)`` for coded radiance y, and ``sun`` is added to the
     sun's coordinates and ``latents`` to the others; the loss compares with y itself."""
@@ -391,3 +324,31 @@ def draw_batch(
     height, width = coded.shape[2:]
     corruption = draw_corruption(len(chosen), (height, width), local, config)
     return sun, coded, Corruption(*(part[share] for part in corruption))
+
+
+def in_order(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
+    """``work(job)`` of all jobs in their order, by as many processes as cores.
+
+    Raises
+    ------
+    SkylightError
+        A process died, as one does where memory is short.
+    """
+    workers = min(os.cpu_count() or 1, len(jobs))
+    if workers <= 1:
+        yield from map(work, jobs)
+        return
+    # spawned, because a process that has run torch's threads cannot be forked safely
+    with ProcessPoolExecutor(
+        workers,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=torch.set_num_threads,
+        initargs=(1,),
+    ) as pool:
+        try:
+            yield from pool.map(work, jobs)
+        except BrokenProcessPool as error:
+            raise SkylightError(
+                "a process that worked on skies died; where memory is short, let the same command "
+                "run alone, and again"
+            ) from error

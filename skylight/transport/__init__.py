@@ -1,1 +1,5 @@
 """Geometry to transport matrices: how light from each direction becomes shading."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -20,7 +20,7 @@ from jaxtyping import Shaped
 from torch import Tensor
 
 from skylight import __version__
-from skylight.errors import DependencyError, InputError, OutputError, SkylightError
+from skylight.errors import InputError, OutputError, SkylightError, not_installed
 from skylight.io._atomic import PARTIAL
 from skylight.work._processes import release_memory
 
@@ -177,9 +177,7 @@ def _connect(address: str) -> Any:
     try:
         from distributed import Client
     except ImportError as error:
-        raise DependencyError(
-            "a cluster needs dask and distributed: pip install 'skylight[cluster]'"
-        ) from error
+        raise not_installed("distributed", "a cluster") from error
     try:
         if address.endswith(".json"):
             return Client(scheduler_file=address, timeout=CONNECT_S, set_as_default=False)

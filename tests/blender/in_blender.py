@@ -1,6 +1,6 @@
 """What tests ask of Blender itself, by its module bpy, in a process of its own::
 
-    python in_blender.py CHECK '{"zip": "world_from_portrait-0.1.0.zip", ...}'
+    python in_blender.py CHECK '{"zip": "world_from_portrait-0.1.1.zip", ...}'
 
 installs the extension's zip as a user would, does the check and prints FOUND and its answer as
 JSON. Nothing of skylight is imported here.

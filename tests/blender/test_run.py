@@ -179,11 +179,11 @@ def test_the_version_that_there_is_is_compatible() -> None:
 
 @pytest.mark.parametrize(
     "printed",
-    ["skylight 0.1.0", "skylight 0.3.0", "skylight 1.1.0", "skylight", "", "Python 0.1.0"],
+    ["skylight 0.1.0", "skylight 0.4.0", "skylight 1.1.0", "skylight", "", "Python 0.1.0"],
 )
 def test_other_versions_are_refused(printed: str) -> None:
-    assert COMPATIBLE == ((0, 2), (0, 3))
-    with pytest.raises(Failure, match=r"needs skylight 0\.2 to below 0\.3"):
+    assert COMPATIBLE == ((0, 2), (0, 4))
+    with pytest.raises(Failure, match=r"needs skylight 0\.2 to below 0\.4"):
         check_version(printed)
 
 

@@ -1,4 +1,5 @@
 import math
+from functools import cache
 
 import pytest
 import torch
@@ -13,6 +14,7 @@ F64 = torch.float64
 DEGREE, RADIUS_RAD = 12, math.radians(50)
 
 
+@cache
 def start() -> FilterBank:
     """The constant and four anisotropic Gaussians."""
     return FilterBank(anisotropic(DEGREE).coefficients[[0, 60, 20, 80, 90]], "start")

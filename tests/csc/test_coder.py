@@ -19,7 +19,7 @@ from skylight.errors import InputError
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid, direction_from_angles
-from tools import measure_planted_codes as planted_codes
+from tests.csc import planted_codes
 
 F64 = torch.float64
 
@@ -34,6 +34,12 @@ def bank(degree: int = 10) -> FilterBank:
     rows = dictionary.anisotropic(degree, 4).coefficients[[0, 2, 3, 4, 40, 75, 90, 104]]
     fading = torch.exp(-0.3 * harmonics.bands(degree).double())
     return FilterBank(torch.cat([rows, random(1, rows.shape[1]) * fading]), "small")
+
+
+@cache
+def few() -> FilterBank:
+    """The constant, a long lobe, and one without symmetry: their atoms' norms take little time."""
+    return FilterBank(bank().coefficients[[0, 2, 8]], "few")
 
 
 @cache
@@ -103,7 +109,7 @@ def test_relative_error_with_every_layer() -> None:
     assert len(banded.parts) == 1
 
 
-@pytest.mark.parametrize("shape", [(), (2,), (3, 1), (2, 2)])
+@pytest.mark.parametrize("shape", [(), (2,), (2, 1)])
 def test_a_batch_is_its_maps(shape: tuple[int, ...], device: torch.device) -> None:
     """Of any leading dimensions, as tensors on the maps' device and as files."""
     coder = small().to(device)
@@ -136,7 +142,7 @@ BATCHES: dict[str, dict] = {
     "either sign": {},
     "non-negative": {"options": PursuitOptions(weights="nonnegative")},
     "orthogonal matching pursuit": {"options": PursuitOptions(thresholding=False)},
-    "exchanges": {"options": PursuitOptions(sweeps=1), "activations": 3},
+    "exchanges": {"options": PursuitOptions(sweeps=1), "activations": 2, "dictionary": few()},
     "sharper filters": {"height": 64, "activations": 4},
 }
 
@@ -148,8 +154,8 @@ def test_maps_coded_together_have_the_codes_of_each_alone(
 ) -> None:
     """One of them needs a single activation, the others go on; more maps than fit together."""
     monkeypatch.setattr("skylight.csc._coder._TOGETHER", 2)
-    choice = {"activations": 6} | BATCHES[kind]
-    coder = SphericalSparseCoder(bank(), dtype=F64, **choice)
+    choice = {"activations": 6, "dictionary": bank()} | BATCHES[kind]
+    coder = SphericalSparseCoder(dtype=F64, **choice)
     maps = torch.stack([room(seed, coder.height) for seed in range(3)])
     maps[1] = 0.7
     before = torch.get_num_threads()
@@ -168,8 +174,9 @@ def test_maps_coded_together_have_the_codes_of_each_alone(
     torch.testing.assert_close(coder.decode(together)[1], maps[1], rtol=1e-4, atol=0)
 
 
-@pytest.mark.parametrize("shape", [(0,), (2, 0), (0, 3)])
-@pytest.mark.parametrize("make", [small, fine])
+@pytest.mark.parametrize(
+    ("make", "shape"), [(small, (0,)), (small, (0, 3)), (fine, (2, 0))], ids=str
+)
 def test_a_batch_of_no_maps(
     make: Callable[[], SphericalSparseCoder], shape: tuple[int, ...]
 ) -> None:
@@ -216,7 +223,7 @@ def test_a_code_of_what_the_dictionary_holds_is_exact() -> None:
     torch.testing.assert_close(small().decode(code), x.double(), rtol=1e-4, atol=0)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_search_in_single_and_double_precision(seed: int) -> None:
     single, double = (coded(small(12, dtype), room(seed)) for dtype in (torch.float32, F64))
     assert torch.equal(single.filters, double.filters)
@@ -307,9 +314,9 @@ def test_turning_a_map_upside_down_turns_its_code() -> None:
 
 
 def test_any_turn_changes_the_error_by_little() -> None:
-    """24 random lobes between the positions, 10 random rotations, 16 activations.
+    """24 random lobes between the positions, 5 random rotations, 16 activations.
 
-    Measured: the relative error, 0.266, changes by up to 0.0188. Tested is 1.5 times that.
+    Measured over 10: the relative error, 0.266, changes by up to 0.0188. Tested is 1.5 times that.
     """
     coder, generator = iso(), torch.Generator().manual_seed(0)
     filters = torch.randint(20, 101, (24,), generator=generator)
@@ -320,7 +327,7 @@ def test_any_turn_changes_the_error_by_little() -> None:
     coefficients = coder.coefficients(codes).detach()
     grid = DirectionGrid.latlong(32).directions
     rotations = [torch.eye(3, dtype=F64)]
-    for _ in range(10):
+    for _ in range(5):
         orthogonal = torch.linalg.qr(torch.randn(3, 3, generator=generator, dtype=F64))[0]
         rotations.append(orthogonal * torch.det(orthogonal))
     errors = []
@@ -345,7 +352,7 @@ def taken(coder: SphericalSparseCoder) -> None:
 CHANGES: dict[str, Callable[[SphericalSparseCoder], object]] = {
     "an optimiser's step": taken,
     "a state": lambda coder: coder.bank.load_state_dict(
-        {"unnormalised": bank().coefficients.flip(0) * 3}
+        {"unnormalised": few().coefficients.flip(0) * 3}
     ),
     "double": lambda coder: coder.double(),
     "float": lambda coder: coder.float(),
@@ -353,19 +360,23 @@ CHANGES: dict[str, Callable[[SphericalSparseCoder], object]] = {
 }
 
 
-@pytest.mark.parametrize("change", CHANGES)
-@pytest.mark.parametrize("sweeps", [0, 1])
+# exchanges need the atoms' norms too, which are kept like plans
+@pytest.mark.parametrize(
+    ("change", "sweeps"), [*((each, 0) for each in CHANGES), ("a step, then double", 1)]
+)
 def test_after_a_change_codes_are_a_fresh_coders(change: str, sweeps: int) -> None:
     options = PursuitOptions(sweeps=sweeps)
-    own = FilterBank(bank().coefficients, "changed by a test")
-    coder = SphericalSparseCoder(own, activations=6, options=options)
+    own = FilterBank(few().coefficients, "changed by a test")
+    coder = SphericalSparseCoder(own, activations=6 if sweeps == 0 else 2, options=options)
     before = coder(room())  # plans of what the filters were
     CHANGES[change](coder)
     dtype = F64 if "double" in change else torch.float32
     fresh_bank = FilterBank(coder.bank.coefficients, "changed by a test").to(
         coder.bank.unnormalised.dtype
     )
-    fresh = SphericalSparseCoder(fresh_bank, activations=6, options=options, dtype=dtype)
+    fresh = SphericalSparseCoder(
+        fresh_bank, activations=coder.activations, options=options, dtype=dtype
+    )
     found, expected = coder(room()), fresh(room())
     assert torch.equal(found.filters, expected.filters)
     torch.testing.assert_close(found.rotations, expected.rotations)
@@ -432,7 +443,7 @@ def test_coefficients_are_differentiable_in_rotations_and_weights() -> None:
         return coder.coefficients(codes._replace(rotations=rotations, weights=weights))
 
     inputs = [codes.rotations.requires_grad_(), codes.weights.requires_grad_()]
-    assert torch.autograd.gradcheck(coefficients, inputs)
+    assert torch.autograd.gradcheck(coefficients, inputs, fast_mode=True)
 
 
 def test_coefficients_are_differentiable_in_the_filters() -> None:
@@ -440,7 +451,7 @@ def test_coefficients_are_differentiable_in_the_filters() -> None:
     coder, codes = gradcheck_inputs()
     table = (coder.bank.coefficients.detach() * torch.linspace(0.5, 2, 9)[:, None]).requires_grad_()
     coefficients = with_filters(coder, lambda: coder.coefficients(codes))
-    assert torch.autograd.gradcheck(coefficients, [table])
+    assert torch.autograd.gradcheck(coefficients, [table], fast_mode=True)
     coefficients(table).square().sum().backward()
     assert table.grad is not None
     used = table.grad.abs().sum(1) > 1e-12
@@ -478,7 +489,8 @@ def test_pixels_are_differentiable_in_their_colours() -> None:
 def test_refitting_what_was_coded_changes_nothing(weights: str, height: int) -> None:
     """The pursuit's own weights are the least squares of its support (pixels among them)."""
     options = PursuitOptions(weights=weights)  # type: ignore[arg-type]
-    coder = SphericalSparseCoder(bank(6), height=height, activations=10, options=options)
+    count = 10 if height == 32 else 6  # enough for weights of 0
+    coder = SphericalSparseCoder(bank(6), height=height, activations=count, options=options)
     maps = torch.stack([room(height=height), room(1, height=height)])
     codes = coder(maps)
     assert (codes.weights == 0).any() == (weights == "nonnegative")
@@ -692,24 +704,25 @@ def test_a_dictionary_that_is_no_file_is_refused() -> None:
 # bad input
 
 
-@pytest.mark.parametrize("value", [torch.nan, torch.inf, -torch.inf])
-def test_maps_with_holes_are_refused(value: float) -> None:
+def with_hole(value: float) -> torch.Tensor:
     x = room()
     x[3, 4, 1] = value
-    with pytest.raises(InputError, match="NaN"):
-        small()(x)
+    return x
 
 
-@pytest.mark.parametrize("shape", [(16, 32, 3), (32, 32, 3), (64, 32, 3)])
-def test_maps_of_another_layout_are_refused(shape: tuple[int, ...]) -> None:
-    with pytest.raises(InputError, match=r"32x64 .* got \(\d+, 32, 3\)"):
-        small()(torch.ones(shape))
-
-
-def test_black_maps_are_refused() -> None:
-    for maps in (torch.zeros(32, 64, 3), torch.stack([room(), torch.zeros(32, 64, 3)])):
-        with pytest.raises(InputError, match="map is black"):
-            small()(maps)
+@pytest.mark.parametrize(
+    ("maps", "said"),
+    [
+        *((with_hole(value), "NaN") for value in (torch.nan, torch.inf, -torch.inf)),
+        *((torch.ones(n, 32, 3), rf"32x64 .* got \({n}, 32, 3\)") for n in (16, 32, 64)),
+        (torch.zeros(32, 64, 3), "map is black"),
+        (torch.stack([room(), torch.zeros(32, 64, 3)]), "map is black"),
+    ],
+    ids=lambda each: each if isinstance(each, str) else "",
+)
+def test_maps_that_cannot_be_coded_are_refused(maps: torch.Tensor, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        small()(maps)
 
 
 @pytest.mark.parametrize("activations", [0, -1, 2049])

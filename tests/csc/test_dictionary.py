@@ -13,8 +13,7 @@ from skylight.csc import _dictionary as dictionary
 from skylight.csc._dictionary import FilterBank, builtin, load_dictionary, project_about_pole
 from skylight.errors import InputError
 from skylight.io._tensors import write_tensors
-from skylight.sphere import _harmonics as harmonics
-from skylight.sphere import _lobes as lobes
+from skylight.sphere import _harmonics as harmonics, _lobes as lobes
 from skylight.sphere._frame import DirectionGrid
 
 F64 = torch.float64
@@ -79,7 +78,7 @@ def test_isotropic_agrees_with_adaptive_quadrature(row: int) -> None:
     torch.testing.assert_close(got / got[0], expected / expected[0], atol=1e-9, rtol=1e-6)
 
 
-@pytest.mark.parametrize(("l", "m"), [(0, 0), (3, 0), (5, 2), (8, 6), (7, 3), (6, -2)])
+@pytest.mark.parametrize(("l", "m"), [(0, 0), (5, 2), (8, 6), (7, 3), (6, -2)])
 def test_anisotropic_agrees_with_adaptive_quadrature(l: int, m: int) -> None:  # noqa: E741
     a1, a2 = 0.8, 2.5
     row = project_about_pole(
@@ -196,7 +195,7 @@ def test_lower_degrees_ring_as_little(degree: int) -> None:
 
 def test_undershoot_is_that_of_a_fine_meridian() -> None:
     bank = FilterBank.project(lambda theta, phi: lobes.gaussian(theta, number(20.0)), 40, "sharp")
-    theta = torch.linspace(0, math.pi, 20001, dtype=F64)
+    theta = torch.linspace(0, math.pi, 4001, dtype=F64)
     meridian = torch.stack([torch.zeros_like(theta), theta.cos(), theta.sin()], dim=-1)
     value = bank.evaluate(meridian)
     assert float(bank.undershoot()) == pytest.approx(float(-value.min() / value.max()), rel=0.03)

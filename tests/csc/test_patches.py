@@ -8,8 +8,7 @@ from skylight.csc._dictionary import FilterBank, builtin, project_about_pole, sh
 from skylight.csc._learning import extract_patches, kmeans_filters, learn_patches, local_maxima
 from skylight.errors import InputError
 from skylight.io._files import read_environment_map
-from skylight.sphere import _harmonics as harmonics
-from skylight.sphere import _lobes as lobes
+from skylight.sphere import _harmonics as harmonics, _lobes as lobes
 from skylight.sphere._frame import DirectionGrid, angle_between, rotation_about
 
 F64 = torch.float64

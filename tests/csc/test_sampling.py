@@ -18,8 +18,6 @@ from skylight.csc._sub_dictionaries import BOX_SIZES, SubDictionary
 from skylight.errors import InputError
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import DirectionGrid
-from tools.measure_code_sampling import agreement, small_table, variance
-from tools.table_sampler import TableSampler
 
 F64 = torch.float64
 CELLS = 16  # rows of cells, whose probabilities come from 8 x 8 points each
@@ -67,7 +65,7 @@ def test_densities_integrate_to_one() -> None:
             assert float(each.shares.sum()) == pytest.approx(1, abs=1e-12)
 
 
-def p_value(directions: torch.Tensor, sampler: CodeSampler | TableSampler) -> float:
+def p_value(directions: torch.Tensor, sampler: CodeSampler) -> float:
     """Of Pearson's chi-square test of directions against ``sampler.pdf`` in 16 x 32 cells."""
     probability = in_cells(sampler.pdf(FINE.directions) * FINE.solid_angles)
     width = 2 * CELLS
@@ -122,31 +120,6 @@ def lit_map() -> EnvironmentMap:
     radiance[5, 7] *= 10
     radiance[20:24, 30:40] = 0
     return EnvironmentMap(radiance=radiance.repeat_interleave(4, 0).repeat_interleave(4, 1))
-
-
-def test_samples_of_a_table_pass_it_too() -> None:
-    table = TableSampler.of(lit_map())
-    directions = table.sample(200_000, torch.Generator().manual_seed(1))
-    assert (directions.norm(dim=1) - 1).abs().max() < 1e-5
-    assert p_value(directions, table) > 1e-3
-    brighter = replace(table, density=table.density + 0.1 * table.density.median())
-    assert p_value(directions, brighter) < 1e-6
-
-
-def test_variances_by_quadrature_are_those_of_samples() -> None:
-    """What is measured: mean and variance of 200,000 samples of a table and of a code."""
-    environment, normal = lit_map(), torch.tensor([0.0, 1, 0], dtype=F64)
-    light, grid = luminance(environment.flat.double()), environment.grid
-    integrand = light * (grid.directions @ normal).clamp(min=0)
-    for sampler in (small_table(environment, 200), dotted_sampler()):
-        density = sampler.pdf(grid.directions).double()
-        directions = sampler.sample(200_000, torch.Generator().manual_seed(0)).double()
-        pixel = pixel_of(directions, environment.layout)
-        values = light[pixel] * (directions @ normal).clamp(min=0) / sampler.pdf(directions)
-        expected = variance(environment, integrand, density)
-        assert float(values.var()) == pytest.approx(expected, rel=0.1)
-    for z in agreement(environment, long_sampler(), 0).values():
-        assert abs(z) < 4
 
 
 def test_the_density_is_the_decoded_luminance_where_all_weights_are_positive() -> None:

@@ -5,8 +5,7 @@ from functools import cache
 import pytest
 import torch
 
-from skylight.csc import _correlation as filter_group
-from skylight.csc import _dictionary as dictionary
+from skylight.csc import _correlation as filter_group, _dictionary as dictionary
 from skylight.csc._dictionary import FilterBank
 from skylight.csc._positions import Positions
 from skylight.csc._search import Atom, Query, Search

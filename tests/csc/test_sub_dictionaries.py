@@ -1,3 +1,5 @@
+from functools import cache
+
 import pytest
 import torch
 
@@ -29,10 +31,14 @@ def random(*shape: int, seed: int = 0) -> torch.Tensor:
     return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
 
 
-def bank(name: str = "ani", degree: int = 8) -> FilterBank:
-    """The constant, four long lobes, three round ones."""
-    rows = dictionary.anisotropic(degree, 4).coefficients
-    return FilterBank(rows[[0, 1, 2, 3, 4, 30, 70, 104]], name)
+@cache
+def rows_of_bank() -> torch.Tensor:
+    """The constant, four long lobes, three round ones; of degree 8."""
+    return dictionary.anisotropic(8, 4).coefficients.detach()[[0, 1, 2, 3, 4, 30, 70, 104]]
+
+
+def bank(name: str = "ani") -> FilterBank:
+    return FilterBank(rows_of_bank(), name)
 
 
 def lopsided(degree: int = 6) -> FilterBank:
@@ -84,7 +90,7 @@ def test_box_has_boxes_at_any_height_in_the_pixels_place() -> None:
     assert isinstance(boxes, BoxDictionary)
     assert (few.count, boxes.first, boxes.count) == (8, 8, 36)
     assert boxes.coordinates == slice(81, 81 + 32 * 64)
-    fine, pixels = multiresolution(bank("box"), 128), multiresolution(bank(), 128)
+    fine, pixels = multiresolution(bank("box"), 64), multiresolution(bank(), 64)
     assert [type(each) for each in fine] == [type(each) for each in pixels]
     assert [each.first for each in fine] == [each.first for each in pixels]
     assert (fine[-1].count, pixels[-1].count) == (36, 1)
@@ -187,7 +193,7 @@ def test_pixels_are_unit_atoms_of_one_place() -> None:
 def test_norms_are_those_of_the_sampled_atoms() -> None:
     """By turning every filter to every row and twist, at any column, and squaring its map."""
     degree, rows = 8, 8
-    rows_of = torch.cat([bank(degree=degree).coefficients, lopsided(degree).coefficients])
+    rows_of = torch.cat([bank().coefficients, lopsided(degree).coefficients])
     filters, positions = FilterBank(rows_of, "x"), Positions(rows=rows, twists=4)
     correlation = RotationCorrelation(filters.coefficients.detach(), positions, dtype=F64)
     transform = LatLongTransform(degree, rows)

@@ -6,7 +6,7 @@ import torch
 from skylight.csc._positions import Positions
 from skylight.csc._wigner import RotationCorrelation, rotated_filters
 from skylight.sphere import _harmonics as harmonics
-from tools.thesis_gradients import IsotropicGradient, RotatedResiduals, RotatedZonalGradient
+from tests.csc.thesis_gradients import IsotropicGradient, RotatedResiduals, RotatedZonalGradient
 
 F64 = torch.float64
 TOLERANCE = {torch.float32: 1e-4, F64: 1e-9}
@@ -27,29 +27,30 @@ def isotropic(count: int, degree: int) -> torch.Tensor:
 def largest_difference(
     found: torch.Tensor, filters: torch.Tensor, positions: Positions, residual: torch.Tensor
 ) -> float:
-    """To filters turned one by one, at 80 places of each, relative to the largest value."""
+    """To filters turned one by one, at 20 places of each, relative to the largest value."""
     shape = (positions.rows, positions.columns, positions.twists)
     assert found.shape == (len(filters), *shape)
     generator = torch.Generator().manual_seed(7)
-    places = torch.stack([torch.randint(n, (80,), generator=generator) for n in shape], 1)
+    places = torch.stack([torch.randint(n, (20,), generator=generator) for n in shape], 1)
     rotations = positions.rotations(places)
     worst = 0.0
     for one, values in zip(filters, found, strict=True):
-        exact = rotated_filters(one.expand(80, -1), rotations) @ residual
+        exact = rotated_filters(one.expand(20, -1), rotations) @ residual
         here = values[tuple(places.unbind(1))].double()
         worst = max(worst, ((here - exact).abs().max() / exact.abs().max()).item())
     return worst
 
 
 @pytest.mark.parametrize("dtype", TOLERANCE)
+# degrees above the number of columns and below it
 @pytest.mark.parametrize(
-    ("degree", "rows", "twists"), [(0, 2, 1), (12, 8, 6), (12, 13, 5), (40, 8, 6), (40, 21, 2)]
+    ("degree", "rows", "twists"), [(0, 2, 1), (12, 4, 6), (12, 9, 3), (40, 4, 3)]
 )
 @pytest.mark.parametrize("method", GENERAL)
 def test_every_method_is_the_products_with_turned_filters(
     method: type, degree: int, rows: int, twists: int, dtype: torch.dtype
 ) -> None:
-    filters, residual = random(4, (degree + 1) ** 2), random((degree + 1) ** 2, seed=1)
+    filters, residual = random(2, (degree + 1) ** 2), random((degree + 1) ** 2, seed=1)
     positions = Positions(rows=rows, twists=twists)
     found = method(filters, positions, dtype=dtype)(residual)
     assert found.dtype == dtype
@@ -57,10 +58,10 @@ def test_every_method_is_the_products_with_turned_filters(
 
 
 @pytest.mark.parametrize("dtype", TOLERANCE)
-@pytest.mark.parametrize(("degree", "rows"), [(12, 8), (40, 24)])
+@pytest.mark.parametrize(("degree", "rows"), [(12, 8), (40, 5)])
 def test_all_four_agree_on_isotropic_filters(degree: int, rows: int, dtype: torch.dtype) -> None:
-    filters, residual = isotropic(3, degree), random((degree + 1) ** 2, seed=1)
-    positions = Positions(rows=rows, twists=3)
+    filters, residual = isotropic(2, degree), random((degree + 1) ** 2, seed=1)
+    positions = Positions(rows=rows, twists=2)
     default, *thesis = (
         method(filters, positions, dtype=dtype)(residual)
         for method in (*GENERAL, IsotropicGradient)
@@ -81,8 +82,8 @@ def test_pieces_do_not_show(method: type, monkeypatch: pytest.MonkeyPatch) -> No
     filters, residual = random(3, 49), random(49, seed=1)
     gradient = method(filters, Positions(rows=5, twists=3), dtype=F64)
     whole = gradient(residual)
-    monkeypatch.setattr("tools.thesis_gradients._TWISTED_BYTES", 7 * 3 * 49 * 8)
-    monkeypatch.setattr("tools.thesis_gradients._LOOKUP_BYTES", 7 * 13 * 49 * 8)
+    monkeypatch.setattr("tests.csc.thesis_gradients._TWISTED_BYTES", 7 * 3 * 49 * 8)
+    monkeypatch.setattr("tests.csc.thesis_gradients._LOOKUP_BYTES", 7 * 13 * 49 * 8)
     torch.testing.assert_close(gradient(residual), whole, atol=1e-12, rtol=0)
 
 
@@ -102,7 +103,7 @@ def test_gradient_is_that_of_the_loss(degree: int) -> None:
 
 def test_axes_are_the_same_every_time() -> None:
     first, second = (
-        RotatedZonalGradient(random(1, 81), Positions(rows=2, twists=1)) for _ in range(2)
+        RotatedZonalGradient(random(1, 25), Positions(rows=2, twists=1)) for _ in range(2)
     )
     assert torch.equal(first.axes, second.axes)
-    assert len(first.axes) == 2 * harmonics.degree_of(81) + 1
+    assert len(first.axes) == 2 * harmonics.degree_of(25) + 1

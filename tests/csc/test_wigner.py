@@ -1,3 +1,5 @@
+from functools import cache
+
 import pytest
 import torch
 
@@ -181,19 +183,13 @@ def test_zonal_correlation_refuses_other_filters() -> None:
         ZonalCorrelation(filters_of_every_kind(4), Positions(rows=4, twists=4))
 
 
-def test_a_batch_is_its_residuals() -> None:
-    """Of any leading dimensions."""
-    filters, positions = filters_of_every_kind(7), Positions(rows=5, twists=6)
-    correlation = RotationCorrelation(filters, positions, dtype=F64)
-    residuals = random(2, 3, 64)
-    found = correlation(residuals)
-    expected = torch.stack([brute_force(filters, positions, r) for r in residuals.flatten(0, 1)])
-    torch.testing.assert_close(found.flatten(0, 1), expected, atol=1e-11, rtol=0)
-    for values, alone in zip(
-        correlation.by_group(residuals), correlation.by_group(residuals[1, 2]), strict=True
-    ):
-        torch.testing.assert_close(values[1, 2], alone, atol=1e-12, rtol=0)
-    assert correlation(residuals[:0]).shape == (0, *found.shape[1:])
+@cache
+def three_by_brute_force() -> tuple[RotationCorrelation, torch.Tensor, torch.Tensor]:
+    """A correlation, three residuals and their products."""
+    filters, positions = filters_of_every_kind(6), Positions(rows=5, twists=6)
+    residuals = random(3, 49)
+    expected = torch.stack([brute_force(filters, positions, r) for r in residuals])
+    return RotationCorrelation(filters, positions, dtype=F64), residuals, expected
 
 
 @pytest.mark.parametrize("budget", [1, 500, 4000, 10**6])
@@ -201,9 +197,20 @@ def test_the_share_taken_at_once_changes_nothing(
     budget: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Single rows, several of one signal, whole signals, and all together."""
-    filters, positions = filters_of_every_kind(6), Positions(rows=5, twists=6)
-    correlation = RotationCorrelation(filters, positions, dtype=F64)
-    residuals = random(3, 49)
-    expected = torch.stack([brute_force(filters, positions, r) for r in residuals])
+    correlation, residuals, expected = three_by_brute_force()
     monkeypatch.setattr(filter_group, "_CACHED", budget)
     torch.testing.assert_close(correlation(residuals), expected, atol=1e-11, rtol=0)
+
+
+def test_a_batch_is_its_residuals() -> None:
+    """Of any leading dimensions."""
+    correlation, residuals, expected = three_by_brute_force()
+    found = correlation(residuals.view(3, 1, 49))
+    torch.testing.assert_close(found.flatten(0, 1), expected, atol=1e-11, rtol=0)
+    for values, alone in zip(
+        correlation.by_group(residuals.view(3, 1, 49)),
+        correlation.by_group(residuals[1]),
+        strict=True,
+    ):
+        torch.testing.assert_close(values[1, 0], alone, atol=1e-12, rtol=0)
+    assert correlation(residuals[:0, None]).shape == (0, *found.shape[1:])

@@ -66,7 +66,8 @@ def test_what_has_no_trained_model_refuses_one(
     assert main(["estimate", str(portrait), "--light", "sh9", *model, *out]) == 2
     assert "leave --model out" in capsys.readouterr().err
     counting = Counting(count=1, marks=tmp_path / "marks")
-    monkeypatch.setitem(EVALUATIONS, "counting", lambda *_: counting)
+    monkeypatch.setattr(Counting, "over", lambda data, quick: counting)
+    monkeypatch.setitem(EVALUATIONS, "counting", Counting)
     assert main(["evaluate", "counting", *model, *out]) == 2
     assert "leave --model and --device out" in capsys.readouterr().err
     assert main(["evaluate", "sky-models", "--quick", "--device", "cpu", *out]) == 2

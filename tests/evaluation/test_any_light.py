@@ -22,7 +22,7 @@ from skylight.evaluation._any_light import (
     main_lamp_coverage,
     share_of_maps_better,
 )
-from skylight.evaluation._known_faces import synthetic_face
+from skylight.evaluation._known_faces import choice_facts, rendered_here
 from skylight.evaluation._main import evaluate
 from skylight.evaluation._run import Item
 from skylight.evaluation._tables import summarise
@@ -77,7 +77,7 @@ def peaks(light: EnvironmentMap) -> list[MapLamp]:
 
 def rendered_folder(out: Path, maps: list[TurnedMap | None], light: EnvironmentMap) -> Path:
     """What ``skylight faces render`` writes, without rendering: one picture, other facts."""
-    face = synthetic_face(20_000_000, 64)
+    face = rendered_here(20_000_000, 64)
     for number, turned in enumerate(maps):
         folder = out / f"face{number:04d}"
         folder.mkdir(parents=True)
@@ -194,7 +194,7 @@ def test_the_grey_light_explains_the_mean_of_the_prior_skin() -> None:
 def estimated(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every method finds the lamp 10 degrees aside; nobody has to be found in a tiny picture."""
 
-    def light_of(face, fit, methods, seconds, *, options):
+    def lit(self, face, methods):
         turned = room((40, 0.5))
         estimate = estimate_of(turned)
         grid = DirectionGrid.latlong(8)
@@ -204,14 +204,16 @@ def estimated(monkeypatch: pytest.MonkeyPatch) -> None:
             places=torch.arange(6).reshape(3, 2),
             transport=TransportMatrix(matrix=torch.full((3, len(grid)), 0.01), grid=grid),
         )
+        estimates = dict.fromkeys(methods, estimate)
         return SimpleNamespace(
+            fit=face.truth,
             view=SimpleNamespace(observation=observation, blocks=torch.arange(3)),
-            estimates=dict.fromkeys(methods, estimate),
+            estimates=estimates,
             metrics={m: any_light.face_score(turned, face) for m in methods},
+            facts=choice_facts(estimates),
         )
 
-    monkeypatch.setattr(any_light, "fitted_head", lambda face, seconds: face.truth)
-    monkeypatch.setattr(any_light, "light_of", light_of)
+    monkeypatch.setattr(AnyLight, "lit", lit)
 
 
 @pytest.mark.usefixtures("estimated")

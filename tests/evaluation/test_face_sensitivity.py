@@ -1,7 +1,6 @@
 """Perturbations by exactly what was asked, and the curves made of them."""
 
 import math
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -26,8 +25,6 @@ from skylight.evaluation._face_sensitivity import (
 from skylight.evaluation._known_faces import FaceSource, KnownFace, pose_error_deg, rendered_here
 from skylight.faces._fit import camera_project
 from skylight.faces._model import HeadModel
-
-SOURCE = FaceSource(data=None, count=1, size=64)
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +76,7 @@ def test_another_size_shows_the_same_head(face):
 
 
 def test_only_sizes_that_a_picture_has():
-    evaluation = FaceSensitivity(source=SOURCE)
+    evaluation = FaceSensitivity(count=1, size=64)
     asked = [c for c in evaluation.conditions(192) if c is not None]
     assert [c.value for c in asked if c.factor == "size"] == [90, 128, 192]
     assert len(evaluation.conditions(360)) == 1 + 5 + 2 * (len(ANGLES_DEG) - 1) + len(SIGMAS) - 1
@@ -99,7 +96,7 @@ def rows(errors: dict[str, float]) -> dict[str, dict[str, dict[str, float]]]:
 
 def test_growth_is_relative_to_the_true_head_and_the_largest_picture():
     errors = {UNCHANGED: 0.5, "yaw 15": 0.5, "pitch 15": 0.6, "size 90": 0.75, "size 360": 0.6}
-    pose, size = FaceSensitivity(source=SOURCE).checks(rows(errors), []).values()
+    pose, size = FaceSensitivity(count=1, size=64).checks(rows(errors), []).values()
     assert pose.value == pytest.approx(0.1)
     assert pose.ok
     assert size.value == pytest.approx(0.25)
@@ -128,7 +125,12 @@ def test_every_condition_has_a_row_for_each_method(tmp_path, monkeypatch):
 
     monkeypatch.setattr(face_sensitivity, "light_of", light_of)
     evaluation = FaceSensitivity(
-        source=SOURCE, sizes=(48,), angles_deg=(0.0, 15.0), sigmas=(0.0,), methods=("sh9", "sh25")
+        count=1,
+        size=64,
+        sizes=(48,),
+        angles_deg=(0.0, 15.0),
+        sigmas=(0.0,),
+        methods=("sh9", "sh25"),
     )
     item = evaluation.measure("face0000", tmp_path / "face.png")
     labels = [UNCHANGED, "size 48", "yaw 15", "pitch 15"]
@@ -153,9 +155,7 @@ def test_every_face_has_noise_of_its_own(face, tmp_path, monkeypatch):
     monkeypatch.setattr(FaceSource, "read", lambda self, name: face)
     monkeypatch.setattr(face_sensitivity, "perturbed", noted)
     monkeypatch.setattr(face_sensitivity, "light_of", light_of)
-    evaluation = FaceSensitivity(
-        source=replace(SOURCE, count=24), sizes=(), angles_deg=(0.0,), sigmas=(0.0, 1.1)
-    )
+    evaluation = FaceSensitivity(count=24, size=64, sizes=(), angles_deg=(0.0,), sigmas=(0.0, 1.1))
     for name in evaluation.items():
         evaluation.measure(name, tmp_path / "face.png")
     assert len(seeds) == len(set(seeds)) == 24

@@ -1,12 +1,16 @@
-"""Faces by name: what makes earlier results stale, and which of them have scenes."""
+"""Faces by name: what makes earlier results stale, which have scenes; and their scores."""
 
 import json
 from pathlib import Path
 
 import pytest
+import torch
 
 from skylight.errors import InputError
 from skylight.evaluation._known_faces import FaceSource
+from skylight.inverse._scores import score
+from skylight.models.sunsky import SunSky
+from skylight.sphere._envmap import EnvironmentMap
 
 
 def folder_of(path: Path, number: int) -> Path:
@@ -51,3 +55,27 @@ def test_only_a_folders_faces_have_scenes(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # whose faces are nobody's
     with pytest.raises(InputError, match="folder"):
         FaceSource(data=None, count=1).scene("face0000")
+
+
+@pytest.fixture(scope="module")
+def sky():
+    model = SunSky()
+    return model(model.starts()[:1])[0].reshape(*model.grid.layout, 3)
+
+
+def test_the_truth_scores_perfectly(sky):
+    truth = EnvironmentMap(radiance=sky).with_ground(torch.tensor([0.1, 0.1, 0.1]))
+    scores = score(truth, truth, sun_visible=True)
+    assert scores["ssim"] == pytest.approx(1, abs=1e-5)
+    assert scores["brightness"] == pytest.approx(1)
+    errors = {k: v for k, v in scores.items() if k not in ("ssim", "brightness")}
+    assert errors == pytest.approx(dict.fromkeys(errors, 0), abs=1e-4)
+
+
+def test_brightness_alone_is_seen_by_brightness_alone(sky):
+    truth = EnvironmentMap(radiance=sky).with_ground(torch.tensor([0.1, 0.1, 0.1]))
+    scores = score(EnvironmentMap(radiance=3 * truth.radiance), truth, sun_visible=False)
+    assert scores["brightness"] == pytest.approx(3, rel=1e-5)
+    assert scores["mae"] == pytest.approx(2, rel=1e-5)
+    assert scores["mae_aligned"] == pytest.approx(0, abs=1e-5)
+    assert not any(name.startswith("sun_") for name in scores)

@@ -51,7 +51,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def small(data: Path) -> PartitionProbeTable:
-    return PartitionProbeTable(data=data, samples=64, rays=64, even=(6,), width=48, searches=0)
+    return PartitionProbeTable(data=data, samples=64, rays=64, even=(6,), width=32, searches=0)
 
 
 def test_uniform_light_is_drawn_right_by_all_that_know_shadows(data: Path, tmp_path: Path) -> None:
@@ -161,7 +161,7 @@ def test_the_sun_is_turned_to_the_east() -> None:
 
 
 def test_the_thesis_measures(data: Path) -> None:
-    scene = partition_scene(small(data).meshes, 48)
+    scene = partition_scene(small(data).meshes, 32)
     truth = torch.full((len(scene.points), 3), 2.0)
     found = scored(scene, truth * torch.tensor([1.1, 1.0, 0.7]), truth)
     assert found["mae"] == pytest.approx(0.4 / 3, rel=1e-5)
@@ -170,7 +170,7 @@ def test_the_thesis_measures(data: Path) -> None:
 
 
 def test_a_ball_in_the_sun_is_lit_by_its_cosine(data: Path) -> None:
-    scene = partition_scene(small(data).meshes, 48)
+    scene = partition_scene(small(data).meshes, 32)
     light = uniform()
     lit = scene.lit_sphere(light)
     expected = ALBEDO * torch.tensor([1.0, 0.8, 0.6]).double()
@@ -183,5 +183,5 @@ def test_fine_meshes_without_libigl_name_its_extra(
     sphere = trimesh.creation.icosphere(subdivisions=5)  # 20480 triangles
     sphere.export(tmp_path / MODELS[0])
     monkeypatch.setitem(sys.modules, "igl", None)
-    with pytest.raises(DependencyError, match=r"skylight\[decimation\]"):
+    with pytest.raises(DependencyError, match=r"skylight-lighting\[decimation\]"):
         partition_scene((tmp_path / MODELS[0],), 24)

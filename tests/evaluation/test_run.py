@@ -7,18 +7,29 @@ from pathlib import Path
 import pytest
 
 from skylight.errors import InputError
-from skylight.evaluation._main import evaluate, run_evaluation
-from skylight.evaluation._run import CACHE, Check, Item, measure_all
+from skylight.evaluation import _main as main
+from skylight.evaluation._main import evaluate, evaluate_all, run_evaluation
+from skylight.evaluation._run import (
+    CACHE,
+    Check,
+    Evaluation,
+    Item,
+    measure_all,
+    mesh_files,
+    probes_folder,
+)
+
+USUAL = ("bunny.ply", "dragon.ply")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Counting:
+class Counting(Evaluation):
     """Items 0..count-1, whose value is their number; each measurement leaves a mark."""
+
+    title = "counting"
 
     count: int
     marks: Path
-    seed: int = 1
-    name: str = "counting"
 
     def config(self):
         return {"seed": self.seed}
@@ -102,8 +113,79 @@ def test_unknown_names_are_answered_with_the_known_ones(tmp_path):
         evaluate("faces", quick=True, data=None, out=tmp_path)
 
 
-def test_real_faces_asks_for_data(tmp_path):
-    with pytest.raises(InputError, match="--data"):
-        evaluate("real-faces", quick=True, data=None, out=tmp_path)
-    with pytest.raises(InputError, match=r"index\.json"):
-        evaluate("real-faces", quick=True, data=tmp_path, out=tmp_path / "out")
+def with_files(folder: Path, *names: str) -> Path:
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).touch()
+    return folder
+
+
+def test_probes_are_in_hdr_or_in_the_folder_itself(tmp_path: Path) -> None:
+    with_files(tmp_path, "a/hdr/index.csv", "b/index.csv", "c/hdr/map.exr")
+    assert probes_folder(tmp_path / "a") == tmp_path / "a/hdr"
+    assert probes_folder(tmp_path / "b") == tmp_path / "b"
+    with pytest.raises(InputError):
+        probes_folder(tmp_path / "c")
+
+
+def test_other_meshes_stand_in_for_missing_ones(tmp_path: Path) -> None:
+    def found(*names: str) -> list[str]:
+        folder = tmp_path / "-".join(names).replace("/", "_")
+        with_files(folder, "hdr/index.csv", *names)
+        from_all, from_maps = (mesh_files(f, USUAL) for f in (folder, folder / "hdr"))
+        assert from_all == from_maps
+        return [path.name for path in from_all]
+
+    assert found("meshes/a.ply", "meshes/bunny.ply", "meshes/dragon.ply") == list(USUAL)
+    assert found("meshes/a.ply", "meshes/b.obj", "meshes/dragon.ply") == ["dragon.ply", "a.ply"]
+    assert found("meshes/a.ply", "meshes/notes.txt") == ["a.ply"]
+    with pytest.raises(InputError):
+        found("meshes/notes.txt")
+
+
+@pytest.fixture
+def told(monkeypatch, tmp_path):
+    """The data that each of three evaluations, of other folders, was given."""
+    given = {}
+
+    def counting(title, folder):
+        def over(data, *, quick):
+            given[title] = data
+            if data is not None and not data.is_dir():
+                raise InputError(f"{data}: there is no | such folder")
+            return Counting(count=2, marks=tmp_path / "marks")
+
+        return type(title, (Counting,), {"data_folder": folder, "over": staticmethod(over)})
+
+    folders = {"sky-models": None, "lamps": "lamps", "voxel-probe": ""}
+    table = {title: counting(title, folder) for title, folder in folders.items()}
+    monkeypatch.setattr(main, "EVALUATIONS", table)
+    return given
+
+
+def test_one_page_has_what_was_measured_and_what_was_left_out_and_why(tmp_path, told):
+    data, out = tmp_path / "data", tmp_path / "out"
+    data.mkdir()
+    (out / "sky-models").mkdir(parents=True)
+    (out / "sky-models" / "curve.png").touch()  # this evaluation has no pictures of its own
+    page = evaluate_all(quick=True, data=data, out=out, workers=1)
+    assert told == {"sky-models": None, "lamps": data / "lamps", "voxel-probe": data}
+    text = page.read_text()
+    assert "| lamps | 0.0 | left out: " in text
+    assert "there is no / such folder |" in text  # a table's cell ends with a stroke
+    assert "\n## voxel-probe\n" in text
+    assert "\n## lamps\n" not in text
+    assert "| MAE (s) | 0.5 ± 0.5 [0.5] |" in text
+    assert "![sky-models: curve.png](sky-models/curve.png)" in text
+    assert measured(tmp_path / "marks") == ["0", "1", "0", "1"]
+    evaluate_all(quick=True, data=data, out=out, workers=1)
+    assert measured(tmp_path / "marks") == ["0", "1", "0", "1"]  # it goes on
+
+
+def test_without_any_result_it_is_refused(tmp_path, told):
+    with pytest.raises(InputError, match="no such folder"):
+        evaluate_all(quick=True, data=tmp_path / "none", out=tmp_path / "out")
+    told.clear()
+    (tmp_path / "data").mkdir()
+    with pytest.raises(InputError, match=r"nothing could be evaluated; .*results\.md"):
+        evaluate_all(quick=True, data=tmp_path / "data", out=tmp_path / "out", workers=0)

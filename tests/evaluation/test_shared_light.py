@@ -9,6 +9,7 @@ import pytest
 from skylight.errors import InputError
 from skylight.evaluation import _shared_light as shared_light
 from skylight.evaluation._known_faces import (
+    NOT_FOUND,
     EstimateOptions,
     FaceSource,
     KnownFace,
@@ -90,10 +91,12 @@ def test_what_is_done_four_times_is_timed_in_sum():
 
 
 def test_a_scene_with_a_face_that_is_not_found_is_left_out(folder, estimated, monkeypatch):
-    monkeypatch.setattr(shared_light, "fitted_head", lambda face, seconds: None)
-    item = SharedLight(data=folder).measure("scene0001", folder / "scene.png")
-    assert item.metrics == {}
-    assert item.problem == "face0004: no face found by the landmark detector"
+    def unfound(face, seconds):
+        raise InputError(NOT_FOUND)
+
+    monkeypatch.setattr(shared_light, "fitted_head", unfound)
+    with pytest.raises(InputError, match="face0004: no face found by the landmark detector"):
+        SharedLight(data=folder).measure("scene0001", folder / "scene.png")
 
 
 def test_four_faces_are_compared_with_one(folder):

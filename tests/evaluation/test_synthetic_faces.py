@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from skylight.evaluation._known_faces import (
+    FIRST_SEED,
     METHODS,
     KnownFace,
     coverage,
@@ -24,6 +25,7 @@ from skylight.evaluation._synthetic_faces import (
     SyntheticFaces,
     auto_under_suns,
     true_parameters,
+    with_true_albedo,
     worst_tone,
 )
 from skylight.evaluation._tables import (
@@ -34,6 +36,9 @@ from skylight.evaluation._tables import (
     summarise,
     summarise_groups,
 )
+from skylight.faces._model import HeadModel
+from skylight.faces._observe import observe_face
+from skylight.inverse._estimate import smooth_autoencoder
 from skylight.inverse._posterior import SunPosterior
 from skylight.models._base import LightModel
 from skylight.models._bundle import load_bundle
@@ -186,10 +191,7 @@ def test_pose_error_is_the_angle_of_the_relative_rotation(face):
 
 def test_the_autoencoder_is_started_at_the_true_sun(face):
     parameters = true_parameters(face.environment, held=2, released=2)
-    model = OneStart(parameters)
-    assert isinstance(model, LightModel)
-    towards = model.starts_towards(torch.eye(3))
-    assert torch.equal(towards, parameters.expand(3, 1, -1))
+    assert isinstance(OneStart(parameters), LightModel)
     sky = load_bundle().light()(parameters)[0].detach().reshape(32, 128, 3)
     sun = EnvironmentMap(radiance=sky).brightest_direction()
     apart = float(angle_between(sun, face.environment.brightest_direction()))
@@ -202,7 +204,6 @@ def test_one_face_from_end_to_end(tmp_path):
     path = run_evaluation(evaluation, tmp_path, command="c")
     results = json.loads(path.read_text())
     facts = results["items"]["face0000"]
-    assert facts["found"]
     assert facts["sun_visible"]
     assert facts["pose_deg"] < 15
     assert set(facts["seconds"]) == {"landmarks", "head", "transport", "sh9", "sh25"}
@@ -211,3 +212,25 @@ def test_one_face_from_end_to_end(tmp_path):
     for row in results["rows"].values():
         assert set(row) >= set(MEAN_GOALS) | {"seconds"}
     assert (tmp_path / "figure_5_6.png").is_file()
+
+
+@pytest.mark.slow
+def test_a_known_albedo_is_kept() -> None:
+    face = rendered_here(FIRST_SEED, 128)
+    view = observe_face(face.picture, face.clipped, HeadModel.load(), face.truth, face_height_px=30)
+    found = with_true_albedo(view.observation, face)
+    assert float((found.faces[0].albedo / face.albedo).log().abs().max()) < 0.05
+
+
+def test_one_start_looks_nowhere_else() -> None:
+    shipped = smooth_autoencoder(load_bundle())
+    parameters = shipped.starts()[:1]
+    model = OneStart(parameters)
+    towards = model.starts_towards(torch.eye(3)).flatten(0, 1)
+    assert torch.equal(towards, parameters.expand(3, -1))
+    assert torch.equal(model.starts(), parameters)
+    assert torch.equal(model.on_rows(16).starts(), parameters)
+    assert model.on_rows(16).grid.layout == (16, 64)
+    free = model.to_free(parameters)
+    torch.testing.assert_close(model.from_free(free), parameters)
+    assert torch.equal(model(parameters), shipped(parameters))

@@ -7,6 +7,7 @@ import pytest
 import torch
 import trimesh
 
+from skylight.evaluation import _voxel_probe as voxel_probe
 from skylight.evaluation._voxel_probe import (
     ALBEDO,
     TRANSFER,
@@ -70,8 +71,11 @@ def test_transfer_has_the_thesis_numbers(data: Path, tmp_path: Path) -> None:
     assert checks["transfer_l1: probe5_global <= probe5_direct"].ok
 
 
-def test_drawing_a_probe_with_its_own_light_is_what_path_tracing_says() -> None:
+def test_drawing_a_probe_with_its_own_light_is_what_path_tracing_says(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """No slot is missing and no light comes from afar: what differs is noise and interpolation."""
+    monkeypatch.setattr(voxel_probe, "PIXELS", 64)
     scene, light = VoxelScene.of(star_probe(3)), sky()
     captured = baked(3, light, Sampling(samples=256), 0)
     completed = reconstruction(3, "direct").complete(captured)

@@ -46,18 +46,12 @@ def test_the_astronaut_is_found(found):
 
 @pytest.mark.parametrize("factor", [2, 4])
 def test_large_pictures_give_the_same_landmarks(landmarker, found, factor):
+    """And their first face is no fold of cloth."""
     size = (512 * factor, 512 * factor)
-    larger = cv2.resize(astronaut(), size, interpolation=cv2.INTER_CUBIC)
-    face = max(landmarker.detect(larger), key=lambda f: f.score)
-    off = np.linalg.norm(face.points / factor - found[0].points, axis=1)
-    assert np.median(off) < 0.05 * found[0].eye_distance_px
-
-
-def test_the_first_face_of_a_large_picture_is_no_fold_of_cloth(landmarker, found):
-    larger = cv2.resize(astronaut(), (1024, 1024), interpolation=cv2.INTER_CUBIC)
-    first = landmarker.detect(larger)[0]
-    off = np.linalg.norm(first.points / 2 - found[0].points, axis=1)
-    assert np.median(off) < 0.05 * found[0].eye_distance_px
+    crowd = landmarker.detect(cv2.resize(astronaut(), size, interpolation=cv2.INTER_CUBIC))
+    for face in (crowd[0], max(crowd, key=lambda f: f.score)):
+        off = np.linalg.norm(face.points / factor - found[0].points, axis=1)
+        assert np.median(off) < 0.05 * found[0].eye_distance_px
 
 
 def test_small_faces_are_found_at_a_second_look(landmarker, found):
@@ -71,13 +65,15 @@ def test_several_faces_come_largest_first(landmarker, found):
     picture = np.zeros((512, 768, 3), np.uint8)
     picture[256:, :256] = cv2.resize(astronaut(), (256, 256), interpolation=cv2.INTER_AREA)
     picture[:, 256:] = astronaut()
-    crowd = landmarker.detect(picture)
-    sizes = [face.size_px for face in crowd]
-    assert sizes == sorted(sizes, reverse=True)
-    np.testing.assert_allclose(crowd[0].points - [256, 0], found[0].points, atol=4)
+    large, *others = landmarker.detect(picture)
+    np.testing.assert_allclose(large.points - [256, 0], found[0].points, atol=4)
+    if isinstance(landmarker, MediaPipeLandmarker):  # dlib stops where it has found one
+        (small,) = others
+        off = np.linalg.norm((small.points - [0, 256]) * 2 - found[0].points, axis=1)
+        assert off.mean() < 0.05 * found[0].eye_distance_px
 
 
-@pytest.mark.parametrize("shape", [(1, 1, 3), (40, 300, 3), (480, 640, 3)])
+@pytest.mark.parametrize("shape", [(1, 1, 3), (40, 300, 3), (240, 320, 3)])
 def test_no_face_in_nothing(landmarker, shape):
     assert landmarker.detect(np.zeros(shape, np.uint8)) == []
     noise = np.random.default_rng(1).integers(0, 256, shape, dtype=np.uint8)
@@ -124,13 +120,13 @@ def test_a_missing_predictor_says_what_to_install(monkeypatch, tmp_path):
     with pytest.raises(AssetError, match="reinstall"):
         predictor_path()
     monkeypatch.setattr(metadata, "distribution", nothing)
-    with pytest.raises(DependencyError, match=r"pip install 'skylight\[dlib\]'"):
+    with pytest.raises(DependencyError, match=r"pip install 'skylight-lighting\[dlib\]'"):
         predictor_path()
 
 
 def test_without_the_extra_mediapipe_works_and_dlib_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "dlib", None)  # Python's own way to refuse an import
-    with pytest.raises(DependencyError, match=r"pip install 'skylight\[dlib\]'$"):
+    with pytest.raises(DependencyError, match=r"pip install 'skylight-lighting\[dlib\]'$"):
         DlibLandmarker()
     assert MediaPipeLandmarker().detect(astronaut())
 

@@ -29,8 +29,27 @@ def fit(head) -> FaceFit:
     return fit_face(head, detected(head, person(head, 3), noise=0.004), WIDTH, HEIGHT)
 
 
-def normals_of(head, vertices):
-    return vertex_normals(torch.from_numpy(vertices), torch.from_numpy(head.faces)).numpy()
+def normals_of(head, vertices, corners=None):
+    """Of all vertices, or right for those at ``corners`` alone."""
+    faces = head.faces if corners is None else head.faces[np.isin(head.faces, corners).any(1)]
+    return vertex_normals(torch.from_numpy(vertices), torch.from_numpy(faces)).numpy()
+
+
+@pytest.fixture(scope="module")
+def surface(head, fit):
+    faces, vertices = torch.from_numpy(head.faces), torch.from_numpy(fit.vertices)
+    return rasterize(fit.camera, vertices, faces, Raycaster(vertices, faces))
+
+
+def normals_at(head, fit, step, surface, points):
+    """Unit normals at points of the G-buffer, of the fit's head moved by a step."""
+    problem = FitProblem(head, correspondence(head, detected(head, fit)), WIDTH, HEIGHT, None)
+    corners = head.faces[surface.faces[points].numpy()]
+    moved = state_of(fit).stepped(step, problem.identities)
+    shape = head.vertices(moved.identity, moved.expression) @ moved.rotation.T
+    weights = surface.barycentric[points].numpy()
+    mixed = np.einsum("pc,pcd->pd", weights, normals_of(head, shape, corners)[corners])
+    return mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
 
 
 def test_derivatives_are_those_of_differences(head):
@@ -76,14 +95,11 @@ def test_covariance_is_the_inverse_of_the_costs_curvature(head, fit):
         assert bent == pytest.approx(inverse[k, k], rel=0.05)
 
 
-def test_modes_are_the_spread_of_sampled_heads(head, fit):
+def test_modes_are_the_spread_of_sampled_heads(head, fit, surface):
     # small errors, so that normals are linear in them
     small = replace(fit, covariance=0.01 * fit.covariance)
-    faces = torch.from_numpy(head.faces)
-    caster = Raycaster(torch.from_numpy(fit.vertices), faces)
-    surface = rasterize(fit.camera, torch.from_numpy(fit.vertices), faces, caster)
     on_skin = (head.regions == Region.FACE)[head.faces[surface.faces.numpy()]].all(1)
-    used = torch.from_numpy(on_skin & (np.arange(len(surface)) % 20 == 0))
+    used = torch.from_numpy(on_skin & (np.arange(len(surface)) % 60 == 0))
     used &= (surface.normals * surface.positions).sum(1) < -0.25 * surface.positions.norm(dim=1)
     used = used.nonzero()[:, 0]
     errors = normal_error_modes(head, small, surface, used)
@@ -92,14 +108,9 @@ def test_modes_are_the_spread_of_sampled_heads(head, fit):
     assert modes.shape == (len(used), 3, MODES)
     rng, samples = np.random.default_rng(0), []
     root = np.linalg.cholesky(small.covariance)
-    problem = FitProblem(head, correspondence(head, detected(head, fit)), WIDTH, HEIGHT, None)
-    corners = head.faces[surface.faces[used].numpy()]
-    weights = surface.barycentric[used].numpy()
-    for _ in range(400):
-        moved = state_of(fit).stepped(root @ rng.standard_normal(len(root)), problem.identities)
-        shape = head.vertices(moved.identity, moved.expression) @ moved.rotation.T
-        mixed = np.einsum("pc,pcd->pd", weights, normals_of(head, shape)[corners])
-        samples.append(mixed / np.linalg.norm(mixed, axis=1, keepdims=True))
+    for _ in range(300):
+        step = root @ rng.standard_normal(len(root))
+        samples.append(normals_at(head, fit, step, surface, used))
     apart = np.stack(samples) - surface.normals[used].numpy()
     seen = np.einsum("spc,spd->pcd", apart, apart) / len(apart)
     told = np.einsum("pck,pdk->pcd", modes.double().numpy(), modes.double().numpy())
@@ -111,11 +122,8 @@ def test_modes_are_the_spread_of_sampled_heads(head, fit):
     assert np.abs(along).max() < 1e-6
 
 
-def test_an_error_of_the_head_turns_normals_at_any_points(head, fit):
+def test_an_error_of_the_head_turns_normals_at_any_points(head, fit, surface):
     """The modes of some points are errors of pose and shape, so they tell of all others."""
-    faces = torch.from_numpy(head.faces)
-    caster = Raycaster(torch.from_numpy(fit.vertices), faces)
-    surface = rasterize(fit.camera, torch.from_numpy(fit.vertices), faces, caster)
     some, others = torch.arange(0, len(surface), 40), torch.arange(7, len(surface), 20)
     errors = normal_error_modes(head, fit, surface, some)
     assert errors is not None
@@ -131,26 +139,14 @@ def test_an_error_of_the_head_turns_normals_at_any_points(head, fit):
     # beside the normals of a head that is off by as little as derivatives hold for
     step = 1e-3
     root = np.linalg.cholesky(fit.covariance)
-    problem = FitProblem(head, correspondence(head, detected(head, fit)), WIDTH, HEIGHT, None)
-    corners = head.faces[surface.faces[others].numpy()]
-    weights = surface.barycentric[others].numpy()
-    ends = []
-    for sign in (1, -1):
-        moved = state_of(fit).stepped(
-            sign * step * root @ error.double().numpy(), problem.identities
-        )
-        shape = head.vertices(moved.identity, moved.expression) @ moved.rotation.T
-        mixed = np.einsum("pc,pcd->pd", weights, normals_of(head, shape)[corners])
-        ends.append(mixed / np.linalg.norm(mixed, axis=1, keepdims=True))
+    along = step * root @ error.double().numpy()
+    ends = [normals_at(head, fit, sign * along, surface, others) for sign in (1, -1)]
     right = (ends[0] - ends[1]) / (2 * step)
     assert np.linalg.norm(found - right) / np.linalg.norm(right) < 0.1
 
 
-def test_a_known_head_has_none(head):
+def test_a_known_head_has_none(head, surface):
     truth = person(head, 1)
-    faces = torch.from_numpy(head.faces)
-    caster = Raycaster(torch.from_numpy(truth.vertices), faces)
-    surface = rasterize(truth.camera, torch.from_numpy(truth.vertices), faces, caster)
     used = torch.arange(len(surface))
     assert normal_error_modes(head, truth, surface, used) is None
     with pytest.raises(ValueError, match="has no errors"):

@@ -11,6 +11,8 @@ import pytest
 from skylight.errors import SkylightError
 from tests.fuzz.files import clear
 
+pytestmark = pytest.mark.slow
+
 ENDLESS = (b"v ", b"# http", b"file,", b"kind:", b'{"texts"')
 TARGETS = ("exr", "hdr", "photo", "raw", "code", "records", "vox", "npz", "mesh", "tensors")
 

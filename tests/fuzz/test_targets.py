@@ -8,8 +8,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from tests.fuzz.__main__ import one
 from tests.fuzz.mutate import mutated
@@ -43,6 +42,7 @@ def test_mutated_files_are_read_or_refused(name: str) -> None:
     assert told["read"] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TEXTS)
 def test_any_bytes_are_read_or_refused(name: str) -> None:
     target = import_module(f"tests.fuzz.targets.{name}")

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
 
 from skylight.errors import InputError

@@ -179,5 +179,5 @@ def test_an_encoding_is_refused(tmp_path: Path) -> None:
 
 def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rawpy", None)
-    with pytest.raises(DependencyError, match=r"skylight\[raw\]"):
+    with pytest.raises(DependencyError, match=r"skylight-lighting\[raw\]"):
         read_photo(write_dng(tmp_path / "a.dng", mosaic()))

@@ -15,8 +15,7 @@ from skylight.cli import main
 from skylight.faces._observe import SKIN_GLOSS
 from skylight.io._bounded import write_json
 from skylight.io._files import read_environment_map, write_environment_map
-from skylight.relight._lamps import SUN_RADIUS_RAD as NEAR_RAD
-from skylight.relight._lamps import disc_diameter_rad
+from skylight.relight._lamps import SUN_RADIUS_RAD as NEAR_RAD, disc_diameter_rad
 from skylight.skies._sun import SUN_RADIUS_RAD
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid, direction_from_angles

@@ -8,17 +8,8 @@ import torch
 
 from skylight.cli import main
 from skylight.io._files import read_environment_map, read_light, write_environment_map
-from skylight.maps import _command as command
 from skylight.sphere._envmap import EnvironmentMap
-from skylight.sphere._frame import Convention
-from skylight.sphere._projections import Projection
-
-
-def test_the_command_offers_what_there_is() -> None:
-    module = __import__("skylight.maps._command", fromlist=["Projection"])
-    assert get_args(module.Projection) == get_args(Projection)
-    assert get_args(module.Convention) == get_args(Convention)
-    assert callable(command)
+from skylight.sphere._names import Convention
 
 
 @pytest.mark.parametrize("convention", get_args(Convention))

@@ -7,8 +7,7 @@ from functools import cache
 
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from torch import nn
 
 from skylight.models._base import LightModel
@@ -156,7 +155,7 @@ def test_gradients_through_the_free_parameters(model: LightModel) -> None:
     assert gradient.isfinite().all()
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=15)
 @given(data=st.data())
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
@@ -174,7 +173,7 @@ def test_from_free_never_leaves_the_bounds(
     assert ((params >= low) & (params <= high)).all()
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=15)
 @given(data=st.data())
 @pytest.mark.parametrize("name", CASES)
 def test_free_and_back(name: str, data: st.DataObject) -> None:

@@ -50,7 +50,7 @@ def test_a_lobe_is_centred_on_its_direction_and_as_wide_as_it_says():
 
 
 def test_ambient_light_varies_as_the_prior_says():
-    model, params = LampsLight(0, 32), drawn(4000, 0)
+    model, params = LampsLight(0, 16), drawn(2000, 0)
     level = model.ambient(params)[..., 1].log()
     share = model.grid.solid_angles / (4 * math.pi)
     level = level - (level @ share)[:, None]

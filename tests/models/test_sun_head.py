@@ -2,8 +2,7 @@ import math
 
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from skylight.models._sun_head import COORDINATES, KAPPA_BOUNDS, NEAR_RAD, SunHead
 from skylight.skies._atmosphere import ClearSky

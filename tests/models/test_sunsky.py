@@ -2,8 +2,7 @@ import math
 
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from skylight.models.sunsky import KAPPA_BOUNDS, TURBIDITY_BOUNDS, SunSky, fit_sunsky, perez
 from skylight.sphere._envmap import luminance

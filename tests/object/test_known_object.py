@@ -23,8 +23,7 @@ from skylight.sphere._frame import (
 from skylight.sphere._rotation import RigidTransform, matrix_from_euler
 from skylight.transport._cameras import PlacedCamera, object_camera
 from skylight.transport._observation import Observation
-from skylight.transport._path_tracer import DiffuseScene, Sampling
-from skylight.transport._path_tracer import shade as path_traced
+from skylight.transport._path_tracer import DiffuseScene, Sampling, shade as path_traced
 from skylight.transport._render import Specular
 from tests.oracles.harmonics import irradiance
 from tests.transport.shapes import icosphere

@@ -20,7 +20,8 @@ from skylight.sphere._frame import convert_latlong
 from skylight.transport._rays import Raycaster
 from skylight.transport._render import Specular, rasterize, render_diffuse
 
-OPTIONS = RenderOptions(size=48)
+SIZE = 36
+OPTIONS = RenderOptions(size=SIZE)
 
 
 @cache
@@ -56,7 +57,7 @@ def sunny(row: int, column: int) -> EnvironmentMap:
 @pytest.mark.parametrize("column", [3, 20, 28])
 def test_layers_agree_with_our_own_renderer(column: int) -> None:
     who, light = grey_person(0.05), sunny(5, column)
-    layers = layers_of(who, light, samples=144, seed=0)
+    layers = layers_of(who, light, samples=100, seed=0)
     mesh, faces = torch.from_numpy(who.points), torch.from_numpy(SmoothHead.load().faces.copy())
     caster = Raycaster(mesh, faces)
     surface = rasterize(who.truth.camera, mesh, faces, caster)
@@ -82,7 +83,7 @@ def test_the_sun_lights_its_own_side() -> None:
     who = grey_person(0.05)
     bare = seen_parts(who).bare
     columns = np.nonzero(bare)[1]
-    left = bare & (np.arange(48)[None] < np.median(columns))
+    left = bare & (np.arange(SIZE)[None] < np.median(columns))
     for column, brighter in ((6, left), (26, bare & ~left)):  # a sun behind the camera
         light = layers_of(who, sunny(4, column), samples=16, seed=1).diffuse.mean(2)
         other = bare & ~brighter
@@ -107,7 +108,7 @@ def test_layers_say_what_colour_they_show_and_what_they_cover() -> None:
     assert layers.cover.max() == 1
     assert layers.cover[0, 0] == 0
     top, left, height, width = window(grey_person(0.3))
-    outside = np.ones((48, 48), bool)
+    outside = np.ones((SIZE, SIZE), bool)
     outside[top : top + height, left : left + width] = False
     assert outside.any()
     assert layers.cover[outside].max() == 0

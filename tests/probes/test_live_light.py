@@ -8,6 +8,8 @@ import pytest
 import torch
 import trimesh
 
+from skylight.probes._capture import LiveView
+from skylight.probes.cameras._files import Setup
 from skylight.probes.cameras._live import LiveFrame
 from skylight.probes.cameras._pose import BoardPose, board_pose
 from skylight.probes.cameras._response import Response
@@ -21,7 +23,7 @@ from skylight.probes.partitions.relight._transfer import TransferSampling
 from skylight.probes.voxel._model import star_probe
 from skylight.probes.voxel._parts import PlacedProbe
 from skylight.probes.voxel._reconstruct import DirectReconstruction
-from skylight.probes.voxel._relight import LiveView
+from skylight.probes.voxel._relight import VoxelLiveView
 from skylight.probes.voxel._render_files import VoxelPlacement
 from tests.probes.partitions import test_scene_commands as partitions
 from tests.probes.partitions.boards import box
@@ -39,7 +41,7 @@ def searched(_: BoardTracker, image: np.ndarray) -> BoardPose | None:
     return board_pose(image, BOARD, LENS)
 
 
-def shown(view: LiveView | PartitionLiveView, film: list[np.ndarray]) -> list[LiveFrame]:
+def shown(view: LiveView, film: list[np.ndarray]) -> list[LiveFrame]:
     frames = [view.show(image) for image in film]
     assert all(frame.tracked for frame in frames)
     return frames
@@ -55,11 +57,9 @@ def compared(followed: LiveFrame, searched: LiveFrame, photo: np.ndarray) -> Non
     assert (off > 10).mean() < 0.1
 
 
-def voxel_view() -> LiveView:
-    return LiveView(
-        intrinsics=LENS,
-        board=BOARD,
-        response=Response(),
+def voxel_view() -> VoxelLiveView:
+    return VoxelLiveView(
+        Setup(intrinsics=LENS, board=BOARD, response=Response()),
         probe=PlacedProbe(voxel.standing()),
         model=star_probe(3),
         to_board=VoxelPlacement(x_mm=60.0, z_mm=75.0, voxel_mm=15.0).matrix(star_probe(3)),
@@ -100,9 +100,7 @@ def partition_view(folder: Path, mesh: Scene, edge_mm: float) -> PartitionLiveVi
     blank = ProbeCapture.blank(partitions.DESIGN, albedo)
     rotation = assembly.board_from_probe.rotation
     return PartitionLiveView(
-        intrinsics=LENS,
-        board=BOARD,
-        response=Response(),
+        Setup(intrinsics=LENS, board=BOARD, response=Response()),
         placed=placed,
         probe=probe.requires_grad_(False),
         scene=scene.beside(placed, partitions.CELLS, rotation, pytest.fail),

@@ -48,6 +48,7 @@ def test_the_thesis_network_is_exported_with_its_kernels_folded(tmp_path):
     assert path.stat().st_size < 4.2e6  # single precision: these weights would lose by less
 
 
+@pytest.mark.slow
 def test_other_numbers_of_latents_are_exported(tmp_path):
     path = tmp_path / "decoder.onnx"
     export_decoder(SplineAutoencoder(32).eval(), path)
@@ -70,7 +71,7 @@ def test_a_graph_that_differs_is_not_written(light, tmp_path, monkeypatch, diffe
 
 def test_without_onnx_it_says_what_to_install(light, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnx", None)
-    with pytest.raises(DependencyError, match=r"skylight\[export\]"):
+    with pytest.raises(DependencyError, match=r"skylight-lighting\[export\]"):
         export_decoder(light, tmp_path / "decoder.onnx")
 
 

@@ -18,15 +18,17 @@ from torch import Tensor
 
 from skylight.imaging._colour import srgb_to_linear
 from skylight.io._files import read_environment_map
-from skylight.relight._blender import SCRIPT, write_blender
-from skylight.relight._blender import TEXTURE as BLENDER_TEXTURE
-from skylight.relight._gltf import LIGHT, LIGHT_PROBE, write_gltf, write_threejs
-from skylight.relight._gltf import TEXTURE as THREEJS_TEXTURE
+from skylight.relight._blender import SCRIPT, TEXTURE as BLENDER_TEXTURE, write_blender
+from skylight.relight._gltf import (
+    LIGHT,
+    LIGHT_PROBE,
+    TEXTURE as THREEJS_TEXTURE,
+    write_gltf,
+    write_threejs,
+)
 from skylight.relight._lamps import disc_diameter_rad, without_lamps
-from skylight.relight._mitsuba import SCENE, write_mitsuba
-from skylight.relight._mitsuba import TEXTURE as MITSUBA_TEXTURE
-from skylight.relight._usd import LAYER, write_usd
-from skylight.relight._usd import TEXTURE as USD_TEXTURE
+from skylight.relight._mitsuba import SCENE, TEXTURE as MITSUBA_TEXTURE, write_mitsuba
+from skylight.relight._usd import LAYER, TEXTURE as USD_TEXTURE, write_usd
 from skylight.sphere._envmap import EnvironmentMap
 from tests.lamp_lit import lamp_lit, lamp_params
 from tests.oracles.harmonics import from_convention, irradiance

@@ -14,8 +14,7 @@ import torch
 from PIL import Image
 
 from skylight.io._files import read_light
-from skylight.relight._blender import SCRIPT, write_blender
-from skylight.relight._blender import TEXTURE as BLENDER_TEXTURE
+from skylight.relight._blender import SCRIPT, TEXTURE as BLENDER_TEXTURE, write_blender
 from skylight.relight._gltf import LIGHT, write_gltf
 from skylight.relight._mitsuba import (
     HARMONICS,
@@ -24,8 +23,13 @@ from skylight.relight._mitsuba import (
     write_harmonics,
     write_mitsuba,
 )
-from skylight.relight._usd import DESCRIPTION, LAYER, write_augmented_reality, write_usd
-from skylight.relight._usd import TEXTURE as USD_TEXTURE
+from skylight.relight._usd import (
+    DESCRIPTION,
+    LAYER,
+    TEXTURE as USD_TEXTURE,
+    write_augmented_reality,
+    write_usd,
+)
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid, direction_from_angles
 from skylight.sphere._projections import face_directions

@@ -5,8 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from skylight.skies._clouds import CLOUD_G, FORWARD, CloudLayer, LayerLight, Wind, march, shadow
 from skylight.sphere._frame import DirectionGrid, direction_from_angles

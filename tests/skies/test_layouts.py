@@ -9,6 +9,7 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.io._hdr import write_exr
+from skylight.skies import _layouts
 from skylight.skies._layouts import Layout, pixel_solid_angles, read_pixels, read_sky, sky_of
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import (
@@ -63,9 +64,15 @@ def test_squares_look_where_they_are_documented_to(layout: Layout, field_deg: fl
         assert turn == pytest.approx(0, abs=2)
 
 
-@pytest.mark.parametrize(("layout", "size"), [("angular", 129), ("fisheye", 256), ("angular", 600)])
-def test_lamps_keep_their_place_and_energy(layout: Layout, size: int) -> None:
-    """A round lamp against the same lamp painted on a fine lat-long map."""
+@pytest.mark.parametrize(("layout", "size"), [("angular", 129), ("fisheye", 160), ("angular", 300)])
+def test_lamps_keep_their_place_and_energy(
+    layout: Layout, size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A round lamp against the same lamp painted on a fine lat-long map.
+
+    The largest square is averaged down first.
+    """
+    monkeypatch.setattr(_layouts, "_LARGEST", 256)
     grid = DirectionGrid.sky(180)
     for azimuth, zenith in ((0.3, 0.04), (-2.0, 0.7), (3.0, 1.3)):
         lamp = direction_from_angles(torch.tensor(azimuth), torch.tensor(zenith)).double()
@@ -79,7 +86,7 @@ def test_lamps_keep_their_place_and_energy(layout: Layout, size: int) -> None:
 
 
 # the smallest square's horizon is ragged: one pixel is 3 degrees there
-@pytest.mark.parametrize(("size", "evenness"), [(64, 0.08), (200, 0.02), (512, 0.02)])
+@pytest.mark.parametrize(("size", "evenness"), [(64, 0.08), (200, 0.02)])
 def test_single_pixels_keep_their_energy_and_even_light_stays_even(
     size: int, evenness: float
 ) -> None:

@@ -92,6 +92,7 @@ def test_hosek_wilkie_sun(shared_data: Path) -> None:
             assert row["ours"] == pytest.approx(row["theirs"], rel=0.055)
 
 
+@pytest.mark.slow
 def test_a_measured_day(shared_data: Path) -> None:
     """Ithaca, 2013-05-27: W/m2 within 4 % without a fit; the curve within 1.3 % rms after one."""
     needs(shared_data, "kider_full_day_irradiance_2013-05-27.txt", "astm_g173.txt")

@@ -6,8 +6,7 @@ from itertools import pairwise
 
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from skylight.skies._atmosphere import Atmosphere, ClearSky
 from skylight.skies._clouds import CloudLayer

@@ -2,8 +2,7 @@ from collections import Counter
 from dataclasses import replace
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from skylight.errors import InputError
 from skylight.skies import _index as splits
@@ -56,7 +55,7 @@ DAYS = st.one_of(
 
 
 @given(DAYS, st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.1, 0.4]))
-@settings(max_examples=80)
+@settings(max_examples=30)
 def test_a_division_is_near_enough_or_refused(
     days: list[tuple[int, int]], seed: int, tolerance: float
 ) -> None:
@@ -79,7 +78,7 @@ def test_a_division_is_near_enough_or_refused(
 
 
 @given(st.integers(10, 120), st.integers(1, 5), st.booleans(), st.integers(0, 2**32 - 1))
-@settings(max_examples=30)
+@settings(max_examples=15)
 def test_days_that_are_alike_divide_as_well_as_whole_days_can(
     count: int, each: int, sunny: bool, seed: int
 ) -> None:

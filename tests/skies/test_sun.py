@@ -1,9 +1,11 @@
 import json
 import math
-from datetime import datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
+import pvlib
 import pytest
 
 from skylight.skies._sun import SUN_RADIUS_RAD, Place, sun_angles
@@ -23,6 +25,20 @@ def test_published_positions(case: dict) -> None:
     assert azimuth[0] == pytest.approx(case["azimuth_deg"], abs=case["tolerance_deg"])
     elevation = 90 - zenith[0]
     assert elevation == pytest.approx(case["true_elevation_deg"], abs=case["tolerance_deg"])
+
+
+@pytest.mark.parametrize("latitude_deg", [-89.0, -33.0, 0.0, 51.5])
+def test_another_implementation(latitude_deg: float) -> None:
+    """pvlib's, of the same algorithm: the same but for rounding, in any year of 1970 to 2050."""
+    place = Place(latitude_deg=latitude_deg, longitude_deg=-77.2, altitude_m=1830.0)
+    times = [datetime(1970, 1, 1, tzinfo=UTC) + timedelta(days=70.37 * n) for n in range(400)]
+    expected = pvlib.solarposition.get_solarposition(
+        pd.DatetimeIndex(times), latitude_deg, place.longitude_deg, altitude=place.altitude_m
+    )
+    azimuth, zenith = np.degrees(sun_angles(place, times))
+    np.testing.assert_allclose(zenith, expected["zenith"], rtol=0, atol=1e-9)
+    apart = (azimuth - expected["azimuth"].to_numpy() + 180) % 360 - 180
+    np.testing.assert_allclose(apart, 0, atol=1e-9)
 
 
 def test_zenith_is_without_refraction() -> None:

@@ -2,8 +2,7 @@ import math
 
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._rotation import (
@@ -13,8 +12,8 @@ from skylight.sphere._rotation import (
     rotation_blocks,
     wigner_small,
 )
+from tests.csc.thesis_gradients import sampled_bands, sampling_directions
 from tests.oracles.wigner import small_d
-from tools.thesis_gradients import sampled_bands, sampling_directions
 
 F64 = torch.float64
 POLES = [0.0, math.pi]

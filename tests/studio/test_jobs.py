@@ -6,7 +6,6 @@ import os
 import signal
 import time
 import zipfile
-from collections.abc import Iterator
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
@@ -18,55 +17,27 @@ import pytest
 
 from skylight.io._files import read_environment_map
 from skylight.studio._jobs import GONE_S
-from tests.studio.conftest import JOBS, PATIENCE_S, Served, begin, events, finished
+from tests.studio.conftest import JOBS, PATIENCE_S, STAGES, Served, begin, events, finished
 
-STAGES = (
-    "reading the picture",
-    "finding the face",
-    "fitting the head",
-    "tracing light",
-    "estimating the light",
-    "writing the results",
-)
 FILES = ["estimate.json", "mesh.obj", "posterior.exr", "probe.exr", "probe.hdr", "report.png"]
 
 
-@pytest.fixture(scope="module")
-def done(served: Served, photo: str) -> Iterator[list[dict[str, Any]]]:
-    """All that was told of an estimate."""
-    with served.client() as client:
-        yield list(events(client, begin(client, kind="estimate", photo=photo, light="sh9")))
-
-
-def test_an_estimate_tells_how_far_it_is(done: list[dict[str, Any]]) -> None:
-    stages = list(dict.fromkeys(each["stage"] for each in done if each["stage"]))
+def test_an_estimate_tells_how_far_it_is(estimated: list[dict[str, Any]]) -> None:
+    stages = list(dict.fromkeys(each["stage"] for each in estimated if each["stage"]))
     # a server that is kept waiting passes over short ones
     assert [stage for stage in STAGES if stage in stages] == stages
     assert len(stages) > 1
-    assert all("result" not in each for each in done[:-1])
-    assert (done[-1]["state"], done[-1]["share"]) == ("done", 1.0)
-    assert len({each["job"] for each in done}) == 1
+    assert all("result" not in each for each in estimated[:-1])
+    assert (estimated[-1]["state"], estimated[-1]["share"]) == ("done", 1.0)
+    assert len({each["job"] for each in estimated}) == 1
 
 
-def test_each_stage_of_an_estimate_is_told(tmp_path: Path, portrait: bytes) -> None:
-    from skylight.studio.tasks._light import estimate_light
-
-    (tmp_path / "me.jpg").write_bytes(portrait)
-    told: dict[str, list[float]] = {}
-    estimate_light(
-        str(tmp_path / "me.jpg"), "me.jpg", 10**6, str(tmp_path), 1, "sh9",
-        tell=lambda stage, share: told.setdefault(stage, []).append(share),
-    )  # fmt: skip
-    assert tuple(told) == STAGES
-    assert all(shares == sorted(shares) for shares in told.values())
-
-
-def test_an_estimate_s_result(client: httpx.Client, done: list[dict[str, Any]]) -> None:
-    last = done[-1]
+def test_an_estimate_s_result(client: httpx.Client, estimated: list[dict[str, Any]]) -> None:
+    last = estimated[-1]
     assert last == client.get(f"/api/jobs/{last['job']}").json()
     result = last["result"]
     assert result["sources"] == ["me.jpg"]
-    assert result["light"] == "sh9"
+    assert result["light"] == "lamps"
     camera = result["camera"]
     assert (camera["width"], camera["height"], camera["principal"]) == (512, 512, [256, 256])
     # the head's middle is seen where the face is, which looks at the camera
@@ -80,8 +51,8 @@ def test_an_estimate_s_result(client: httpx.Client, done: list[dict[str, Any]]) 
     assert forward[2] > 0.8
 
 
-def test_an_estimate_s_files(client: httpx.Client, done: list[dict[str, Any]]) -> None:
-    last, job = done[-1], done[-1]["job"]
+def test_an_estimate_s_files(client: httpx.Client, estimated: list[dict[str, Any]]) -> None:
+    last, job = estimated[-1], estimated[-1]["job"]
     assert [file["name"] for file in last["files"]] == FILES
     files = {name: client.get(f"/api/jobs/{job}/files/{name}") for name in FILES}
     assert [len(files[file["name"]].content) for file in last["files"]] == [
@@ -98,17 +69,18 @@ def test_an_estimate_s_files(client: httpx.Client, done: list[dict[str, Any]]) -
         }
 
 
+@pytest.mark.slow
 def test_an_estimate_made_again_is_equal(
-    client: httpx.Client, photo: str, done: list[dict[str, Any]]
+    client: httpx.Client, photo: str, estimated: list[dict[str, Any]]
 ) -> None:
-    again = finished(client, kind="estimate", photo=photo, light="sh9")
-    assert _without_times(again["result"]) == _without_times(done[-1]["result"])
+    again = finished(client, kind="estimate", photo=photo, light="lamps")
+    assert _without_times(again["result"]) == _without_times(estimated[-1]["result"])
 
 
 def test_the_light_of_an_estimate_is_coded(
-    client: httpx.Client, done: list[dict[str, Any]]
+    client: httpx.Client, estimated: list[dict[str, Any]]
 ) -> None:
-    code = finished(client, kind="code", job=done[-1]["job"], dictionary="iso", activations=4)
+    code = finished(client, kind="code", job=estimated[-1]["job"], dictionary="iso", activations=4)
     assert code["state"] == "done", code.get("error")
     assert code["result"]["counts"] == [1, 2, 3, 4]
 
@@ -119,9 +91,9 @@ def _without_times(result: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", ["nothing.exr", "..%2f..%2fpreview.jpg", "%2e%2e", ""])
 def test_files_are_those_of_the_list(
-    client: httpx.Client, done: list[dict[str, Any]], name: str
+    client: httpx.Client, estimated: list[dict[str, Any]], name: str
 ) -> None:
-    path = f"/api/jobs/{done[-1]['job']}/files/{name}"
+    path = f"/api/jobs/{estimated[-1]['job']}/files/{name}"
     answer = client.get(httpx.URL(client.base_url, raw_path=path.encode()))
     assert answer.status_code == 404
     assert "error" in answer.json()
@@ -247,6 +219,7 @@ def _ticks(pid: int) -> int:
     return int(fields[11]) + int(fields[12])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc").exists(), reason="looks for processes in /proc")
 def test_a_worker_that_dies_takes_one_job_with_it(
     client: httpx.Client, photo: str, served: Served

@@ -1,8 +1,6 @@
 """The server from its start to its end: address, page, headers, foreign pages, limits."""
 
 import gzip
-import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -19,7 +17,16 @@ from skylight.studio import _server as static_files
 from skylight.studio._guard import is_own
 from skylight.studio._requests import LIGHTS
 from skylight.studio._server import serve
-from tests.studio.conftest import JOBS, MEGAPIXELS, PATIENCE_S, UPLOAD_MB, Served, start
+from tests.studio.conftest import (
+    COMMAND,
+    HOSTILE,
+    JOBS,
+    MEGAPIXELS,
+    PATIENCE_S,
+    UPLOAD_MB,
+    Served,
+    start,
+)
 
 
 def test_it_says_what_it_takes(client: httpx.Client) -> None:
@@ -176,7 +183,14 @@ def test_a_folder_that_is_no_light_model_is_one_line(
 
 
 @pytest.mark.skipif(not Path("/proc").exists(), reason="looks for processes in /proc")
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "how",
+    [
+        signal.SIGINT,
+        pytest.param(signal.SIGTERM, marks=pytest.mark.slow),
+        pytest.param(signal.SIGHUP, marks=pytest.mark.slow),
+    ],
+)
 def test_it_leaves_nothing(tmp_path: Path, portrait: bytes, how: signal.Signals) -> None:
     """Ended while it reads a photograph and has an open connection."""
     studio = start(tmp_path / "tmp")
@@ -197,20 +211,9 @@ def test_it_leaves_nothing(tmp_path: Path, portrait: bytes, how: signal.Signals)
     assert not any(Path(f"/proc/{worker}/cmdline").exists() for worker in workers)
 
 
-def test_hostile_modules_in_the_current_folder_are_not_run(
-    tmp_path: Path, portrait: bytes, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    skylight = shutil.which("skylight", path=os.path.dirname(sys.executable))
-    if skylight is None:
-        pytest.skip("the skylight command is not installed beside this Python")
-    for name in ("json", "numpy", "cv2"):
-        (tmp_path / f"{name}.py").write_text("raise SystemExit('run')")
-    monkeypatch.chdir(tmp_path)
-    process = subprocess.Popen(
-        [skylight, "studio", "--no-browser", "--port", "0"], stdout=subprocess.PIPE, text=True
-    )
-    assert process.stdout is not None
-    with httpx.Client(base_url=process.stdout.readline().strip(), timeout=PATIENCE_S) as client:
-        answer = client.post("/api/photos?name=me.jpg", content=portrait)
-    process.send_signal(signal.SIGINT)
-    assert (answer.status_code, process.wait(timeout=PATIENCE_S)) == (201, 0)
+@pytest.mark.skipif(COMMAND is None, reason="skylight is not installed beside this Python")
+def test_hostile_modules_in_the_current_folder_are_not_run(served: Served, photo: str) -> None:
+    assert {f"{name}.py" for name in HOSTILE} <= {
+        path.name for path in served.temporary.parent.iterdir()
+    }
+    assert photo  # its face was found by a worker process

@@ -11,3 +11,9 @@ def sky_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("skies")
     simulate_folder(out, days=6, first_seed=13, interval_min=180.0, height=8)
     return out
+
+
+@pytest.fixture(autouse=True)
+def one_core(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Starting other processes takes seconds, and these skies are few."""
+    monkeypatch.setattr("os.cpu_count", lambda: 1)

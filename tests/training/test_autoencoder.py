@@ -20,10 +20,17 @@ from skylight.models._splines import SplineAutoencoder
 from skylight.skies._index import read_index
 from skylight.training import _autoencoder as training
 from skylight.training._autoencoder import schedule, train
-from skylight.training._checkpoint import NEWEST, PREVIOUS, _with_tensors, drop_damaged, read_state
+from skylight.training._checkpoint import (
+    NEWEST,
+    PREVIOUS,
+    _with_tensors,
+    drop_damaged,
+    initial_network,
+    read_state,
+)
 from skylight.training._config import AutoencoderConfig, config_yaml, read_config
 from skylight.training._processes import Processes
-from skylight.training._skies import FOLDER, coded_skies, initial_network, load_data
+from skylight.training._skies import FOLDER, coded_skies, load_data
 
 ROOT = Path(__file__).parents[2]
 ALONE = Processes(rank=0, size=1, device=torch.device("cpu"))
@@ -140,23 +147,27 @@ def test_a_killed_run_goes_on_bit_by_bit(
     same_run(tmp_path, uninterrupted)
 
 
-@pytest.mark.parametrize("damage", ["truncated", "flipped", "missing"])
 def test_a_damaged_state_is_said_and_the_one_before_it_used(
-    config: AutoencoderConfig, uninterrupted: Path, tmp_path: Path, damage: str
+    config: AutoencoderConfig, uninterrupted: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "run"
     shutil.copytree(uninterrupted, out)
-    newest = out / NEWEST
+    newest, identity = out / NEWEST, state(out)["identity"]
     content = bytearray(newest.read_bytes())
-    if damage == "missing":  # killed between the two renamings
-        newest.unlink()
-    else:
-        content[len(content) // 2] ^= 1
-        newest.write_bytes(content[:-1000] if damage == "truncated" else content)
+    content[len(content) // 2] ^= 1
+    # missing: killed between the two renamings
+    for damage, left in (("missing", None), ("truncated", content[:-1000]), ("flipped", content)):
+        newest.unlink(missing_ok=True)
+        if left is not None:
+            newest.write_bytes(left)
+        said: list[str] = []
+        before = read_state(out, identity, said.append)
+        assert before is not None
+        assert before["progress"]["step"] == 4
+        assert [m.split(":")[0] for m in said] == ([] if damage == "missing" else [str(newest)])
     messages: list[str] = []
     train(replace(config, out=out), report=messages.append)
-    said = [m for m in messages if "damaged" in m]
-    assert [m.split(":")[0] for m in said] == ([] if damage == "missing" else [str(newest)])
+    assert sum("damaged" in m for m in messages) == 1
     assert "resuming at step 4 of 6" in messages
     same_run(out, uninterrupted)
     assert state(out)["progress"]["step"] == 6
@@ -213,6 +224,7 @@ def test_the_encoder_learns_from_corrupted_skies_alone(
             sun=False,
             weight_decay=0.0,
             epochs=1,
+            batch=3 * config.batch,
         )
         before, after = (
             first_kernel(network)

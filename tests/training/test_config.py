@@ -64,7 +64,7 @@ def test_numbers_as_people_write_them(tmp_path: Path) -> None:
         ("kind: autoencoder\nnoise_sigma: -1\n", "`noise_sigma` .* 0"),
         ("kind: autoencoder\nschedule: step\n", "`schedule` .* cosine, constant"),
         ("kind: autoencoder\nstarts_from: 3\n", "`starts_from`"),
-        ("kind: prior\nbank: 3\n", "`bank` at least 24"),
+        ("kind: prior\nbank: 3\n", "`bank` .* at least 24"),
         (f"kind: autoencoder\nlearning_rate: {'9' * 400}\n", "out of all bounds"),
         (f"kind: autoencoder\nepochs: -0x{'f' * 5000}\n", "out of all bounds"),
         ('kind: prior\n"a\\nb": 1\n', "unknown keys a b"),

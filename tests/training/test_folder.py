@@ -12,8 +12,7 @@ from skylight.errors import InputError
 from skylight.io._hdr import write_exr
 from skylight.models._bundle import NETWORK, SHIPPED, load_bundle
 from skylight.models.autoencoder import AutoencoderLight
-from skylight.training import _autoencoder as autoencoder
-from skylight.training import _run as folder
+from skylight.training import _autoencoder as autoencoder, _run as folder
 from skylight.training._config import AutoencoderConfig, find_config, read_config
 from skylight.training._run import fitting, train_folder
 from tests.drawn_skies import draw_skies
@@ -63,14 +62,16 @@ def test_forty_skies_make_a_model(model: tuple[Path, list[str]], exr_skies: Path
     assert not (exr_skies / "index.csv").exists()  # FOLDER may be read-only
 
 
-SELDOM = [pytest.param(moment, marks=pytest.mark.slow) for moment in ("trained", "priors")]
+SELDOM = [
+    pytest.param(moment, marks=pytest.mark.slow) for moment in ("indexed", "trained", "priors")
+]
 
 
 class Killed(BaseException):
     """A kill as far as Python can feel one."""
 
 
-@pytest.mark.parametrize("moment", ["indexed", "within the epoch", *SELDOM])
+@pytest.mark.parametrize("moment", ["within the epoch", *SELDOM])
 def test_a_run_that_was_killed_goes_on_to_the_same_model(
     moment: str,
     model: tuple[Path, list[str]],

@@ -56,7 +56,7 @@ def test_an_interrupted_run_says_how_to_go_on(
     def interrupted(_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("skylight.training._autoencoder.train", interrupted)
+    monkeypatch.setattr("skylight.training._run.train", interrupted)
     with pytest.raises(SystemExit) as caught:
         main([run_yaml])
     assert caught.value.code == 1

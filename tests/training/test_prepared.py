@@ -7,8 +7,9 @@ import torch
 
 from skylight.skies._index import normalise
 from skylight.training import _skies as prepared
+from skylight.training._checkpoint import initial_network
 from skylight.training._config import AutoencoderConfig
-from skylight.training._skies import augment, coded_skies, initial_network, open_prepared, prepare
+from skylight.training._skies import augment, coded_skies, open_prepared, prepare
 
 CONFIG = AutoencoderConfig(surroundings=0.5, tint=0.1)
 

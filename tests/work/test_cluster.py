@@ -174,5 +174,5 @@ def test_no_scheduler_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 def test_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     where = Cluster(address="tcp://127.0.0.1:9", folder=tmp_path)
-    with pytest.raises(DependencyError, match=r"skylight\[cluster\]"):
+    with pytest.raises(DependencyError, match=r"skylight-lighting\[cluster\]"):
         list(share_work(_fail, [(1,), (2,)], workers=where))

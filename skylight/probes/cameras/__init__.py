@@ -1,1 +1,5 @@
 """Cameras: calibration boards, lens and response, merged exposures, live film."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

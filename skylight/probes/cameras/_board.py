@@ -1,11 +1,9 @@
-"""ChArUco calibration boards: dimensions, printing at true size, files.
+"""ChArUco boards: dimensions, printing at true size, files, and a probe's place over one.
 
 A ChArUco board is a chessboard with a marker in every white square (Garrido-Jurado et al. 2014,
 "Automatic generation and detection of highly reliable fiducial markers under occlusion"): corners
 are as sharp as a chessboard's, and each is known by its neighbours' markers, so that a board may
-be partly hidden or out of the picture.
-
-What the assemblies of all probes have in common: a probe on a pole over a marker board.
+be partly hidden or out of the picture. All printed probes stand on a pole over such a board.
 """
 
 import math

@@ -1,7 +1,4 @@
-"""Merging of bracketed exposures into linear radiance.
-
-Light that saturates even the shortest exposure.
-"""
+"""Bracketed exposures merged into linear radiance, and light that saturates even the shortest."""
 
 import math
 from collections.abc import Sequence

@@ -1,7 +1,4 @@
-"""Camera calibration: boards to print, intrinsics and response curves; files to files.
-
-Photographs of a probe over its marker board, read for all kinds of probes.
-"""
+"""Files of cameras: boards to print, lenses, responses, and photographs of a probe on a board."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence

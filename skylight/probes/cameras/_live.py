@@ -1,9 +1,4 @@
-"""Frames from photographs, from the sharp frames of a video, or from a webcam.
-
-Frames and timings of live views.
-
-Augmented video: frames read from a video or a webcam, composited and written.
-"""
+"""Frames: read from photographs, a video or a webcam, and composited into live views and films."""
 
 import math
 import time

@@ -1,14 +1,8 @@
-"""The camera's pose from a board in its picture.
+"""The camera's pose from a board in its picture, and where a pose shows points of the world.
 
 A pose is the rigid transform ``camera_from_world``, in mm, from the frame of the board (see
 :class:`~skylight.probes.cameras._board.Board`) or of a probe to skylight's camera, which looks
 along -Z with +Y up and +X to the right.
-
-Detection of the corners of a board.
-
-What a picture shows of points that are known in the world.
-
-Poses are ``camera_from_world``.
 """
 
 from dataclasses import dataclass

@@ -1,1 +1,5 @@
 """Parts for 3D printing: their checks, mounts, files and reports."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

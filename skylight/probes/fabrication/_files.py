@@ -1,6 +1,6 @@
-"""STL and 3MF files of parts, byte for byte reproducible.
+"""Files of printed parts: STL and 3MF, byte for byte reproducible, and ray-traced pictures.
 
-Ray-traced images of parts: ambient occlusion, a lamp, and feature lines.
+The pictures show ambient occlusion, a lamp, and feature lines.
 """
 
 import math

@@ -1,9 +1,4 @@
-"""A printed part, and its mesh as a solid for boolean operations.
-
-Dimensions of a printed probe.
-
-Layout of parts on a printer's bed.
-"""
+"""Printed parts: a mesh as a solid for boolean operations, its dimensions, and a printer's bed."""
 
 import math
 from collections.abc import Sequence

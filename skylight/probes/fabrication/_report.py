@@ -1,7 +1,4 @@
-"""Measurements of printed parts, and those out of tolerance.
-
-The figure layout of printed probes, and the board on the marker base.
-"""
+"""The report of a printed probe: measurements of its parts, what is out of tolerance, a figure."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,7 +1,4 @@
-"""A ball in a picture: its cone of tangent rays, from a circle or fitted to its outline.
-
-Detection of a mirror ball in a picture by its outline.
-"""
+"""A ball in a picture: its cone of tangent rays, from a circle or from its detected outline."""
 
 import math
 from dataclasses import dataclass

@@ -1,12 +1,9 @@
 """A light probe from merged exposures of a mirror ball or of a 360-degree camera.
 
-Unwrapping of a mirror ball into a lat-long map.
-
-The map is in the frame of the camera that took the picture: its centre shows where the camera
-looked (behind the ball), and what stands on the camera's right is right of it. Everything that the
-ball mirrors is taken to be far away compared with the ball's size.
-
-Two views of a ball blended: each fills in the camera and the blind cone of the other.
+A ball is unwrapped into a lat-long map in the frame of the camera that took the picture: its centre
+shows where the camera looked (behind the ball), and what stands on the camera's right is right of
+it. Everything that the ball mirrors is taken to be far away compared with the ball's size. Of two
+views, each fills in the camera and the blind cone of the other.
 """
 
 import math

@@ -1,45 +1,39 @@
-"""HDR light probes from a turning camera's photographs; files to files.
+"""An HDR light probe from the photographs of a turning camera: files to files.
 
-The figure of a stitched probe: the map at two exposures, where the shots lie, and numbers.
-
-The summary of a stitched light probe: a line, warnings, and JSON.
+The shots' brackets are found, their response is agreed on, each bracket is merged, the shots are
+placed and blended, and what came out is written with its report.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
-from skylight import __version__
-from skylight._figures import ACCENT, STYLE, save, show, show_probe, write_numbers
+from skylight._figures import ACCENT
 from skylight.errors import InputError
 from skylight.imaging._colour import tone_map
-from skylight.io._bounded import write_json
-from skylight.io._files import write_probe
 from skylight.probes._probe_map import check_rows
+from skylight.probes._probe_report import Panel, ProbeReport, exposure_number, response_number
 from skylight.probes.cameras._exposure_files import read_exposure, read_series, response_of
 from skylight.probes.cameras._exposures import Choice, Exposure, common_response
 from skylight.probes.cameras._response import Response, describe_response
 from skylight.probes.panorama._brackets import Bracket, find_brackets, read_turns
 from skylight.probes.panorama._matches import Shot, shot_of
 from skylight.probes.panorama._panorama import Panorama, panorama_of
-from skylight.sphere._envmap import luminance
 from skylight.sphere._frame import pixel_from_direction
 from skylight.work._progress import StageProgress, Tell
 from skylight.work._resumable import results_folder
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-
+# Directions by which a response is judged, and px of their longer sides: as good as all
+_JUDGED, _JUDGED_SIDE = 8, 300
 _UNSEEN = 0.005  # share of the sphere below which a gap is no news
-_GOOD_PX = 2.0
+_GOOD_PX = 2.0  # rms of the matches, in px of the pictures that were matched
 _NAMED_MOST = 5
+_SIDE = 24  # points along each side of a shot's outline
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,163 +54,6 @@ class Stitched:
     def focal_px(self) -> float:
         """In pixels of the pictures as they were taken."""
         return self.panorama.bundle.lens.focal_px / self.shots[0].scale
-
-
-def summary(out: Path, result: Stitched) -> str:
-    """The command's result in a line."""
-    height, width = result.panorama.probe.environment.layout
-    placed = len(result.panorama.bundle.rotations)
-    return (
-        f"{out / 'probe.exr'}: {width}x{height} from {placed} of {len(result.shots)} directions, "
-        f"{100 * (1 - result.panorama.probe.unseen_share):.3g} % of the sphere; focal length "
-        f"{result.focal_px:.0f} px, matches off by {result.rms_px:.2f} px"
-    )
-
-
-def warnings(result: Stitched) -> list[str]:
-    """What the user should know before the map is trusted, a line each."""
-    panorama, lines = result.panorama, []
-    if panorama.left_out:
-        lines.append(
-            "left out, as they are not linked to the largest group of shots: "
-            f"{_names(result, panorama.left_out)}; say where they look with --turns"
-        )
-    if panorama.by_hint:
-        lines.append(
-            f"placed by --turns alone, as they match no other shot: "
-            f"{_names(result, panorama.by_hint)}"
-        )
-    if panorama.probe.unseen_share > _UNSEEN:
-        lines.append(
-            f"{100 * panorama.probe.unseen_share:.2g} % of the sphere is in no shot and was "
-            "filled from what is beside it"
-        )
-    if panorama.bundle.rms_px > _GOOD_PX:
-        lines.append(
-            f"matches are off by {result.rms_px:.1f} px: the camera moved as it turned, or things "
-            "are near; turn it about its lens"
-        )
-    if any(each.seconds is not None and len(each.files) == 1 for each in result.brackets):
-        lines.append(
-            "one exposure only: whatever is white in it was brighter by an unknown factor; take "
-            "several, the shortest of which shows the sun"
-        )
-    if panorama.clipping is not None:
-        lines.append(panorama.clipping.sentence())
-    return lines
-
-
-def describe(result: Stitched) -> dict[str, object]:
-    """The content of probe.json."""
-    panorama = result.panorama
-    bundle = panorama.bundle
-    return {
-        "kind": "hdr probe",
-        "source": "turning camera",
-        "frame": "lat-long, skylight's: +Y is up, the centre shows where the first shot looked, "
-        "or azimuth 0 of the turns that were given",
-        "unit": "that of the merged files"
-        if result.brackets[0].seconds is None
-        else "1 saturates the longest exposure",
-        "views": [
-            {
-                "files": [str(path) for path in bracket.files],
-                "seconds": bracket.seconds,
-                "world_from_camera": None
-                if number not in bundle.rotations
-                else bundle.rotations[number].tolist(),
-                "by_hint": number in panorama.by_hint,
-            }
-            for number, bracket in enumerate(result.brackets)
-        ],
-        "response": describe_response(result.response),
-        "lens": {"focal_length_px": result.focal_px, "k1": bundle.lens.k1},
-        "matches": bundle.matches,
-        "rms_px": result.rms_px,
-        "unseen_share": panorama.probe.unseen_share,
-        "clipped": None if panorama.clipping is None else asdict(panorama.clipping),
-        "version": __version__,
-    }
-
-
-def _names(result: Stitched, numbers: Sequence[int]) -> str:
-    names = [Path(result.shots[number].name).name for number in numbers[:_NAMED_MOST]]
-    more = f" and {len(numbers) - _NAMED_MOST} more" if len(numbers) > _NAMED_MOST else ""
-    return ", ".join(names) + more
-
-
-_DARKER = 16.0  # the second exposure of the map, against the first
-_SIDE = 24  # points along each side of a shot's outline
-
-
-def write_stitch_report(path: Path, result: Stitched) -> None:
-    """The map at two exposures, the shots' outlines on it, and numbers, as PNG."""
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
-
-    probe = result.panorama.probe
-    values = luminance(probe.environment.flat)
-    white = float(values.kthvalue(round(0.85 * len(values))).values)
-    with rc_context(STYLE):
-        figure = Figure(figsize=(16, 9.6), dpi=120, facecolor="white")
-        figure.text(0.02, 0.965, "Light stitched from shots", fontsize=17, fontweight="bold")
-        doubts = warnings(result)
-        if doubts:
-            care = f"Take care: {doubts[0]}"
-            figure.text(0.02, 0.94, care[:190], color=ACCENT, fontsize=9.5)
-        grid = figure.add_gridspec(2, 2, left=0.02, right=0.98, top=0.9, bottom=0.045, wspace=0.06)
-        show_probe(figure.add_subplot(grid[0, 0]), probe.environment, "The map", white=white)
-        dark = f"{_DARKER:g} times darker"
-        show_probe(figure.add_subplot(grid[1, 0]), probe.environment, dark, white=_DARKER * white)
-        axes = figure.add_subplot(grid[0, 1])
-        seen = probe.seen.numpy()[..., None] > 0
-        picture = np.where(seen, tone_map(probe.environment.radiance, white=white), 128)
-        title = "Where the shots lie (orange: by --turns alone; grey: in none)"
-        show(axes, picture.astype(np.uint8), title)
-        _outlines(axes, result)
-        write_numbers(figure.add_subplot(grid[1, 1]), "In numbers", _numbers(result), pitch=0.085)
-        save(figure, path)
-
-
-def _outlines(axes: "Axes", result: Stitched) -> None:
-    """The border of each shot, broken where it leaves the map at a side."""
-    bundle, layout = result.panorama.bundle, result.panorama.probe.environment.layout
-    width, height = bundle.lens.size
-    along = np.linspace(0, 1, _SIDE)
-    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]], dtype=np.float64)
-    border = np.concatenate([a + along[:, None] * (b - a) for a, b in pairwise(corners)])
-    rays = bundle.lens.rays(border * (width, height))
-    for number, rotation in bundle.rotations.items():
-        row, column = (
-            each.numpy()
-            for each in pixel_from_direction(torch.from_numpy(rays @ rotation.T), *layout)
-        )
-        jumps = np.flatnonzero(np.abs(np.diff(column)) > layout[1] / 2) + 1
-        colour = ACCENT if number in result.panorama.by_hint else "white"
-        for part in np.split(np.stack([column, row], 1), jumps):
-            axes.plot(*part.T, color=colour, linewidth=0.7, alpha=0.7)
-
-
-def _numbers(result: Stitched) -> list[tuple[str, str]]:
-    panorama, bracket = result.panorama, result.brackets[0]
-    bundle = panorama.bundle
-    rows = [("directions placed", f"{len(bundle.rotations)} of {len(result.shots)}")]
-    if bracket.seconds is not None:
-        low, high = min(bracket.seconds), max(bracket.seconds)
-        rows.append(("exposures of each", f"{len(bracket.files)}, {low:.3g} to {high:.3g} s"))
-    rows.append(("response", "linear" if result.response is None else result.response.kind))
-    rows.append(("matches", f"{bundle.matches}"))
-    rows.append(("they are off by (rms)", f"{result.rms_px:.2f} px"))
-    rows.append(("focal length", f"{result.focal_px:.1f} px"))
-    rows.append(("radial distortion k1", f"{bundle.lens.k1:.4f}"))
-    rows.append(("in no shot", f"{100 * panorama.probe.unseen_share:.2g} % of the sphere"))
-    clipped = 0.0 if panorama.clipping is None else panorama.clipping.solid_angle_sr
-    rows.append(("saturated in all exposures", f"{clipped:.2g} sr"))
-    return rows
-
-
-# Directions by which a response is judged, and px of their longer sides: as good as all
-_JUDGED, _JUDGED_SIDE = 8, 300
 
 
 def stitch_probe(
@@ -265,14 +102,9 @@ def stitch_probe(
         )
         result = Stitched(brackets=brackets, shots=tuple(merged), panorama=panorama, response=curve)
         progress("writing the results", 0.0)
-        write_probe(folder, panorama.probe.environment)
-        write_json(folder / "probe.json", describe(result))
-        write_stitch_report(folder / "report.png", result)
-    for line in warnings(result):
-        warn(line)
-    if why:
-        tell(why)
-    tell(summary(out, result))
+        report = _report(result, [why] if why else [])
+        report.write(folder)
+    report.say(out, tell, warn)
     return result
 
 
@@ -323,3 +155,121 @@ def _merged(
         gain = max(bracket.seconds) if bracket.seconds else longest
         shots.append(shot_of(str(bracket.files[0]), series.merged, longest / gain))
     return shots, focal_px, curve
+
+
+def _report(result: Stitched, notes: Sequence[str]) -> ProbeReport:
+    panorama = result.panorama
+    probe, bundle = panorama.probe, panorama.bundle
+    facts = {
+        "source": "turning camera",
+        "frame": "lat-long, skylight's: +Y is up, the centre shows where the first shot looked, "
+        "or azimuth 0 of the turns that were given",
+        "unit": "that of the merged files"
+        if result.brackets[0].seconds is None
+        else "1 saturates the longest exposure",
+        "views": [
+            {
+                "files": [str(path) for path in bracket.files],
+                "seconds": bracket.seconds,
+                "world_from_camera": None
+                if number not in bundle.rotations
+                else bundle.rotations[number].tolist(),
+                "by_hint": number in panorama.by_hint,
+            }
+            for number, bracket in enumerate(result.brackets)
+        ],
+        "response": describe_response(result.response),
+        "lens": {"focal_length_px": result.focal_px, "k1": bundle.lens.k1},
+        "matches": bundle.matches,
+        "rms_px": result.rms_px,
+    }
+    seen = probe.seen.numpy()[..., None] > 0
+    picture = np.where(seen, tone_map(probe.environment.radiance), 128).astype(np.uint8)
+    return ProbeReport(
+        title="Light stitched from shots",
+        source=f"{len(bundle.rotations)} of {len(result.shots)} directions, "
+        f"{100 * (1 - probe.unseen_share):.3g} % of the sphere; focal length "
+        f"{result.focal_px:.0f} px, matches off by {result.rms_px:.2f} px",
+        probe=probe,
+        clipping=panorama.clipping,
+        facts=facts,
+        numbers=_numbers(result),
+        panels=[
+            Panel(
+                title="Where the shots lie (orange: by --turns alone; grey: in none)",
+                picture=picture,
+                curves=_outlines(result),
+            )
+        ],
+        own_doubts=_doubts(result),
+        notes=notes,
+    )
+
+
+def _numbers(result: Stitched) -> list[tuple[str, str]]:
+    bundle, seconds = result.panorama.bundle, result.brackets[0].seconds
+    return [
+        ("directions placed", f"{len(bundle.rotations)} of {len(result.shots)}"),
+        *([] if seconds is None else [exposure_number(seconds)]),
+        response_number(result.response),
+        ("matches", f"{bundle.matches}"),
+        ("they are off by (rms)", f"{result.rms_px:.2f} px"),
+        ("focal length", f"{result.focal_px:.1f} px"),
+        ("radial distortion k1", f"{bundle.lens.k1:.4f}"),
+    ]
+
+
+def _outlines(result: Stitched) -> list[tuple[str, np.ndarray]]:
+    """The border of each shot on the map, broken where it leaves the map at a side."""
+    bundle, layout = result.panorama.bundle, result.panorama.probe.environment.layout
+    width, height = bundle.lens.size
+    along = np.linspace(0, 1, _SIDE)
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]], dtype=np.float64)
+    border = np.concatenate([a + along[:, None] * (b - a) for a, b in pairwise(corners)])
+    rays = bundle.lens.rays(border * (width, height))
+    curves = []
+    for number, rotation in bundle.rotations.items():
+        row, column = (
+            each.numpy()
+            for each in pixel_from_direction(torch.from_numpy(rays @ rotation.T), *layout)
+        )
+        jumps = np.flatnonzero(np.abs(np.diff(column)) > layout[1] / 2) + 1
+        colour = ACCENT if number in result.panorama.by_hint else "white"
+        curves += [(colour, part) for part in np.split(np.stack([column, row], 1), jumps)]
+    return curves
+
+
+def _doubts(result: Stitched) -> list[str]:
+    panorama, lines = result.panorama, []
+    if panorama.left_out:
+        lines.append(
+            "left out, as they are not linked to the largest group of shots: "
+            f"{_names(result, panorama.left_out)}; say where they look with --turns"
+        )
+    if panorama.by_hint:
+        lines.append(
+            f"placed by --turns alone, as they match no other shot: "
+            f"{_names(result, panorama.by_hint)}"
+        )
+    if panorama.probe.unseen_share > _UNSEEN:
+        lines.append(
+            f"{100 * panorama.probe.unseen_share:.2g} % of the sphere is in no shot and was "
+            "filled from what is beside it"
+        )
+    if panorama.bundle.rms_px > _GOOD_PX:
+        lines.append(
+            f"matches are off by {result.rms_px:.1f} px: the camera moved as it turned, or things "
+            "are near; turn it about its lens"
+        )
+    if any(each.seconds is not None and len(each.files) == 1 for each in result.brackets):
+        lines.append(
+            "one exposure only: whatever is white in it was brighter by an unknown factor; take "
+            "several, the shortest of which shows the sun"
+        )
+    return lines
+
+
+def _names(result: Stitched, numbers: Sequence[int]) -> str:
+    names = [Path(result.shots[number].name).name for number in numbers[:_NAMED_MOST]]
+    more = f" and {len(numbers) - _NAMED_MOST} more" if len(numbers) > _NAMED_MOST else ""
+    return ", ".join(names) + more

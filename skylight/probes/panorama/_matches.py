@@ -1,17 +1,16 @@
-"""Which shots show the same, and where: features, their matches, and the turns that agree.
+"""Which shots of a turning camera show the same, and where: shots, lens, features and matches.
 
-SIFT's features (Lowe 2004, "Distinctive image features from scale-invariant keypoints") by the
-Hellinger kernel (Arandjelovic & Zisserman 2012), mutual nearest neighbours by Lowe's ratio, and a
-rotation between two shots by RANSAC (:func:`skylight.imaging._camera_turns.turn_between`). In a
-clear sky there is nothing to match but the sun: :func:`lamp_links`.
+A shot is a merged exposure at a working size, and what features see of it. SIFT's features (Lowe
+2004, "Distinctive image features from scale-invariant keypoints") by the Hellinger kernel
+(Arandjelovic & Zisserman 2012) are matched as mutual nearest neighbours by Lowe's ratio, and a
+rotation between two shots is found by RANSAC
+(:func:`skylight.imaging._camera_turns.turn_between`). In a clear sky there is nothing to match but
+the sun: :func:`lamp_links`.
 
-The lens of a turning camera: one focal length, one radial distortion, the middle of the picture.
-
-Places (x, y) in a picture count from its upper left corner, pixel centres at halves; the camera
-looks along -Z, +X is the picture's right, +Y its up (:mod:`skylight.probes.cameras._intrinsics`
-has the other way to say so).
-
-The shots of a turning camera: merged exposures at a working size, and what features see.
+The lens is one focal length and one radial distortion about the middle of the picture. Places
+(x, y) in a picture count from its upper left corner, pixel centres at halves; the camera looks
+along -Z, +X is the picture's right, +Y its up (:mod:`skylight.probes.cameras._intrinsics` has the
+other way to say so).
 """
 
 from collections.abc import Callable, Sequence

@@ -1,8 +1,6 @@
-"""A light probe from the shots of a turning camera: matches, rotations and lens, one map.
+"""A light probe from the shots of a turning camera: matches, rotations and lens, one lat-long map.
 
-The world of a panorama: upright, with the first shot ahead, or as hints say.
-
-Shots of known rotations resampled to one lat-long map.
+The map's world is upright, with the first shot ahead, or as hints say.
 """
 
 import math

@@ -1,6 +1,7 @@
-"""The captured shading of a partition probe, its file, and the shading of cells not captured.
+"""The captured shading of a partition probe: its file, what completes it, and how it is read.
 
-Shading of a partition probe's faces, one sample each, from pictures (thesis, section 4.6.1).
+Each face gives one sample, the mean of a disc about its centre, from the picture that shows it
+largest (thesis, section 4.6.1). Cells that no picture shows get the smoothest light.
 """
 
 import hashlib
@@ -18,8 +19,9 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.io._bounded import read_object, require_keys, write_json
+from skylight.probes._capture import faces_in_view, polygon_areas
 from skylight.probes.cameras._intrinsics import Intrinsics
-from skylight.probes.cameras._pose import Picture, camera_centre, in_frame, part_around
+from skylight.probes.cameras._pose import Picture, in_frame, part_around
 from skylight.probes.cameras._response import Response, saturated
 from skylight.probes.partitions._probe import PartitionProbe
 from skylight.probes.partitions._seeds import ProbeDesign
@@ -230,7 +232,6 @@ def _capture_of(content: Mapping[str, object]) -> ProbeCapture:
     )
 
 
-_GRAZING = 0.17  # cosine: faces seen under less than 10 degrees tell little
 _DISC = 0.5  # of a face's free radius: the rest is for poses that are off by little
 _SAMPLES, _RIM = 64, 16
 _MOST_CLIPPED = 0.1  # share of a disc
@@ -289,19 +290,14 @@ class FaceDiscs:
     ) -> tuple[list[int], Float[np.ndarray, " n"]]:
         """(cells whose disc a picture shows whole, sizes of all discs on screen, px^2).
 
-        Tested in the order of their cost: turned to the camera, inside of the frame, and nothing
-        between the camera and the disc's centre and surroundings.
+        Nothing is between the camera and the disc's centre and surroundings.
         """
-        eye, probe = camera_centre(pose), self.probe
-        towards = eye - probe.face_centres
-        cosine = (towards * probe.normals).sum(1) / np.linalg.norm(towards, axis=1)
-        _, inside = in_frame(self.guard, pose, intrinsics)
+        probe, guard = self.probe, self.guard
         rim, _ = in_frame(self.rim, pose, intrinsics)
-        candidates = np.flatnonzero((cosine > _GRAZING) & inside)
-        if len(candidates):
-            free = probe.sees(eye, self.guard[candidates]).numpy().all(1)
-            candidates = candidates[free]
-        return candidates.tolist(), _areas(rim)
+        shown = faces_in_view(
+            probe.face_centres, probe.normals, guard, guard, probe.sees, pose, intrinsics
+        )
+        return shown, polygon_areas(rim)
 
 
 def read_samples(
@@ -396,9 +392,3 @@ class SampleCapture:
 
 def _circle(angles: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k 2"]:
     return np.stack([np.cos(angles), np.sin(angles)], 1)
-
-
-def _areas(rims: Float[np.ndarray, "n k 2"]) -> Float[np.ndarray, " n"]:
-    """Of polygons, by the shoelace formula."""
-    x, y = rims.transpose(2, 0, 1)
-    return 0.5 * np.abs((x * np.roll(y, -1, 1) - np.roll(x, -1, 1) * y).sum(1))

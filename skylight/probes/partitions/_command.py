@@ -40,7 +40,7 @@ def cells_of_a_design(
         path_cells: Cells along the sun path.
         size: Height of the picture in pixels.
     """
-    from skylight.probes.partitions._capture_files import describe_designs, find_design, write_cells
+    from skylight.probes.partitions._design_files import describe_designs, find_design, write_cells
 
     sun = _sun(lat, lon, date)
     if not design:
@@ -101,8 +101,8 @@ def print_partitions(
         board_height_mm: Height of that pattern.
     """
     from skylight.probes.fabrication._mount import MarkerBoard, Pole
-    from skylight.probes.partitions._capture_files import find_design
-    from skylight.probes.partitions._design_files import (
+    from skylight.probes.partitions._design_files import find_design
+    from skylight.probes.partitions._printing_files import (
         summarise_partition_print,
         write_printed_partitions,
     )
@@ -203,13 +203,10 @@ def capture_partitions(
         more: Go on with the capture that is in OUT, in the same light and exposure.
     """
     from skylight.probes.cameras._files import read_setup
-    from skylight.probes.partitions._capture_files import (
-        capture_partition_probe,
-        summarise_partition_capture,
-    )
+    from skylight.probes.partitions._capture_files import capture_partition_probe
     from skylight.probes.partitions._kernel_albedo import read_albedo
 
-    found = capture_partition_probe(
+    capture_partition_probe(
         one_source(photos, video, webcam),
         setup=read_setup(camera, board, response),
         assembly=assembly,
@@ -219,7 +216,6 @@ def capture_partitions(
         more=more,
         warn=take_care,
     )
-    print(f"{out}: {summarise_partition_capture(found)}")
 
 
 def _sun(lat: float | None, lon: float | None, date: str | None) -> tuple[float, float, str] | None:

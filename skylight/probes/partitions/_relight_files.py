@@ -1,7 +1,4 @@
-"""Virtual scenes in a photograph, lit by a captured partition probe; files to files.
-
-Video with a virtual scene lit by the partition probe that it shows.
-"""
+"""Virtual scenes in photographs and films, lit by a captured partition probe; files to files."""
 
 import math
 from collections.abc import Iterator
@@ -19,11 +16,11 @@ from skylight.errors import InputError
 from skylight.imaging._film import film_rate
 from skylight.io._atomic import require_place
 from skylight.io._files import write_png
+from skylight.probes._capture import pose_in_photo
 from skylight.probes.cameras._drawing import box_edges, is_empty, lens_rays, window_of
-from skylight.probes.cameras._files import Setup, why_unusable
+from skylight.probes.cameras._files import Setup
 from skylight.probes.cameras._intrinsics import Intrinsics
-from skylight.probes.cameras._live import LiveReport, check_film, read_picture, write_film
-from skylight.probes.cameras._pose import board_pose
+from skylight.probes.cameras._live import LiveReport, check_film
 from skylight.probes.partitions._capture_files import completed_shading
 from skylight.probes.partitions._captured import ProbeCapture, load_capture, nonnegative_light
 from skylight.probes.partitions._cells import Cells
@@ -270,11 +267,8 @@ def relight_scene(
     if out.suffix.lower() != ".png":
         raise InputError(f"{out}: pictures are written as .png; choose another name")
     scene.require(out)
-    image = read_picture(photo).image
-    found = board_pose(image, setup.board, setup.intrinsics)
-    if found is None or found.is_ambiguous:
-        raise InputError(f"{photo}: {why_unusable(found)}; show most of it, and larger")
-    if not scene.is_seen(found.pose, setup.intrinsics):
+    image, pose = pose_in_photo(photo, setup)
+    if not scene.is_seen(pose, setup.intrinsics):
         raise InputError(f"{photo}: the scene would stand outside of the picture; see --at-mm")
     printed, probe, captured = read_probe(assembly, capture)
     printed.require_board(setup.board.size_mm)
@@ -289,7 +283,7 @@ def relight_scene(
     picture = on_board.put_into(
         image,
         lit,
-        found.pose,
+        pose,
         setup.intrinsics,
         setup.response,
         lambda window: lens_rays(setup.intrinsics, SAMPLES, window),
@@ -341,9 +335,7 @@ def live_scene(
     placed = printed.placed()
     on_board = scene.beside(placed, probe.cells, printed.board_from_probe.rotation, warn)
     view = PartitionLiveView(
-        intrinsics=setup.intrinsics,
-        board=setup.board,
-        response=setup.response,
+        setup,
         placed=placed,
         probe=probe,
         scene=on_board,
@@ -351,7 +343,4 @@ def live_scene(
         start_rad=math.radians(scene.placement.turn_deg),
         step_rad=math.radians(turn_deg_per_s) / film_rate(source),
     )
-    size = setup.intrinsics.width, setup.intrinsics.height
-    report = write_film(source, out, view.show, size=size, most=most)
-    tell(report.sentence(out, f"of {probe.cells.count} cells"))
-    return report
+    return view.write(source, out, most=most, tell=tell)

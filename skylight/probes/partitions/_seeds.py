@@ -103,6 +103,7 @@ class ProbeDesign:
 
 
 def save_design(path: str | Path, design: ProbeDesign) -> None:
+    """Write a design as the JSON that :func:`load_design` reads."""
     write_json(path, design.to_json())
 
 

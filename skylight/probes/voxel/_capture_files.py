@@ -1,7 +1,4 @@
-"""The shading of a printed voxel probe from photographs or a film, files to files.
-
-Video with a voxel model lit by the voxel probe that it shows.
-"""
+"""The shading of a printed voxel probe from photographs, and films lit by it; files to files."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -9,49 +6,60 @@ from pathlib import Path
 
 import numpy as np
 
-from skylight import __version__
 from skylight.errors import InputError
 from skylight.io._bounded import write_json
 from skylight.io._files import write_png
-from skylight.probes.cameras._files import (
-    MOVED,
-    BoardPictures,
-    Setup,
-    report_warnings,
-    require_capture,
-)
-from skylight.probes.cameras._live import (
-    FRAMES_MOST,
-    Frame,
-    LiveReport,
-    check_film,
-    read_frames,
-    write_film,
-)
+from skylight.probes._capture import CaptureResult, PosedFrames, place_found, write_capture
+from skylight.probes.cameras._files import MOVED, Setup, require_capture
+from skylight.probes.cameras._live import FRAMES_MOST, Frame, LiveReport, check_film
 from skylight.probes.voxel._captured import Aligner, Alignment, LightmapCapture
 from skylight.probes.voxel._lightmap import Lightmap, load_lightmap
 from skylight.probes.voxel._model import OCCLUDERS, ORIENTATIONS, VoxelModel
 from skylight.probes.voxel._parts import PlacedProbe, VoxelAssembly, load_voxel_assembly
 from skylight.probes.voxel._reconstruct import first_slot, ranks
-from skylight.probes.voxel._relight import LiveView
+from skylight.probes.voxel._relight import VoxelLiveView
 from skylight.probes.voxel._render_files import Reconstruction, VoxelPlacement, reconstruction_for
-from skylight.sphere._rotation import RigidTransform
 from skylight.work._progress import Tell
-from skylight.work._resumable import results_folder
 
 
 @dataclass(frozen=True, kw_only=True)
-class CaptureResult:
-    """``warnings`` are sentences for the user, empty when all went well."""
+class VoxelCaptureResult(CaptureResult):
+    """The lightmap that pictures told, and how the probe stood.
+
+    ``disagreement`` is the median relative difference of faces seen again, None without any.
+    """
 
     lightmap: Lightmap
     assembly: VoxelAssembly
-    used: list[str]
-    left_out: list[tuple[str, str]]
     disagreement: float | None
     alignment: Alignment | None
     aligned: bool
-    warnings: list[str]
+
+    def save(self, folder: Path) -> None:
+        self.lightmap.save(folder / "lightmap.npz")
+        write_png(folder / "lightmap.png", self.lightmap.png())
+        write_json(folder / "assembly.json", self.assembly.to_json())
+
+    def describe(self) -> dict[str, object]:
+        alignment = self.alignment
+        return {
+            "slots": int(self.lightmap.known.sum()),
+            "disagreement": self.disagreement,
+            "alignment": None
+            if alignment is None
+            else {**alignment.describe(), "applied": self.aligned},
+            "coverage": self.lightmap.coverage.tolist(),
+            "pixels_per_texel": self.lightmap.confidence.tolist(),
+        }
+
+    def summary(self) -> str:
+        told = f"{int(self.lightmap.known.sum())} of 192 slots from {len(self.used)} pictures"
+        if self.alignment is None or not self.aligned:
+            return told
+        turn, shift = (
+            np.linalg.norm(v) for v in (self.alignment.turn_deg, self.alignment.shift_mm)
+        )
+        return f"{told}; {place_found(float(turn), float(shift))}"
 
 
 def capture_voxel_probe(
@@ -64,11 +72,11 @@ def capture_voxel_probe(
     more: bool = False,
     tell: Tell = print,
     warn: Tell = print,
-) -> CaptureResult:
+) -> VoxelCaptureResult:
     """lightmap.npz, lightmap.png, capture.json and assembly.json in ``out``.
 
-    ``more`` adds to an earlier capture: a slot is replaced where a new
-    picture shows it larger. assembly.json has the probe where it was found to stand.
+    ``more`` adds to an earlier capture: a slot is replaced where a new picture shows it larger.
+    assembly.json has the probe where it was found to stand.
 
     Raises
     ------
@@ -80,44 +88,31 @@ def capture_voxel_probe(
     printed = load_voxel_assembly(assembly)
     printed.require_board(setup.board.size_mm)
     start = load_lightmap(before) if more else None
-    with results_folder(out) as folder:
-        found = capture_frames(read_frames(source, most=most), printed, setup, start)
-        found.lightmap.save(folder / "lightmap.npz")
-        write_png(folder / "lightmap.png", found.lightmap.png())
-        write_json(folder / "assembly.json", found.assembly.to_json())
-        write_json(folder / "capture.json", describe_capture(found))
-    report_warnings(found.left_out, found.warnings, warn)
-    slots = int(found.lightmap.known.sum())
-    tell(f"{out}: {slots} of 192 slots from {len(found.used)} pictures")
-    if found.alignment is not None and found.aligned:
-        turn, shift = (
-            float(np.linalg.norm(v)) for v in (found.alignment.turn_deg, found.alignment.shift_mm)
-        )
-        tell(f"the probe stands {turn:.1f} degrees and {shift:.1f} mm off its place; allowed for")
-    return found
+    return write_capture(
+        source,
+        out,
+        lambda frames: capture_frames(frames, printed, setup, start),
+        most=most,
+        more=more,
+        tell=tell,
+        warn=warn,
+    )
 
 
 def capture_frames(
     frames: Iterable[Frame], assembly: VoxelAssembly, setup: Setup, start: Lightmap | None = None
-) -> CaptureResult:
-    """Everything that pictures tell, the board found in each on its own.
-
-    The probe's own edges in all of them say where it stands, if they agree; all pictures are held
-    in memory for that.
-    """
-    seen: list[tuple[Frame, RigidTransform]] = []
-    pictures = BoardPictures(frames, setup)
+) -> VoxelCaptureResult:
+    """Everything that pictures tell; the probe's own edges in all say where it stands."""
+    pictures = PosedFrames.of(frames, setup)
     aligner = Aligner(PlacedProbe(assembly), setup.intrinsics)
-    for frame, pose in pictures:
+    for frame, pose in pictures.seen:
         aligner.add(frame.image, pose)
-        seen.append((frame, pose))
-    pictures.require_some()
     alignment = aligner.alignment()
     aligned = alignment is not None and alignment.trusted(assembly.voxel_mm)
     if alignment is not None and aligned:
         assembly = alignment.applied(assembly)
     capture = LightmapCapture(PlacedProbe(assembly), start)
-    for frame, pose in seen:
+    for frame, pose in pictures.seen:
         capture.add_photo(frame.image, setup.response, pose, setup.intrinsics)
     lightmap = capture.lightmap()
     if not bool(lightmap.known.any()):
@@ -125,11 +120,11 @@ def capture_frames(
         raise InputError(
             f"all {burnt} faces in view are over-exposed: expose shorter"
             if burnt
-            else f"no face of the probe is whole in any of {len(seen)} pictures: step back, and "
-            "check that the assembly is that of the probe"
+            else f"no face of the probe is whole in any of {len(pictures.seen)} pictures: step "
+            "back, and check that the assembly is that of the probe"
         )
     disagreement = float(np.median(capture.disagreements)) if capture.disagreements else None
-    return CaptureResult(
+    return VoxelCaptureResult(
         lightmap=lightmap,
         assembly=assembly,
         used=pictures.used,
@@ -139,37 +134,6 @@ def capture_frames(
         aligned=aligned,
         warnings=_capture_warnings(capture, lightmap, disagreement, alignment),
     )
-
-
-def describe_capture(found: CaptureResult) -> dict[str, object]:
-    """In plain numbers."""
-    return {
-        "slots": int(found.lightmap.known.sum()),
-        "pictures": found.used,
-        "left_out": [{"name": name, "reason": reason} for name, reason in found.left_out],
-        "disagreement": found.disagreement,
-        "alignment": None
-        if found.alignment is None
-        else {
-            **describe_alignment(found.alignment),
-            "applied": found.aligned,
-        },
-        "warnings": found.warnings,
-        "coverage": found.lightmap.coverage.tolist(),
-        "pixels_per_texel": found.lightmap.confidence.tolist(),
-        "version": __version__,
-    }
-
-
-def describe_alignment(alignment: Alignment) -> dict[str, object]:
-    """How the probe stands otherwise than it was meant to."""
-    return {
-        "turn_deg": alignment.turn_deg.tolist(),
-        "shift_mm": alignment.shift_mm.tolist(),
-        "turn_spread_deg": alignment.turn_spread_deg,
-        "shift_spread_mm": alignment.shift_spread_mm,
-        "pictures": alignment.pictures,
-    }
 
 
 def _capture_warnings(
@@ -243,16 +207,11 @@ def live_film(
     check_film(source, out, most)
     printed = load_voxel_assembly(assembly)
     printed.require_board(setup.board.size_mm)
-    view = LiveView(
-        intrinsics=setup.intrinsics,
-        board=setup.board,
-        response=setup.response,
+    view = VoxelLiveView(
+        setup,
         probe=PlacedProbe(printed),
         model=model,
         to_board=placement.matrix(model, printed.board_from_probe.rotation),
         reconstruction=lambda lightmap: reconstruction_for(lightmap, kind, albedo),
     )
-    size = setup.intrinsics.width, setup.intrinsics.height
-    report = write_film(source, out, view.show, size=size, most=most)
-    tell(report.sentence(out, "slots"))
-    return report
+    return view.write(source, out, most=most, tell=tell)

@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from skylight.probes._capture import faces_in_view, polygon_areas
 from skylight.probes.cameras._edges import refine_on_edges
 from skylight.probes.cameras._intrinsics import Intrinsics
 from skylight.probes.cameras._pose import camera_centre, in_frame, part_around, project
@@ -24,7 +25,6 @@ from skylight.probes.voxel._model import CONFIGURATIONS, NORMALS, ORIENTATIONS, 
 from skylight.probes.voxel._parts import PlacedProbe, VoxelAssembly
 from skylight.sphere._rotation import RigidTransform
 
-_GRAZING = 0.17  # cosine: faces seen under less than 10 degrees tell little
 _INSET = 0.04  # of a face: what lies nearer to its edge may belong to what is beyond
 _SAMPLES = 4  # along each side of a texel
 _LEAST_COVERAGE = 0.75
@@ -51,27 +51,17 @@ def visible_faces(
 ) -> tuple[list[int], Float[np.ndarray, "f 4 2"], Float[np.ndarray, " f"]]:
     """(faces that a picture shows whole, all corners in it, areas on screen in px^2).
 
-    Tested in the order of their cost: turned to the camera, inside of the frame, and nothing
-    between the camera and any of a face's corners, the middles of its sides and its own middle.
+    Nothing is between the camera and a face's corners, the middles of its sides and its own middle.
     """
-    eye = camera_centre(pose)
-    middles = probe.corners.mean(1)
-    towards = eye - middles
-    cosine = (towards * probe.normals).sum(1) / np.linalg.norm(towards, axis=1)
-    pixels, inside = in_frame(probe.corners, pose, intrinsics)
-    candidates = np.flatnonzero((cosine > _GRAZING) & inside)
-    a, b, c, d = pixels.transpose(1, 0, 2)
-    areas = 0.5 * np.abs(_cross(c - a, d - b))
-    if not len(candidates):
-        return [], pixels, areas
-    corners = probe.corners[candidates]
+    corners, middles = probe.corners, probe.corners.mean(1)
+    pixels, _ = in_frame(corners, pose, intrinsics)
     nine = np.concatenate(
-        [corners, 0.5 * (corners + np.roll(corners, 1, axis=1)), middles[candidates, None]], 1
+        [corners, 0.5 * (corners + np.roll(corners, 1, axis=1)), middles[:, None]], 1
     )
     # a hair inwards: an edge belongs to the neighbouring face as well
-    nine = nine + 0.02 * (middles[candidates, None] - nine)
-    free = probe.sees(eye, nine).numpy().all(1)
-    return candidates[free].tolist(), pixels, areas
+    nine = nine + 0.02 * (middles[:, None] - nine)
+    shown = faces_in_view(middles, probe.normals, corners, nine, probe.sees, pose, intrinsics)
+    return shown, pixels, polygon_areas(pixels)
 
 
 def read_faces(
@@ -234,10 +224,6 @@ def _binned(fine: np.ndarray) -> np.ndarray:
     return np.asarray(cv2.resize(fine, (across, down), interpolation=cv2.INTER_AREA))
 
 
-def _cross(a: Float[np.ndarray, "f 2"], b: Float[np.ndarray, "f 2"]) -> Float[np.ndarray, " f"]:
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-
-
 PICTURES_MIN = 4  # whose edges could be followed
 _AGREE_DEG, _AGREE_MM = 0.5, 1.5  # single pictures differ by 0.1 degrees and 0.4 mm
 _FAR_DEG, _FAR_VOXELS = 20.0, 0.5
@@ -272,6 +258,16 @@ class Alignment:
     def trusted(self, voxel_mm: float) -> bool:
         """Whether it is to be applied."""
         return self.agrees and self.plausible(voxel_mm)
+
+    def describe(self) -> dict[str, object]:
+        """In plain numbers."""
+        return {
+            "turn_deg": self.turn_deg.tolist(),
+            "shift_mm": self.shift_mm.tolist(),
+            "turn_spread_deg": self.turn_spread_deg,
+            "shift_spread_mm": self.shift_spread_mm,
+            "pictures": self.pictures,
+        }
 
     @property
     def motion(self) -> RigidTransform:

@@ -8,15 +8,10 @@ from tyro.conf import Positional
 
 from skylight._options import film_source, one_source, take_care
 from skylight.errors import InputError
-from skylight.probes._ground_command import ground
-from skylight.probes.mirror_balls._command import merge_exposures
-from skylight.probes.panorama._command import stitch_shots
-from skylight.probes.partitions._command import partitions
 
 # Parsing must not import torch, so the choices stand here again.
 Reconstruction = Literal["direct", "global"]
 
-probe = tyro.extras.SubcommandApp()
 voxel = tyro.extras.SubcommandApp()
 
 
@@ -294,10 +289,3 @@ def live_voxel(
         albedo=albedo,
         most=frames,
     )
-
-
-probe.command(name="merge")(merge_exposures)
-probe.command(name="stitch")(stitch_shots)
-probe.command(name="ground")(ground)
-probe.command(voxel, name="voxel", help="Voxel shading probes.")
-probe.command(partitions, name="partitions", help="Shading probes that part the sphere.")

@@ -1,7 +1,4 @@
-"""A voxel probe for the printer: parts, foot, marker base, and what was measured on them.
-
-Checks of the printed parts of a voxel model.
-"""
+"""A voxel probe for the printer: parts, foot, marker base, and what was measured on them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from manifold3d import Manifold, OpType
 
+from skylight.probes._printing import MountedPrint
 from skylight.probes.cameras._pose import OPENCV_FROM_BOARD
 from skylight.probes.fabrication._checks import FlushContact, Joint, OuterShape, check_print
 from skylight.probes.fabrication._mount import MarkerBoard, Mount, Pole, make_mount
 from skylight.probes.fabrication._parts import (
-    BedLayout,
     PrintedPart,
     PrintSizes,
     box,
@@ -104,16 +101,17 @@ def _step(side: int) -> tuple[int, int, int]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PrintedProbe:
+class PrintedProbe(MountedPrint):
     """All that was made of a model: parts and mount as assembled, on the bed, and as measured."""
 
     title: str
     printed: VoxelParts
-    pole: Pole
-    board: MarkerBoard
     mount: Mount
-    bed: BedLayout
     report: PrintReport
+
+    @property
+    def paper_hole_mm(self) -> float:
+        return self.mount.paper_hole_mm
 
     @property
     def saved(self) -> float:
@@ -147,7 +145,14 @@ def print_voxel_probe(
     tell("measuring the parts", 0.3)
     report = check_voxel_parts(printed, mount.foot, alone=[mount.base])
     return PrintedProbe(
-        title=title, printed=printed, pole=pole, board=board, mount=mount, bed=bed, report=report
+        title=title,
+        printed=printed,
+        pole=pole,
+        board=board,
+        mount=mount,
+        base=mount.base,
+        bed=bed,
+        report=report,
     )
 
 

@@ -1,20 +1,22 @@
-"""The files of a printed voxel probe: parts for the printer, assembly, report, pictures.
-
-The figure of a printed voxel probe: assembled, exploded, on the bed, and numbers.
-"""
+"""The files of a printed voxel probe: parts for the printer, assembly, report, figure."""
 
 import math
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, UInt8
 from manifold3d import Manifold
 
-from skylight import __version__
 from skylight.errors import InputError
-from skylight.io._bounded import write_json
-from skylight.probes.fabrication._files import shaded_picture, write_printed_parts
+from skylight.probes._printing import (
+    board_frame,
+    describe_measured,
+    describe_mount,
+    summary_lines,
+    write_print,
+    write_print_figure,
+)
+from skylight.probes.fabrication._files import shaded_picture
 from skylight.probes.fabrication._parts import PrintedPart, box, part_of
 from skylight.probes.fabrication._report import (
     BASE,
@@ -23,7 +25,6 @@ from skylight.probes.fabrication._report import (
     PAPER,
     POLE,
     paper_parts,
-    write_sheet_of_prints,
 )
 from skylight.probes.voxel._model import ORIENTATIONS, VoxelModel, read_voxels, star_probe
 from skylight.probes.voxel._printing import PrintedProbe, hidden_by_pole, voxel_assembly
@@ -45,12 +46,12 @@ _APART = 1.0  # of a face, between parts taken apart
 def write_print_picture(path: Path, result: PrintedProbe, *, panel_px: int = PANEL_PX) -> None:
     """Write the picture as a PNG; panels are ``panel_px`` high."""
     sizes = result.printed.sizes
-    write_sheet_of_prints(
+    write_print_figure(
         path,
+        result,
         title=result.title,
         sizes=f"faces {sizes.face_mm:g} mm, walls {sizes.wall_mm:g} mm, "
         f"clearance {sizes.clearance_mm:g} mm",
-        problems=result.report.problems,
         panels={
             "On its pole and marker base": assembled(result, panel_px),
             "Taken apart": taken_apart(result, panel_px),
@@ -65,10 +66,10 @@ def assembled(result: PrintedProbe, panel_px: int) -> UInt8[np.ndarray, "h w 3"]
     """The probe assembled on its pole and marker base."""
     mount = result.mount
     parts = [mount.on_base(part) for part in (*result.printed.parts, mount.foot)]
-    paper = paper_parts(result.board, result.mount.paper_hole_mm)
+    paper = paper_parts(result.board, result.paper_hole_mm)
     colours = [*_voxel_colours(result), _FOOT, BASE, POLE, PAPER, *[INK] * (len(paper) - 1)]
     return shaded_picture(
-        [*parts, mount.base, _rod(result), *paper],
+        [*parts, result.base, _rod(result), *paper],
         np.array(colours),
         size=(panel_px, panel_px),
         up=(0, 0, -1),
@@ -126,23 +127,13 @@ def _rod(result: PrintedProbe) -> PrintedPart:
 
 def _rows(result: PrintedProbe) -> list[tuple[str, str]]:
     report, printed = result.report, result.printed
-    least, largest = report.clearances_mm
-    width, depth, height = result.bed.size_mm
     return [
         ("parts, and a foot", f"{len(printed.parts)}"),
         ("material", f"{printed.volume_mm3 / 1000:.1f} cm³"),
         ("saved against the solid model", f"{100 * result.saved:.1f} %"),
         ("foot", f"{result.mount.foot.volume_mm3 / 1000:.1f} cm³"),
-        ("marker base", f"{result.mount.base.volume_mm3 / 1000:.1f} cm³"),
-        ("on the bed", f"{width:.0f} × {depth:.0f} × {height:.0f} mm"),
-        ("thinnest wall, measured", f"{report.thinnest_mm:.3f} mm"),
-        ("clearances, measured", f"{least:.3f} to {largest:.3f} mm"),
         ("faces off the model's plane", f"{report.face_deviation_mm:.1g} mm"),
-        ("parts share, when assembled", f"{report.overlap_mm3:.1g} mm³"),
         ("longest bridge to print", f"{max(p.bridge_mm for p in report.parts):.1f} mm"),
-        ("pole", f"{result.pole.diameter_mm:g} × {result.pole.length_mm:g} mm"),
-        ("hole in the marker's paper", f"{result.mount.paper_hole_mm:.1f} mm"),
-        ("all checks", "pass" if report.sound else f"{len(report.problems)} fail"),
     ]
 
 
@@ -156,17 +147,15 @@ def probe_model(probe: int | None, voxels: Path | None, resolution: int) -> tupl
     return read_voxels(voxels, resolution=resolution).cropped(), voxels.name
 
 
-def write_printed_probe(folder: Path, result: PrintedProbe, *, panel_px: int = 600) -> None:
+def write_printed_probe(folder: Path, result: PrintedProbe, *, panel_px: int = PANEL_PX) -> None:
     """STL and 3MF files, assembly.png (panels of so many pixels), assembly.json, report.json."""
-    write_printed_parts(folder, result.bed, result.mount.base)
-    write_json(folder / "assembly.json", describe_assembly(result))
-    write_json(folder / "report.json", describe_print(result))
+    write_print(folder, result, assembly=describe_assembly(result), report=describe_print(result))
     write_print_picture(folder / "assembly.png", result, panel_px=panel_px)
 
 
 def describe_assembly(result: PrintedProbe) -> dict[str, object]:
     """What assembly.json holds: how the probe stands on the board, and how it goes together."""
-    printed, mount = result.printed, result.mount
+    printed = result.printed
     sizes, steps = printed.sizes, printed.assembly
     cells = np.argwhere(printed.model.occupied)
     centre = sizes.face_mm * (cells.min(0) + cells.max(0) + 1) / 2
@@ -175,19 +164,10 @@ def describe_assembly(result: PrintedProbe) -> dict[str, object]:
     return {
         **assembly.to_json(),
         "probe_frame": "voxel (x, y, z) begins at that corner; +Y is up",
-        "board_frame": "mm: origin at the top left corner of the printed pattern, x right along "
-        "its upper edge, y out of the paper, z towards its lower edge; a point p of the probe "
-        "stands at rotation (voxel_mm p) + translation_mm",
+        "board_frame": board_frame("(voxel_mm p)"),
         "probe_centre_mm": assembly.to_board(centre / sizes.face_mm).tolist(),
         "turn": "the notches in the front edges of foot and base point the same way: to the "
         "bottom of the printed picture, which is the probe's +Z",
-        "board": {
-            **asdict(result.board),
-            "paper_width_mm": result.board.width_mm + 2 * result.board.margin_mm,
-            "paper_height_mm": result.board.height_mm + 2 * result.board.margin_mm,
-            "paper_hole_mm": mount.paper_hole_mm,
-        },
-        "pole": asdict(result.pole),
         "hidden_face": pole_hidden,
         "steps": [
             {
@@ -204,7 +184,7 @@ def describe_assembly(result: PrintedProbe) -> dict[str, object]:
                 strict=True,
             )
         ],
-        "version": __version__,
+        **describe_mount(result),
     }
 
 
@@ -217,31 +197,26 @@ def describe_print(result: PrintedProbe) -> dict[str, object]:
         "solid_mm3": printed.solid_mm3,
         "parts_mm3": printed.volume_mm3,
         "foot_mm3": result.mount.foot.volume_mm3,
-        "marker_base_mm3": result.mount.base.volume_mm3,
         "material_saved": result.saved,
-        "bed_mm": list(result.bed.size_mm),
         "bed_mm3": result.bed.volume_mm3,
-        **result.report.content(),
-        "version": __version__,
+        **describe_measured(result),
     }
 
 
 def summarise_print(result: PrintedProbe) -> str:
     """A few lines for the terminal."""
-    report, printed = result.report, result.printed
-    least, largest = report.clearances_mm
-    hidden = hidden_by_pole(result)
+    printed, hidden = result.printed, hidden_by_pole(result)
     slot = f"lightmap slot {hidden['orientation']} / {hidden['configuration']}"
-    width, depth, height = result.bed.size_mm
     lost = "which no other face has" if hidden["slot_lost"] else "which other faces have too"
     return "\n".join(
         [
-            f"parts       {len(printed.parts)} and a foot, on {width:.0f} x {depth:.0f} mm, "
-            f"{height:.0f} mm high",
-            f"material    {printed.volume_mm3 / 1000:.1f} cm3, {100 * result.saved:.0f} % less "
-            "than the solid model",
-            f"measured    walls {report.thinnest_mm:.2f} mm or more, clearances {least:.2f} to "
-            f"{largest:.2f} mm, faces off by {report.face_deviation_mm:.1g} mm",
+            *summary_lines(
+                result,
+                f"{len(printed.parts)} and a foot",
+                f"{printed.volume_mm3 / 1000:.1f} cm3, {100 * result.saved:.0f} % less than the "
+                "solid model",
+                f", faces off by {result.report.face_deviation_mm:.1g} mm",
+            ),
             f"hidden      the pole takes {slot}, {lost}",
         ]
     )

@@ -1,9 +1,4 @@
-"""Voxel models rendered with a completed lightmap, by texture mapping.
-
-A voxel model and its lightmap as one .glb file that any viewer shows.
-
-Live rendering, frame by frame: track the board, capture and complete the lightmap, draw.
-"""
+"""Voxel models drawn with a completed lightmap: in a camera's picture, as a .glb file, and live."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -14,8 +9,8 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
+from skylight.probes._capture import LiveView
 from skylight.probes._unlit_glb import baked_material, write_unlit_glb
-from skylight.probes.cameras._board import Board
 from skylight.probes.cameras._drawing import (
     Drawing,
     Window,
@@ -24,10 +19,9 @@ from skylight.probes.cameras._drawing import (
     lens_rays,
     window_of,
 )
+from skylight.probes.cameras._files import Setup
 from skylight.probes.cameras._intrinsics import Intrinsics
-from skylight.probes.cameras._live import Clock, LiveFrame
-from skylight.probes.cameras._response import Response
-from skylight.probes.cameras._tracking import BoardTracker
+from skylight.probes.cameras._live import Clock
 from skylight.probes.voxel._captured import LightmapCapture
 from skylight.probes.voxel._lightmap import SLOTS_ACROSS, Lightmap, texture_coordinates
 from skylight.probes.voxel._model import VoxelModel, exposed_faces
@@ -139,62 +133,57 @@ def write_glb(
     write_unlit_glb(path, mesh)
 
 
-STAGES = ("track", "capture", "reconstruct", "draw")
-
-
-class LiveView:
-    """Camera frames to frames with the model composited, one after the other.
+class VoxelLiveView(LiveView):
+    """Camera frames to frames with the model in them, as soon as every side of the probe was seen.
 
     ``to_board`` (4,4) takes the model's cells to millimetres of the board; ``reconstruction`` makes
     the weights for the slots that are known, which happens again whenever there are more.
     """
 
+    counted = "slots"
+
     def __init__(
         self,
+        setup: Setup,
         *,
-        intrinsics: Intrinsics,
-        board: Board,
-        response: Response,
         probe: PlacedProbe,
         model: VoxelModel,
         to_board: Float[Tensor, "4 4"],
         reconstruction: Callable[[Lightmap], SlotReconstruction],
     ) -> None:
-        self._intrinsics, self._response = intrinsics, response
-        self._tracker = BoardTracker(board, intrinsics)
+        super().__init__(setup)
         self._capture = LightmapCapture(probe)
         self._renderer = VoxelRenderer(model, to_board)
-        self._rays = lens_rays(intrinsics)
+        self._rays = lens_rays(setup.intrinsics)
         self._make = reconstruction
         self._weights: SlotReconstruction | None = None
         self._completed: Lightmap | None = None
 
-    def show(self, image: UInt8[np.ndarray, "h w 3"]) -> LiveFrame:
-        """The frame with the model in it, as soon as every side of the probe was seen."""
-        clock = Clock()
-        found = self._tracker.pose(image)
-        clock.mark("track")
-        if found is None or found.is_ambiguous:  # a mirrored pose would spoil what is captured
-            return self._frame(image, False, clock)
-        taken = self._capture.add_photo(
-            image, self._response, found.pose, self._intrinsics, compare=False
-        )
-        clock.mark("capture")
-        if taken:
-            self._complete()
-        clock.mark("reconstruct")
-        if self._completed is None:
-            return self._frame(image, True, clock)
-        window = self._renderer.window(found.pose, self._intrinsics)
-        drawing = self._renderer.draw(self._completed, self._rays[window], found.pose)
-        picture = composite(image, drawing, self._response, window)
-        clock.mark("draw")
-        return self._frame(picture, True, clock)
+    @property
+    def known(self) -> int:
+        return self._capture.slots
 
     @property
     def lightmap(self) -> Lightmap:
         """What was captured so far."""
         return self._capture.lightmap()
+
+    def draw(
+        self, image: UInt8[np.ndarray, "h w 3"], pose: RigidTransform, clock: Clock
+    ) -> UInt8[np.ndarray, "h w 3"] | None:
+        lens, response = self.setup.intrinsics, self.setup.response
+        taken = self._capture.add_photo(image, response, pose, lens, compare=False)
+        clock.mark("capture")
+        if taken:
+            self._complete()
+        clock.mark("reconstruct")
+        if self._completed is None:
+            return None
+        window = self._renderer.window(pose, lens)
+        drawing = self._renderer.draw(self._completed, self._rays[window], pose)
+        picture = composite(image, drawing, response, window)
+        clock.mark("draw")
+        return picture
 
     def _complete(self) -> None:
         lightmap = self._capture.lightmap()
@@ -203,7 +192,3 @@ class LiveView:
         if self._weights is None or not torch.equal(self._weights.known, lightmap.known):
             self._weights = self._make(lightmap)
         self._completed = self._weights.complete(lightmap)
-
-    def _frame(self, picture: np.ndarray, tracked: bool, clock: Clock) -> LiveFrame:
-        known = self._capture.slots
-        return LiveFrame(picture=picture, tracked=tracked, known=known, times=clock.times)

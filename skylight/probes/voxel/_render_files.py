@@ -13,10 +13,9 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.io._files import write_png
+from skylight.probes._capture import pose_in_photo
 from skylight.probes.cameras._drawing import composite, lens_rays
-from skylight.probes.cameras._files import Setup, why_unusable
-from skylight.probes.cameras._live import read_picture
-from skylight.probes.cameras._pose import board_pose
+from skylight.probes.cameras._files import Setup
 from skylight.probes.voxel._interreflection import GlobalReconstruction
 from skylight.probes.voxel._lightmap import Lightmap, load_lightmap
 from skylight.probes.voxel._model import VoxelModel, read_voxels
@@ -124,13 +123,10 @@ def drawn_into(
     photo: Path, model: VoxelModel, lightmap: Lightmap, setup: Setup, placement: VoxelPlacement
 ) -> UInt8[np.ndarray, "h w 3"]:
     """The photo with the model standing in it, as codes of the camera's own response."""
-    image = read_picture(photo).image
-    found = board_pose(image, setup.board, setup.intrinsics)
-    if found is None or found.is_ambiguous:
-        raise InputError(f"{photo}: {why_unusable(found)}; show most of it, and larger")
+    image, pose = pose_in_photo(photo, setup)
     renderer = VoxelRenderer(model, placement.matrix(model, lightmap.rotation))
-    window = renderer.window(found.pose, setup.intrinsics)
-    drawing = renderer.draw(lightmap, lens_rays(setup.intrinsics, SAMPLES, window), found.pose)
+    window = renderer.window(pose, setup.intrinsics)
+    drawing = renderer.draw(lightmap, lens_rays(setup.intrinsics, SAMPLES, window), pose)
     if not bool((drawing.alpha > 0).any()):
         raise InputError(f"{photo}: the model would stand outside of the picture; see --at-mm")
     return composite(image, drawing, setup.response, window)

@@ -1,8 +1,7 @@
-"""Buildings: facades with windows, flat roofs and gables.
+"""Buildings before a sky: boxes in plan, and facades with windows, flat roofs and gables.
 
-Boxes in plan, and the intervals of elevation through which each column sees them.
-
-Facades: which building each column sees, and where on it.
+Each column of the map sees a box through an interval of elevation; the facade that it sees there,
+and where on it, decide what is painted.
 """
 
 import math

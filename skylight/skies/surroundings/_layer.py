@@ -1,12 +1,8 @@
-"""What is painted over a sky, the farthest first.
+"""A layer of a scene: what it covers of a sky map, and the light that it sends.
 
-Random numbers of a batch of scenes, from one generator.
-
-Random fields of a given roughness.
-
-The light of a sky on the surfaces of a scene before it.
-
-The pixels of a sky map, each column in parts, and how much of them something covers.
+Layers are painted over the sky with the farthest first. Here stands what all kinds of them use:
+random numbers of a batch of scenes from one generator, random fields of a given roughness, the
+light of a sky on surfaces before it, and the map's pixels, each column in parts.
 """
 
 import math

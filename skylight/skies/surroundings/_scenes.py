@@ -1,7 +1,4 @@
-"""Scenes before skies: what covers each pixel, and its radiance.
-
-What may stand before a sky, and in which scenes.
-"""
+"""Scenes before skies: what may stand there and how often, what it covers, and its radiance."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

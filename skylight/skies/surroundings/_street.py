@@ -1,7 +1,4 @@
-"""Posts of lamps, signs and wires.
-
-What one stands under: roofs, beams, branches.
-"""
+"""Streets before a sky: posts of lamps, signs and wires, and roofs, beams and branches overhead."""
 
 import math
 from collections.abc import Iterator

@@ -1,8 +1,7 @@
-"""Land along the horizon: mountains, hills, the edges of distant woods.
+"""Land and trees before a sky: mountains, hills and woods along the horizon, and stands of trees.
 
-Trees: crowns of leaves or needles, bare ones, trunks.
-
-Stands of trees: where each column sees which crown, and which trunks.
+A tree is a crown of leaves or needles, or a bare one, on a trunk; a stand tells which crown and
+which trunks each column of the map sees, and where.
 """
 
 import math

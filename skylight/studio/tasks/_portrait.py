@@ -94,8 +94,9 @@ def keep_person(folder: Path, result: PhotoEstimate, command: dict[str, Any]) ->
     tensors = {name: torch.from_numpy(getattr(fit, name)) for name in _OF_FIT}
     tensors |= {
         "camera": torch.tensor(
-            [fit.camera.focal_px, fit.camera.width, fit.camera.height, *fit.camera.center_px]
-        ).double(),
+            [fit.camera.focal_px, fit.camera.width, fit.camera.height, *fit.camera.center_px],
+            dtype=torch.float64,
+        ),
         "found": light_in_photo(estimate).radiance,
         "rest": sun.rest.radiance,
         "direction": sun.direction.double(),

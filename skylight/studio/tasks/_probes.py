@@ -20,12 +20,12 @@ from skylight.io._atomic import atomic_path
 from skylight.io._files import write_png
 from skylight.probes.fabrication._parts import PrintedPart, PrintSizes
 from skylight.probes.partitions._cells import Cells
-from skylight.probes.partitions._design_files import (
+from skylight.probes.partitions._optimise import design_names, named_design
+from skylight.probes.partitions._picture import cell_colours, draw_cells
+from skylight.probes.partitions._printing_files import (
     describe_partition_print,
     write_printed_partitions,
 )
-from skylight.probes.partitions._optimise import design_names, named_design
-from skylight.probes.partitions._picture import cell_colours, draw_cells
 from skylight.probes.partitions._probe import PartitionProbe
 from skylight.probes.partitions.printed._assembly import AskedSizes
 from skylight.probes.partitions.printed._printing import PrintedPartitions, print_fitted

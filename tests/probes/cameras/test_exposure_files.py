@@ -55,7 +55,7 @@ def test_what_the_shortest_raw_file_clips_is_told(tmp_path: Path) -> None:
 
 def test_without_rawpy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rawpy", None)
-    with pytest.raises(DependencyError, match=r"pip install 'skylight\[raw\]'"):
+    with pytest.raises(DependencyError, match=r"pip install 'skylight-lighting\[raw\]'"):
         read_series(raw_bracket(tmp_path), None, "auto")
 
 

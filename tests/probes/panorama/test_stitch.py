@@ -14,7 +14,7 @@ from skylight.io._files import read_environment_map
 from skylight.io._hdr import write_radiance
 from skylight.probes.panorama._brackets import find_brackets, read_turns
 from tests.turning_camera import HEAD, LENS, SUN_IRRADIANCE, TIMES, pictures, sun_irradiance
-from tools.virtual_camera import expose
+from tests.virtual_camera import expose
 
 RESULTS = {"probe.exr", "probe.hdr", "probe.json", "report.png"}
 LEVEL = range(8, 16)  # the shots at the horizon

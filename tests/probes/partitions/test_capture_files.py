@@ -37,8 +37,12 @@ from skylight.probes.partitions.printed._solids import ProbeSizes
 from skylight.sphere._rotation import RigidTransform
 from tests.probes.cameras.scenes import picture_of_board
 from tests.probes.partitions.pictures import looking_from, picture_of_faces
-from tests.probes.partitions.test_kernel_albedo import GAMMA, MATERIAL, PATCH
-from tests.probes.partitions.test_kernel_albedo import photo as photo_of_chart
+from tests.probes.partitions.test_kernel_albedo import (
+    GAMMA,
+    MATERIAL,
+    PATCH,
+    photo as photo_of_chart,
+)
 
 BOARD = Board(columns=7, rows=5, square_mm=30.0, marker_mm=22.0)
 LENS = Intrinsics(width=640, height=480, fx=560.0, fy=560.0, cx=322.0, cy=238.0, k1=-0.08)

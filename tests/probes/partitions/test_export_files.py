@@ -64,7 +64,7 @@ def test_layouts_that_cannot_be_used_are_made_anew_or_said(
     assert main(arguments) == 1
     told = capsys.readouterr()
     assert "coordinates overlap: 992 texels of 32 x 32" in told.out  # not on the diagonal
-    assert "pip install 'skylight[atlas]'" in told.err.strip().splitlines()[-1]
+    assert "pip install 'skylight-lighting[atlas]'" in told.err.strip().splitlines()[-1]
     assert not (folder / "s.glb").exists()
     arguments[arguments.index("--atlas-px") + 1] = "2"
     assert main(arguments) == 2

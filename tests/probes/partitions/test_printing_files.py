@@ -11,12 +11,12 @@ from PIL import Image
 
 from skylight.errors import InputError
 from skylight.probes.fabrication._mount import Pole
-from skylight.probes.partitions._design_files import (
+from skylight.probes.partitions._optimise import named_design
+from skylight.probes.partitions._printing_files import (
     free_discs,
     summarise_partition_print,
     write_printed_partitions,
 )
-from skylight.probes.partitions._optimise import named_design
 from skylight.probes.partitions.printed._assembly import load_partition_assembly
 from skylight.probes.partitions.printed._printing import PrintedPartitions, print_partition_probe
 from skylight.probes.partitions.printed._solids import ProbeSizes

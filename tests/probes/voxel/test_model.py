@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from skylight.errors import InputError
 from skylight.probes.voxel._model import VoxelModel, read_voxels, star_probe, voxelise, write_voxels

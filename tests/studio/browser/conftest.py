@@ -16,7 +16,7 @@ from torch import Tensor
 
 from tests.studio.browser.known_light import EYES, answers, taken_photo
 from tests.studio.browser.waiting import PATIENCE_MS, gathered, painted
-from tests.studio.conftest import Served, start
+from tests.studio.conftest import Served
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -52,12 +52,9 @@ def chromium() -> "Iterator[Browser]":
 
 
 @pytest.fixture(scope="session")
-def studio(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    """One that takes one job at a time, and small uploads."""
-    limits = ("--jobs", "1", "--upload-mb", "3", "--megapixels", "2")
-    studio = start(tmp_path_factory.mktemp("browsed") / "tmp", *limits)
-    yield studio
-    studio.end()
+def studio(served: Served) -> Served:
+    """That of all tests, which takes two jobs at a time, and small uploads."""
+    return served
 
 
 @pytest.fixture(scope="session")

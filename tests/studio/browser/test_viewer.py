@@ -35,10 +35,12 @@ _WATCH = """() => {
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def made(request: pytest.FixtureRequest) -> tuple[Path, Path]:
     """A photograph and the folder of its estimate."""
-    light = "autoencoder" if FOR_DOCUMENTATION else "sh9"
-    return estimated(tmp_path_factory.mktemp("estimated"), light)
+    if FOR_DOCUMENTATION:
+        folders: pytest.TempPathFactory = request.getfixturevalue("tmp_path_factory")
+        return estimated(folders.mktemp("estimated"), "autoencoder")
+    return request.getfixturevalue("estimated_portrait")
 
 
 @pytest.fixture
@@ -118,9 +120,8 @@ def photo_pixels(made: tuple[Path, Path]) -> np.ndarray:
         return np.asarray(photo).astype(int)
 
 
-def test_the_page_opens_from_its_file_and_the_object_moves(
+def test_the_page_opens_from_its_file(
     estimate: Path,
-    made: tuple[Path, Path],
     opened: Opener,
     pictures: Path,
 ) -> None:
@@ -134,6 +135,10 @@ def test_the_page_opens_from_its_file_and_the_object_moves(
     page.set_viewport_size({"width": 1280, "height": 1200})
     picture(page, pictures / "viewer.png")
 
+
+@pytest.mark.slow
+def test_the_object_moves(estimate: Path, made: tuple[Path, Path], opened: Opener) -> None:
+    page = opened(estimate)
     choose(page, "Object", "box")
     choose(page, "Surface", "matte")
     photo, before = photo_pixels(made), finished(page, 1 / 64)[..., :3]

@@ -2,7 +2,7 @@
 
 import base64
 import io
-from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,28 +24,66 @@ from skylight.io._files import read_environment_map
 from skylight.models._lamps import AMBIENT_PARAMETERS, LampsLight
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import direction_from_angles
+from skylight.studio.tasks import _light as task
 from skylight.studio.tasks._light import keep_lamps, light_edited
-from tests.studio.conftest import Served, begin, events
+from tests.studio.conftest import STAGES, finished
+
+
+@dataclass(frozen=True, kw_only=True)
+class Told:
+    """An estimate by the studio's task, run in this process: its answer, stages and folder."""
+
+    found: PhotoEstimate
+    answer: dict[str, Any]
+    stages: dict[str, list[float]]
+    folder: Path
 
 
 @pytest.fixture(scope="module")
-def found() -> PhotoEstimate:
-    result = estimate_photo(astronaut(), light="lamps", workers=1)
-    assert result.estimate.lamps
-    return result
-
-
-@pytest.fixture(scope="module")
-def folder(found: PhotoEstimate, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where its lamps are kept."""
+def told(tmp_path_factory: pytest.TempPathFactory) -> Told:
     folder = tmp_path_factory.mktemp("job")
-    facts = keep_lamps(folder, found)
+    (folder / "files").mkdir()
+    Image.fromarray(astronaut()).save(folder / "me.png")
+    found: list[PhotoEstimate] = []
+    stages: dict[str, list[float]] = {}
+
+    def kept(*given: Any, **options: Any) -> PhotoEstimate:
+        found.append(estimate_photo(*given, **options))
+        return found[0]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(task, "estimate_photo", kept)
+        answer = task.estimate_light(
+            str(folder / "me.png"), "me.png", 10**6, str(folder / "files"), 1, "lamps",
+            tell=lambda stage, share: stages.setdefault(stage, []).append(share),
+        )  # fmt: skip
+    return Told(found=found[0], answer=answer, stages=stages, folder=folder)
+
+
+@pytest.fixture(scope="module")
+def found(told: Told) -> PhotoEstimate:
+    assert told.found.estimate.lamps
+    return told.found
+
+
+@pytest.fixture(scope="module")
+def folder(told: Told) -> Path:
+    """Where its lamps are kept."""
+    return told.folder
+
+
+def test_each_stage_of_an_estimate_is_told(told: Told) -> None:
+    assert tuple(told.stages) == STAGES
+    assert all(shares == sorted(shares) for shares in told.stages.values())
+
+
+def test_the_pages_table_has_ambient_light_and_widths(told: Told) -> None:
+    facts, estimate = told.answer["lamp_facts"], told.found.estimate
     ambient = luminance(torch.tensor(facts["ambient_irradiance"]))
-    assert float(ambient) == pytest.approx(torch.pi * found.estimate.exposure, rel=1e-5)
-    spreads = [np.rad2deg(lamp.spread_rad) for lamp in found.estimate.lamps]
+    assert float(ambient) == pytest.approx(torch.pi * estimate.exposure, rel=1e-5)
+    spreads = [np.rad2deg(lamp.spread_rad) for lamp in estimate.lamps]
     # exactly so of narrow lamps
     assert facts["diameters_deg"] == pytest.approx([4 * spread for spread in spreads], rel=0.1)
-    return folder
 
 
 def as_found(lamps: tuple[Lamp, ...]) -> dict[str, Any]:
@@ -152,11 +190,9 @@ def test_several_faces_are_seen_below_each_other(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def job(served: Served, photo: str) -> Iterator[dict[str, Any]]:
+def job(estimated: list[dict[str, Any]]) -> dict[str, Any]:
     """An estimate of the studio."""
-    with served.client() as client:
-        *_, last = events(client, begin(client, kind="estimate", photo=photo, light="lamps"))
-        yield last
+    return estimated[-1]
 
 
 def asked(client: httpx.Client, job: dict[str, Any], name: str, **changes: Any) -> httpx.Response:
@@ -217,7 +253,7 @@ def test_other_files_and_jobs_without_lamps_are_refused(
     client: httpx.Client, photo: str, job: dict[str, Any]
 ) -> None:
     assert asked(client, job, "mesh.obj").status_code == 422
-    waiting = {**job, "job": begin(client, kind="estimate", photo=photo, light="sh9")}
-    answer = asked(client, waiting, "face.png")
+    failed = finished(client, kind="estimate", photo=photo, face=3)
+    answer = asked(client, {**job, "job": failed["job"]}, "face.png")
     assert answer.status_code == 409
     assert "no lamps to move" in answer.json()["error"]

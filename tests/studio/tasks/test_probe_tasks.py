@@ -15,8 +15,7 @@ import trimesh
 from skylight.io._files import write_environment_map
 from skylight.probes.voxel._model import star_probe
 from skylight.sphere._envmap import EnvironmentMap
-from skylight.studio.tasks import _probes as partition_task
-from skylight.studio.tasks import _probes as voxel_task
+from skylight.studio.tasks import _probes as partition_task, _probes as voxel_task
 from skylight.studio.tasks._light import Light
 
 PANEL_PX = 60

@@ -20,6 +20,7 @@ from manifold3d import Manifold
 from torch import Tensor
 
 from skylight.errors import InputError
+from skylight.probes._printing import MountedPrint
 from skylight.probes.fabrication._checks import meets_on_its_way, overlap_mm3, part_figures, play_mm
 from skylight.probes.fabrication._mount import (
     MarkerBoard,
@@ -29,7 +30,7 @@ from skylight.probes.fabrication._mount import (
     marker_base,
     paper_hole_mm,
 )
-from skylight.probes.fabrication._parts import BedLayout, PrintedPart, lay_out
+from skylight.probes.fabrication._parts import PrintedPart, lay_out
 from skylight.probes.fabrication._report import FACE_TOLERANCE_MM, MeasuredParts, clearance_problems
 from skylight.probes.partitions._cells import Cells
 from skylight.probes.partitions._seeds import ProbeDesign
@@ -219,16 +220,12 @@ _HANGING = 2.0  # diameters of the shell, between it and the board
 
 
 @dataclass(frozen=True, kw_only=True)
-class PrintedPartitions:
+class PrintedPartitions(MountedPrint):
     """All that was made of a design: parts as assembled and on the bed, and as measured."""
 
     cells: Cells
     sizes: ProbeSizes
     printed: ProbeParts
-    pole: Pole
-    board: MarkerBoard
-    base: PrintedPart
-    bed: BedLayout
     report: PartitionPrintReport
     visibility: Visibility
     assembly: PartitionAssembly
@@ -236,7 +233,6 @@ class PrintedPartitions:
 
     @property
     def paper_hole_mm(self) -> float:
-        """Diameter of the hole in the marker's paper."""
         return paper_hole_mm(
             self.pole, wall_mm=self.sizes.wall_mm, clearance_mm=self.sizes.clearance_mm
         )

@@ -17,7 +17,7 @@ from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from skylight.errors import DependencyError, InputError
+from skylight.errors import InputError, not_installed
 from skylight.probes.partitions.relight._scene import Scene
 from skylight.transport._rays import Hits, Raycaster
 from skylight.transport._render import GBuffer, lift
@@ -170,9 +170,7 @@ class Atlas:
         try:
             import xatlas  # optional
         except ImportError as error:
-            raise DependencyError(
-                "atlases of charts need xatlas: pip install 'skylight[atlas]'"
-            ) from error
+            raise not_installed("xatlas", "an atlas of charts") from error
         made: Any = xatlas.Atlas()
         made.add_mesh(scene.vertices.float().numpy(), scene.faces.numpy().astype(np.uint32))
         packing = xatlas.PackOptions()

@@ -226,7 +226,7 @@ class TurningRelighting(nn.Module):
         cow       2.7 (4.8) %  1.4 (2.4) %  1.0 (1.5) %  0.8 (1.2) %  0.7 (1.0) %  0.5 (0.7) %
         ground    1.1 (2.1) %  0.6 (1.2) %  0.5 (0.9) %  0.4 (0.8) %  0.4 (0.7) %  0.2 (0.5) %
 
-    (``tools.measure_turning``; of the ground, over what it has without the cow). The noise of the
+    (of the ground, over what it has without the cow). The noise of the
     256 traced rays, which moves from cell to cell with the angle, is a part of it.
     """
 

@@ -4,12 +4,10 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
-from skylight.probes.cameras._board import Board
+from skylight.probes._capture import LiveView
 from skylight.probes.cameras._drawing import lens_rays
-from skylight.probes.cameras._intrinsics import Intrinsics
+from skylight.probes.cameras._files import Setup
 from skylight.probes.cameras._live import Clock, LiveFrame
-from skylight.probes.cameras._response import Response
-from skylight.probes.cameras._tracking import BoardTracker
 from skylight.probes.partitions._captured import (
     FaceDiscs,
     FaceSample,
@@ -24,8 +22,8 @@ from skylight.probes.partitions.relight._composite import (
     SceneOnBoard,
     TurningSceneOnBoard,
 )
+from skylight.sphere._rotation import RigidTransform
 
-STAGES = ("track", "capture", "relight", "draw")
 NEWER = 0.2  # weight of a new sample: light follows within five frames or so
 
 
@@ -53,8 +51,8 @@ class RunningShading:
         return taken
 
 
-class PartitionLiveView:
-    """Camera frames to frames with the scene composited, one after the other.
+class PartitionLiveView(LiveView):
+    """Camera frames to frames with a scene in them, as soon as half of the cells were seen.
 
     ``probe`` makes light of the shading of ``placed``, which ``shading`` begins with. A scene that
     turns is at ``start_rad`` in the first frame, and ``step_rad`` further in each one after it.
@@ -62,10 +60,8 @@ class PartitionLiveView:
 
     def __init__(
         self,
+        setup: Setup,
         *,
-        intrinsics: Intrinsics,
-        board: Board,
-        response: Response,
         placed: PlacedPartitions,
         probe: PartitionProbe,
         scene: SceneOnBoard | TurningSceneOnBoard,
@@ -73,38 +69,41 @@ class PartitionLiveView:
         start_rad: float = 0.0,
         step_rad: float = 0.0,
     ) -> None:
-        self._intrinsics, self._response = intrinsics, response
-        self._tracker = BoardTracker(board, intrinsics)
+        super().__init__(setup)
+        self.counted = f"of {probe.cells.count} cells"
         self._discs, self._probe = FaceDiscs(placed), probe
         self._scene, self.shading = scene, shading
         self._angle_rad, self._step_rad = start_rad - step_rad, step_rad
-        self._rays = lens_rays(intrinsics).float()
+        self._rays = lens_rays(setup.intrinsics).float()
         self._light: Float[Tensor, "n 3"] | None = None
         self._lit: LitScene | None = None
 
+    @property
+    def known(self) -> int:
+        return int(self.shading.known.sum())
+
     def show(self, image: UInt8[np.ndarray, "h w 3"]) -> LiveFrame:
-        """The frame with the scene in it, as soon as half of the cells were seen."""
-        self._angle_rad += self._step_rad
-        clock = Clock()
-        found = self._tracker.pose(image)
-        clock.mark("track")
-        if found is None or found.is_ambiguous:  # a mirrored pose would spoil what is captured
-            return self._frame(image, False, clock)
-        samples = read_samples(image, self._response, self._discs, found.pose, self._intrinsics)
-        taken = self.shading.add(samples)
+        self._angle_rad += self._step_rad  # in frames without the board too
+        return super().show(image)
+
+    def draw(
+        self, image: UInt8[np.ndarray, "h w 3"], pose: RigidTransform, clock: Clock
+    ) -> UInt8[np.ndarray, "h w 3"] | None:
+        lens, response = self.setup.intrinsics, self.setup.response
+        taken = self.shading.add(read_samples(image, response, self._discs, pose, lens))
         clock.mark("capture")
         if taken or self._light is None:
             self._read_light()
         if taken or self._lit is None or self._step_rad != 0:
             self._relight()
         if self._lit is None:
-            return self._frame(image, True, clock)
+            return None
         clock.mark("relight")
         picture = self._scene.put_into(
-            image, self._lit, found.pose, self._intrinsics, self._response, self._rays.__getitem__
+            image, self._lit, pose, lens, response, self._rays.__getitem__
         )
         clock.mark("draw")
-        return self._frame(picture, True, clock)
+        return picture
 
     def _read_light(self) -> None:
         known = self.shading.known
@@ -120,7 +119,3 @@ class PartitionLiveView:
             self._lit = self._scene.lit(self._light, self._angle_rad)
         else:
             self._lit = self._scene.lit(self._light)
-
-    def _frame(self, picture: np.ndarray, tracked: bool, clock: Clock) -> LiveFrame:
-        known = int(self.shading.known.sum())
-        return LiveFrame(picture=picture, tracked=tracked, known=known, times=clock.times)

@@ -1,0 +1,14 @@
+from ._folder import (
+    estimate_folder as estimate_folder,
+)
+from ._photos import (
+    estimate as estimate,
+    estimate_photo as estimate_photo,
+)
+from ._report import (
+    write_results as write_results,
+)
+from ._summary import (
+    PhotoEstimate as PhotoEstimate,
+    SeenFace as SeenFace,
+)

@@ -1,0 +1,11 @@
+from ._files import (
+    FilmEstimate as FilmEstimate,
+    FilmSettings as FilmSettings,
+    estimate_film as estimate_film,
+)
+from ._light import (
+    FilmLight as FilmLight,
+)
+from ._results import (
+    write_film_results as write_film_results,
+)

@@ -1,0 +1,42 @@
+from ._base import (
+    LightModel as LightModel,
+    Prior as Prior,
+)
+from ._bundle import (
+    LightBundle as LightBundle,
+    load_bundle as load_bundle,
+    load_network as load_network,
+    save_network as save_network,
+)
+from ._convolutional import (
+    ConvolutionalAutoencoder as ConvolutionalAutoencoder,
+)
+from ._gaussians import (
+    GaussianLobes as GaussianLobes,
+)
+from ._ground import (
+    KnownGround as KnownGround,
+    LambertianGround as LambertianGround,
+)
+from ._harmonic import (
+    HarmonicLight as HarmonicLight,
+)
+from ._lamps import (
+    LampsLight as LampsLight,
+    LampsPrior as LampsPrior,
+)
+from ._network import (
+    SkyNetwork as SkyNetwork,
+)
+from ._prior import (
+    GaussianMixture as GaussianMixture,
+)
+from ._splines import (
+    SplineAutoencoder as SplineAutoencoder,
+)
+from .autoencoder import (
+    AutoencoderLight as AutoencoderLight,
+)
+from .sunsky import (
+    SunSky as SunSky,
+)

@@ -1,0 +1,14 @@
+from ._files import (
+    RelitPortrait as RelitPortrait,
+    relit_portrait as relit_portrait,
+    write_relit as write_relit,
+)
+from ._lights import (
+    NewLight as NewLight,
+    light_of_map as light_of_map,
+    light_with_sun_at as light_with_sun_at,
+    turned_light as turned_light,
+)
+from ._relit import (
+    Portrait as Portrait,
+)

@@ -1,0 +1,13 @@
+from ._decoder import (
+    Latent as Latent,
+    SkyDecoder as SkyDecoder,
+    read_latent as read_latent,
+)
+from ._runtime import (
+    PrecomputedScene as PrecomputedScene,
+    load_scene as load_scene,
+    read_probe as read_probe,
+    relight as relight,
+    resize as resize,
+    tone_map as tone_map,
+)

@@ -1,0 +1,22 @@
+from ._autoencoder import (
+    reconstruction_loss as reconstruction_loss,
+    train as train,
+)
+from ._config import (
+    AutoencoderConfig as AutoencoderConfig,
+    DictionaryConfig as DictionaryConfig,
+    PriorConfig as PriorConfig,
+    find_config as find_config,
+    read_config as read_config,
+)
+from ._dictionary import (
+    learn_dictionary as learn_dictionary,
+)
+from ._prior import (
+    best_mixture as best_mixture,
+    fit_priors as fit_priors,
+)
+from ._skies import (
+    SkyData as SkyData,
+    load_data as load_data,
+)
