@@ -14,7 +14,7 @@ import socket
 import sys
 import threading
 import webbrowser
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import asynccontextmanager, contextmanager, suppress
 from functools import lru_cache, partial
 from importlib.resources import files
@@ -148,7 +148,7 @@ async def page(request: Request, name: str) -> Response:
     return static_file(request, name or "index.html")
 
 
-def _choices(named: dict[str, str]) -> list[dict[str, str]]:
+def _choices(named: Mapping[Any, str]) -> list[dict[str, str]]:
     return [{"name": name, "title": title} for name, title in named.items()]
 
 
