@@ -1,9 +1,11 @@
-"""A rendered person under a clear sky whose sun is known."""
+"""A rendered person under a clear sky whose sun is known, and an estimate of the light."""
 
 from functools import lru_cache
 
 import torch
 
+from skylight.estimate._photos import estimate_photo
+from skylight.estimate._summary import PhotoEstimate
 from skylight.faces._synthetic import SyntheticFace, render_face
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid, direction_from_angles
@@ -24,3 +26,9 @@ def sunny_face(azimuth_deg: float, zenith_deg: float, *, seed: int = 3) -> Synth
     lobe = (lobe / (lobe @ grid.solid_angles)).float()
     sky = EnvironmentMap(radiance=(SKY + lobe[:, None] * SUN).reshape(32, 128, 3))
     return render_face(sky, torch.full((3,), 0.2), seed=seed, azimuth_rad=0.0)
+
+
+@lru_cache(maxsize=1)
+def sunny_estimate() -> PhotoEstimate:
+    """Of the face under a sun at (40, 50), by the quickest light model, made once a process."""
+    return estimate_photo(sunny_face(40.0, 50.0).encoded, light="sh9", device="cpu")

@@ -1,4 +1,7 @@
-"""A demonstration without data: a rendered face in known light, and two photographs."""
+"""A demonstration without data: a rendered face in known light, and two photographs.
+
+The photographs come with scikit-image.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,10 +1,7 @@
-"""The report figure of an estimate: photograph, re-rendering, residual, light, numbers.
+"""The files of an estimate: maps, meshes, numbers, and the report that shows it all.
 
-Panels of an estimate: the head framed, the face re-rendered, the residual.
-
-The report figure of an estimate from several faces.
-
-The files of an estimate: maps, meshes, numbers and the report.
+The report of one face has the photograph, the head framed, the face re-rendered, the residual, the
+light and the numbers; that of several faces a row for each.
 """
 
 import math

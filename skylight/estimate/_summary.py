@@ -1,8 +1,6 @@
-"""An estimate as estimate.json and as lines for the terminal.
+"""An estimate from photographs with its faces, and how it is told: estimate.json and the terminal.
 
-An estimate from photographs with the faces that it was made from.
-
-The uncertainty of an estimate as numbers, text, an environment map and a contour.
+How sure the light is, is told as numbers, as text, as an environment map, and as a contour.
 """
 
 import math

@@ -1,10 +1,8 @@
-"""Rounds of descent from many starts, of several problems as one batch.
+"""Descent from many starts, in rounds, of several problems as one batch.
 
-Where to start: lights towards the sun's candidates, with exposures and albedos that fit.
-
-Deviations of faces and how they change with each free parameter, for Gauss-Newton steps.
-
-Light acts through matrices: only the derivatives of what it radiates are transported, all of a
+Starts are lights towards the sun's candidates, with exposures and albedos that fit. Gauss-Newton
+steps take the faces' deviations and their derivatives with respect to each free parameter. Light
+acts through matrices: only the derivatives of what it radiates are transported, all of a
 start's as one product; what albedo, gloss, exposure and turns do is for each pixel by itself.
 
 Derivatives of the radiance are forward differences, (f(x + h e) - f(x)) / h with h the square

@@ -1,8 +1,8 @@
-"""One face in the objective: pixels and transport on a level of the pyramid, and its data term.
+"""The faces under one light as their solver needs them, and the data term of each.
 
-The faces under one sky, as its solver needs them.
-
-How much the parts of the objective count.
+A face is held as pixels and transport on each level of its pyramid (:class:`FaceTerm`), the faces
+of one light as :class:`LitFaces`; :class:`ObjectiveWeights` says how much the parts of the
+objective count.
 """
 
 from collections.abc import Sequence

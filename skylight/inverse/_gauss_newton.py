@@ -21,8 +21,6 @@ least that explains the step (Broyden 1965), ::
 and J is computed anew once a step with a corrected one is rejected: derivatives of a decoder take
 several times as long as the rest of a step. Small steps then end the descent, though the slope of
 a corrected J is not exact. Else J is computed after every accepted step.
-
-The robust loss of inverse lighting.
 """
 
 from collections.abc import Callable

@@ -1,6 +1,7 @@
 """Observations of one light -> that light as spherical harmonics: a robust linear problem.
 
-Non-negative light in spherical harmonics from the shading of points (thesis, Fig. 7.1).
+The light is nowhere negative (thesis, Fig. 7.1): :func:`nonnegative_harmonics`, which known objects
+use too.
 """
 
 import math

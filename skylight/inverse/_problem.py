@@ -65,8 +65,13 @@ def solve(problems: Sequence[LightProblem], progress: Progress | None = None) ->
     InputError
         Nothing was added to one of them.
     """
-    if any(problem.is_empty for problem in problems):
-        raise InputError("there is no observation to estimate light from; give at least one")
+    require_observations(not any(problem.is_empty for problem in problems))
     if not problems:
         return []
     return type(problems[0])._solve_each(problems, progress or (lambda _share: None))
+
+
+def require_observations(are_there: bool) -> None:
+    """:class:`InputError` where there are none."""
+    if not are_there:
+        raise InputError("there is no observation to estimate light from; give at least one")

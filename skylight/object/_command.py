@@ -1,16 +1,15 @@
 """``skylight estimate-object``: illumination from an object of known shape."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 from tyro.conf import Positional
 
 from skylight._options import take_care
+from skylight.object._names import ObjectLightName
 from skylight.work._device import Device
 
-# Parsing must not import torch, so the choices stand here again; a test compares the two.
-ObjectLight = Literal["ani", "iso", "vmf", "sh9", "sh25", "sh49", "lamps"]
 Decoding = tyro.conf.create_mutex_group(required=False)
 
 
@@ -18,7 +17,7 @@ def estimate_object(
     mesh: Positional[Path],
     photo: Positional[Path],
     camera: Path,
-    light: ObjectLight = "ani",
+    light: ObjectLightName = "ani",
     activations: int = 50,
     mask: Path | None = None,
     albedo: str | None = None,

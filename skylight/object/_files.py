@@ -1,4 +1,4 @@
-"""Illumination from a photograph of an object of known shape; files to files."""
+"""The light in a photograph of an object of known shape: files in, files out."""
 
 import time
 from collections.abc import Callable
@@ -30,7 +30,8 @@ from skylight.imaging._colour import tone_map
 from skylight.imaging._photo import Photo
 from skylight.io._bounded import write_json
 from skylight.io._files import opened_picture, write_probe
-from skylight.object._problem import ObjectLight, ObjectLightName, estimate_object_light
+from skylight.object._names import ObjectLightName
+from skylight.object._problem import ObjectLight, estimate_object_light
 from skylight.object._view import ObjectMaterial, ObjectView, observe_object
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import angles_from_direction

@@ -2,9 +2,8 @@
 
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
 
 import numpy as np
 import torch
@@ -20,8 +19,10 @@ from skylight.csc._least_squares import LinearObservation
 from skylight.csc._sub_dictionaries import rotated_atoms
 from skylight.errors import InputError
 from skylight.inverse._harmonic import nonnegative_harmonics
+from skylight.inverse._problem import require_observations
 from skylight.inverse._result import Lamp
 from skylight.object._lamps import ObjectLamps, lamps_of_objects, thinned
+from skylight.object._names import OBJECT_LIGHTS, ObjectLightName
 from skylight.object._view import GRID_HEIGHT, ObjectMaterial, shading
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import EnvironmentMap
@@ -31,7 +32,6 @@ from skylight.transport._observation import Observation
 from skylight.work._device import choose_device
 from skylight.work._progress import Progress
 
-ObjectLightName = Literal["ani", "iso", "vmf", "sh9", "sh25", "sh49", "lamps"]
 MAP_HEIGHT = 64
 LEAST_GAIN = 0.01  # of the squared error, by PATIENCE activations together
 PATIENCE = 3
@@ -76,7 +76,7 @@ class ObjectLight:
 
 
 def estimate_object_light(
-    observation: Observation,
+    observations: Observation | Sequence[Observation],
     light: ObjectLightName | FilterBank,
     *,
     material: ObjectMaterial | None = None,
@@ -99,110 +99,75 @@ def estimate_object_light(
 
     Parameters
     ----------
-    light : spherical harmonics, a dictionary of the thesis, a dictionary of one's own, or lamps.
-    material : that with which the object was observed.
-    device : "cpu", "cuda", or "auto" for CUDA where it is. Transport is moved there once. The light
-        is on the CPU.
+    observations
+        Pixels of the object; several are of the same material and exposure: other views, other
+        objects of a picture.
+    light
+        Spherical harmonics, a dictionary of the thesis, a dictionary of one's own, or lamps.
+    material
+        That with which the object was observed.
+    device
+        "cpu", "cuda", or "auto" for CUDA where it is. Transport is moved there once. The light is
+        on the CPU.
+
+    Returns
+    -------
+    ObjectLight
+        With the pixels ``rendered`` of all observations, in their order.
+
+    Raises
+    ------
+    InputError
+        No observation, an unknown light, no activation, or no sparse code that explains the
+        pictures.
+    ValueError
+        Material and observation disagree about gloss.
     """
-    problem = KnownObjectProblem(light, material=material, activations=activations, device=device)
-    problem.add(observation)
-    return problem.solve(progress)
-
-
-class KnownObjectProblem:
-    """:func:`estimate_object_light` as a light problem: observations are added, then solved.
-
-    Further observations are of the same material and exposure: other views, other objects of a
-    picture.
-    """
-
-    grid_height = GRID_HEIGHT
-
-    def __init__(
-        self,
-        light: ObjectLightName | FilterBank,
-        *,
-        material: ObjectMaterial | None = None,
-        activations: int = 50,
-        device: str = "auto",
-    ) -> None:
-        if activations < 1:
-            raise InputError(f"a sparse code has 1 or more activations, got {activations}")
-        if isinstance(light, str) and light not in get_args(ObjectLightName):
-            raise InputError(
-                f"unknown light {light!r}: choose one of {', '.join(get_args(ObjectLightName))}"
-            )
-        self.light = light
-        self.material = material or ObjectMaterial()
-        self.activations = activations
-        self.device = choose_device(device)
-        self._observations: list[Observation] = []
-
-    @property
-    def uses_gloss(self) -> bool:
-        return self.material.specular is not None
-
-    def add(self, observation: Observation, photo: int = 0) -> None:
-        """One more observation.
-
-        Raises
-        ------
-        ValueError
-            It has gloss where the material has none, or the reverse; or another photograph's
-            exposure.
-        """
-        if self.uses_gloss != (observation.gloss is not None):
-            raise ValueError("material and observation disagree about gloss")
-        if photo != 0:
-            raise ValueError("observations of known objects share one exposure: photo is 0")
-        self._observations.append(observation.to(self.device))
-
-    def solve(self, progress: Progress | None = None) -> ObjectLight:
-        """The light, and what the objects look like in it: ``rendered`` in the order of adding.
-
-        Raises
-        ------
-        InputError
-            Nothing was added, or no sparse code explains the pictures.
-        """
-        if not self._observations:
-            raise InputError("there is no observation to estimate light from; give at least one")
-        light, material, activations = self.light, self.material, self.activations
-        observation = _together(self._observations)
-        if light == "lamps":
-            coarse = _together([thinned(one) for one in self._observations])
-            found = lamps_of_objects(observation, coarse, material, progress)
-            return _lamps_light(observation, found, material)
-        bank, code = None, None
-        if isinstance(light, FilterBank) or light == "ani" or light == "iso" or light == "vmf":
-            bank = light if isinstance(light, FilterBank) else builtin(light)
-            name, fine = bank.name, _basis(bank.degree, harmonics.evaluate_about_zenith)
-            linear = _Shading.of(observation, material, fine)
-            code, coefficients = _sparse_code(linear, bank, activations, progress)
-        else:
-            name, fine = light, _basis(math.isqrt(int(light[2:])) - 1, harmonics.evaluate)
-            linear = _Shading.of(observation, material, fine)
-            coefficients = _harmonic_coefficients(linear)
-        radiance = fine @ coefficients.cpu()
-        environment = EnvironmentMap(
-            radiance=radiance.clamp(min=0).float().reshape(MAP_HEIGHT, 2 * MAP_HEIGHT, 3)
-        )
-        share = DirectionGrid.latlong(MAP_HEIGHT).solid_angles[:, None]
-        taken = float((share * (-radiance).clamp(min=0)).sum() / (share * radiance.abs()).sum())
-        rendered = _rendered(observation, environment, material)
-        residual = _relative_error(observation, rendered)
-        return ObjectLight(
-            light=name,
-            environment=environment,
-            coefficients=coefficients.cpu(),
-            rendered=rendered.cpu(),
-            residual=residual,
-            linear_residual=_relative_error(observation, linear.apply(coefficients)),
-            clamped_share=taken,
-            advice=_advice(residual),
-            dictionary=bank,
-            code=code,
-        )
+    if activations < 1:
+        raise InputError(f"a sparse code has 1 or more activations, got {activations}")
+    if isinstance(light, str) and light not in OBJECT_LIGHTS:
+        raise InputError(f"unknown light {light!r}: choose one of {', '.join(OBJECT_LIGHTS)}")
+    material, where = material or ObjectMaterial(), choose_device(device)
+    given = [observations] if isinstance(observations, Observation) else observations
+    require_observations(bool(given))
+    if any((material.specular is None) != (one.gloss is None) for one in given):
+        raise ValueError("material and observation disagree about gloss")
+    parts = [one.to(where) for one in given]
+    observation = _together(parts)
+    if light == "lamps":
+        coarse = _together([thinned(one) for one in parts])
+        found = lamps_of_objects(observation, coarse, material, progress)
+        return _lamps_light(observation, found, material)
+    bank, code = None, None
+    if isinstance(light, FilterBank) or light == "ani" or light == "iso" or light == "vmf":
+        bank = light if isinstance(light, FilterBank) else builtin(light)
+        name, fine = bank.name, _basis(bank.degree, harmonics.evaluate_about_zenith)
+        linear = _Shading.of(observation, material, fine)
+        code, coefficients = _sparse_code(linear, bank, activations, progress)
+    else:
+        name, fine = light, _basis(math.isqrt(int(light[2:])) - 1, harmonics.evaluate)
+        linear = _Shading.of(observation, material, fine)
+        coefficients = _harmonic_coefficients(linear)
+    radiance = fine @ coefficients.cpu()
+    environment = EnvironmentMap(
+        radiance=radiance.clamp(min=0).float().reshape(MAP_HEIGHT, 2 * MAP_HEIGHT, 3)
+    )
+    share = DirectionGrid.latlong(MAP_HEIGHT).solid_angles[:, None]
+    taken = float((share * (-radiance).clamp(min=0)).sum() / (share * radiance.abs()).sum())
+    rendered = _rendered(observation, environment, material)
+    residual = _relative_error(observation, rendered)
+    return ObjectLight(
+        light=name,
+        environment=environment,
+        coefficients=coefficients.cpu(),
+        rendered=rendered.cpu(),
+        residual=residual,
+        linear_residual=_relative_error(observation, linear.apply(coefficients)),
+        clamped_share=taken,
+        advice=_advice(residual),
+        dictionary=bank,
+        code=code,
+    )
 
 
 def _lamps_light(

@@ -1,7 +1,4 @@
-"""A photographed person in another light.
-
-Relit portraits as files.
-"""
+"""A photographed person in another light, from an estimate to a picture file."""
 
 import os
 from dataclasses import dataclass

@@ -15,10 +15,6 @@ lie elsewhere than the fitted head, or the shell of hair over it, has them stay 
 Hair, clothes and what else of a person is no skin are multiplied by the ratio of the smoothed
 shadings of head and bust, filled beyond these. What lies behind is multiplied by the ratio of the
 lights' irradiances of vertical surfaces, in the mean over all azimuths.
-
-Pictures of which only some pixels are known: blurred, and filled smoothly.
-
-A photograph with its estimate, taken apart for other light.
 """
 
 import math

@@ -1,19 +1,15 @@
 """Head, hair and bust as the camera sees them, and their shading by any distant light.
 
-A bust under a fitted head: where neck and shoulders are, roughly.
-
-The head model ends at the neck. What the light does to shoulders, and which of it the head keeps
-from them, is taken from a superellipsoid (Barr 1981) of an adult's proportions, ::
+**Bust.** The head model ends at the neck. What the light does to shoulders, and which of it the
+head keeps from them, is taken from a superellipsoid (Barr 1981) of an adult's proportions, ::
 
     |x / a|^(2/e) + |y / b|^(2/e) + |z / c|^(2/e) = 1,
 
 upright, turned half as far as the head. Nothing in the picture is fitted to it.
 
-Hair as a shell over a fitted head.
-
-The head model is bald. Where a photograph shows hair on scalp or forehead, its triangles are
-repeated :data:`THICKNESS_M` farther out, so that hair hides the light from the skin below it and is
-shaded as the round thing that it is. Thickness, locks and strands are not those of the person.
+**Hair.** The head model is bald. Where a photograph shows hair on scalp or forehead, its triangles
+are repeated :data:`THICKNESS_M` farther out, so that hair hides the light from the skin below it
+and is shaded as the round thing that it is. Thickness, locks and strands are not the person's.
 """
 
 import math

@@ -237,6 +237,7 @@ class TestFailures:
         def full(*_: object, **__: object) -> None:
             raise OutputError("cannot write probe.exr: No space left on device")
 
+        monkeypatch.setattr(batch.Pictures, "estimate", lambda _: None)
         monkeypatch.setattr(batch, "write_results", full)
         with pytest.raises(OutputError, match="No space left"):
             estimate_folder(*one_photo, SH9)
@@ -250,7 +251,7 @@ class TestFailures:
         def broken(*_: object, **__: object) -> None:
             raise ValueError("no\nsecond line")
 
-        monkeypatch.setattr(batch, "write_results", broken)
+        monkeypatch.setattr(batch.Pictures, "estimate", broken)
         entries = estimate_folder(*one_photo, SH9)
         assert entries[1].error == "me.png: internal error (ValueError: no)"
 

@@ -1,20 +1,16 @@
-"""A trained model of one's own and a deformed head: estimates with them, and refusals."""
+"""A trained model of one's own: estimates with it, and refusals."""
 
 import shutil
 from importlib.resources import files
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 from PIL import Image
 from skimage.data import astronaut
 
 from skylight.cli import main
-from skylight.estimate._photos import estimate_photo
 from skylight.evaluation._main import EVALUATIONS
-from skylight.faces._fit import camera_project
-from skylight.faces._model import HeadModel
 from skylight.inverse._descent import Round
 from skylight.inverse._estimate import estimate_light
 from skylight.inverse._faces import Level
@@ -76,16 +72,3 @@ def test_what_has_no_trained_model_refuses_one(
     assert "leave --model and --device out" in capsys.readouterr().err
     assert main(["evaluate", "sky-models", "--quick", "--device", "cpu", *out]) == 2
     assert "leave --device out" in capsys.readouterr().err
-
-
-def test_a_deformed_head_meets_the_inner_landmarks() -> None:
-    face = astronaut()[:256, 100:356]
-    fitted, deformed = (
-        estimate_photo(face, light="sh9", head=head) for head in ("fitted", "deformed")
-    )
-    gaps = []
-    for result in (fitted, deformed):
-        marks = HeadModel.load().landmarks(result.fit.vertices)[17:]
-        gap = camera_project(result.fit.camera, marks) - result.face.points[17:]
-        gaps.append(float(np.linalg.norm(gap, axis=1).max()) / result.face.eye_distance_px)
-    assert gaps[1] < 1e-3 < 0.01 < gaps[0]

@@ -48,11 +48,10 @@ def test_every_lamp_is_named(found):
     assert other.startswith("another at azimuth -90°, zenith 90°")
 
 
-@pytest.mark.parametrize("explained", [True, False])
-def test_light_without_lamps_has_none(explained):
-    even = found_in()
-    verdict = even.posterior.verdict if explained else "unreliable: the face is not explained"
-    told = lines(replace(even, posterior=replace(even.posterior, verdict=verdict)))
+@pytest.mark.parametrize("verdict", ["even: no lamp", "unreliable: the face is not explained"])
+def test_light_without_lamps_has_none(found, verdict):
+    posterior = replace(found.posterior, is_seen=False, verdict=verdict)
+    told = lines(replace(found, lamps=(), posterior=posterior))
     assert of("lamp", told) == ["none seen: even light, or hidden behind the head"]
 
 

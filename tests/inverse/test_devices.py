@@ -13,7 +13,8 @@ from skylight.inverse._problem import solve
 from skylight.inverse._result import Estimate
 from skylight.inverse._sky import SkyProblem, SolverOptions
 from skylight.object import _problem as of_object
-from skylight.object._problem import ObjectLight, ObjectLightName, estimate_object_light
+from skylight.object._names import ObjectLightName
+from skylight.object._problem import ObjectLight, estimate_object_light
 from skylight.object._view import ObjectMaterial
 from skylight.transport._render import Specular
 from tests.inverse.checked_device import DEVICE, CheckedDevice
@@ -72,9 +73,10 @@ def test_no_operation_of_a_batch_mixes_devices(monkeypatch: pytest.MonkeyPatch) 
         assert (one.terms, one.stats, one.status) == (other.terms, other.stats, other.status)
 
 
-def test_a_device_gives_the_cpus_light(on_cpu: Estimate, device: torch.device) -> None:
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+def test_a_device_gives_the_cpus_light(on_cpu: Estimate) -> None:
     """Few iterations, so that rounding does not grow: 1 % of the brightest."""
-    found = estimated(on_cpu.light, device)
+    found = estimated(on_cpu.light, torch.device("cuda"))
     white = on_cpu.environment.radiance.max()
     error = (found.environment.radiance - on_cpu.environment.radiance).abs().max()
     assert float(error / white) < 0.01
@@ -103,12 +105,11 @@ def test_no_operation_on_a_known_object_mixes_devices(monkeypatch: pytest.Monkey
     assert found.residual == expected.residual
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 @pytest.mark.parametrize("light", ["sh9", "vmf", "lamps"])
-def test_a_device_gives_the_cpus_light_of_a_known_object(
-    light: ObjectLightName, device: torch.device
-) -> None:
+def test_a_device_gives_the_cpus_light_of_a_known_object(light: ObjectLightName) -> None:
     expected = estimated_object(light, torch.device("cpu"))
-    found = estimated_object(light, device)
+    found = estimated_object(light, torch.device("cuda"))
     white = expected.environment.radiance.max()
     error = (found.environment.radiance - expected.environment.radiance).abs().max()
     assert float(error / white) < 0.01

@@ -46,7 +46,10 @@ def off_deg(estimate, direction):
     return math.degrees(float(angle_between(estimate.direction, towards / towards.norm())))
 
 
-@pytest.mark.parametrize("direction", [ONE, (-0.5, -0.6, 0.6), (0.1, 0.2, 1.0)])
+@pytest.mark.parametrize(
+    "direction",
+    [ONE, (-0.5, -0.6, 0.6), pytest.param((0.1, 0.2, 1.0), marks=pytest.mark.slow)],
+)
 def test_a_lamp_is_found_wherever_it_stands(direction):
     """Above and below the horizon, and near the camera."""
     found = found_in((direction, 3.0))
@@ -96,6 +99,7 @@ def test_two_photographs_of_one_room_tell_of_one_light():
     )
 
 
+@pytest.mark.slow  # as of two photographs in different units
 def test_the_unit_of_the_picture_is_that_of_the_light():
     found = found_in((ONE, 3.0))
     brighter = estimate_light(scaled(lit_ball((ONE, 3.0)), 5.0), "lamps")

@@ -29,6 +29,7 @@ from skylight.sphere._frame import DirectionGrid, angle_between, angles_from_dir
 from tests.inverse.test_objective import normal, parameters
 from tests.inverse.test_posterior import FRONT, ball, evidence_of, light_of, posterior_of
 from tests.inverse.test_shared_light import half_ball
+from tests.inverse.test_solve import watched
 from tests.sunny_face import direction, sunny_face
 
 GRID = DirectionGrid.sky(64)
@@ -373,7 +374,8 @@ def test_a_wrong_clock_does_not_draw_a_clear_faces_sun():
 
 
 def test_harmonics_have_a_clock_in_their_posterior_alone():
-    observation, sun = rendered(6.0)
+    observation, world = watched(140.0, 50.0)
+    sun = torch.tensor(world.sun, dtype=torch.float64)
     plain = estimate_light(observation, "sh9")
     told = estimate_light(observation, "sh9", sun_prior=about(140.0, 50.0))
     torch.testing.assert_close(told.environment.radiance, plain.environment.radiance)

@@ -10,8 +10,7 @@ import trimesh
 
 from skylight.csc._dictionary import builtin
 from skylight.errors import InputError
-from skylight.inverse._estimate import LightProblem
-from skylight.object._problem import KnownObjectProblem, estimate_object_light
+from skylight.object._problem import estimate_object_light
 from skylight.object._view import MOST_PIXELS, ObjectMaterial, ObjectView, observe_object
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import EnvironmentMap
@@ -166,11 +165,10 @@ class TestHarmonics:
         """Two halves of the pixels, one after the other, tell what all tell at once."""
         _, environment = harmonic_light(2)
         whole = lit(front, environment).observation
-        problem = KnownObjectProblem("sh9", material=CORAL)
-        for half in torch.arange(len(whole.pixels)).chunk(2):
-            problem.add(part_of(whole, half))
-        found, expected = problem.solve(), estimate_object_light(whole, "sh9", material=CORAL)
-        assert isinstance(problem, LightProblem)
+        halves = [part_of(whole, half) for half in torch.arange(len(whole.pixels)).chunk(2)]
+        found, expected = (
+            estimate_object_light(seen, "sh9", material=CORAL) for seen in (halves, whole)
+        )
         torch.testing.assert_close(found.coefficients, expected.coefficients)
         torch.testing.assert_close(found.rendered, expected.rendered)
 
@@ -429,7 +427,12 @@ class TestRefused:
         with pytest.raises(InputError, match="1 or more"):
             estimate_object_light(front.observation, "vmf", material=CORAL, activations=0)
 
+    def test_gloss_of_one_alone(self, front: ObjectView) -> None:
+        metal = ObjectMaterial(albedo=(0.5, 0.5, 0.5), specular=Specular(f0=0.5, roughness=0.5))
+        with pytest.raises(ValueError, match="disagree about gloss"):
+            estimate_object_light(front.observation, "sh9", material=metal)
+
     @pytest.mark.parametrize("light", ["sh9", "vmf", "lamps"])
     def test_nothing_added(self, light: str) -> None:
         with pytest.raises(InputError, match="no observation"):
-            KnownObjectProblem(light).solve()
+            estimate_object_light([], light)

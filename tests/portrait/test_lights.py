@@ -2,15 +2,12 @@
 
 import dataclasses
 import math
-from functools import lru_cache
 from pathlib import Path
 
 import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.estimate._photos import estimate_photo
-from skylight.estimate._summary import PhotoEstimate
 from skylight.inverse._lamp_relighting import LampLight
 from skylight.inverse._result import Estimate, Lamp
 from skylight.io._files import write_environment_map
@@ -20,16 +17,11 @@ from skylight.portrait._relit import light_in_photo
 from skylight.relight._lamps import split_main_light
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import angle_between
-from tests.sunny_face import direction, sunny_face
-
-
-@lru_cache(maxsize=1)
-def found() -> PhotoEstimate:
-    return estimate_photo(sunny_face(40.0, 50.0).encoded, light="sunsky")
+from tests.sunny_face import direction, sunny_estimate
 
 
 def with_map(environment: EnvironmentMap) -> Estimate:
-    return dataclasses.replace(found().estimate, environment=environment)
+    return dataclasses.replace(sunny_estimate().estimate, environment=environment)
 
 
 def sunny() -> EnvironmentMap:
@@ -38,7 +30,7 @@ def sunny() -> EnvironmentMap:
 
 
 def test_the_light_found_is_in_the_colours_of_the_photograph() -> None:
-    estimate = found().estimate
+    estimate = sunny_estimate().estimate
     gains = torch.tensor([2.0, 1.0, 0.5])
     face = dataclasses.replace(estimate.faces[0], white_balance=gains)
     estimate = dataclasses.replace(estimate, faces=(face,))
@@ -70,7 +62,7 @@ def test_a_sun_of_given_strength_and_one_that_was_not_there() -> None:
     flat = float(luminance(even.irradiance(torch.tensor([0.0, 1.0, 0.0]))))
     added = light_with_sun_at(with_map(even), 10.0, 45.0)
     assert "no sun was found" in added.notes[0]
-    gains = float(luminance(found().estimate.white_balance))
+    gains = float(luminance(sunny_estimate().estimate.white_balance))
     for light, times in (
         (added, ADDED_SUN),
         (light_with_sun_at(with_map(even), 10.0, 45.0, strength=2.0), 2.0),
@@ -88,9 +80,9 @@ def test_a_lamp_moved_to_where_it_is_gives_the_light_found() -> None:
         spread_rad=math.radians(20),
     )
     ambient = torch.zeros(AMBIENT_PARAMETERS)
-    face = dataclasses.replace(found().estimate.faces[0], exposure=0.2)
+    face = dataclasses.replace(sunny_estimate().estimate.faces[0], exposure=0.2)
     estimate = dataclasses.replace(
-        found().estimate, light="lamps", lamps=(lamp,), params=ambient, faces=(face,)
+        sunny_estimate().estimate, light="lamps", lamps=(lamp,), params=ambient, faces=(face,)
     )
     whole = LampLight.of(estimate).environment(64)
     estimate = dataclasses.replace(estimate, environment=whole)

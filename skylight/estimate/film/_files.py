@@ -1,6 +1,6 @@
 """The light of a film of one person, or of a folder of its frames.
 
-What following a person through a film found, kept between runs.
+What following the person found is kept between runs, beside the results.
 """
 
 import hashlib
@@ -21,8 +21,7 @@ from skylight.estimate._manifest import file_hash
 from skylight.estimate._settings import EstimateSettings
 from skylight.estimate.film._follow import Followed, Keyframe, Shot, Source, follow
 from skylight.estimate.film._head import fit_head
-from skylight.estimate.film._light import FilmLight, FilmProblem
-from skylight.estimate.film._smoother import in_world
+from skylight.estimate.film._light import FilmLight, FilmProblem, in_world
 from skylight.faces._fit import FOCAL_GUESS, FOCAL_GUESS_SIGMA, MOST_FACING_ANGLE_RAD, FaceFit
 from skylight.faces._landmarks import DetectedFace
 from skylight.faces._mediapipe import MediaPipeLandmarker, to_ibug

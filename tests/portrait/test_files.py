@@ -1,4 +1,4 @@
-"""``skylight relight-portrait`` from photograph to picture."""
+"""Relit portraits: the command from photograph to picture, brightness, and how they are shown."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,12 +10,19 @@ from PIL import Image
 
 from skylight.cli import main
 from skylight.imaging._colour import linear_to_srgb
-from skylight.io._files import write_environment_map, write_png
+from skylight.io._files import write_png
 from skylight.io._hdr import read_linear
-from skylight.portrait import _files as files
-from skylight.portrait._files import KNEE, RelitPortrait, shown
+from skylight.portrait._files import (
+    KNEE,
+    RelitPortrait,
+    relit_portrait,
+    shown,
+    write_relit,
+)
+from skylight.portrait._lights import NewLight
+from skylight.portrait._relit import FaceReflection, light_in_photo, portrait_of
 from skylight.sphere._envmap import EnvironmentMap
-from tests.sunny_face import direction, sunny_face
+from tests.sunny_face import direction, sunny_estimate, sunny_face
 
 
 @pytest.fixture(scope="module")
@@ -46,26 +53,33 @@ def test_the_sun_goes_to_the_other_side(
     assert after[0] > after[1]
 
 
-def test_under_a_map_the_face_is_as_bright_as_it_was(photo: Path, tmp_path: Path) -> None:
-    probe, out = tmp_path / "map.exr", tmp_path / "under.exr"
+def test_under_a_map_the_face_is_as_bright_as_it_was(tmp_path: Path) -> None:
     dim = EnvironmentMap(radiance=torch.full((32, 64, 3), 0.001))
-    write_environment_map(probe, dim.with_light(direction(-50.0, 60.0), torch.full((3,), 0.004)))
-    command = ["relight-portrait", str(photo), "--light", "sunsky", "--under", str(probe)]
-    assert main([*command, "--out", str(out)]) == 0
-    picture = read_linear(out)
+    light = NewLight(environment=dim.with_light(direction(-50.0, 60.0), torch.full((3,), 0.004)))
+    result = sunny_estimate()
+    portrait = portrait_of(
+        result.photos[0],
+        result.fit,
+        FaceReflection.of(result.estimate, result.view.observation),
+        light_in_photo(result.estimate),
+        face_px=60,
+    )
+    once, twice = (
+        relit_portrait(result, light, exposure=ev, keep="brightness", portrait=portrait)
+        for ev in (1.0, 2.0)
+    )
+    write_relit(tmp_path / "under.exr", once)
+    picture = read_linear(tmp_path / "under.exr")
     old = sunny_face(40.0, 50.0).picture.numpy()
     face = np.s_[90:190, 78:178]
     assert picture[face].mean() == pytest.approx(old[face].mean(), rel=0.15)
-    assert main([*command, "--ev", "1", "--out", str(tmp_path / "more.exr")]) == 0
-    ratio = read_linear(tmp_path / "more.exr")[face].mean() / picture[face].mean()
-    assert ratio == pytest.approx(2.0, rel=0.05)
+    assert twice.picture[face].mean() / picture[face].mean() == pytest.approx(2.0, rel=0.05)
 
 
 @pytest.mark.parametrize(
     ("options", "said"),
     [
         (["--sun", "here"], "AZ,EL"),
-        (["--sun", "10,-20"], "has set"),
         (["--turn", "20", "--strength", "2"], "--strength"),
         (["--turn", "20", "--ev", "90"], "--ev"),
         (["--turn", "20", "--out", "x.gif"], ".png"),
@@ -123,8 +137,8 @@ def test_a_photo_in_units_of_its_own_is_shown_as_it_is_seen() -> None:
 
 def test_doubt_is_said_below_the_picture(tmp_path: Path) -> None:
     picture = np.full((80, 200, 3), 0.5)
-    files.write_relit(tmp_path / "a.png", relit(picture, picture))
-    files.write_relit(tmp_path / "b.png", relit(picture, picture, "the light is unreliable"))
+    write_relit(tmp_path / "a.png", relit(picture, picture))
+    write_relit(tmp_path / "b.png", relit(picture, picture, "the light is unreliable"))
     plain, doubtful = (np.array(Image.open(tmp_path / name)) for name in ("a.png", "b.png"))
     assert plain.shape == (80, 200, 3)
     assert doubtful.shape[0] > 90
@@ -137,7 +151,7 @@ def test_doubt_is_said_in_full_below_a_narrow_picture(tmp_path: Path) -> None:
     heights = []
     for width in (100, 1000):
         picture = np.full((10, width, 3), 0.5)
-        files.write_relit(tmp_path / "a.png", relit(picture, picture, warning))
+        write_relit(tmp_path / "a.png", relit(picture, picture, warning))
         below = np.array(Image.open(tmp_path / "a.png"))[10:].max(2) > 128
         rows, columns = below.any(1), np.nonzero(below.any(0))[0]
         assert columns.max() < width - 2
