@@ -59,8 +59,7 @@ bench: $(VENV)/.dev
 	$(BIN)/python -m pytest -o addopts=--import-mode=importlib -s benchmarks $(ARGS)
 
 docs: $(VENV)/.dev
-	OMP_NUM_THREADS=$(JOBS) $(BIN)/sphinx-build -j $(JOBS) -W --keep-going -q \
-		-D plot_gallery=$(WALK) docs out/site
+	WALK=$(WALK) OMP_NUM_THREADS=$(JOBS) $(BIN)/sphinx-build -j $(JOBS) -W --keep-going -q docs out/site
 
 wheel: $(VENV)/.dev
 	$(BIN)/python tools/try_wheel.py

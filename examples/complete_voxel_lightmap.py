@@ -9,9 +9,8 @@ any other model; here they are compared with what the star of 25 voxels shows be
 import torch
 
 import skylight
-from skylight.models._ground import LambertianGround
-from skylight.probes.voxel._model import star_probe
-from skylight.probes.voxel._reconstruct import DirectReconstruction
+from skylight.models import LambertianGround
+from skylight.probes.voxel import DirectReconstruction, star_probe
 
 SKY, GROUND = skylight.SunSky(32), LambertianGround(32)
 GRID = skylight.DirectionGrid.latlong(64)

@@ -10,16 +10,15 @@ import torch
 import trimesh
 
 import skylight
-from skylight.models._ground import LambertianGround
-from skylight.probes._encoder import (
+from skylight.models import LambertianGround
+from skylight.probes import (
     ObjectEncoder,
     SurfaceTransfer,
     choose_points,
     surface_points,
     surface_transfer,
 )
-from skylight.probes.partitions.relight._composite import Relighting
-from skylight.probes.partitions.relight._scene import Scene
+from skylight.probes.partitions.relight import Relighting, Scene
 
 SKY, GROUND = skylight.SunSky(8), LambertianGround(8)
 GRID = skylight.DirectionGrid.latlong(16)

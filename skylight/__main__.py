@@ -11,7 +11,7 @@ def main() -> int:
         from skylight.relight._command import main
 
         return main()
-    from skylight.work._processes import collect_no_more, collect_seldom
+    from skylight.work._memory import collect_no_more, collect_seldom
 
     collect_seldom()
     code = main()

@@ -1,13 +1,4 @@
-"""Colours and fonts of all figures, and their files.
-
-Panels of figures: images, environment maps, tables of numbers.
-
-Directions and lamps in degrees, for people and files.
-
-How bright to show linear radiance.
-
-Renderings of the evaluation scene under an environment map.
-"""
+"""What figures and reports share: style, panels of maps, lamps in words, the evaluation scene."""
 
 import io
 import math

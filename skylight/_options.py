@@ -1,9 +1,4 @@
-"""Processes or cluster workers of a command.
-
-Sources of pictures, and messages about them.
-
-Time, place and heading of a photograph as they are given on the command line.
-"""
+"""Options of several commands: workers or a cluster, sources of pictures, capture metadata."""
 
 from __future__ import annotations
 
@@ -51,7 +46,13 @@ def _cores() -> int:
 def one_source(
     photos: tuple[Path, ...], video: Path | None, webcam: int | None
 ) -> tuple[Path, ...] | Path | int:
-    """The one that was given."""
+    """Photographs, a film's file or a camera's number: whichever the command line gives.
+
+    Raises
+    ------
+    InputError
+        None of them, or more than one.
+    """
     given = [each for each in (photos or None, video, webcam) if each is not None]
     if len(given) != 1:
         raise InputError("give photos, --video or --webcam, and only one of them")
@@ -59,7 +60,13 @@ def one_source(
 
 
 def film_source(video: Path | None, webcam: int | None) -> Path | int:
-    """The one that was given."""
+    """A film's file or a camera's number: whichever the command line gives.
+
+    Raises
+    ------
+    InputError
+        Neither, or both.
+    """
     if video is not None and webcam is None:
         return video
     if webcam is not None and video is None:
@@ -68,12 +75,12 @@ def film_source(video: Path | None, webcam: int | None) -> Path | int:
 
 
 def take_care(line: str) -> None:
-    """A doubt, on standard error; the results are there all the same."""
+    """Print a warning on standard error; the results are written all the same."""
     print(f"skylight: take care: {line}", file=sys.stderr)
 
 
 def taken_by_hand(time: str | None, place: str | None, heading: float | None) -> Taken | None:
-    """None where nothing was given.
+    """The capture metadata of ``--time``, ``--place`` and ``--heading``; None without any of them.
 
     Raises
     ------

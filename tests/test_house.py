@@ -16,10 +16,6 @@ ALLOWED = {
     "_check_input_dim",
     "GlossyTransport",  # for users' own programs, in the API reference
     "compress",
-    "ObjectEncoder",
-    "choose_points",
-    "surface_points",
-    "surface_transfer",
     "pdf",
     "dual_basis",
     "transport_matrix",

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from skylight.imaging._colour import linear_to_srgb
 from skylight.probes.cameras._exposures import Exposure
 from skylight.probes.panorama._matches import Lens
-from skylight.probes.panorama._panorama import hinted
+from skylight.probes.panorama._panorama import rotation_to
 from skylight.sphere._envmap import EnvironmentMap, bilinear
 from skylight.sphere._frame import pixel_from_direction
 
@@ -35,7 +35,7 @@ class Head:
 
     def told(self) -> list[Float[np.ndarray, "3 3"]]:
         """Where the camera should have looked, world from camera."""
-        return [hinted(a, e) for a, e in self.angles_deg()]
+        return [rotation_to(a, e) for a, e in self.angles_deg()]
 
     def angles_deg(self) -> list[tuple[float, float]]:
         """(azimuth, elevation) of each shot."""

@@ -60,12 +60,6 @@ class SparseCode:
     weights: Float[Tensor, "s 3"]
     relative_error: float
 
-    def __post_init__(self) -> None:
-        count = len(self.filters)
-        shapes = (self.directions.shape, self.twists_rad.shape, self.weights.shape)
-        if shapes != ((count, 3), (count,), (count, 3)):
-            raise ValueError(f"{count} filters do not match directions, twists, weights: {shapes}")
-
     def __len__(self) -> int:
         return len(self.filters)
 
@@ -155,8 +149,8 @@ class SparseCode:
         except (KeyError, TypeError, ValueError, RuntimeError, OverflowError) as error:
             raise InputError(f"{path} is damaged ({error}): code the map again") from error
         unit = (code.directions.norm(dim=1) - 1).abs() < 1e-6
-        told = 0 <= code.relative_error < math.inf  # "inf", a text, is one of float's numbers
-        if not (whole and named and told and bool(unit.all())) or code.height < 1:
+        possible = 0 <= code.relative_error < math.inf  # "inf", a text, is one of float's numbers
+        if not (whole and named and possible and bool(unit.all())) or code.height < 1:
             raise InputError(
                 f"{path} is damaged: directions must be unit vectors, filters whole numbers, the "
                 "dictionary and its fingerprint texts, the "

@@ -10,10 +10,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from skylight.csc._active_set import SampledSignal
 from skylight.csc._code import CodeTensors, SparseCode
 from skylight.csc._dictionary import FilterBank, load_dictionary
 from skylight.csc._greedy import Pursuit, PursuitOptions, Support, pursue, pursue_together
+from skylight.csc._least_squares import SampledSignal
 from skylight.csc._positions import Positions, centres_of
 from skylight.csc._sub_dictionaries import (
     BoxDictionary,

@@ -7,9 +7,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from skylight.csc._active_set import SampledSignal
 from skylight.csc._code import CodeTensors
 from skylight.csc._greedy import Pursuit, PursuitOptions, Support, pursue
+from skylight.csc._least_squares import SampledSignal
 from skylight.csc._sub_dictionaries import (
     BoxDictionary,
     Part,

@@ -1,6 +1,7 @@
 """Greedy pursuits: the filters of a code, their rotations and weights.
 
-Codes of given sizes: a greedy pursuit, then exchanges that improve on its choices.
+:class:`Pursuit` takes one activation more at a time. :func:`pursue` gives codes of given sizes: a
+pursuit, then exchanges that improve on its choices.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,8 +14,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import max_pool2d, pad
 
-from skylight.csc._active_set import ActiveSet, Quadratic
 from skylight.csc._code import CodeTensors
+from skylight.csc._least_squares import ActiveSet, Quadratic
 from skylight.csc._names import Sign
 from skylight.csc._search import Atom, Found, Query, Search, Values
 from skylight.csc._sub_dictionaries import Part, part_of
@@ -26,6 +27,8 @@ _PEAK, _MOST_PEAKS = 0.4, 600  # a share of the highest; pairs are tried among s
 _ROOM = 192  # images at first: 144 activations and some rivals
 WEAK_L1 = 1e-5  # of the largest correlation with the signal
 _ROUNDING = 2e-6  # of the same: what is left in float32 of a correlation that is 0
+_GAIN = 1e-9  # of the error: less is rounding
+_PAIR_SWEEPS = 3  # of exchanges, with one activation too many
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +38,8 @@ class PursuitOptions:
     "nonnegative" (NNLS), "l1" (either sign, with a weak L1 norm: 6.6.3), or "free" (plain least
     squares). ``thresholding`` is Hard Thresholding Pursuit (6.4.6), otherwise the pursuit only
     adds (orthogonal matching pursuit). ``sweeps`` is how often, at most, each activation of
-    a finished code is exchanged for a better one (:mod:`skylight.csc._greedy`), each
-    costing about as much as finding the code, and the last, which try pairs, some times that.
+    a finished code is exchanged for a better one (:func:`pursue`), each costing about as much as
+    finding the code, and the last, which try pairs, some times that.
     """
 
     weights: Sign = "l1"
@@ -84,7 +87,7 @@ class Support:
 class Pursuit:
     """One activation more per step, until :meth:`step` finds nothing to add.
 
-    With atoms a_j = R_j d_j, H and b of the :class:`~skylight.csc._active_set.Quadratic`,
+    With atoms a_j = R_j d_j, H and b of the :class:`~skylight.csc._least_squares.Quadratic`,
     and weights z, a step looks for the atom whose correlation ``<a, b - H sum_j z_j a_j>`` is
     largest, over all filters and rotations, and refits all weights. Colours share their
     activations: the correlation is that of the residual's principal colour (its mean colour where
@@ -381,10 +384,6 @@ def _in_one_colour(
     return (residuals @ principal.to(residuals))[..., 0]
 
 
-_GAIN = 1e-9  # of the error: less is rounding
-_SETTLING = 3  # sweeps with one activation too many
-
-
 def pursue(
     pursuit: Pursuit, counts: Sequence[int], progress: Progress | None = None
 ) -> Iterator[Support]:
@@ -448,7 +447,7 @@ def exchange_pair(pursuit: Pursuit) -> bool:
     """Two atoms for one, or for one and its nearest, chosen together; whether one such try helped.
 
     It leads out of local minima in which one wide filter takes the place of two narrower ones, or
-    two that of each other's halves, which no single exchange improves. Codes settle with one
+    two that of each other's halves, which no single exchange improves. Atoms are exchanged with one
     activation too many before the least useful is dropped. A try that did not help is undone.
     """
     before, old = pursuit.support().error, pursuit.atoms
@@ -458,7 +457,7 @@ def exchange_pair(pursuit: Pursuit) -> bool:
             if neighbours and len(old) > 1:
                 gone.append(pursuit.nearest(gone[0]))
             pursuit.drop(gone)
-            _settle_with_pair(pursuit, len(old))
+            _add_best_pair(pursuit, len(old))
             if _better(pursuit, before):
                 return True
             pursuit.drop(range(len(pursuit.atoms)))
@@ -466,13 +465,14 @@ def exchange_pair(pursuit: Pursuit) -> bool:
     return False
 
 
-def _settle_with_pair(pursuit: Pursuit, count: int) -> None:
+def _add_best_pair(pursuit: Pursuit, count: int) -> None:
+    """The best pair, exchanges of single atoms, and ``count`` activations again."""
     found = pursuit.peaks()
     if len(found) > 1:
         pursuit.add(pursuit.best_pair(found))
     while len(pursuit.atoms) <= count and pursuit.step():
         pass
-    for _ in range(_SETTLING):
+    for _ in range(_PAIR_SWEEPS):
         if pursuit.exact or not exchange(pursuit):
             break
     while len(pursuit.atoms) > count:

@@ -1,4 +1,8 @@
-"""A dictionary learned from light probes: patches about bright spots, k-means (thesis, 6.6.1.3).
+"""Dictionaries learned from light probes.
+
+:func:`learn_patches` takes the means of patches about bright spots, by k-means (thesis, 6.6.1.3).
+:class:`CapFilterBank` is for dictionaries whose filters an optimiser moves on from there: sums of
+Gaussians in a spherical cap, as blurred as patches are.
 
 A patch is what exceeds its surroundings within a circle: luminance less its median on the
 rim, clipped at 0, times a raised cosine that is 1 on the inner half of the radius and 0 on the rim.
@@ -6,8 +10,6 @@ It is rotated to the zenith and twisted so that its long axis lies along phi = 0
 multiplied by those of the sharpest Gaussian that does not ring. So a patch is light that is nowhere
 negative, blurred by a kernel that undershoots by less than 2 %; patches of real rooms undershoot by
 up to 3 %.
-
-Dictionaries whose learned filters are sums of Gaussians in a spherical cap.
 """
 
 import math
@@ -46,6 +48,7 @@ _NODES = 48  # from a patch's centre to its rim
 # What exceeds its surroundings by less is no light but texture, or rounding on a plateau.
 _LEAST_EXCESS = 1e-3
 _STARTS, _ITERATIONS = 4, 50  # of k-means; the start whose patches are nearest their means counts
+_VANISHED = 1e-9  # norm of a filter that the optimiser has put out
 
 
 def local_maxima(brightness: Float[Tensor, "h w"], radius_rad: float) -> Float[Tensor, "n 3"]:
@@ -234,9 +237,6 @@ def _long_axis(
     along = torch.cos(angle)[:, None, None] * u + torch.sin(angle)[:, None, None] * v
     skew = (share * along**3).sum(dim=(1, 2))
     return torch.where(skew < 0, angle + math.pi, angle)
-
-
-_VANISHED = 1e-9  # norm of a filter that the optimiser has put out
 
 
 class CapFilterBank(FilterBank):

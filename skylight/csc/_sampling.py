@@ -33,9 +33,9 @@ class CodeSampler:
     lobes of the code's filters; ``boxes`` (first row, rows, first column, columns) are the
     activations that are boxes of pixels of a lat-long map of ``height`` rows. Everything is drawn
     exactly, so ``mean(g / pdf)`` is an unbiased estimate of any integral of g over the sphere.
-    Which box a direction is in is told in double precision; where g is a map it should be looked
-    up so too, or border samples of a sun differ. ``pdf`` is differentiable in the directions and in
-    the weights and rotations of :meth:`of`.
+    Which box a direction is in is decided in double precision; where g is a map it should be
+    looked up so too, or border samples of a sun differ. ``pdf`` is differentiable in the
+    directions and in the weights and rotations of :meth:`of`.
 
     A share is the power of its activation, luminance of the weight times the integral of the
     filter. Two things of the decoded map are not in the density: activations of negative

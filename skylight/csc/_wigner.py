@@ -14,13 +14,10 @@ are equal modulo the twists, m modulo the columns (:mod:`skylight.csc._correlati
 
 Symmetric filters cost less, and equal rotations of them are evaluated once: a filter with an s-fold
 axis has coefficients only for n = 0, s, 2s, ... and repeats after T / s twists; a mirror symmetric
-one has real coefficients. Filters are grouped by the two.
+one has real coefficients. Filters are grouped by the two. Isotropic filters, which no twist
+changes, are products in the SH domain (:class:`ZonalCorrelation`).
 
-Norms of atoms as sampled by a coarse map, which depend on the row and the twist.
-
-Correlation with isotropic filters, which twists do not change: products in the SH domain.
-
-Filters after rotations: the atoms of a code.
+:func:`rotated_filters` are single filters after any rotations, the atoms of a code.
 """
 
 import math

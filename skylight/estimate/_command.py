@@ -133,7 +133,7 @@ def estimate(
         decode="linear" if linear else gamma,
         landmarks=landmarks,
         ignore_exif_sun=ignore_exif_sun,
-        ground=None if ground_albedo is None else KnownGround.told(ground_albedo),
+        ground=None if ground_albedo is None else KnownGround.parse(ground_albedo),
         device=device,
     )
     taken = taken_by_hand(time, place, heading)

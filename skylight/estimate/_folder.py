@@ -38,8 +38,9 @@ from skylight.inverse._problem import solve
 from skylight.inverse._result import Estimate
 from skylight.inverse._sun_prior import SunPrior
 from skylight.models._names import SKY_LIGHTS
-from skylight.work._cluster import Cluster, send_tensors_by_value
+from skylight.work._cluster import Cluster
 from skylight.work._device import choose_device
+from skylight.work._processes import send_tensors_by_value
 from skylight.work._progress import StageProgress
 from skylight.work._resumable import (
     SETTINGS,

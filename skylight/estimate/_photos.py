@@ -19,8 +19,8 @@ from jaxtyping import UInt8
 from skylight.errors import InputError
 from skylight.estimate._settings import EstimateSettings, SettingKeywords
 from skylight.estimate._summary import PhotoEstimate, SeenFace
-from skylight.faces._captures import FoundFace, find_faces, fit_visible
-from skylight.faces._fit import FaceFit
+from skylight.faces._fit import FaceFit, fit_visible
+from skylight.faces._landmarks import FoundFace, find_faces
 from skylight.faces._model import HeadModel
 from skylight.faces._observe import SKIN_GLOSS, observe_face
 from skylight.imaging._colour import Decode

@@ -25,8 +25,7 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.evaluation._run import Check, Evaluation, Item, trained_model
-from skylight.faces._captures import fit_visible
-from skylight.faces._fit import FaceFit, fit_face
+from skylight.faces._fit import FaceFit, fit_face, fit_visible
 from skylight.faces._landmarkers import choose_landmarker
 from skylight.faces._landmarks import choose_face
 from skylight.faces._model import HeadModel

@@ -25,8 +25,7 @@ from skylight.evaluation._known_faces import (
 )
 from skylight.evaluation._pictures import beside, strip
 from skylight.evaluation._run import Check, Item, Rows, read_index
-from skylight.faces._captures import fit_visible
-from skylight.faces._fit import FaceFit
+from skylight.faces._fit import FaceFit, fit_visible
 from skylight.faces._landmarkers import choose_landmarker
 from skylight.faces._model import HeadModel
 from skylight.faces._observe import FaceView, observe_face

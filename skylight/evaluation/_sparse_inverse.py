@@ -27,9 +27,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from skylight.csc._active_set import LinearObservation
 from skylight.csc._dictionary import DEGREE, BuiltinName, builtin
 from skylight.csc._greedy import Pursuit, PursuitOptions, Sign, pursue
+from skylight.csc._least_squares import LinearObservation
 from skylight.csc._positions import Positions
 from skylight.csc._sub_dictionaries import SubDictionary, rotated_atoms
 from skylight.errors import InputError

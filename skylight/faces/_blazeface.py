@@ -1,8 +1,8 @@
-"""Pre- and post-processing of BlazeFace (Bazarevsky et al. 2019): anchors and decoding.
+"""MediaPipe's networks, run by onnxruntime, and what stands around BlazeFace, the detector.
 
-The numbers are those of ``mediapipe/tasks/cc/vision/face_detector/face_detector_graph.cc``.
-
-MediaPipe's networks, run by onnxruntime (``tools/convert_networks.py`` made the files).
+``tools/convert_networks.py`` made the files of the networks. Anchors, decoding and suppression of
+BlazeFace (Bazarevsky et al. 2019) have the numbers of
+``mediapipe/tasks/cc/vision/face_detector/face_detector_graph.cc``.
 """
 
 import math
@@ -25,7 +25,7 @@ _MARGIN = 1.5  # the landmark network's square over the face's box
 
 @dataclass(frozen=True, kw_only=True)
 class Square:
-    """A turned square of a picture: centre and side in pixels; its right is (cos a, sin a)."""
+    """A rotated square of a picture: centre and side in pixels; its right is (cos a, sin a)."""
 
     centre: Float[ndarray, "2"]
     side: float
@@ -67,7 +67,7 @@ class Square:
 def upright(
     box: Float[ndarray, "2 2"], right_eye: Float[ndarray, "2"], left_eye: Float[ndarray, "2"]
 ) -> Square:
-    """The square around a face's box, turned so that the eyes are level in it."""
+    """The square around a face's box, rotated so that the eyes are level in it."""
     x, y = left_eye - right_eye
     return Square(
         centre=box.mean(0),
@@ -167,7 +167,7 @@ class Network:
 
         source = files("skylight.faces") / "data" / f"{name}.onnx"
         options = onnxruntime.SessionOptions()
-        options.log_severity_level = 4  # what is wrong is raised, and told once
+        options.log_severity_level = 4  # errors are raised: no second message
         options.intra_op_num_threads = 1  # a face is work for one core
         try:
             self._session = onnxruntime.InferenceSession(

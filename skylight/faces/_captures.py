@@ -6,33 +6,25 @@ A row a photograph (thesis, 5.4.2: 9 people under 25 lights)::
     anna_noon.jpg,noon.exr,-47.8125,1,anna
 
 ``photo`` and ``probe`` are files within the folder, ``probe`` a lat-long HDR map of the whole
-sphere. Turned by ``azimuth_deg`` about the vertical, so that everything in it moves so far to the
+sphere. Rotated by ``azimuth_deg`` about the vertical, so that everything in it moves so far to the
 right, its centre is where the camera of the photograph looks; empty where nobody knows it yet.
 ``visible_sun`` is 1 where the sun shone, 0 where clouds or houses hid it. Further columns are kept.
-
-The faces of photographs: detected, chosen, and fitted with a head.
 """
 
 import csv
 import hashlib
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path, PurePosixPath
 
 from skylight.errors import InputError
-from skylight.faces._fit import FaceFit, fit_face
-from skylight.faces._landmarks import DetectedFace, FaceLandmarker, choose_face
-from skylight.faces._model import HeadModel
-from skylight.faces._names import HeadName, WhichFaces
-from skylight.imaging._photo import Photo
 from skylight.io._atomic import atomic_path
 from skylight.io._bounded import file_text
 from skylight.io._files import read_environment_map
 from skylight.sphere._envmap import EnvironmentMap
-from skylight.work._progress import Progress
 
 CAPTURES_NAME = "captures.csv"
 COLUMNS = ("photo", "probe", "azimuth_deg", "visible_sun", "person")
@@ -104,7 +96,7 @@ def write_azimuths(folder: Path, azimuths_deg: Mapping[str, float]) -> None:
 
 
 def read_probe(folder: Path, capture: FaceCapture) -> EnvironmentMap:
-    """The probe as it lies in its file, not turned.
+    """The probe as it lies in its file, not rotated.
 
     Raises
     ------
@@ -222,67 +214,3 @@ def _degrees(text: str) -> float:
     if not abs(value) <= 360:  # also NaN
         raise wrong
     return value
-
-
-MOST_TURNED_RAD = math.radians(60)
-
-
-@dataclass(frozen=True, kw_only=True)
-class FoundFace:
-    """Face ``number`` (1 is the largest) of photograph ``photo``, counted from 0."""
-
-    photo: int
-    number: int
-    name: str
-    face: DetectedFace
-
-
-def find_faces(
-    photos: Sequence[Photo],
-    names: Sequence[str],
-    which: WhichFaces,
-    landmarker: FaceLandmarker,
-    progress: Progress,
-) -> tuple[list[FoundFace], list[str]]:
-    """All faces, or face ``which`` of each photograph; and why photographs have none."""
-    found: list[FoundFace] = []
-    missing: list[str] = []
-    for photo, (picture, name) in enumerate(zip(photos, names, strict=True)):
-        detected = landmarker.detect(picture.encoded)
-        try:
-            numbers = range(1, max(1, len(detected)) + 1) if which == "all" else [which]
-            for n in numbers:
-                face = choose_face(detected, n, name)
-                label = f"{name}, face {n}" if which == "all" else name
-                found.append(FoundFace(photo=photo, number=n, name=label, face=face))
-        except InputError as error:
-            missing.append(str(error))
-        progress((photo + 1) / len(photos))
-    return found, missing
-
-
-def fit_visible(
-    model: HeadModel, photo: Photo, face: DetectedFace, name: str, head: HeadName = "fitted"
-) -> FaceFit:
-    """The head of a face that is turned away by no more than 60 degrees.
-
-    ``head`` is "fitted", the morphable model's, or "deformed": bent to meet the landmarks, see
-    :func:`~skylight.faces._fit.fit_face`.
-
-    Raises
-    ------
-    InputError
-        It is turned further: most of what the light does is out of sight. Or no such ``head``.
-    """
-    if head not in ("fitted", "deformed"):
-        raise InputError(f"{head!r} is no head; choose fitted or deformed")
-    height, width = photo.encoded.shape[:2]
-    fit = fit_face(
-        model, face, width, height, focal_px=photo.focal_px, meet_landmarks=head == "deformed"
-    )
-    if fit.facing_angle_rad > MOST_TURNED_RAD:
-        raise InputError(
-            f"{name}: the face is turned away by {math.degrees(fit.facing_angle_rad):.0f} "
-            "degrees; use a picture that shows it from the front or at most half from the side"
-        )
-    return fit

@@ -8,6 +8,7 @@ where e holds project(R X_i(a, b) + t; f) - x_i of all detected points, S is the
 their errors (:mod:`skylight.faces._model`), and a_0 the average face.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import cv2
@@ -16,6 +17,7 @@ import torch
 from jaxtyping import Float
 from numpy import ndarray
 
+from skylight.errors import InputError
 from skylight.faces._landmarks import DetectedFace
 from skylight.faces._model import (
     JAW,
@@ -25,6 +27,8 @@ from skylight.faces._model import (
     correspondence,
     slid_landmarks,
 )
+from skylight.faces._names import HeadName
+from skylight.imaging._photo import Photo
 from skylight.transport._cameras import Camera
 
 EXPRESSION_SCALE = 0.7
@@ -33,6 +37,7 @@ EXPRESSION_SCALE = 0.7
 FOCAL_GUESS = 1.9
 FOCAL_GUESS_SIGMA = 0.3
 FOCAL_EXIF_SIGMA = 0.05
+MOST_FACING_ANGLE_RAD = math.radians(60)  # beyond, most of what the light does is out of sight
 FIRST_OF_SHAPE = 7  # of a step: after rotation, translation and focal length
 
 
@@ -115,6 +120,33 @@ def fit_face(
     )
 
 
+def fit_visible(
+    model: HeadModel, photo: Photo, face: DetectedFace, name: str, head: HeadName = "fitted"
+) -> FaceFit:
+    """The head of a face that is turned away by no more than 60 degrees.
+
+    ``head`` is "fitted", the morphable model's, or "deformed": bent to meet the landmarks, see
+    :func:`fit_face`.
+
+    Raises
+    ------
+    InputError
+        It is turned further: most of what the light does is out of sight. Or no such ``head``.
+    """
+    if head not in ("fitted", "deformed"):
+        raise InputError(f"{head!r} is no head; choose fitted or deformed")
+    height, width = photo.encoded.shape[:2]
+    fit = fit_face(
+        model, face, width, height, focal_px=photo.focal_px, meet_landmarks=head == "deformed"
+    )
+    if fit.facing_angle_rad > MOST_FACING_ANGLE_RAD:
+        raise InputError(
+            f"{name}: the face is turned away by {math.degrees(fit.facing_angle_rad):.0f} "
+            "degrees; use a picture that shows it from the front or at most half from the side"
+        )
+    return fit
+
+
 def landmarks_of(model: HeadModel, fit: FaceFit) -> Float[ndarray, "68 2"]:
     """Where a head's landmarks lie in the picture, the jaw's on the silhouette."""
     return camera_project(fit.camera, _placed_landmarks(model, fit))
@@ -133,6 +165,8 @@ def camera_project(camera: Camera, points: Float[ndarray, "n 3"]) -> Float[ndarr
 
 @dataclass(frozen=True, kw_only=True)
 class FitState:
+    """Pose, focal length (its logarithm, pixels) and shape of a head: what a fit changes."""
+
     rotation: Float[ndarray, "3 3"]
     translation: Float[ndarray, "3"]
     log_focal: float

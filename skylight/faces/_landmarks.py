@@ -1,26 +1,18 @@
-"""Detection of faces and their 68 landmarks, with an interface for other detectors.
+"""Faces with their 68 landmarks: the interface of what finds them, and which of them are meant."""
 
-Pictures of a picture in which BlazeFace finds more: turned, brightened, with a mirrored margin.
-
-BlazeFace was trained on faces that are whole, lit and about upright. A face that fills its picture
-is whole where the picture is continued by its mirror image, a dark one is lit where local contrast
-is raised (CLAHE, Zuiderveld 1994), and a tilted one stands where the picture is turned.
-"""
-
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Protocol, runtime_checkable
 from zipfile import BadZipFile
 
-import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
-from numpy import ndarray
 
 from skylight.errors import AssetError, InputError
-from skylight.faces._blazeface import LEAST_SCORE, Square
-from skylight.faces._names import LandmarkerName
+from skylight.faces._names import LandmarkerName, WhichFaces
+from skylight.imaging._photo import Photo
+from skylight.work._progress import Progress
 
 # Outer corners of the eyes, the person's right first: of iBUG's 68 points, and of MediaPipe's 478.
 EYES: tuple[int, int] = (36, 45)
@@ -76,6 +68,40 @@ def choose_face(faces: list[DetectedFace], number: int, source: str) -> Detected
     return faces[number - 1]
 
 
+@dataclass(frozen=True, kw_only=True)
+class FoundFace:
+    """Face ``number`` (1 is the largest) of photograph ``photo``, counted from 0."""
+
+    photo: int
+    number: int
+    name: str
+    face: DetectedFace
+
+
+def find_faces(
+    photos: Sequence[Photo],
+    names: Sequence[str],
+    which: WhichFaces,
+    landmarker: FaceLandmarker,
+    progress: Progress,
+) -> tuple[list[FoundFace], list[str]]:
+    """All faces, or face ``which`` of each photograph; and why photographs have none."""
+    found: list[FoundFace] = []
+    missing: list[str] = []
+    for photo, (picture, name) in enumerate(zip(photos, names, strict=True)):
+        detected = landmarker.detect(picture.encoded)
+        try:
+            numbers = range(1, max(1, len(detected)) + 1) if which == "all" else [which]
+            for n in numbers:
+                face = choose_face(detected, n, name)
+                label = f"{name}, face {n}" if which == "all" else name
+                found.append(FoundFace(photo=photo, number=n, name=label, face=face))
+        except InputError as error:
+            missing.append(str(error))
+        progress((photo + 1) / len(photos))
+    return found, missing
+
+
 def landmark_errors(landmarker: LandmarkerName) -> dict[str, np.ndarray]:
     """Arrays of what a landmarker errs by on rendered people (``tools/measure_landmarks.py``).
 
@@ -92,75 +118,3 @@ def landmark_errors(landmarker: LandmarkerName) -> dict[str, np.ndarray]:
         raise AssetError(
             f"{source}: the landmark errors cannot be read ({error}); reinstall skylight"
         ) from error
-
-
-Picture = UInt8[ndarray, "h w 3"]
-Shown = UInt8[ndarray, "h2 w2 3"]
-_LOWEST_SCORE = 0.3  # where a face must be sure by its landmarks
-_TURNS_DEG = (45.0, -45.0, 90.0, -90.0)
-_CLIP_LIMIT, _TILES = 4.0, (4, 4)  # of CLAHE
-
-
-@dataclass(frozen=True, kw_only=True)
-class Look:
-    """``shown``, whose point p shows point ``back[:, :2] @ p + back[:, 2]`` of ``picture``.
-
-    BlazeFace looks at ``shown``, landmarks are read in ``picture``: in a margin they would follow
-    the mirror image. Candidates count from BlazeFace's ``least_score`` on. ``last_resort``: false
-    faces are likelier than in the picture itself, so what is found must be sure.
-    """
-
-    picture: Picture
-    shown: Shown
-    back: Float[ndarray, "2 3"]
-    least_score: float = _LOWEST_SCORE
-    last_resort: bool = True
-
-    def in_picture(self, square: Square) -> Square:
-        """A square of ``shown`` where it is in ``picture``."""
-        cos, sin = self.back[:, 0]
-        return Square(
-            centre=self.back[:, :2] @ square.centre + self.back[:, 2],
-            side=square.side,
-            angle_rad=square.angle_rad + float(np.arctan2(sin, cos)),
-        )
-
-
-def looks(image: Picture) -> Iterator[Look]:
-    """The picture itself, then what else may show a face; made when asked for."""
-    itself = np.eye(2, 3)
-    yield Look(picture=image, shown=image, back=itself, least_score=LEAST_SCORE, last_resort=False)
-    for picture in (image, brightened(image)):
-        yield Look(picture=picture, shown=picture, back=itself)
-        shown, back = mirrored(picture)
-        yield Look(picture=picture, shown=shown, back=back)
-        for degrees in _TURNS_DEG:
-            shown, back = turned(picture, degrees)
-            yield Look(picture=picture, shown=shown, back=back)
-
-
-def mirrored(image: Picture) -> tuple[Shown, Float[ndarray, "2 3"]]:
-    """(a picture with its mirror image around it, half its height wide; the way back)."""
-    margin = image.shape[0] // 2
-    wide = cv2.copyMakeBorder(image, margin, margin, margin, margin, cv2.BORDER_REFLECT)
-    return wide, np.array([[1.0, 0.0, -margin], [0.0, 1.0, -margin]])
-
-
-def brightened(image: Picture) -> Picture:
-    """Local contrast raised, colours kept: CLAHE of CIELAB's lightness."""
-    lab = cv2.cvtColor(image, cv2.COLOR_RGB2LAB)
-    lab[..., 0] = cv2.createCLAHE(_CLIP_LIMIT, _TILES).apply(lab[..., 0])
-    return cv2.cvtColor(lab, cv2.COLOR_LAB2RGB)
-
-
-def turned(image: Picture, angle_deg: float) -> tuple[Shown, Float[ndarray, "2 3"]]:
-    """(the whole picture turned clockwise as it is seen, black around it; the way back)."""
-    angle = np.radians(angle_deg)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    source = np.array(image.shape[1::-1], dtype=np.float64)
-    size = np.ceil(np.abs(turn) @ source - 1e-6).astype(int)
-    back = np.column_stack([turn.T, source / 2 - turn.T @ (size / 2)])
-    centres = back.copy()  # OpenCV's integers name pixel centres
-    centres[:, 2] += back[:, :2] @ [0.5, 0.5] - 0.5
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return cv2.warpAffine(image, centres, (int(size[0]), int(size[1])), flags=flags), back

@@ -4,11 +4,16 @@ BlazeFace (Bazarevsky et al. 2019) finds faces in a square of the picture; the l
 (Kartynnik et al. 2019, Grishchenko et al. 2020) sees each face in an upright square of its own.
 What stands around them, anchors, suppression and squares, follows MediaPipe's graphs
 (``mediapipe/tasks/cc/vision/face_landmarker``), with these additions: BlazeFace looks at parts of
-the picture too, for small faces, and at it brightened, turned and continued beyond its borders
-where it sees none (:mod:`skylight.faces._landmarks`); and the landmark network looks again at
-the square that its own landmarks ask for, as MediaPipe does from frame to frame, several times.
+the picture too, for small faces, and at it brightened, rotated and continued beyond its borders
+where it sees none (:func:`looks`); and the landmark network looks again at the square that its own
+landmarks ask for, as MediaPipe does from frame to frame, several times.
+
+BlazeFace was trained on faces that are whole, lit and about upright. A face that fills its picture
+is whole where the picture is continued by its mirror image, a dark one is lit where local contrast
+is raised (CLAHE, Zuiderveld 1994), and a tilted one stands where the picture is rotated.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -29,9 +34,17 @@ from skylight.faces._blazeface import (
     upright,
     views,
 )
-from skylight.faces._landmarks import MESH_EYES, DetectedFace, Look, landmark_errors, looks
+from skylight.faces._landmarks import MESH_EYES, DetectedFace, landmark_errors
+
+Picture = UInt8[ndarray, "h w 3"]
+Shown = UInt8[ndarray, "h2 w2 3"]
 
 POINTS = 478
+# Of looks:
+_LOWEST_SCORE = 0.3  # where a face must be sure by its landmarks
+_ROTATIONS_DEG = (45.0, -45.0, 90.0, -90.0)
+_CLIP_LIMIT, _TILES = 4.0, (4, 4)  # of CLAHE
+# Of readings:
 _LEAST_PRESENCE, _WEAKEST_SHARE = 0.5, 0.9
 _FAINTEST_GLANCE = 0.1  # at BlazeFace's own square
 # 14 environment maps without people stay below one or the other, whatever the look
@@ -83,7 +96,7 @@ class MediaPipeLandmarker:
                 return found
         return []
 
-    def _faces(self, look: Look) -> "list[Reading]":
+    def _faces(self, look: "Look") -> "list[Reading]":
         height, width = look.picture.shape[:2]
         read: list[Reading] = []
         for square in self.find(look.shown, look.least_score):
@@ -185,6 +198,71 @@ class Reading:
     def sure(self) -> bool:
         """Whether it is a face beyond what a wall or a cave reaches now and then."""
         return self.presence >= _SURE_PRESENCE and self.scatter < _SURE_SCATTER
+
+
+@dataclass(frozen=True, kw_only=True)
+class Look:
+    """``shown``, whose point p shows point ``back[:, :2] @ p + back[:, 2]`` of ``picture``.
+
+    BlazeFace looks at ``shown``, landmarks are read in ``picture``: in a margin they would follow
+    the mirror image. Candidates count from BlazeFace's ``least_score`` on. ``last_resort``: false
+    faces are likelier than in the picture itself, so what is found must be sure.
+    """
+
+    picture: Picture
+    shown: Shown
+    back: Float[ndarray, "2 3"]
+    least_score: float = _LOWEST_SCORE
+    last_resort: bool = True
+
+    def in_picture(self, square: Square) -> Square:
+        """A square of ``shown`` where it is in ``picture``."""
+        cos, sin = self.back[:, 0]
+        return Square(
+            centre=self.back[:, :2] @ square.centre + self.back[:, 2],
+            side=square.side,
+            angle_rad=square.angle_rad + float(np.arctan2(sin, cos)),
+        )
+
+
+def looks(image: Picture) -> Iterator[Look]:
+    """The picture itself, then what else may show a face; made when asked for."""
+    itself = np.eye(2, 3)
+    yield Look(picture=image, shown=image, back=itself, least_score=LEAST_SCORE, last_resort=False)
+    for picture in (image, brightened(image)):
+        yield Look(picture=picture, shown=picture, back=itself)
+        shown, back = mirrored(picture)
+        yield Look(picture=picture, shown=shown, back=back)
+        for degrees in _ROTATIONS_DEG:
+            shown, back = rotated(picture, degrees)
+            yield Look(picture=picture, shown=shown, back=back)
+
+
+def mirrored(image: Picture) -> tuple[Shown, Float[ndarray, "2 3"]]:
+    """(a picture with its mirror image around it, half its height wide; the way back)."""
+    margin = image.shape[0] // 2
+    wide = cv2.copyMakeBorder(image, margin, margin, margin, margin, cv2.BORDER_REFLECT)
+    return wide, np.array([[1.0, 0.0, -margin], [0.0, 1.0, -margin]])
+
+
+def brightened(image: Picture) -> Picture:
+    """Local contrast raised, colours kept: CLAHE of CIELAB's lightness."""
+    lab = cv2.cvtColor(image, cv2.COLOR_RGB2LAB)
+    lab[..., 0] = cv2.createCLAHE(_CLIP_LIMIT, _TILES).apply(lab[..., 0])
+    return cv2.cvtColor(lab, cv2.COLOR_LAB2RGB)
+
+
+def rotated(image: Picture, angle_deg: float) -> tuple[Shown, Float[ndarray, "2 3"]]:
+    """(the whole picture rotated clockwise as it is seen, black around it; the way back)."""
+    angle = np.radians(angle_deg)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    source = np.array(image.shape[1::-1], dtype=np.float64)
+    size = np.ceil(np.abs(turn) @ source - 1e-6).astype(int)
+    back = np.column_stack([turn.T, source / 2 - turn.T @ (size / 2)])
+    centres = back.copy()  # OpenCV's integers name pixel centres
+    centres[:, 2] += back[:, :2] @ [0.5, 0.5] - 0.5
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return cv2.warpAffine(image, centres, (int(size[0]), int(size[1])), flags=flags), back
 
 
 def _square_of_candidate(candidate: Float[ndarray, "8 2"]) -> Square:

@@ -8,13 +8,12 @@ along +Z, +X is the person's left, which is right in a picture of the face. Shap
 with coefficients scaled so that ``a`` less the average face's is standard normal for plausible
 adults. The bases come from MakeHuman's CC0 targets (``tools/build_head.py``); which of their faces
 is the average one, and where MediaPipe's mesh lies on it, from MediaPipe's canonical face
-(``tools/register_face_mesh.py``). NOTICE tells the licences.
+(``tools/register_face_mesh.py``). NOTICE has the licences.
 
-Detected points and where they are on the head: what a fit compares.
-
-Two kinds, each with the measured second moment S of its errors
-(``tools/measure_landmarks.py``): errors go together along jaw, brows and with the light, and points
-treated as independent would turn that into errors of pose.
+A fit compares detected points with where they are on the head (:class:`Correspondence`). There are
+two kinds, each with the measured second moment S of its errors (``tools/measure_landmarks.py``):
+errors go together along jaw, brows and with the light, and points treated as independent would
+become errors of pose.
 """
 
 from __future__ import annotations
@@ -33,6 +32,10 @@ from scipy.sparse import csr_matrix
 
 from skylight.errors import AssetError
 from skylight.faces._landmarks import EYES, MESH_EYES, DetectedFace, landmark_errors
+
+# Mean (n,3), identity basis (n,3,k) and expression basis (n,3,e) of some points of the head.
+Basis = tuple[ndarray, ndarray, ndarray]
+JAW = np.arange(17)
 
 
 class Region(IntEnum):
@@ -132,47 +135,33 @@ class HeadModel:
             "lkc,lkcd->lkd", self.contour_bary, vertices[self.faces[self.contour_faces]]
         )
 
-    def landmark_basis(
-        self,
-    ) -> tuple[Float[ndarray, "68 3"], Float[ndarray, "68 3 k"], Float[ndarray, "68 3 e"]]:
-        """Mean, identity and expression basis of the landmarks alone."""
-        return self._landmark_basis
-
-    def contour_basis(
-        self,
-    ) -> tuple[Float[ndarray, "17 c 3"], Float[ndarray, "17 c 3 k"], Float[ndarray, "17 c 3 e"]]:
-        """Mean, identity and expression basis of the jaw landmarks' sliding candidates."""
-        return self._contour_basis
-
-    def mesh_basis(
-        self,
-    ) -> tuple[Float[ndarray, "q 3"], Float[ndarray, "q 3 k"], Float[ndarray, "q 3 e"]]:
-        """Mean, identity and expression basis of the fitted points of MediaPipe's mesh."""
-        return self._mesh_basis
-
     @cached_property
-    def _landmark_basis(self) -> tuple[ndarray, ndarray, ndarray]:
+    def landmark_basis(self) -> Basis:
+        """Of the 68 landmarks alone."""
         return self._basis_at(self.landmark_faces, self.landmark_bary)
 
     @cached_property
-    def _mesh_basis(self) -> tuple[ndarray, ndarray, ndarray]:
+    def contour_basis(self) -> Basis:
+        """Of the jaw landmarks' sliding candidates, (17,c) of them."""
+        mean, identity, expression = self._basis_at(
+            self.contour_faces.ravel(), self.contour_bary.reshape(-1, 3)
+        )
+        rows = self.contour_faces.shape
+        return (
+            mean.reshape(*rows, 3),
+            identity.reshape(*rows, 3, -1),
+            expression.reshape(*rows, 3, -1),
+        )
+
+    @cached_property
+    def mesh_basis(self) -> Basis:
+        """Of the fitted points of MediaPipe's mesh."""
         return self._basis_at(self.mesh_faces, self.mesh_bary)
 
-    def _basis_at(
-        self, faces: Int[ndarray, " n"], bary: Float[ndarray, "n 3"]
-    ) -> tuple[ndarray, ndarray, ndarray]:
+    def _basis_at(self, faces: Int[ndarray, " l"], bary: Float[ndarray, "l 3"]) -> Basis:
         corner = self.faces[faces]
         mean, identity, expression = (
             np.einsum("lc,lc...->l...", bary, array[corner])
-            for array in (self.mean, self.identity_basis, self.expression_basis)
-        )
-        return mean, identity, expression
-
-    @cached_property
-    def _contour_basis(self) -> tuple[ndarray, ndarray, ndarray]:
-        corner = self.faces[self.contour_faces]
-        mean, identity, expression = (
-            np.einsum("lkc,lkc...->lk...", self.contour_bary, array[corner])
             for array in (self.mean, self.identity_basis, self.expression_basis)
         )
         return mean, identity, expression
@@ -210,10 +199,6 @@ class HeadModel:
         side = 1 + 0.2 * generator.standard_normal(len(pairs)).clip(-2, 2)
         expression = liveliness * side * np.array([strength[pair] for pair in pairs])
         return identity, expression
-
-
-Basis = tuple[ndarray, ndarray, ndarray]  # mean (n,3), identity (n,3,k), expression (n,3,e)
-JAW = np.arange(17)
 
 
 @runtime_checkable
@@ -269,7 +254,7 @@ class MeshPoints:
         mean = readings.mean(0)
         right, left = MESH_EYES
         eye_distance = float(np.linalg.norm(mean[left] - mean[right]))
-        self.basis = model.mesh_basis()
+        self.basis = model.mesh_basis
         self.target = mean[model.mesh_points]
         rows = [int(np.flatnonzero(model.mesh_points == point)[0]) for point in MESH_EYES]
         self.eyes = rows[0], rows[1]
@@ -288,7 +273,7 @@ class SlidingLandmarks:
     def __init__(self, model: HeadModel, target: Float[ndarray, "68 2"]) -> None:
         self._model = model
         self.target, self.eyes = target, EYES
-        self.basis = model.landmark_basis()
+        self.basis = model.landmark_basis
         right, left = EYES
         self.whiten = _whitening() / float(np.linalg.norm(target[left] - target[right]))
 
@@ -304,7 +289,7 @@ def slid_landmarks(
     51 are fixed on the head; the jaw's 17 slide along it to the silhouette that a camera at the
     origin sees.
     """
-    fixed, sliding = model.landmark_basis(), model.contour_basis()
+    fixed, sliding = model.landmark_basis, model.contour_basis
     points, candidates = _shaped(fixed, head), _shaped(sliding, head)
     # of each row of the jaw the candidate that lies outermost in the picture
     image = _pinhole(candidates @ head.rotation.T + head.translation)

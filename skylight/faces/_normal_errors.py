@@ -28,7 +28,7 @@ class NormalErrorModes:
     """``modes`` (u,3,k): of some points the normals n_p + sum_k modes_pk z_k, z standard normal.
 
     Pose and shape are then off by L x with L L^T their covariance C and x = ``axes`` z, ``axes``
-    (d,k) orthonormal: the same errors at other points are :func:`normal_turns` of x.
+    (d,k) orthonormal: the same errors at other points are :func:`normal_changes` of x.
     """
 
     modes: Float[Tensor, "u 3 k"]
@@ -52,7 +52,7 @@ def normal_error_modes(
     )
 
 
-def normal_turns(
+def normal_changes(
     model: HeadModel,
     fit: FaceFit,
     surface: GBuffer,

@@ -1,12 +1,11 @@
-"""Segmentation of bare skin: no hair, beard, glasses, hats or clothes.
+"""Segmentation of photographs of people: bare skin, hair, and a soft matte of the person.
 
-Skin's colour differs between places by how much of sun and sky each gets, so a pixel is compared
+Skin (:class:`SkinLikeness`) is bare where there is no hair, beard, glasses, hats or clothes. Its
+colour differs between places by how much of sun and sky each gets, so a pixel is compared
 with the face's own skin in the logarithms of its ratios red : green and blue : green, and in how
-rough it is: hair and cloth have detail where skin is smooth.
-
-A soft matte of a person: grown from head, hair and bust, refined along the picture's edges.
-
-Hair, by MediaPipe's segmentation network (Tkachenka et al. 2019).
+rough it is: hair and cloth have detail where skin is smooth. Hair is found by MediaPipe's
+segmentation network (Tkachenka et al. 2019). The matte grows from head, hair and bust, and follows
+the picture's edges.
 """
 
 from dataclasses import dataclass
@@ -27,6 +26,15 @@ LEAST_SPREAD = np.array([0.05, 0.07])
 FARTHEST = 2.5  # spreads from the face's median colour
 ROUGHEST = 1.5  # times the detail of the face's 80th percentile
 LEAST_PART = 0.5  # of a part of the head that looks like skin, else none of it is used
+_LEAST = 1e-4  # of values, before logarithms and divisions
+# Of the matte; lengths are in heights of the face.
+SURE = 0.03  # of the head's border: what lies deeper is the person's for certain
+SURE_BUST = 0.15  # of a bust that fits nobody exactly
+REACH = 0.35  # about head, hair and bust: what lies farther out is background for certain
+FEATHER = 0.015  # radius of the guided filter
+_EPSILON = 1e-4  # of the guided filter, for values from 0 to 1
+_HAIR, _SURE_HAIR = 0.5, 0.8
+_GRABCUT_ITERATIONS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,8 +61,8 @@ class SkinLikeness:
             face=face,
             clipped=clipped,
             colour_distance=colour_distance(image, exact),
-            roughness=detail / max(float(np.quantile(detail[exact], 0.8)), _EPSILON),
-            brightness=green / max(float(np.median(green[exact])), _EPSILON),
+            roughness=detail / max(float(np.quantile(detail[exact], 0.8)), _LEAST),
+            brightness=green / max(float(np.median(green[exact])), _LEAST),
         )
 
     def bare(
@@ -90,7 +98,7 @@ def colour_distance(
 
     Spreads are 1.4826 median absolute deviations, ``LEAST_SPREAD`` at least.
     """
-    logs = np.log(image.clip(_EPSILON))
+    logs = np.log(image.clip(_LEAST))
     colour = logs[..., [0, 2]] - logs[..., 1:2]
     middle = np.median(colour[face], axis=0)
     deviation = np.abs(colour - middle)
@@ -100,18 +108,8 @@ def colour_distance(
 
 def roughness(image: Float[ndarray, "h w 3"]) -> Float[ndarray, "h w"]:
     """Detail: ``|ln green - its mean over 5 x 5 pixels|``, averaged over 3 x 3."""
-    log = np.log(image[..., 1].clip(_EPSILON)).astype(np.float32)
+    log = np.log(image[..., 1].clip(_LEAST)).astype(np.float32)
     return cv2.blur(np.abs(log - cv2.blur(log, (5, 5))), (3, 3))
-
-
-# Lengths are in heights of the face.
-SURE = 0.03  # of the head's border: what lies deeper is the person's for certain
-SURE_BUST = 0.15  # of a bust that fits nobody exactly
-REACH = 0.35  # about head, hair and bust: what lies farther out is background for certain
-FEATHER = 0.015  # radius of the guided filter
-_EPSILON = 1e-4  # of the guided filter, for values from 0 to 1
-_HAIR, _SURE_HAIR = 0.5, 0.8
-_ROUNDS = 4
 
 
 def person_matte(
@@ -145,7 +143,7 @@ def person_matte(
         labels,
         (0, 0, 0, 0),  # of a rectangle to start from: the mask does
         *models,
-        _ROUNDS,
+        _GRABCUT_ITERATIONS,
         cv2.GC_INIT_WITH_MASK,
     )
     inside = np.isin(labels, (cv2.GC_FGD, cv2.GC_PR_FGD))

@@ -1,7 +1,7 @@
 """Which pixels of a face are skin, by whether light on one skin explains them.
 
-Beards, glasses, hands and strands of hair are told from shadows by a fit: with visibility in the
-transport, some non-negative light explains every shade of one skin, attached and cast shadows
+Beards, glasses, hands and strands of hair are separated from shadows by a fit: with visibility in
+the transport, some non-negative light explains every shade of one skin, attached and cast shadows
 included, but not what has another albedo or is not where the head's surface is. The residuals are
 a mixture (Jepson & Black 1993), narrow for skin and broad for all else, whose labels agree with
 their neighbours' (a Potts model, solved by mean field).
@@ -30,7 +30,7 @@ LEAST_SPREAD, MOST_SPREAD = (0.1, 0.05, 0.07), (0.2, 0.09, 0.13)
 OUTLIER_RANGE = (4.0, 1.5, 2.0)
 FEWEST_OUTLIERS, MOST_OUTLIERS = 0.02, 0.5
 NEIGHBOURS = 0.3  # nats by which each of eight neighbours of the same label makes it likelier
-ROUNDS, STEPS, SMOOTHINGS = 6, 40, 10
+ITERATIONS, LIGHT_UPDATES, MEAN_FIELD_STEPS = 6, 40, 10
 # Gloss against shading, 1 / albedo where skin shines as modelled: of light and of dark, oily skin.
 LEAST_GLOSS, MOST_GLOSS = 1.5, 15.0
 # By how much the ln of a ratio of channels may change: as shading grows by a factor of e (a low
@@ -59,12 +59,12 @@ def inlier_probability(seen: Observation) -> Float[Tensor, " m"]:
     bright, logs = (brightness + floor).log(), (pixels + floor).log()
     ratios = logs[:, [0, 2]] - logs[:, 1:2]
     towards = _seen_from(seen.transport)
-    neighbours = _Neighbours.of(seen.places)
+    grid = _PixelGrid.of(seen.places)
     skin = seen.weights.double() * exact
     light = torch.ones(diffuse.shape[1], dtype=torch.float64)
     light *= brightness[exact].mean() / (diffuse @ light)[exact].mean()
     inlier, share, gloss = exact.double(), 0.2, 2 * LEAST_GLOSS
-    for _ in range(ROUNDS):
+    for _ in range(ITERATIONS):
         weights = inlier * skin
         light, gloss = _light(diffuse, glossy, brightness, weights, (light, gloss), floor)
         matt, shine = diffuse @ light, gloss * (glossy @ light)
@@ -73,7 +73,7 @@ def inlier_probability(seen: Observation) -> Float[Tensor, " m"]:
         tint = _tint(ratios, causes, weights)
         residual = torch.cat([(bright - shading)[:, None], ratios - tint], 1)
         evidence, share = _evidence(residual, inlier * exact, exact, share)
-        inlier = neighbours.agree(evidence)
+        inlier = grid.mean_field(evidence)
     return inlier.to(seen.weights)
 
 
@@ -104,7 +104,7 @@ def _light(
     relative = weights / (basis @ light + floor) ** 2
     aim = basis.T @ (relative * brightness)
     single, factor, aim, found = (x.float() for x in (basis, relative, aim, light))
-    for _ in range(STEPS):
+    for _ in range(LIGHT_UPDATES):
         found = found * aim / (single.T @ (factor * (single @ found))).clamp(min=1e-30)
     light = found.double()
     shine = relative * (glossy @ light)
@@ -157,28 +157,28 @@ def _evidence(
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Neighbours:
+class _PixelGrid:
     """Places (m,2) on a picture's grid: ``grid`` holds each pixel's number, m where none is."""
 
     places: Int[Tensor, "m 2"]
     grid: Int[Tensor, "h w"]
 
     @staticmethod
-    def of(places: Int[Tensor, "m 2"]) -> "_Neighbours":
+    def of(places: Int[Tensor, "m 2"]) -> "_PixelGrid":
         """Of pixels at rows and columns."""
         places = places - places.min(0).values + 1
         height, width = (places.max(0).values + 2).tolist()
         grid = torch.full((height, width), len(places))
         grid[places[:, 0], places[:, 1]] = torch.arange(len(places))
-        return _Neighbours(places=places, grid=grid)
+        return _PixelGrid(places=places, grid=grid)
 
-    def agree(self, evidence: Float[Tensor, " m"]) -> Float[Tensor, " m"]:
+    def mean_field(self, evidence: Float[Tensor, " m"]) -> Float[Tensor, " m"]:
         """Probabilities of a Potts model with this evidence, by mean field."""
         row, column = self.places.unbind(1)
         around = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
         beside = torch.stack([self.grid[row + i, column + j] for i, j in around])
         inlier = torch.sigmoid(evidence)
-        for _ in range(SMOOTHINGS):
+        for _ in range(MEAN_FIELD_STEPS):
             votes = torch.cat([2 * inlier - 1, inlier.new_zeros(1)])[beside].sum(0)
             inlier = torch.sigmoid(evidence + NEIGHBOURS * votes)
         return inlier

@@ -1,11 +1,10 @@
-"""Films: decoded as they play, upright, each frame with its time.
+"""Films: decoded as they play, upright, each frame with its time; HDR films are recognised.
 
-How a film's codes encode light, as the boxes of an MP4 or QuickTime file say.
-
-Boxes (ISO/IEC 14496-12, 4.2) are a length, a name of four letters and a content; a track's sample
-description may hold ``colr`` (12.1.5), whose second code point is the transfer characteristic
-(ITU-T H.273, table 3). Where there is none, the sequence parameter set of the coded video tells it
-(HEVC: ITU-T H.265, 7.3.2.2 and E.2.1). Files of other kinds have no such boxes.
+Which curve a film's codes follow is told by the boxes of an MP4 or QuickTime file (ISO/IEC
+14496-12, 4.2: a length, a name of four letters and a content): a track's sample description may
+hold ``colr`` (12.1.5), whose second code point is the transfer characteristic (ITU-T H.273, table
+3). Where there is none, the sequence parameter set of the coded video tells it (HEVC: ITU-T H.265,
+7.3.2.2 and E.2.1). Files of other kinds have no such boxes.
 """
 
 import math

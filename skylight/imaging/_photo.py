@@ -1,8 +1,7 @@
 """Photographs: strict reading, linear Rec.709 pixels, and camera metadata.
 
-Cameras' RAW files, developed to linear Rec.709 by LibRaw (the extra ``raw``).
-
-Endings of the files that photographs are read from, without what reads them.
+Pictures are opened by Pillow, OpenEXR and Radiance files by :mod:`skylight.io._hdr`, and cameras'
+RAW files developed by LibRaw (the extra ``raw``).
 """
 
 from dataclasses import dataclass

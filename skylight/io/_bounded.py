@@ -1,10 +1,9 @@
-"""Untrusted files read within limits, which are checked before memory is allocated.
+"""Untrusted files (bytes, text, JSON, NumPy arrays) read within limits, and JSON written.
 
-Without torch, which relighting must not import. What cannot be used is an :class:`OSError` (it
-cannot be opened) or a :class:`ValueError` (it is not what it should be); readers make of either an
-:class:`~skylight.errors.InputError` that names the file and says what to do.
-
-JSON files: reading those with a "kind", atomic writing.
+Limits are checked before memory is allocated. Without torch, which relighting must not import.
+What cannot be used is an :class:`OSError` (it cannot be opened) or a :class:`ValueError` (it is not
+what it should be); readers make of either an :class:`~skylight.errors.InputError` that names the
+file and says what to do.
 """
 
 import errno

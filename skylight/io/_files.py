@@ -1,10 +1,7 @@
-"""Environment maps and images: strict reading, atomic writing.
+"""Environment maps and images: strict reading, atomic writing, and folders of them.
 
-Image files opened with Pillow: formats, size limits, one-line errors.
-
-Visible files of a folder by suffix.
-
-Collections of maps: a folder with an ``index.csv`` of files and categories.
+A file that cannot be used is refused in one line that names it. A folder of maps may have an
+``index.csv`` of files and categories.
 """
 
 import csv

@@ -1,12 +1,11 @@
-"""OpenEXR and Radiance RGBE files as linear Rec.709 float32 pixels.
+"""OpenEXR and Radiance RGBE files as linear Rec.709 float32 pixels, and RGBD codes of such pixels.
 
 What the pixels mean, and whether they make sense, is for :mod:`skylight.io._files` (light)
 and :mod:`skylight.imaging._photo` (photographs).
 
-High dynamic range in 8-bit RGBA: colours times D, with D as alpha.
-
-As Babylon.js reads it (helperFunctions, fromRGBD): ``rgb = (code / 255)^2.2 / D``, ``D = alpha``,
-which is what EXT_lights_image_based calls RGBD; that text leaves the curve open.
+RGBD is high dynamic range in 8-bit RGBA: colours times D, with D as alpha, as Babylon.js reads it
+(helperFunctions, fromRGBD): ``rgb = (code / 255)^2.2 / D``, ``D = alpha``. EXT_lights_image_based
+calls it RGBD and leaves the curve open.
 """
 
 import math

@@ -5,11 +5,12 @@ luminance of 1 over the upper hemisphere (sun included). What a camera adds is o
 factor, which inverse lighting estimates beside the parameters.
 """
 
+import math
 from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from skylight.sphere._frame import DirectionGrid
 
@@ -58,6 +59,30 @@ class LightModel(Protocol):
     ) -> Float[Tensor, "*batch 3"] | None: ...
 
     def on_rows(self, height: int) -> "LightModel": ...
+
+
+class UnboundedLight(nn.Module):
+    """The part of a :class:`LightModel` that is the same where any parameters are allowed.
+
+    Free parameters are the parameters; there is neither an azimuth nor a sun.
+    """
+
+    azimuth_index: int | None = None
+    parameter_count: int
+
+    @property
+    def bounds(self) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
+        high = torch.full((self.parameter_count,), math.inf, dtype=torch.float64)
+        return -high, high
+
+    def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
+        return params
+
+    def from_free(self, free: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
+        return free
+
+    def sun_direction(self, params: Float[Tensor, "*batch p"]) -> None:
+        return None
 
 
 @runtime_checkable

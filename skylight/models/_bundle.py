@@ -11,9 +11,8 @@
 ``card.md``                    the model card
 =============================  ==================================================================
 
-The model that comes with skylight is such a folder too.
-
-Networks in safetensors files.
+The model that comes with skylight is such a folder too. Checkpoints of training are the network's
+file alone (:func:`save_network`).
 """
 
 import copy
@@ -42,7 +41,12 @@ from skylight.models._sun_head import COORDINATES
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.work._resumable import results_folder
 
+CARD = "card.md"
+NETWORK, BANK = "network.safetensors", "bank.safetensors"
+LATENT_PRIOR, SUNSKY_PRIOR = "latent_prior.safetensors", "sunsky_prior.safetensors"
+SHIPPED = Path(str(files("skylight.models") / "data" / "sky_autoencoder"))
 LATENTS_MAX = 1024  # a network has memory for as many before it can refuse its weights
+Part = TypeVar("Part")
 
 
 def network_state(network: SkyNetwork) -> dict[str, Tensor]:
@@ -100,14 +104,6 @@ def load_network(path: Path) -> SkyNetwork:
 def save_network(network: SkyNetwork, path: Path) -> None:
     """Write the weights as :func:`load_network` reads them."""
     write_tensors(path, network_state(network))
-
-
-Part = TypeVar("Part")
-
-CARD = "card.md"
-NETWORK, BANK = "network.safetensors", "bank.safetensors"
-LATENT_PRIOR, SUNSKY_PRIOR = "latent_prior.safetensors", "sunsky_prior.safetensors"
-SHIPPED = Path(str(files("skylight.models") / "data" / "sky_autoencoder"))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -125,7 +125,7 @@ class ConvolutionalAutoencoder(SkyNetwork):
                 return self.output(x.float())
         return self.output(x)
 
-    def turned(
+    def decode_at_azimuth(
         self,
         z: Float[Tensor, "b z"],
         azimuth_rad: Float[Tensor, " t"],

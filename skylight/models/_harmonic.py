@@ -4,21 +4,20 @@ import math
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
+from skylight.models._base import UnboundedLight
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._frame import DirectionGrid
 
 
-class HarmonicLight(nn.Module):
+class HarmonicLight(UnboundedLight):
     """Radiance over the whole sphere as (degree + 1)^2 coefficients per colour.
 
     Parameters ``(..., 3 k)`` are coefficients ``(..., k, 3)`` flattened, in the order of
     :mod:`skylight.sphere._harmonics`. ``forward`` is clamped at zero, as light must be;
     ``linear_radiance`` is not, and is what a linear least-squares fit works with.
     """
-
-    azimuth_index: int | None = None
 
     basis: Tensor
 
@@ -31,11 +30,6 @@ class HarmonicLight(nn.Module):
         basis = harmonics.evaluate(self.grid.directions, degree)
         self.register_buffer("basis", basis, persistent=False)
 
-    @property
-    def bounds(self) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
-        high = torch.full((self.parameter_count,), math.inf, dtype=torch.float64)
-        return -high, high
-
     def linear_radiance(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
         """``sum_k Y_k(w) c_k``, negative where it rings."""
         return self.basis.to(params) @ params.unflatten(-1, (-1, 3))
@@ -44,18 +38,9 @@ class HarmonicLight(nn.Module):
         """``max(0, sum_k Y_k(w) c_k)``."""
         return self.linear_radiance(params).clamp(min=0)
 
-    def sun_direction(self, params: Float[Tensor, "*batch p"]) -> None:
-        return None
-
     def on_rows(self, height: int) -> "HarmonicLight":
         """The model on ``height`` rows."""
         return HarmonicLight(self.degree, height).to(self.basis)
-
-    def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
-        return params
-
-    def from_free(self, free: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
-        return free
 
     def starts(self) -> Float[Tensor, "s p"]:
         """Light of mean luminance 1 above: from everywhere, and from above only."""

@@ -17,6 +17,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from skylight.models._base import UnboundedLight
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import luminance
 from skylight.sphere._frame import DirectionGrid
@@ -54,7 +55,7 @@ class Lamps:
     colours: Float[Tensor, "*b k 3"]
 
 
-class LampsLight(nn.Module):
+class LampsLight(UnboundedLight):
     """Parameters ``(..., 16 + 7 k)`` to radiance on ``height`` rows of the sphere, of k lamps.
 
     All are standard normal beforehand but for the directions::
@@ -67,8 +68,6 @@ class LampsLight(nn.Module):
         5, 6   log of its red and of its blue against green
 
     """
-
-    azimuth_index: int | None = None
 
     basis: Tensor
     directions: Tensor
@@ -87,20 +86,9 @@ class LampsLight(nn.Module):
         self.register_buffer("directions", self.grid.directions, persistent=False)
         self.register_buffer("log_solid_angle", self.grid.solid_angles.log(), persistent=False)
 
-    @property
-    def bounds(self) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
-        high = torch.full((self.parameter_count,), math.inf, dtype=torch.float64)
-        return -high, high
-
     def on_rows(self, height: int) -> "LampsLight":
         """The model on ``height`` rows."""
         return LampsLight(self.count, height).to(self.basis)
-
-    def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
-        return params
-
-    def from_free(self, free: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
-        return free
 
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
         radiance = self.ambient(params)
@@ -153,9 +141,6 @@ class LampsLight(nn.Module):
         exponent = (cosine - 1) / lamps.widths_rad[..., None] ** 2
         total = torch.logsumexp(exponent + self.log_solid_angle.to(exponent), -1, keepdim=True)
         return torch.exp(exponent - total)
-
-    def sun_direction(self, params: Float[Tensor, "*batch p"]) -> None:
-        return None
 
     def starts(self) -> Float[Tensor, "s p"]:
         """Lamps above, on the camera's side, all round: one start."""

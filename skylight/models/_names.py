@@ -25,7 +25,7 @@ def check_light_name(name: str) -> LightName:
 
 
 def check_solver_name(name: str, light: LightName) -> SolverName:
-    """``name`` where it searches for that light; :class:`InputError` tells what does."""
+    """``name`` where it searches for that light; :class:`InputError` names those that do."""
     if name not in SOLVER_NAMES:
         raise InputError(f"unknown solver {name!r}: choose one of {', '.join(SOLVER_NAMES)}")
     if name != DEFAULT_SOLVER and light != "autoencoder":

@@ -7,8 +7,8 @@ magnitude, and in linear values the L1 loss of the thesis leaves the sun to one 
 Where ``sun_head`` is set, the last five latents are the sun's own coordinates
 (:mod:`sun_head`): the rest codes the sky without its sun, knowing where and how strong it is, and
 decoding adds the sun's lobe. Its height, energy and sharpness then vary smoothly and
-independently of the sky, whereas a network that paints the sun on pixels has to be told of every
-height that a sun may have.
+independently of the sky, whereas a network that paints the sun on pixels has to see every height
+that a sun may have in training.
 """
 
 import math
@@ -74,14 +74,14 @@ class SkyNetwork(nn.Module, ABC):
         """Coded radiance, without the sun where it has its own head."""
 
     @abstractmethod
-    def turned(
+    def decode_at_azimuth(
         self,
         z: Float[Tensor, "b z"],
         azimuth_rad: Float[Tensor, " t"],
         sun_spread_rad: float,
         height: int = HEIGHT,
     ) -> Float[Tensor, "b h w 3"]:
-        """:meth:`decode` in evaluation mode, the suns turned to those azimuths.
+        """:meth:`decode` in evaluation mode, the skies rotated so that suns are at those azimuths.
 
         Differentiable in both; one azimuth serves any number of skies. ``sun_spread_rad`` widens
         the sun's lobe: see :meth:`~skylight.models._sun_head.SunHead.lobe`. ``height`` is

@@ -71,14 +71,14 @@ class SplineAutoencoder(SkyNetwork):
             values = self._evaluation(control)
         return values.unflatten(1, (3, z.shape[0])).permute(2, 1, 0).unflatten(2, (HEIGHT, WIDTH))
 
-    def turned(
+    def decode_at_azimuth(
         self,
         z: Float[Tensor, "b z"],
         azimuth_rad: Float[Tensor, " t"],
         sun_spread_rad: float,
         height: int = HEIGHT,
     ) -> Float[Tensor, "b h w 3"]:
-        """:meth:`decode`, the suns turned to those azimuths; exact, as nothing is resampled."""
+        """:meth:`decode`, rotated so that suns are there; exact, as nothing is resampled."""
         splines = self.splines if height == HEIGHT else _on_rows(height, z.device)
         coded = splines(self.control(z), azimuth_rad - CENTRE_AZIMUTH_RAD)
         sky = _radiance(coded).unflatten(1, (height, 4 * height))

@@ -12,11 +12,11 @@ from jaxtyping import Float
 from scipy.optimize import nnls
 from torch import Tensor
 
-from skylight.csc._active_set import LinearObservation
 from skylight.csc._code import CodeTensors, SparseCode
 from skylight.csc._coder import SphericalSparseCoder
 from skylight.csc._dictionary import FilterBank, builtin
 from skylight.csc._greedy import Pursuit, PursuitOptions, Support, pursue
+from skylight.csc._least_squares import LinearObservation
 from skylight.csc._sub_dictionaries import rotated_atoms
 from skylight.errors import InputError
 from skylight.inverse._harmonic import nonnegative_harmonics

@@ -20,11 +20,11 @@ from skylight.faces._captures import (
     CAPTURES_NAME,
     FaceCapture,
     capture_hash,
-    fit_visible,
     read_captures,
     read_probe,
     write_azimuths,
 )
+from skylight.faces._fit import fit_visible
 from skylight.faces._landmarkers import choose_landmarker
 from skylight.faces._landmarks import choose_face
 from skylight.faces._model import HeadModel

@@ -305,7 +305,7 @@ class FaceReflection:
     """What an estimate tells of a face beside its light.
 
     ``gloss`` is that of :class:`~skylight.inverse._result.FaceLight`; by ``head_error``, pose and
-    shape are off, as :func:`~skylight.faces._normal_errors.normal_turns` takes it.
+    shape are off, as :func:`~skylight.faces._normal_errors.normal_changes` takes it.
     """
 
     gloss: float

@@ -29,7 +29,7 @@ from torch.nn.functional import normalize
 
 from skylight.faces._fit import FaceFit
 from skylight.faces._model import HeadModel, Region
-from skylight.faces._normal_errors import normal_turns
+from skylight.faces._normal_errors import normal_changes
 from skylight.faces._observe import skin_seen
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.transport._cameras import Camera
@@ -174,7 +174,7 @@ class PersonSurface:
     ) -> "PersonSurface":
         """Of a fitted head whose face is at most ``face_px`` high.
 
-        ``head_error`` turns its normals by :func:`~skylight.faces._normal_errors.normal_turns`.
+        ``head_error`` turns its normals by :func:`~skylight.faces._normal_errors.normal_changes`.
         ``hair`` is how likely a pixel of the photograph shows hair; without it the head has no
         shell of hair.
 
@@ -203,7 +203,7 @@ class PersonSurface:
         normals = surface.normals.clone()
         if head_error is not None:
             on_head = (surface.faces < len(model.faces)).nonzero()[:, 0]
-            turns = normal_turns(model, fit, surface, on_head, head_error)
+            turns = normal_changes(model, fit, surface, on_head, head_error)
             normals[on_head] = normalize(normals[on_head] + turns, dim=1)
         sight = adaptive_visibility(
             surface.origins,

@@ -4,7 +4,9 @@ from ._chart import (
 )
 from ._encoder import (
     ObjectEncoder as ObjectEncoder,
+    SurfaceTransfer as SurfaceTransfer,
     choose_points as choose_points,
+    surface_points as surface_points,
     surface_transfer as surface_transfer,
 )
 from ._probe_map import (

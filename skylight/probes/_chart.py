@@ -1,6 +1,7 @@
-"""The greys of a ColorChecker in a photo, and the line from albedo to light through them.
+"""Albedo by a ColorChecker in the photo: of a patch beside it, or of the ground that it lies on.
 
-The albedo of the ground, by a ColorChecker that lies on it (thesis, B.2 and Fig. B.4).
+The chart's five greys, whose albedos are known, give the line from albedo to light; ground in the
+same light is read off it (thesis, B.2 and Fig. B.4).
 """
 
 from dataclasses import dataclass

@@ -6,6 +6,8 @@ A capture is dated by a list, its file's name or its file's header, in this orde
 import csv
 import math
 import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from io import StringIO
@@ -23,6 +25,7 @@ from skylight.skies._layouts import FIELD_DEG, SQUARE, Layout, read_pixels, sky_
 from skylight.skies._sun import NO_SKY, PLATEAU_PIXELS, find_sun, plateau_size, why_no_sky
 from skylight.work._progress import CountProgress
 
+LEAST_ROWS = 32  # of a sky, as many as the models' skies have
 _SEPARATOR = r"[-_.: ]?"
 _DATE = re.compile(
     rf"(?<!\d)((?:19|20)\d\d){_SEPARATOR}(\d\d){_SEPARATOR}(\d\d)"
@@ -118,9 +121,6 @@ def read_days(path: Path) -> dict[str, Capture]:
     return listed
 
 
-LEAST_ROWS = 32  # of a sky, as many as the models' skies have
-
-
 @dataclass(frozen=True, kw_only=True)
 class Refusal:
     """A map that is not used, and why, in words; ``is_sky``: because of a fault of its file."""
@@ -128,6 +128,10 @@ class Refusal:
     file: str
     reason: str
     is_sky: bool = True
+
+    def sentence(self) -> str:
+        """For the user."""
+        return f"{self.file}: {'refused' if self.is_sky else 'left out'}, {self.reason}"
 
 
 def index_captures(
@@ -235,6 +239,19 @@ def index_folder(
     records = divide(records, tolerance=tolerance)
     write_rows(out, records)
     return out, records, refusals
+
+
+def describe(records: Sequence[SkyRecord], refusals: Sequence[Refusal]) -> Iterator[str]:
+    """A line for each map: its day, split and sun, or why it is refused or left out."""
+    for record in records:
+        place = f"{90 - record.sun_zenith_deg:.0f} deg high at {record.map_azimuth_deg:+.0f} deg"
+        sun = f"sun {place}" if record.sun_transmittance else f"no sun, brightest {place}"
+        yield f"{record.file}: {record.layout}, day {record.day} ({record.split}), {sun}"
+    for refusal in refusals:
+        yield refusal.sentence()
+    left_out = Counter(refusal.reason for refusal in refusals if not refusal.is_sky)
+    for reason, count in left_out.most_common():
+        yield f"{count} left out, {reason}"
 
 
 def _categories(folder: Path) -> dict[str, str]:

@@ -47,6 +47,16 @@ from skylight.skies._scattering import henyey_greenstein
 CLOUD_G = 0.85  # asymmetry of water droplets in visible light (Liou 2002, table 4.4)
 FORWARD = CLOUD_G**2  # f: counts as not scattered
 SCALED_G = CLOUD_G / (1 + CLOUD_G)
+CELLS = 16  # period of the tile, in cells of the coarser octave
+_SIZE = 96  # samples a side: 3 in a cell of the finer octave
+_OCTAVES = 2
+_TILE_SEED = 20150101
+STEPS = 12  # along a ray of view, within the layer
+LIGHT_STEPS = 4  # towards the sun, and away from it
+FORWARD_PEAK_G = 0.96  # width of the aureole: about 5 degrees
+_LONGEST_KM = 60.0  # of a ray within the layer, near the horizon
+_LOWEST_SUN = 0.05  # cosine of the sun's zenith angle in the march
+_PROFILE_MEAN = 1 - 0.08 / 2 - 0.25 / 2  # of floor times ceiling over the thickness
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,12 +99,6 @@ def slab_light(
 def two_lobes(cos_angle: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
     """Phase function of the scaled droplets: mean cosine 0.46 = g', integral 1 over the sphere."""
     return 0.8 * henyey_greenstein(cos_angle, 0.65) + 0.2 * henyey_greenstein(cos_angle, -0.3)
-
-
-CELLS = 16  # period of the tile, in cells of the coarser octave
-_SIZE = 96  # samples a side: 3 in a cell of the finer octave
-_OCTAVES = 2
-_TILE_SEED = 20150101
 
 
 def fractal_noise(points: Float[Tensor, "*s 3"]) -> Float[Tensor, "*s"]:
@@ -149,13 +153,6 @@ def _gradient_noise(
         away = torch.stack([p - o for p, o in zip(part, offset, strict=True)], -1)
         total = total + weight * (slope * away).sum(-1)
     return total
-
-
-STEPS = 12  # along a ray of view, within the layer
-LIGHT_STEPS = 4  # towards the sun, and away from it
-FORWARD_PEAK_G = 0.96  # width of the aureole: about 5 degrees
-_LONGEST_KM = 60.0  # of a ray within the layer, near the horizon
-_LOWEST_SUN = 0.05  # cosine of the sun's zenith angle in the march
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -317,9 +314,6 @@ def _density(
     profile = (share / 0.08).clamp(max=1) * ((1 - share) / 0.25).clamp(max=1)
     full = layer.depth / layer.thickness_km / _PROFILE_MEAN
     return full * above.clamp(0, 1) * profile
-
-
-_PROFILE_MEAN = 1 - 0.08 / 2 - 0.25 / 2  # of floor times ceiling over the thickness
 
 
 def _noise_space(

@@ -53,8 +53,8 @@ def simulate_skies(
     if not -6 <= lowest_sun < 90:
         raise InputError(f"--lowest-sun must be from -6 to 90 degrees, got {lowest_sun:g}")
     who = who_works(workers, cluster, out)
-    from skylight.skies._index import read_index
-    from skylight.skies._simulated import counts, regime_shares, simulate_folder
+    from skylight.skies._index import counts, read_index
+    from skylight.skies._simulated import regime_shares, simulate_folder
     from skylight.work._progress import stage_bar, with_time_left
 
     shares = regime_shares(clear=clear, broken=broken, overcast=overcast)
@@ -106,8 +106,8 @@ def index_skies(
             wanted; by default 0.05, or 10 / days where that is more.
         all_maps: Index maps that show no sky above, too.
     """
-    from skylight.skies._captures import index_folder
-    from skylight.skies._simulated import counts, describe
+    from skylight.skies._captures import describe, index_folder
+    from skylight.skies._index import counts
     from skylight.work._progress import stage_bar, with_time_left
 
     if not folder.is_dir():

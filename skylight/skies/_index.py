@@ -1,16 +1,14 @@
-"""The index of a folder of skies: ``index.csv``, and its hash.
+"""The index of a folder of skies: ``index.csv``, its splits, and its skies as tensors.
 
-Training, validation and test days, drawn by rejection (thesis, 5.3.3.1).
-
-Each set has a similar mixture of sunny and overcast skies, and all skies of one capture day are
-in one set.
-
-Skies as tensors: sun in the centre column, mean luminance 1.
+Training, validation and test days are drawn by rejection (thesis, 5.3.3.1): each set has a similar
+mixture of sunny and overcast skies, and all skies of one capture day are in one set. Skies are
+loaded with the sun in the centre column and a mean luminance of 1.
 """
 
 import csv
 import hashlib
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from io import StringIO
@@ -32,6 +30,11 @@ from skylight.sphere._envmap import luminance, shift_columns
 from skylight.sphere._frame import DirectionGrid
 
 Split = Literal["train", "validation", "test"]
+_MAY_BE_EMPTY = ("sun_azimuth_deg", "latitude_deg", "longitude_deg", "field_deg")
+SHARES = (0.8, 0.1, 0.1)
+TRIES = 5000
+SUNNY = 0.5  # transmittance from which on a sky counts as sunny
+_SEED = 20180101
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +67,6 @@ class SkyRecord:
 
 COLUMNS = tuple(f.name for f in fields(SkyRecord))
 _NUMBERS = tuple(f.name for f in fields(SkyRecord) if f.type is float)
-_MAY_BE_EMPTY = ("sun_azimuth_deg", "latitude_deg", "longitude_deg", "field_deg")
 
 
 def read_index(place: Path) -> list[SkyRecord]:
@@ -157,6 +159,14 @@ def write_rows(path: Path, records: list[SkyRecord]) -> None:
             writer.writerow({k: "" if v is None or v != v else v for k, v in row.items()})
 
 
+def counts(records: Sequence[SkyRecord]) -> str:
+    """How many skies, days, and skies of each split."""
+    found = Counter(record.split for record in records)
+    days = len({record.day for record in records})
+    splits = ", ".join(f"{found[split]} {split}" for split in get_args(Split))
+    return f"{len(records)} skies of {days} day(s) ({splits})"
+
+
 def _parse(row: dict[str, Any]) -> SkyRecord:
     values: dict[str, Any] = {c: row[c] for c in COLUMNS}
     if any(value is None for value in values.values()):
@@ -172,12 +182,6 @@ def _parse(row: dict[str, Any]) -> SkyRecord:
         if values[column] not in allowed:
             raise ValueError(f"unknown {column} {values[column]!r}")
     return SkyRecord(**values)
-
-
-SHARES = (0.8, 0.1, 0.1)
-TRIES = 5000
-SUNNY = 0.5  # transmittance from which on a sky counts as sunny
-_SEED = 20180101
 
 
 def assign_splits(

@@ -24,6 +24,20 @@ from torch import Tensor
 STREAMS = 8  # cosines a hemisphere
 MODES = 8  # terms in azimuth; of light scattered twice by haze, 0.76^16 = 1 % is left beyond
 ORDERS = 12  # one by one; later ones, in bright haze 0.8 of the one before, as a geometric series
+BANDS_NM = (400.0, 450.0, 500.0, 550.0, 600.0, 650.0, 700.0)
+# The sun's spectrum outside the air, W/m2/nm: ASTM G173, means of 20 nm about every 20th nm.
+SUNLIGHT_NM = np.arange(360.0, 781.0, 20.0)
+SUNLIGHT = (
+    *(1.052, 1.078, 1.436, 1.706, 1.773, 2.026, 1.979, 1.936, 1.849, 1.872, 1.842),
+    *(1.823, 1.767, 1.688, 1.624, 1.539, 1.492, 1.428, 1.354, 1.298, 1.251, 1.197),
+)
+# m2 a molecule at 233 K: Gorshelev et al. and Serdyuchenko et al. (2014), "High spectral
+# resolution ozone absorption cross-sections", parts 1 and 2. Means about each wavelength, weights
+# falling linearly to nothing at the next ones.
+OZONE_CROSS_SECTION = (2.34e-27, 2.55e-26, 1.28e-25, 3.33e-25, 4.38e-25, 2.56e-25, 9.99e-26)
+XYZ_FROM_RGB = np.array(  # IEC 61966-2-1
+    [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+)
 
 
 class LayeredScattering:
@@ -177,24 +191,6 @@ def _modes(
     order = torch.arange(MODES).to(cosines)[:, None]
     basis = torch.cos(order * phi) * torch.where(order > 0, 2.0, 1.0) / 32
     return torch.einsum("ijp,mp->mij", values, basis)
-
-
-BANDS_NM = (400.0, 450.0, 500.0, 550.0, 600.0, 650.0, 700.0)
-
-# The sun's spectrum outside the air, W/m2/nm: ASTM G173, means of 20 nm about every 20th nm.
-SUNLIGHT_NM = np.arange(360.0, 781.0, 20.0)
-SUNLIGHT = (
-    *(1.052, 1.078, 1.436, 1.706, 1.773, 2.026, 1.979, 1.936, 1.849, 1.872, 1.842),
-    *(1.823, 1.767, 1.688, 1.624, 1.539, 1.492, 1.428, 1.354, 1.298, 1.251, 1.197),
-)
-# m2 a molecule at 233 K: Gorshelev et al. and Serdyuchenko et al. (2014), "High spectral
-# resolution ozone absorption cross-sections", parts 1 and 2. Means about each wavelength, weights
-# falling linearly to nothing at the next ones.
-OZONE_CROSS_SECTION = (2.34e-27, 2.55e-26, 1.28e-25, 3.33e-25, 4.38e-25, 2.56e-25, 9.99e-26)
-
-XYZ_FROM_RGB = np.array(  # IEC 61966-2-1
-    [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
-)
 
 
 def rayleigh_depth(nm: Float[np.ndarray, "*s"]) -> Float[np.ndarray, "*s"]:

@@ -28,6 +28,21 @@ from skylight.sphere._frame import angles_from_direction
 
 # Mean angular radius of the solar disc; its solid angle is 6.807e-5 sr.
 SUN_RADIUS_RAD = np.radians(0.2667)
+VISIBLE_SHARE = 0.25
+_NEAR_RAD = math.radians(4)
+# A sun that a sensor or a format cut off is a plateau of equal pixels. One that is not is at
+# most one pixel, or four where a small map was enlarged by repeating its pixels.
+PLATEAU_PIXELS = 5
+_EQUAL = 1e-6
+# The top of a smooth sky is a plateau too, since formats round: by 0.4 % in RGBE's eight bits.
+# What was cut off goes down by more than such a step at its border.
+_BORDER = 0.99
+ZENITH_RAD = math.radians(30)  # of the cap that counts as the zenith
+ROWS = 64  # of the map that is judged
+LEAST_BLUE = 0.95  # of its red
+LEAST_BRIGHT = 0.5  # of the lower half
+LEAST_FROM_ABOVE = 0.7  # of the mean radiance of the lower half
+NO_SKY = ("indoor", "night", "studio")  # how such categories of a collection begin
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,17 +72,6 @@ def sun_angles(place: Place, times: list[datetime]) -> tuple[NDArray, NDArray]:
         longitude_deg=place.longitude_deg,
         altitude_m=place.altitude_m,
     )
-
-
-VISIBLE_SHARE = 0.25
-_NEAR_RAD = math.radians(4)
-# A sun that a sensor or a format cut off is a plateau of equal pixels. One that is not is at
-# most one pixel, or four where a small map was enlarged by repeating its pixels.
-PLATEAU_PIXELS = 5
-_EQUAL = 1e-6
-# The top of a smooth sky is a plateau too, since formats round: by 0.4 % in RGBE's eight bits.
-# What was cut off goes down by more than such a step at its border.
-_BORDER = 0.99
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,15 +120,6 @@ def plateau_size(pixels: Float[Tensor, "h w 3"], *, wraps: bool) -> int:
     if not border.any() or light[border].mean() > _BORDER * light[plateau].mean():
         return 0
     return int(plateau.sum())
-
-
-ZENITH_RAD = math.radians(30)  # of the cap that counts as the zenith
-ROWS = 64  # of the map that is judged
-LEAST_BLUE = 0.95  # of its red
-LEAST_BRIGHT = 0.5  # of the lower half
-LEAST_FROM_ABOVE = 0.7  # of the mean radiance of the lower half
-
-NO_SKY = ("indoor", "night", "studio")  # how such categories of a collection begin
 
 
 def why_no_sky(radiance: Float[Tensor, "h w 3"], *, sun_is_visible: bool) -> str | None:

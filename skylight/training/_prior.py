@@ -21,6 +21,11 @@ from skylight.training._checkpoint import reconstructions, spread
 from skylight.training._config import PriorConfig, config_yaml
 
 RECONSTRUCTIONS = "reconstructions.png"
+# Added to every variance, so that no component collapses on to a few like skies.
+COVARIANCE_FLOOR = 1e-2
+HEIGHT_BINS = 24
+SKIES_PER_DIMENSION = 10
+PATIENCE = 2
 
 
 def model_card(
@@ -99,13 +104,6 @@ def _prior(name: str, scores: Mapping[str, Any]) -> str:
     each = scores["mean_log_likelihood"]
     values = " | ".join(f"{each[split]:.1f}" for split in ("train", "validation", "test"))
     return f"| {name} | {scores['components']} | {values} |"
-
-
-# Added to every variance, so that no component collapses on to a few like skies.
-COVARIANCE_FLOOR = 1e-2
-HEIGHT_BINS = 24
-SKIES_PER_DIMENSION = 10
-PATIENCE = 2
 
 
 def fit_priors(config: PriorConfig) -> Path:

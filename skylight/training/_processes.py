@@ -3,10 +3,11 @@
 Each process computes the loss of an equal part of every batch; gradients are averaged and batch
 normalisation's statistics added up by torch's ``all_reduce``, by gloo on CPUs and NCCL on CUDA.
 
-Two of torch's own modules are left aside. ``DistributedDataParallel`` keeps the process group, and
+Three things of torch's are left aside. ``DistributedDataParallel`` keeps the process group, and
 with it the threads of gloo, beyond ``destroy_process_group``, where they may abort a process that
 ends; one ``all_reduce`` of all gradients does what is needed of it. ``SyncBatchNorm`` exists on
-CUDA alone, so that two processes on a CPU could not be compared with one.
+CUDA alone, so that two processes on a CPU could not be compared with one. The ``all_reduce`` of
+``torch.distributed.nn``, which has a gradient, is deprecated for one that is not public.
 """
 
 import os
@@ -14,12 +15,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
+from typing import Any
 
 import torch
 import torch.distributed as dist
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.distributed.nn.functional import all_reduce  # which has a gradient
 from torch.nn.modules.batchnorm import _BatchNorm
 
 from skylight.errors import InputError
@@ -123,6 +124,22 @@ def _device(name: str, local_rank: int | None) -> torch.device:
     return device
 
 
+class _SumOverProcesses(torch.autograd.Function):
+    """y = sum over processes of x; every process' loss depends on y, so gradients add up too."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        y = x.clone()
+        dist.all_reduce(y)
+        return y
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
+        total = gradients[0].contiguous().clone()
+        dist.all_reduce(total)
+        return total
+
+
 class SharedBatchNorm(_BatchNorm):
     """Batch normalisation by the mean and variance of all processes' equal shares.
 
@@ -146,9 +163,9 @@ class SharedBatchNorm(_BatchNorm):
         over = [d for d in range(x.dim()) if d != 1]
         column = [1, -1] + [1] * (x.dim() - 2)
         count = x.numel() // x.shape[1] * dist.get_world_size()
-        mean = all_reduce(x.sum(over)) / count
+        mean = _SumOverProcesses.apply(x.sum(over)) / count
         centred = x - mean.reshape(column)
-        variance = all_reduce(centred.square().sum(over)) / count
+        variance = _SumOverProcesses.apply(centred.square().sum(over)) / count
         with torch.no_grad():
             tracked += 1
             running_mean.lerp_(mean, momentum)

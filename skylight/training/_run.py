@@ -172,5 +172,5 @@ def _indexed(folder: Path, run: Path, report: Tell, progress: CountProgress | No
     _, records, refusals = index_folder(folder, out=index, progress=progress)
     report(f"{len(records)} skies indexed")
     for refusal in refusals:
-        report(f"{refusal.file}: {'refused' if refusal.is_sky else 'left out'}, {refusal.reason}")
+        report(refusal.sentence())
     return index

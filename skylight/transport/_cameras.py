@@ -1,7 +1,4 @@
-"""A pinhole camera at the world's origin: pixels to rays and points to pixels.
-
-The camera of a photograph of a known object, in the mesh's world frame.
-"""
+"""Cameras: a pinhole at the world's origin, and that of a photograph of a known object."""
 
 import math
 from collections.abc import Mapping

@@ -1,7 +1,4 @@
-"""Mesh files, read for shading.
-
-Sizes of mesh files, checked before memory is allocated.
-"""
+"""Mesh files, read for shading, their size checked before memory is allocated."""
 
 import logging
 import math

@@ -1,8 +1,7 @@
-"""Ray casting by embree: closest hits and occlusion.
+"""Ray casting at a triangle mesh: by embree on the CPU, or by PyTorch on any device.
 
-Occlusion by PyTorch, on the CPU or a GPU.
-
-A bounding volume hierarchy over triangles, whose levels are arrays.
+:class:`Raycaster` finds closest hits and occlusion by embree. :class:`TorchRaycaster` answers
+occlusion alone, by a bounding volume hierarchy over the triangles whose levels are arrays.
 """
 
 import math

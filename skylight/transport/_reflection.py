@@ -1,6 +1,6 @@
 """Shading as torch modules: linear in light, differentiable in light, reflectance and normals.
 
-Glossy reflection of skin: a transport matrix with a microfacet BRDF.
+Diffuse reflection, and glossy reflection of skin by a transport matrix with a microfacet BRDF.
 """
 
 import math

@@ -1,10 +1,9 @@
 """Reference rendering of a mesh under an environment map by direct light.
 
-The reference against which transport matrices (and what is estimated with them) are judged, so
-it chooses its own light directions: a coarse grid for the smooth part of the map, and many
-directions for every bright pixel, such as the sun's.
-
-The G-buffer of a mesh: one surface point with normals per covered pixel.
+The G-buffer of a mesh has one surface point with normals per covered pixel. The renderer is the
+reference against which transport matrices (and what is estimated with them) are judged, so it
+chooses its own light directions: a coarse grid for the smooth part of the map, and many directions
+for every bright pixel, such as the sun's.
 """
 
 import math

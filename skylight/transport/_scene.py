@@ -1,8 +1,7 @@
-"""The evaluation scene's meshes, and tracing them.
+"""A fixed evaluation scene with shading and cast shadows: its meshes, traced and shipped.
 
-What of the evaluation scene has to be traced, and the files that come with skylight.
-
-A fixed evaluation scene with shading and cast shadows.
+What has to be traced of it comes with skylight as a file (:class:`TracedScene`), so that an
+:class:`EvaluationScene` is there at once.
 """
 
 import io

@@ -1,6 +1,7 @@
 """What points see of a full lat-long grid, by fewer rays: cast where visibility changes.
 
-Means over square blocks of a picture's pixels.
+Also means over square blocks of a picture's pixels (:class:`PixelBlocks`), for transport that need
+not be as fine as the picture.
 """
 
 from collections.abc import Callable

@@ -1,28 +1,22 @@
-"""Work distributed over a dask cluster with a shared file system.
-
-Tensors sent between processes as copies.
-"""
+"""Work distributed over a dask cluster with a shared file system."""
 
 import logging
 import os
+from asyncio import CancelledError
 from collections.abc import Callable, Collection, Iterator, Sequence
+from concurrent.futures import CancelledError as FutureCancelledError
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
-from functools import cache
-from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any, TypeVar
 from uuid import uuid4
 
-import numpy as np
 import torch
-from jaxtyping import Shaped
-from torch import Tensor
 
 from skylight import __version__
 from skylight.errors import InputError, OutputError, SkylightError, not_installed
 from skylight.io._atomic import PARTIAL
-from skylight.work._processes import release_memory
+from skylight.work._processes import run_piece
 
 Result = TypeVar("Result")
 CONNECT_S = 30
@@ -79,12 +73,8 @@ def share_on_cluster(
         except OSError as error:
             raise OutputError(f"cannot write into {cluster.folder}: {error.strerror}") from error
         place = _Place(here=Path.cwd(), mark=mark, version=__version__)
-        run = uuid4().hex[:12]
         futures = {
-            client.submit(_run, place, prepare, work, one, key=f"skylight-{run}-{n}", pure=False): (
-                one
-            )
-            for n, one in enumerate(pieces)
+            client.submit(_run, place, prepare, work, one, pure=False): one for one in pieces
         }
         stack.callback(_forget, client, futures)  # those that are left then
         for future in as_completed(futures, loop=client.loop):
@@ -98,13 +88,11 @@ def share_on_cluster(
                         "is done is kept: give them more memory, and run the same command again"
                     ) from error
                 result = lost(*one)
-            except BaseException as error:
-                if _is_cancelled(error):
-                    raise SkylightError(
-                        f"the scheduler at {cluster.address} went away; what is done is kept: "
-                        "start it again, and run the same command again"
-                    ) from error
-                raise
+            except (CancelledError, FutureCancelledError) as error:
+                raise SkylightError(
+                    f"the scheduler at {cluster.address} went away; what is done is kept: "
+                    "start it again, and run the same command again"
+                ) from error
             # a result that somebody still holds is computed again when its worker goes
             future.release()
             yield result
@@ -124,27 +112,8 @@ def _run(
 ) -> Result:
     """One piece, on a worker."""
     _check_worker(place)
-    import torch  # slow to import, for those who only share out pieces
-
     torch.set_num_threads(1)  # the workers already share the cores
     return run_piece(prepare, work, one)
-
-
-def run_piece(
-    prepare: Callable[[], None] | None, work: Callable[..., Result], one: tuple
-) -> Result:
-    """``work(*one)`` in a worker, prepared for it once and without memory that was used for it."""
-    if prepare is not None:
-        _prepare_once(prepare)
-    result = work(*one)
-    release_memory()
-    return result
-
-
-@cache
-def _prepare_once(prepare: Callable[[], None]) -> None:
-    """``prepare()`` if this process has not done so yet."""
-    prepare()
 
 
 def _check_worker(place: _Place) -> None:
@@ -192,27 +161,3 @@ def _connect(address: str) -> Any:
 def _forget(client: Any, futures: Collection[Any]) -> None:
     with suppress(Exception):  # the scheduler may be gone, and that is told already
         client.cancel(list(futures), force=True)
-
-
-def _is_cancelled(error: BaseException) -> bool:
-    from asyncio import CancelledError
-    from concurrent.futures import CancelledError as FutureCancelledError
-
-    return isinstance(error, CancelledError | FutureCancelledError)
-
-
-def send_tensors_by_value() -> None:
-    """From now on this process sends tensors as their values, which arrive on the CPU.
-
-    PyTorch sends a file descriptor of shared memory for each instead: some hundred for a batch of
-    photographs, and containers have as little as 64 MB of such memory.
-    """
-    ForkingPickler.register(Tensor, _reduced)
-
-
-def _reduced(tensor: Shaped[Tensor, "*s"]) -> tuple:
-    return _again, (tensor.detach().cpu().numpy(),)
-
-
-def _again(array: Shaped[np.ndarray, "*s"]) -> Shaped[Tensor, "*s"]:
-    return torch.from_numpy(array)

@@ -1,11 +1,5 @@
-"""Work shared by forked processes with shared memory.
+"""Processes that help: forks that write to shared memory, and workers that are sent pieces."""
 
-How often Python searches for cycles of objects that nothing refers to any more, and what becomes
-of their memory.
-"""
-
-import ctypes
-import gc
 import mmap
 import multiprocessing
 import os
@@ -13,14 +7,19 @@ import signal
 import traceback
 from collections.abc import Callable
 from functools import cache
+from multiprocessing.reduction import ForkingPickler
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Shaped
 from numpy.typing import DTypeLike
+from torch import Tensor
 
 from skylight.errors import SkylightError
+from skylight.work._memory import release_memory
 from skylight.work._progress import Progress
 
+Result = TypeVar("Result")
 Work = Callable[[int], None]
 
 
@@ -91,42 +90,35 @@ def in_processes(
                 helper.join()
 
 
-_CREATED = 20_000  # objects after which the youngest are searched; 700 by default in Python 3.11
-
-
-def collect_seldom() -> None:
-    """For processes that import much: nearly all objects live as long as these do.
-
-    Searches of them all, as imports call for, take 0.3 s of an estimate; those of a worker 0.05 s a
-    photograph.
-    """
-    gc.set_threshold(_CREATED, *gc.get_threshold()[1:])
-
-
-def collect_no_more() -> None:
-    """What there is now is not searched when the process ends, which takes 0.5 s with torch."""
-    gc.freeze()
-
-
-def release_memory() -> None:
-    """For workers, between two pieces of work: gives the system what is not used any more.
-
-    Cycles of objects (figures, graphs of operations) and blocks that glibc keeps grow to 0.2 GB
-    over 60 photographs. It takes 0.02 s: what there is at the first call, imports above all, is not
-    searched again.
-    """
-    gc.collect()
-    if not gc.get_freeze_count():
-        gc.freeze()
-    trim = _malloc_trim()
-    if trim is not None:
-        trim(0)
+def run_piece(
+    prepare: Callable[[], None] | None, work: Callable[..., Result], one: tuple
+) -> Result:
+    """``work(*one)`` in a worker, prepared for it once and without memory that was used for it."""
+    if prepare is not None:
+        _prepare_once(prepare)
+    result = work(*one)
+    release_memory()
+    return result
 
 
 @cache
-def _malloc_trim() -> Callable[[int], int] | None:
-    """glibc's; None with other C libraries."""
-    try:
-        return ctypes.CDLL(None).malloc_trim
-    except (AttributeError, OSError, TypeError):  # musl, macOS, Windows
-        return None
+def _prepare_once(prepare: Callable[[], None]) -> None:
+    """``prepare()`` if this process has not done so yet."""
+    prepare()
+
+
+def send_tensors_by_value() -> None:
+    """From now on this process sends tensors as their values, which arrive on the CPU.
+
+    PyTorch sends a file descriptor of shared memory for each instead: some hundred for a batch of
+    photographs, and containers have as little as 64 MB of such memory.
+    """
+    ForkingPickler.register(Tensor, _reduced)
+
+
+def _reduced(tensor: Shaped[Tensor, "*s"]) -> tuple:
+    return _again, (tensor.detach().cpu().numpy(),)
+
+
+def _again(array: Shaped[np.ndarray, "*s"]) -> Shaped[Tensor, "*s"]:
+    return torch.from_numpy(array)

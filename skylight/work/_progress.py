@@ -1,7 +1,4 @@
-"""Progress on standard error: a bar where it is a terminal, or lines for other programs.
-
-Signatures of progress callbacks, and the forms in which commands show progress.
-"""
+"""Progress callbacks, and progress on standard error: a bar for people, or lines for programs."""
 
 import json
 import sys

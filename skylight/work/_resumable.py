@@ -1,6 +1,7 @@
-"""Resumable folders, and work shared by processes.
+"""Work that may be interrupted: folders that keep what is done, and processes that share the rest.
 
-Folders of results, replaced as a whole when a run succeeds.
+A folder is claimed by one run at a time, notes the settings that it is made with, or is replaced
+as a whole when a run succeeds. A piece of work whose process dies is given to another one.
 """
 
 import json
@@ -23,8 +24,9 @@ from typing import IO, TypeVar
 from skylight.errors import InputError, OutputError, SkylightError
 from skylight.io._atomic import PARTIAL
 from skylight.io._bounded import json_content, write_json
-from skylight.work._cluster import Cluster, run_piece, share_on_cluster
-from skylight.work._processes import collect_seldom
+from skylight.work._cluster import Cluster, share_on_cluster
+from skylight.work._memory import collect_seldom
+from skylight.work._processes import run_piece
 
 SETTINGS = "settings.json"  # the note of :func:`settle`
 Result = TypeVar("Result")

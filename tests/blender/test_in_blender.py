@@ -305,7 +305,7 @@ def test_photographs_become_scenes_or_a_line(
     ]
     expected = [
         "there is no such program: set the path in the preferences",
-        "skylight 0.7.1: this extension needs skylight 0.2 to below 0.3",
+        "skylight 0.7.1: this extension needs skylight 0.2 to below 0.4",
         "Choose a photo first",
         "there is no such photo",
         "no face",

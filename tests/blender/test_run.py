@@ -104,7 +104,7 @@ def test_a_check_of_what_was_printed_stops_the_run() -> None:
     step = python("print('skylight 0.9.0')")
     run = Run([Step(step.stage, step.command, check_version), python("print()", stage="never")])
     assert ended(run) == "failed"
-    assert run.error == "skylight 0.9.0: this extension needs skylight 0.2 to below 0.3"
+    assert run.error == "skylight 0.9.0: this extension needs skylight 0.2 to below 0.4"
     assert run.stage == "starting"
 
 

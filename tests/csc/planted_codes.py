@@ -15,10 +15,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.csc._active_set import SampledSignal
 from skylight.csc._coder import SphericalSparseCoder
 from skylight.csc._dictionary import FilterBank
 from skylight.csc._greedy import Atom, Pursuit, PursuitOptions, Support, pursue
+from skylight.csc._least_squares import SampledSignal
 from skylight.csc._positions import centres_of
 from skylight.sphere._frame import angle_between
 

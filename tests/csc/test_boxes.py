@@ -1,20 +1,22 @@
 """Boxes of pixels at every place, against boxes drawn pixel by pixel."""
 
+from functools import cache
+
 import pytest
 import torch
 
-from skylight.csc._positions import BoxCorrelation
+from skylight.csc._sub_dictionaries import BoxCorrelation
 from skylight.errors import InputError
 from skylight.sphere._frame import DirectionGrid
 
 F64 = torch.float64
 ROWS = 7
 SIZES = ((1, 1), (2, 3), (3, 2), (4, 14), (7, 1))
+SOLID_ANGLES = DirectionGrid.latlong(ROWS).solid_angles.view(ROWS, 2 * ROWS)
 
 
 def drawn(size: tuple[int, int], row: int, column: int) -> torch.Tensor:
     """A box of unit norm, middle (upper, left) pixel at this place; zeros beyond a pole."""
-    solid_angles = DirectionGrid.latlong(ROWS).solid_angles.view(ROWS, 2 * ROWS)
     out = torch.zeros(ROWS, 2 * ROWS, dtype=F64)
     for i in range(size[0]):
         for j in range(size[1]):
@@ -22,7 +24,7 @@ def drawn(size: tuple[int, int], row: int, column: int) -> torch.Tensor:
             if not 0 <= at < ROWS:
                 return torch.zeros_like(out)
             out[at, (column - (size[1] - 1) // 2 + j) % (2 * ROWS)] = 1
-    return out / (out.square() * solid_angles).sum().sqrt()
+    return out / (out.square() * SOLID_ANGLES).sum().sqrt()
 
 
 def every_place() -> torch.Tensor:
@@ -30,11 +32,16 @@ def every_place() -> torch.Tensor:
     return torch.cartesian_prod(*axes)
 
 
+@cache
+def every_box() -> torch.Tensor:
+    return torch.stack([drawn(SIZES[f], r, c).flatten() for f, r, c in every_place().tolist()])
+
+
 def test_boxes_are_drawn_at_their_places() -> None:
     filters, rows, columns = every_place().unbind(1)
     places = torch.stack([rows, columns, torch.zeros_like(rows)], 1)
     found = BoxCorrelation(ROWS, SIZES).rotated(filters, places)
-    expected = torch.stack([drawn(SIZES[f], r, c).flatten() for f, r, c in every_place().tolist()])
+    expected = every_box()
     torch.testing.assert_close(found, expected, atol=1e-14, rtol=1e-14)
     norms = found.square() @ DirectionGrid.latlong(ROWS).solid_angles
     there = norms > 0
@@ -49,8 +56,7 @@ def test_correlations_are_products_with_every_box() -> None:
     correlation = BoxCorrelation(ROWS, SIZES)
     (values,) = correlation.by_group(residual)
     assert values.shape == (2, 1, len(SIZES), ROWS, 2 * ROWS)
-    boxes = torch.stack([drawn(SIZES[f], r, c).flatten() for f, r, c in every_place().tolist()])
-    expected = (residual @ boxes.T).view(2, 1, len(SIZES), ROWS, 2 * ROWS)
+    expected = (residual @ every_box().T).view(2, 1, len(SIZES), ROWS, 2 * ROWS)
     torch.testing.assert_close(values, expected, atol=1e-12, rtol=0)
     (first, second) = correlation.in_chunks(residual)
     for n, chunk in enumerate((first, second)):

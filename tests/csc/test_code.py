@@ -57,14 +57,6 @@ def test_four_words_an_activation() -> None:
     assert (len(code), code.floats) == (5, 20)
 
 
-def test_numbers_of_rows_must_match() -> None:
-    """Past the tests' own type checks, which come first."""
-    code = some_code(3)
-    object.__setattr__(code, "weights", code.weights[:2])
-    with pytest.raises(ValueError, match="3 filters"):
-        code.__post_init__()
-
-
 # what is no code
 
 

@@ -20,12 +20,7 @@ from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid, direction_from_angles
 from tests.csc import planted_codes
-
-F64 = torch.float64
-
-
-def random(*shape: int, seed: int = 0) -> torch.Tensor:
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
+from tests.csc.draws import F64, random
 
 
 @cache
@@ -197,14 +192,17 @@ def test_a_batch_of_no_maps(
         coder(maps[..., 1:, :, :])
 
 
-def test_short_codes_are_padded() -> None:
+def test_what_the_dictionary_holds_is_exact_and_its_short_code_padded() -> None:
     """A constant needs one activation; the rest of its row is nothing."""
     maps = torch.stack([torch.full((32, 64, 3), 0.7), room().float()])
     codes = small()(maps)
     assert codes.count.tolist() == [1, 12]
     assert codes.used.sum(1).tolist() == [1, 12]
+    assert codes.filters[0, 0] == 0
     assert not codes.weights[0, 1:].any()
+    # but for what the L1 norm takes off
     torch.testing.assert_close(small().decode(codes)[0], maps[0], rtol=1e-4, atol=0)
+    assert float(small().relative_error(maps, codes)[0]) < 1e-4
 
 
 def test_a_path_gives_codes_of_every_size() -> None:
@@ -213,14 +211,6 @@ def test_a_path_gives_codes_of_every_size() -> None:
     errors = [code.relative_error for code in path]
     assert errors == sorted(errors, reverse=True)
     assert torch.equal(path[2].weights, coded(small(), room()).weights)
-
-
-def test_a_code_of_what_the_dictionary_holds_is_exact() -> None:
-    x = torch.full((32, 64, 3), 0.7)
-    code = coded(small(), x)
-    assert code.filters.tolist() == [0]
-    assert code.relative_error < 1e-4  # what the L1 norm takes off
-    torch.testing.assert_close(small().decode(code), x.double(), rtol=1e-4, atol=0)
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -662,6 +652,8 @@ def test_codes_of_other_coders_are_refused() -> None:
         SphericalSparseCoder(bank(), height=40).decode(code)
     with pytest.raises(InputError, match="matches"):
         SphericalSparseCoder(bank(), banded=True).decode(code)
+    with pytest.raises(InputError, match=r"no dictionary 'small'.* ani"):
+        coder_for(code)
 
 
 @pytest.mark.parametrize("filter_", [-1, 9])
@@ -694,11 +686,6 @@ def test_boxes_over_a_pole_are_refused(row: int, fits: bool) -> None:
     for use in (box().decode, lambda bad: CodeSampler.of(bad, box())):
         with pytest.raises(InputError, match="a box over a pole"):
             use(code)
-
-
-def test_a_dictionary_that_is_no_file_is_refused() -> None:
-    with pytest.raises(InputError, match=r"no dictionary 'small'.* ani"):
-        coder_for(coded(small(), room()))
 
 
 # bad input
@@ -735,10 +722,3 @@ def test_degree_must_fit_the_grid() -> None:
     with pytest.raises(InputError, match=r"121 .* 7x14 .*98"):
         SphericalSparseCoder(bank(), height=7)
     assert SphericalSparseCoder(bank(), height=8).degree == 10
-
-
-def test_dictionaries_without_light_are_refused() -> None:
-    with pytest.raises(InputError, match="'none'"):
-        SphericalSparseCoder(FilterBank(torch.zeros(0, 16), "none"))
-    with pytest.raises(InputError, match=r"1 of 3 .*number 1\)"):
-        SphericalSparseCoder(FilterBank(torch.eye(3, 16) * torch.tensor([[1], [0], [1]]), "dark"))

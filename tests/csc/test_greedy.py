@@ -11,7 +11,6 @@ from scipy.optimize import nnls
 from sklearn.linear_model import Lasso, orthogonal_mp
 
 from skylight.csc import _dictionary as dictionary, _greedy as pursuit
-from skylight.csc._active_set import SampledSignal
 from skylight.csc._dictionary import FilterBank
 from skylight.csc._greedy import (
     Atom,
@@ -23,19 +22,16 @@ from skylight.csc._greedy import (
     exchange_pair,
     pursue,
 )
+from skylight.csc._least_squares import SampledSignal
 from skylight.csc._positions import Positions
 from skylight.csc._sub_dictionaries import BoxDictionary, SubDictionary
 from skylight.csc._wigner import RotationCorrelation, atom_norms, rotated_filters
 from skylight.errors import InputError
 from skylight.sphere._latlong_transform import LatLongTransform
+from tests.csc.draws import F64, random
 
-F64 = torch.float64
 DEGREE = ROWS = TWISTS = 8
 SIGNS: list[Sign] = ["free", "nonnegative", "l1"]
-
-
-def random(*shape: int, seed: int = 0) -> torch.Tensor:
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,9 @@ from skylight.csc._sub_dictionaries import BoxDictionary, SubDictionary
 from skylight.csc._wigner import RotationCorrelation, atom_norms, rotated_filters
 from skylight.sphere._frame import DirectionGrid
 from skylight.sphere._latlong_transform import LatLongTransform
+from tests.csc.draws import F64, random
 
-F64 = torch.float64
 DEGREE, ROWS, TWISTS = 6, 7, 4
-
-
-def random(*shape: int, seed: int = 0) -> torch.Tensor:
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
 
 
 @cache

@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from skylight.csc import _dictionary as dictionary
-from skylight.csc._active_set import SampledSignal
 from skylight.csc._dictionary import FilterBank
+from skylight.csc._least_squares import SampledSignal
 from skylight.csc._positions import Positions
 from skylight.csc._sub_dictionaries import (
     BoxDictionary,
@@ -23,12 +23,7 @@ from skylight.csc._wigner import (
 )
 from skylight.sphere._frame import DirectionGrid
 from skylight.sphere._latlong_transform import LatLongTransform
-
-F64 = torch.float64
-
-
-def random(*shape: int, seed: int = 0) -> torch.Tensor:
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
+from tests.csc.draws import F64, random
 
 
 @cache

@@ -6,15 +6,11 @@ import torch
 from skylight.csc._positions import Positions
 from skylight.csc._wigner import RotationCorrelation, rotated_filters
 from skylight.sphere import _harmonics as harmonics
+from tests.csc.draws import F64, random
 from tests.csc.thesis_gradients import IsotropicGradient, RotatedResiduals, RotatedZonalGradient
 
-F64 = torch.float64
 TOLERANCE = {torch.float32: 1e-4, F64: 1e-9}
 GENERAL = [RotationCorrelation, RotatedResiduals, RotatedZonalGradient]
-
-
-def random(*shape: int, seed: int = 0) -> torch.Tensor:
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
 
 
 def isotropic(count: int, degree: int) -> torch.Tensor:

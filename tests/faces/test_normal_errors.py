@@ -10,8 +10,8 @@ from skylight.faces._fit import FIRST_OF_SHAPE, FaceFit, FitProblem, camera_proj
 from skylight.faces._model import HeadModel, MeshPoints, Region, correspondence
 from skylight.faces._normal_errors import (
     MODES,
+    normal_changes,
     normal_error_modes,
-    normal_turns,
     vertex_normal_derivatives,
 )
 from skylight.transport._rays import Raycaster
@@ -72,7 +72,7 @@ def test_derivatives_are_those_of_differences(head):
 
 def test_covariance_is_the_inverse_of_the_costs_curvature(head, fit):
     # points of the mesh, which do not slide; no error is left, so J^T J is the whole curvature
-    mean, identity, expression = head.mesh_basis()
+    mean, identity, expression = head.mesh_basis
     points = mean + identity @ fit.identity + expression @ fit.expression
     readings = np.zeros((1, 478, 2))
     readings[0, head.mesh_points] = camera_project(
@@ -130,12 +130,12 @@ def test_an_error_of_the_head_turns_normals_at_any_points(head, fit, surface):
     amounts = torch.linspace(-1.0, 1.0, MODES)
     error = errors.axes @ amounts
     torch.testing.assert_close(
-        normal_turns(head, fit, surface, some, error),
+        normal_changes(head, fit, surface, some, error),
         (errors.modes @ amounts).double(),
         rtol=1e-4,
         atol=1e-5,
     )
-    found = normal_turns(head, fit, surface, others, error).numpy()
+    found = normal_changes(head, fit, surface, others, error).numpy()
     # beside the normals of a head that is off by as little as derivatives hold for
     step = 1e-3
     root = np.linalg.cholesky(fit.covariance)
@@ -150,4 +150,4 @@ def test_a_known_head_has_none(head, surface):
     used = torch.arange(len(surface))
     assert normal_error_modes(head, truth, surface, used) is None
     with pytest.raises(ValueError, match="has no errors"):
-        normal_turns(head, truth, surface, used, torch.ones(3))
+        normal_changes(head, truth, surface, used, torch.ones(3))

@@ -115,13 +115,13 @@ def test_what_is_clipped_goes_with_its_neighbours(seen):
 
 def test_without_evidence_neighbours_agree():
     """The mean field of two pixels: q = sigmoid(e + c (2 q' - 1)), solved by iteration here."""
-    pair = skin_inliers._Neighbours.of(torch.tensor([[3, 7], [4, 8]]))
-    first, second = pair.agree(torch.tensor([3.0, -0.1], dtype=torch.float64)).tolist()
+    pair = skin_inliers._PixelGrid.of(torch.tensor([[3, 7], [4, 8]]))
+    first, second = pair.mean_field(torch.tensor([3.0, -0.1], dtype=torch.float64)).tolist()
     coupling = skin_inliers.NEIGHBOURS
     sigmoid = lambda v: 1 / (1 + np.exp(-v))  # noqa: E731
     assert first == pytest.approx(sigmoid(3 + coupling * (2 * second - 1)), abs=1e-6)
     assert second == pytest.approx(sigmoid(-0.1 + coupling * (2 * first - 1)), abs=1e-6)
     assert second > 0.5
-    apart = skin_inliers._Neighbours.of(torch.tensor([[3, 7], [4, 9]]))
+    apart = skin_inliers._PixelGrid.of(torch.tensor([[3, 7], [4, 9]]))
     alone = torch.tensor([3.0, -0.1], dtype=torch.float64)
-    torch.testing.assert_close(apart.agree(alone), alone.sigmoid())
+    torch.testing.assert_close(apart.mean_field(alone), alone.sigmoid())

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 from skimage.metrics import structural_similarity
 
 from skylight.errors import InputError
@@ -220,6 +220,7 @@ def test_a_sun_between_two_pixels_is_the_same_sun(part: float) -> None:
     assert abs(sun_dw_mae_fixed(moved, true) - sun_dw_mae_fixed(pred, true)) > 0.04
 
 
+@settings(max_examples=30)
 @given(st.floats(0, 359), st.floats(15, 75), st.floats(-60, 60))
 def test_sun_angle(azimuth_deg: float, elevation_deg: float, turn_deg: float) -> None:
     true = sun_and_sky(azimuth_deg, elevation_deg, height=64)

@@ -153,8 +153,8 @@ def test_a_turn_by_whole_columns_rolls_them(spread: float) -> None:
     z = torch.randn(2, LATENT, generator=torch.Generator().manual_seed(2))
     azimuth = torch.full((2,), CENTRE_AZIMUTH_RAD)
     with torch.no_grad():
-        ahead = network.turned(z, azimuth, spread)
-        turned = network.turned(z, azimuth + 17 * 2 * math.pi / WIDTH, spread)
+        ahead = network.decode_at_azimuth(z, azimuth, spread)
+        turned = network.decode_at_azimuth(z, azimuth + 17 * 2 * math.pi / WIDTH, spread)
         if spread == 0:
             torch.testing.assert_close(ahead, network.decode(z), rtol=1e-4, atol=1e-4)
     torch.testing.assert_close(turned, torch.roll(ahead, 17, dims=2), rtol=1e-3, atol=1e-4)
@@ -165,5 +165,5 @@ def test_turning_keeps_every_rows_energy(sun: bool) -> None:
     network = random_network(sun=sun)
     z = torch.randn(2, LATENT, generator=torch.Generator().manual_seed(2))
     with torch.no_grad():
-        rows = [network.turned(z, torch.full((2,), a), 0.0).sum(2) for a in (0.1, 0.877)]
+        rows = [network.decode_at_azimuth(z, torch.full((2,), a), 0.0).sum(2) for a in (0.1, 0.877)]
     torch.testing.assert_close(rows[0], rows[1], rtol=1e-5, atol=1e-5)

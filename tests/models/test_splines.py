@@ -33,9 +33,9 @@ def test_training_and_fits_see_the_same_sky(network: SplineAutoencoder) -> None:
     """By sparse products, and by the control points about each direction."""
     z = latents(3)
     with torch.no_grad():
-        turned = network.turned(z, torch.full((1,), CENTRE_AZIMUTH_RAD), 0.0)
+        turned = network.decode_at_azimuth(z, torch.full((1,), CENTRE_AZIMUTH_RAD), 0.0)
         torch.testing.assert_close(network.decode(z), turned, rtol=1e-5, atol=1e-5)
-        each = network.turned(z, torch.full((3,), CENTRE_AZIMUTH_RAD), 0.0)
+        each = network.decode_at_azimuth(z, torch.full((3,), CENTRE_AZIMUTH_RAD), 0.0)
         torch.testing.assert_close(each, turned, rtol=1e-6, atol=1e-6)
 
 
@@ -43,7 +43,7 @@ def test_gradients_of_training_are_those_of_fits(network: SplineAutoencoder) -> 
     slopes = []
     for decode in (
         network.decode,
-        lambda z: network.turned(z, torch.tensor([CENTRE_AZIMUTH_RAD]), 0.0),
+        lambda z: network.decode_at_azimuth(z, torch.tensor([CENTRE_AZIMUTH_RAD]), 0.0),
     ):
         z = latents().requires_grad_()
         slopes.append(torch.autograd.grad(decode(z).log1p().sum(), z)[0])
@@ -53,8 +53,8 @@ def test_gradients_of_training_are_those_of_fits(network: SplineAutoencoder) -> 
 def test_a_turn_by_columns_rolls_the_sky(network: SplineAutoencoder) -> None:
     z, ahead = latents(), torch.full((2,), CENTRE_AZIMUTH_RAD)
     with torch.no_grad():
-        turned = network.turned(z, ahead + 17 * 2 * math.pi / WIDTH, 0.02)
-        wanted = torch.roll(network.turned(z, ahead, 0.02), 17, dims=2)
+        turned = network.decode_at_azimuth(z, ahead + 17 * 2 * math.pi / WIDTH, 0.02)
+        wanted = torch.roll(network.decode_at_azimuth(z, ahead, 0.02), 17, dims=2)
     torch.testing.assert_close(turned, wanted, rtol=1e-3, atol=1e-4)
 
 
@@ -62,9 +62,9 @@ def test_gradients_come_after_inference_mode(network: SplineAutoencoder) -> None
     """What networks share is made by whoever asks first."""
     _on_rows.cache_clear()
     with torch.inference_mode():
-        network.turned(latents(), torch.zeros(2), 0.02, 16)
+        network.decode_at_azimuth(latents(), torch.zeros(2), 0.02, 16)
     z = latents().requires_grad_(True)
-    network.turned(z, torch.zeros(2), 0.02, 16).sum().backward()
+    network.decode_at_azimuth(z, torch.zeros(2), 0.02, 16).sum().backward()
     assert z.grad is not None
     assert z.grad.abs().sum() > 0
 

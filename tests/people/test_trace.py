@@ -20,7 +20,7 @@ from skylight.sphere._frame import convert_latlong
 from skylight.transport._rays import Raycaster
 from skylight.transport._render import Specular, rasterize, render_diffuse
 
-SIZE = 36
+SIZE = 48
 OPTIONS = RenderOptions(size=SIZE)
 
 
@@ -54,7 +54,7 @@ def sunny(row: int, column: int) -> EnvironmentMap:
     return EnvironmentMap(radiance=radiance)
 
 
-@pytest.mark.parametrize("column", [3, 20, 28])
+@pytest.mark.parametrize("column", [3, 28])
 def test_layers_agree_with_our_own_renderer(column: int) -> None:
     who, light = grey_person(0.05), sunny(5, column)
     layers = layers_of(who, light, samples=100, seed=0)

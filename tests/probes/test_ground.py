@@ -156,7 +156,7 @@ class TestCommand:
         options = ["--flat", str(tmp_path / "flat.png"), "--out", str(out)]
         assert main(["probe", "ground", str(tmp_path / "chart.png"), *options]) == 0
         told = capsys.readouterr().out
-        known = KnownGround.told(str(out))
+        known = KnownGround.parse(str(out))
         np.testing.assert_allclose(known.albedo, GRASS, rtol=0.04)
         assert 0.1 < known.spread < 0.15
         assert f"--ground-albedo {known.option()}" in told

@@ -127,7 +127,7 @@ def test_of_the_voxel_probe(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_of_the_partition_probe(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    film, true = partition_film(ORBIT), partitions.shading()
+    film, true = partition_film(ORBIT[2:]), partitions.shading()
     following, searching = (partition_view(tmp_path, box(), 10.0) for _ in range(2))
     found = shown(following, film)
     monkeypatch.setattr(BoardTracker, "pose", searched)

@@ -180,7 +180,11 @@ def test_seeds_for_evaluation_are_refused(tmp_path: Path, first_seed: int) -> No
     assert not (tmp_path / "new").exists()
 
 
-def test_skies_on_the_spot_have_seeds_of_their_own() -> None:
+def test_skies_on_the_spot_have_seeds_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulate_sky = simulated.simulate_sky
+    monkeypatch.setattr(
+        simulated, "simulate_sky", lambda *moment, height: simulate_sky(*moment, height=height // 4)
+    )
     found = simulated_skies(2, first_seed=2, lowest_transmittance=0.5)
     assert all(r.sun_transmittance >= 0.5 for r, _ in found)
     assert all(r.seed is not None and r.seed >= EVALUATION_SEEDS + 2 for r, _ in found)

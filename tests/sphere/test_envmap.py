@@ -97,6 +97,7 @@ def test_azimuth_rotation_moves_light_to_larger_azimuths() -> None:
     assert divmod(int(turned.argmax()), 32) == (8, 24)
 
 
+@settings(max_examples=30)
 @given(st.floats(-7, 7))
 def test_azimuth_rotation_of_smooth_content_has_no_seam(angle: float) -> None:
     """The turned map is the map of the turned function, at the seam as elsewhere."""
@@ -227,7 +228,7 @@ def test_upper_and_ground() -> None:
 # --- the brightest direction
 
 
-@settings(deadline=None)
+@settings(max_examples=40)
 @given(st.floats(-math.pi, math.pi), st.floats(0.1, 1.4))
 def test_brightest_direction_is_better_than_a_pixel(azimuth: float, zenith: float) -> None:
     """A sun of 6 pixels' blur under a bright sky, on 2.8-degree pixels."""
@@ -239,7 +240,7 @@ def test_brightest_direction_is_better_than_a_pixel(azimuth: float, zenith: floa
     assert math.degrees(angle_between(found, sun).item()) < 1.0
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=10)
 @given(st.floats(-math.pi, math.pi), st.floats(0.1, 1.4))
 def test_brightest_direction_of_a_box_filtered_disc(azimuth: float, zenith: float) -> None:
     sun = direction_from_angles(torch.tensor(azimuth, dtype=F64), torch.tensor(zenith, dtype=F64))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
@@ -20,6 +20,7 @@ def close(a: RigidTransform, b: RigidTransform) -> None:
     torch.testing.assert_close(a.matrix(), b.matrix(), atol=1e-10, rtol=1e-10)
 
 
+@settings(max_examples=30)
 @given(transforms, transforms, transforms)
 def test_group_laws(a: RigidTransform, b: RigidTransform, c: RigidTransform) -> None:
     one = RigidTransform.identity()
@@ -30,6 +31,7 @@ def test_group_laws(a: RigidTransform, b: RigidTransform, c: RigidTransform) -> 
     close((a @ b).inverse(), b.inverse() @ a.inverse())
 
 
+@settings(max_examples=30)
 @given(transforms, transforms, st.lists(numbers, min_size=3, max_size=3))
 def test_actions(a: RigidTransform, b: RigidTransform, row: list[float]) -> None:
     x = torch.tensor([row, [1.0, -2.0, 0.5]], dtype=F64)
@@ -41,6 +43,7 @@ def test_actions(a: RigidTransform, b: RigidTransform, row: list[float]) -> None
     np.testing.assert_allclose(a.directions(x.numpy()), a.directions(x).numpy(), rtol=0, atol=0)
 
 
+@settings(max_examples=30)
 @given(transforms, st.lists(numbers, min_size=3, max_size=3))
 def test_about_a_centre(a: RigidTransform, row: list[float]) -> None:
     centre = torch.tensor(row, dtype=F64)

@@ -2,7 +2,7 @@ import math
 
 import pytest
 import torch
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._rotation import (
@@ -89,10 +89,9 @@ def test_wigner_agrees_with_the_exact_sum(beta: float) -> None:
                 assert bands[l][0, l + m, l + n].item() == pytest.approx(expected, abs=1e-13)
 
 
-@pytest.mark.parametrize("degree", [40, 100])
-def test_wigner_is_unitary(degree: int) -> None:
+def test_wigner_is_unitary() -> None:
     beta = torch.tensor([*POLES, 1e-6, 0.4, math.pi / 2, 2.2, 3.14], dtype=F64)
-    for d in wigner_small(beta, degree):
+    for d in wigner_small(beta, 100):  # of band 0 to 100
         eye = torch.eye(d.shape[1], dtype=F64).expand_as(d)
         torch.testing.assert_close(d @ d.mT, eye, atol=1e-12, rtol=0)
 
@@ -108,9 +107,10 @@ def test_wigner_at_the_poles() -> None:
 
 def test_wigner_gradients_poles_included() -> None:
     beta = torch.tensor([0.0, 0.3, 1.6, math.pi], dtype=F64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda b: tuple(wigner_small(b, 5)), beta)
+    assert torch.autograd.gradcheck(lambda b: tuple(wigner_small(b, 4)), beta)
 
 
+@settings(max_examples=50)
 @given(longitudes, polar_angles, longitudes)
 def test_euler_angles_round_trip(alpha: float, beta: float, gamma: float) -> None:
     matrix = rotation(alpha, beta, gamma)
@@ -135,6 +135,7 @@ def test_euler_angles_are_where_the_pole_goes() -> None:
     torch.testing.assert_close(east, torch.tensor([math.cos(0.2), math.sin(0.2), 0.0], dtype=F64))
 
 
+@settings(max_examples=30)
 @given(longitudes, polar_angles, longitudes)
 def test_first_band_is_the_rotation_itself(alpha: float, beta: float, gamma: float) -> None:
     """Y_1m are y, z and x."""

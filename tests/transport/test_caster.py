@@ -33,14 +33,14 @@ def head() -> tuple[Tensor, Tensor, Tensor]:
 def test_a_head_hides_what_embree_says(
     head: tuple[Tensor, Tensor, Tensor], device: torch.device
 ) -> None:
-    """From 400 vertices to 512 directions each, half of them within the head."""
+    """From 100 vertices to 512 directions each, half of them within the head."""
     vertices, faces, normals = head
     embree, caster = Raycaster(vertices, faces), TorchRaycaster(vertices, faces, device)
-    starts = (vertices + embree.epsilon * normals)[::19].float()
+    starts = (vertices + embree.epsilon * normals)[::76].float()
     directions = DirectionGrid.latlong(16).directions.float()
     origins = starts.repeat_interleave(len(directions), 0)
     rays = directions.repeat(len(starts), 1)
-    assert len(rays) >= 200_000
+    assert len(rays) >= 50_000
     found, expected = caster.occluded(origins, rays), embree.occluded(origins, rays)
     assert 0.6 < float(expected.float().mean()) < 0.8
     # a GPU may round products and sums together: rays that graze an edge may differ there
@@ -50,7 +50,7 @@ def test_a_head_hides_what_embree_says(
 def test_a_sphere_hides_what_passes_it_nearer_than_its_radius(device: torch.device) -> None:
     vertices, faces = icosphere(4)
     caster = TorchRaycaster(vertices, faces, device)
-    origins, directions = random_rays(100_000)
+    origins, directions = random_rays(30_000)
     outside = origins.norm(dim=1) > 1.001
     origins, directions = origins[outside], directions[outside]
     along = torch.nn.functional.normalize(directions.double(), dim=1)
@@ -66,16 +66,13 @@ def test_a_sphere_hides_what_passes_it_nearer_than_its_radius(device: torch.devi
 
 
 @pytest.mark.parametrize("start", [(0.1, -0.2, 0.05), (0.5, 0.3, -0.4), (0.0, 0.0, 0.85)])
-@pytest.mark.parametrize("level", [3, 5])
-def test_nothing_leaves_a_closed_mesh(
-    level: int, start: tuple[float, ...], device: torch.device
-) -> None:
+def test_nothing_leaves_a_closed_mesh(start: tuple[float, ...], device: torch.device) -> None:
     """No ray slips between triangles, towards its vertices and edges least of all."""
-    vertices, faces = icosphere(level)
+    vertices, faces = icosphere(4)
     inside = torch.tensor(start)
     corners = vertices[faces]
     middles = torch.cat([(corners + corners.roll(1, 1)).flatten(0, 1) / 2, vertices])
-    towards = torch.cat([middles.float() - inside, random_rays(20_000)[1]])
+    towards = torch.cat([middles.float() - inside, random_rays(5000)[1]])
     caster = TorchRaycaster(vertices, faces, device)
     assert bool(caster.occluded(inside.expand(len(towards), 3), towards).all())
 
@@ -84,7 +81,7 @@ def test_a_plane_hides_what_goes_down_to_it(device: torch.device) -> None:
     """A square of side 2 at z = 0, whatever the direction's sign or a zero in it."""
     square = torch.tensor([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     caster = TorchRaycaster(square, torch.tensor([[0, 1, 2], [0, 2, 3]]), device)
-    origins, directions = random_rays(100_000, 1.5)
+    origins, directions = random_rays(30_000, 1.5)
     directions[::3, 0] = 0
     directions[::5, 1] = 0
     time = -origins[:, 2] / directions[:, 2]
@@ -128,7 +125,7 @@ def test_a_soup_of_triangles_against_each_of_them(scale: float, device: torch.de
     corners = random.uniform(size=(120, 1, 3)) + 0.2 * random.normal(size=(120, 3, 3))
     vertices = torch.from_numpy(scale * corners.reshape(-1, 3)).float()
     faces = torch.arange(360).reshape(-1, 3)
-    origins, directions = random_rays(4000, 0.5)
+    origins, directions = random_rays(1500, 0.5)
     origins = scale * (origins + 0.5)
     found = TorchRaycaster(vertices, faces, device).occluded(origins, directions).numpy()
     hit, doubtful = occluded(
@@ -143,8 +140,8 @@ def test_a_soup_of_triangles_against_each_of_them(scale: float, device: torch.de
 
 
 def test_how_many_pairs_are_looked_at_together_changes_nothing(device: torch.device) -> None:
-    vertices, faces = icosphere(3)
-    rays = random_rays(5000)
+    vertices, faces = icosphere(2)
+    rays = random_rays(1000)
     few, many = (TorchRaycaster(vertices, faces, device, pairs=n) for n in (7, 10**6))
     assert torch.equal(few.occluded(*rays), many.occluded(*rays))
 

@@ -16,7 +16,10 @@ from skylight.transport._scene import (
 )
 
 
-@pytest.mark.parametrize(("height", "grid_height"), [(72, 64), (SCENE_HEIGHT, SCENE_GRID)])
+@pytest.mark.parametrize(
+    ("height", "grid_height"),
+    [(72, 64), pytest.param(SCENE_HEIGHT, SCENE_GRID, marks=pytest.mark.slow)],
+)
 def test_what_ships_is_what_is_traced(height: int, grid_height: int) -> None:
     """Of scores and reports; but for the pixels at edges, where rounding may decide."""
     shipped, traced = TracedScene.load(shipped_path(height, grid_height)), trace_scene(height, 8)

@@ -76,6 +76,8 @@ def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
 
 
 def _where(number: int, offset: int) -> tuple[int, int, int, bool]:
+    if number < 0:
+        raise InputError(f"piece {number}")
     return number + offset, os.getpid(), torch.get_num_threads(), "PREPARED" in os.environ
 
 
@@ -83,12 +85,16 @@ def _prepare() -> None:
     os.environ["PREPARED"] = "yes"
 
 
-def test_work_is_shared_by_prepared_processes_of_one_thread(
+def test_prepared_processes_of_one_thread_share_work_that_may_grow_and_fail(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
-    work = [(number, 10) for number in range(4)]
-    results = list(share_work(_where, work, workers=2, prepare=_prepare))
+    pieces = deque((number, 10) for number in range(4))
+    shared = share_work(_where, pieces, workers=2, prepare=_prepare)
+    results = [next(shared) for _ in range(4)]
+    pieces.append((-1, 10))  # done as well
+    with pytest.raises(InputError, match="piece -1"):
+        next(shared)
     assert sorted(r[0] for r in results) == [10, 11, 12, 13]
     assert all(pid != os.getpid() for _, pid, _, _ in results)
     assert all(threads == 1 and prepared for _, _, threads, prepared in results)
@@ -100,15 +106,6 @@ def test_little_work_stays_here_in_order(workers: int, count: int) -> None:
     results = list(share_work(_where, work, workers=workers))
     assert [r[0] for r in results] == list(range(count))
     assert {r[1] for r in results} == {os.getpid()}
-
-
-def _fail(number: int) -> None:
-    raise InputError(f"piece {number}")
-
-
-def test_a_failure_reaches_the_caller() -> None:
-    with pytest.raises(InputError, match="piece"):
-        list(share_work(_fail, [(1,), (2,), (3,)], workers=2))
 
 
 def _may_die(folder: Path, number: int) -> int:
@@ -137,18 +134,13 @@ def test_a_hopeless_piece_without_an_answer_ends_the_work(
         list(share_work(_may_die, [(tmp_path, 1), (tmp_path, 1)], workers=2))
 
 
-def _negative(number: int) -> int:
-    return -number
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_work_may_be_added_where_results_are_taken(workers: int) -> None:
-    queue, found = deque([(3,), (2,)]), []
-    for result in share_work(_negative, queue, workers=workers):
-        found.append(result)
-        if result < 0:
-            queue.appendleft((-result - 1,))
-    assert sorted(found) == [-3, -2, -2, -1, -1, 0, 0]
+def test_work_may_be_added_where_results_are_taken() -> None:
+    queue, found = deque([(3, 0), (2, 0)]), []
+    for number, *_ in share_work(_where, queue, workers=1):
+        found.append(number)
+        if number > 0:
+            queue.appendleft((number - 1, 0))
+    assert found == [3, 2, 1, 0, 2, 1, 0]
 
 
 def _begin_and_end(folder: Path, number: int, seconds: float) -> int:

@@ -23,8 +23,7 @@ from skylight.estimate.film._follow import Followed, Keyframe, Shot, Source, fol
 from skylight.estimate.film._head import fit_head
 from skylight.estimate.film._light import FilmLight, FilmProblem
 from skylight.estimate.film._smoother import in_world
-from skylight.faces._captures import MOST_TURNED_RAD
-from skylight.faces._fit import FOCAL_GUESS, FOCAL_GUESS_SIGMA, FaceFit
+from skylight.faces._fit import FOCAL_GUESS, FOCAL_GUESS_SIGMA, MOST_FACING_ANGLE_RAD, FaceFit
 from skylight.faces._landmarks import DetectedFace
 from skylight.faces._mediapipe import MediaPipeLandmarker, to_ibug
 from skylight.faces._model import HeadModel
@@ -256,7 +255,7 @@ def estimate_film(
         tell("tracing light", k / len(fits))
         photo = _photo(keyframe, settings)
         try:
-            if fit.facing_angle_rad > MOST_TURNED_RAD:
+            if fit.facing_angle_rad > MOST_FACING_ANGLE_RAD:
                 raise InputError(
                     f"the face is turned away by {np.degrees(fit.facing_angle_rad):.0f} degrees"
                 )

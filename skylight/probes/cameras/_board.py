@@ -35,6 +35,9 @@ FOOT_MM = 14.0  # ruler and caption below the board
 RULER_MM = 100.0
 _MOST_SQUARES = 100
 _MM_PER_INCH, _POINTS_PER_INCH = 25.4, 72.0
+_SIDES = 24  # of the pole, as a prism
+Pole = tuple[float, float, float, float]
+"""(centre x, centre z, radius, height) of a cylinder, upright on the board, mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,12 +305,6 @@ def _write_pdf(
     axes.text(*text_at, caption, fontsize=points, family="sans-serif")
     # without a date, the same board is the same file
     figure.savefig(path, format="pdf", metadata={"CreationDate": None})
-
-
-_SIDES = 24  # of the pole, as a prism
-
-Pole = tuple[float, float, float, float]
-"""(centre x, centre z, radius, height) of a cylinder, upright on the board, mm."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

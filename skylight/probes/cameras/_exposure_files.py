@@ -4,6 +4,7 @@ Pictures of 8 bits are codes, whose response may be recovered; RAW files, .exr a
 light, and pictures of 16 bits are made so by the response that is given, or sRGB.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import cast
 
 import numpy as np
 import torch
+from PIL import ExifTags
 
 from skylight.errors import InputError
 from skylight.imaging._colour import Decode
@@ -26,10 +28,10 @@ from skylight.probes.cameras._exposures import (
     linearised,
     merge,
 )
-from skylight.probes.cameras._files import exif_exposures, exposure_times
 from skylight.probes.cameras._live import read_picture
 from skylight.probes.cameras._response import Response, load_response
 
+_FIXED = (ExifTags.Base.FNumber, ExifTags.Base.ISOSpeedRatings)
 _PLATEAU = 5  # equal brightest pixels of a merged file that are no accident
 
 
@@ -116,6 +118,51 @@ def read_series(
     height, width = images[0].shape[:2]
     focal_px = None if stored[0] else focal_length_px(read_exif(files[0]), width, height)
     return ExposureSeries(files=tuple(files), seconds=times, merged=merged, focal_px=focal_px)
+
+
+def exposure_times(text: str) -> list[float]:
+    """Seconds of a list such as "1/60,0.5,2".
+
+    Raises
+    ------
+    InputError
+        A part is no number, or not finite and above 0.
+    """
+    out = []
+    for part in text.split(","):
+        above, _, below = part.partition("/")
+        try:
+            value = float(above) / float(below or 1)
+        except (ValueError, ZeroDivisionError):
+            raise InputError(
+                f"exposure times must be a list such as 1/60,1/30,0.5, got {text!r}"
+            ) from None
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(f"exposure times must be above 0, got {part.strip()} in {text!r}")
+        out.append(value)
+    return out
+
+
+def exif_exposures(paths: Sequence[Path]) -> list[float]:
+    """Exposure times in seconds that the pictures' EXIF data tell.
+
+    Raises
+    ------
+    InputError
+        One of them tells none or cannot be read, or aperture or sensitivity differ.
+    """
+    seconds, settings = [], []
+    for path in paths:
+        tags = read_exif(path).get_ifd(ExifTags.IFD.Exif)
+        seconds.append(float(tags.get(ExifTags.Base.ExposureTime, 0)))
+        settings.append([tags.get(tag) for tag in _FIXED])
+        if not seconds[-1] > 0:
+            raise InputError(f"{path}: its EXIF data tell no exposure time; give --times")
+        if settings[-1] != settings[0]:
+            raise InputError(
+                f"{path}: its aperture or ISO is not that of {paths[0]}: fix both and vary the time"
+            )
+    return seconds
 
 
 def read_exposure(path: Path, response: Response | Choice) -> np.ndarray:

@@ -26,6 +26,9 @@ _BETTER, _BETTER_BY = 1.25, 0.005
 _FADE = 0.1  # of the largest code below saturation, over which an exposure loses its weight
 _ENOUGH_PX = 500_000
 _SHARES = (0.1, 0.9)  # of the largest code: where two exposures are compared
+# Of the sun's disc, 0.533 degrees across at the mean distance: pi (0.2665 pi / 180)^2.
+SUN_SR = math.pi * math.radians(0.2665) ** 2
+_COUNTS = 0.02  # share of a pixel from which it counts as a part of a region
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -264,11 +267,6 @@ def _disagreement(
         apart.append(np.abs(short - long - math.log(time / longer)))
     values = np.concatenate(apart)
     return float(np.median(values)) if values.size >= 100 else None
-
-
-# Of the sun's disc, 0.533 degrees across at the mean distance: pi (0.2665 pi / 180)^2.
-SUN_SR = math.pi * math.radians(0.2665) ** 2
-_COUNTS = 0.02  # share of a pixel from which it counts as a part of a region
 
 
 @dataclass(frozen=True, kw_only=True)

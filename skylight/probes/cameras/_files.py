@@ -1,18 +1,15 @@
 """Files of cameras: boards to print, lenses, responses, and photographs of a probe on a board."""
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from PIL import ExifTags
-
 from skylight import __version__
 from skylight.errors import InputError
-from skylight.imaging._photo import read_exif
 from skylight.io._bounded import write_json
 from skylight.probes.cameras._board import Board, Page, load_board, save_board, write_board
 from skylight.probes.cameras._calibrate import Calibration, calibrate
+from skylight.probes.cameras._exposure_files import exif_exposures, exposure_times
 from skylight.probes.cameras._intrinsics import Intrinsics, describe_intrinsics, load_intrinsics
 from skylight.probes.cameras._live import FRAMES_MOST, Frame, read_frames, read_picture
 from skylight.probes.cameras._pose import BoardPose, board_pose
@@ -25,7 +22,7 @@ from skylight.probes.cameras._response import (
 from skylight.sphere._rotation import RigidTransform
 from skylight.work._progress import Tell
 
-_FIXED = (ExifTags.Base.FNumber, ExifTags.Base.ISOSpeedRatings)
+MOVED = 0.1  # of a face's shading: more is another light, or another pose than was thought
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,54 +145,6 @@ def recover_camera_response(
         f"stands for {middle} of the most light (sRGB 0.216)"
     )
     return response
-
-
-def exposure_times(text: str) -> list[float]:
-    """Seconds of a list such as "1/60,0.5,2".
-
-    Raises
-    ------
-    InputError
-        A part is no number, or not finite and above 0.
-    """
-    out = []
-    for part in text.split(","):
-        above, _, below = part.partition("/")
-        try:
-            value = float(above) / float(below or 1)
-        except (ValueError, ZeroDivisionError):
-            raise InputError(
-                f"exposure times must be a list such as 1/60,1/30,0.5, got {text!r}"
-            ) from None
-        if not (math.isfinite(value) and value > 0):
-            raise InputError(f"exposure times must be above 0, got {part.strip()} in {text!r}")
-        out.append(value)
-    return out
-
-
-def exif_exposures(paths: Sequence[Path]) -> list[float]:
-    """Exposure times in seconds that the pictures' EXIF data tell.
-
-    Raises
-    ------
-    InputError
-        One of them tells none or cannot be read, or aperture or sensitivity differ.
-    """
-    seconds, settings = [], []
-    for path in paths:
-        tags = read_exif(path).get_ifd(ExifTags.IFD.Exif)
-        seconds.append(float(tags.get(ExifTags.Base.ExposureTime, 0)))
-        settings.append([tags.get(tag) for tag in _FIXED])
-        if not seconds[-1] > 0:
-            raise InputError(f"{path}: its EXIF data tell no exposure time; give --times")
-        if settings[-1] != settings[0]:
-            raise InputError(
-                f"{path}: its aperture or ISO is not that of {paths[0]}: fix both and vary the time"
-            )
-    return seconds
-
-
-MOVED = 0.1  # of a face's shading: more is another light, or another pose than was thought
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,6 +23,7 @@ _WINDOW = 10  # frames of which the sharpest is taken: a third of a second of mo
 # codes, mean over a thumbnail: noise makes 0.02, a board tilted by 15 degrees at 80 cm 1.5
 _DIFFERENT = 1.0
 _THUMBNAIL = (48, 32)
+_FRAME = "frame"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,7 +228,6 @@ def _now() -> Times:
     return Times(wall=time.perf_counter(), cpu=time.process_time())
 
 
-_FRAME = "frame"
 Show = Callable[[UInt8[np.ndarray, "h w 3"]], LiveFrame]
 
 

@@ -18,6 +18,10 @@ from skylight.sphere._rotation import RigidTransform
 
 CORNERS_MIN = 6  # a homography needs 4; two more show whether it fits
 _ENLARGE_BELOW_PX = 1_000_000  # pictures in which markers may be too small to be read as they are
+_SAME_DEG = 0.5
+# the board's frame in OpenCV's for boards: x right, y down the paper, z into it
+OPENCV_FROM_BOARD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+Picture = UInt8[np.ndarray, "_ _ 3"] | UInt16[np.ndarray, "_ _ 3"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,11 +89,6 @@ def spread_out(points: Float[np.ndarray, "n 3"], board: Board) -> bool:
 
 def _too_few(numbers: np.ndarray | None) -> bool:
     return numbers is None or len(numbers) < CORNERS_MIN
-
-
-_SAME_DEG = 0.5
-# the board's frame in OpenCV's for boards: x right, y down the paper, z into it
-OPENCV_FROM_BOARD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,9 +166,6 @@ def corners_pose(corners: BoardCorners, intrinsics: Intrinsics) -> BoardPose | N
 def _angle_deg(one: Float[np.ndarray, "3 3"], other: Float[np.ndarray, "3 3"]) -> float:
     """Of the rotation between two rotations."""
     return float(np.degrees(np.arccos(np.clip(((one * other).sum() - 1) / 2, -1, 1))))
-
-
-Picture = UInt8[np.ndarray, "_ _ 3"] | UInt16[np.ndarray, "_ _ 3"]
 
 
 def camera_centre(pose: RigidTransform) -> Float[np.ndarray, "3"]:

@@ -35,6 +35,10 @@ _RELATIONSHIPS = (
     'Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/></Relationships>'
 )
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip file can name
+_FINE = 2  # rays along a pixel's side
+_SKY_RAYS = 4  # per ray that hits
+_SKY, _LAMP, _EDGE = 0.62, 0.5, 0.55
+_MARGIN = 1.06
 
 
 def write_stl(path: Path, parts: Sequence[PrintedPart]) -> None:
@@ -96,12 +100,6 @@ def _model(parts: Sequence[PrintedPart]) -> str:
     lines += [f'<item objectid="{number}"/>' for number in range(1, len(parts) + 1)]
     lines.append("</build></model>")
     return "\n".join(lines)
-
-
-_FINE = 2  # rays along a pixel's side
-_SKY_RAYS = 4  # per ray that hits
-_SKY, _LAMP, _EDGE = 0.62, 0.5, 0.55
-_MARGIN = 1.06
 
 
 def shaded_picture(

@@ -11,6 +11,8 @@ from manifold3d import Error, Manifold, Mesh64
 from skylight.errors import InputError
 from skylight.sphere._rotation import RigidTransform
 
+_WIDTHS = 60  # shelf widths that are tried
+
 
 @dataclass(frozen=True, kw_only=True)
 class PrintedPart:
@@ -130,9 +132,6 @@ class PrintSizes:
         A wall, the gap, the collar's wall, and one clearance for what neighbours may be inset.
         """
         return 2 * self.wall_mm + 2 * self.clearance_mm
-
-
-_WIDTHS = 60  # shelf widths that are tried
 
 
 @dataclass(frozen=True, kw_only=True)

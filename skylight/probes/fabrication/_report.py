@@ -17,6 +17,11 @@ WALL_TOLERANCE_MM = 1e-3
 PLAY_TOLERANCE_MM = 1e-3
 FACE_TOLERANCE_MM = 1e-6
 VOLUME_TOLERANCE_MM3 = 1e-3  # a face of 30 mm off by 1e-6 mm
+# linear reflectances
+BASE, POLE = (0.55, 0.58, 0.62), (0.75, 0.76, 0.78)
+PAPER, INK = (0.9, 0.9, 0.9), (0.05, 0.05, 0.05)
+PANEL_PX = 600
+_PATTERN = 7  # squares along the board's longer side in the picture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,13 +168,6 @@ def part_problems(part: PartFigures, wall_mm: float) -> list[str]:
     if part.thinnest_mm < wall_mm - WALL_TOLERANCE_MM:
         found.append(f"has a wall of {part.thinnest_mm:.3f} mm")
     return [f"{part.name}: {problem}" for problem in found]
-
-
-# linear reflectances
-BASE, POLE = (0.55, 0.58, 0.62), (0.75, 0.76, 0.78)
-PAPER, INK = (0.9, 0.9, 0.9), (0.05, 0.05, 0.05)
-PANEL_PX = 600
-_PATTERN = 7  # squares along the board's longer side in the picture
 
 
 def write_sheet_of_prints(

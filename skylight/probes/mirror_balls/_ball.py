@@ -17,6 +17,19 @@ from skylight.transport._cameras import Camera
 PARALLEL_FOV_DEG = 0.1
 RADIUS_MIN_PX = 16.0
 _HALF_ANGLE_MAX = math.radians(60.0)
+_SEARCH_PX = 480  # longer side of the picture in which circles are searched for
+_STRICTNESS = (0.9, 0.75, 0.6, 0.4)  # OpenCV's perfectness of circles, from the best downwards
+_CANDIDATES = 10
+_RADII = (0.08, 0.52)  # of the shorter side
+_PROFILES = 360  # across the outline
+_WIDE, _NARROW = 0.12, (0.02, 0.01)  # of the radius, in which edges are searched for
+_PEAKS, _TRIALS = 3, 600  # of a profile; of triples of edges
+_STEEP_MIN = 24  # profiles with an edge, below which there is no ball
+_SLOPE_MIN, _STEEPER = 0.01, 1.5  # least slope per px, absolute and against the median
+_ON_OUTLINE_PX = 1.5
+_SUPPORT_MIN = 0.35
+_INWARD = 3.0
+_NEARLY = 0.8  # of the best support: as good, so that the larger ball counts
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,21 +164,6 @@ def _scaled(
     y = (camera.center_px[1] - points[:, 1]) / camera.focal_px
     squared = x**2 + y**2
     return x, y, squared / (1 + np.sqrt(1 + squared)), float(np.sqrt(squared.max()))
-
-
-_SEARCH_PX = 480  # longer side of the picture in which circles are searched for
-_STRICTNESS = (0.9, 0.75, 0.6, 0.4)  # OpenCV's perfectness of circles, from the best downwards
-_CANDIDATES = 10
-_RADII = (0.08, 0.52)  # of the shorter side
-_PROFILES = 360  # across the outline
-_WIDE, _NARROW = 0.12, (0.02, 0.01)  # of the radius, in which edges are searched for
-_PEAKS, _TRIALS = 3, 600  # of a profile; of triples of edges
-_STEEP_MIN = 24  # profiles with an edge, below which there is no ball
-_SLOPE_MIN, _STEEPER = 0.01, 1.5  # least slope per px, absolute and against the median
-_ON_OUTLINE_PX = 1.5
-_SUPPORT_MIN = 0.35
-_INWARD = 3.0
-_NEARLY = 0.8  # of the best support: as good, so that the larger ball counts
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,6 +35,14 @@ from skylight.sphere._frame import angle_between, rotation_about
 
 _MARGIN_PX = 1.5  # inside of the outline, where pixels mix with what is behind the ball
 _TABLE = 40_001
+TURN_DEG = 90.0
+_MATCH_ROWS = 64
+_NEAR_DEG = 25.0  # how far off the stated turn is still taken for it
+_ALIKE_MIN = 0.3  # correlation below which two views do not tell their turn
+_UNALIKE = 0.2  # in ln: from there on, what differs is not the turn but nearness or movement
+_POWER = 8
+Kind = Literal["ball", "360"]
+Circle = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,14 +129,6 @@ def fine_height(view: BallView, height: int) -> int:
     A distant ball shows the light towards the camera with radius / 2 px a radian.
     """
     return finer_rows(height, 0.5 * view.ball.circle[2])
-
-
-TURN_DEG = 90.0
-_MATCH_ROWS = 64
-_NEAR_DEG = 25.0  # how far off the stated turn is still taken for it
-_ALIKE_MIN = 0.3  # correlation below which two views do not tell their turn
-_UNALIKE = 0.2  # in ln: from there on, what differs is not the turn but nearness or movement
-_POWER = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,10 +268,6 @@ def _differences(
 
 def _rotation(vector: np.ndarray) -> Float[Tensor, "3 3"]:
     return torch.from_numpy(Rotation.from_rotvec(vector).as_matrix())
-
-
-Kind = Literal["ball", "360"]
-Circle = tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)

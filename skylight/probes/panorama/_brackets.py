@@ -12,8 +12,8 @@ from skylight.errors import InputError
 from skylight.imaging._photo import PHOTO_SUFFIXES
 from skylight.io._files import visible_files
 from skylight.io._hdr import SUFFIXES as HDR_SUFFIXES
-from skylight.probes.cameras._files import exif_exposures, exposure_times
-from skylight.probes.panorama._panorama import hinted
+from skylight.probes.cameras._exposure_files import exif_exposures, exposure_times
+from skylight.probes.panorama._panorama import rotation_to
 
 _ALIKE = 0.05  # relative difference of two exposure times that are meant to be the same
 _COLUMNS = ("azimuth_deg", "elevation_deg")
@@ -118,7 +118,7 @@ def read_turns(path: Path, count: int) -> dict[int, Float[np.ndarray, "3 3"]]:
                 f"{path}, row {number + 1}: {azimuth:g}, {elevation:g} is no direction; elevations "
                 "are -90 to 90 degrees"
             )
-        turns[number] = hinted(azimuth, elevation)
+        turns[number] = rotation_to(azimuth, elevation)
     return turns
 
 

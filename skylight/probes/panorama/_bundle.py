@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 from scipy.spatial.transform import Rotation
 
 from skylight.imaging._camera_turns import Link
-from skylight.probes.panorama._matches import Lens, Turned
+from skylight.probes.panorama._matches import Lens, RotatedLink
 
 Rotations = Mapping[int, Float[np.ndarray, "3 3"]]
 
@@ -50,7 +50,7 @@ class Bundle:
     rms_px: float
 
 
-def spanning_trees(turned: Sequence[Turned]) -> list[dict[int, Float[np.ndarray, "3 3"]]]:
+def spanning_trees(turned: Sequence[RotatedLink]) -> list[dict[int, Float[np.ndarray, "3 3"]]]:
     """Rotations of each group of shots that hang together, the largest group first.
 
     Along the maximum spanning tree by number of matches; a group's world is the frame of its shot
@@ -80,7 +80,11 @@ def spanning_trees(turned: Sequence[Turned]) -> list[dict[int, Float[np.ndarray,
 
 
 def adjust(
-    turned: Sequence[Turned], lamps: Sequence[Link], start: Rotations, lens: Lens, hints: Rotations
+    turned: Sequence[RotatedLink],
+    lamps: Sequence[Link],
+    start: Rotations,
+    lens: Lens,
+    hints: Rotations,
 ) -> Bundle:
     """The bundle of least sum, from these rotations and this lens.
 
@@ -112,7 +116,7 @@ def adjust(
     )
 
 
-def _agreeing(turned: Turned, lens: Lens) -> Bool[np.ndarray, " n"]:
+def _agreeing(turned: RotatedLink, lens: Lens) -> Bool[np.ndarray, " n"]:
     """Which of a link's matches agree with its own turn."""
     error = lens.project(lens.rays(turned.link.after) @ turned.rotation.T) - turned.link.before
     return np.linalg.norm(error, axis=1) < _BEGIN_RAD * lens.focal_px

@@ -92,11 +92,11 @@ def stitch_probe(
         hints = None if turns is None else read_turns(turns, len(brackets))
         chosen, why = _common_response(brackets, response_of(response))
         merged, focal_px, curve = _merged(brackets, chosen, progress)
-        told_px = focal_length_px or focal_px
+        start_px = focal_length_px or focal_px
         panorama = panorama_of(
             merged,
             height,
-            focal_px=None if told_px is None else told_px * merged[0].scale,
+            focal_px=None if start_px is None else start_px * merged[0].scale,
             hints=hints,
             progress=progress,
         )

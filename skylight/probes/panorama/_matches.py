@@ -27,6 +27,18 @@ from skylight.probes.cameras._intrinsics import FLIP, Intrinsics
 from skylight.sphere._envmap import LUMINANCE
 from skylight.work._progress import Progress
 
+WORKING_SIDE = 1000  # px of the longer side: maps of up to 1024 rows show no more of a usual lens
+_DARK_SHARE = 0.02  # quantiles of log luminance that become black and white for features
+_FLOOR = 1e-6  # of the brightest: what is darker counts as that dark
+_MOST_FEATURES = 1000  # of a shot
+_CONTRAST = 0.02  # below SIFT's usual 0.04: clouds are faint
+_RATIO = 0.8
+_FEWEST = 10  # matches of two shots
+# A lamp: so many times the median's light, at half its own brightness so small a part of a shot.
+_LAMP_OVER_MEDIAN, _LAMP_SHARE = 30.0, 0.01
+_SAME_LAMP = 4.0  # factor between what two shots may show of it
+_SEARCHED = 40  # links, those of most matches, by which the focal length is searched for
+
 
 @dataclass(frozen=True, kw_only=True)
 class Lens:
@@ -85,11 +97,6 @@ class Lens:
         )
 
 
-WORKING_SIDE = 1000  # px of the longer side: maps of up to 1024 rows show no more of a usual lens
-_DARK_SHARE = 0.02  # quantiles of log luminance that become black and white for features
-_FLOOR = 1e-6  # of the brightest: what is darker counts as that dark
-
-
 @dataclass(frozen=True, kw_only=True)
 class Shot:
     """What the camera saw in one direction, scaled down to :data:`WORKING_SIDE` at most.
@@ -141,16 +148,6 @@ def for_features(shot: Shot) -> UInt8[np.ndarray, "h w"]:
     return np.clip(np.rint(255 * (logs - dark) / max(bright - dark, 1e-3)), 0, 255).astype(np.uint8)
 
 
-_MOST_FEATURES = 1000  # of a shot
-_CONTRAST = 0.02  # below SIFT's usual 0.04: clouds are faint
-_RATIO = 0.8
-_FEWEST = 10  # matches of two shots
-# A lamp: so many times the median's light, at half its own brightness so small a part of a shot.
-_LAMP_OVER_MEDIAN, _LAMP_SHARE = 30.0, 0.01
-_SAME_LAMP = 4.0  # factor between what two shots may show of it
-_SEARCHED = 40  # links, those of most matches, by which the focal length is searched for
-
-
 @dataclass(frozen=True, kw_only=True)
 class Features:
     """Places (n,2) of a shot's features and their descriptors, of length 1."""
@@ -160,7 +157,7 @@ class Features:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Turned:
+class RotatedLink:
     """A link whose matches agree on a turn from the later shot's frame to the earlier one's."""
 
     link: Link
@@ -232,18 +229,18 @@ def _lamp(shot: Shot) -> tuple[Float[np.ndarray, "2"], float] | None:
     return place, float(weight.sum())
 
 
-def most_told(links: Sequence[Link]) -> list[Link]:
+def strongest_links(links: Sequence[Link]) -> list[Link]:
     """The links of most matches, enough to search for a focal length by."""
     return sorted(links, key=lambda link: -len(link.before))[:_SEARCHED]
 
 
-def turned_links(links: Sequence[Link], lens: Lens) -> list[Turned]:
+def rotated_links(links: Sequence[Link], lens: Lens) -> list[RotatedLink]:
     """Those whose matches agree on a turn."""
     found = []
     for link in links:
         rotation = turn_between(link, lens.focal_px, lens.size)
         if rotation is not None:
-            found.append(Turned(link=link, rotation=rotation))
+            found.append(RotatedLink(link=link, rotation=rotation))
     return found
 
 

@@ -20,19 +20,28 @@ from skylight.probes.cameras._exposures import Clipping, find_clipping
 from skylight.probes.panorama._bundle import Bundle, adjust, spanning_trees
 from skylight.probes.panorama._matches import (
     Lens,
+    RotatedLink,
     Shot,
-    Turned,
     find_features,
     lamp_links,
     link_shots,
-    most_told,
-    turned_links,
+    rotated_links,
+    strongest_links,
 )
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.work._progress import Progress, StageProgress
 
 _TOLD = 0.02  # of the shots' number: least spread of their right-hand sides that tells the vertical
 _STEEP = 0.9  # sine of the elevation above which a shot tells no azimuth
+_MARGIN_PX = 1.0
+_POWER = 3  # of the weight that falls from a shot's middle to its edges
+# Weight of what is saturated in all exposures: it counts, as a bound, where nothing else is seen.
+_SATURATED = 1e-4
+# Of the longer side: where nothing tells, a picture is 53 degrees wide, give or take a factor of 3.
+_FOCAL_GUESS, _FOCAL_SPREAD = 1.0, 0.37
+_FEW_FEATURES = 30
+_HINT_MARGIN_RAD = math.radians(10.0)
+Turns = Mapping[int, Float[np.ndarray, "3 3"]]
 
 
 def levelled(
@@ -70,18 +79,12 @@ def aligned(
     return {shot: turn @ rotations[shot] for shot in rotations}
 
 
-def hinted(azimuth_deg: float, elevation_deg: float) -> Float[np.ndarray, "3 3"]:
+def rotation_to(azimuth_deg: float, elevation_deg: float) -> Float[np.ndarray, "3 3"]:
     """World from camera: turned to the right from -Z, then up, without roll."""
     a, e = np.radians(azimuth_deg), np.radians(elevation_deg)
     turned = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
     raised = np.array([[1, 0, 0], [0, np.cos(e), -np.sin(e)], [0, np.sin(e), np.cos(e)]])
     return turned @ raised
-
-
-_MARGIN_PX = 1.0
-_POWER = 3  # of the weight that falls from a shot's middle to its edges
-# Weight of what is saturated in all exposures: it counts, as a bound, where nothing else is seen.
-_SATURATED = 1e-4
 
 
 def stitch(
@@ -168,14 +171,6 @@ def _filled(probe: ProbeMap) -> ProbeMap:
     )
 
 
-# Of the longer side: where nothing tells, a picture is 53 degrees wide, give or take a factor of 3.
-_FOCAL_GUESS, _FOCAL_SPREAD = 1.0, 0.37
-_FEW_FEATURES = 30
-_HINT_MARGIN_RAD = math.radians(10.0)
-
-Turns = Mapping[int, Float[np.ndarray, "3 3"]]
-
-
 @dataclass(frozen=True, kw_only=True)
 class Panorama:
     """The probe and how it came about.
@@ -233,9 +228,9 @@ def panorama_of(
     links = link_shots(features, may_overlap, lambda share: progress("matching shots", share))
     progress("finding rotations", 0.0)
     if focal_px is None and links:
-        found, _ = focal_from_turns(most_told(links), lens.focal_px, _FOCAL_SPREAD, lens.size)
+        found, _ = focal_from_turns(strongest_links(links), lens.focal_px, _FOCAL_SPREAD, lens.size)
         lens = replace(lens, focal_px=found)
-    turned = turned_links(links, lens)
+    turned = rotated_links(links, lens)
     if not turned:
         raise InputError(_why_none(shots, [len(each.places) for each in features]))
     bundle = adjust(turned, lamp_links(shots), _start(turned, hints, shots), lens, hints)
@@ -255,7 +250,7 @@ def panorama_of(
     )
 
 
-def _start(turned: Sequence[Turned], hints: Turns, shots: Sequence[Shot]) -> Turns:
+def _start(turned: Sequence[RotatedLink], hints: Turns, shots: Sequence[Shot]) -> Turns:
     """Rotations from matches, in the hints' world where there are any, and the hints.
 
     Groups of shots that hang together by matches are turned as a whole to meet their hints. A

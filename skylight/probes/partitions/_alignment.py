@@ -58,7 +58,7 @@ class PartitionAlignment:
 
     @property
     def shown_in(self) -> Bool[np.ndarray, " v"]:
-        """The same of each picture, there."""
+        """Whether each picture shows the probe at :attr:`stands`, or too little of it to tell."""
         places, agree = self.stands.places, self.stands.agree
         return np.asarray((places < _FEWEST) | (agree >= SHOWN * places))
 

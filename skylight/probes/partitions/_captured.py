@@ -357,7 +357,7 @@ class SampleCapture:
         return self.add(read_samples(image, response, self.discs, pose, intrinsics))
 
     def add(self, samples: list[FaceSample]) -> int:
-        """The same with samples that were read."""
+        """Keep samples that are larger than any before; how many cells that are."""
         taken = 0
         for sample in samples:
             cell, known = sample.cell, bool(self._area[sample.cell] > 0)

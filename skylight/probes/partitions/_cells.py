@@ -1,7 +1,6 @@
 """A design's cells: their regions, and the exact cosine-weighted integrals over them.
 
-Spherical Voronoi diagrams, and integrals over their polygons in closed form.
-
+The regions are those of a spherical Voronoi diagram, whose polygons are integrated in closed form.
 Lambert (1760): a polygon of the unit sphere with arcs of length ``t_k`` about unit poles ``p_k``
 (counter-clockwise seen from outside) has ``int w dw = 1/2 sum_k t_k p_k``, so a surface of normal n
 that sees all of it gathers ``1/2 sum_k t_k <n, p_k>``. Where the surface's horizon cuts the polygon

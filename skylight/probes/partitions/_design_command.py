@@ -1,7 +1,4 @@
-"""``skylight probe partitions design``.
-
-``skylight probe partitions relight``, ``live`` and ``export``.
-"""
+"""``skylight probe partitions design``, ``relight``, ``live`` and ``export``."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,8 +1,7 @@
-"""Random search for the design that relights best under given lights.
+"""Named designs, and random search for the one that relights best under given lights.
 
-Relighting error of a probe design on a test scene, over many lights at once.
-
-Named designs: those of the thesis (Fig. 4.3 and 4.4), read off its figures.
+What is searched for is the least error of relighting a test scene, over many lights at once. The
+named designs are those of the thesis (Fig. 4.3 and 4.4), read off its figures:
 
 ==================  ===========================================================================
 6d 14d 38d 110d     the points of Lebedev quadrature of degrees 3, 5, 9 and 17: near-uniform

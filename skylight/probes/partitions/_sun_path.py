@@ -4,7 +4,8 @@ The sun's path of a day is very nearly a circle about the celestial pole. Such a
 piece of it that is meant, are given by three points on it (thesis, 4.3.2, where they lie on one
 great circle, as they do at an equinox): it runs from the first through the middle to the last.
 
-Lights to optimise a design for: a folder of maps, or a day's simulated skies at a place.
+Here are also the lights that designs are optimised for: the maps of a folder, or the simulated
+skies of a day at a place.
 """
 
 import math

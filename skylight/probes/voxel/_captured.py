@@ -1,10 +1,9 @@
-"""Shading copied from pictures of a voxel probe into its lightmap (thesis, section 3.5.2).
+"""Shading copied from pictures of a voxel probe into its lightmap, and where the probe stands.
 
-Where a probe really stands, from its own edges in all pictures together.
-
-A round pole leaves the turn about it free, and sockets have play: the board's pose alone puts the
-probe where it was meant to stand. Edges of the probe tell better, but those of one picture are
-noisier than the board's many corners; what all pictures say together is not.
+Of each slot the largest view is kept (thesis, section 3.5.2). A round pole leaves the turn about it
+free, and sockets have play: the board's pose alone puts the probe where it was meant to stand.
+Edges of the probe tell better, but those of one picture are noisier than the board's many corners;
+what all pictures say together is not.
 """
 
 from dataclasses import dataclass, replace

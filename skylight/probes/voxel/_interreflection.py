@@ -1,4 +1,8 @@
-"""Light in the cell in front of a voxel face: radiosity on the six sides of a unit cube.
+"""Transfer of voxel faces with interreflection, and the reconstruction of missing slots by it.
+
+The simplest geometry that gives a face its configuration, Lambertian of one albedo, is lit by each
+spherical harmonic (thesis, section 3.4.4, Eq. 3.15 to 3.17): radiosity in the cell in front of the
+face, on the six sides of a unit cube.
 
 Light that leaves the cell through an open side meets none of the neighbours again (each of them
 lies beyond a side of its own), so that the cell is all there is to the transport of the simplest
@@ -8,13 +12,6 @@ Wallace 1993, chapter 3).
 
 The cell is [0, 1]^3 in the frame of the face: x right, y forward, z along its normal. Side 0 is the
 face itself, side i + 1 is where occluder i of :data:`~skylight.probes.voxel._model.OCCLUDERS` is.
-
-Reconstruction of missing slots by transfer with interreflection (thesis, 3.4.4, Eq. 3.17).
-
-Transfer vectors of all lightmap slots: their radiance under each spherical harmonic.
-
-Thesis, section 3.4.4 (Eq. 3.15 and 3.16), globally illuminated: the simplest geometry that gives
-a face its configuration, Lambertian of one albedo, is lit by each harmonic.
 """
 
 import math

@@ -1,10 +1,8 @@
-"""Voxel models: boolean grids, from meshes and files, and the star-shaped probes.
+"""Voxel models: boolean grids from meshes and files, star-shaped probes, and the faces they show.
 
-Exposed faces of voxel models, their orientation and occlusion.
-
-Six orientations, each with a right-handed frame (right x forward = normal). The empty cell in
-front of a face has four side neighbours and a ceiling; those that are occupied give one of 32
-occlusion configurations, bit i of which is set where neighbour i (:data:`OCCLUDERS`) is present.
+Faces have six orientations, each with a right-handed frame (right x forward = normal). The empty
+cell in front of a face has four side neighbours and a ceiling; those that are occupied give one of
+32 occlusion configurations, bit i of which is set where neighbour i (:data:`OCCLUDERS`) is present.
 Thesis, sections 3.3.2 and 3.4.2.
 """
 

@@ -1,4 +1,4 @@
-"""Printable parts of a voxel model: one thin-walled cube per voxel, pressed onto the next.
+"""A printed voxel probe: its parts, one thin-walled cube per voxel, and its place on the board.
 
 Each part is open on the side towards its parent and carries a square collar for each child. It is
 printed on the side across from the opening, or on the opening where a collar is across. Shoulders
@@ -7,7 +7,7 @@ wall and are cut off at 45 degrees. So nothing hangs over but the upper edges of
 printers bridge, and half a wall below the collars that point sideways. After section 3.5.1 of the
 thesis, which does not describe its joints.
 
-A printed voxel probe over its marker board: its file, and what its faces see.
+Assembled over its marker board, the probe is a :class:`VoxelAssembly`, which is also a file.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """Reconstruction of missing lightmap slots as linear combinations of captured ones.
 
-Sparse least squares with an L0 penalty, by exhaustive search over subsets.
+The combinations are sparse: least squares with an L0 penalty, by exhaustive search over subsets.
 """
 
 from dataclasses import replace

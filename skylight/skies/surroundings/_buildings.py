@@ -25,6 +25,21 @@ from skylight.skies.surroundings._layer import (
     View,
 )
 
+WALLS = (
+    (0.55, 0.53, 0.5),  # white paint
+    (0.45, 0.37, 0.27),  # sandstone
+    (0.42, 0.28, 0.17),  # ochre
+    (0.52, 0.38, 0.16),  # yellow plaster
+    (0.48, 0.28, 0.19),  # pink plaster
+    (0.36, 0.16, 0.09),  # terracotta
+    (0.25, 0.13, 0.09),  # brick
+    (0.3, 0.29, 0.27),  # concrete
+    (0.13, 0.13, 0.13),  # dark cladding
+)
+ROOFS = ((0.25, 0.11, 0.07), (0.09, 0.09, 0.1), (0.28, 0.28, 0.27), (0.15, 0.1, 0.07))
+ROOF_RAD = math.radians(40)  # the slope by which roofs are lit
+STOREY_M, BAY_M = 3.2, 3.0
+
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
@@ -163,22 +178,6 @@ def _tops(
         back,
     )
     return eaves, torch.where(hit.gable, eaves, torch.maximum(eaves, ridge))
-
-
-WALLS = (
-    (0.55, 0.53, 0.5),  # white paint
-    (0.45, 0.37, 0.27),  # sandstone
-    (0.42, 0.28, 0.17),  # ochre
-    (0.52, 0.38, 0.16),  # yellow plaster
-    (0.48, 0.28, 0.19),  # pink plaster
-    (0.36, 0.16, 0.09),  # terracotta
-    (0.25, 0.13, 0.09),  # brick
-    (0.3, 0.29, 0.27),  # concrete
-    (0.13, 0.13, 0.13),  # dark cladding
-)
-ROOFS = ((0.25, 0.11, 0.07), (0.09, 0.09, 0.1), (0.28, 0.28, 0.27), (0.15, 0.1, 0.07))
-ROOF_RAD = math.radians(40)  # the slope by which roofs are lit
-STOREY_M, BAY_M = 3.2, 3.0
 
 
 @dataclass(frozen=True, kw_only=True)

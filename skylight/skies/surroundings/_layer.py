@@ -20,6 +20,16 @@ from skylight.sphere._frame import DirectionGrid
 Range = tuple[float | int, float | int]
 Colour = tuple[float, float, float]
 MOST_ALBEDO = 0.9  # about that of fresh snow
+PARTS = 4  # of a column; rows are integrated exactly
+TEXTURE_ROWS = 64  # from the horizon to the zenith: a texture's finest detail is 1.4 degrees
+BEAM_OVER_MEAN = 10.0  # what is brighter than so many times the mean casts shadows
+SUN_MARGIN_RAD = math.radians(3)  # about a pixel of 32 rows
+EYE_M = 1.6  # above the ground
+SNOW = 0.8  # albedo
+NOWHERE = 9.0  # an elevation above all: what begins there is not seen
+# The share of things before the sun that stay there: whoever takes a panorama for its light
+# seldom stands in the shade.
+SUN_HIDDEN = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,10 +91,6 @@ def rough_noise(
     gain = gain / (gain.square() * twice).sum().div(rows * columns).sqrt()
     white = torch.fft.rfft2(draws.normal(rows, columns))
     return torch.fft.irfft2(white * gain, s=(rows, columns))
-
-
-PARTS = 4  # of a column; rows are integrated exactly
-TEXTURE_ROWS = 64  # from the horizon to the zenith: a texture's finest detail is 1.4 degrees
 
 
 @dataclass(frozen=True)
@@ -171,10 +177,6 @@ def _resized(noise: Float[Tensor, "b r k"], height: int, columns: int) -> Float[
     size = (height, columns + 2 * beyond)
     wide = functional.interpolate(padded, size, mode="bilinear", antialias=height < noise.shape[1])
     return wide[:, 0, :, beyond : beyond + columns]
-
-
-BEAM_OVER_MEAN = 10.0  # what is brighter than so many times the mean casts shadows
-SUN_MARGIN_RAD = math.radians(3)  # about a pixel of 32 rows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -274,14 +276,6 @@ def light_of(
         ground=ground_albedo * up,
         horizon=low,
     )
-
-
-EYE_M = 1.6  # above the ground
-SNOW = 0.8  # albedo
-NOWHERE = 9.0  # an elevation above all: what begins there is not seen
-# The share of things before the sun that stay there: whoever takes a panorama for its light
-# seldom stands in the shade.
-SUN_HIDDEN = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)

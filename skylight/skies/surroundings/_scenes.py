@@ -22,6 +22,13 @@ from skylight.skies.surroundings._layer import (
 from skylight.skies.surroundings._street import Branches, Posts, Slabs
 from skylight.skies.surroundings._terrain import Land, Trees
 
+FIELDS = ((0.06, 0.09, 0.03), (0.12, 0.11, 0.05), (0.1, 0.09, 0.07), (0.04, 0.06, 0.025))
+ROCKS = ((0.16, 0.14, 0.11), (0.06, 0.07, 0.04), (0.03, 0.045, 0.02))
+WOODS = ((0.025, 0.035, 0.012), (0.04, 0.06, 0.02), (0.03, 0.03, 0.02), (0.08, 0.07, 0.04))
+GROUNDS = ((0.06, 0.09, 0.03), (0.15, 0.14, 0.12), (0.25, 0.24, 0.22), (0.2, 0.16, 0.1))
+SNOWY, MISTY = 1 / 12, 1 / 20  # shares of the scenes
+CLEAR_M, MIST_M = (1e4, 8e4), (3e2, 3e3)  # visibility
+
 
 class Kind(Protocol):
     """Things of one kind; ``layers`` draws some for each scene, the farthest first."""
@@ -37,10 +44,6 @@ class Scene:
     open: Range
     there: dict[str, float]
 
-
-FIELDS = ((0.06, 0.09, 0.03), (0.12, 0.11, 0.05), (0.1, 0.09, 0.07), (0.04, 0.06, 0.025))
-ROCKS = ((0.16, 0.14, 0.11), (0.06, 0.07, 0.04), (0.03, 0.045, 0.02))
-WOODS = ((0.025, 0.035, 0.012), (0.04, 0.06, 0.02), (0.03, 0.03, 0.02), (0.08, 0.07, 0.04))
 
 # The farthest first: what follows is before it. Ranges are from what is common to what is not
 # rare; distances, heights and widths are scattered evenly in their logarithm.
@@ -128,11 +131,6 @@ SCENES = {
         },
     ),
 }
-
-
-GROUNDS = ((0.06, 0.09, 0.03), (0.15, 0.14, 0.12), (0.25, 0.24, 0.22), (0.2, 0.16, 0.1))
-SNOWY, MISTY = 1 / 12, 1 / 20  # shares of the scenes
-CLEAR_M, MIST_M = (1e4, 8e4), (3e2, 3e3)  # visibility
 
 
 def surroundings(

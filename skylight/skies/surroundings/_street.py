@@ -25,6 +25,7 @@ from skylight.skies.surroundings._layer import (
 from skylight.skies.surroundings._terrain import LEAVES, THROUGH
 
 METAL = ((0.1, 0.1, 0.1), (0.3, 0.3, 0.3), (0.5, 0.5, 0.48), (0.12, 0.09, 0.07))
+TILE, CELL_M = 64, 0.25  # of leaves: samples a side, and their distance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,9 +54,6 @@ class Posts:
             radiance=radiance[:, None].expand(-1, site.view.rows, -1, -1),
             distance_m=distance.gather(1, which),
         )
-
-
-TILE, CELL_M = 64, 0.25  # of leaves: samples a side, and their distance
 
 
 @dataclass(frozen=True, kw_only=True)

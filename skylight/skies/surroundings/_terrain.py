@@ -25,6 +25,19 @@ from skylight.skies.surroundings._layer import (
     spread,
 )
 
+FRINGE = 1.3  # how far leaves reach beyond a crown's ellipse, over its size
+# Of whole crowns: about half of what a leaf reflects, the rest is lost between the leaves.
+LEAVES = (
+    (0.02, 0.03, 0.01),
+    (0.035, 0.05, 0.015),
+    (0.05, 0.075, 0.02),
+    (0.07, 0.09, 0.03),
+    (0.03, 0.035, 0.02),
+    (0.09, 0.07, 0.03),  # autumn
+)
+BARK = ((0.12, 0.09, 0.065), (0.07, 0.055, 0.04), (0.2, 0.18, 0.15))
+THROUGH = (0.7, 0.8, 0.35)  # what leaves let through, over what they reflect
+
 
 @dataclass(frozen=True, kw_only=True)
 class Land:
@@ -72,9 +85,6 @@ def _slopes(
     towards = (steepness + strength * lumps[0])[..., None]
     normal = up - towards * away + strength * 1.5 * lumps[1][..., None] * right
     return normal / normal.norm(dim=-1, keepdim=True)
-
-
-FRINGE = 1.3  # how far leaves reach beyond a crown's ellipse, over its size
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,19 +204,6 @@ def _within(
 
 def _without(stand: Stand, cut: Bool[Tensor, "b n"]) -> Stand:
     return Stand(**{**vars(stand), "standing": stand.standing & ~cut})
-
-
-# Of whole crowns: about half of what a leaf reflects, the rest is lost between the leaves.
-LEAVES = (
-    (0.02, 0.03, 0.01),
-    (0.035, 0.05, 0.015),
-    (0.05, 0.075, 0.02),
-    (0.07, 0.09, 0.03),
-    (0.03, 0.035, 0.02),
-    (0.09, 0.07, 0.03),  # autumn
-)
-BARK = ((0.12, 0.09, 0.065), (0.07, 0.055, 0.04), (0.2, 0.18, 0.15))
-THROUGH = (0.7, 0.8, 0.35)  # what leaves let through, over what they reflect
 
 
 @dataclass(frozen=True, kw_only=True)

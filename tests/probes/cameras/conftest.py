@@ -42,6 +42,6 @@ def corners(board: Board, frames: list[Frame]) -> list[tuple[str, BoardCorners]]
     return [(name, each) for name, each in found if each is not None]
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def blank() -> np.ndarray:
     return np.full((LENS.height, LENS.width, 3), 120, dtype=np.uint8)

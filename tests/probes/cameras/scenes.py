@@ -4,7 +4,9 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
+import torch
 
+from skylight.imaging._colour import linear_to_srgb
 from skylight.probes.cameras._board import Board
 from skylight.probes.cameras._intrinsics import Intrinsics
 
@@ -116,3 +118,13 @@ def shrink(fine: np.ndarray) -> np.ndarray:
 def codes(grey: np.ndarray, *, noise: float, seed: int) -> np.ndarray:
     noisy = grey[..., None] + noise * np.random.default_rng(seed).standard_normal((*grey.shape, 3))
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def srgb(light: np.ndarray) -> np.ndarray:
+    return linear_to_srgb(torch.from_numpy(light)).numpy()
+
+
+def film(light: np.ndarray) -> np.ndarray:
+    """An S-shaped curve as cameras' picture styles have."""
+    share = light ** (1 / 2.4)
+    return share + 0.06 * np.sin(2 * np.pi * (share - 0.5))

@@ -7,22 +7,12 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.imaging._colour import linear_to_srgb
 from skylight.probes.cameras._exposures import Exposure, merge
 from skylight.probes.cameras._response import Response
+from tests.probes.cameras.scenes import film, srgb
 
 TIMES = [1 / 256, 1 / 64, 1 / 16, 1 / 4, 1.0]
 Encode = Callable[[np.ndarray], np.ndarray]
-
-
-def srgb(light: np.ndarray) -> np.ndarray:
-    return linear_to_srgb(torch.from_numpy(light)).numpy()
-
-
-def film(light: np.ndarray) -> np.ndarray:
-    """An S-shaped curve as cameras' picture styles have."""
-    share = light ** (1 / 2.4)
-    return share + 0.06 * np.sin(2 * np.pi * (share - 0.5))
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.imaging._colour import linear_to_srgb, srgb_to_linear
+from skylight.imaging._colour import srgb_to_linear
 from skylight.probes.cameras._response import (
     Response,
     load_response,
@@ -17,6 +17,7 @@ from skylight.probes.cameras._response import (
     saturated,
     save_response,
 )
+from tests.probes.cameras.scenes import film, srgb
 
 RAMP = np.repeat(np.arange(256, dtype=np.uint8).reshape(16, 16, 1), 3, 2)
 Encode = Callable[[np.ndarray], np.ndarray]
@@ -34,16 +35,6 @@ def exposures(encode: Encode, noise: float = 0.7, times: list[float] = TIMES) ->
         codes = 255 * share + noise * generator.standard_normal(share.shape)
         out.append(np.clip(np.rint(codes), 0, 255).astype(np.uint8))
     return out
-
-
-def srgb(light: np.ndarray) -> np.ndarray:
-    return linear_to_srgb(torch.from_numpy(light)).numpy()
-
-
-def film(light: np.ndarray) -> np.ndarray:
-    """An S-shaped curve as cameras' picture styles have."""
-    share = light ** (1 / 2.4)
-    return share + 0.06 * np.sin(2 * np.pi * (share - 0.5))
 
 
 class TestLinearise:

@@ -7,12 +7,12 @@ from scipy.spatial.transform import Rotation
 
 from skylight.imaging._camera_turns import Link
 from skylight.probes.panorama._bundle import Bundle, adjust, spanning_trees
-from skylight.probes.panorama._matches import Lens, Turned, turned_links
-from skylight.probes.panorama._panorama import hinted
+from skylight.probes.panorama._matches import Lens, RotatedLink, rotated_links
+from skylight.probes.panorama._panorama import rotation_to
 
 LENS = Lens(width=300, height=200, focal_px=220.0, k1=-0.08)
 TRUE = [
-    hinted(40.0 * k, 15.0 * (-1) ** k) @ Rotation.from_rotvec([0, 0, 0.03 * k]).as_matrix()
+    rotation_to(40.0 * k, 15.0 * (-1) ** k) @ Rotation.from_rotvec([0, 0, 0.03 * k]).as_matrix()
     for k in range(9)
 ]
 
@@ -43,7 +43,7 @@ def started(matches: list[Link], off_deg: float = 3.0) -> Bundle:
     off = np.radians(off_deg) * rng.standard_normal((9, 3))
     start = {k: TRUE[k] @ Rotation.from_rotvec(off[k]).as_matrix() for k in range(9)}
     lens = Lens(width=300, height=200, focal_px=240.0)
-    return adjust(turned_links(matches, lens), [], start, lens, {})
+    return adjust(rotated_links(matches, lens), [], start, lens, {})
 
 
 def worst_deg(bundle: Bundle) -> float:
@@ -71,7 +71,7 @@ def test_a_quarter_of_wrong_matches_does_little() -> None:
 
 def test_hints_hold_what_nothing_else_does() -> None:
     """A shot without matches stays; the others turn together to meet theirs."""
-    kept = turned_links([one for one in links() if 8 not in (one.start, one.end)], LENS)
+    kept = rotated_links([one for one in links() if 8 not in (one.start, one.end)], LENS)
     tilt = Rotation.from_rotvec([0.0, 0.02, 0.01]).as_matrix()
     hints = {k: tilt @ TRUE[k] for k in range(9)}
     found = adjust(kept, [], {k: TRUE[k] for k in range(9)}, LENS, hints)
@@ -81,7 +81,7 @@ def test_hints_hold_what_nothing_else_does() -> None:
 
 def test_a_lamp_places_what_else_only_hints_do() -> None:
     """Where shot 7 sees it; another lamp, 28 degrees off, does nothing."""
-    kept = turned_links([one for one in links() if 8 not in (one.start, one.end)], LENS)
+    kept = rotated_links([one for one in links() if 8 not in (one.start, one.end)], LENS)
     lamp = TRUE[7] @ LENS.rays(np.array([[290.0, 40.0]]))[0]
     (true,) = LENS.project(lamp[None] @ TRUE[8])
     hint = TRUE[8] @ Rotation.from_rotvec([0.03, 0.02, 0.0]).as_matrix()
@@ -97,10 +97,10 @@ def test_a_lamp_places_what_else_only_hints_do() -> None:
 def test_spanning_trees_are_those_of_most_matches() -> None:
     """A weak and wrong link is not used where strong ones lead; the larger group is the first."""
 
-    def turned(one: int, two: int, count: int, rotation: np.ndarray) -> Turned:
+    def turned(one: int, two: int, count: int, rotation: np.ndarray) -> RotatedLink:
         nothing = np.zeros((count, 2))
         link = Link(start=one, end=two, before=nothing, after=nothing)
-        return Turned(link=link, rotation=rotation)
+        return RotatedLink(link=link, rotation=rotation)
 
     true = [turned(one, two, 100, TRUE[one].T @ TRUE[two]) for one, two in ((0, 1), (1, 2), (2, 3))]
     wrong = turned(0, 3, 20, np.eye(3))

@@ -13,9 +13,9 @@ from skylight.probes.panorama._matches import Shot
 from skylight.probes.panorama._panorama import (
     Panorama,
     aligned,
-    hinted,
     levelled,
     panorama_of,
+    rotation_to,
     stitch,
 )
 from skylight.sphere._envmap import EnvironmentMap
@@ -158,15 +158,15 @@ class TestHints:
         """Whatever frame it came in; azimuths count from the first shot, or one less steep."""
         angles = [(30.0, 20.0), (100.0, -40.0), (200.0, 60.0), (290.0, 0.0)]
         tilt = Rotation.from_rotvec([0.5, 1.0, -0.7]).as_matrix()
-        got = levelled({k: tilt @ hinted(*each) for k, each in enumerate(angles)})
+        got = levelled({k: tilt @ rotation_to(*each) for k, each in enumerate(angles)})
         for k, (azimuth, elevation) in enumerate(angles):
-            np.testing.assert_allclose(got[k], hinted(azimuth - 30, elevation), atol=1e-12)
+            np.testing.assert_allclose(got[k], rotation_to(azimuth - 30, elevation), atol=1e-12)
 
     def test_hints_turn_right_and_up(self) -> None:
         ahead = np.array([0.0, 0.0, -1.0])
-        np.testing.assert_allclose(hinted(90.0, 0.0) @ ahead, [1, 0, 0], atol=1e-12)
-        np.testing.assert_allclose(hinted(0.0, 90.0) @ ahead, [0, 1, 0], atol=1e-12)
-        np.testing.assert_allclose(hinted(40.0, 30.0)[1, 0], 0, atol=1e-12)
+        np.testing.assert_allclose(rotation_to(90.0, 0.0) @ ahead, [1, 0, 0], atol=1e-12)
+        np.testing.assert_allclose(rotation_to(0.0, 90.0) @ ahead, [0, 1, 0], atol=1e-12)
+        np.testing.assert_allclose(rotation_to(40.0, 30.0)[1, 0], 0, atol=1e-12)
 
 
 class TestRefusals:

@@ -14,10 +14,12 @@ from PIL import Image
 from skylight.cli import main
 from skylight.errors import InputError
 from skylight.io._bounded import write_json
+from skylight.probes.cameras._alignment import OutlineAligner
 from skylight.probes.cameras._board import Board, save_board
 from skylight.probes.cameras._intrinsics import FLIP, Intrinsics, save_intrinsics
 from skylight.probes.cameras._pose import OPENCV_FROM_BOARD
 from skylight.probes.cameras._response import Response, save_response
+from skylight.probes.partitions._alignment import PartitionAligner
 from skylight.probes.partitions._capture_files import completed_shading
 from skylight.probes.partitions._captured import load_capture
 from skylight.probes.partitions._cells import Cells
@@ -129,6 +131,15 @@ def capture(folder: Path, out: Path, *arguments: object) -> int:
     return main(command)
 
 
+@pytest.fixture(autouse=True)
+def no_other_turns(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The probe is sought where the assembly says, but by ``captured`` and where it was turned."""
+    if "turned" not in request.fixturenames:
+        monkeypatch.setattr(
+            PartitionAligner, "best", lambda self, _: OutlineAligner.best(self, 0.0)
+        )
+
+
 @pytest.fixture(scope="module")
 def captured(folder: Path) -> Path:
     out = folder / "both"
@@ -228,14 +239,21 @@ def test_a_board_without_the_probe_is_refused(
     assert load_capture(tmp_path / "c" / "shading.json").known.all()
 
 
+@pytest.fixture(scope="module")
+def other(folder: Path) -> Path:
+    """Of the upper cells, where one got darker and another is over-exposed."""
+    shine = SHINE.copy()
+    shine[0] *= 0.6
+    shine[2] = 1.5
+    Image.fromarray(photograph(1.0, shine)).save(folder / "other.png")
+    return folder / "other.png"
+
+
 class TestWarnings:
     def test_light_that_moved_is_said(
-        self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+        self, folder: Path, other: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        moved = SHINE.copy()
-        moved[0] *= 0.6
-        Image.fromarray(photograph(1.0, moved)).save(tmp_path / "moved.png")
-        pictures = [folder / "upper.png", folder / "lower.png", tmp_path / "moved.png"]
+        pictures = [folder / "upper.png", folder / "lower.png", other]
         assert capture(folder, tmp_path / "c", *pictures) == 0
         told = capsys.readouterr().err
         said = re.search(r"1 of 6 cells differ .* by up to (\d+)%: cell 0 towards", told)
@@ -244,12 +262,9 @@ class TestWarnings:
         assert "the light moved" in told
 
     def test_over_exposed_cells_are_said(
-        self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+        self, folder: Path, other: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        bright = SHINE.copy()
-        bright[2] = 1.5
-        Image.fromarray(photograph(1.0, bright)).save(tmp_path / "bright.png")
-        assert capture(folder, tmp_path / "c", tmp_path / "bright.png", folder / "lower.png") == 0
+        assert capture(folder, tmp_path / "c", other, folder / "lower.png") == 0
         told = capsys.readouterr().err
         assert "1 cells are over-exposed in every picture: cell 2 towards" in told
         found = load_capture(tmp_path / "c" / "shading.json")
@@ -349,11 +364,8 @@ class TestAlbedo:
         assert main([*command, "--out", str(tmp_path / "a.json")]) == 0
         assert "the albedo is known to" in capsys.readouterr().err
 
-    def test_a_card_needs_its_albedo(
-        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        Image.fromarray(photo_of_chart()).save(tmp_path / "chart.png")
-        command = ["probe", "partitions", "albedo", str(tmp_path / "chart.png"), "--patch"]
+    def test_a_card_needs_its_albedo(self, capsys: pytest.CaptureFixture[str]) -> None:
+        command = ["probe", "partitions", "albedo", "chart.png", "--patch"]
         command += [*map(str, PATCH), "--card", "1200", "60", "250", "200"]
         assert main(command) == 2
         assert "--card and --card-albedo together" in capsys.readouterr().err

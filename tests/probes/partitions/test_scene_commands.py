@@ -101,9 +101,14 @@ def command(folder: Path, verb: str, out: str, *more: str, names: tuple[str, ...
 ALL = ("camera", "board", "probe", "capture")
 
 
-def test_a_scene_is_put_into_a_photo(folder: Path) -> None:
+def test_a_scene_is_put_into_a_photo(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     photo = ["--photo", str(folder / "photo.png")]
     assert main(command(folder, "relight", "out.png", *photo, names=ALL)) == 0
+    assert "in one place" not in capsys.readouterr().err
+    written = (folder / "cube.npz").stat().st_mtime_ns
+    assert main(command(folder, "relight", "again.png", *photo, names=ALL)) == 0
+    assert (folder / "cube.npz").stat().st_mtime_ns == written  # coefficients are kept
+    assert (folder / "out.png").read_bytes() == (folder / "again.png").read_bytes()
     before = np.asarray(Image.open(folder / "photo.png")).astype(float)
     after = np.asarray(Image.open(folder / "out.png")).astype(float)
     where = pose(30, 35)
@@ -132,15 +137,6 @@ def test_a_scene_is_put_into_a_photo(folder: Path) -> None:
     assert ratio.mean() < 0.97  # of codes, 0.93 of the light
     assert np.abs(at(after, right) - at(before, right)).max() < 8
     assert (after[:60] == before[:60]).all()
-
-
-def test_coefficients_are_kept(folder: Path) -> None:
-    photo = ["--photo", str(folder / "photo.png")]
-    assert main(command(folder, "relight", "one.png", *photo, names=ALL)) == 0
-    written = (folder / "cube.npz").stat().st_mtime_ns
-    assert main(command(folder, "relight", "two.png", *photo, names=ALL)) == 0
-    assert (folder / "cube.npz").stat().st_mtime_ns == written
-    assert (folder / "one.png").read_bytes() == (folder / "two.png").read_bytes()
 
 
 def test_any_turn_is_drawn_from_the_coefficients_of_a_few(folder: Path) -> None:
@@ -207,8 +203,6 @@ def test_a_hidden_scene_is_not_said_to_be_outside(
 
 def test_scenes_in_the_probe_are_doubted(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = command(folder, "relight", "a.png", "--photo", str(folder / "photo.png"), names=ALL)
-    assert main([*arguments, "--cache", str(folder / "beside.npz")]) == 0
-    assert "in one place" not in capsys.readouterr().err
     there = ["--at-mm", "105", "0", "75", "--cache", str(folder / "pole.npz")]
     assert main([*arguments, *there]) == 0
     assert "take care: the scene and the probe or its pole are in one place" in (
@@ -310,20 +304,21 @@ def test_film_shows_the_scene_once_enough_cells_were_seen(
 
 
 def test_a_cube_turns_in_a_film(folder: Path, film: Path) -> None:
-    """In the fourth of 25 frames a second, a quarter turn looks like none, half of it does not.
+    """In the fourth of 25 frames a second it is at 30 degrees, some of them there from the start.
 
-    A third of a quarter turn is that of a cube placed so, which one the other way is not; some of
-    it may be there from the start.
+    It looks like a cube placed so; turned the other way round it would look like one at 0.
     """
+    kept = {"still": "cube.npz", "placed": "placed.npz", "begun": "turns.npz"}
     last = {}
     for name, start, speed in (
-        ("still", 0.0, 0.0), ("half", 0.0, 375.0), ("quarter", 0.0, 750.0),
-        ("placed", 30.0, 0.0), ("third", 0.0, 250.0), ("begun", 15.0, 125.0),
-    ):  # fmt: skip
+        ("still", 0.0, 0.0),
+        ("placed", 30.0, 0.0),
+        ("begun", 15.0, 125.0),
+    ):
         more = ["--video", str(film), "--turn-deg-per-s", str(speed)]
-        more += ["--angles", "16"] if speed else []
+        more += ["--angles", "8"] if speed else []
         more += ["--turn-deg", str(start)]
-        cache = ["--cache", str(folder / ("turning.npz" if speed else f"{name}.npz"))]
+        cache = ["--cache", str(folder / kept[name])]  # of the pictures above, if they were made
         names = ("camera", "board", "probe")
         assert main(command(folder, "live", f"{name}.mp4", *more, *cache, names=names)) == 0
         made = cv2.VideoCapture(str(folder / f"{name}.mp4"))
@@ -332,10 +327,8 @@ def test_a_cube_turns_in_a_film(folder: Path, film: Path) -> None:
     before = [plain.read()[1].astype(float) for _ in range(4)][-1]
     changed = (np.abs(last["still"] - before) > 15).any(2)
     assert changed.mean() > 0.005
-    assert np.abs(last["quarter"] - last["still"])[changed].mean() < 4
-    assert np.abs(last["half"] - last["still"])[changed].mean() > 8
-    wrong = np.abs(last["placed"] - last["half"])[changed].mean()
-    assert np.abs(last["third"] - last["placed"])[changed].mean() < 0.4 * wrong
+    wrong = np.abs(last["placed"] - last["still"])[changed].mean()
+    assert wrong > 8
     assert np.abs(last["begun"] - last["placed"])[changed].mean() < 0.4 * wrong
 
 

@@ -65,7 +65,7 @@ def smooth_light() -> Lightmap:
 
 @cache
 def rays() -> torch.Tensor:
-    return lens_rays(LENS, samples=3)
+    return lens_rays(LENS, samples=2)
 
 
 def cells_to_board() -> torch.Tensor:

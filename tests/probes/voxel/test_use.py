@@ -280,20 +280,6 @@ class TestRefusals:
         assert main([*command, str(tmp_path / "dim.png"), "--more"]) == 0
         assert "the light moved or changed" in capsys.readouterr().err
 
-    def test_light_that_changed_is_said(
-        self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        Image.fromarray(photograph(0, brightness=0.6)).save(tmp_path / "dim.png")
-        command = [
-            "probe",
-            "voxel",
-            "capture",
-            *photos(folder, range(1)),
-            str(tmp_path / "dim.png"),
-        ]
-        assert main([*command, *files(folder), "--out", str(tmp_path / "c")]) == 0
-        assert "the light moved or changed" in capsys.readouterr().err
-
     def test_over_exposure_is_refused(
         self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:

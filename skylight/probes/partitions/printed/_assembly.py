@@ -1,9 +1,8 @@
-"""A printed partition probe over its marker board: its file, its solids, and what its faces see.
+"""A printed partition probe over its marker board: its file, its solids, and its sizes.
 
-The sizes to which a design is printed where its user names none.
-
-The kernel is the smallest that can be printed, since what a face sees of other cells grows with
-its distance from the centre over the shell's radius, but with faces that a camera can read.
+Sizes that the user does not name follow from the design: the kernel is the smallest that can be
+printed, since what a face sees of other cells grows with its distance from the centre over the
+shell's radius, but with faces that a camera can read.
 """
 
 import math

@@ -1,12 +1,9 @@
 """The printed parts of a partition probe: two half shells with pins, kernel, and the pole's socket.
 
-Parts stand as assembled: origin in the probe's centre, +Y up, mm.
-
-Where a partition probe's shell is cut in two, so that the kernel can be put in.
-
-The walls form a net of junctions; those above a plane through the centre belong to the upper half,
-the others to the lower one, and a wall between an upper and a lower junction is cut squarely at
-its middle. So no cut runs along a wall, and no edge is sharp.
+Parts stand as assembled: origin in the probe's centre, +Y up, mm. The shell is cut in two, so that
+the kernel can be put in. The walls form a net of junctions; those above a plane through the centre
+belong to the upper half, the others to the lower one, and a wall between an upper and a lower
+junction is cut squarely at its middle. So no cut runs along a wall, and no edge is sharp.
 """
 
 import math

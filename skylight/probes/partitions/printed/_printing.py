@@ -1,13 +1,10 @@
-"""A partition probe for the printer: parts, their layout on the bed, measurements, visibility.
+"""A partition probe for the printer: parts, their layout on the bed, and what is measured on them.
 
-Measurements on the parts of a partition probe, as they stand when assembled.
-
-Visibility of each cell from the faces of a printed partition probe, by ray casting.
-
-Walls are not infinitely thin, nor are faces at the centre: a face loses some of its own cell's
-light to the walls, the pins and the pole, and, seen from ``kernel_mm`` above the centre, the walls
-end before the cell does, so that light of neighbouring cells leaks in. Surfaces are taken to be
-black but for the faces: what a black paint of some 4 % reflects is not in here.
+Parts are measured as they stand when assembled. What each face sees of each cell is found by ray
+casting: walls are not infinitely thin, nor are faces at the centre: a face loses some of its own
+cell's light to the walls, the pins and the pole, and, seen from ``kernel_mm`` above the centre, the
+walls end before the cell does, so that light of neighbouring cells leaks in. Surfaces are taken to
+be black but for the faces: what a black paint of some 4 % reflects is not in here.
 """
 
 from collections.abc import Sequence

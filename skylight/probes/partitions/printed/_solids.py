@@ -1,18 +1,14 @@
-"""A partition probe's net of walls and its kernel, in millimetres about the probe's centre.
+"""A partition probe's sizes, its net of walls and its kernel, in mm about the probe's centre.
 
 The outer shell is nothing but the walls between cells, about the planes through the centre that
-bound the cells (:mod:`~skylight.probes.partitions.printed._solids`). Walls end flat above the
-kernel's edges, at right angles to their own plane, so that nothing is thinner than they are.
-
-The walls of a partition probe as solids, in millimetres about the probe's centre.
+bound the cells. Walls end flat above the kernel's edges, at right angles to their own plane, so
+that nothing is thinner than they are.
 
 A face's centre stands ``kernel_mm`` before the point where the planes of its walls meet. So, past
 the outer ends of thin walls, it sees directions of neighbouring cells. Were a wall as thick as
 twice the centre's distance from its plane, the centre would see its own cell alone: its cell's
 cone, moved to the centre, would just touch the wall. Only the walls' outer ends need that
 thickness. Rims stay narrower by what lets a disc about the centre see the whole cell, too.
-
-The sizes that a partition probe is printed to.
 """
 
 import math

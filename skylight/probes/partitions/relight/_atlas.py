@@ -1,8 +1,7 @@
-"""Texture atlases: a scene's surface laid out flat, so that texels can be receivers.
+"""Where on a scene transfer is computed: vertices of small triangles, or texels of an atlas.
 
-Subdivision of triangles, for light that varies within them.
-
-Surface points at which transfer is computed.
+An atlas lays the surface out flat, so that texels can be receivers; without one, triangles are
+subdivided, for light that varies within them.
 """
 
 import math

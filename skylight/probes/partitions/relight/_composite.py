@@ -4,12 +4,8 @@ Differential rendering (Debevec 1998, "Rendering synthetic objects into real sce
 under the scene changes by what the scene does to its light,
 ``out = photo + rho / pi (E_with - E_without)``. A photo shows ``rho / pi E_without``, so that with
 the ground's own albedo rho this is ``photo * E_with / E_without``. That form is used: rho cancels
-(but for interreflections of ground and scene), patterns stay, and nothing becomes
-negative.
-
-Rendering of scenes from radiance at their vertices.
-
-Relighting by precomputed transfer, in real time.
+(but for interreflections of ground and scene), patterns stay, and nothing becomes negative. The
+scene is relit by precomputed transfer and drawn from the radiance at its vertices, in real time.
 """
 
 import math

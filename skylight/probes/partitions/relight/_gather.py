@@ -13,7 +13,8 @@ rays add up to 1, so that a white furnace stays white. Of a cell that is seen in
 below 2 % of the cell at 16 rays and 1 % at 64, since the numbers N_i depend on where the rays went.
 Cells without a ray, which are small, get the mean visibility of the point.
 
-The plane of the board around a virtual object: it receives its shadow and reflects light.
+The plane of the board around a virtual object, :class:`Ground`, gathers likewise: it receives the
+object's shadow and reflects light.
 """
 
 import math

@@ -1,7 +1,4 @@
-"""Virtual scenes: triangle meshes of Lambertian surfaces with albedo per vertex or textured.
-
-Scenes from mesh files, with their colours.
-"""
+"""Virtual scenes: Lambertian triangle meshes with albedo per vertex or texture, from mesh files."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace

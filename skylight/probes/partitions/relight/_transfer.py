@@ -6,15 +6,14 @@ scene has the radiance ``L(x) = sum_i L_i t_i(x)``, where ``t_i = t_i^d + t_i^1 
     t_i^d(x) = rho(x) / pi  int_cell V(x, w) <n, w>+ dw                          (Eq. 4.9)
     t_i^k(x) = rho(x) / pi  int (1 - V(x, w)) t_i^(k-1)(y(x, w)) <n, w>+ dw      (Eq. 4.13, 4.15)
 
-Transfer coefficients on disk: .npz, float16, with a key of all that they depend on.
+On disk they are .npz in float16, with a key of all that they depend on.
 
-Transfer coefficients of scenes that turn about an axis (open in the thesis, section 4.6).
-
-A scene that is turned by a under cells that stand still is, in its own frame, one that stands still
-under cells that are turned by -a. So the coefficients at K angles are those of one scene under K
-sets of cells, from the same rays, whose noise keeps its place on the scene and changes smoothly
-with the angle. A ground that takes the scene's shadow turns along: what it has of contact shadow is
-the same at all angles, and only where the light comes from is interpolated.
+Scenes can turn about an axis (open in the thesis, section 4.6): a scene that is turned by a under
+cells that stand still is, in its own frame, one that stands still under cells that are turned by
+-a. So the coefficients at K angles are those of one scene under K sets of cells, from the same
+rays, whose noise keeps its place on the scene and changes smoothly with the angle. A ground that
+takes the scene's shadow turns along: what it has of contact shadow is the same at all angles, and
+only where the light comes from is interpolated.
 """
 
 import hashlib

@@ -16,7 +16,7 @@ from skylight.probes.partitions.printed._halves import ShellPlan, standing_rotat
 from skylight.probes.partitions.printed._printing import PrintedPartitions, print_fitted
 from skylight.probes.partitions.printed._solids import ProbeSizes, WallNet, face_radii, wall_solid
 
-QUICK = ("6d", "14d", "14d-outdoor")
+QUICK = ("6d", "14d-outdoor")
 
 
 def fitted(name: str, bed_mm: float = 220.0, **asked: float) -> ProbeSizes:
@@ -90,11 +90,13 @@ def test_coarse_designs_get_faces_of_four_millimetres() -> None:
 
 
 def test_what_is_asked_for_stays() -> None:
-    assert fitted("14d", outer_mm=100.0).outer_mm == 100.0
-    assert fitted("14d", kernel_mm=9.0).kernel_mm == 9.0
-    assert fitted("14d", wall_mm=1.2).wall_mm == 1.2
-    assert fitted("14d", flare=0.5).flare == 0.5
-    assert fitted("14d", clearance_mm=0.2).clearance_mm == 0.2
+    assert fitted("14d", outer_mm=100.0, kernel_mm=9.0) == ProbeSizes(
+        outer_mm=100.0, kernel_mm=9.0, flare=1.0
+    )
+    for asked in ({"outer_mm": 90.0}, {"kernel_mm": 8.0}, {"wall_mm": 1.2, "clearance_mm": 0.2}):
+        found = fitted("6d", **asked, flare=0.5)
+        assert {name: getattr(found, name) for name in asked} == asked
+        assert found.flare == 0.5
 
 
 def test_walls_get_thinner_where_the_shell_would_be_larger_than_the_bed() -> None:
@@ -135,7 +137,7 @@ def test_lengths_that_are_no_numbers(name: str, value: float) -> None:
 
 
 def test_what_is_larger_than_the_bed_is_told() -> None:
-    result = print_fitted(named_design("6d-sun-12"), AskedSizes(flare=0.0))
+    result = print_fitted(named_design("6d"), AskedSizes(outer_mm=130.0, flare=0.0))
     assert result.too_large(300.0) == []
     (line,) = result.too_large(200.0)
     assert "one by one" in line

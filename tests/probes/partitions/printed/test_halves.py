@@ -115,6 +115,7 @@ def test_reports_tell_what_is_wrong(cube: ProbeParts) -> None:
     assert "faces are up to 0.45 mm off" in text
 
 
+@pytest.mark.slow
 def test_an_outdoor_probe_can_be_printed() -> None:
     sizes = ProbeSizes(outer_mm=90.0, kernel_mm=13.0)
     report = check_partition_parts(parts_of("14d-outdoor", sizes), sizes)

@@ -1,4 +1,4 @@
-"""MediaPipe's landmarks."""
+"""MediaPipe's landmarks, and the pictures in which BlazeFace looks again."""
 
 import cv2
 import numpy as np
@@ -6,15 +6,22 @@ import pytest
 import torch
 from skimage.data import astronaut
 
-from skylight.faces._blazeface import Square, decode, suppress, upright, views
+from skylight.faces._blazeface import Square, upright
 from skylight.faces._fit import landmarks_of
 from skylight.faces._landmarkers import choose_landmarker
-from skylight.faces._mediapipe import IBUG, MediaPipeLandmarker, eye_axes, to_ibug
+from skylight.faces._mediapipe import (
+    IBUG,
+    MediaPipeLandmarker,
+    brightened,
+    eye_axes,
+    looks,
+    mirrored,
+    rotated,
+    to_ibug,
+)
 from skylight.faces._model import HeadModel
 from skylight.faces._synthetic import render_face
 from skylight.sphere._envmap import EnvironmentMap
-
-SHOWN = Square(centre=np.array([300.0, 200.0]), side=120.0, angle_rad=0.4)
 
 
 @pytest.fixture(scope="module")
@@ -41,97 +48,6 @@ def reference(shared_data):
 
 def upright_around(points):
     return upright(np.stack([points.min(0), points.max(0)]), points[33], points[263])
-
-
-class TestBlazeFace:
-    # anchors: row by row, 2 in each of 16 x 16 cells, then 6 in each of 8 x 8
-    @pytest.mark.parametrize(
-        ("anchor", "centre"),
-        [
-            (0, (0.5 / 16, 0.5 / 16)),
-            (2 * (3 * 16 + 5) + 1, (5.5 / 16, 3.5 / 16)),
-            (512, (0.5 / 8, 0.5 / 8)),
-            (512 + 6 * (7 * 8 + 2) + 5, (2.5 / 8, 7.5 / 8)),
-        ],
-    )
-    def test_what_it_says_counts_from_the_anchor_on(self, anchor, centre):
-        regressors, logits = np.zeros((896, 16), np.float32), np.full(896, -50, np.float32)
-        regressors[anchor, :4] = 12.8, -6.4, 25.6, 51.2  # centre's shift and size, of 128
-        regressors[anchor, 4:6] = -12.8, 6.4  # an eye
-        logits[anchor] = np.log(3)
-        (score,), (face,) = decode(regressors, logits)
-        x, y = centre
-        assert score == pytest.approx(0.75, rel=1e-5)
-        np.testing.assert_allclose(face[0], [x + 0.1 - 0.1, y - 0.05 - 0.2], atol=1e-6)
-        np.testing.assert_allclose(face[1], [x + 0.1 + 0.1, y - 0.05 + 0.2], atol=1e-6)
-        np.testing.assert_allclose(face[2], [x - 0.1, y + 0.05], atol=1e-6)
-        np.testing.assert_allclose(face[3:], np.tile(centre, (5, 1)), atol=1e-6)
-
-    def test_nothing_sure_is_nothing(self):
-        scores, faces = decode(np.zeros((896, 16), np.float32), np.full(896, -0.1, np.float32))
-        assert suppress(scores, faces) == []
-
-    def test_a_face_seen_twice_is_one(self):
-        square = np.array([[0.0, 0.0], [1.0, 1.0], *np.full((6, 2), 0.5)])
-        faces = np.stack([square + 5, square, square + 0.2])
-        first, second = suppress(np.array([0.6, 0.9, 0.8]), faces)
-        np.testing.assert_allclose(first, square + 0.2 * 0.8 / 1.7)
-        np.testing.assert_allclose(second, square + 5)
-
-    @pytest.mark.parametrize(("height", "width"), [(256, 256), (480, 640), (1000, 90)])
-    def test_it_looks_everywhere(self, height, width):
-        whole, *parts = views(height, width)
-        corners = np.array([[0.0, 0.0], [1.0, 1.0]])
-        first, last = whole.to_picture(corners)
-        assert (first <= 0).all()
-        assert (last >= [width, height]).all()
-        assert views(100, 50)[1:] == []  # parts of it would show no more
-        # any face up to a quarter of the picture is whole in a part
-        side = max(height, width) / 4
-        rng = np.random.default_rng(0)
-        for corner in rng.random((50, 2)) * np.maximum([width - side, height - side], 0):
-            face = np.stack([corner, np.minimum(corner + side, [width, height])])
-            spans = [part.to_picture(corners) for part in parts]
-            assert any(
-                (a <= face[0] + 1e-9).all() and (face[1] <= b + 1e-9).all() for a, b in spans
-            )
-
-
-class TestSquare:
-    def test_a_spot_is_cut_out_and_found_again(self):
-        # a soft spot at a known place: its centre of mass in the cut leads back to it
-        place = np.array([323.3, 171.8])
-        y, x = np.indices((400, 600)) + 0.5
-        spot = 250 * np.exp(-((x - place[0]) ** 2 + (y - place[1]) ** 2) / (2 * 4**2))
-        picture = np.repeat(spot[..., None], 3, 2).round().astype(np.uint8)
-        for side in (192, 60, 31):  # finer, half and a quarter as fine as the picture
-            cut = SHOWN.cut(picture, side, cv2.BORDER_CONSTANT)[..., 0].astype(np.float64)
-            rows, columns = np.indices(cut.shape) + 0.5
-            inside = np.array([(cut * columns).sum(), (cut * rows).sum()]) / cut.sum() / side
-            np.testing.assert_allclose(SHOWN.to_picture(inside), place, atol=0.15)
-
-    def test_a_whole_picture_is_itself(self):
-        picture = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
-        whole = Square(centre=np.array([32.0, 32.0]), side=64.0, angle_rad=0.0)
-        np.testing.assert_array_equal(whole.cut(picture, 64, cv2.BORDER_CONSTANT), picture)
-
-    def test_what_is_pasted_is_what_was_cut(self):
-        y, x = np.indices((400, 600)) / 50.0
-        picture = (np.sin(x)[..., None] * np.cos(y)[..., None] * [1, 1, 1]).astype(np.float32)
-        pasted = SHOWN.paste(SHOWN.cut(picture, 240, cv2.BORDER_CONSTANT)[..., 0].copy(), 400, 600)
-        inside = SHOWN.paste(np.ones((240, 240), np.float32), 400, 600)
-        assert inside.sum() == pytest.approx(SHOWN.side**2, rel=0.01)
-        np.testing.assert_allclose(pasted[inside == 1], picture[..., 0][inside == 1], atol=0.005)
-
-    def test_eyes_are_level_in_it(self):
-        box = np.array([[10.0, 20.0], [50.0, 70.0]])
-        right, left = np.array([20.0, 40.0]), np.array([40.0, 50.0])
-        square = upright(box, right, left)
-        across = np.linalg.solve(square.axes, left - right)
-        assert across[0] > 0
-        assert across[1] == pytest.approx(0, abs=1e-12)
-        np.testing.assert_allclose(square.to_picture(np.array([0.5, 0.5])), box.mean(0))
-        assert square.side == pytest.approx(1.5 * 50)
 
 
 class TestMapping:
@@ -267,3 +183,58 @@ class TestLandmarker:
         # on 40 others 0.024 of the eyes' distance against 0.047
         assert np.mean(errors["mediapipe"]) < 0.03
         assert np.mean(errors["mediapipe"]) < np.mean(errors["dlib"])
+
+
+MIDDLE = Square(centre=np.array([230.0, 120.0]), side=90.0, angle_rad=0.3)
+
+
+@pytest.fixture(scope="module")
+def picture():
+    return np.ascontiguousarray(astronaut()[:300, 40:])
+
+
+def test_what_is_seen_in_a_look_is_found_in_the_picture(picture):
+    """A square of the look shows what its place in the picture shows, half a grey level off."""
+    for look in looks(picture):
+        # a square of what is shown, about the place where MIDDLE's centre went
+        centre = np.linalg.solve(look.back[:, :2], MIDDLE.centre - look.back[:, 2])
+        square = Square(centre=centre, side=MIDDLE.side, angle_rad=MIDDLE.angle_rad)
+        seen = square.cut(look.shown, 40, cv2.BORDER_CONSTANT).astype(np.float64)
+        there = look.in_picture(square).cut(look.picture, 40, cv2.BORDER_CONSTANT)
+        np.testing.assert_allclose(look.in_picture(square).centre, MIDDLE.centre, atol=1e-9)
+        if np.array_equal(look.back[:, :2], np.eye(2)) and look.shown.shape == look.picture.shape:
+            np.testing.assert_array_equal(seen, there)
+        # turned pictures are interpolated once more; half a pixel's shift would be 4 levels
+        assert np.abs(seen - there).mean() < 1.5
+
+
+def test_the_picture_itself_comes_first(picture):
+    first, *others = looks(picture)
+    assert first.picture is first.shown is picture
+    assert not first.last_resort
+    assert all(look.last_resort and look.least_score < first.least_score for look in others)
+
+
+def test_a_margin_is_the_mirror_image(picture):
+    wide, back = mirrored(picture)
+    height, width = picture.shape[:2]
+    assert wide.shape == (2 * height, width + height, 3)
+    np.testing.assert_array_equal(back @ [height / 2, height / 2, 1], [0, 0])
+    inside = wide[height // 2 : -height // 2, height // 2 : -height // 2]
+    np.testing.assert_array_equal(inside, picture)
+    np.testing.assert_array_equal(wide[: height // 2], wide[height // 2 : height][::-1])
+
+
+@pytest.mark.parametrize("quarter_turns", [1, 2, 3])
+def test_quarter_turns_are_exact(picture, quarter_turns):
+    shown, _ = rotated(picture, 90.0 * quarter_turns)
+    np.testing.assert_array_equal(shown, np.rot90(picture, -quarter_turns))
+
+
+def test_brightening_raises_local_contrast_and_keeps_colour(picture):
+    dark = picture // 8
+    bright = brightened(dark)
+    assert bright.mean() > 1.5 * dark.mean()
+    assert bright.std() > 1.5 * dark.std()
+    lab, before = (cv2.cvtColor(p, cv2.COLOR_RGB2LAB).astype(float) for p in (bright, dark))
+    assert np.abs(lab[..., 1:] - before[..., 1:]).mean() < 1

@@ -1,11 +1,29 @@
 import math
+from functools import cache
 from pathlib import Path
 
 import pytest
 import torch
 
-from skylight.csc._dictionary import FilterBank, builtin, project_about_pole, sharpest_a
-from skylight.csc._learning import extract_patches, kmeans_filters, learn_patches, local_maxima
+from skylight.csc._code import CodeTensors
+from skylight.csc._coder import SphericalSparseCoder
+from skylight.csc._dictionary import (
+    FilterBank,
+    anisotropic,
+    builtin,
+    isotropic,
+    project_about_pole,
+    sharpest_a,
+)
+from skylight.csc._learning import (
+    CapFilterBank,
+    cap_lobes,
+    cap_nodes,
+    extract_patches,
+    kmeans_filters,
+    learn_patches,
+    local_maxima,
+)
 from skylight.errors import InputError
 from skylight.io._files import read_environment_map
 from skylight.sphere import _harmonics as harmonics, _lobes as lobes
@@ -39,12 +57,12 @@ def kite(theta: torch.Tensor, phi: torch.Tensor) -> torch.Tensor:
     return lobes.anisotropic_gaussian(theta, phi, a1, number(9.0))
 
 
-def turned_map(turn: torch.Tensor, *, level: float = 0.2, height: float = 5.0) -> torch.Tensor:
+def kite_map(turn: torch.Tensor, *, level: float = 0.2, height: float = 5.0) -> torch.Tensor:
     theta, phi = polar(GRID.directions @ turn)  # R^T w
     return (level + height * kite(theta, phi)).reshape(128, 256, 1).expand(-1, -1, 3)
 
 
-def canonical() -> torch.Tensor:
+def canonical_kite() -> torch.Tensor:
     """The kite as a patch of its own should come out: tapered, windowed, of unit norm."""
 
     def tapered(theta: torch.Tensor, phi: torch.Tensor) -> torch.Tensor:
@@ -55,9 +73,6 @@ def canonical() -> torch.Tensor:
     l = harmonics.bands(40).to(F64)  # noqa: E741
     row = row * torch.exp(-l * (l + 1) / (4 * sharpest_a(40) ** 2))
     return row / row.norm()
-
-
-# where
 
 
 def test_maxima_are_found_across_sides_and_poles() -> None:
@@ -99,15 +114,12 @@ def test_flat_and_dim_spots_are_no_maxima() -> None:
     assert len(local_maxima(plateau, 0.3)) == 1
 
 
-# what
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_a_turned_lobe_gives_the_canonical_patch(seed: int) -> None:
-    patches = extract_patches([turned_map(rotation(seed))], 40, (RADIUS_RAD,))
+    patches = extract_patches([kite_map(rotation(seed))], 40, (RADIUS_RAD,))
     assert patches.shape == (1, 41**2)
     assert float(patches[0].norm()) == pytest.approx(1)
-    assert float(patches[0] @ canonical()) > 0.985
+    assert float(patches[0] @ canonical_kite()) > 0.985
 
 
 @pytest.mark.parametrize(
@@ -116,8 +128,8 @@ def test_a_turned_lobe_gives_the_canonical_patch(seed: int) -> None:
 )
 def test_poles_are_places_like_others(axis: tuple[float, float, float], angle_deg: float) -> None:
     turn = rotation_about(torch.tensor(axis, dtype=F64), math.radians(angle_deg))
-    (patch,) = extract_patches([turned_map(turn)], 40, (RADIUS_RAD,))
-    assert float(patch @ canonical()) > 0.985
+    (patch,) = extract_patches([kite_map(turn)], 40, (RADIUS_RAD,))
+    assert float(patch @ canonical_kite()) > 0.985
 
 
 def test_patches_are_not_mirrored() -> None:
@@ -145,8 +157,8 @@ def test_patches_are_not_mirrored() -> None:
 
 def test_patches_know_no_exposure_and_no_surroundings() -> None:
     turn = rotation(3)
-    (one,) = extract_patches([turned_map(turn)], 40, (RADIUS_RAD,))
-    (sun,) = extract_patches([turned_map(turn, level=2e4, height=5e5)], 40, (RADIUS_RAD,))
+    (one,) = extract_patches([kite_map(turn)], 40, (RADIUS_RAD,))
+    (sun,) = extract_patches([kite_map(turn, level=2e4, height=5e5)], 40, (RADIUS_RAD,))
     torch.testing.assert_close(one, sun, atol=1e-6, rtol=0)
 
 
@@ -155,7 +167,7 @@ def test_finer_maps_are_averaged_down() -> None:
     theta, phi = polar(DirectionGrid.latlong(256).directions @ turn)
     fine = (0.2 + 5 * kite(theta, phi)).reshape(256, 512, 1).expand(-1, -1, 3)
     (patch,) = extract_patches([fine], 40, (RADIUS_RAD,))
-    (coarse,) = extract_patches([turned_map(turn)], 40, (RADIUS_RAD,))
+    (coarse,) = extract_patches([kite_map(turn)], 40, (RADIUS_RAD,))
     assert float(patch @ coarse) > 0.995
 
 
@@ -185,9 +197,6 @@ def test_maps_without_lights_give_no_patches() -> None:
         extract_patches([torch.ones(64, 256, 3)], 5)
 
 
-# learned
-
-
 def clouds(sizes: tuple[int, ...], spread: float = 0.02) -> torch.Tensor:
     """Unit vectors in tight bunches about the axes."""
     generator = torch.Generator().manual_seed(0)
@@ -215,11 +224,126 @@ def test_too_few_patches_are_refused() -> None:
 
 
 def test_learned_dictionary_has_the_others_too() -> None:
-    maps = [turned_map(rotation(seed)) for seed in range(4)]
+    maps = [kite_map(rotation(seed)) for seed in range(4)]
     bank = learn_patches(maps, 40, 2, radii_rad=(RADIUS_RAD, RADIUS_RAD / 2))
     ani = builtin("ani")
     assert (bank.name, len(bank), bank.degree) == ("kmeans", 2 + len(ani), 40)
     assert torch.equal(bank.coefficients[0], ani.coefficients[0])
     assert torch.equal(bank.coefficients[3:], ani.coefficients[1:])
     # two radii, two clusters: the larger circle's is the kite itself
-    assert float((bank.coefficients[1:3] @ canonical()).max()) > 0.98
+    assert float((bank.coefficients[1:3] @ canonical_kite()).max()) > 0.98
+
+
+CAP_DEGREE, CAP_RAD = 12, math.radians(50)
+
+
+@cache
+def start() -> FilterBank:
+    """The constant and four anisotropic Gaussians."""
+    return FilterBank(anisotropic(CAP_DEGREE).coefficients[[0, 60, 20, 80, 90]], "start")
+
+
+def bank(*, signed: bool = False) -> CapFilterBank:
+    return CapFilterBank(start(), [1, 3], radius_rad=CAP_RAD, signed=signed)
+
+
+def moved(bank: CapFilterBank) -> CapFilterBank:
+    """Amounts of either sign and any norm."""
+    generator = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        bank.amounts.add_(torch.randn(bank.amounts.shape, generator=generator, dtype=F64))
+    return bank
+
+
+def test_lobes_are_the_sharpest_gaussian_about_each_node() -> None:
+    """Of unit norm, highest at their nodes, the first at the zenith."""
+    lobes, nodes = cap_lobes(CAP_RAD, CAP_DEGREE), cap_nodes(CAP_RAD, CAP_DEGREE)
+    torch.testing.assert_close(lobes[0], isotropic(CAP_DEGREE).coefficients[100].detach())
+    norms = lobes.norm(dim=1)
+    torch.testing.assert_close(norms, torch.ones_like(norms), rtol=0, atol=1e-12)
+    heights = FilterBank(lobes, "lobes").evaluate(nodes).detach()
+    assert torch.equal(heights.argmax(1), torch.arange(len(nodes)))
+    assert float(nodes[:, 1].min()) > math.cos(CAP_RAD)
+
+
+def test_it_starts_at_the_nearest_sums_of_lobes() -> None:
+    """Gaussians no sharper than the lobes and well within the cap are nearly met."""
+    round_ = isotropic(CAP_DEGREE).coefficients[[0, 95, 100]]
+    learned = CapFilterBank(FilterBank(round_, "two"), [1, 2], radius_rad=CAP_RAD)
+    torch.testing.assert_close(learned.coefficients, round_, rtol=0, atol=0.02)
+    assert bool((learned.amounts >= 0).all())
+
+
+def test_only_learned_filters_move_and_all_have_unit_norm() -> None:
+    learned = moved(bank())
+    rows = learned.coefficients.detach()
+    torch.testing.assert_close(rows.norm(dim=1), torch.ones(5, dtype=F64), rtol=0, atol=1e-12)
+    others = [0, 2, 4]
+    assert torch.equal(rows[others], start().coefficients[others])
+    assert not torch.isclose(rows[[1, 3]], bank().coefficients[[1, 3]]).all()
+    assert [name for name, _ in learned.named_parameters()] == ["amounts"]
+
+
+@pytest.mark.parametrize("signed", [False, True])
+def test_projection_is_to_unit_filters_of_allowed_signs(signed: bool) -> None:
+    learned = moved(bank(signed=signed))
+    amounts, rows = learned.amounts.detach().clone(), learned.coefficients.detach()
+    learned.project_()
+    torch.testing.assert_close(
+        (learned.amounts @ learned.lobes).norm(dim=1), torch.ones(2, dtype=F64)
+    )
+    assert bool((learned.amounts >= 0).all()) != signed
+    if signed:
+        torch.testing.assert_close(learned.coefficients, rows)
+    else:
+        assert torch.equal(learned.amounts > 0, amounts > 0)
+
+
+def test_a_filter_that_vanished_is_a_gaussian_again() -> None:
+    learned = bank()
+    with torch.no_grad():
+        learned.amounts[1] = -1
+    learned.project_()
+    torch.testing.assert_close(learned.coefficients[3], learned.lobes[0])
+
+
+def test_coefficients_are_differentiable_in_the_amounts() -> None:
+    learned = moved(bank())
+
+    def coefficients(amounts: torch.Tensor) -> torch.Tensor:
+        del learned.amounts
+        learned.amounts = amounts
+        return learned.coefficients
+
+    amounts = learned.amounts.detach().clone().requires_grad_()
+    assert torch.autograd.gradcheck(coefficients, [amounts], fast_mode=True)
+
+
+def test_a_state_makes_the_same_dictionary_and_codes_follow() -> None:
+    first, second = moved(bank()), bank()
+    first.project_()
+    coder = SphericalSparseCoder(second, height=16, activations=3)
+    one = torch.tensor([[0.3, 1.2, 0.4]]), torch.ones(1, 3), torch.tensor(1)
+    x = SphericalSparseCoder(first, height=16).decode(CodeTensors(torch.tensor([1]), *one)).detach()
+    before = coder.relative_error(x, coder(x))
+    second.load_state_dict(first.state_dict())
+    assert second.fingerprint == first.fingerprint
+    expected = SphericalSparseCoder(first, height=16, activations=3)(x)
+    for found, of_fresh in zip(coder(x), expected, strict=True):
+        assert torch.equal(found, of_fresh)
+    assert coder.relative_error(x, coder(x)) < 0.5 * before
+
+
+@pytest.mark.parametrize(
+    ("learned", "radius_deg", "message"),
+    [
+        ([0], 50, "constant filter"),
+        ([5], 50, "0 to 4, got"),
+        ([], 50, "0 to 4"),
+        ([1, 1], 50, "0 to 4"),
+        ([1], 100, "got 100"),
+    ],
+)
+def test_what_cannot_be_learned(learned: list[int], radius_deg: float, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        CapFilterBank(start(), learned, radius_rad=math.radians(radius_deg))

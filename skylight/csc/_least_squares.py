@@ -1,13 +1,13 @@
-"""Small least-squares problems with signs or a weak L1 norm, warm-started as atoms come and go.
-
-Squared errors as quadratic forms of spherical harmonic coefficients.
+"""The least squares of a pursuit: errors as quadratic forms, and the weights that minimise them.
 
 Coding a map and recovering light from shading are one problem: with c the coordinates of the
 coded signal and A the linear map from c to what was observed, ::
 
     |x - A c|^2_W = x^T W x - 2 b^T c + c^T H c,    b = A^T W x,    H = A^T W A,
 
-so a pursuit needs b, the product with H, and no more.
+so a pursuit needs b, the product with H (:class:`Quadratic`), and no more. With the Gram matrix
+``G_ij = a_i^T H a_j`` of the atoms that it has chosen, :class:`ActiveSet` finds their weights:
+free, not negative, or with a weak L1 norm. It starts from its last solution as atoms come and go.
 """
 
 from dataclasses import dataclass
@@ -23,6 +23,88 @@ from skylight.sphere._latlong_transform import LatLongTransform
 
 _DEPENDENT = 1e-10  # relative pivot below which an atom is a combination of the others
 _OPTIMAL = 1e-11  # relative gradient that counts as zero
+
+
+@runtime_checkable
+class Quadratic(Protocol):
+    """``energy - 2 b^T c + c^T H c`` per colour; ``target`` is b."""
+
+    @property
+    def target(self) -> Float[Tensor, "k c"]: ...
+
+    @property
+    def energy(self) -> Float[Tensor, " c"]: ...
+
+    def hessian(self, coefficients: Float[Tensor, "k *c"]) -> Float[Tensor, "k *c"]:
+        """H c."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampledSignal:
+    """The error of a lat-long map: A = (B, 1), W = the pixels' solid angles.
+
+    Coordinates are spherical harmonic coefficients, B their basis at the pixels, and, where
+    ``pixels``, the pixels' own values after them.
+    """
+
+    transform: LatLongTransform
+    pixels: bool
+    target: Float[Tensor, "k c"]
+    energy: Float[Tensor, " c"]
+
+    @staticmethod
+    def of(
+        maps: Float[Tensor, "h w c"], transform: LatLongTransform, *, pixels: bool = False
+    ) -> "SampledSignal":
+        planes = maps.movedim(-1, 0)
+        return SampledSignal(
+            transform=transform,
+            pixels=pixels,
+            target=_adjoint(planes, transform, pixels=pixels).movedim(-1, 0),
+            energy=(planes.square() * transform.solid_angles.to(planes)).sum((1, 2)),
+        )
+
+    def hessian(self, coefficients: Float[Tensor, "k *c"]) -> Float[Tensor, "k *c"]:
+        rows = coefficients.movedim(0, -1)
+        size = (self.transform.degree + 1) ** 2
+        maps = self.transform.synthesise(rows[..., :size])
+        if self.pixels:
+            maps = maps + rows[..., size:].reshape(maps.shape)
+        return _adjoint(maps, self.transform, pixels=self.pixels).movedim(-1, 0)
+
+
+def _adjoint(
+    maps: Float[Tensor, "*c h w"], transform: LatLongTransform, *, pixels: bool
+) -> Float[Tensor, "*c k"]:
+    """A^T W x."""
+    coefficients = transform.analyse(maps)
+    if not pixels:
+        return coefficients
+    return torch.cat([coefficients, (maps * transform.solid_angles.to(maps)).flatten(-2)], -1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearObservation:
+    """H given as a matrix: light seen through a transport matrix."""
+
+    matrix: Float[Tensor, "k k"]
+    target: Float[Tensor, "k c"]
+    energy: Float[Tensor, " c"]
+
+    @staticmethod
+    def of(
+        operator: Float[Tensor, "m k"], values: Float[Tensor, "m c"], weights: Float[Tensor, " m"]
+    ) -> "LinearObservation":
+        weighted = operator * weights[:, None]
+        return LinearObservation(
+            matrix=operator.T @ weighted,
+            target=weighted.T @ values,
+            energy=weights @ values.square(),
+        )
+
+    def hessian(self, coefficients: Float[Tensor, "k *c"]) -> Float[Tensor, "k *c"]:
+        return torch.einsum("jk,k...->j...", self.matrix.to(coefficients), coefficients)
 
 
 class CholeskyFactor:
@@ -132,7 +214,7 @@ class ActiveSet:
                 self._signs[best] = np.sign(gradient[best])
             else:
                 useless.add(best)
-        raise RuntimeError(f"the active set of {len(right)} atoms did not settle")
+        raise RuntimeError(f"the active set of {len(right)} atoms did not converge")
 
     def _descend(self, right: Float[np.ndarray, " s"]) -> None:
         """To the minimum over the atoms in use, leaving out those that would change sign."""
@@ -160,85 +242,3 @@ class ActiveSet:
                 self._factor.remove(atom)
                 self.weights[atom] = 0.0
                 self._signs[atom] = 0.0
-
-
-@runtime_checkable
-class Quadratic(Protocol):
-    """``energy - 2 b^T c + c^T H c`` per colour; ``target`` is b."""
-
-    @property
-    def target(self) -> Float[Tensor, "k c"]: ...
-
-    @property
-    def energy(self) -> Float[Tensor, " c"]: ...
-
-    def hessian(self, coefficients: Float[Tensor, "k *c"]) -> Float[Tensor, "k *c"]:
-        """H c."""
-        ...
-
-
-@dataclass(frozen=True, kw_only=True)
-class SampledSignal:
-    """The error of a lat-long map: A = (B, 1), W = the pixels' solid angles.
-
-    Coordinates are spherical harmonic coefficients, B their basis at the pixels, and, where
-    ``pixels``, the pixels' own values after them.
-    """
-
-    transform: LatLongTransform
-    pixels: bool
-    target: Float[Tensor, "k c"]
-    energy: Float[Tensor, " c"]
-
-    @staticmethod
-    def of(
-        maps: Float[Tensor, "h w c"], transform: LatLongTransform, *, pixels: bool = False
-    ) -> "SampledSignal":
-        planes = maps.movedim(-1, 0)
-        return SampledSignal(
-            transform=transform,
-            pixels=pixels,
-            target=_adjoint(planes, transform, pixels=pixels).movedim(-1, 0),
-            energy=(planes.square() * transform.solid_angles.to(planes)).sum((1, 2)),
-        )
-
-    def hessian(self, coefficients: Float[Tensor, "k *c"]) -> Float[Tensor, "k *c"]:
-        rows = coefficients.movedim(0, -1)
-        size = (self.transform.degree + 1) ** 2
-        maps = self.transform.synthesise(rows[..., :size])
-        if self.pixels:
-            maps = maps + rows[..., size:].reshape(maps.shape)
-        return _adjoint(maps, self.transform, pixels=self.pixels).movedim(-1, 0)
-
-
-def _adjoint(
-    maps: Float[Tensor, "*c h w"], transform: LatLongTransform, *, pixels: bool
-) -> Float[Tensor, "*c k"]:
-    """A^T W x."""
-    coefficients = transform.analyse(maps)
-    if not pixels:
-        return coefficients
-    return torch.cat([coefficients, (maps * transform.solid_angles.to(maps)).flatten(-2)], -1)
-
-
-@dataclass(frozen=True, kw_only=True)
-class LinearObservation:
-    """H given as a matrix: light seen through a transport matrix."""
-
-    matrix: Float[Tensor, "k k"]
-    target: Float[Tensor, "k c"]
-    energy: Float[Tensor, " c"]
-
-    @staticmethod
-    def of(
-        operator: Float[Tensor, "m k"], values: Float[Tensor, "m c"], weights: Float[Tensor, " m"]
-    ) -> "LinearObservation":
-        weighted = operator * weights[:, None]
-        return LinearObservation(
-            matrix=operator.T @ weighted,
-            target=weighted.T @ values,
-            energy=weights @ values.square(),
-        )
-
-    def hessian(self, coefficients: Float[Tensor, "k *c"]) -> Float[Tensor, "k *c"]:
-        return torch.einsum("jk,k...->j...", self.matrix.to(coefficients), coefficients)

@@ -1,6 +1,7 @@
-"""From a folder of EXR skies to a light model."""
+"""From a folder of EXR skies to a light model, and the command line of train.py."""
 
 import re
+import runpy
 import shutil
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from skylight.models._bundle import NETWORK, SHIPPED, load_bundle
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.training import _autoencoder as autoencoder, _run as folder
 from skylight.training._config import AutoencoderConfig, find_config, read_config
-from skylight.training._run import fitting, train_folder
+from skylight.training._run import fitting, main, train_folder
 from tests.drawn_skies import draw_skies
 
 COUNT = 40
@@ -178,3 +179,80 @@ def test_a_run_is_of_one_folder(
     shutil.copy(next(exr_skies.glob("2024*.exr")), other)
     with pytest.raises(InputError, match=f"than {re.escape(str(other))}"):
         train_folder(other, model[0], config(), epochs=1)
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """The one line that ``train.py`` says before it exits with 2."""
+    with pytest.raises(SystemExit) as caught:
+        main(list(arguments))
+    assert caught.value.code == 2
+    said = capsys.readouterr().err
+    assert "Traceback" not in said
+    return said
+
+
+@pytest.fixture
+def run_yaml(tmp_path: Path) -> str:
+    path = tmp_path / "run.yaml"
+    path.write_text(f"kind: autoencoder\ndata: {tmp_path}/none\nout: {tmp_path}/out\n")
+    return str(path)
+
+
+@pytest.mark.parametrize("arguments", [(), ("--epochs", "3")])
+def test_usage(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]) -> None:
+    assert refused(capsys, *arguments).startswith("train.py: usage: python train.py")
+
+
+def test_one_line_for_what_cannot_be_read(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, run_yaml: str
+) -> None:
+    assert "none.yaml" in refused(capsys, str(tmp_path / "none.yaml"))
+    no_skies = refused(capsys, run_yaml)
+    assert "no index of skies there" in no_skies
+    assert no_skies.count("\n") == 1
+    assert "`batch` must be at least 1" in refused(capsys, run_yaml, "--batch", "0")
+
+
+@pytest.mark.parametrize(
+    "override", [("--epoch", "3"), ("--epochs", "many"), ("--coding", "gamma"), ("--epochs",)]
+)
+def test_overrides_are_checked(
+    capsys: pytest.CaptureFixture[str], run_yaml: str, override: tuple[str, ...]
+) -> None:
+    assert override[0] in refused(capsys, run_yaml, *override)
+
+
+def test_an_interrupted_run_says_how_to_go_on(
+    capsys: pytest.CaptureFixture[str], run_yaml: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("skylight.training._run.train", interrupted)
+    with pytest.raises(SystemExit) as caught:
+        main([run_yaml])
+    assert caught.value.code == 1
+    assert "goes on from here" in capsys.readouterr().err
+
+
+def test_an_output_folder_that_cannot_be(
+    capsys: pytest.CaptureFixture[str], run_yaml: str, sky_folder: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "out").write_text("a file stands in the way")
+    with pytest.raises(SystemExit) as caught:
+        main([run_yaml, "--data", str(sky_folder)])
+    assert caught.value.code == 1
+    said = capsys.readouterr().err
+    assert said.startswith("train.py: ")
+    assert said.count("\n") == 1
+
+
+def test_the_script(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.argv", ["train.py"])
+    with pytest.raises(SystemExit) as caught:
+        runpy.run_path(str(ROOT / "train.py"), run_name="__main__")
+    assert caught.value.code == 2
+    assert capsys.readouterr().err.startswith("train.py: usage")

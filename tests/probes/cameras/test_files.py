@@ -13,23 +13,22 @@ from skylight.cli import main
 from skylight.errors import InputError
 from skylight.probes.cameras._board import Board, Page, load_board, save_board
 from skylight.probes.cameras._command import BoardPage
-from skylight.probes.cameras._files import exif_exposures, exposure_times
+from skylight.probes.cameras._exposure_files import exif_exposures, exposure_times
 from skylight.probes.cameras._intrinsics import load_intrinsics
+from skylight.probes.cameras._live import Frame
 from skylight.probes.cameras._response import load_response
-from tests.probes.cameras.conftest import VIEWS
-from tests.probes.cameras.scenes import LENS, board_from_tilt, picture_of_board
-
-BOARD = Board(columns=8, rows=6, square_mm=30.0, marker_mm=21.0)
+from tests.probes.cameras.scenes import LENS
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(
+    tmp_path_factory: pytest.TempPathFactory, board: Board, frames: list[Frame], blank: np.ndarray
+) -> Path:
     folder = tmp_path_factory.mktemp("camera")
-    save_board(folder / "board.json", BOARD)
+    save_board(folder / "board.json", board)
     for i in (1, 2, 3, 5):
-        picture = picture_of_board(BOARD, LENS, *board_from_tilt(BOARD, *VIEWS[i]), seed=i)
-        Image.fromarray(picture).save(folder / f"view{i}.jpg", quality=92)
-    Image.fromarray(np.full_like(picture, 90)).save(folder / "nothing.jpg")
+        Image.fromarray(frames[i].image).save(folder / f"view{i}.jpg", quality=92)
+    Image.fromarray(blank).save(folder / "nothing.jpg")
     return folder
 
 

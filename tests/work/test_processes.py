@@ -1,16 +1,21 @@
+"""Forked processes and their failures; tensors that are sent to other processes."""
+
 import multiprocessing
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing.reduction import ForkingPickler
 
 import numpy as np
 import pytest
+import torch
 
 from skylight.errors import SkylightError
-from skylight.work._processes import in_processes, shared_array
+from skylight.work._processes import in_processes, send_tensors_by_value, shared_array
 
 
 @pytest.mark.parametrize("workers", [1, 3])
@@ -96,3 +101,22 @@ def test_threads_of_a_pool_may_have_helpers_that_fail():
     with ThreadPoolExecutor(2) as pool:
         for made in [pool.submit(fail, n) for n in range(4)]:
             assert isinstance(made.exception(timeout=30), SkylightError)
+
+
+def test_tensors_are_sent_without_shared_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever they look at."""
+
+    def sent(tensor: torch.Tensor) -> bytes:
+        return bytes(ForkingPickler.dumps(tensor))
+
+    monkeypatch.setattr(ForkingPickler, "_extra_reducers", {**ForkingPickler._extra_reducers})
+    assert b"rebuild_storage" in sent(torch.ones(3))  # what PyTorch does: the test would see it
+    send_tensors_by_value()
+    grown = torch.arange(6.0).reshape(2, 3).requires_grad_()
+    some = [torch.tensor(3.0), torch.ones(1, 3).expand(4, 3), grown, grown.T, torch.zeros(0, 2)]
+    for tensor in some:
+        there = pickle.loads(sent(tensor))
+        assert b"rebuild_storage" not in sent(tensor)
+        assert torch.equal(there, tensor)
+        assert there.dtype == tensor.dtype
+        assert not there.requires_grad

@@ -1,9 +1,23 @@
+import math
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
+import torch
 from scipy.optimize import nnls
 from sklearn.linear_model import Lasso
 
-from skylight.csc._active_set import ActiveSet, CholeskyFactor
+from skylight.csc._least_squares import (
+    ActiveSet,
+    CholeskyFactor,
+    LinearObservation,
+    Quadratic,
+    SampledSignal,
+)
+from skylight.sphere import _harmonics as harmonics
+from skylight.sphere._frame import DirectionGrid
+from skylight.sphere._latlong_transform import LatLongTransform
+from tests.csc.draws import F64, random
 
 SAMPLES = 40
 
@@ -37,10 +51,10 @@ def expected_weights(
     return np.linalg.lstsq(matrix, signal, rcond=None)[0]
 
 
-KINDS = [(0.0, False), (0.0, True), (5.0, False), (5.0, True), (60.0, False), (60.0, True)]
+FITS = [(0.0, False), (0.0, True), (5.0, False), (5.0, True), (60.0, False), (60.0, True)]
 
 
-@pytest.mark.parametrize(("penalty", "nonnegative"), KINDS)
+@pytest.mark.parametrize(("penalty", "nonnegative"), FITS)
 @pytest.mark.parametrize("seed", range(3))
 def test_optimal_while_atoms_come_and_go(penalty: float, nonnegative: bool, seed: int) -> None:
     matrix, signal = problem(20, seed)
@@ -61,7 +75,7 @@ def test_optimal_while_atoms_come_and_go(penalty: float, nonnegative: bool, seed
         assert found is active.weights
 
 
-@pytest.mark.parametrize(("penalty", "nonnegative"), KINDS)
+@pytest.mark.parametrize(("penalty", "nonnegative"), FITS)
 def test_all_atoms_at_once(penalty: float, nonnegative: bool) -> None:
     matrix, signal = problem(25, seed=4)
     active = ActiveSet(penalty=penalty, nonnegative=nonnegative)
@@ -72,7 +86,7 @@ def test_all_atoms_at_once(penalty: float, nonnegative: bool) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-7, rtol=0)
 
 
-@pytest.mark.parametrize(("penalty", "nonnegative"), KINDS)
+@pytest.mark.parametrize(("penalty", "nonnegative"), FITS)
 def test_dependent_atoms_do_no_harm(penalty: float, nonnegative: bool) -> None:
     """Twins, a negative, a sum, a zero: some weights of the best fit are found."""
     matrix, signal = problem(8, seed=5)
@@ -156,3 +170,84 @@ def test_cholesky_factor_refuses_dependent_atoms() -> None:
     assert not factor.append(0, gram)
     assert factor.members == [1]
     assert not CholeskyFactor().append(0, np.zeros((1, 1)))
+
+
+HEIGHT, DEGREE = 6, 4
+
+
+@dataclass
+class Case:
+    """A quadratic, and A, W and x of the error that it stands for."""
+
+    quadratic: Quadratic
+    operator: torch.Tensor
+    weights: torch.Tensor
+    values: torch.Tensor
+
+
+def case(kind: str) -> Case:
+    grid = DirectionGrid.latlong(HEIGHT)
+    basis = harmonics.evaluate_about_zenith(grid.directions, DEGREE)
+    if kind == "matrix":
+        operator, weights, values = random(40, 25), random(40, seed=1).abs(), random(40, 3, seed=2)
+        return Case(LinearObservation.of(operator, values, weights), operator, weights, values)
+    maps, pixels = random(HEIGHT, 2 * HEIGHT, 3), kind == "map and pixels"
+    if pixels:
+        basis = torch.cat([basis, torch.eye(len(basis), dtype=F64)], 1)
+    signal = SampledSignal.of(maps, LatLongTransform(DEGREE, HEIGHT), pixels=pixels)
+    return Case(signal, basis, grid.solid_angles, maps.reshape(-1, 3))
+
+
+KINDS = ["matrix", "map", "map and pixels"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_is_the_squared_error_of_each_colour(kind: str) -> None:
+    """|x - A c|^2_W, in words."""
+    it = case(kind)
+    c = random(it.operator.shape[1], 3, seed=5)
+    found = (
+        it.quadratic.energy
+        - 2 * (it.quadratic.target * c).sum(0)
+        + (c * it.quadratic.hessian(c)).sum(0)
+    )
+    expected = it.weights @ (it.values - it.operator @ c).square()
+    torch.testing.assert_close(found, expected, rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_hessian_and_target_are_what_the_operator_says(kind: str) -> None:
+    it = case(kind)
+    weighted = it.operator * it.weights[:, None]
+    size = it.operator.shape[1]
+    found = it.quadratic.hessian(torch.eye(size, dtype=F64))
+    torch.testing.assert_close(found, it.operator.T @ weighted, rtol=0, atol=1e-12)
+    torch.testing.assert_close(it.quadratic.target, weighted.T @ it.values, rtol=0, atol=1e-12)
+    assert isinstance(it.quadratic, Quadratic)
+    # one vector, and batches of any shape
+    several = random(size, 2, 3, seed=6)
+    images = it.quadratic.hessian(several)
+    one = it.quadratic.hessian(several[:, 1, 2])
+    torch.testing.assert_close(images[:, 1, 2], one, rtol=0, atol=1e-12)
+
+
+def test_a_map_and_its_pixels_as_a_list_are_one_problem() -> None:
+    maps, grid = random(HEIGHT, 2 * HEIGHT, 3), DirectionGrid.latlong(HEIGHT)
+    signal = SampledSignal.of(maps, LatLongTransform(DEGREE, HEIGHT))
+    basis = harmonics.evaluate_about_zenith(grid.directions, DEGREE)
+    listed = LinearObservation.of(basis, maps.reshape(-1, 3), grid.solid_angles)
+    c = random(25, 3, seed=1)
+    torch.testing.assert_close(signal.target, listed.target, rtol=0, atol=1e-12)
+    torch.testing.assert_close(signal.energy, listed.energy)
+    torch.testing.assert_close(signal.hessian(c), listed.hessian(c), rtol=0, atol=1e-12)
+
+
+def test_energy_of_a_constant_map() -> None:
+    """4 pi L^2, and its target is L sqrt(4 pi) in the mean's place."""
+    maps = torch.full((8, 16, 3), 2.5, dtype=F64)
+    signal = SampledSignal.of(maps, LatLongTransform(3, 8))
+    torch.testing.assert_close(
+        signal.energy, torch.full((3,), 4 * math.pi * 6.25, dtype=F64), rtol=1e-12, atol=0
+    )
+    expected = torch.full((3,), 2.5 * math.sqrt(4 * math.pi), dtype=F64)
+    torch.testing.assert_close(signal.target[0], expected, rtol=1e-12, atol=0)
