@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.estimate._photos import STAGES, estimate_photo
+from skylight.estimation._photos import STAGES, estimate_photo
 from skylight.imaging._colour import srgb_to_linear
 from skylight.imaging._photo import Photo
 from skylight.inverse._estimate import estimate_light, light_problems

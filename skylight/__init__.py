@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from skylight.csc._dictionary import FilterBank
     from skylight.csc._sampling import CodeSampler
     from skylight.errors import SkylightError
-    from skylight.estimate._photos import estimate, estimate_photo
-    from skylight.estimate._summary import PhotoEstimate
+    from skylight.estimation._photos import estimate, estimate_photo
+    from skylight.estimation._summary import PhotoEstimate
     from skylight.imaging._photo import Photo, read_photo
     from skylight.imaging._taken import Taken
     from skylight.inverse._estimate import estimate_each, estimate_light
@@ -44,17 +44,17 @@ _HOME = {
     "LampsLight": "skylight.models._lamps",
     "PartitionProbe": "skylight.probes.partitions._probe",
     "Photo": "skylight.imaging._photo",
-    "PhotoEstimate": "skylight.estimate._summary",
+    "PhotoEstimate": "skylight.estimation._summary",
     "SkylightError": "skylight.errors",
     "SphericalSparseCoder": "skylight.csc._coder",
     "SunSky": "skylight.models.sunsky",
     "Taken": "skylight.imaging._taken",
     "TransportMatrix": "skylight.transport._matrix",
     "VoxelProbe": "skylight.probes.voxel._probe",
-    "estimate": "skylight.estimate._photos",
+    "estimate": "skylight.estimation._photos",
     "estimate_each": "skylight.inverse._estimate",
     "estimate_light": "skylight.inverse._estimate",
-    "estimate_photo": "skylight.estimate._photos",
+    "estimate_photo": "skylight.estimation._photos",
     "read_environment_map": "skylight.io._files",
     "read_photo": "skylight.imaging._photo",
     "write_environment_map": "skylight.io._files",

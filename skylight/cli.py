@@ -13,7 +13,7 @@ from tyro.conf import Positional
 from skylight import __version__
 from skylight._options import who_works
 from skylight.errors import explain
-from skylight.estimate._command import estimate
+from skylight.estimation._command import estimate
 from skylight.io._atomic import PARTIAL
 from skylight.maps._command import code_probe, convert, decode_code, score
 from skylight.maps._export_command import export, export_light
@@ -87,8 +87,8 @@ def demo(out: Path = Path("skylight_demo")) -> None:
     Args:
         out: Folder for the results.
     """
-    from skylight.estimate._demo import demonstrate
-    from skylight.estimate._examples import EXAMPLES
+    from skylight.estimation._demo import demonstrate
+    from skylight.estimation._examples import EXAMPLES
     from skylight.work._progress import stage_bar
 
     with stage_bar() as progress:

@@ -4,8 +4,8 @@ from functools import lru_cache
 
 import torch
 
-from skylight.estimate._photos import estimate_photo
-from skylight.estimate._summary import PhotoEstimate
+from skylight.estimation._photos import estimate_photo
+from skylight.estimation._summary import PhotoEstimate
 from skylight.faces._synthetic import SyntheticFace, render_face
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid, direction_from_angles

@@ -21,9 +21,9 @@ from PIL import Image
 from rich.progress import track
 
 from skylight._figures import angles_deg
-from skylight.estimate._photos import estimate_photo
-from skylight.estimate._report import write_results
-from skylight.estimate._summary import PhotoEstimate
+from skylight.estimation._photos import estimate_photo
+from skylight.estimation._report import write_results
+from skylight.estimation._summary import PhotoEstimate
 from skylight.imaging._colour import tone_map
 from skylight.io._atomic import atomic_path
 from skylight.io._bounded import json_content

@@ -29,9 +29,9 @@ import numpy as np
 import torch
 
 from skylight.errors import InputError
-from skylight.estimate._photos import estimate_photo
-from skylight.estimate.film._files import FilmEstimate, FilmSettings, estimate_film, followed_film
-from skylight.estimate.film._light import SHARE_OF_START
+from skylight.estimation._photos import estimate_photo
+from skylight.estimation.film._files import FilmEstimate, FilmSettings, estimate_film, followed_film
+from skylight.estimation.film._light import SHARE_OF_START
 from skylight.io._atomic import atomic_path
 from skylight.io._files import write_png
 from skylight.people._film import FilmTruth, film_frame, film_truth

@@ -24,8 +24,8 @@ from skimage.data import astronaut
 
 import skylight
 from skylight._figures import relit, show, show_probe
-from skylight.estimate._demo import score
-from skylight.estimate._summary import draw_region, sure_of_the_sun
+from skylight.estimation._demo import score
+from skylight.estimation._summary import draw_region, sure_of_the_sun
 from skylight.faces._synthetic import render_face
 from skylight.imaging._photo import photo_from_codes
 from skylight.skies._simulated import simulated_skies

@@ -19,9 +19,9 @@ from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 
-from skylight.estimate._manifest import MANIFEST, list_photos, read_manifest
-from skylight.estimate._photos import estimate_photo
-from skylight.estimate._report import write_results
+from skylight.estimation._manifest import MANIFEST, list_photos, read_manifest
+from skylight.estimation._photos import estimate_photo
+from skylight.estimation._report import write_results
 from skylight.evaluation._known_faces import FaceEvaluation, peak_mib, stage
 from skylight.evaluation._run import Item, Metrics
 

@@ -73,7 +73,7 @@ def relight_portrait(
     if not -16 <= ev <= 16:
         raise InputError(f"--ev lies between -16 and 16 stops, got {ev:g}")
     place = None if sun is None else _place(sun)
-    from skylight.estimate._photos import estimate_photo
+    from skylight.estimation._photos import estimate_photo
     from skylight.imaging._photo import read_photo
     from skylight.portrait._files import relit_portrait, write_relit
     from skylight.portrait._lights import light_of_map, light_with_sun_at, turned_light

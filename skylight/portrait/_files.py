@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 from PIL import Image, ImageDraw, ImageFont
 
-from skylight.estimate._summary import PhotoEstimate
+from skylight.estimation._summary import PhotoEstimate
 from skylight.imaging._colour import srgb_to_linear, tone_map
 from skylight.imaging._photo import Photo
 from skylight.inverse._result import Estimate

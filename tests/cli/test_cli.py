@@ -21,9 +21,9 @@ import skylight
 from skylight._options import who_works
 from skylight.cli import main
 from skylight.errors import InputError, explain
-from skylight.estimate._command import estimate as estimate_command
-from skylight.estimate._photos import estimate, estimate_photo
-from skylight.estimate._settings import EstimateSettings, SettingKeywords
+from skylight.estimation._command import estimate as estimate_command
+from skylight.estimation._photos import estimate, estimate_photo
+from skylight.estimation._settings import EstimateSettings, SettingKeywords
 from skylight.faces._landmarkers import choose_landmarker
 from skylight.faces._landmarks import DetectedFace
 from skylight.faces._model import HeadModel

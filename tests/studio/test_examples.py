@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from skylight.estimate._examples import EXAMPLES
+from skylight.estimation._examples import EXAMPLES
 
 
 def test_they_are_those_of_the_demonstration(client: httpx.Client) -> None:

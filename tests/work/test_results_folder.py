@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from skylight.errors import OutputError
-from skylight.estimate._report import MESHES
+from skylight.estimation._report import MESHES
 from skylight.work._resumable import results_folder
 from tests.cli.test_cli import contents
 

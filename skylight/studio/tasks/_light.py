@@ -19,9 +19,9 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from skylight._figures import white_of
-from skylight.estimate._photos import estimate_photo
-from skylight.estimate._report import over_grey, write_results
-from skylight.estimate._summary import PhotoEstimate
+from skylight.estimation._photos import estimate_photo
+from skylight.estimation._report import over_grey, write_results
+from skylight.estimation._summary import PhotoEstimate
 from skylight.imaging._colour import tone_map
 from skylight.inverse._lamp_relighting import FaceTransport, LampLight
 from skylight.inverse._lamps import MAP_ROWS

@@ -29,7 +29,7 @@ from jaxtyping import UInt8
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from skylight.estimate._summary import PhotoEstimate
+from skylight.estimation._summary import PhotoEstimate
 from skylight.faces._fit import FaceFit
 from skylight.faces._observe import SKIN_GLOSS
 from skylight.imaging._colour import linear_to_srgb

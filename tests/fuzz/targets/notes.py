@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
 
-from skylight.estimate._manifest import MANIFEST, Entry, append_entry, read_manifest
+from skylight.estimation._manifest import MANIFEST, Entry, append_entry, read_manifest
 from skylight.faces._captures import CAPTURES_NAME, capture_hash, read_captures
 from skylight.people._azimuth import FOLDER, choose
 from skylight.people._files import read_turned_map

@@ -7,8 +7,8 @@ from tempfile import mkdtemp
 
 from PIL import Image
 
-from skylight.estimate._photos import estimate_photo
-from skylight.estimate._summary import PhotoEstimate
+from skylight.estimation._photos import estimate_photo
+from skylight.estimation._summary import PhotoEstimate
 from skylight.studio.tasks._portrait import FILE, command_of, keep_person, take_apart
 from tests.sunny_face import sunny_face
 

@@ -15,9 +15,9 @@ from PIL import Image
 from skimage.data import astronaut
 
 from skylight._figures import describe_lamps, white_of
-from skylight.estimate._photos import estimate_photo
-from skylight.estimate._report import over_grey
-from skylight.estimate._summary import PhotoEstimate
+from skylight.estimation._photos import estimate_photo
+from skylight.estimation._report import over_grey
+from skylight.estimation._summary import PhotoEstimate
 from skylight.imaging._colour import tone_map
 from skylight.inverse._result import Lamp
 from skylight.io._files import read_environment_map

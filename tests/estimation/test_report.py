@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from skimage.data import astronaut
 
-from skylight.estimate import _report as report
-from skylight.estimate._photos import estimate_photo
-from skylight.estimate._report import write_report
-from skylight.estimate._summary import PhotoEstimate
+from skylight.estimation import _report as report
+from skylight.estimation._photos import estimate_photo
+from skylight.estimation._report import write_report
+from skylight.estimation._summary import PhotoEstimate
 from skylight.sphere._envmap import EnvironmentMap
 
 ROW, COLUMN = 20, 100  # the brightest pixel of 64 x 128

@@ -9,7 +9,7 @@ import pytest
 from skimage.data import astronaut
 
 from skylight.errors import InputError
-from skylight.estimate.film._follow import Followed, Source, follow
+from skylight.estimation.film._follow import Followed, Source, follow
 from skylight.faces._mediapipe import MediaPipeLandmarker
 from skylight.imaging._film import FilmFrame
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from skylight.estimate.film._smoother import Drifting, Sight, likeliest, smooth
+from skylight.estimation.film._smoother import Drifting, Sight, likeliest, smooth
 
 DRIFT, NOISE = 0.3, 1.7
 

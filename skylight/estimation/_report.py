@@ -30,7 +30,7 @@ from skylight._figures import (
     white_of,
     write_numbers,
 )
-from skylight.estimate._summary import (
+from skylight.estimation._summary import (
     PhotoEstimate,
     describe,
     draw_region,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from skylight.estimate._summary import PhotoEstimate, summary
+from skylight.estimation._summary import PhotoEstimate, summary
 from skylight.imaging._taken import Taken
 from skylight.inverse._auto import choose
 from skylight.inverse._result import Lamp

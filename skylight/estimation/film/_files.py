@@ -17,11 +17,11 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from skylight.errors import InputError
-from skylight.estimate._manifest import file_hash
-from skylight.estimate._settings import EstimateSettings
-from skylight.estimate.film._follow import Followed, Keyframe, Shot, Source, follow
-from skylight.estimate.film._head import fit_head
-from skylight.estimate.film._light import FilmLight, FilmProblem, in_world
+from skylight.estimation._manifest import file_hash
+from skylight.estimation._settings import EstimateSettings
+from skylight.estimation.film._follow import Followed, Keyframe, Shot, Source, follow
+from skylight.estimation.film._head import fit_head
+from skylight.estimation.film._light import FilmLight, FilmProblem, in_world
 from skylight.faces._fit import FOCAL_GUESS, FOCAL_GUESS_SIGMA, MOST_FACING_ANGLE_RAD, FaceFit
 from skylight.faces._landmarks import DetectedFace
 from skylight.faces._mediapipe import MediaPipeLandmarker, to_ibug

@@ -9,8 +9,8 @@ from numpy import ndarray
 from PIL import Image
 from skimage.data import astronaut, camera
 
-from skylight.estimate import _demo as demo
-from skylight.estimate._examples import EXAMPLES
+from skylight.estimation import _demo as demo
+from skylight.estimation._examples import EXAMPLES
 
 
 def test_they_have_the_pixels_of_their_source() -> None:

@@ -14,17 +14,17 @@ from skimage.data import astronaut
 
 from skylight.cli import main
 from skylight.errors import InputError, OutputError
-from skylight.estimate import _folder as batch
-from skylight.estimate._folder import estimate_folder, time_left_s
-from skylight.estimate._manifest import (
+from skylight.estimation import _folder as batch
+from skylight.estimation._folder import estimate_folder, time_left_s
+from skylight.estimation._manifest import (
     MANIFEST,
     Entry,
     folder_name,
     list_photos,
     read_manifest,
 )
-from skylight.estimate._photos import estimate
-from skylight.estimate._settings import EstimateSettings
+from skylight.estimation._photos import estimate
+from skylight.estimation._settings import EstimateSettings
 from skylight.imaging._photo import PHOTO_SUFFIXES
 from skylight.io._files import read_environment_map
 from skylight.models._ground import KnownGround

@@ -8,7 +8,7 @@ import pytest
 import torch
 from matplotlib.figure import Figure
 
-from skylight.estimate._summary import (
+from skylight.estimation._summary import (
     describe_posterior,
     draw_region,
     edge_density,

@@ -21,10 +21,10 @@ from skylight._figures import (
     white_of,
     write_numbers,
 )
-from skylight.estimate._examples import EXAMPLES
-from skylight.estimate._photos import estimate_photo
-from skylight.estimate._report import write_results
-from skylight.estimate._summary import PhotoEstimate
+from skylight.estimation._examples import EXAMPLES
+from skylight.estimation._photos import estimate_photo
+from skylight.estimation._report import write_results
+from skylight.estimation._summary import PhotoEstimate
 from skylight.faces._synthetic import SyntheticFace, render_face
 from skylight.imaging._metrics import lighting_metrics, shading_metrics
 from skylight.io._bounded import write_json

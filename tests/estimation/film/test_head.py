@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from skylight.estimate.film._head import fit_head
+from skylight.estimation.film._head import fit_head
 from skylight.faces._fit import FaceFit, FitProblem, FitState, fit_face, landmarks_of
 from skylight.faces._landmarks import DetectedFace
 from skylight.faces._model import HeadModel, correspondence

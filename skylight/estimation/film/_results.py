@@ -17,16 +17,16 @@ from skylight._figures import (
     show_probe,
     white_of,
 )
-from skylight.estimate._report import write_mesh
-from skylight.estimate._summary import (
+from skylight.estimation._report import write_mesh
+from skylight.estimation._summary import (
     describe_posterior,
     draw_region,
     posterior_map,
     probe_title,
     where,
 )
-from skylight.estimate.film._files import FOLLOWING, FilmEstimate, FilmSettings, estimate_film
-from skylight.estimate.film._light import FrameLight
+from skylight.estimation.film._files import FOLLOWING, FilmEstimate, FilmSettings, estimate_film
+from skylight.estimation.film._light import FrameLight
 from skylight.imaging._photo import read_photo
 from skylight.io._bounded import write_json
 from skylight.io._files import write_environment_map, write_probe

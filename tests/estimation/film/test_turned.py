@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from skylight.estimate.film._light import in_world
+from skylight.estimation.film._light import in_world
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid
 from skylight.transport._matrix import TransportMatrix

@@ -17,7 +17,7 @@ from skylight.work._device import Device
 from skylight.work._progress import ProgressForm
 
 if TYPE_CHECKING:
-    from skylight.estimate._settings import EstimateSettings
+    from skylight.estimation._settings import EstimateSettings
     from skylight.imaging._taken import Taken
 
 Decoding = tyro.conf.create_mutex_group(required=False)
@@ -121,7 +121,7 @@ def estimate(
     """
     if face is not None and faces == "all":
         raise InputError(f"--face {face} and --faces all contradict each other: leave one out")
-    from skylight.estimate._settings import EstimateSettings
+    from skylight.estimation._settings import EstimateSettings
     from skylight.models._ground import KnownGround
 
     settings = EstimateSettings(
@@ -199,9 +199,9 @@ def _estimate_photos(
     keep_place: bool,
     progress: ProgressForm,
 ) -> None:
-    from skylight.estimate._photos import Pictures
-    from skylight.estimate._report import MESHES, mesh_names, write_results
-    from skylight.estimate._summary import summary
+    from skylight.estimation._photos import Pictures
+    from skylight.estimation._report import MESHES, mesh_names, write_results
+    from skylight.estimation._summary import summary
     from skylight.imaging._film import FILM_SUFFIXES
     from skylight.work._progress import stage_bar
     from skylight.work._resumable import results_folder
@@ -232,8 +232,8 @@ def _estimate_film(
     rate: float,
     progress: ProgressForm,
 ) -> None:
-    from skylight.estimate.film._files import FilmSettings
-    from skylight.estimate.film._results import film_into, film_summary
+    from skylight.estimation.film._files import FilmSettings
+    from skylight.estimation.film._results import film_into, film_summary
     from skylight.work._progress import stage_bar
 
     out = out or Path(f"{film.resolve().stem}_light")
@@ -263,8 +263,8 @@ def _estimate_folder(
     retry_failed: bool,
     progress: ProgressForm,
 ) -> None:
-    from skylight.estimate._folder import estimate_folder
-    from skylight.estimate._manifest import MANIFEST
+    from skylight.estimation._folder import estimate_folder
+    from skylight.estimation._manifest import MANIFEST
     from skylight.work._progress import stage_bar
 
     who = who_works(workers, cluster, out)

@@ -10,18 +10,18 @@ from PIL import Image
 from skimage.data import astronaut
 
 from skylight.cli import main
-from skylight.estimate import _folder as batch
-from skylight.estimate._folder import estimate_folder
-from skylight.estimate._manifest import MANIFEST, Entry, read_manifest
-from skylight.estimate._photos import Pictures
-from skylight.estimate._settings import EstimateSettings
-from skylight.estimate._summary import describe
+from skylight.estimation import _folder as batch
+from skylight.estimation._folder import estimate_folder
+from skylight.estimation._manifest import MANIFEST, Entry, read_manifest
+from skylight.estimation._photos import Pictures
+from skylight.estimation._settings import EstimateSettings
+from skylight.estimation._summary import describe
 from skylight.io._files import read_environment_map
 from skylight.models._names import LightName
 from skylight.sphere._frame import angle_between, direction_from_angles
 from skylight.work._cluster import Cluster
 from skylight.work._resumable import Workers
-from tests.estimate.test_batch import RESULTS
+from tests.estimation.test_batch import RESULTS
 
 SUNSKY = EstimateSettings(light="sunsky", device="cpu")
 OPTIONS = ["--light", "sunsky", "--device", "cpu", "--workers", "2"]

@@ -1,6 +1,6 @@
 """What an estimate depends on besides its pictures: one set of options for all who ask for one.
 
-Python's :func:`~skylight.estimate._photos.estimate`, the commands, folders, films, portraits and
+Python's :func:`~skylight.estimation._photos.estimate`, the commands, folders, films, portraits and
 the studio take theirs from here. A new option is a field of :class:`EstimateSettings`, its line in
 :class:`SettingKeywords`, and a parameter of the command.
 """

@@ -17,8 +17,8 @@ import torch
 from jaxtyping import UInt8
 
 from skylight.errors import InputError
-from skylight.estimate._settings import EstimateSettings, SettingKeywords
-from skylight.estimate._summary import PhotoEstimate, SeenFace
+from skylight.estimation._settings import EstimateSettings, SettingKeywords
+from skylight.estimation._summary import PhotoEstimate, SeenFace
 from skylight.faces._fit import FaceFit, fit_visible
 from skylight.faces._landmarks import FoundFace, find_faces
 from skylight.faces._model import HeadModel
@@ -64,7 +64,7 @@ def estimate(
     settings
         ``light=``, ``model=``, ``solver=``, ``face=``, ``head=``, ``decode=``, ``landmarks=``,
         ``ignore_exif_sun=``, ``ground=`` and ``device=``, those of
-        :class:`~skylight.estimate._settings.EstimateSettings`.
+        :class:`~skylight.estimation._settings.EstimateSettings`.
 
     Returns
     -------

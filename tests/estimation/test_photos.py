@@ -16,12 +16,12 @@ from PIL import ExifTags, Image
 from skimage.data import astronaut, camera
 
 from skylight.cli import main
-from skylight.estimate import _settings
-from skylight.estimate._folder import estimate_folder
-from skylight.estimate._photos import Pictures, estimate
-from skylight.estimate._report import write_results
-from skylight.estimate._settings import EstimateSettings
-from skylight.estimate._summary import PhotoEstimate, describe
+from skylight.estimation import _settings
+from skylight.estimation._folder import estimate_folder
+from skylight.estimation._photos import Pictures, estimate
+from skylight.estimation._report import write_results
+from skylight.estimation._settings import EstimateSettings
+from skylight.estimation._summary import PhotoEstimate, describe
 from skylight.faces._fit import camera_project
 from skylight.faces._model import HeadModel
 from skylight.imaging._colour import srgb_to_linear

@@ -1,6 +1,6 @@
 """Illumination of many photographs: a folder of results for each.
 
-Each photograph goes through :class:`~skylight.estimate._photos.Pictures`: wholly in a worker
+Each photograph goes through :class:`~skylight.estimation._photos.Pictures`: wholly in a worker
 (:func:`estimate_one`), or, on a GPU, up to the light and after it in workers, and its light is
 found by this process together with others' (:func:`estimate_together`).
 """
@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import torch
 
 from skylight.errors import DependencyError, InputError, SkylightError
-from skylight.estimate._manifest import (
+from skylight.estimation._manifest import (
     MANIFEST,
     Entry,
     append_entry,
@@ -30,10 +30,10 @@ from skylight.estimate._manifest import (
     read_manifest,
     write_manifest,
 )
-from skylight.estimate._photos import STAGES, Pictures
-from skylight.estimate._report import MESHES, write_results
-from skylight.estimate._settings import EstimateSettings
-from skylight.estimate._summary import PhotoEstimate, SeenFace
+from skylight.estimation._photos import STAGES, Pictures
+from skylight.estimation._report import MESHES, write_results
+from skylight.estimation._settings import EstimateSettings
+from skylight.estimation._summary import PhotoEstimate, SeenFace
 from skylight.inverse._problem import solve
 from skylight.inverse._result import Estimate
 from skylight.inverse._sun_prior import SunPrior

@@ -9,7 +9,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from skylight.errors import InputError
-from skylight.estimate.film._light import FilmLight, FilmProblem, in_world
+from skylight.estimation.film._light import FilmLight, FilmProblem, in_world
 from skylight.faces._skin import SkinPrior
 from skylight.inverse._descent import Round
 from skylight.inverse._faces import Level

@@ -9,7 +9,7 @@ frame's own.
 The start is one light for a few keyframes. Then, several times: each frame's likelihood becomes its
 Laplace approximation about the light found so far, with its own unknowns eliminated (Schur's
 complement of a Gauss-Newton Hessian), and all are smoothed in time
-(:mod:`skylight.estimate.film._smoother`). Frames of one head err alike, and more than each says
+(:mod:`skylight.estimation.film._smoother`). Frames of one head err alike, and more than each says
 itself: the noise of the sights is found from the data too.
 """
 
@@ -24,7 +24,7 @@ from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.estimate.film._smoother import DRIFTS, Drifting, Sight, likeliest, smooth
+from skylight.estimation.film._smoother import DRIFTS, Drifting, Sight, likeliest, smooth
 from skylight.inverse._descent import Round, best_exposure, deviations, jacobian
 from skylight.inverse._faces import Level, LitFaces, ScannedFace
 from skylight.inverse._gauss_newton import charbonnier, prior_shape

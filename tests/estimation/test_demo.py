@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from skylight.estimate._demo import score
+from skylight.estimation._demo import score
 from skylight.sphere._envmap import EnvironmentMap
 
 
