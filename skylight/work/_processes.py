@@ -11,6 +11,7 @@ from multiprocessing.reduction import ForkingPickler
 from typing import TypeVar
 
 import numpy as np
+import torch
 from jaxtyping import Shaped
 from numpy.typing import DTypeLike
 from torch import Tensor
@@ -47,8 +48,6 @@ def in_processes(
     """
     if workers < 1:
         raise ValueError(f"workers must be 1 or more, got {workers}")
-    import torch  # here: every command begins with this module, and not all need it
-
     parent = os.getpid()
 
     def help_out(share: range) -> None:
