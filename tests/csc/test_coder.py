@@ -170,7 +170,9 @@ def test_maps_coded_together_have_the_codes_of_each_alone(
 
 
 @pytest.mark.parametrize(
-    ("make", "shape"), [(small, (0,)), (small, (0, 3)), (fine, (2, 0))], ids=str
+    ("make", "shape"),
+    [(small, (0,)), (small, (0, 3)), (fine, (2, 0))],
+    ids=["none", "none of three", "two of none"],
 )
 def test_a_batch_of_no_maps(
     make: Callable[[], SphericalSparseCoder], shape: tuple[int, ...]
