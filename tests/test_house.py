@@ -51,6 +51,10 @@ def unused() -> Iterator[str]:
                 definitions[node] = name, f"{path.relative_to(ROOT)}:{node.lineno}"
             for name in _used(node):
                 uses[name].add(around)
+    for path in PACKAGE.rglob("__init__.pyi"):  # public names are for users' programs
+        for node in ast.walk(ast.parse(path.read_text())):
+            for alias in node.names if isinstance(node, ast.ImportFrom) else ():
+                uses[alias.name].add(())
     dead: set[ast.AST] = set()
     while found := {
         node

@@ -8,6 +8,9 @@ from ._photos import (
 from ._report import (
     write_results as write_results,
 )
+from ._settings import (
+    EstimateSettings as EstimateSettings,
+)
 from ._summary import (
     PhotoEstimate as PhotoEstimate,
     SeenFace as SeenFace,

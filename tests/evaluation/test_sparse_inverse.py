@@ -97,7 +97,9 @@ def test_the_basis_is_that_of_the_filters(scene: ObservedScene):
 def test_maps_are_told_apart(tmp_path: Path):
     lines = ["file,category"] + [f"{i}.exr,{'indoor' if i < 3 else 'night'}" for i in range(10)]
     (tmp_path / "index.csv").write_text("\n".join(lines))
-    assert SparseInverse(data=tmp_path).items() == ["0", "1", "2", "3", "9"]
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "ball.obj").touch()
+    assert SparseInverse(data=tmp_path, every=1).items() == ["0", "1", "2", "3", "9"]
     assert SparseInverse(data=tmp_path, every=2).items() == ["0", "2", "3"]
 
 
