@@ -30,7 +30,7 @@ import torch
 
 from skylight.errors import InputError
 from skylight.estimation._photos import estimate_photo
-from skylight.estimation.film._files import FilmEstimate, FilmSettings, estimate_film, followed_film
+from skylight.estimation.film._estimate import FilmEstimate, FilmSettings, estimate_film, followed_film
 from skylight.estimation.film._light import SHARE_OF_START
 from skylight.io._atomic import atomic_path
 from skylight.io._files import write_png

@@ -14,7 +14,7 @@ from skylight.errors import InputError, SkylightError
 from skylight.faces._names import HeadName, LandmarkerName
 from skylight.models._names import LightName, SolverName
 from skylight.work._device import Device
-from skylight.work._progress import ProgressForm
+from skylight.work._progress import ProgressForm, stage_bar
 
 if TYPE_CHECKING:
     from skylight.estimation._settings import EstimateSettings
@@ -203,7 +203,6 @@ def _estimate_photos(
     from skylight.estimation._report import MESHES, mesh_names, write_results
     from skylight.estimation._summary import summary
     from skylight.imaging._film import FILM_SUFFIXES
-    from skylight.work._progress import stage_bar
     from skylight.work._resumable import results_folder
 
     out = out or Path(f"{paths[0].stem}_light")
@@ -232,15 +231,19 @@ def _estimate_film(
     rate: float,
     progress: ProgressForm,
 ) -> None:
-    from skylight.estimation.film._files import FilmSettings
-    from skylight.estimation.film._results import film_into, film_summary
-    from skylight.work._progress import stage_bar
+    from skylight.estimation.film._estimate import FOLLOWING, FilmSettings, estimate_film
+    from skylight.estimation.film._results import FILM_FILES, film_summary, write_film_results
+    from skylight.work._resumable import SETTINGS, claimed, results_folder, settle
 
     out = out or Path(f"{film.resolve().stem}_light")
     chosen = FilmSettings(estimate=settings, keyframes=keyframes, rate=rate)
+    facts = chosen.facts(film)
     try:
-        with stage_bar(progress) as tell:
-            result = film_into(film, out, chosen, tell)
+        with stage_bar(progress) as tell, claimed(out, out / FOLLOWING):
+            settle(out / SETTINGS, facts)
+            result = estimate_film(film, out, chosen, tell)
+            with results_folder(out, FILM_FILES) as folder:
+                write_film_results(folder, result, source=str(film))
     except KeyboardInterrupt:
         raise SkylightError(f"interrupted; the same command goes on with {out}") from None
     for advice in result.advice:
@@ -265,7 +268,6 @@ def _estimate_folder(
 ) -> None:
     from skylight.estimation._folder import estimate_folder
     from skylight.estimation._manifest import MANIFEST
-    from skylight.work._progress import stage_bar
 
     who = who_works(workers, cluster, out)
     try:

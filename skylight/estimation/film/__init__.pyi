@@ -1,4 +1,4 @@
-from ._files import (
+from ._estimate import (
     FilmEstimate as FilmEstimate,
     FilmSettings as FilmSettings,
     estimate_film as estimate_film,

@@ -6,12 +6,15 @@ last cut is a keyframe, n doubling whenever there are too many: so keyframes are
 however long the film is, and no more than they are held in memory.
 """
 
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import torch
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
@@ -21,8 +24,12 @@ from skylight.faces._landmarks import MESH_EYES, DetectedFace
 from skylight.faces._mediapipe import MediaPipeLandmarker, Reading, to_ibug
 from skylight.imaging._camera_turns import BackgroundCorners, Link
 from skylight.imaging._film import FilmFrame
+from skylight.io._files import write_png
+from skylight.io._tensors import read_tensors, write_tensors
 from skylight.work._progress import Progress
 
+FOLLOWED = "followed.safetensors"  # what was found, kept between runs
+_FACTS = "facts"
 LEAST_PRESENCE = 0.5
 _WEAKEST_SHARE = 0.9  # of the likeliest face's presence
 _LOOK_EVERY = 5  # frames, while there is no face: the detector takes five times as long
@@ -97,11 +104,6 @@ def follow(
 
     At most ``most`` keyframes. Of several shots the one in which a face is seen longest is kept.
     ``duration_s`` is the film's, for ``progress``.
-
-    Raises
-    ------
-    InputError
-        No face in any frame, or no such face; frames of several sizes.
     """
     following: _Following | None = None
     for source in sources:
@@ -331,3 +333,104 @@ def _thumbnail(codes: UInt8[ndarray, "h w 3"]) -> Float[ndarray, "a b"]:
     small = cv2.resize(codes, _THUMBNAIL, interpolation=cv2.INTER_AREA)
     grey = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY).astype(np.float64)
     return (grey - grey.mean()) / max(float(grey.std()), 1.0)
+
+
+def write_followed(folder: Path, followed: Followed) -> None:
+    """followed.safetensors, and a picture of each keyframe that has no file of its own."""
+    shot, pictures, readings = followed.shot, [], []
+    for keyframe in shot.keyframes:
+        assert keyframe.face.readings is not None  # MediaPipe's
+        readings.append(keyframe.face.readings)
+        if isinstance(keyframe.picture, Path):
+            pictures.append(str(keyframe.picture.resolve()))
+        else:
+            pictures.append(f"keyframe_{keyframe.number:06d}.png")
+            write_png(folder / pictures[-1], keyframe.picture)
+    counts = [len(link.before) for link in shot.links]
+    none = np.zeros((0, 2))
+    facts = {
+        "pictures": pictures,
+        "size": followed.size,
+        "frames": followed.frames,
+        "end_s": followed.end_s,
+        "notes": followed.notes,
+        "shot": [shot.first, shot.begin_s, shot.end_s, shot.seen_s],
+        "gaps": shot.gaps,
+    }
+    tensors = {
+        "readings": np.array(readings),
+        "scores": np.array([one.face.score for one in shot.keyframes]),
+        "numbers": np.array([one.number for one in shot.keyframes]),
+        "times_s": np.array([one.time_s for one in shot.keyframes]),
+        "links": np.array([[link.start, link.end] for link in shot.links]).reshape(-1, 2),
+        "counts": np.array(counts, dtype=np.int64),
+        "before": np.concatenate([none, *(link.before for link in shot.links)]),
+        "after": np.concatenate([none, *(link.after for link in shot.links)]),
+    }
+    write_tensors(
+        folder / FOLLOWED,
+        {name: torch.from_numpy(array) for name, array in tensors.items()},
+        {_FACTS: json.dumps(facts)},
+    )
+
+
+def read_followed(folder: Path) -> Followed:
+    """What :func:`write_followed` wrote; pictures are their files."""
+    try:
+        tensors, metadata = read_tensors(folder / FOLLOWED)
+        arrays = {name: tensor.numpy() for name, tensor in tensors.items()}
+        return _followed(folder, arrays, json.loads(metadata[_FACTS]))
+    except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError,
+            RecursionError) as error:  # fmt: skip
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"{folder / FOLLOWED}: damaged ({reason}); delete {folder}, and the film is followed "
+            "again"
+        ) from error
+
+
+def _followed(folder: Path, arrays: dict[str, np.ndarray], facts: dict[str, Any]) -> Followed:
+    """What arrays and facts say; any error of a look-up, type or value where they cannot be."""
+    first, begin_s, end_s, seen_s = facts["shot"]
+    shot = Shot(
+        first=first,
+        begin_s=begin_s,
+        end_s=end_s,
+        seen_s=seen_s,
+        gaps=[(begin, end) for begin, end in facts["gaps"]],
+    )
+    for k, picture in enumerate(facts["pictures"]):
+        readings = arrays["readings"][k]
+        face = DetectedFace(
+            points=to_ibug(readings.mean(0)),
+            score=float(arrays["scores"][k]),
+            readings=readings,
+        )
+        shot.keyframes.append(
+            Keyframe(
+                number=int(arrays["numbers"][k]),
+                time_s=float(arrays["times_s"][k]),
+                face=face,
+                picture=folder / picture,
+            )
+        )
+    begin = 0
+    for (start, end), count in zip(arrays["links"], arrays["counts"], strict=True):
+        rows = slice(begin, begin + int(count))
+        begin += int(count)
+        shot.links.append(
+            Link(
+                start=int(start),
+                end=int(end),
+                before=arrays["before"][rows],
+                after=arrays["after"][rows],
+            )
+        )
+    width, height = facts["size"]
+    return Followed(
+        shot=shot,
+        size=(width, height),
+        frames=facts["frames"],
+        end_s=facts["end_s"],
+        notes=tuple(facts["notes"]),
+    )

@@ -23,7 +23,6 @@ from numpy import ndarray
 from scipy.sparse import csr_matrix
 from torch import Tensor
 
-from skylight.errors import InputError
 from skylight.estimation.film._smoother import DRIFTS, Drifting, Sight, likeliest, smooth
 from skylight.inverse._descent import Round, best_exposure, deviations, jacobian
 from skylight.inverse._faces import Level, LitFaces, ScannedFace
@@ -104,30 +103,14 @@ class FilmProblem:
         self.times_s: list[float] = []
 
     def add(self, observation: Observation, time_s: float) -> None:
-        """One more keyframe.
-
-        Raises
-        ------
-        ValueError
-            It is not later than the one before.
-        """
-        if self.times_s and time_s <= self.times_s[-1]:
-            raise ValueError(f"keyframes come in order of time, {time_s} after {self.times_s[-1]}")
+        """One more keyframe, later than the one before."""
         one = self._empty.another()
         one.add(observation)
         self._frames.append(one)
         self.times_s.append(time_s)
 
     def solve(self, progress: Progress | None = None) -> FilmLight:
-        """The light of all keyframes; see the module's text.
-
-        Raises
-        ------
-        InputError
-            Nothing was added.
-        """
-        if not self._frames:
-            raise InputError("there is no keyframe to estimate light from; give at least one")
+        """The light of all keyframes, of which there is at least one; see the module's text."""
         tell = progress or (lambda _share: None)
         start = self._start(lambda share: tell(SHARE_OF_START * share))
         film = _Film(self._frames, self.times_s, start)
@@ -378,15 +361,15 @@ def in_world(observation: Observation, world_from_camera: Float[ndarray, "3 3"])
     l_camera = B l_world, its transport is T B: exact for light that is the same everywhere, and for
     turns about the vertical by whole columns; else light is blurred by less than a pixel.
     """
-    turned = torch.from_numpy(np.asarray(world_from_camera, dtype=np.float64))
+    rotation = torch.from_numpy(np.asarray(world_from_camera, dtype=np.float64))
     normal_modes = observation.normal_modes
     if normal_modes is not None:
-        look_up = _look_up(normal_modes.grid, turned)
+        look_up = _look_up(normal_modes.grid, rotation)
         # T of a matrix of visible solid angles; the modes are vectors
-        modes = torch.einsum("dc,mck->mdk", turned.to(normal_modes.modes), normal_modes.modes)
+        modes = torch.einsum("dc,mck->mdk", rotation.to(normal_modes.modes), normal_modes.modes)
         visible = _times(normal_modes.visible, look_up)
         normal_modes = replace(normal_modes, modes=modes, visible=visible)
-    look_up = _look_up(observation.transport.grid, turned)
+    look_up = _look_up(observation.transport.grid, rotation)
 
     def moved(transport: TransportMatrix) -> TransportMatrix:
         return replace(transport, matrix=_times(transport.matrix, look_up))

@@ -25,38 +25,17 @@ from skylight.estimation._summary import (
     probe_title,
     where,
 )
-from skylight.estimation.film._files import FOLLOWING, FilmEstimate, FilmSettings, estimate_film
+from skylight.estimation.film._estimate import FilmEstimate
 from skylight.estimation.film._light import FrameLight
 from skylight.imaging._photo import read_photo
 from skylight.io._bounded import write_json
 from skylight.io._files import write_environment_map, write_probe
-from skylight.work._progress import StageProgress
-from skylight.work._resumable import SETTINGS, claimed, results_folder, settle
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FILM_FILES = re.compile(r"probe_[0-9]{3}\.exr")  # the files of :func:`probe_name`
 ABREAST = 6
-
-
-def film_into(
-    source: Path, out: Path, settings: FilmSettings, progress: StageProgress | None = None
-) -> FilmEstimate:
-    """:func:`estimate_film`, its files in ``out``, one run at a time.
-
-    Raises
-    ------
-    InputError
-        As there, or ``out`` was made of another film or with other settings.
-    """
-    facts = settings.facts(source)
-    with claimed(out, out / FOLLOWING):
-        settle(out / SETTINGS, facts)
-        result = estimate_film(source, out, settings, progress)
-        with results_folder(out, FILM_FILES) as folder:
-            write_film_results(folder, result, source=str(source))
-    return result
 
 
 def probe_name(number: int) -> str:
@@ -70,14 +49,15 @@ def write_film_results(folder: Path, result: FilmEstimate, *, source: str) -> No
     ``probe`` is the film's, the others each keyframe's; all are in the world's frame, which is the
     camera's at the first frame.
     """
-    light = result.light
-    write_probe(folder, light.mean.environment)
-    write_environment_map(folder / "posterior.exr", posterior_map(light.start.posterior))
-    for number, frame in enumerate(light.frames):
-        write_environment_map(folder / probe_name(number), frame.environment)
+    light, content = result.light, describe_film(result, source=source)
+    maps = {"posterior.exr": posterior_map(light.start.posterior)}
+    maps |= {probe_name(number): frame.environment for number, frame in enumerate(light.frames)}
     write_mesh(folder / "mesh.obj", result.fits[0])
-    write_json(folder / "film.json", describe_film(result, source=source))
     write_film_report(folder / "report.png", result, title=Path(source).name)
+    write_json(folder / "film.json", content)
+    write_probe(folder, light.mean.environment)
+    for name, environment in maps.items():
+        write_environment_map(folder / name, environment)
 
 
 def describe_film(result: FilmEstimate, *, source: str) -> dict[str, object]:
@@ -134,8 +114,8 @@ def describe_film(result: FilmEstimate, *, source: str) -> dict[str, object]:
 def film_summary(result: FilmEstimate) -> str:
     """A few lines for the terminal."""
     light, followed = result.light, result.followed
-    azimuth, zenith = angles_deg(light.mean.sun_direction)
     apart = _apart_deg(light.frames)
+    azimuth, zenith = angles_deg(light.mean.sun_direction)
     return "\n".join(
         [
             f"film        {followed.frames} frames followed, {len(light.frames)} keyframes from "
@@ -162,17 +142,17 @@ def write_film_report(path: Path, result: FilmEstimate, *, title: str) -> None:
         grid = figure.add_gridspec(
             3, ABREAST, top=0.83, bottom=0.08, left=0.06, right=0.98, hspace=0.4, wspace=0.35
         )
+        axes = figure.add_subplot(grid[1:, :3])
+        environment, posterior = light.mean.environment, light.start.posterior
+        show_probe(axes, environment, probe_title(posterior), white=white_of(environment.flat))
+        draw_region(axes, posterior, environment.layout[0])
+        _over_time(figure.add_subplot(grid[1:, 3:]), result)
         chosen = np.unique(np.linspace(0, len(light.frames) - 1, ABREAST).round().astype(int))
         for column, k in enumerate(chosen):
             axes = figure.add_subplot(grid[0, column])
             picture = result.keyframes[k].picture
             assert isinstance(picture, Path)
             show(axes, read_photo(picture).encoded, f"{light.frames[k].time_s:.1f} s")
-        axes = figure.add_subplot(grid[1:, :3])
-        environment, posterior = light.mean.environment, light.start.posterior
-        show_probe(axes, environment, probe_title(posterior), white=white_of(environment.flat))
-        draw_region(axes, posterior, environment.layout[0])
-        _over_time(figure.add_subplot(grid[1:, 3:]), result)
         save(figure, path)
 
 

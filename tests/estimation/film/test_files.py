@@ -11,9 +11,9 @@ from skimage.data import astronaut
 
 from skylight.cli import main
 from skylight.errors import InputError
-from skylight.estimation.film import _files as film_module
-from skylight.estimation.film._files import FOLLOWED, FOLLOWING, read_followed
-from skylight.estimation.film._follow import Shot
+from skylight.estimation.film import _estimate as film_module
+from skylight.estimation.film._estimate import FOLLOWING
+from skylight.estimation.film._follow import FOLLOWED, Shot, read_followed
 from skylight.imaging._camera_turns import Link, world_from_cameras
 from skylight.io._files import read_environment_map
 from skylight.io._tensors import read_tensors, write_tensors

@@ -8,7 +8,6 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from skylight.errors import InputError
 from skylight.estimation.film._light import FilmLight, FilmProblem, in_world
 from skylight.faces._skin import SkinPrior
 from skylight.inverse._descent import Round
@@ -124,16 +123,3 @@ def test_one_keyframe_is_enough() -> None:
     light = film([2.3])
     assert len(light.frames) == 1
     assert azimuths_of(light)[0] == pytest.approx(2.3, abs=math.radians(4))
-
-
-def test_none_is_not() -> None:
-    with pytest.raises(InputError, match="no keyframe"):
-        FilmProblem(problem()).solve()
-
-
-def test_time_runs_forward() -> None:
-    one = FilmProblem(problem())
-    seen = half_ball(np.eye(3), 2.3, 0.3)
-    one.add(seen, 1.0)
-    with pytest.raises(ValueError, match="order of time"):
-        one.add(seen, 1.0)
