@@ -16,13 +16,7 @@ if TYPE_CHECKING:
 
 
 def who_works(workers: int, cluster: str | None, out: Path) -> Workers:
-    """So many processes here, 0 for one per core, or those of the cluster, which work on ``out``.
-
-    Raises
-    ------
-    InputError
-        A number below 0, or both.
-    """
+    """So many processes here, 0 for one per core, or those of the cluster for ``out``."""
     if cluster is not None:
         if workers != 0:
             raise InputError(
@@ -46,13 +40,7 @@ def _cores() -> int:
 def one_source(
     photos: tuple[Path, ...], video: Path | None, webcam: int | None
 ) -> tuple[Path, ...] | Path | int:
-    """Photographs, a film's file or a camera's number: whichever the command line gives.
-
-    Raises
-    ------
-    InputError
-        None of them, or more than one.
-    """
+    """Photographs, a film's file or a camera's number: whichever the command line gives."""
     given = [each for each in (photos or None, video, webcam) if each is not None]
     if len(given) != 1:
         raise InputError("give photos, --video or --webcam, and only one of them")
@@ -60,13 +48,7 @@ def one_source(
 
 
 def film_source(video: Path | None, webcam: int | None) -> Path | int:
-    """A film's file or a camera's number: whichever the command line gives.
-
-    Raises
-    ------
-    InputError
-        Neither, or both.
-    """
+    """A film's file or a camera's number: whichever the command line gives."""
     if video is not None and webcam is None:
         return video
     if webcam is not None and video is None:
@@ -80,13 +62,7 @@ def take_care(line: str) -> None:
 
 
 def taken_by_hand(time: str | None, place: str | None, heading: float | None) -> Taken | None:
-    """The capture metadata of ``--time``, ``--place`` and ``--heading``; None without any of them.
-
-    Raises
-    ------
-    InputError
-        No time with a zone, no place, or none on Earth, no heading from 0 to 360 degrees.
-    """
+    """The capture metadata of ``--time``, ``--place`` and ``--heading``, None without any."""
     if time is None and place is None and heading is None:
         return None
     latitude_deg, longitude_deg = (None, None) if place is None else _place(place)

@@ -32,3 +32,9 @@ def sunny_face(azimuth_deg: float, zenith_deg: float, *, seed: int = 3) -> Synth
 def sunny_estimate() -> PhotoEstimate:
     """Of the face under a sun at (40, 50), by the quickest light model, made once a process."""
     return estimate_photo(sunny_face(40.0, 50.0).encoded, light="sh9", device="cpu")
+
+
+@lru_cache(maxsize=1)
+def sky_estimate() -> PhotoEstimate:
+    """Of the same picture by Preetham's sky with its sun."""
+    return estimate_photo(sunny_face(40.0, 50.0).encoded, light="sunsky", device="cpu", workers=1)

@@ -92,6 +92,7 @@ def estimate_folder(
     _ = settings.landmarker  # refuses what cannot be used
     together = _batch(settings, workers, batch)
     facts = settings.facts() | {"keep_place": keep_place}
+    settings_hash = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
     with claimed(out, *(out / folder_name(source) for source in sources)):
         settle(out / SETTINGS, facts)
         entries = read_manifest(out / MANIFEST)
@@ -111,7 +112,7 @@ def estimate_folder(
                 source=source,
                 out=out,
                 settings=settings,
-                settings_hash=_hash(facts),
+                settings_hash=settings_hash,
                 keep_place=keep_place,
             )
             for source in missing
@@ -153,10 +154,6 @@ def _is_finished(photos: Path, source: str, entry: Entry | None, retry_failed: b
     if entry is None or (entry.status == "failed" and retry_failed):
         return False
     return entry.sha256 == photo_hash(photos / source)
-
-
-def _hash(facts: dict[str, object]) -> str:
-    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def time_left_s(seconds: Sequence[float], elapsed_s: float, left: int) -> float:
@@ -221,24 +218,15 @@ class Piece:
             write_results(folder, result(), keep_place=self.keep_place)
             return json.loads((folder / "estimate.json").read_text(encoding="utf-8"))
 
-    def done(self, sha256: str | None, seconds: float, told: dict[str, Any]) -> Entry:
-        """With what its estimate.json says."""
-        return Entry(
-            source=self.source,
-            sha256=sha256,
-            settings=self.settings_hash,
-            status="done",
-            seconds=round(seconds, 3),
-            results=folder_name(self.source),
-            sun=told["sun"],
-            verdict=told["posterior"]["verdict"],
-            advice=told["advice"],
-            versions=told["versions"],
-        )
-
-    def failed(self, sha256: str | None, seconds: float | None, error: str) -> Entry:
-        """With one line that says why."""
-        return Entry(
+    def entry(
+        self,
+        sha256: str | None,
+        seconds: float | None,
+        content: dict[str, Any] | None,
+        error: str = "",
+    ) -> Entry:
+        """Done, with what its estimate.json says, or failed by an error in one line."""
+        entry = Entry(
             source=self.source,
             sha256=sha256,
             settings=self.settings_hash,
@@ -246,14 +234,22 @@ class Piece:
             error=error,
             seconds=None if seconds is None else round(seconds, 3),
         )
+        if content is None:
+            return entry
+        return replace(
+            entry,
+            status="done",
+            results=folder_name(self.source),
+            sun=content["sun"],
+            verdict=content["posterior"]["verdict"],
+            advice=content["advice"],
+            versions=content["versions"],
+        )
 
     def attempt(self, work: Callable[[], T]) -> tuple[T | None, str]:
         """(what ``work`` makes, ""), or (None, the photo's error in one line).
 
-        Raises
-        ------
-        OutputError, AssetError
-            What would be wrong with every photo: a full disk, a damaged installation.
+        What would be wrong with every photo, a full disk or a damaged installation, is raised.
         """
         try:
             return work(), ""
@@ -268,26 +264,18 @@ class Piece:
 
 
 def estimate_one(piece: Piece) -> Entry:
-    """One photo, in a worker: its results, and what the manifest says of it.
-
-    Raises
-    ------
-    OutputError, AssetError
-        As :meth:`Piece.attempt`.
-    """
+    """One photo, in a worker: its results, and what the manifest says of it."""
     begun = time.perf_counter()
     sha256 = photo_hash(piece.path)
-    told, error = piece.attempt(lambda: piece.write(piece.pictures().estimate))
-    seconds = time.perf_counter() - begun
-    if told is None:
-        return piece.failed(sha256, seconds, error)
-    return piece.done(sha256, seconds, told)
+    content, error = piece.attempt(lambda: piece.write(piece.pictures().estimate))
+    return piece.entry(sha256, time.perf_counter() - begun, content, error)
 
 
 def lost(piece: Piece) -> Entry:
     """Of a photo that no worker survived."""
-    return piece.failed(
+    return piece.entry(
         photo_hash(piece.path),
+        None,
         None,
         f"{piece.source}: its workers were killed again and again, so memory may be short: try "
         "again with --retry-failed and fewer workers, or more memory for each",
@@ -326,11 +314,6 @@ def estimate_together(pieces: Sequence[Piece], *, batch: int, workers: int) -> I
 
     Memory: 60 MB for each face of a batch, and what :class:`~skylight.inverse._sky.SkyProblem`
     says, on the device.
-
-    Raises
-    ------
-    OutputError, AssetError
-        As :meth:`Piece.attempt`.
     """
     if not pieces:
         return
@@ -360,7 +343,7 @@ def estimate_together(pieces: Sequence[Piece], *, batch: int, workers: int) -> I
             share = (time.perf_counter() - begun) / len(waiting)
             for one, (light, error) in zip(waiting, lights, strict=True):
                 if light is None:
-                    yield one.piece.failed(one.sha256, one.seconds + share, error)
+                    yield one.piece.entry(one.sha256, one.seconds + share, None, error)
                 else:
                     queue.appendleft((_write, one.piece, _solved(one, share), light))
             waiting = []
@@ -398,7 +381,7 @@ def _observe(piece: Piece, grid_height: int, gloss: bool) -> Entry | Observed:
     found, error = piece.attempt(seen)
     seconds = time.perf_counter() - begun
     if found is None:
-        return piece.failed(sha256, seconds, error)
+        return piece.entry(sha256, seconds, None, error)
     pictures, faces = found
     return Observed(
         piece=piece,
@@ -465,8 +448,6 @@ def _write(piece: Piece, observed: Observed, light: Estimate) -> Entry:
         before = {"left_out": observed.left_out, "seconds": observed.stages}
         return replace(piece.pictures(), **before).result(light, observed.seen)
 
-    told, error = piece.attempt(lambda: piece.write(written))
+    content, error = piece.attempt(lambda: piece.write(written))
     seconds = observed.seconds + time.perf_counter() - begun
-    if told is None:
-        return piece.failed(observed.sha256, seconds, error)
-    return piece.done(observed.sha256, seconds, told)
+    return piece.entry(observed.sha256, seconds, content, error)

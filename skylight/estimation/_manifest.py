@@ -50,11 +50,6 @@ def read_manifest(path: Path) -> dict[str, Entry]:
     """Entries by source; none where there is no file.
 
     A last line that a kill or a full disk cut off does not count.
-
-    Raises
-    ------
-    InputError
-        Another line is damaged; the message says which.
     """
     if not path.exists():
         return {}
@@ -81,13 +76,7 @@ def write_manifest(path: Path, entries: Iterable[Entry]) -> None:
 
 
 def append_entry(path: Path, entry: Entry) -> None:
-    """Add a line, on the disk when this returns.
-
-    Raises
-    ------
-    OutputError
-        The disk does not take it. What was written of it, the next run mends.
-    """
+    """Add a line, on the disk when this returns."""
     try:
         with path.open("a", encoding="utf-8") as file:
             file.write(_line(entry))
@@ -109,11 +98,6 @@ def list_photos(photos: Path, out: Path) -> list[str]:
 
     Left out are hidden ones, and the results of estimates: all in ``out`` where that is inside, and
     whatever lies beside an ``estimate.json``.
-
-    Raises
-    ------
-    InputError
-        There is no such folder, or no picture in it.
     """
     if not photos.is_dir():
         raise InputError(f"{photos}: there is no such folder; give one with pictures")
@@ -141,13 +125,7 @@ def folder_name(source: str) -> str:
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file.
-
-    Raises
-    ------
-    InputError
-        It cannot be read.
-    """
+    """SHA-256 of a file."""
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()

@@ -213,11 +213,6 @@ class Pictures:
         """Each face with its transport on so many rows, of the skin's gloss where that is wanted.
 
         ``rays_on`` is that of :func:`~skylight.faces._observe.observe_face`.
-
-        Raises
-        ------
-        InputError
-            None can be used; the message says why.
         """
         heads, count = HeadModel.load(), 0
         with self.stage(STAGES[2]) as tell:

@@ -2,6 +2,8 @@
 
 import json
 import math
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,7 +15,6 @@ from skylight.cli import main
 from skylight.estimation import _folder as batch
 from skylight.estimation._folder import estimate_folder
 from skylight.estimation._manifest import MANIFEST, Entry, read_manifest
-from skylight.estimation._photos import Pictures
 from skylight.estimation._settings import EstimateSettings
 from skylight.estimation._summary import describe
 from skylight.io._files import read_environment_map
@@ -21,7 +22,8 @@ from skylight.models._names import LightName
 from skylight.sphere._frame import angle_between, direction_from_angles
 from skylight.work._cluster import Cluster
 from skylight.work._resumable import Workers
-from tests.estimation.test_batch import RESULTS
+from tests.estimated import RESULTS
+from tests.sunny_face import sky_estimate, sunny_face
 
 SUNSKY = EstimateSettings(light="sunsky", device="cpu")
 OPTIONS = ["--light", "sunsky", "--device", "cpu", "--workers", "2"]
@@ -33,11 +35,10 @@ SUN_DEG, RADIANCE = 4.0, 0.4
 
 @pytest.fixture(scope="module")
 def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three that go well, of different numbers of pixels, and two that do not."""
+    """Two that go well, of different numbers of pixels, and two that do not."""
     folder = tmp_path_factory.mktemp("photos")
     (folder / "more").mkdir()
-    Image.fromarray(astronaut()[:256, 128:384]).save(folder / "a.png")
-    Image.fromarray(astronaut()[:240, 100:356]).save(folder / "b.jpg", quality=95)
+    Image.fromarray(sunny_face(40.0, 50.0).encoded).save(folder / "a.png")
     small = Image.fromarray(astronaut()[:256, 110:366]).resize((140, 140))
     small.save(folder / "more" / "c.png")
     Image.new("RGB", (64, 64), (200, 120, 40)).save(folder / "no_face.png")
@@ -46,9 +47,17 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def apart(photos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def three(photos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With one more that goes well."""
+    folder = Path(shutil.copytree(photos, tmp_path_factory.mktemp("three") / "photos"))
+    Image.fromarray(astronaut()[:240, 100:356]).save(folder / "b.jpg", quality=95)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def apart(three: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("apart") / "out"
-    assert main(["estimate", str(photos), "--out", str(out), *OPTIONS]) == 0
+    assert main(["estimate", str(three), "--out", str(out), *OPTIONS]) == 0
     return out
 
 
@@ -61,7 +70,6 @@ def test_a_batch_leaves_the_files_and_lines_of_photos_one_by_one(
     lines = read_manifest(out / MANIFEST)
     assert {source: line.status for source, line in lines.items()} == {
         "a.png": "done",
-        "b.jpg": "done",
         "bad.png": "failed",
         "more/c.png": "done",
         "no_face.png": "failed",
@@ -74,9 +82,8 @@ def test_a_batch_leaves_the_files_and_lines_of_photos_one_by_one(
             told = json.loads((out / line.results / "estimate.json").read_text())
             assert line.seconds is not None
             assert line.seconds > sum(told["seconds"].values())
-    line, told = lines["b.jpg"], json.loads((out / "b_jpg" / "estimate.json").read_text())
-    photo = Pictures.of([photos / "b.jpg"], SUNSKY, names=["b.jpg"], workers=1)
-    alone = photo.estimate()
+    line, told = lines["a.png"], json.loads((out / "a_png" / "estimate.json").read_text())
+    alone = replace(sky_estimate(), names=("a.png",))
     expected = json.loads(json.dumps(describe(alone, keep_place=False)))
     assert told.keys() == expected.keys()
     for name in ("sources", "light", "advice", "versions"):
@@ -85,7 +92,7 @@ def test_a_batch_leaves_the_files_and_lines_of_photos_one_by_one(
     off = float(angle_between(sun(line), alone.estimate.sun_direction))
     assert math.degrees(off) < SUN_DEG
     found, light = (
-        read_environment_map(out / "b_jpg" / "probe.exr").radiance,
+        read_environment_map(out / "a_png" / "probe.exr").radiance,
         alone.estimate.environment.radiance,
     )
     assert float((found - light).abs().mean()) < RADIANCE * float(light.mean())
@@ -100,7 +107,7 @@ def sun(line: Entry) -> torch.Tensor:
 
 @pytest.mark.slow
 def test_what_workers_send_loses_nothing(
-    photos: Path,
+    three: Path,
     apart: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -116,7 +123,7 @@ def test_what_workers_send_loses_nothing(
         return solve(observed, model)
 
     monkeypatch.setattr(batch, "_solve", short)
-    estimate_folder(photos, tmp_path, SUNSKY, workers=2, batch=2)
+    estimate_folder(three, tmp_path, SUNSKY, workers=2, batch=2)
     (line,) = {record.getMessage() for record in caplog.records}
     assert "2 photos could not be solved together (RuntimeError: out of memory)" in line
     for path in apart.rglob("*"):
@@ -131,7 +138,7 @@ def test_what_workers_send_loses_nothing(
 
 @pytest.mark.slow
 def test_a_photo_without_a_light_fails_alone(
-    photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    three: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     solve = batch._solve
 
@@ -141,7 +148,7 @@ def test_a_photo_without_a_light_fails_alone(
         return solve(observed, model)
 
     monkeypatch.setattr(batch, "_solve", broken)
-    entries = estimate_folder(photos, tmp_path, SUNSKY, workers=1, batch=3)
+    entries = estimate_folder(three, tmp_path, SUNSKY, workers=1, batch=3)
     assert {entry.source: entry.status for entry in entries} == {
         "a.png": "done",
         "b.jpg": "failed",
@@ -155,7 +162,7 @@ def test_a_photo_without_a_light_fails_alone(
 
 @pytest.mark.slow
 def test_an_interrupt_keeps_what_is_being_written(
-    photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    three: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In the second batch: of the first, what was begun to be written is noted."""
     solved: list[str] = []
@@ -169,7 +176,7 @@ def test_an_interrupt_keeps_what_is_being_written(
 
     monkeypatch.setattr(batch, "_lights", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        estimate_folder(photos, tmp_path, SUNSKY, workers=2, batch=2)
+        estimate_folder(three, tmp_path, SUNSKY, workers=2, batch=2)
     noted = read_manifest(tmp_path / MANIFEST).values()
     done = {line.source for line in noted if line.status == "done"}
     assert done
@@ -178,32 +185,9 @@ def test_an_interrupt_keeps_what_is_being_written(
     assert len(before) == len(done)
     assert not list(tmp_path.rglob(".partial-*"))
     monkeypatch.setattr(batch, "_lights", lights)
-    entries = estimate_folder(photos, tmp_path, SUNSKY, workers=2, batch=2)
+    entries = estimate_folder(three, tmp_path, SUNSKY, workers=2, batch=2)
     assert sum(entry.status == "done" for entry in entries) == 3
     assert all(path.stat().st_mtime_ns == then for path, then in before.items())
-
-
-@pytest.mark.parametrize(
-    ("options", "line"),
-    [
-        (["--batch", "0"], "--batch must be 1 or more, got 0"),
-        (["--batch", "2", "--light", "sh9"], "sh9 is solved photo by photo"),
-        (["--batch", "2", "--cluster", "tcp://there:1"], "contradict each other"),
-    ],
-)
-def test_batches_of_what_cannot_be_solved_together_are_refused(
-    photos: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    options: list[str],
-    line: str,
-) -> None:
-    out = tmp_path / "out"
-    assert main(["estimate", str(photos), "--out", str(out), *options]) == 2
-    assert line in capsys.readouterr().err
-    assert not out.exists()
-    assert main(["estimate", str(photos / "a.png"), "--batch", "2"]) == 2
-    assert "--batch is for a folder" in capsys.readouterr().err
 
 
 def test_a_gpu_solves_many_together_unless_it_cannot(monkeypatch: pytest.MonkeyPatch) -> None:
