@@ -29,7 +29,7 @@ from skylight.io._atomic import atomic_path
 from skylight.io._bounded import json_content
 from skylight.maps._viewer import export_viewer
 from skylight.portrait._files import relit_portrait, shown, taken_apart
-from skylight.portrait._lights import NewLight, light_of_map, light_with_sun_at, turned_light
+from skylight.portrait._lights import NewLight, light_of_map, light_with_sun_at, rotated_light
 from skylight.portrait._relit import Keep
 from skylight.sphere._envmap import luminance
 from skylight.transport._scene import evaluation_scene
@@ -109,7 +109,7 @@ def draw(photo: Path, map_path: Path, strip: Path) -> dict[str, object]:
     lights: list[tuple[NewLight, Keep]] = [
         (light_with_sun_at(estimate, LEFT, ELEVATION), "place"),
         (light_with_sun_at(estimate, RIGHT, ELEVATION), "place"),
-        (turned_light(estimate, 180.0), "place"),
+        (rotated_light(estimate, 180.0), "place"),
         (light_of_map(map_path), "brightness"),
     ]
     portrait = taken_apart(result)

@@ -7,7 +7,7 @@ from ._lights import (
     NewLight as NewLight,
     light_of_map as light_of_map,
     light_with_sun_at as light_with_sun_at,
-    turned_light as turned_light,
+    rotated_light as rotated_light,
 )
 from ._relit import (
     Portrait as Portrait,

@@ -12,6 +12,7 @@ from skylight.errors import InputError
 from skylight.io._atomic import require_place
 from skylight.models._names import LightName
 from skylight.work._device import Device
+from skylight.work._progress import stage_bar
 
 Decoding = tyro.conf.create_mutex_group(required=False)
 NewLight = tyro.conf.create_mutex_group(required=True)
@@ -74,21 +75,18 @@ def relight_portrait(
         raise InputError(f"--ev lies between -16 and 16 stops, got {ev:g}")
     place = None if sun is None else _place(sun)
     from skylight.estimation._photos import estimate_photo
-    from skylight.imaging._photo import read_photo
     from skylight.portrait._files import relit_portrait, write_relit
-    from skylight.portrait._lights import light_of_map, light_with_sun_at, turned_light
-    from skylight.work._progress import stage_bar
+    from skylight.portrait._lights import light_of_map, light_with_sun_at, rotated_light
 
     given = None if under is None else light_of_map(under)
-    picture = read_photo(photo, decode="linear" if linear else gamma)
     with stage_bar() as progress:
         result = estimate_photo(
-            picture,
+            photo,
             light=light,
             model=model,
             face=face,
             device=device,
-            names=[str(photo)],
+            decode="linear" if linear else gamma,
             progress=progress,
         )
         if given is not None:
@@ -97,7 +95,7 @@ def relight_portrait(
             new = light_with_sun_at(result.estimate, *place, strength=strength)
         else:
             assert turn is not None  # one of the three is required
-            new = turned_light(result.estimate, turn)
+            new = rotated_light(result.estimate, turn)
         relit = relit_portrait(
             result,
             new,

@@ -117,11 +117,11 @@ def shown(relit: RelitPortrait) -> UInt8[ndarray, "h w 3"]:
 
 def write_relit(path: Path, relit: RelitPortrait) -> None:
     """A .png (8-bit sRGB, with lines below it where there is a warning) or a linear .exr."""
-    if path.suffix.lower() == ".exr":
+    if path.suffix.lower() == ".png":
+        codes = shown(relit)
+        write_png(path, np.concatenate([codes, _strip(relit.warning, codes.shape[1])]))
+    else:
         write_light(path, torch.from_numpy(relit.picture), header={})
-        return
-    codes = shown(relit)
-    write_png(path, np.concatenate([codes, _strip(relit.warning, codes.shape[1])]))
 
 
 def _strip(text: str, width: int) -> UInt8[ndarray, "h {width} 3"]:

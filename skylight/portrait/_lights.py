@@ -1,5 +1,5 @@
-"""The light that a portrait is put into: a given map, or the light found, turned or with its sun
-moved."""
+"""The light that a portrait is put into: a given map, or the light found, rotated or with its
+sun moved."""
 
 import math
 from dataclasses import dataclass, replace
@@ -59,8 +59,8 @@ def light_of_map(path: Path) -> NewLight:
     return NewLight(environment=environment)
 
 
-def turned_light(estimate: Estimate, turn_deg: float) -> NewLight:
-    """The light found, turned about the vertical: positive angles move it to the right ahead."""
+def rotated_light(estimate: Estimate, turn_deg: float) -> NewLight:
+    """The light found, rotated about the vertical: positive angles move it to the right ahead."""
     return NewLight(environment=light_in_photo(estimate).rotate_azimuth(math.radians(turn_deg)))
 
 

@@ -57,14 +57,7 @@ def filled(
 ) -> Float[ndarray, "h w c"]:
     """What weights of 0 to 1 leave unknown, from its surroundings by push and pull (Gortler et al.
     1996): weighted means of ever larger neighbourhoods, interpolated back where detail lacks.
-
-    Raises
-    ------
-    ValueError
-        Nothing is known.
     """
-    if not weights.any():
-        raise ValueError("no pixel of the picture is known")
     if min(weights.shape) < 2:
         mean = np.average(picture.reshape(-1, picture.shape[2]), 0, weights.reshape(-1))
         return np.where(weights[..., None] > 0, picture, mean)
@@ -331,11 +324,6 @@ def portrait_of(
 
     ``shell`` gives the head a :func:`~skylight.portrait._surface.hair_shell`; ``face_px`` and
     ``workers``: of :meth:`~skylight.portrait._surface.PersonSurface.of`.
-
-    Raises
-    ------
-    InputError
-        None of the face's skin is seen.
     """
     hair = hair_of(photo.pixels, HeadModel.load(), fit)
     person = PersonSurface.of(

@@ -1,7 +1,6 @@
 """Pictures of which some pixels are known."""
 
 import numpy as np
-import pytest
 
 from skylight.portrait._relit import blurred, filled
 
@@ -38,8 +37,3 @@ def test_blurring_ignores_what_has_no_weight() -> None:
     picture[weights == 0] = 1e6
     result = blurred(picture, weights, 3.0)
     np.testing.assert_allclose(result[:, :18], 5.0, rtol=1e-4)
-
-
-def test_nothing_known_is_refused() -> None:
-    with pytest.raises(ValueError, match="known"):
-        filled(np.zeros((4, 4, 1), np.float32), np.zeros((4, 4), np.float32))

@@ -12,7 +12,7 @@ from skylight.inverse._lamp_relighting import LampLight
 from skylight.inverse._result import Estimate, Lamp
 from skylight.io._files import write_environment_map
 from skylight.models._lamps import AMBIENT_PARAMETERS
-from skylight.portrait._lights import ADDED_SUN, light_of_map, light_with_sun_at, turned_light
+from skylight.portrait._lights import ADDED_SUN, light_of_map, light_with_sun_at, rotated_light
 from skylight.portrait._relit import light_in_photo
 from skylight.relight._lamps import split_main_light
 from skylight.sphere._envmap import EnvironmentMap, luminance
@@ -40,8 +40,8 @@ def test_the_light_found_is_in_the_colours_of_the_photograph() -> None:
     )
 
 
-def test_a_turned_light() -> None:
-    light = turned_light(with_map(sunny()), 70.0).environment
+def test_a_rotated_light() -> None:
+    light = rotated_light(with_map(sunny()), 70.0).environment
     sun = light.brightest_direction()
     assert math.degrees(angle_between(sun, direction(110.0, 50.0))) < 1.5
 

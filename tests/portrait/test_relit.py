@@ -1,7 +1,7 @@
 """A portrait taken apart and put together in another light."""
 
 import math
-from functools import lru_cache
+from functools import cache
 
 import cv2
 import numpy as np
@@ -12,7 +12,7 @@ from skylight.errors import InputError
 from skylight.faces._model import Region
 from skylight.faces._observe import SKIN_GLOSS
 from skylight.portrait._relit import MOST_GLOSS, Keep, Portrait, shared_light, upright_irradiance
-from skylight.portrait._surface import BUST, PersonSurface, scaled
+from skylight.portrait._surface import BUST, PersonSurface, Shading, scaled
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.transport._render import render_diffuse
 from tests.sunny_face import direction, sunny_face
@@ -25,33 +25,44 @@ def even(level: float = 1.0, rows: int = 64) -> EnvironmentMap:
     return EnvironmentMap(radiance=torch.full((rows, 2 * rows, 3), level))
 
 
+@cache
 def sunny(azimuth_deg: float, zenith_deg: float) -> EnvironmentMap:
     return even(0.4).with_light(direction(azimuth_deg, zenith_deg), torch.tensor([2.0, 1.8, 1.5]))
 
 
-@lru_cache(maxsize=1)
+@cache
 def person() -> PersonSurface:
     return PersonSurface.of(sunny_face(40.0, 50.0).truth, face_px=40)
 
 
+@cache
+def shade(light: EnvironmentMap) -> Shading:
+    return person().shade(light, SKIN_GLOSS)
+
+
 def image(light: EnvironmentMap, albedo: np.ndarray = ALBEDO) -> np.ndarray:
     """The person by its own model: every pixel of one albedo, with gloss, before black."""
-    shading = person().shade(light, SKIN_GLOSS)
-    lit = torch.from_numpy(albedo) * shading.diffuse + GLOSS * shading.glossy
+    lit = torch.from_numpy(albedo) * shade(light).diffuse + GLOSS * shade(light).glossy
     return person().surface.image(lit).numpy()
 
 
-def portrait(light: EnvironmentMap, picture: np.ndarray | None = None) -> Portrait:
-    seen = image(light) if picture is None else picture
-    height, width = seen.shape[:2]
+def portrait(
+    light: EnvironmentMap, picture: np.ndarray, *, hair: float = 0.0, grey: bool = False
+) -> Portrait:
     return Portrait.of(
-        torch.from_numpy(seen),
+        torch.from_numpy(picture),
         person(),
         light,
         GLOSS,
-        np.zeros((height, width), np.float32),
+        np.full(picture.shape[:2], hair, np.float32),
         (person().region_image() >= 0).astype(np.float32),
+        grey=grey,
     )
+
+
+@cache
+def of_the_model(light: EnvironmentMap) -> Portrait:
+    return portrait(light, image(light))
 
 
 def on_skin() -> np.ndarray:
@@ -61,7 +72,7 @@ def on_skin() -> np.ndarray:
 def test_shading_is_the_reference_renderers() -> None:
     face, light = sunny_face(40.0, 50.0), sunny(-50.0, 40.0)
     one = person()
-    ours = one.shade(light, SKIN_GLOSS)
+    ours = shade(light)
     count = len(one.surface)
     want = render_diffuse(
         one.surface,
@@ -93,7 +104,7 @@ def test_head_and_bust_are_seen_and_the_head_shades_the_bust() -> None:
     above = EnvironmentMap(radiance=torch.zeros(64, 128, 3)).with_light(
         direction(0.0, 1.0), torch.ones(3)
     )
-    lit = person().shade(above, SKIN_GLOSS).diffuse[person().regions == BUST]
+    lit = shade(above).diffuse[person().regions == BUST]
     facing = (person().normals[person().regions == BUST][:, 1] > 0.2).numpy()
     assert (lit[facing, 0] == 0).any()
     assert (lit[facing, 0] > 0.05).any()
@@ -109,9 +120,9 @@ def test_the_same_light_gives_the_same_picture() -> None:
 
 
 @pytest.mark.parametrize("keep", ["nothing", "brightness"])
-def test_a_person_of_the_model_is_relit_as_the_model_is(keep: str) -> None:
+def test_a_person_of_the_model_is_relit_as_the_model_is(keep: Keep) -> None:
     old, new = sunny(50.0, 45.0), sunny(-60.0, 35.0)
-    picture, exposure = portrait(old).under(new, keep=keep)  # type: ignore[arg-type]
+    picture, exposure = of_the_model(old).under(new, keep=keep)
     want = exposure * image(new)
     inner = on_skin()
     error = np.abs(picture - want)[inner].mean() / want[inner].mean()
@@ -120,7 +131,7 @@ def test_a_person_of_the_model_is_relit_as_the_model_is(keep: str) -> None:
     assert unchanged > 0.15
     if keep == "brightness":
         lum = np.array([0.2126, 0.7152, 0.0722])
-        before, after = (person().shade(x, SKIN_GLOSS).diffuse.numpy() for x in (old, new))
+        before, after = (shade(each).diffuse.numpy() for each in (old, new))
         shown = on_skin()[tuple(person().surface.pixels.numpy().T)]
         ratio = (before[shown] @ lum).mean() / (after[shown] @ lum).mean()
         assert exposure == pytest.approx(ratio, rel=0.05)  # of lips, brows and ears as well
@@ -153,8 +164,8 @@ def test_a_moved_light_keeps_the_colour_of_skin_and_what_lies_behind() -> None:
 @pytest.mark.parametrize("keep", ["nothing", "brightness", "place"])
 def test_twice_the_exposure_is_twice_the_picture(keep: Keep) -> None:
     old, new = sunny(50.0, 45.0), sunny(-60.0, 35.0)
-    single, one = portrait(old).under(new, keep=keep)
-    double, two = portrait(old).under(new, 2.0, keep=keep)
+    single, one = of_the_model(old).under(new, keep=keep)
+    double, two = of_the_model(old).under(new, 2.0, keep=keep)
     assert two == 2 * one
     np.testing.assert_array_equal(double, 2 * single)
 
@@ -171,7 +182,7 @@ def test_gloss_is_no_more_than_a_part_of_what_skin_shows() -> None:
     np.testing.assert_allclose(glossy, one.glossy, rtol=1e-5)
     shares = glossy[skin].mean(0) / seen[skin].mean(0)
     assert shares.max() == pytest.approx(MOST_GLOSS, rel=1e-4)
-    assert portrait(light).gloss == GLOSS
+    assert of_the_model(light).gloss == GLOSS
 
 
 def test_what_the_limit_of_gloss_costs_the_darkest_skin() -> None:
@@ -189,7 +200,7 @@ def test_what_the_limit_of_gloss_costs_the_darkest_skin() -> None:
 def test_the_bust_gets_the_ratio_of_smoothed_shadings() -> None:
     """Of clothes as even as the model's own, deep inside the bust: the new shading itself."""
     old, new = even(0.4), sunny(180.0, 50.0)  # from behind the camera
-    picture, _ = portrait(old).under(new)
+    picture, _ = of_the_model(old).under(new)
     inner = cv2.erode((person().region_image() == BUST).astype(np.uint8), np.ones((3, 3))) > 0
     assert inner.sum() > 5
     lit, want = picture[inner].mean(0), image(new)[inner].mean(0)
@@ -201,31 +212,14 @@ def test_the_bust_gets_the_ratio_of_smoothed_shadings() -> None:
 def test_grey_pictures_stay_grey() -> None:
     old, new = sunny(50.0, 45.0), sunny(-60.0, 35.0)
     grey = np.repeat(image(old).mean(-1, keepdims=True), 3, 2)
-    height, width = grey.shape[:2]
-    one = Portrait.of(
-        torch.from_numpy(grey),
-        person(),
-        old,
-        GLOSS,
-        np.zeros((height, width), np.float32),
-        np.ones((height, width), np.float32),
-        grey=True,
-    )
-    picture, _ = one.under(new)
+    picture, _ = portrait(old, grey, grey=True).under(new)
     assert float(np.ptp(picture, axis=2).max()) < 1e-5
 
 
 def test_a_face_all_under_hair_is_refused() -> None:
-    seen = image(even())
+    light = sunny(40.0, 50.0)
     with pytest.raises(InputError, match="no skin"):
-        Portrait.of(
-            torch.from_numpy(seen),
-            person(),
-            even(),
-            GLOSS,
-            np.ones(seen.shape[:2], np.float32),
-            np.ones(seen.shape[:2], np.float32),
-        )
+        portrait(light, image(light), hair=1.0)
 
 
 def test_what_two_lights_share() -> None:

@@ -1,16 +1,15 @@
 """An estimate of a rendered person in the sun, kept as the studio does, and taken apart."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from tempfile import mkdtemp
 
 from PIL import Image
 
-from skylight.estimation._photos import estimate_photo
 from skylight.estimation._summary import PhotoEstimate
 from skylight.studio.tasks._portrait import FILE, command_of, keep_person, take_apart
-from tests.sunny_face import sunny_face
+from tests.sunny_face import sky_estimate, sunny_face
 
 PHOTO = "someone's photo.png"
 
@@ -32,7 +31,7 @@ def apart() -> Apart:
     (folder / "files").mkdir()
     photo = folder / PHOTO
     Image.fromarray(sunny_face(40.0, 50.0).encoded).save(photo)
-    result = estimate_photo(photo, light="sunsky", workers=1)
+    result = replace(sky_estimate(), names=(str(photo),))
     keep_person(folder, result, command_of(PHOTO, "sunsky", 1, None))
     take_apart(str(photo), PHOTO, 10**7, str(folder), str(folder / "files"), tell=lambda *_: None)
     return Apart(result=result, folder=folder, photo=photo, file=folder / "files" / FILE)
