@@ -56,6 +56,7 @@ from skylight.transport._scene import evaluation_scene
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
+    from matplotlib.gridspec import GridSpecBase
     from matplotlib.image import AxesImage
 
 
@@ -151,7 +152,8 @@ def write_report(path: Path, result: PhotoEstimate, *, title: str) -> None:
         rows = figure.add_gridspec(2, 1, height_ratios=(1, 1.5), **_MARGINS, hspace=0.1)
         seen = rows[0].subgridspec(1, 5, wspace=0.06)
         axes = [figure.add_subplot(cell) for cell in seen]
-        _photo(axes[0], photo, result)
+        show(axes[0], photo.encoded, "Photograph")
+        frame_head(axes[0], photo, result.face)
         show(axes[1], _overlay(photo, result), "Head and landmarks")
         image = view.image
         rendered = estimate.faces[0].rendered
@@ -160,23 +162,12 @@ def write_report(path: Path, result: PhotoEstimate, *, title: str) -> None:
         show(axes[3], tone_map(pasted, white=white), "Re-rendered in this light")
         shown = show_residual(axes[4], view, rendered, "Render minus seen")
         _residual_bar(figure, axes[4], shown)
-        found = rows[1].subgridspec(2, 3, width_ratios=(2.9, 0.93, 0.95), wspace=0.06, hspace=0.18)
-        probe = figure.add_subplot(found[:, 0])
-        show_probe(probe, estimate.environment, probe_title(estimate.posterior))
-        draw_region(probe, estimate.posterior, estimate.environment.layout[0])
-        scene = evaluation_scene(SCENE_HEIGHT, SCENE_GRID)
-        matt, metal = relit(scene, estimate.environment)
-        show(figure.add_subplot(found[0, 1]), matt, "Matt objects in this light")
-        show(figure.add_subplot(found[1, 1]), metal, "Metal objects in this light")
-        numbers = figure.add_subplot(found[:, 2])
-        write_numbers(numbers, "In numbers", _numbers(result))
+        _light(
+            figure,
+            rows[1].subgridspec(2, 3, width_ratios=(2.9, 0.93, 0.95), wspace=0.06, hspace=0.18),
+            result,
+        )
         save(figure, path)
-
-
-def _photo(axes: "Axes", photo: Photo, result: PhotoEstimate) -> None:
-    """The whole picture with the face framed."""
-    show(axes, photo.encoded, "Photograph")
-    frame_head(axes, photo, result.face)
 
 
 def _overlay(photo: Photo, result: PhotoEstimate) -> UInt8[np.ndarray, "h w 3"]:
@@ -224,26 +215,6 @@ def _residual_bar(figure: "Figure", axes: "Axes", shown: "AxesImage") -> None:
     inset.tick_params(labelsize=8.5, length=2, pad=1)
 
 
-def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
-    estimate, fit = result.estimate, result.fit
-    azimuth_deg, zenith_deg = angles_deg(estimate.sun_direction)
-    terms = estimate.terms.items()
-    return [
-        ("brightest", where(azimuth_deg, zenith_deg)),
-        ("   azimuth, right of ahead", f"{azimuth_deg:+.0f}°"),
-        ("   zenith angle", f"{zenith_deg:.0f}°"),
-        ("skin albedo", rgb(estimate.albedo)),
-        ("ground albedo", rgb(estimate.ground_albedo)),
-        ("mean residual", f"{100 * estimate.faces[0].residual:.0f} %"),
-        ("pixels used", f"{len(result.view.blocks)}"),
-        ("landmarks off, of eye distance", f"{100 * fit.landmark_error:.1f} %"),
-        ("face turned by", f"{math.degrees(fit.facing_angle_rad):.0f}°"),
-        ("optimisation", estimate.status),
-        *((f"   {name.replace('_', ' ')}, nats", f"{value:.1f}") for name, value in terms),
-        ("seconds", f"{sum(result.seconds.values()):.1f}"),
-    ]
-
-
 ABREAST = 4
 WIDTH, PHOTO_ROW, FACE_ROW, LIGHT_ROW = 16.0, 3.6, 1.8, 6.0  # inches
 
@@ -276,7 +247,19 @@ def write_group_report(path: Path, result: PhotoEstimate, *, title: str) -> None
         parts = figure.add_gridspec(4, 1, height_ratios=(head, *rows), hspace=0, top=1, bottom=0)
         _photos(figure.add_subfigure(parts[1]), result)
         _faces(figure.add_subfigure(parts[2]), result)
-        _light(figure.add_subfigure(parts[3]), result)
+        area = figure.add_subfigure(parts[3])
+        cells = area.add_gridspec(
+            2,
+            3,
+            width_ratios=(2.9, 0.93, 1.15),
+            left=0.02,
+            right=0.98,
+            top=0.93,
+            bottom=0.06,
+            wspace=0.06,
+            hspace=0.18,
+        )
+        _light(area, cells, result)
         save(figure, path)
 
 
@@ -338,48 +321,47 @@ def _faces(area: "SubFigure", result: PhotoEstimate) -> None:
         show_residual(axes[2], seen.view, light.rendered, off)
 
 
-def _light(area: "SubFigure", result: PhotoEstimate) -> None:
-    """The light, things in it, and the numbers."""
+def _light(area: "Figure | SubFigure", cells: "GridSpecBase", result: PhotoEstimate) -> None:
+    """The light, things in it, and the numbers, in two rows of three cells."""
     environment, posterior = result.estimate.environment, result.estimate.posterior
-    found = area.add_gridspec(
-        2,
-        3,
-        width_ratios=(2.9, 0.93, 1.15),
-        left=0.02,
-        right=0.98,
-        top=0.93,
-        bottom=0.06,
-        wspace=0.06,
-        hspace=0.18,
-    )
-    probe = area.add_subplot(found[:, 0])
+    probe = area.add_subplot(cells[:, 0])
     show_probe(probe, environment, probe_title(posterior))
     draw_region(probe, posterior, environment.layout[0])
     matt, metal = relit(evaluation_scene(SCENE_HEIGHT, SCENE_GRID), environment)
-    show(area.add_subplot(found[0, 1]), matt, "Matt objects in this light")
-    show(area.add_subplot(found[1, 1]), metal, "Metal objects in this light")
-    rows = _shared_numbers(result)
+    show(area.add_subplot(cells[0, 1]), matt, "Matt objects in this light")
+    show(area.add_subplot(cells[1, 1]), metal, "Metal objects in this light")
+    rows = _numbers(result)
     pitch = min(0.053, 1 / (len(rows) + 1))
-    write_numbers(area.add_subplot(found[:, 2]), "In numbers", rows, pitch=pitch)
+    write_numbers(area.add_subplot(cells[:, 2]), "In numbers", rows, pitch=pitch)
 
 
-def _shared_numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
-    estimate = result.estimate
+def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
+    estimate, fit = result.estimate, result.fit
     azimuth_deg, zenith_deg = angles_deg(estimate.sun_direction)
-    return [
+    rows = [
         ("brightest", where(azimuth_deg, zenith_deg)),
         ("   azimuth, right of ahead", f"{azimuth_deg:+.0f}°"),
         ("   zenith angle", f"{zenith_deg:.0f}°"),
         ("ground albedo", rgb(estimate.ground_albedo)),
-        *(
+    ]
+    if len(result.seen) == 1:
+        rows += [
+            ("skin albedo", rgb(estimate.albedo)),
+            ("mean residual", f"{100 * estimate.faces[0].residual:.0f} %"),
+            ("pixels used", f"{len(result.view.blocks)}"),
+            ("landmarks off, of eye distance", f"{100 * fit.landmark_error:.1f} %"),
+            ("face turned by", f"{math.degrees(fit.facing_angle_rad):.0f}°"),
+        ]
+    else:
+        rows += [
             (f"skin albedo of face {number}", rgb(face.albedo))
             for number, face in enumerate(estimate.faces, start=1)
-        ),
+        ]
+    terms = estimate.terms.items()
+    return [
+        *rows,
         ("optimisation", estimate.status),
-        *(
-            (f"   {name.replace('_', ' ')}, nats", f"{value:.1f}")
-            for name, value in estimate.terms.items()
-        ),
+        *((f"   {name.replace('_', ' ')}, nats", f"{value:.1f}") for name, value in terms),
         ("seconds", f"{sum(result.seconds.values()):.1f}"),
     ]
 

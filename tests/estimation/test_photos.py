@@ -15,7 +15,9 @@ import torch
 from PIL import ExifTags, Image
 from skimage.data import astronaut, camera
 
+from skylight._options import taken_by_hand
 from skylight.cli import main
+from skylight.errors import InputError
 from skylight.estimation import _settings
 from skylight.estimation._folder import estimate_folder
 from skylight.estimation._photos import Pictures, estimate
@@ -36,16 +38,16 @@ from tests.sunny_face import sunny_estimate, sunny_face
 
 SH9 = EstimateSettings(light="sh9", device="cpu")
 LATITUDE, LONGITUDE = 41.8911, 12.4922
-# the face's sun is 30 degrees right of ahead, 60 from the zenith: the morning when it is so high
-MORNING = datetime(2024, 6, 1, 6, 40, tzinfo=UTC)
+# the face's sun is 40 degrees right of ahead, 50 from the zenith: the morning when it is so high
+MORNING = datetime(2024, 6, 1, 7, 25, tzinfo=UTC)
 PRIVATE = ("2024", "41.8", "12.49", "+02:00")
 
 
 def right_heading_deg() -> float:
     place = Place(latitude_deg=LATITUDE, longitude_deg=LONGITUDE)
     azimuth, zenith = sun_angles(place, [MORNING])
-    assert float(zenith[0]) == pytest.approx(1.05, abs=0.05)  # 60 degrees
-    return (float(azimuth[0]) * 57.29578 - 30) % 360
+    assert float(zenith[0]) == pytest.approx(0.87, abs=0.05)  # 50 degrees
+    return (float(azimuth[0]) * 57.29578 - 40) % 360
 
 
 def photo(path: Path, **tags: Any) -> Path:
@@ -66,7 +68,7 @@ def photo(path: Path, **tags: Any) -> Path:
         (gps if name.startswith("GPS") else inner)[
             (ExifTags.GPS if name.startswith("GPS") else ExifTags.Base)[name]
         ] = value
-    Image.fromarray(sunny_face(30.0, 60.0).encoded).save(path, exif=data, quality=95)
+    Image.fromarray(sunny_face(40.0, 50.0).encoded).save(path, exif=data, quality=95)
     return path
 
 
@@ -156,57 +158,44 @@ def test_what_is_said_by_hand_overrules(
 
 
 def test_bad_exif_is_left_out_with_a_line(tmp_path: Path) -> None:
-    """By the command, which keeps what is known of the place on request."""
     path = photo(
         tmp_path / "a.jpg",
         DateTimeOriginal="2024:13:01 10:00:00",
         GPSLatitude=(95.0, 0.0, 0.0),
         GPSImgDirection=720.0,
     )
-    content = estimated(path, "--keep-place")
-    assert content["posterior"]["clock_wrong"] is None
-    assert content["taken"]["latitude_deg"] is None
-    lines = [line for line in content["advice"] if "impossible and was ignored" in line]
+    pictures, known = Pictures.of([path], SH9), sunny_estimate()
+    assert pictures.sun_prior is None
+    assert pictures.taken.latitude_deg is None
+    advice = pictures.result(known.estimate, known.seen).estimate.advice
+    lines = [line for line in advice if "impossible and was ignored" in line]
     assert len(lines) == 3
 
 
 def test_half_of_what_is_needed_by_hand() -> None:
     taken = Taken(time=datetime(2024, 6, 1, 10, tzinfo=UTC))
-    pictures = Pictures.of([photo_from_codes(sunny_face(30.0, 60.0).encoded)], SH9, taken=taken)
+    pictures = Pictures.of([photo_from_codes(sunny_face(40.0, 50.0).encoded)], SH9, taken=taken)
     assert [line for line in pictures.notes if "without the picture's place" in line]
     assert pictures.sun_prior is None
 
 
 @pytest.mark.parametrize(
-    ("options", "what"),
+    ("time", "place", "heading", "what"),
     [
-        (("--time", "yesterday"), "is no time"),
-        (("--time", "2024-06-01T10:00"), "no time zone"),
-        (("--time", "2024-13-01T10:00Z"), "is no time"),
-        (("--place", "Rome"), "is no place"),
-        (("--place", "95,0"), "latitude 95"),
-        (("--place", "41,12,3"), "is no place"),
-        (("--heading", "720"), "heading 720"),
+        ("yesterday", None, None, "is no time"),
+        ("2024-06-01T10:00", None, None, "no time zone"),
+        ("2024-13-01T10:00Z", None, None, "is no time"),
+        (None, "Rome", None, "is no place"),
+        (None, "95,0", None, "latitude 95"),
+        (None, "41,12,3", None, "is no place"),
+        (None, None, 720.0, "heading 720"),
     ],
 )
-def test_bad_facts_by_hand_end_in_one_line(
-    options: tuple[str, ...],
-    what: str,
-    taken_photo: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+def test_bad_facts_by_hand_are_refused(
+    time: str | None, place: str | None, heading: float | None, what: str
 ) -> None:
-    out = tmp_path / "out"
-    assert main(["estimate", str(taken_photo), *options, "--out", str(out)]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert what in line
-    assert not out.exists()
-
-
-def test_a_folder_has_no_one_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["--time", "2024-06-01T10:00Z"]
-    assert main(["estimate", str(tmp_path), *options, "--out", str(tmp_path / "out")]) == 2
-    assert "is a folder" in capsys.readouterr().err
+    with pytest.raises(InputError, match=what):
+        taken_by_hand(time, place, heading)
 
 
 @pytest.mark.slow
@@ -244,7 +233,7 @@ def test_from_python(taken_photo: Path) -> None:
         longitude_deg=LONGITUDE,
         heading_deg=right_heading_deg(),
     )
-    codes = photo_from_codes(sunny_face(30.0, 60.0).encoded)
+    codes = photo_from_codes(sunny_face(40.0, 50.0).encoded)
     said, recorded = Pictures.of([codes], SH9, taken=by_hand), Pictures.of([taken_photo], SH9)
     assert said.sun_prior is not None
     assert recorded.sun_prior is not None
@@ -264,7 +253,14 @@ def likeness(one: EnvironmentMap, other: EnvironmentMap) -> float:
 
 
 def test_an_ear_that_was_taken_for_a_face_is_called_so() -> None:
-    found = estimate(np.repeat(camera()[..., None], 3, axis=2), light="sh9")
+    """Its head, in place of that of an estimate."""
+    pictures, known = (
+        Pictures.of([np.repeat(camera()[..., None], 3, axis=2)], SH9),
+        sunny_estimate(),
+    )
+    ((one, fit),) = pictures.fit_heads()
+    ear = replace(known.seen[0], face=one.face, fit=fit)
+    found = pictures.result(known.estimate, [ear]).estimate
     assert found.posterior.verdict == "unreliable: hardly a face"
     (line,) = [line for line in found.advice if "hardly a face" in line]
     assert "% of the eyes' distance off the head" in line

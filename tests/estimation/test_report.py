@@ -10,13 +10,12 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
-from skimage.data import astronaut
 
 from skylight.estimation import _report as report
-from skylight.estimation._photos import estimate_photo
 from skylight.estimation._report import write_report
 from skylight.estimation._summary import PhotoEstimate
 from skylight.sphere._envmap import EnvironmentMap
+from tests.sunny_face import sunny_estimate
 
 ROW, COLUMN = 20, 100  # the brightest pixel of 64 x 128
 ADVICE = "the light is unreliable"
@@ -25,7 +24,7 @@ ADVICE = "the light is unreliable"
 @pytest.fixture(scope="module")
 def result() -> PhotoEstimate:
     """A face in the light of one pixel, every third of its pixels over-exposed."""
-    found = estimate_photo(astronaut()[:256, 100:356], light="sh9")
+    found = sunny_estimate()
     radiance = torch.full((64, 128, 3), 0.1)
     radiance[ROW, COLUMN] = 50.0
     environment = EnvironmentMap(radiance=radiance)

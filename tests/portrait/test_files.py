@@ -43,7 +43,7 @@ def test_the_sun_goes_to_the_other_side(
     photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "left.png"
-    arguments = ["relight-portrait", str(photo), "--light", "sunsky", "--out", str(out)]
+    arguments = ["relight-portrait", str(photo), "--light", "sh9", "--out", str(out)]
     assert main([*arguments, "--sun=-60,40"]) == 0
     said = capsys.readouterr()
     assert "verdict" in said.out
