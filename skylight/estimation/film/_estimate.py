@@ -5,7 +5,7 @@ What following the person found is kept between runs, beside the results.
 
 import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -43,7 +43,6 @@ from skylight.work._resumable import results_folder
 FOLLOWING = "following"  # the folder in that of the results
 
 
-LONGEST_S = 600.0
 FOLLOWED_A_SECOND = 10.0
 _OPTIONS = ("light", "model", "face", "decode", "ground")  # others are for photographs
 MOST_SIDE = 1920
@@ -204,14 +203,11 @@ def followed_film(
     tell = progress or (lambda _stage, _share: None)
     kept = out / FOLLOWING
     if not (kept / FOLLOWED).exists():
-        frames = len(_frame_files(source)) if source.is_dir() else None
-        length_s = told_length_s(source) if frames is None else frames / settings.rate
-        if length_s is not None:
-            _require_short(source, length_s)
+        sources, length_s = _sources(source, settings)
         face = settings.estimate.face
         assert isinstance(face, int)
         found = follow(
-            _sources(source, settings),
+            sources,
             str(source),
             MediaPipeLandmarker(),
             face=face,
@@ -227,25 +223,20 @@ def followed_film(
     return read_followed(kept)
 
 
-def _require_short(source: Path, length_s: float) -> None:
-    if length_s > LONGEST_S:
-        raise InputError(
-            f"{source}: it is {length_s / 60:.0f} minutes long, and at most "
-            f"{LONGEST_S / 60:.0f} are followed; cut out the part that shows the person"
-        )
+def _sources(source: Path, settings: FilmSettings) -> tuple[Iterator[Source], float | None]:
+    """At most :data:`FOLLOWED_A_SECOND`, and how long the film is, where its header tells.
+
+    Of a folder in the order of the files' names.
+    """
+    if source.is_dir():
+        files = _frame_files(source)
+        return _of_folder(files, settings), len(files) / settings.rate
+    frames = film_frames(source, most_a_second=FOLLOWED_A_SECOND, most_side=MOST_SIDE)
+    return (Source(frame=frame) for frame in frames), told_length_s(source)
 
 
-def _sources(source: Path, settings: FilmSettings) -> Iterator[Source]:
-    """At most :data:`FOLLOWED_A_SECOND`; of a folder in the order of the files' names."""
-    if not source.is_dir():
-        frames = film_frames(source, most_a_second=FOLLOWED_A_SECOND, most_side=MOST_SIDE)
-        for frame in frames:
-            _require_short(source, frame.time_s)  # headers may tell less than there is
-            yield Source(frame=frame)
-        return
-    files = _frame_files(source)
-    step = max(1, round(settings.rate / FOLLOWED_A_SECOND))
-    for number in range(0, len(files), step):
+def _of_folder(files: Sequence[Path], settings: FilmSettings) -> Iterator[Source]:
+    for number in range(0, len(files), max(1, round(settings.rate / FOLLOWED_A_SECOND))):
         codes = read_photo(files[number], decode=settings.estimate.decode).encoded
         frame = FilmFrame(number=number, time_s=number / settings.rate, codes=codes)
         yield Source(frame=frame, file=files[number])

@@ -30,6 +30,7 @@ from skylight.work._progress import Progress
 
 FOLLOWED = "followed.safetensors"  # what was found, kept between runs
 _FACTS = "facts"
+LONGEST_S = 600.0
 LEAST_PRESENCE = 0.5
 _WEAKEST_SHARE = 0.9  # of the likeliest face's presence
 _LOOK_EVERY = 5  # frames, while there is no face: the detector takes five times as long
@@ -103,10 +104,12 @@ def follow(
     """Follow face number ``face`` (1 is the largest) of the first frame that has one.
 
     At most ``most`` keyframes. Of several shots the one in which a face is seen longest is kept.
-    ``duration_s`` is the film's, for ``progress``.
+    ``duration_s`` is the film's, where its header tells; :data:`LONGEST_S` at most.
     """
+    _require_short(name, duration_s or 0.0)
     following: _Following | None = None
     for source in sources:
+        _require_short(name, source.frame.time_s)  # headers may tell less than there is
         if following is None:
             following = _Following(source, name, landmarker, face, most)
         else:
@@ -116,6 +119,14 @@ def follow(
     if following is None:
         raise InputError(f"{name}: it holds no pictures; record it again")
     return following.end()
+
+
+def _require_short(name: str, length_s: float) -> None:
+    if length_s > LONGEST_S:
+        raise InputError(
+            f"{name}: it is {length_s / 60:.0f} minutes long, and at most "
+            f"{LONGEST_S / 60:.0f} are followed; cut out the part that shows the person"
+        )
 
 
 class _Following:
