@@ -94,6 +94,8 @@ class TestResults:
         assert face["landmarker"] == "mediapipe"
         assert face["landmark_score"] > 0
         assert "onnxruntime" in told["versions"]
+        assert told["taken"]["latitude_deg"] == pytest.approx(41.89)  # of EXIF data, on request
+        assert told["taken"]["time"].startswith("2024-06-01T14:30")
         assert 0 < min(face["albedo"]) < max(face["albedo"]) < 1
 
     def test_both_maps_hold_the_same_light(self, results: Path) -> None:
