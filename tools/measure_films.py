@@ -30,7 +30,13 @@ import torch
 
 from skylight.errors import InputError
 from skylight.estimation._photos import estimate_photo
-from skylight.estimation.film._estimate import FilmEstimate, FilmSettings, estimate_film, followed_film
+from skylight.estimation._settings import EstimateSettings
+from skylight.estimation.film._estimate import (
+    FilmEstimate,
+    FilmSettings,
+    estimate_film,
+    followed_film,
+)
 from skylight.estimation.film._light import SHARE_OF_START
 from skylight.io._atomic import atomic_path
 from skylight.io._files import write_png
@@ -96,7 +102,7 @@ def measure(folder: Path, truth: FilmTruth, every: int) -> dict[str, float]:
     clock = _Clock()
     film = estimated(folder, truth, count, clock)
     begun = _processor_s()
-    single = FilmSettings(rate=RATE, keyframes=1, device="cpu")
+    single = FilmSettings(estimate=EstimateSettings(device="cpu"), rate=RATE, keyframes=1)
     followed_film(folder, _emptied(folder, 1), single)
     followed_s = _processor_s() - begun
     assert truth.light.sun is not None
@@ -152,7 +158,8 @@ def _emptied(folder: Path, keyframes: int) -> Path:
 
 
 def estimated(folder: Path, truth: FilmTruth, keyframes: int, clock: _Clock) -> FilmEstimate:
-    settings = FilmSettings(rate=RATE, keyframes=keyframes, device="cpu")
+    on_cpu = EstimateSettings(device="cpu")
+    settings = FilmSettings(estimate=on_cpu, rate=RATE, keyframes=keyframes)
     return estimate_film(folder, _emptied(folder, keyframes), settings, clock)
 
 

@@ -1,9 +1,10 @@
-"""The photographs to try: scikit-image's pixels, estimated by the demonstration as they are."""
+"""The demonstration: its scores, and scikit-image's photographs, estimated as they are."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from jaxtyping import UInt8
 from numpy import ndarray
 from PIL import Image
@@ -11,6 +12,7 @@ from skimage.data import astronaut, camera
 
 from skylight.estimation import _demo as demo
 from skylight.estimation._examples import EXAMPLES
+from skylight.sphere._envmap import EnvironmentMap
 
 
 def test_they_have_the_pixels_of_their_source() -> None:
@@ -33,3 +35,15 @@ def test_the_demonstration_estimates_them(tmp_path: Path, monkeypatch: pytest.Mo
     for example, (title, codes) in zip(EXAMPLES, seen, strict=True):
         assert title == f"{example.name} ({example.author})"
         assert np.array_equal(codes, example.codes())
+
+
+@pytest.mark.parametrize("rows", [64, 128])
+def test_an_estimate_on_any_rows_is_scored_on_those_of_the_truth(rows: int) -> None:
+    def lit_from(rows: int, level: float) -> EnvironmentMap:
+        radiance = torch.full((rows, 2 * rows, 3), level)
+        radiance[: rows // 2] *= 3
+        return EnvironmentMap(radiance=radiance)
+
+    right = demo.score(lit_from(rows, 0.2), lit_from(64, 0.2))
+    assert right["rmse"] < 1e-3
+    assert demo.score(lit_from(rows, 0.3), lit_from(64, 0.2))["rmse"] > 0.1
