@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from skylight.csc._names import BuiltinName
+from skylight._names import BuiltinName
 from skylight.errors import InputError
 from skylight.io._tensors import read_tensors, write_tensors
 from skylight.sphere import _harmonics as harmonics, _lobes as lobes

@@ -14,9 +14,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import max_pool2d, pad
 
+from skylight._names import Sign
 from skylight.csc._code import CodeTensors
 from skylight.csc._least_squares import ActiveSet, Quadratic
-from skylight.csc._names import Sign
 from skylight.csc._search import Atom, Found, Query, Search, Values
 from skylight.csc._sub_dictionaries import Part, part_of
 from skylight.errors import InputError

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 from tyro.conf import Positional
 
+from skylight._names import HeadName, LandmarkerName
 from skylight._options import take_care, taken_by_hand, who_works
 from skylight.errors import InputError, SkylightError
-from skylight.faces._names import HeadName, LandmarkerName
 from skylight.models._names import LightName, SolverName
 from skylight.work._device import Device
 from skylight.work._progress import ProgressForm, stage_bar

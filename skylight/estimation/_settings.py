@@ -11,9 +11,9 @@ from typing import TypedDict
 
 import torch
 
+from skylight._names import HeadName, LandmarkerName, WhichFaces
 from skylight.faces._landmarkers import choose_landmarker
 from skylight.faces._landmarks import FaceLandmarker
-from skylight.faces._names import HeadName, LandmarkerName, WhichFaces
 from skylight.imaging._colour import Decode
 from skylight.inverse._estimate import Model, bundle_of, light_problems
 from skylight.inverse._problem import LightProblem

@@ -17,6 +17,7 @@ import torch
 from jaxtyping import Float
 from numpy import ndarray
 
+from skylight._names import HeadName
 from skylight.errors import InputError
 from skylight.faces._landmarks import DetectedFace
 from skylight.faces._model import (
@@ -27,7 +28,6 @@ from skylight.faces._model import (
     correspondence,
     slid_landmarks,
 )
-from skylight.faces._names import HeadName
 from skylight.imaging._photo import Photo
 from skylight.transport._cameras import Camera
 

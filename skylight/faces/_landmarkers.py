@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
+from skylight._names import LandmarkerName
 from skylight.errors import AssetError, InputError, not_installed
 from skylight.faces._landmarks import DetectedFace, FaceLandmarker
 from skylight.faces._mediapipe import MediaPipeLandmarker
-from skylight.faces._names import LandmarkerName
 
 WEAKEST_SHARE = 0.15
 WEAKEST_SCORE = -0.3  # of dlib's detector, whose faces have 0 and more

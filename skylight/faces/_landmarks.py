@@ -9,8 +9,8 @@ from zipfile import BadZipFile
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from skylight._names import LandmarkerName, WhichFaces
 from skylight.errors import AssetError, InputError
-from skylight.faces._names import LandmarkerName, WhichFaces
 from skylight.imaging._photo import Photo
 from skylight.work._progress import Progress
 

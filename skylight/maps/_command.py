@@ -7,9 +7,8 @@ from typing import Annotated, Literal
 import tyro
 from tyro.conf import Positional
 
-from skylight.csc._names import Sign
+from skylight._names import Convention, Projection, Sign
 from skylight.errors import InputError
-from skylight.sphere._names import Convention, Projection
 from skylight.work._device import Device
 
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import torch
 
+from skylight._names import Convention, Projection
 from skylight.errors import InputError
 from skylight.io._files import read_environment_map, read_light, write_environment_map, write_light
-from skylight.sphere._names import Convention, Projection
 from skylight.sphere._projections import from_latlong, to_latlong
 
 # rows of each picture over those of a lat-long map with as much detail at the horizon

@@ -9,13 +9,13 @@ from typing import Any
 
 import torch
 
+from skylight._names import Convention
 from skylight.errors import InputError
 from skylight.inverse._result import Lamp
 from skylight.io._bounded import json_content
 from skylight.io._files import read_environment_map
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import direction_from_angles
-from skylight.sphere._names import Convention
 
 NUMBERS, MAP = "estimate.json", "probe.exr"
 LARGEST = 1e15  # beyond every number of an estimate, and products of several are finite

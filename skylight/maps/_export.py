@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from jaxtyping import UInt8
 
+from skylight._names import Convention, HarmonicConvention, LightTarget
 from skylight.errors import InputError
 from skylight.faces._observe import SKIN_GLOSS
 from skylight.imaging._colour import tone_map
@@ -21,7 +22,6 @@ from skylight.imaging._photo import read_photo
 from skylight.inverse._result import Lamp
 from skylight.io._hdr import RGBE_MAX
 from skylight.maps._estimated import head_file, picked, read_light, read_numbers
-from skylight.maps._names import LightTarget
 from skylight.relight._blender import PortraitScene, write_blender, write_blender_scene
 from skylight.relight._gltf import LAST_SIZE, write_gltf
 from skylight.relight._harmonics import (
@@ -33,7 +33,6 @@ from skylight.relight._lamps import split_main_light, without_lamps
 from skylight.relight._scenes import write_mitsuba, write_usd
 from skylight.skies._sun import SUN_RADIUS_RAD
 from skylight.sphere._envmap import EnvironmentMap
-from skylight.sphere._names import Convention, HarmonicConvention
 from skylight.work._resumable import results_folder
 
 WHOLE = {"sh", "ar"}  # targets that have no lights of an artist's own to move

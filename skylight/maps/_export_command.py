@@ -8,8 +8,7 @@ from typing import Annotated, Literal
 import tyro
 from tyro.conf import Positional
 
-from skylight.maps._names import LightTarget
-from skylight.sphere._names import Convention, HarmonicConvention
+from skylight._names import Convention, HarmonicConvention, LightTarget
 
 export = tyro.extras.SubcommandApp()
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import torch
 
+from skylight._names import Convention
 from skylight.errors import InputError
 from skylight.inverse._scores import SCALE_FREE, Scores, score_maps
 from skylight.io._atomic import atomic_path
@@ -16,7 +17,6 @@ from skylight.io._bounded import write_json
 from skylight.io._files import read_environment_map, visible_files
 from skylight.io._hdr import SUFFIXES
 from skylight.sphere._envmap import EnvironmentMap
-from skylight.sphere._names import Convention
 from skylight.work._progress import Progress
 
 COMPARED_ROWS = 64  # of the thesis' probes; larger maps are averaged down to it

@@ -11,10 +11,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from skylight._figures import STYLE, save, show, white_of, write_numbers
+from skylight._names import BuiltinName, Sign
 from skylight.csc._code import SparseCode
 from skylight.csc._coder import SphericalSparseCoder, coder_for
 from skylight.csc._greedy import PursuitOptions
-from skylight.csc._names import BuiltinName, Sign
 from skylight.csc._sub_dictionaries import BoxDictionary
 from skylight.errors import InputError
 from skylight.imaging._colour import linear_to_srgb, tone_map

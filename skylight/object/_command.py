@@ -6,8 +6,8 @@ from typing import Annotated
 import tyro
 from tyro.conf import Positional
 
+from skylight._names import ObjectLightName
 from skylight._options import take_care
-from skylight.object._names import ObjectLightName
 from skylight.work._device import Device
 
 Decoding = tyro.conf.create_mutex_group(required=False)

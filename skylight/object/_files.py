@@ -24,13 +24,13 @@ from skylight._figures import (
     white_of,
     write_numbers,
 )
+from skylight._names import ObjectLightName
 from skylight.csc._positions import Positions
 from skylight.errors import InputError
 from skylight.imaging._colour import tone_map
 from skylight.imaging._photo import Photo
 from skylight.io._bounded import write_json
 from skylight.io._files import opened_picture, write_probe
-from skylight.object._names import ObjectLightName
 from skylight.object._problem import ObjectLight, estimate_object_light
 from skylight.object._view import ObjectMaterial, ObjectView, observe_object
 from skylight.sphere._envmap import EnvironmentMap, luminance

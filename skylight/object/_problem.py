@@ -11,6 +11,7 @@ from jaxtyping import Float
 from scipy.optimize import nnls
 from torch import Tensor
 
+from skylight._names import OBJECT_LIGHTS, ObjectLightName
 from skylight.csc._code import CodeTensors, SparseCode
 from skylight.csc._coder import SphericalSparseCoder
 from skylight.csc._dictionary import FilterBank, builtin
@@ -22,7 +23,6 @@ from skylight.inverse._harmonic import nonnegative_harmonics
 from skylight.inverse._problem import require_observations
 from skylight.inverse._result import Lamp
 from skylight.object._lamps import ObjectLamps, lamps_of_objects, thinned
-from skylight.object._names import OBJECT_LIGHTS, ObjectLightName
 from skylight.object._view import GRID_HEIGHT, ObjectMaterial, shading
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import EnvironmentMap

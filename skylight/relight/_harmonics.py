@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skylight._names import HarmonicConvention
 from skylight.imaging._colour import linear_to_srgb, srgb_to_linear
 from skylight.inverse._result import Lamp
 from skylight.io._bounded import write_json
@@ -20,7 +21,6 @@ from skylight.io._files import write_environment_map, write_light
 from skylight.relight._lamps import colour_and_strength, split_main_light
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._harmonics import project, to_convention
-from skylight.sphere._names import HarmonicConvention
 from skylight.sphere._projections import FACES, cube_faces
 
 HARMONICS = "sh27.json"

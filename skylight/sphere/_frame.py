@@ -22,8 +22,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skylight._names import Convention
 from skylight.errors import InputError
-from skylight.sphere._names import Convention
 
 # Azimuth (ours, in turns) seen by the *centre* of a lat-long image written in each convention.
 # openexr  ImfEnvmap.h: longitude 0 (centre) is +Z, longitude pi/2 (left of it) is +X.

@@ -50,9 +50,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from skylight._names import HarmonicConvention
 from skylight.errors import InputError
 from skylight.sphere._frame import DirectionGrid
-from skylight.sphere._names import HarmonicConvention
 
 ProjectionMethod = Literal["solid_angle", "quadrature", "least_squares"]
 WindowKind = Literal["hann", "lanczos"]

@@ -43,6 +43,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from skylight._names import Projection
 from skylight.errors import InputError
 from skylight.sphere._envmap import EnvironmentMap, bilinear
 from skylight.sphere._frame import (
@@ -50,7 +51,6 @@ from skylight.sphere._frame import (
     direction_from_angles,
     pixel_from_direction,
 )
-from skylight.sphere._names import Projection
 
 _ASPECTS: dict[Projection, tuple[int, int]] = {
     "latlong": (1, 2),

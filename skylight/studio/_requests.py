@@ -5,7 +5,7 @@ from typing import Annotated, Literal, get_args
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field
 
-from skylight.csc._names import BuiltinName
+from skylight._names import BuiltinName
 from skylight.models._names import DEFAULT_LIGHT, LightName
 
 LIGHTS: dict[LightName, str] = {

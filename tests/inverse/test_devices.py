@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from skylight._names import ObjectLightName
 from skylight.inverse import _estimate as entry
 from skylight.inverse._descent import Round
 from skylight.inverse._estimate import estimate_each, estimate_light, light_problems
@@ -13,7 +14,6 @@ from skylight.inverse._problem import solve
 from skylight.inverse._result import Estimate
 from skylight.inverse._sky import SkyProblem, SolverOptions
 from skylight.object import _problem as of_object
-from skylight.object._names import ObjectLightName
 from skylight.object._problem import ObjectLight, estimate_object_light
 from skylight.object._view import ObjectMaterial
 from skylight.transport._render import Specular

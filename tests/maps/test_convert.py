@@ -6,10 +6,10 @@ from typing import get_args
 import pytest
 import torch
 
+from skylight._names import Convention
 from skylight.cli import main
 from skylight.io._files import read_environment_map, read_light, write_environment_map
 from skylight.sphere._envmap import EnvironmentMap
-from skylight.sphere._names import Convention
 
 
 @pytest.mark.parametrize("convention", get_args(Convention))

@@ -9,12 +9,12 @@ import pytest
 import torch
 
 from skylight._figures import describe_lamps
+from skylight._names import LightTarget
 from skylight.cli import main
 from skylight.io._bounded import write_json
 from skylight.io._files import read_environment_map, read_light, write_environment_map
 from skylight.maps._estimated import read_light as read_given
 from skylight.maps._export import default_face
-from skylight.maps._names import LightTarget
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import convert_latlong
 from skylight.sphere._harmonics import project, to_convention
