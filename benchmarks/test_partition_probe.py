@@ -11,7 +11,6 @@ from skylight.probes.partitions.relight._composite import Relighting, TurningRel
 from skylight.probes.partitions.relight._scene import Scene
 from skylight.probes.partitions.relight._transfer import (
     TransferCoefficients,
-    TurningCoefficients,
     transfer_coefficients,
 )
 
@@ -56,7 +55,7 @@ def test_relight_many_vertices(benchmark) -> None:
 def test_relight_many_vertices_turned(benchmark) -> None:
     """The same at any angle, by a spline through 24: four times the coefficients are read."""
     values = torch.rand(24, VERTICES, 14, 3, generator=torch.Generator().manual_seed(0))
-    relighting = TurningRelighting(TurningCoefficients(values=values, orders=torch.ones(1)))
+    relighting = TurningRelighting(TransferCoefficients(values=values, orders=torch.ones(1)))
     del values
     light = torch.rand(1, 14, 3, generator=torch.Generator().manual_seed(1))
     with torch.no_grad():

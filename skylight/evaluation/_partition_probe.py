@@ -56,11 +56,15 @@ from skylight.imaging._colour import tone_map
 from skylight.imaging._metrics import shading_metrics
 from skylight.io._files import INDEX_NAME, read_categories, read_environment_map, write_png
 from skylight.probes.partitions._cells import Cells
-from skylight.probes.partitions._optimise import SearchSettings, named_design
+from skylight.probes.partitions._optimise import (
+    Optimised,
+    SearchSettings,
+    named_design,
+    optimise_for,
+)
 from skylight.probes.partitions._probe import PartitionProbe
 from skylight.probes.partitions._seeds import ProbeDesign
 from skylight.probes.partitions._sun_path import read_maps
-from skylight.probes.partitions._tailored import Optimised, optimise_for
 from skylight.probes.partitions.relight._composite import Relighting
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import angles_from_direction, rotation_about
@@ -332,7 +336,7 @@ def _turns(design: ProbeDesign, count: int) -> tuple[ProbeDesign, ...]:
         return (design,)
     up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
     angles = [math.pi / 2 * (k + k / count) for k in range(count)]
-    return (design, *(design.turned(rotation_about(up, angle)) for angle in angles[1:]))
+    return (design, *(design.rotated(rotation_about(up, angle)) for angle in angles[1:]))
 
 
 @cache

@@ -54,16 +54,10 @@ class ProbeCapture:
     disagreement: Float[Tensor, " n"]
 
     def __post_init__(self) -> None:
-        n = len(self.shading)
-        if self.shading.shape != (n, 3) or any(
-            each.shape != (n,)
-            for each in (self.area_px, self.clipped, self.saturated, self.disagreement)
-        ):
-            raise InputError("a capture's rows must be one for each cell, with three colours")
         for values in (self.shading, self.area_px, self.clipped):
             if not bool((values.isfinite() & (values >= 0)).all()):
                 raise InputError("a capture's numbers must be finite and 0 or more")
-        if self.albedo.shape != (3,) or not bool(((self.albedo > 0) & (self.albedo <= 1)).all()):
+        if not bool(((self.albedo > 0) & (self.albedo <= 1)).all()):
             raise InputError("a kernel's albedo is three numbers above 0 and at most 1")
 
     @staticmethod
@@ -110,12 +104,8 @@ def complete_shading(
     """The shading with that of unknown cells filled in, from the smoothest light.
 
     Of known cells ``pi s_i / rho_i = (A L)_i``; the radiance L of each other cell is the mean of
-    its neighbours' (a discrete Laplace equation). Known shading is returned as it was.
-
-    Raises
-    ------
-    InputError
-        Less than half of the cells are known.
+    its neighbours' (a discrete Laplace equation). Known shading is returned as it was; half of the
+    cells must be known.
     """
     count, n = int(known.sum()), probe.cells.count
     if 2 * count < n:

@@ -102,7 +102,7 @@ class Tessellation:
         far = torch.where(starts_above, from_end, from_start)
         angle = length[arc]
         lit[row, arc] = torch.atan2(far * torch.sin(angle), near + far * torch.cos(angle))
-        across, along = _tangents(normals)
+        across, along = tangents(normals)
         x, y = across @ self.vertices.T, along @ self.vertices.T
         crossing = torch.atan2(
             from_start * y[row, start] + from_end * y[row, end],
@@ -137,7 +137,7 @@ def voronoi(seeds: Float[Tensor, "s 3"]) -> Tessellation:
     np.add.at(vertices, kind, diagram.vertices)
     vertices = torch.from_numpy(vertices / np.linalg.norm(vertices, axis=1, keepdims=True))
     polygons = []
-    for region, across, along in zip(diagram.regions, *_tangents(seeds), strict=True):
+    for region, across, along in zip(diagram.regions, *tangents(seeds), strict=True):
         corners = torch.from_numpy(np.unique(kind[region])).long()
         place = vertices[corners]
         polygons.append(corners[torch.atan2(place @ along, place @ across).argsort()])
@@ -156,7 +156,7 @@ def voronoi(seeds: Float[Tensor, "s 3"]) -> Tessellation:
     )
 
 
-def _tangents(normals: Float[Tensor, "m 3"]) -> tuple[Float[Tensor, "m 3"], Float[Tensor, "m 3"]]:
+def tangents(normals: Float[Tensor, "m 3"]) -> tuple[Float[Tensor, "m 3"], Float[Tensor, "m 3"]]:
     """Two unit vectors that make a right-handed frame with each unit normal."""
     axis = torch.nn.functional.one_hot(normals.abs().argmin(1), 3).to(normals)
     across = torch.linalg.cross(axis, normals)
@@ -190,7 +190,7 @@ class Cells:
         visible from their own face, or enclosing others, whose walls nothing would hold.
         """
         tessellation = voronoi(design.seeds)
-        total = _per_cell(tessellation.vector_integrals().T, design).T
+        total = _cell_integrals(tessellation, design)
         normals = total / total.norm(dim=1, keepdim=True)
         alone = torch.bincount(design.labels)[design.labels] == 1
         normals[design.labels[alone]] = design.seeds[alone]
@@ -216,7 +216,7 @@ class Cells:
     @property
     def facing(self) -> Float[Tensor, " n"]:
         """int_cell <n_i, w>+ dw: what each face gathers from its own cell under radiance 1."""
-        return (self.normals * self._vector_integrals()).sum(1)
+        return (self.normals * _cell_integrals(self.tessellation, self.design)).sum(1)
 
     @property
     def neighbours(self) -> Bool[Tensor, "n n"]:
@@ -234,14 +234,8 @@ class Cells:
         return self.design.labels[torch.cat(parts)]
 
     def clamped_cosine(self, normals: Float[Tensor, "m 3"]) -> Float[Tensor, "m n"]:
-        """int_cell <n, w>+ dw of each unit normal and cell, exact; rows sum to pi.
-
-        See :mod:`skylight.probes.partitions._cells`.
-        """
+        """int_cell <n, w>+ dw of each unit normal and cell, exact; rows sum to pi."""
         return _per_cell(self.tessellation.clamped_cosine(normals), self.design)
-
-    def _vector_integrals(self) -> Float[Tensor, "n 3"]:
-        return _per_cell(self.tessellation.vector_integrals().T, self.design).T
 
     def _check(self) -> None:
         t, label = self.tessellation, self.design.labels
@@ -271,6 +265,11 @@ class Cells:
             raise InputError(
                 "a merged cell goes round others, whose walls nothing would hold: merge fewer seeds"
             )
+
+
+def _cell_integrals(tessellation: Tessellation, design: ProbeDesign) -> Float[Tensor, "n 3"]:
+    """int_cell w dw of each cell."""
+    return _per_cell(tessellation.vector_integrals().T, design).T
 
 
 def _per_cell(values: Float[Tensor, "m s"], design: ProbeDesign) -> Float[Tensor, "m n"]:

@@ -155,7 +155,7 @@ def albedo_of_a_kernel(
         response: The camera's response, as `skylight camera response` wrote it; otherwise sRGB.
         out: File to write, which `capture` takes as --albedo.
     """
-    from skylight.probes.partitions._capture_files import measure_albedo
+    from skylight.probes.partitions._kernel_albedo import measure_albedo
 
     found = measure_albedo(
         photo,

@@ -63,9 +63,8 @@ def design_partitions(
         tailored_designs,
         write_optimised,
     )
-    from skylight.probes.partitions._optimise import SearchSettings
+    from skylight.probes.partitions._optimise import SearchSettings, optimise_for
     from skylight.probes.partitions._sun_path import read_maps, simulated_lights
-    from skylight.probes.partitions._tailored import optimise_for
     from skylight.work._progress import stage_bar
     from skylight.work._resumable import results_folder
 
@@ -285,7 +284,7 @@ def export(
             in place of the vertices'.
         out: The .glb to write.
     """
-    from skylight.probes.partitions._export_files import export_scene
+    from skylight.probes.partitions._relight_files import export_scene
 
     export_scene(
         virtual.read(out),

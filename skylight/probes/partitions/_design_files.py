@@ -9,11 +9,10 @@ from skylight.errors import InputError
 from skylight.io._bounded import write_json
 from skylight.io._files import write_png
 from skylight.probes.partitions._cells import Cells
-from skylight.probes.partitions._optimise import design_names, named_design
+from skylight.probes.partitions._optimise import Optimised, design_names, named_design
 from skylight.probes.partitions._picture import draw_cells
 from skylight.probes.partitions._seeds import ProbeDesign, load_design, save_design
 from skylight.probes.partitions._sun_path import path_design, sun_path
-from skylight.probes.partitions._tailored import Optimised
 from skylight.skies._sun import Place
 
 _SIZE_MOST = 4000
@@ -21,12 +20,12 @@ _SIZE_MOST = 4000
 PlaceAndDay = tuple[float, float, str]
 
 
-def find_design(told: str, sun: PlaceAndDay | None = None, path_cells: int = 12) -> ProbeDesign:
+def find_design(design: str, sun: PlaceAndDay | None = None, path_cells: int = 12) -> ProbeDesign:
     """The design of that name or in that file, divided along the sun's path where one is given.
 
     ``sun`` is the latitude and longitude in degrees, and the day as YYYY-MM-DD.
     """
-    base = load_design(told) if told.lower().endswith(".json") else named_design(told)
+    base = load_design(design) if design.lower().endswith(".json") else named_design(design)
     if sun is None:
         return base
     place, when = place_and_day(*sun)

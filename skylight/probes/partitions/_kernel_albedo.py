@@ -11,12 +11,15 @@ from torch import Tensor
 from skylight.errors import InputError
 from skylight.io._bounded import read_object, require_keys, write_json
 from skylight.probes._chart import LEAST_LIGHT, MOST_CLIPPED, GreyLine, Rectangle, find_chart
-from skylight.probes.cameras._response import Response, saturated
+from skylight.probes.cameras._live import read_picture
+from skylight.probes.cameras._response import Response, load_response, saturated
+from skylight.work._progress import Tell
 
 USUAL = 0.8  # of white filament, where nobody says or measures it
 _KIND, _FORMAT = "kernel albedo", 1
 _BLOCKS = 4  # along each side of a patch, to tell how even it is
 _LEAST_SIDE_PX = 2 * _BLOCKS
+_UNSURE = 0.05  # standard error of an albedo, of itself
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,10 +32,39 @@ class KernelAlbedo:
 
     def __post_init__(self) -> None:
         if not bool(((self.rgb > 0) & (self.rgb <= 1)).all()):
-            told = ", ".join(f"{value:.3g}" for value in self.rgb)
-            raise InputError(f"an albedo is above 0 and at most 1, not ({told})")
+            values = ", ".join(f"{value:.3g}" for value in self.rgb)
+            raise InputError(f"an albedo is above 0 and at most 1, not ({values})")
         if not bool((self.error.isfinite() & (self.error >= 0)).all()):
             raise InputError("an albedo's error must be finite and 0 or more")
+
+
+def measure_albedo(
+    photo: Path,
+    out: Path,
+    *,
+    patch: Rectangle,
+    card: Rectangle | None,
+    card_albedo: float | None,
+    response: Path | None,
+    warn: Tell = print,
+) -> KernelAlbedo:
+    """Write ``out`` (.json): the albedo of a ``patch``, against a card or a ColorChecker."""
+    if (card is None) != (card_albedo is None):
+        raise InputError("give --card and --card-albedo together, or neither with a ColorChecker")
+    curve = Response() if response is None else load_response(response)
+    image = read_picture(photo).image
+    if card is None or card_albedo is None:
+        found = albedo_beside_chart(image, curve, patch)
+    else:
+        found = albedo_beside_card(image, curve, patch, card, card_albedo)
+    save_albedo(out, found)
+    worst = float((found.error / found.rgb).max())
+    if worst > _UNSURE:
+        warn(
+            f"the albedo is known to {worst:.0%} only: light it evenly, and check the response "
+            "and the rectangles"
+        )
+    return found
 
 
 def albedo_beside_card(
@@ -89,20 +121,14 @@ def save_albedo(path: str | Path, albedo: KernelAlbedo) -> None:
     )
 
 
-def read_albedo(told: str | None) -> KernelAlbedo:
-    """From a number, or the name of a file that :func:`save_albedo` wrote; 0.8 from None.
-
-    Raises
-    ------
-    InputError
-        It is neither, or no albedo.
-    """
-    if told is None:
+def read_albedo(source: str | None) -> KernelAlbedo:
+    """From a number, or the name of a file that :func:`save_albedo` wrote; 0.8 from None."""
+    if source is None:
         return _uniform(USUAL, "assumed")
     try:
-        value = float(told)
+        value = float(source)
     except ValueError:
-        return _load(Path(told))
+        return _load(Path(source))
     return _uniform(value, "given")
 
 

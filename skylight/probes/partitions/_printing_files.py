@@ -29,27 +29,6 @@ _LOWER, _UPPER, _WHITE = (0.12, 0.13, 0.15), (0.22, 0.24, 0.28), (0.85, 0.85, 0.
 _AZIMUTH, _ELEVATION = math.radians(-28.0), math.radians(24.0)
 
 
-def write_partition_picture(
-    path: Path, result: PrintedPartitions, *, panel_px: int = PANEL_PX
-) -> None:
-    """Write the picture as a PNG; panels are ``panel_px`` high."""
-    sizes = result.sizes
-    write_print_figure(
-        path,
-        result,
-        title=result.cells.design.name,
-        sizes=f"shell {sizes.outer_mm:g} mm, kernel {sizes.kernel_mm:g} mm from its centre, walls "
-        f"{sizes.wall_mm:g} mm, clearance {sizes.clearance_mm:g} mm",
-        panels={
-            "On its pole and marker base": assembled(result, panel_px),
-            "Taken apart along the pins": taken_apart(result, panel_px),
-            "Its cells, from two sides": draw_cells(result.cells, size=panel_px // 2),
-        },
-        rows=_rows(result),
-        panel_px=panel_px,
-    )
-
-
 def assembled(result: PrintedPartitions, panel_px: int) -> UInt8[np.ndarray, "h w 3"]:
     """The probe assembled on its pole and marker base."""
     x, z, radius, top = result.assembly.pole_mm
@@ -121,7 +100,21 @@ def write_printed_partitions(
         assembly=describe_partition_assembly(result),
         report=describe_partition_print(result),
     )
-    write_partition_picture(folder / "assembly.png", result, panel_px=panel_px)
+    sizes = result.sizes
+    write_print_figure(
+        folder / "assembly.png",
+        result,
+        title=result.cells.design.name,
+        sizes=f"shell {sizes.outer_mm:g} mm, kernel {sizes.kernel_mm:g} mm from its centre, walls "
+        f"{sizes.wall_mm:g} mm, clearance {sizes.clearance_mm:g} mm",
+        panels={
+            "On its pole and marker base": assembled(result, panel_px),
+            "Taken apart along the pins": taken_apart(result, panel_px),
+            "Its cells, from two sides": draw_cells(result.cells, size=panel_px // 2),
+        },
+        rows=_rows(result),
+        panel_px=panel_px,
+    )
 
 
 def describe_partition_assembly(result: PrintedPartitions) -> dict[str, object]:

@@ -1,8 +1,6 @@
-"""Virtual scenes in photographs and films, lit by a captured partition probe; files to files."""
+"""Virtual scenes in photographs, films and .glb files, lit by a captured probe; files to files."""
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -31,25 +29,36 @@ from skylight.probes.partitions.printed._assembly import (
     PlacedPartitions,
     load_partition_assembly,
 )
-from skylight.probes.partitions.relight._atlas import refined
+from skylight.probes.partitions.relight._atlas import Atlas, UnusableLayout, refined
 from skylight.probes.partitions.relight._composite import (
     Mesh,
     SceneOnBoard,
-    TurningSceneOnBoard,
     board_transfer,
+    in_probe_frame,
     meets,
-    turning_board_transfer,
+)
+from skylight.probes.partitions.relight._export import (
+    Baking,
+    atlas_path,
+    write_relightable_atlas,
+    write_relightable_glb,
 )
 from skylight.probes.partitions.relight._gather import Ground
 from skylight.probes.partitions.relight._live import PartitionLiveView, RunningShading
 from skylight.probes.partitions.relight._scene import DEFAULT_ALBEDO, Scene, read_scene
-from skylight.probes.partitions.relight._transfer import TransferSampling, Turn
+from skylight.probes.partitions.relight._transfer import (
+    TransferCoefficients,
+    TransferSampling,
+    Turn,
+    kept_transfer,
+)
 from skylight.sphere._rotation import RigidTransform
-from skylight.work._progress import Progress, Tell, stage_bar
+from skylight.work._progress import Tell, stage_bar
 
 _UNEXPLAINED = 0.02  # of the shading, root mean square; noise of a capture is below
-SAMPLES = 3  # along each side of a pixel
-LARGEST_MM = 60.0  # of a scene whose size nobody names
+_SAMPLES = 3  # along each side of a pixel
+_LARGEST_MM = 60.0  # of a scene whose size nobody names
+_METRES = 0.001  # of a millimetre
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,9 +94,12 @@ class ScenePlacement:
             raise InputError("a flat scene has no height: give its scale")
         if longest == 0:
             raise InputError("all of the scene's vertices are in one place")
-        height = LARGEST_MM * rise / longest if self.height_mm is None else self.height_mm
-        size = LARGEST_MM / longest if rise == 0 else height / rise
-        size = size if self.scale is None else self.scale
+        if self.scale is not None:
+            size = self.scale
+        elif self.height_mm is not None:
+            size = self.height_mm / rise
+        else:
+            size = _LARGEST_MM / longest
         sine, cosine = (f(math.radians(self.turn_deg)) for f in (math.sin, math.cos))
         matrix = torch.eye(4, dtype=torch.float64)
         matrix[:3, :3] = size * torch.tensor(
@@ -151,21 +163,20 @@ class VirtualScene:
         warn: Tell,
         *,
         drawn_rad: float | None = None,
-    ) -> SceneOnBoard | TurningSceneOnBoard:
+    ) -> SceneOnBoard:
         """Hidden by the real probe; says where a scene and that are in one place.
 
         A turning scene is looked at where it is drawn, or at all its angles.
         """
-        mesh = real.vertices, real.triangles
+        vertices, triangles = real.vertices, real.triangles
+        made = self.on_board(cells, rotation, (vertices, triangles))
         if self.angles is None:
-            made, meeting = self.on_board(cells, rotation, mesh), meets(self.placed[0], mesh)
+            meeting = meets(self.placed[0], (vertices, triangles))
         else:
-            made = self._turning_on_board(cells, rotation, mesh, self.angles)
+            every = Turn(angles=self.angles).angles_rad if drawn_rad is None else [drawn_rad]
             meeting = any(
-                meets(self.placed[0], (made.turned(-angle).points(mesh[0]), mesh[1]))
-                for angle in (
-                    Turn(angles=self.angles).angles_rad if drawn_rad is None else [drawn_rad]
-                )
+                meets(self.placed[0], (made.turned(-angle).points(vertices), triangles))
+                for angle in every
             )
         if meeting:
             warn("the scene and the probe or its pole are in one place: see --at-mm")
@@ -176,42 +187,19 @@ class VirtualScene:
     ) -> SceneOnBoard:
         """Ready to be lit by a probe that is turned like that, and hidden by its mesh."""
         scene, ground = self.placed
-        with _progress() as progress:
+        with stage_bar() as progress:
             transfer = board_transfer(
                 self.cache,
                 scene,
                 ground,
                 cells,
                 rotation,
+                angles=self.angles,
                 sampling=self.sampling,
                 workers=self.workers,
-                progress=progress,
+                progress=lambda share: progress("transfer coefficients", share),
             )
         return SceneOnBoard(scene, ground, transfer, cells, rotation, real)
-
-    def _turning_on_board(
-        self, cells: Cells, rotation: Float[Tensor, "3 3"], real: Mesh, angles: int
-    ) -> TurningSceneOnBoard:
-        scene, ground = self.placed
-        with _progress() as progress:
-            transfer = turning_board_transfer(
-                self.cache,
-                scene,
-                ground,
-                cells,
-                rotation,
-                angles=angles,
-                sampling=self.sampling,
-                workers=self.workers,
-                progress=progress,
-            )
-        return TurningSceneOnBoard(scene, ground, transfer, cells, rotation, real)
-
-
-@contextmanager
-def _progress() -> Iterator[Progress]:
-    with stage_bar() as progress:
-        yield lambda share: progress("transfer coefficients", share)
 
 
 def read_probe(
@@ -276,17 +264,13 @@ def relight_scene(
     rotation = printed.board_from_probe.rotation
     turn_rad = math.radians(scene.placement.turn_deg)
     on_board = scene.beside(printed.placed(), probe.cells, rotation, warn, drawn_rad=turn_rad)
-    if isinstance(on_board, TurningSceneOnBoard):
-        lit = on_board.lit(light, turn_rad)
-    else:
-        lit = on_board.lit(light)
     picture = on_board.put_into(
         image,
-        lit,
+        on_board.lit(light, turn_rad),
         pose,
         setup.intrinsics,
         setup.response,
-        lambda window: lens_rays(setup.intrinsics, SAMPLES, window),
+        lambda window: lens_rays(setup.intrinsics, _SAMPLES, window),
     )
     if np.array_equal(picture, image):
         raise InputError(
@@ -320,11 +304,6 @@ def live_scene(
     the cells were seen, and ``albedo`` is the kernel's. A scene of several angles turns, in the
     film's own time, counter-clockwise seen from above; a webcam's frames are 30 a second. Ctrl-C
     ends a webcam's film, which is kept.
-
-    Raises
-    ------
-    InputError
-        The source or another file cannot be used, or no frame shows the board.
     """
     check_film(source, out, most)
     if not math.isfinite(turn_deg_per_s):
@@ -344,3 +323,81 @@ def live_scene(
         step_rad=math.radians(turn_deg_per_s) / film_rate(source),
     )
     return view.write(source, out, most=most, tell=tell)
+
+
+def export_scene(
+    scene: VirtualScene,
+    out: Path,
+    *,
+    assembly: Path,
+    capture: Path,
+    exposure: float = 1.0,
+    atlas_px: int | None = None,
+    tell: Tell = print,
+    warn: Tell = print,
+) -> None:
+    """``out`` (.glb): the scene in metres, the middle of its base at the origin, axes the board's.
+
+    The ground is not in it, but the light that it throws back is. Coefficients are those of the
+    vertices, or in a file beside it those of the texels of an atlas of ``atlas_px`` to a side; a
+    scene that must be cut into charts for that needs xatlas.
+    """
+    if out.suffix.lower() != ".glb":
+        raise InputError(f"{out}: scenes are written as .glb; choose another name")
+    if atlas_px is not None:
+        require_place(atlas_path(out))
+        if scene.cache.resolve() == atlas_path(out).resolve():
+            raise InputError(f"{scene.cache}: the atlas is written there; choose another cache")
+    scene.require(out)
+    printed, probe, captured = read_probe(assembly, capture)
+    rotation = printed.board_from_probe.rotation
+    light = captured_light(captured, printed, probe, warn)
+    baking = Baking(probe=probe, rotation=rotation, light=light, exposure=exposure)
+    if atlas_px is None:
+        on_board = scene.on_board(probe.cells, rotation)
+        count = len(on_board.scene.vertices)
+        transfer = on_board.transfer.values[:count]
+        write_relightable_glb(out, _in_metres(on_board.scene, scene.placement), transfer, baking)
+        tell(f"{out}: {count} vertices with {probe.cells.count} coefficients each")
+        return
+    thing = scene.placement.placed(read_scene(scene.mesh, scene.albedo))
+    try:
+        atlas = Atlas.of_file(thing, atlas_px)
+    except UnusableLayout as reason:
+        tell(f"{reason}; doing so")
+        atlas = Atlas.of_charts(thing, atlas_px)
+    transfer = _texel_transfer(scene, thing, atlas, probe.cells, rotation)
+    write_relightable_atlas(out, _in_metres(thing, scene.placement), atlas, transfer.values, baking)
+    tell(
+        f"{out}, {atlas_path(out)}: {len(transfer)} texels of {atlas_px} x {atlas_px} with "
+        f"{probe.cells.count} coefficients each"
+    )
+
+
+def _texel_transfer(
+    scene: VirtualScene, thing: Scene, atlas: Atlas, cells: Cells, rotation: Float[Tensor, "3 3"]
+) -> TransferCoefficients:
+    """Of the covered texels, beside the ground; kept in the scene's cache.
+
+    Light bounces between the vertices of finer triangles than the atlas has.
+    """
+    fine, ground = scene.placed
+    with stage_bar() as progress:
+        return kept_transfer(
+            scene.cache,
+            in_probe_frame(Scene.joined([fine, ground.scene()]), rotation),
+            cells,
+            atlas.receivers(in_probe_frame(thing, rotation)),
+            sampling=scene.sampling,
+            workers=scene.workers,
+            progress=lambda share: progress("transfer coefficients", share),
+        )
+
+
+def _in_metres(thing: Scene, placement: ScenePlacement) -> Scene:
+    """With the middle of its base at the origin."""
+    place = torch.tensor([placement.x_mm, placement.y_mm, placement.z_mm], dtype=torch.float64)
+    to_metres = torch.eye(4, dtype=torch.float64)
+    to_metres[:3, :3] *= _METRES
+    to_metres[:3, 3] = -_METRES * place
+    return replace(thing, uv=None, texture=None).placed(to_metres)

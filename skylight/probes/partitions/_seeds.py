@@ -86,8 +86,8 @@ class ProbeDesign:
         cells = [torch.nonzero(self.labels == i)[:, 0].tolist() for i in range(self.count)]
         return [cell for cell in cells if len(cell) > 1]
 
-    def turned(self, rotation: Float[Tensor, "3 3"]) -> "ProbeDesign":
-        """The same cells, their directions turned."""
+    def rotated(self, rotation: Float[Tensor, "3 3"]) -> "ProbeDesign":
+        """The same cells, their directions rotated."""
         return replace(self, seeds=normalize(self.seeds @ rotation.T, dim=1))
 
     def to_json(self) -> dict[str, Any]:

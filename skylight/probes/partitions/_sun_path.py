@@ -29,7 +29,7 @@ from skylight.sphere._envmap import EnvironmentMap, shift_columns
 from skylight.sphere._frame import direction_from_angles, rotation_about
 from skylight.work._progress import StageProgress
 
-STRIP_WIDTH_RAD = math.radians(20.0)
+_STRIP_WIDTH_RAD = math.radians(20.0)
 _SHORTEST_RAD = math.radians(30.0)
 _ROOM_AT_ENDS = 1.2  # cells
 _MINUTES_OF_DAY = 24 * 60
@@ -42,14 +42,6 @@ class SunPath:
     axis: Float[Tensor, "3"]
     start: Float[Tensor, "3"]
     turn_rad: float
-
-    def __post_init__(self) -> None:
-        lengths = torch.stack([self.axis.norm(), self.start.norm()])
-        if not (bool(((lengths - 1).abs() < 1e-9).all()) and 0 < self.turn_rad < 2 * math.pi):
-            raise InputError(
-                "a sun path needs directions of unit length and less than a whole turn: make it "
-                "with path_through"
-            )
 
     @property
     def length_rad(self) -> float:
@@ -105,15 +97,8 @@ def sun_directions(place: Place, day: date) -> Float[Tensor, "1441 3"]:
     return direction_from_angles(torch.from_numpy(azimuth), torch.from_numpy(zenith))
 
 
-def path_design(
-    name: str,
-    base: ProbeDesign,
-    cells: int,
-    path: SunPath,
-    *,
-    width_rad: float = STRIP_WIDTH_RAD,
-) -> ProbeDesign:
-    """A strip of equal cells along a path, and the cells of ``base`` around it.
+def path_design(name: str, base: ProbeDesign, cells: int, path: SunPath) -> ProbeDesign:
+    """A strip of equal cells 20 degrees wide along a path, and the cells of ``base`` around it.
 
     Three rows of seeds a width apart follow the path and go one cell beyond its ends. Regions of
     the middle row, but for the two at the ends, are the strip's cells and come first. All others
@@ -122,18 +107,18 @@ def path_design(
     out; a cell that the strip cuts in two becomes two. Where a cell around the strip could not be
     built (see :class:`Cells`), all are cut in two along the path's noon.
     """
-    _check_path(cells, path, width_rad)
+    _check_path(cells, path)
     middles = path.at([(j + 0.5) / cells for j in range(-1, cells + 1)])
     across = path.axis - (middles @ path.axis)[:, None] * middles
     across = across / across.norm(dim=1, keepdim=True)
-    sine, cosine = math.sin(width_rad), math.cos(width_rad)
+    sine, cosine = math.sin(_STRIP_WIDTH_RAD), math.cos(_STRIP_WIDTH_RAD)
     strip, caps = middles[1:-1], middles[[0, -1]]
     flanks = torch.cat([caps, cosine * middles + sine * across, cosine * middles - sine * across])
-    reach = math.hypot(path.length_rad / cells, width_rad)
+    reach = math.hypot(path.length_rad / cells, _STRIP_WIDTH_RAD)
     near = torch.cdist(base.seeds, middles).amin(1) < 2 * math.sin(reach / 2)
     others = torch.cat([flanks, base.seeds[~near]])
 
-    height = math.sin(width_rad / 2)
+    height = math.sin(_STRIP_WIDTH_RAD / 2)
     base_side = _side(base.seeds, path, height)
     apart = _side(others, path, height)[:, None] * base_side[None] < 0
     closeness = torch.where(apart, -2.0, others @ base.seeds.T)
@@ -153,9 +138,8 @@ def path_design(
             Cells.of(design)
         except InputError as error:
             raise InputError(
-                f"around {cells} cells of {math.degrees(width_rad):g} degrees' width along this "
-                f"path no other cells can be built from {base.name}: take more or wider ones, or "
-                "a finer base"
+                f"around {cells} cells along this path no other cells can be built from "
+                f"{base.name}: take more, or a finer base"
             ) from error
     return design
 
@@ -173,12 +157,9 @@ def _parted(seeds: Float[Tensor, "s 3"], labels: Tensor) -> Tensor:
     return keys.unique(dim=0, return_inverse=True)[1]
 
 
-def _check_path(cells: int, path: SunPath, width_rad: float) -> None:
-    if cells < 1 or not 0.02 <= width_rad <= 0.8:
-        raise InputError(
-            f"a sun path needs 1 cell or more and a width of 1.2 to 45 degrees, got {cells} and "
-            f"{math.degrees(width_rad):g}"
-        )
+def _check_path(cells: int, path: SunPath) -> None:
+    if cells < 1:
+        raise InputError(f"a sun path needs 1 cell or more, got {cells}")
     if path.length_rad < _SHORTEST_RAD:
         raise InputError(
             f"the sun's path is only {math.degrees(path.length_rad):.0f} degrees long, less than "

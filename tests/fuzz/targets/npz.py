@@ -13,9 +13,7 @@ import torch
 from skylight.errors import InputError
 from skylight.probes.partitions.relight._transfer import (
     TransferCoefficients,
-    TurningCoefficients,
     load_transfer,
-    load_turning_transfer,
     save_transfer,
 )
 from skylight.probes.voxel._lightmap import Lightmap, load_lightmap
@@ -25,7 +23,7 @@ from tests.fuzz.files import as_file, clear, joined, parted, written
 
 def seeds() -> list[bytes]:
     transfer = TransferCoefficients(values=torch.rand(4, 6, 3), orders=torch.rand(2).double())
-    turning = TurningCoefficients(values=torch.rand(4, 2, 6, 3), orders=torch.rand(2).double())
+    turning = TransferCoefficients(values=torch.rand(4, 2, 6, 3), orders=torch.rand(2).double())
     rows, columns = 2, 4
     scene = PrecomputedScene(
         layout=(6, 8),
@@ -53,7 +51,7 @@ def read(content: bytes) -> None:
     path = as_file(content if content[:2] == b"PK" else _packed(content), "a.npz")
     refused: InputError | None = None
     done = 0
-    for reader in (load_lightmap, load_transfer, load_turning_transfer, load_scene):
+    for reader in (load_lightmap, load_transfer, load_scene):
         try:
             found = reader(path)
         except InputError as error:

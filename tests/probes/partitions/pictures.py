@@ -6,12 +6,13 @@ from itertools import product
 import numpy as np
 import torch
 
+from skylight.probes.cameras._board import Board
 from skylight.probes.cameras._intrinsics import FLIP, Intrinsics
-from skylight.probes.cameras._pose import camera_centre
+from skylight.probes.cameras._pose import OPENCV_FROM_BOARD, camera_centre
 from skylight.probes.partitions.printed._assembly import PlacedPartitions
 from skylight.sphere._rotation import RigidTransform
 from skylight.transport._rays import Raycaster
-from tests.probes.cameras.scenes import rays_through, shrink
+from tests.probes.cameras.scenes import picture_of_board, rays_through, shrink
 
 Shine = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """(cells (m,), points (m,3)) -> radiance (m,3)."""
@@ -70,6 +71,12 @@ def picture_of_faces(
     shining = np.stack([shrink(light[:, c].reshape(shape)) for c in range(3)], -1)
     empty = 1 - shrink(share.reshape(shape))[..., None]
     return shining + empty * (0.1 if behind is None else behind)
+
+
+def board_seen(board: Board, lens: Intrinsics, pose: RigidTransform) -> np.ndarray:
+    """Codes of the board alone, by ``camera_from_board``."""
+    rotation = FLIP @ pose.rotation.numpy() @ OPENCV_FROM_BOARD.T
+    return picture_of_board(board, lens, rotation, FLIP @ pose.translation.numpy())
 
 
 def looking_from(towards: np.ndarray, target: np.ndarray, distance_mm: float) -> RigidTransform:

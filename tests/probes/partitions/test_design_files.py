@@ -18,10 +18,9 @@ from skylight.probes.partitions._design_files import (
     summarise_optimised,
     tailored_designs,
 )
-from skylight.probes.partitions._optimise import SearchSettings
+from skylight.probes.partitions._optimise import SearchSettings, optimise_for
 from skylight.probes.partitions._seeds import load_design
 from skylight.probes.partitions._sun_path import Lights, read_maps, simulated_lights, sun_directions
-from skylight.probes.partitions._tailored import optimise_for
 from skylight.skies._sun import Place
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import angle_between

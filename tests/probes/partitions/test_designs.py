@@ -163,5 +163,3 @@ def test_short_paths_and_strange_numbers_are_refused() -> None:
     whole = path_through(EAST, UP, -EAST)
     with pytest.raises(InputError, match="1 cell or more"):
         path_design("x", base, 0, whole)
-    with pytest.raises(InputError, match="width"):
-        path_design("x", base, 6, whole, width_rad=1.0)

@@ -51,7 +51,7 @@ def test_octants_give_a_quarter_of_pi() -> None:
     assert len(octants.starts) == 12
 
 
-@pytest.mark.parametrize("degree", [3, 5, 9, 17])
+@pytest.mark.parametrize("degree", [5, 17])
 def test_symmetric_sets_are_closed(degree: int) -> None:
     seeds = torch.from_numpy(lebedev_rule(degree)[0].T.copy())
     diagram = voronoi(seeds)
@@ -65,7 +65,7 @@ def test_symmetric_sets_are_closed(degree: int) -> None:
 
 
 @given(st.integers(6, 60), st.integers(0, 10**6))
-@settings(max_examples=40)
+@settings(max_examples=15)
 def test_random_sets_sum_to_the_whole(count: int, seed: int) -> None:
     seeds = torch.cat([CUBE, random_directions(count, seed)])
     diagram = voronoi(seeds)
@@ -88,7 +88,7 @@ def test_a_fine_quadrature_agrees() -> None:
 
 
 @given(st.integers(0, 10**6), st.floats(-3, 3))
-@settings(max_examples=25)
+@settings(max_examples=10)
 def test_turning_everything_changes_nothing(seed: int, angle: float) -> None:
     seeds, normals = torch.cat([CUBE, random_directions(8, 5)]), random_directions(20, seed)
     turn = rotation_about(random_directions(1, seed + 1)[0], angle)

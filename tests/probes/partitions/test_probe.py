@@ -28,7 +28,7 @@ def probe_of(name: str, albedo: float | Tensor = 0.8, **options: Tensor) -> Part
     return PartitionProbe(Cells.of(named_design(name)), albedo, **options)
 
 
-@pytest.mark.parametrize("name", ["6d", "14d-indoor", "14d-outdoor", "110d"])
+@pytest.mark.parametrize("name", ["6d", "14d-outdoor", "110d"])
 def test_uniform_light_gives_the_exact_form_factor(name: str) -> None:
     probe = probe_of(name, RGB)
     cells = probe.cells
@@ -36,8 +36,6 @@ def test_uniform_light_gives_the_exact_form_factor(name: str) -> None:
     expected = RGB / math.pi * gathered[:, None] * 2.5
     radiance = torch.full((1, len(GRID), 3), 2.5).double()
     torch.testing.assert_close(probe(radiance, GRID)[0], expected, rtol=1e-12, atol=0)
-    environment = EnvironmentMap(radiance=torch.full((32, 64, 3), 2.5))
-    torch.testing.assert_close(probe.encode_map(environment), expected.float(), rtol=1e-6, atol=0)
 
 
 @pytest.mark.parametrize("name", ["6d", "14d-sun-6"])
@@ -71,12 +69,19 @@ def test_a_lamp_gives_its_cosine_to_its_own_face_alone() -> None:
     assert float(shading.sum() - shading[face]) == 0
 
 
+def test_a_uniform_map_gives_the_exact_form_factor() -> None:
+    probe = probe_of("14d-outdoor", RGB)
+    found = probe.encode_map(EnvironmentMap(radiance=torch.full((32, 64, 3), 2.5)))
+    expected = RGB / math.pi * probe.facing[:, None] * 2.5
+    torch.testing.assert_close(found, expected.float(), rtol=1e-6, atol=0)
+
+
 def test_maps_are_shared_between_cells_within_their_pixels() -> None:
     """One linear map, two resolutions: coarse pixels lie across borders."""
     probe = probe_of("14d")
     coarse = EnvironmentMap(radiance=random(16, 32, 3).float())
-    fine = coarse.radiance.repeat_interleave(64, 0).repeat_interleave(64, 1).reshape(1, -1, 3)
-    expected = probe(fine, DirectionGrid.latlong(1024))[0]
+    fine = coarse.radiance.repeat_interleave(48, 0).repeat_interleave(48, 1).reshape(1, -1, 3)
+    expected = probe(fine, DirectionGrid.latlong(768))[0]
     torch.testing.assert_close(probe.encode_map(coarse), expected, rtol=0.01, atol=0)
     nearest = probe(coarse.flat[None], coarse.grid)[0]
     assert float((nearest - expected).abs().max()) > 3 * float(
@@ -143,7 +148,7 @@ def test_measured_walls_are_undone() -> None:
 
 
 def test_encoding_and_decoding_have_gradients() -> None:
-    probe, grid = probe_of("6d"), DirectionGrid.latlong(6)
+    probe, grid = probe_of("6d"), DirectionGrid.latlong(4)
     radiance, albedo = random(1, len(grid), 3).requires_grad_(), probe.albedo
 
     def told(radiance: Tensor, albedo: Tensor) -> Tensor:
@@ -176,9 +181,9 @@ def test_what_follows_from_the_albedo_follows_its_changes() -> None:
     """After an optimiser's step, and after loading it, as in a fresh probe."""
     probe, light = probe_of("14d"), random(len(GRID), 3)
     probe(light, GRID)
-    optimiser = torch.optim.Adam(probe.parameters(), lr=0.05)
-    probe(light, GRID).sum().backward()
-    optimiser.step()
+    (slope,) = torch.autograd.grad(probe(light, GRID).sum(), probe.albedo)
+    with torch.no_grad():
+        probe.albedo.sub_(0.05 * slope.sign())
     assert float(probe.albedo.max()) < 0.76
     fresh, loaded = probe_of("14d", probe.albedo.detach()), probe_of("14d", 0.3)
     loaded.load_state_dict(probe.state_dict())

@@ -1,21 +1,28 @@
 """Virtual scenes by the command line: relight, live and export, on drawn pictures of a 6D probe."""
 
+import io
 import json
+import sys
+from collections.abc import Iterator
+from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 import torch
+import trimesh
 from PIL import Image
+from trimesh.visual import TextureVisuals
 
 from skylight.cli import main
 from skylight.errors import InputError
 from skylight.io._bounded import write_json
 from skylight.probes.cameras._board import save_board
-from skylight.probes.cameras._intrinsics import FLIP, save_intrinsics
-from skylight.probes.cameras._pose import OPENCV_FROM_BOARD, project
+from skylight.probes.cameras._intrinsics import save_intrinsics
+from skylight.probes.cameras._pose import project
 from skylight.probes.cameras._response import Response
 from skylight.probes.partitions._captured import ProbeCapture, save_capture
 from skylight.probes.partitions._cells import Cells
@@ -25,10 +32,11 @@ from skylight.probes.partitions._relight_files import ScenePlacement, captured_l
 from skylight.probes.partitions.printed._assembly import PartitionAssembly
 from skylight.probes.partitions.printed._solids import ProbeSizes
 from skylight.sphere._rotation import RigidTransform
-from tests.probes.cameras.scenes import picture_of_board
 from tests.probes.partitions.boards import box
-from tests.probes.partitions.pictures import looking_from, picture_of_faces
+from tests.probes.partitions.pictures import board_seen, looking_from, picture_of_faces
 from tests.probes.voxel.test_use import BOARD, LENS, pose
+
+pytestmark = pytest.mark.usefixtures("coarse_ground")
 
 DESIGN = named_design("6d")
 CELLS = Cells.of(DESIGN)
@@ -64,13 +72,17 @@ def captured() -> ProbeCapture:
     )
 
 
-def board_picture(where) -> np.ndarray:
-    return picture_of_board(
-        BOARD,
-        LENS,
-        FLIP @ where.rotation.numpy() @ OPENCV_FROM_BOARD.T,
-        FLIP @ where.translation.numpy(),
-    )
+def board_picture(where: RigidTransform) -> np.ndarray:
+    return board_seen(BOARD, LENS, where)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def built_once() -> Iterator[None]:
+    """Every command here is about one printed probe."""
+    placed = standing().placed()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(PartitionAssembly, "placed", lambda _: placed)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -82,10 +94,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_json(folder / "probe.json", standing().to_json())
     save_capture(folder / "capture.json", captured())
     Image.fromarray(board_picture(pose(30, 35))).save(folder / "photo.png")
-    import trimesh
-
-    cube = trimesh.Trimesh(box().vertices.numpy(), box().faces.numpy())
-    cube.export(folder / "cube.ply")
+    trimesh.Trimesh(box().vertices.numpy(), box().faces.numpy()).export(folder / "cube.ply")
     return folder
 
 
@@ -99,6 +108,11 @@ def command(folder: Path, verb: str, out: str, *more: str, names: tuple[str, ...
 
 
 ALL = ("camera", "board", "probe", "capture")
+FILM = ("camera", "board", "probe")
+
+
+def code_values(path: Path) -> np.ndarray:
+    return np.asarray(Image.open(path)).astype(float)
 
 
 def test_a_scene_is_put_into_a_photo(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -109,8 +123,7 @@ def test_a_scene_is_put_into_a_photo(folder: Path, capsys: pytest.CaptureFixture
     assert main(command(folder, "relight", "again.png", *photo, names=ALL)) == 0
     assert (folder / "cube.npz").stat().st_mtime_ns == written  # coefficients are kept
     assert (folder / "out.png").read_bytes() == (folder / "again.png").read_bytes()
-    before = np.asarray(Image.open(folder / "photo.png")).astype(float)
-    after = np.asarray(Image.open(folder / "out.png")).astype(float)
+    before, after = (code_values(folder / name) for name in ("photo.png", "out.png"))
     where = pose(30, 35)
 
     def at(picture: np.ndarray, *places: tuple[float, float, float]) -> np.ndarray:
@@ -151,7 +164,7 @@ def test_any_turn_is_drawn_from_the_coefficients_of_a_few(folder: Path) -> None:
     placed = [*photo, *turn, "--cache", str(folder / "placed.npz")]
     assert main(command(folder, "relight", "placed.png", *placed, names=ALL)) == 0
     still, turned, expected, before = (
-        np.asarray(Image.open(folder / name)).astype(float)
+        code_values(folder / name)
         for name in ("still.png", "turned.png", "placed.png", "photo.png")
     )
     changed = (np.abs(expected - before) > 5).any(2)
@@ -159,9 +172,7 @@ def test_any_turn_is_drawn_from_the_coefficients_of_a_few(folder: Path) -> None:
     assert np.abs(still - expected)[changed].mean() > 8
 
 
-def test_what_cannot_be_done_is_said_in_a_line(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_done_is_said_in_a_line(folder, capsys):
     photo = ["--photo", str(folder / "photo.png")]
     for out, more, told in [
         ("a.jpg", photo, ".png"),
@@ -178,9 +189,7 @@ def test_what_cannot_be_done_is_said_in_a_line(
         assert told in error
 
 
-def test_nothing_is_worked_out_for_what_is_outside(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_is_worked_out_for_what_is_outside(folder, monkeypatch):
     def refused(*_: object) -> None:
         raise AssertionError("nothing is to be worked out")
 
@@ -189,9 +198,7 @@ def test_nothing_is_worked_out_for_what_is_outside(
     assert main([*arguments, "--at-mm", "9000", "0", "9000"]) == 2
 
 
-def test_a_hidden_scene_is_not_said_to_be_outside(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_hidden_scene_is_not_said_to_be_outside(folder, capsys):
     """A speck within the kernel; and it is said that both are in one place."""
     inside = ["--at-mm", "105", "149.5", "75", "--height-mm", "1", "--cache"]
     arguments = command(folder, "relight", "a.png", "--photo", str(folder / "photo.png"), names=ALL)
@@ -204,21 +211,18 @@ def test_a_hidden_scene_is_not_said_to_be_outside(
 def test_scenes_in_the_probe_are_doubted(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = command(folder, "relight", "a.png", "--photo", str(folder / "photo.png"), names=ALL)
     there = ["--at-mm", "105", "0", "75", "--cache", str(folder / "pole.npz")]
-    assert main([*arguments, *there]) == 0
+    assert main([*arguments, *there, "--rays", "4", "--bounces", "0"]) == 0
     assert "take care: the scene and the probe or its pole are in one place" in (
         capsys.readouterr().err
     )
 
 
-def test_films_need_one_source_and_one_albedo(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    some = ("camera", "board", "probe")
+def test_films_need_one_source_and_one_albedo(folder, capsys):
     none = ["--video", str(folder / "none.mp4")]
     for more, names, told in [
-        ([], some, "give --video or --webcam, and only one of them"),
-        ([*none, "--webcam", "0"], some, "only one of them"),
-        (none, some, "there is no such file; give a video"),
+        ([], FILM, "give --video or --webcam, and only one of them"),
+        ([*none, "--webcam", "0"], FILM, "only one of them"),
+        (none, FILM, "there is no such file; give a video"),
         ([*none, "--kernel-albedo", "0.7"], ALL, "without --kernel-albedo"),
     ]:
         assert main(command(folder, "live", "live.mp4", *more, names=names)) == 2
@@ -251,9 +255,7 @@ def test_export_has_the_same_light(folder: Path) -> None:
     length = int.from_bytes(data[12:16], "little")
     (mesh,) = json.loads(data[20 : 20 + length])["meshes"]
     np.testing.assert_allclose(mesh["extras"]["light"], LIGHT, atol=1e-9)
-    import trimesh
-
-    read = trimesh.load(folder / "cube.glb", force="mesh", process=False)
+    read: Any = trimesh.load(folder / "cube.glb", force="mesh", process=False)
     # metres, standing on the origin
     np.testing.assert_allclose(read.bounds, [[-0.015, 0, -0.015], [0.015, 0.03, 0.015]], atol=1e-7)
 
@@ -269,7 +271,7 @@ def film(folder: Path) -> Path:
     response = Response()
 
     def shine(cells: np.ndarray, points: np.ndarray) -> np.ndarray:
-        return shading()[cells]
+        return shading().numpy()[cells]
 
     for towards in ((1.0, 0.5, 0.1), (0.1, 0.5, 1.0), (0.2, 1.0, 0.3), (0.2, 0.9, 0.4)):
         where = looking_from(np.array(towards), MIDDLE - [0, 60.0, 0], 330.0)
@@ -280,64 +282,56 @@ def film(folder: Path) -> Path:
     return film
 
 
-def test_film_shows_the_scene_once_enough_cells_were_seen(
-    folder: Path, film: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = command(
-        folder, "live", "live.mp4", "--video", str(film), names=("camera", "board", "probe")
-    )
-    assert main(arguments) == 0
-    told = capsys.readouterr().out
-    assert "4 frames, 4 tracked" in told
-    assert "3 of 6 cells" in told
-    assert all(stage in told for stage in ("track", "capture", "relight", "draw"))
-    made = cv2.VideoCapture(str(folder / "live.mp4"))
-    plain = cv2.VideoCapture(str(film))
-    frames = [(made.read()[1].astype(float), plain.read()[1].astype(float)) for _ in range(4)]
+def frames_of(film: Path) -> list[np.ndarray]:
+    read = cv2.VideoCapture(str(film))
+    return [read.read()[1].astype(float) for _ in range(4)]
+
+
+@pytest.fixture(scope="module")
+def live(folder: Path, film: Path) -> str:
+    """live.mp4, of a scene that stands still; what was said."""
+    with redirect_stdout(io.StringIO()) as said:
+        assert main(command(folder, "live", "live.mp4", "--video", str(film), names=FILM)) == 0
+    return said.getvalue()
+
+
+def test_film_shows_the_scene_once_enough_cells_were_seen(folder, film, live):
+    assert "4 frames, 4 tracked" in live
+    assert "3 of 6 cells" in live
+    assert all(stage in live for stage in ("track", "capture", "relight", "draw"))
     # means of 8 x 8 pixels, which compression keeps
     changed = [
         (np.abs((a - b).reshape(60, 8, 80, 8, 3).mean((1, 3))).max(2) > 15).mean()
-        for a, b in frames
+        for a, b in zip(frames_of(folder / "live.mp4"), frames_of(film), strict=True)
     ]
     assert changed[0] == changed[1] == 0
     assert changed[3] > 0.005
 
 
+@pytest.mark.usefixtures("live")
 def test_a_cube_turns_in_a_film(folder: Path, film: Path) -> None:
     """In the fourth of 25 frames a second it is at 30 degrees, some of them there from the start.
 
     It looks like a cube placed so; turned the other way round it would look like one at 0.
     """
-    kept = {"still": "cube.npz", "placed": "placed.npz", "begun": "turns.npz"}
-    last = {}
-    for name, start, speed in (
-        ("still", 0.0, 0.0),
-        ("placed", 30.0, 0.0),
-        ("begun", 15.0, 125.0),
-    ):
-        more = ["--video", str(film), "--turn-deg-per-s", str(speed)]
+    for name, start, speed in (("placed", 30.0, 0.0), ("turns", 15.0, 125.0)):
+        more = ["--video", str(film), "--turn-deg-per-s", str(speed), "--turn-deg", str(start)]
         more += ["--angles", "8"] if speed else []
-        more += ["--turn-deg", str(start)]
-        cache = ["--cache", str(folder / kept[name])]  # of the pictures above, if they were made
-        names = ("camera", "board", "probe")
-        assert main(command(folder, "live", f"{name}.mp4", *more, *cache, names=names)) == 0
-        made = cv2.VideoCapture(str(folder / f"{name}.mp4"))
-        last[name] = [made.read()[1].astype(float) for _ in range(4)][-1]
-    plain = cv2.VideoCapture(str(film))
-    before = [plain.read()[1].astype(float) for _ in range(4)][-1]
-    changed = (np.abs(last["still"] - before) > 15).any(2)
+        more += ["--cache", str(folder / f"{name}.npz")]  # of the pictures above, if they were made
+        assert main(command(folder, "live", f"{name}.mp4", *more, names=FILM)) == 0
+    still, placed, turned = (
+        frames_of(folder / f"{name}.mp4")[-1] for name in ("live", "placed", "turns")
+    )
+    changed = (np.abs(still - frames_of(film)[-1]) > 15).any(2)
     assert changed.mean() > 0.005
-    wrong = np.abs(last["placed"] - last["still"])[changed].mean()
+    wrong = np.abs(placed - still)[changed].mean()
     assert wrong > 8
-    assert np.abs(last["begun"] - last["placed"])[changed].mean() < 0.4 * wrong
+    assert np.abs(turned - placed)[changed].mean() < 0.4 * wrong
 
 
-def test_angles_without_a_turn_are_refused(
-    folder: Path, film: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    more = ["--video", str(film), "--angles", "16"]
-    names = ("camera", "board", "probe")
-    assert main(command(folder, "live", "refused.mp4", *more, names=names)) == 2
+def test_angles_without_a_turn_are_refused(folder, capsys):
+    more = ["--video", "film.avi", "--angles", "16"]
+    assert main(command(folder, "live", "refused.mp4", *more, names=FILM)) == 2
     assert "give it with --turn-deg-per-s" in capsys.readouterr().err
     assert not (folder / "refused.mp4").exists()
 
@@ -356,3 +350,56 @@ def test_a_placement_says_how_large_and_where() -> None:
     assert float(default.vertices[:, 1].max()) == pytest.approx(60)
     with pytest.raises(InputError, match="not both"):
         ScenePlacement(x_mm=0.0, z_mm=0.0, height_mm=1.0, scale=1.0)
+
+
+def test_export_of_texels_has_the_light_of_the_faces(folder, capsys):
+    pytest.importorskip("xatlas")
+    arguments = command(folder, "export", "t.glb", "--atlas-px", "48", names=("probe", "capture"))
+    arguments[arguments.index("--cache") + 1] = str(folder / "texels.npz")
+    assert main(arguments) == 0
+    assert "no texture coordinates" in capsys.readouterr().out
+    with np.load(folder / "t.atlas.npz") as content:
+        transfer, facts = content["transfer"].astype(float), json.loads(str(content["extras"]))
+    radiance = np.einsum("nhwc,nc->hwc", transfer, facts["light"])
+    read: Any = trimesh.load(folder / "t.glb", force="mesh", process=False)
+    np.testing.assert_allclose(read.bounds, [[-0.015, 0, -0.015], [0.015, 0.03, 0.015]], atol=1e-7)
+    share = CELLS.clamped_cosine(torch.tensor([[0.0, 1, 0]]).double()) / np.pi
+    expected = 0.7 * (share @ LIGHT).numpy()
+    uv = read.visual.uv[read.faces].mean(1)
+    column, row = (uv[:, 0] * 48).astype(int), ((1 - uv[:, 1]) * 48).astype(int)
+    top = np.isclose(read.vertices[read.faces][:, :, 1], 0.03).all(1)
+    assert top.sum() >= 2
+    found = radiance[row[top], column[top]]
+    # nothing hides what the upper face sees
+    np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), rtol=2e-3)
+    written = (folder / "texels.npz").stat().st_mtime_ns
+    assert main(arguments) == 0
+    assert (folder / "texels.npz").stat().st_mtime_ns == written
+
+
+def test_layouts_that_cannot_be_used_are_made_anew_or_said(folder, capsys, monkeypatch):
+    """A sheet with one picture on both of its faces."""
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
+    twice = np.concatenate([square, square + np.array([0, 0, 0.2])])
+    visual = TextureVisuals(
+        uv=np.concatenate([square[:, :2]] * 2), image=Image.new("RGB", (4, 4), (200, 100, 50))
+    )
+    faces = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]
+    trimesh.Trimesh(twice, faces, visual=visual, process=False).export(folder / "sheet.glb")
+    arguments = command(folder, "export", "s.glb", "--atlas-px", "32", names=("probe", "capture"))
+    arguments[arguments.index("--scene") + 1] = str(folder / "sheet.glb")
+    arguments[arguments.index("--cache") + 1] = str(folder / "sheet.npz")
+    monkeypatch.setitem(sys.modules, "xatlas", None)
+    assert main(arguments) == 1
+    told = capsys.readouterr()
+    assert "coordinates overlap: 992 texels of 32 x 32" in told.out  # not on the diagonal
+    assert "pip install 'skylight-lighting[atlas]'" in told.err.strip().splitlines()[-1]
+    assert not (folder / "s.glb").exists()
+    arguments[arguments.index("--atlas-px") + 1] = "2"
+    assert main(arguments) == 2
+    assert "4 texels" in capsys.readouterr().err.strip().splitlines()[-1]
+    monkeypatch.undo()
+    pytest.importorskip("xatlas")
+    arguments[arguments.index("--atlas-px") + 1] = "32"
+    assert main(arguments) == 0
+    assert (folder / "s.atlas.npz").exists()

@@ -38,7 +38,7 @@ from skylight.sphere._rotation import RigidTransform
 from skylight.transport._rays import Raycaster
 
 _KIND, _FORMAT = "partition probe assembly", 1
-_ORIENTED_MOST_DEG = 25.0  # as it may be found to stand, of which the user is told
+_ORIENTED_MOST_DEG = 25.0  # as it may be found to stand, which is warned of
 
 
 class PlacedPartitions:
@@ -143,13 +143,7 @@ def placed_parts(
 
 
 def load_partition_assembly(path: str | Path) -> PartitionAssembly:
-    """The assembly that :meth:`PartitionAssembly.to_json` wrote.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read as one, or its numbers are no placement.
-    """
+    """The assembly that :meth:`PartitionAssembly.to_json` wrote."""
     content = read_object(path, _KIND)
     keys = ["design", "sizes", "rotation", "translation_mm", "pole_mm", "board_mm", "response"]
     require_keys(path, content, ["format", *keys])
@@ -225,12 +219,8 @@ def fitted_sizes(
     The kernel's distance is the least, of 4 mm or more, with which the shell can be made and cut.
     Where faces would have discs of less than 4 mm free, it grows up to a tenth of the shell's
     diameter. That is 80 mm, or ten times the least distance, in full 10 mm. Walls have 1.6 mm, or
-    0.8 mm where the shell with its socket would be larger than the bed.
-
-    Raises
-    ------
-    InputError
-        What was asked for cannot be printed; the message names sizes that can be.
+    0.8 mm where the shell with its socket would be larger than the bed. What cannot be printed is
+    refused, with sizes that can be.
     """
     if not (math.isfinite(bed_mm) and bed_mm > 0):
         raise InputError(f"bed_mm must be a length above 0 mm, got {bed_mm:g}")

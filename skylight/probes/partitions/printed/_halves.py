@@ -259,9 +259,9 @@ class ShellPlan:
 
 
 def standing_rotation(cells: Cells) -> Float[np.ndarray, "3 3"]:
-    """The smallest turn that brings the lowest junction of walls straight down.
+    """The smallest rotation that brings the lowest junction of walls straight down.
 
-    None for oriented designs.
+    The identity for oriented designs.
     """
     if cells.design.oriented:
         return np.eye(3)
@@ -287,10 +287,7 @@ def probe_parts(
 ) -> ProbeParts:
     """Half shells and kernel of a design that stands turned by ``rotation``.
 
-    Raises
-    ------
-    InputError
-        The sizes do not fit the design: cells too narrow, kernel too large, nowhere to cut.
+    Refuses sizes that do not fit: cells too narrow, kernel too large, nowhere to cut.
     """
     net = WallNet.of(cells, rotation)
     plan = ShellPlan.of(net, sizes, pole_mm)

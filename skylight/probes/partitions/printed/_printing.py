@@ -29,7 +29,7 @@ from skylight.probes.fabrication._mount import (
 )
 from skylight.probes.fabrication._parts import PrintedPart, lay_out
 from skylight.probes.fabrication._report import FACE_TOLERANCE_MM, MeasuredParts, clearance_problems
-from skylight.probes.partitions._cells import Cells
+from skylight.probes.partitions._cells import Cells, tangents
 from skylight.probes.partitions._seeds import ProbeDesign
 from skylight.probes.partitions.printed._assembly import (
     BED_MM,
@@ -40,7 +40,7 @@ from skylight.probes.partitions.printed._assembly import (
     placed_parts,
 )
 from skylight.probes.partitions.printed._halves import ProbeParts, probe_parts, standing_rotation
-from skylight.probes.partitions.printed._solids import ProbeSizes, rim_halves
+from skylight.probes.partitions.printed._solids import ProbeSizes, frame_along, rim_halves
 from skylight.sphere._frame import DirectionGrid
 from skylight.sphere._rotation import RigidTransform
 from skylight.transport._rays import Raycaster
@@ -97,11 +97,10 @@ def check_partition_parts(
     lower, kernel, upper = solids
     farthest = _FAR * sizes.clearance_mm
     way = printed.split.way_in
-    across = np.cross(way, np.eye(3)[np.abs(way).argmin()])
-    across /= np.linalg.norm(across)
-    sideways = [across, np.cross(way, across)]
     axes = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
-    shell = _joined(lower, upper)
+    shell = None if lower is None or upper is None else lower + upper
+    # from the mesh: the kernel's reach along the normal of each face
+    reach = (printed.kernel.vertices @ printed.net.normals.T).max(0)
     return PartitionPrintReport(
         sizes=sizes,
         parts=tuple(
@@ -109,12 +108,14 @@ def check_partition_parts(
         ),
         kernel_play_mm=tuple(play_mm(shell, kernel, axis, farthest) for axis in axes),
         pin_play_mm=tuple(
-            play_mm(lower, upper, sign * side, farthest) for side in sideways for sign in (1, -1)
+            play_mm(lower, upper, sign * side, farthest)
+            for side in frame_along(way)[:2]
+            for sign in (1, -1)
         ),
         seam_mm=play_mm(lower, upper, -way, farthest),
         overlap_mm3=overlap_mm3(solids),
         blocked=_blocked(printed, solids, sizes),
-        face_deviation_mm=_face_deviation_mm(printed, sizes),
+        face_deviation_mm=float(np.abs(reach - sizes.kernel_mm).max()),
     )
 
 
@@ -128,16 +129,6 @@ def _blocked(
         if place
         and meets_on_its_way(solids[:place], solids[place], printed.split.way_in, sizes.wall_mm / 2)
     )
-
-
-def _face_deviation_mm(printed: ProbeParts, sizes: ProbeSizes) -> float:
-    """From the kernel's mesh: its reach along each face's normal against ``kernel_mm``."""
-    reach = (printed.kernel.vertices @ printed.net.normals.T).max(0)
-    return float(np.abs(reach - sizes.kernel_mm).max())
-
-
-def _joined(lower: Manifold | None, upper: Manifold | None) -> Manifold | None:
-    return None if lower is None or upper is None else lower + upper
 
 
 DIRECTIONS = 40_000  # over the sphere; a face's hemisphere holds half of them
@@ -177,12 +168,8 @@ def measure_visibility(
     radius. Of each cell the seen share is estimated, weighed by the cosine, and multiplied with
     the exact integral, which leaves no error of quadrature where all or nothing is seen.
 
-    Parameters
-    ----------
-    centres, radii
-        Of the faces, and how far round them they are flat and free.
-    rotation
-        From the probe's frame to that of ``centres`` and the geometry.
+    ``radii``: how far round the ``centres`` faces are flat and free; ``rotation``: from the probe's
+    frame to that of the geometry.
     """
     grid = DirectionGrid.hammersley(directions).directions.double()
     owner = cells.cell_of(grid)
@@ -196,13 +183,11 @@ def measure_visibility(
         * u.sqrt()[:, None]
     )
     rows = []
+    frames = torch.stack(tangents(cells.normals), 1)
     for cell, normal in enumerate(cells.normals):
         cosine = grid @ normal
         ahead = cosine > 0
-        axis = torch.nn.functional.one_hot(normal.abs().argmin(), 3).double()
-        across = torch.nn.functional.normalize(torch.linalg.cross(axis, normal), dim=0)
-        frame = torch.stack([across, torch.linalg.cross(normal, across)])
-        offset = _DISC * float(radii[cell]) * disc[ahead] @ frame + caster.epsilon * normal
+        offset = _DISC * float(radii[cell]) * disc[ahead] @ frames[cell] + caster.epsilon * normal
         start = torch.from_numpy(centres[cell]) + offset @ turn.T
         free = ~caster.occluded(start, grid[ahead] @ turn.T)
         total = torch.zeros(cells.count, dtype=torch.float64)
@@ -284,12 +269,8 @@ def print_fitted(
     """A design with the sizes that were asked for, and the others chosen so that it can be printed.
 
     See :func:`~skylight.probes.partitions.printed._assembly.fitted_sizes`. Where no flare was
-    named, rims are as wide as leaves nothing thinner than the walls.
-
-    Raises
-    ------
-    InputError
-        What was asked for does not fit the design; the message names sizes that do.
+    named, rims are as wide as leaves nothing thinner than the walls. What does not fit is
+    refused, with sizes that do.
     """
     pole = pole or Pole()
     sizes = fitted_sizes(Cells.of(design), asked, pole_mm=pole.diameter_mm, bed_mm=bed_mm)
@@ -308,7 +289,6 @@ def print_partition_probe(
     *,
     pole: Pole | None = None,
     board: MarkerBoard | None = None,
-    spacing_mm: float = 3.0,
     progress: StageProgress | None = None,
 ) -> PrintedPartitions:
     """Half shells, kernel and marker base of a design, laid out, measured, and what they see.
@@ -351,7 +331,7 @@ def print_partition_probe(
         pole=pole,
         board=board,
         base=base,
-        bed=lay_out([*_lying(printed)], spacing_mm=spacing_mm),
+        bed=lay_out(_lying(printed)),
         report=report,
         visibility=visibility,
         assembly=PartitionAssembly(
@@ -393,26 +373,13 @@ def _good_pole_mm(sizes: ProbeSizes, board: MarkerBoard) -> float:
 
 def _lying(printed: ProbeParts) -> list[PrintedPart]:
     """Parts as they are printed: half shells on their cut, the kernel on its largest face."""
-    way = printed.split.way_in
-    widest = printed.net.normals[_largest_face(printed)]
-    return [
-        _turned(printed.lower, -way),
-        _turned(printed.upper, way),
-        _turned(printed.kernel, -widest),
-    ]
-
-
-def _largest_face(printed: ProbeParts) -> int:
+    way, normals = printed.split.way_in, printed.net.normals
     corners = printed.kernel.corners
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1)
-    along = cross @ printed.net.normals.T / np.maximum(area, 1e-12)[:, None]
-    return int((area @ (along > 1 - 1e-6)).round(6).argmax())
-
-
-def _turned(part: PrintedPart, up: Float[np.ndarray, " 3"]) -> PrintedPart:
-    """With a direction of its frame along +Z."""
-    across = np.cross(up, np.eye(3)[np.abs(up).argmin()])
-    across /= np.linalg.norm(across)
-    turn = np.stack([across, np.cross(up, across), up])
-    return replace(part, vertices=part.vertices @ turn.T, up=(0, 0, 1))
+    along = cross @ normals.T / np.maximum(area, 1e-12)[:, None]
+    widest = normals[int((area @ (along > 1 - 1e-6)).round(6).argmax())]
+    return [
+        replace(part, vertices=part.vertices @ frame_along(up).T, up=(0, 0, 1))
+        for part, up in ((printed.lower, -way), (printed.upper, way), (printed.kernel, -widest))
+    ]

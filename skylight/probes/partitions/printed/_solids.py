@@ -145,10 +145,7 @@ class WallNet:
 def face_radii(net: WallNet, sizes: ProbeSizes) -> Float[np.ndarray, " n"]:
     """How far round its centre each face is flat and free of walls, mm.
 
-    Raises
-    ------
-    InputError
-        A cell is too narrow for its walls: they meet, or leave less than a printer can keep open.
+    Refuses cells too narrow for their walls, which meet or leave less than a printer can keep open.
     """
     centres = sizes.kernel_mm * net.normals
     walls = np.full(len(centres), np.inf)
@@ -209,11 +206,9 @@ def corners_of(solid: Manifold) -> Float[np.ndarray, "v 3"]:
     return np.array(solid.to_mesh64().vert_properties, np.float64)[:, :3]
 
 
-def bounded(
-    normals: Float[np.ndarray, "k 3"], offsets: Float[np.ndarray, " k"], reach_mm: float = 1e3
-) -> Manifold:
-    """{x: <x, normals_k> <= offsets_k}, within a cube."""
-    solid = Manifold.cube((2 * reach_mm, 2 * reach_mm, 2 * reach_mm), True)
+def bounded(normals: Float[np.ndarray, "k 3"], offsets: Float[np.ndarray, " k"]) -> Manifold:
+    """{x: <x, normals_k> <= offsets_k}, within a cube of 2 m."""
+    solid = Manifold.cube((2e3, 2e3, 2e3), True)
     for normal, offset in zip(normals, offsets, strict=True):
         solid = solid.trim_by_plane(tuple((-normal).tolist()), -float(offset))
     return solid
@@ -288,12 +283,16 @@ def _unit(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
-def along_axis(solid: Manifold, axis: Float[np.ndarray, "3"]) -> Manifold:
-    """Turned so that its +Z points along a unit vector."""
+def frame_along(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """Rows: two unit vectors across a unit axis, then the axis; right-handed."""
     across = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
     across = across / np.linalg.norm(across)
-    turn = np.stack([across, np.cross(axis, across), axis], 1)
-    return solid.transform(np.concatenate([turn, np.zeros((3, 1))], 1))
+    return np.stack([across, np.cross(axis, across), axis])
+
+
+def along_axis(solid: Manifold, axis: Float[np.ndarray, "3"]) -> Manifold:
+    """Turned so that its +Z points along a unit vector."""
+    return solid.transform(np.concatenate([frame_along(axis).T, np.zeros((3, 1))], 1))
 
 
 def sector_distance(
@@ -335,11 +334,6 @@ def rim_halves(net: WallNet, sizes: ProbeSizes) -> Float[np.ndarray, "e 2"]:
     whole disc past a rim of c = 0.9 of it where it is ten radii of the shell from the centre, or
     farther. Walls whose rims are shorter than four walls' thickness stay thin, or they would stand
     out as thin blades.
-
-    Raises
-    ------
-    InputError
-        A cell is too narrow for its walls.
     """
     seen = SEEN_DISC * face_radii(net, sizes)
     half = sizes.wall_mm / 2
@@ -429,7 +423,6 @@ def bend_solids(
 
 
 def _widest_gap(axis: np.ndarray, others: np.ndarray) -> float:
-    across = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-    along = np.cross(axis, across)
+    across, along, _ = frame_along(axis)
     angle = np.sort(np.arctan2(others @ along, others @ across))
     return float(np.diff([*angle, angle[0] + 2 * np.pi]).max())

@@ -38,10 +38,6 @@ class Receivers:
     geometric_normals: Float[Tensor, "m 3"]
     albedo: Float[Tensor, "m 3"]
 
-    def __post_init__(self) -> None:
-        if not all(bool(values.isfinite().all()) for values in vars(self).values()):
-            raise InputError("receivers have values that are NaN or infinite")
-
     def __len__(self) -> int:
         return len(self.positions)
 

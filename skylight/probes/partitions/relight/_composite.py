@@ -38,9 +38,7 @@ from skylight.probes.partitions.relight._transfer import (
     TransferCoefficients,
     TransferSampling,
     Turn,
-    TurningCoefficients,
     kept_transfer,
-    kept_turning_transfer,
 )
 from skylight.sphere._rotation import RigidTransform
 from skylight.transport._rays import Raycaster
@@ -95,13 +93,6 @@ class SceneRenderer:
         colours[found, 3] = 1
         pixels = colours.reshape(height, width, samples, 4).mean(2)
         return Drawing(radiance=pixels[..., :3], alpha=pixels[..., 3])
-
-    def window(self, pose: RigidTransform, intrinsics: Intrinsics) -> Window:
-        """The rectangle of a picture outside of which nothing of the scene is seen.
-
-        ``pose`` is ``camera_from_scene``.
-        """
-        return window_of(self.box, pose, intrinsics)
 
     def uncovered(
         self,
@@ -228,7 +219,7 @@ class TurningRelighting(nn.Module):
 
     spline: Tensor
 
-    def __init__(self, coefficients: TurningCoefficients) -> None:
+    def __init__(self, coefficients: TransferCoefficients) -> None:
         super().__init__()
         values = coefficients.values
         knots = _spline_coefficients(len(values)).to(values) @ values.flatten(1)
@@ -280,27 +271,58 @@ class LitScene:
     board_from_scene: RigidTransform = _STILL
 
 
-class _OnBoard:
+class SceneOnBoard:
     """A scene in the board's frame (mm) and the ground under it.
 
-    A direction w of the probe's frame, in which ``cells`` lie, is ``rotation @ w`` on the board.
-    The ``real`` probe with its pole hides what is behind it; the light that it takes from scene and
-    ground is neglected.
+    ``transfer`` is that of :func:`board_transfer`. A direction w of the probe's frame, in which
+    ``cells`` lie, is ``rotation @ w`` on the board. The ``real`` probe with its pole hides what is
+    behind it; the light that it takes from scene and ground is neglected.
+
+    With coefficients of several angles the scene turns about the vertical through the middle of
+    its ground, which it shades. Scene and ground are then those of the frame that turns; the patch
+    of ground takes its shadow along, and what is there of the board is multiplied by it wherever
+    that lies.
     """
 
     def __init__(
         self,
         scene: Scene,
         ground: Ground,
+        transfer: TransferCoefficients,
         cells: Cells,
         rotation: Float[Tensor, "3 3"],
         real: Mesh | None = None,
     ) -> None:
-        self.scene, self.ground = scene, ground
+        self.scene, self.ground, self.transfer = scene, ground, transfer
         self._renderer = SceneRenderer(scene, real)
         up = rotation.double()[1:2]  # +Y of the board in the probe's frame
         self._bare = ground.albedo / torch.pi * cells.clamped_cosine(up)[0]
         self._fade = ground.fade()[..., None]
+        self._relighting: Relighting | TurningRelighting
+        if transfer.values.ndim == 3:
+            smooth = self._smooth(transfer.values)
+            self._relighting = Relighting(replace(transfer, values=smooth))
+        else:
+            smooth = torch.stack([self._smooth(each) for each in transfer.values])
+            self._relighting = TurningRelighting(replace(transfer, values=smooth))
+
+    def lit(self, light: Float[Tensor, "n 3"], angle_rad: float = 0.0) -> LitScene:
+        """Eq. 4.16 by the radiance of the cells; what is below 0 by noise counts as 0.
+
+        A scene that turns is turned by the angle, counter-clockwise seen from above; others stay as
+        they were placed.
+        """
+        light = light.clamp(min=0).float()
+        if isinstance(self._relighting, TurningRelighting):
+            radiance = self._relighting(light[None], angle_rad)[0].clamp(min=0)
+            return self._lit(radiance, light, self.turned(angle_rad))
+        return self._lit(self._relighting(light[None])[0], light, _STILL)
+
+    def turned(self, angle_rad: float) -> RigidTransform:
+        """``board_from_scene``."""
+        x, z = self.ground.centre
+        middle = torch.tensor([x, 0.0, z], dtype=torch.float64)
+        return Turn().rotation(angle_rad).about(middle)
 
     def put_into(
         self,
@@ -320,7 +342,7 @@ class _OnBoard:
             shade = self.ground.seen(lit.shade, through, camera_from_scene)
             free = self._renderer.uncovered(window, through, pose, intrinsics)
             image = shaded(image, 1 + free[..., None] * (shade - 1), response, window)
-        window = self._renderer.window(camera_from_scene, intrinsics)
+        window = window_of(self._renderer.box, camera_from_scene, intrinsics)
         if is_empty(window):
             return image.copy()
         drawing = self._renderer.draw(lit.radiance, rays(window), pose, lit.board_from_scene)
@@ -335,7 +357,7 @@ class _OnBoard:
         self,
         radiance: Float[Tensor, "m 3"],
         light: Float[Tensor, "n 3"],
-        board_from_scene: RigidTransform = _STILL,
+        board_from_scene: RigidTransform,
     ) -> LitScene:
         count = len(self.scene.vertices)
         bare = self._bare.float() @ light
@@ -345,62 +367,6 @@ class _OnBoard:
         return LitScene(
             radiance=radiance[:count].contiguous(), shade=shade, board_from_scene=board_from_scene
         )
-
-
-class SceneOnBoard(_OnBoard):
-    """A scene that stands still on the board; ``transfer`` is that of :func:`board_transfer`."""
-
-    def __init__(
-        self,
-        scene: Scene,
-        ground: Ground,
-        transfer: TransferCoefficients,
-        cells: Cells,
-        rotation: Float[Tensor, "3 3"],
-        real: Mesh | None = None,
-    ) -> None:
-        super().__init__(scene, ground, cells, rotation, real)
-        self.transfer = transfer
-        self._relighting = Relighting(replace(transfer, values=self._smooth(transfer.values)))
-
-    def lit(self, light: Float[Tensor, "n 3"]) -> LitScene:
-        """Eq. 4.16 by the radiance of the cells; what is below 0 by noise counts as 0."""
-        light = light.clamp(min=0).float()
-        return self._lit(self._relighting(light[None])[0], light)
-
-
-class TurningSceneOnBoard(_OnBoard):
-    """A scene that turns about the vertical through the middle of its ground, which it shades.
-
-    ``transfer`` is that of :func:`turning_board_transfer`. Scene and ground are told in the frame
-    that turns; its patch of ground takes its shadow along, and what is there of the board is
-    multiplied by it wherever that lies.
-    """
-
-    def __init__(
-        self,
-        scene: Scene,
-        ground: Ground,
-        transfer: TurningCoefficients,
-        cells: Cells,
-        rotation: Float[Tensor, "3 3"],
-        real: Mesh | None = None,
-    ) -> None:
-        super().__init__(scene, ground, cells, rotation, real)
-        values = torch.stack([self._smooth(each) for each in transfer.values])
-        self._relighting = TurningRelighting(replace(transfer, values=values))
-
-    def lit(self, light: Float[Tensor, "n 3"], angle_rad: float) -> LitScene:
-        """As :meth:`SceneOnBoard.lit`, turned counter-clockwise seen from above."""
-        light = light.clamp(min=0).float()
-        radiance = self._relighting(light[None], angle_rad)[0].clamp(min=0)
-        return self._lit(radiance, light, self.turned(angle_rad))
-
-    def turned(self, angle_rad: float) -> RigidTransform:
-        """``board_from_scene``."""
-        x, z = self.ground.centre
-        middle = torch.tensor([x, 0.0, z], dtype=torch.float64)
-        return Turn().rotation(angle_rad).about(middle)
 
 
 def meets(scene: Scene, real: Mesh) -> bool:
@@ -434,39 +400,29 @@ def board_transfer(
     cells: Cells,
     rotation: Float[Tensor, "3 3"],
     *,
+    angles: int | None = None,
     sampling: TransferSampling | None = None,
     workers: int = 1,
     progress: Progress | None = None,
 ) -> TransferCoefficients:
-    """Of the scene's vertices, then the ground's; kept in ``path``."""
-    together = _in_probe_frame(scene, ground, rotation)
+    """Of the scene's vertices, then the ground's; kept in ``path``.
+
+    With ``angles``, those of each of so many about the board's vertical.
+    """
+    x, y, z = rotation.double()[1].tolist()  # +Y of the board in the probe's frame
     return kept_transfer(
-        path, together, cells, sampling=sampling, workers=workers, progress=progress
+        path,
+        in_probe_frame(Scene.joined([scene, ground.scene()]), rotation),
+        cells,
+        turn=None if angles is None else Turn(angles=angles, axis=(x, y, z)),
+        sampling=sampling,
+        workers=workers,
+        progress=progress,
     )
 
 
-def turning_board_transfer(
-    path: Path,
-    scene: Scene,
-    ground: Ground,
-    cells: Cells,
-    rotation: Float[Tensor, "3 3"],
-    *,
-    angles: int,
-    sampling: TransferSampling | None = None,
-    workers: int = 1,
-    progress: Progress | None = None,
-) -> TurningCoefficients:
-    """:func:`board_transfer` for so many angles about the board's vertical."""
-    x, y, z = rotation.double()[1].tolist()  # +Y of the board in the probe's frame
-    together = _in_probe_frame(scene, ground, rotation)
-    return kept_turning_transfer(
-        path, together, cells, Turn(angles=angles, axis=(x, y, z)),
-        sampling=sampling, workers=workers, progress=progress,
-    )  # fmt: skip
-
-
-def _in_probe_frame(scene: Scene, ground: Ground, rotation: Float[Tensor, "3 3"]) -> Scene:
+def in_probe_frame(scene: Scene, rotation: Float[Tensor, "3 3"]) -> Scene:
+    """Of a scene in the board's frame, in which a probe's direction w is ``rotation @ w``."""
     to_probe = torch.eye(4, dtype=torch.float64)
     to_probe[:3, :3] = rotation.double().T
-    return Scene.joined([scene, ground.scene()]).placed(to_probe)
+    return scene.placed(to_probe)

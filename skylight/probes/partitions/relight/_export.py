@@ -5,6 +5,7 @@ The format is described in docs/relightable_glb.md.
 
 import json
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,28 +26,61 @@ KIND, FORMAT = "skylight relightable mesh", 1
 _BAKED = "_BAKED"  # trimesh exports colours as bytes only: they travel under another name
 
 
-def write_relightable_glb(
-    path: Path,
-    scene: Scene,
-    transfer: Float[Tensor, "v n 3"],
-    light: Float[Tensor, "n 3"],
-    *,
-    probe: PartitionProbe,
-    rotation: Float[Tensor, "3 3"],
-    exposure: float = 1.0,
-) -> None:
-    """glTF 2.0 of a ``scene`` in metres: ``COLOR_0 = exposure sum_i L_i t_i``, and each ``t_i``.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Baking:
+    """The light of the ``probe``'s cells that is baked into a scene, times the ``exposure``.
 
-    A direction w of the probe's frame is ``rotation @ w`` in the scene's. Colours are linear,
-    float32, in an unlit material (KHR_materials_unlit); what exceeds 1 is clipped.
+    A direction w of the probe's frame is ``rotation @ w`` in the scene's.
+    """
+
+    probe: PartitionProbe
+    rotation: Float[Tensor, "3 3"]
+    light: Float[Tensor, "n 3"]
+    exposure: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.exposure) and self.exposure > 0):
+            raise InputError(f"the exposure must be above 0, got {self.exposure:g}")
+
+    def colours(self, transfer: Float[Tensor, "m n 3"]) -> Float[Tensor, "m 3"]:
+        """``exposure sum_i L_i t_i``, linear; what exceeds 1 is clipped."""
+        light = self.light.clamp(min=0).float()
+        baked = torch.einsum("mnc,nc->mc", transfer.float(), light)
+        return (baked * self.exposure).clamp(0, 1)
+
+    def facts(self) -> dict[str, object]:
+        """What an engine needs to get the cells' radiance from shading or an environment map."""
+        cells, turn = self.probe.cells, self.rotation.double().T
+        return {
+            "kind": KIND,
+            "format": FORMAT,
+            "light": self.light.clamp(min=0).tolist(),
+            "exposure": self.exposure,
+            "design": cells.design.name,
+            "seeds": (cells.design.seeds @ turn).tolist(),
+            "cell_of_seed": cells.design.labels.tolist(),
+            "cell_directions": (cells.normals @ turn).tolist(),
+            "cell_solid_angles": cells.solid_angles.tolist(),
+            "weights": self.probe.weights.tolist(),
+            "kernel_albedo": self.probe.albedo.tolist(),
+            "inverse_response": self.probe.inverse.tolist(),
+        }
+
+
+def write_relightable_glb(
+    path: Path, scene: Scene, transfer: Float[Tensor, "v n 3"], baking: Baking
+) -> None:
+    """glTF 2.0 of a ``scene`` in metres: ``COLOR_0`` is the baked light, ``_T0``, ... are ``t_i``.
+
+    All float32, in an unlit material (KHR_materials_unlit).
     """
     import trimesh
     from trimesh.visual import TextureVisuals
     from trimesh.visual.material import PBRMaterial
 
-    transfer, light = transfer.float(), light.clamp(min=0)
-    names = [f"_T{i}" for i in range(probe.cells.count)]
-    attributes: dict[str, ArrayLike] = {_BAKED: _baked(transfer, light, exposure).numpy()}
+    transfer = transfer.float()
+    names = [f"_T{i}" for i in range(baking.probe.cells.count)]
+    attributes: dict[str, ArrayLike] = {_BAKED: baking.colours(transfer).numpy()}
     attributes |= {name: transfer[:, i].contiguous().numpy() for i, name in enumerate(names)}
     mesh = trimesh.Trimesh(
         scene.vertices.numpy(),
@@ -56,7 +90,7 @@ def write_relightable_glb(
         visual=TextureVisuals(material=PBRMaterial(metallicFactor=0.0, doubleSided=True)),
         process=False,
     )
-    facts = {"attributes": names, **_facts(light, exposure, probe, rotation)}
+    facts = {"attributes": names, **baking.facts()}
 
     def finish(tree: dict) -> None:
         (only,) = tree["meshes"]
@@ -77,11 +111,7 @@ def write_relightable_atlas(
     scene: Scene,
     atlas: Atlas,
     transfer: Float[Tensor, "m n 3"],
-    light: Float[Tensor, "n 3"],
-    *,
-    probe: PartitionProbe,
-    rotation: Float[Tensor, "3 3"],
-    exposure: float = 1.0,
+    baking: Baking,
 ) -> None:
     """As :func:`write_relightable_glb`, with ``transfer`` of the covered texels of an ``atlas``.
 
@@ -91,8 +121,7 @@ def write_relightable_atlas(
     import trimesh
     from trimesh.visual import TextureVisuals
 
-    light = light.clamp(min=0)
-    baked = atlas.image(_baked(transfer.float(), light, exposure))
+    baked = atlas.image(baking.colours(transfer))
     vertex, uv, faces = atlas.vertices(scene)
     mesh = trimesh.Trimesh(
         scene.vertices[vertex].numpy(),
@@ -104,7 +133,7 @@ def write_relightable_atlas(
         process=False,
     )
     beside = atlas_path(path)
-    facts = {"atlas": beside.name, **_facts(light, exposure, probe, rotation)}
+    facts = {"atlas": beside.name, **baking.facts()}
 
     def finish(tree: dict) -> None:
         (only,) = tree["meshes"]
@@ -118,35 +147,3 @@ def write_relightable_atlas(
             extras=np.array(json.dumps(facts)),
         )
     write_unlit_glb(path, mesh, normals=True, finish=finish)
-
-
-def _baked(
-    transfer: Float[Tensor, "m n 3"], light: Float[Tensor, "n 3"], exposure: float
-) -> Float[Tensor, "m 3"]:
-    if not (math.isfinite(exposure) and exposure > 0):
-        raise InputError(f"the exposure must be above 0, got {exposure:g}")
-    return (torch.einsum("mnc,nc->mc", transfer, light.float()) * exposure).clamp(0, 1)
-
-
-def _facts(
-    light: Float[Tensor, "n 3"],
-    exposure: float,
-    probe: PartitionProbe,
-    rotation: Float[Tensor, "3 3"],
-) -> dict[str, object]:
-    """What an engine needs to get the cells' radiance from shading or from an environment map."""
-    cells = probe.cells
-    return {
-        "kind": KIND,
-        "format": FORMAT,
-        "light": light.tolist(),
-        "exposure": exposure,
-        "design": cells.design.name,
-        "seeds": (cells.design.seeds @ rotation.double().T).tolist(),
-        "cell_of_seed": cells.design.labels.tolist(),
-        "cell_directions": (cells.normals @ rotation.double().T).tolist(),
-        "cell_solid_angles": cells.solid_angles.tolist(),
-        "weights": probe.weights.tolist(),
-        "kernel_albedo": probe.albedo.tolist(),
-        "inverse_response": probe.inverse.tolist(),
-    }

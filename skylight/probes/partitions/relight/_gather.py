@@ -203,7 +203,7 @@ _FADING = 0.3  # of the reach, over which the last of the shadow goes
 
 @dataclass(frozen=True, kw_only=True)
 class Ground:
-    """A square patch of the plane y = ``level``, with the middle (x, z) ``centre``.
+    """A square patch of the board's plane y = 0, with the middle (x, z) ``centre``.
 
     Vertices stand at ``centre + width sinh(k u)`` for u = -1 to 1 along both axes, with k so that
     the last are ``reach`` away: about equally dense within ``width``, the object's, and further
@@ -214,35 +214,29 @@ class Ground:
     """
 
     centre: tuple[float, float]
-    level: float
     width: float
     reach: float
     albedo: float = 0.5
 
     def __post_init__(self) -> None:
-        numbers = (*self.centre, self.level, self.width, self.reach)
-        if not all(map(math.isfinite, numbers)) or not 0 < self.width < self.reach:
-            raise InputError(f"a ground needs finite places and 0 < width < reach, got {numbers}")
         if not 0 < self.albedo <= 1:
             raise InputError(f"the ground's albedo must be above 0, at most 1, got {self.albedo:g}")
 
     @staticmethod
-    def under(scene: Scene, *, level: float = 0.0, albedo: float = 0.5) -> "Ground":
+    def under(scene: Scene, *, albedo: float = 0.5) -> "Ground":
         """As large as the shadow of a scene may be."""
         low, high = scene.vertices.amin(0), scene.vertices.amax(0)
-        if float(low[1]) < level - 1e-3 * float(high[1] - low[1]):
+        if float(low[1]) < -1e-3 * float(high[1] - low[1]):
             raise InputError("the scene reaches below the ground: let it stand higher")
         extent = high - low
         width = max(float(extent[0]), float(extent[2])) / 2
         if width == 0:
             raise InputError("the scene has no width: nothing could be seen of it")
         middle = (low + high) / 2
-        rise = float(high[1]) - level
         return Ground(
             centre=(float(middle[0]), float(middle[2])),
-            level=level,
             width=width,
-            reach=math.sqrt(2) * width + max(_REACH * rise, _LEAST_REACH * width),
+            reach=math.sqrt(2) * width + max(_REACH * float(high[1]), _LEAST_REACH * width),
             albedo=albedo,
         )
 
@@ -253,7 +247,7 @@ class Ground:
         """
         place = self._places()
         z, x = torch.meshgrid(place + self.centre[1], place + self.centre[0], indexing="ij")
-        vertices = torch.stack([x, torch.full_like(x, self.level), z], 2).reshape(-1, 3)
+        vertices = torch.stack([x, torch.zeros_like(x), z], 2).reshape(-1, 3)
         number = torch.arange(ACROSS**2).reshape(ACROSS, ACROSS)
         a, b = number[:-1, :-1].flatten(), number[:-1, 1:].flatten()
         c, d = number[1:, 1:].flatten(), number[1:, :-1].flatten()
@@ -300,7 +294,7 @@ class Ground:
             ends = torch.stack([there[0] - 1, there[-1] + 1]).clamp(0, ACROSS - 1)
             corners.append(self._places()[ends] + self.centre[1 - axis])
         (z0, z1), (x0, x1) = corners
-        level = torch.tensor(self.level, dtype=torch.float64)
+        level = torch.zeros((), dtype=torch.float64)
         return box_edges(torch.stack([x0, level, z0]), torch.stack([x1, level, z1]))
 
     def seen(
@@ -316,7 +310,7 @@ class Ground:
         height, width, samples, _ = rays.shape
         back = pose.inverse()
         eye = back.translation
-        drop = float(eye[1]) - self.level
+        drop = float(eye[1])
         if drop <= 0:
             return torch.ones(height, width, 3)
         directions = back.directions(rays.reshape(-1, 3).float())

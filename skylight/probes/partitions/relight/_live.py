@@ -17,11 +17,7 @@ from skylight.probes.partitions._captured import (
 )
 from skylight.probes.partitions._probe import PartitionProbe
 from skylight.probes.partitions.printed._assembly import PlacedPartitions
-from skylight.probes.partitions.relight._composite import (
-    LitScene,
-    SceneOnBoard,
-    TurningSceneOnBoard,
-)
+from skylight.probes.partitions.relight._composite import LitScene, SceneOnBoard
 from skylight.sphere._rotation import RigidTransform
 
 NEWER = 0.2  # weight of a new sample: light follows within five frames or so
@@ -64,7 +60,7 @@ class PartitionLiveView(LiveView):
         *,
         placed: PlacedPartitions,
         probe: PartitionProbe,
-        scene: SceneOnBoard | TurningSceneOnBoard,
+        scene: SceneOnBoard,
         shading: RunningShading,
         start_rad: float = 0.0,
         step_rad: float = 0.0,
@@ -92,10 +88,12 @@ class PartitionLiveView(LiveView):
         lens, response = self.setup.intrinsics, self.setup.response
         taken = self.shading.add(read_samples(image, response, self._discs, pose, lens))
         clock.mark("capture")
-        if taken or self._light is None:
-            self._read_light()
-        if taken or self._lit is None or self._step_rad != 0:
-            self._relight()
+        known = self.shading.known
+        if (taken or self._light is None) and 2 * int(known.sum()) >= len(known):
+            shading = complete_shading(self.shading.shading, known, self._probe)
+            self._light = nonnegative_light(shading, self._probe)[0]
+        if self._light is not None and (taken or self._lit is None or self._step_rad != 0):
+            self._lit = self._scene.lit(self._light, self._angle_rad)
         if self._lit is None:
             return None
         clock.mark("relight")
@@ -104,18 +102,3 @@ class PartitionLiveView(LiveView):
         )
         clock.mark("draw")
         return picture
-
-    def _read_light(self) -> None:
-        known = self.shading.known
-        if 2 * int(known.sum()) < len(known):
-            return
-        shading = complete_shading(self.shading.shading, known, self._probe)
-        self._light = nonnegative_light(shading, self._probe)[0]
-
-    def _relight(self) -> None:
-        if self._light is None:
-            return
-        if isinstance(self._scene, TurningSceneOnBoard):
-            self._lit = self._scene.lit(self._light, self._angle_rad)
-        else:
-            self._lit = self._scene.lit(self._light)

@@ -19,10 +19,9 @@ only where the light comes from is interpolated.
 import hashlib
 import math
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 import torch
@@ -66,19 +65,16 @@ class TransferSampling:
 class TransferCoefficients:
     """t_i (m,n,3) of m receivers and n cells, float32, albedo and all bounces included.
 
-    ``orders`` (bounces + 1,) is the mean over receivers and colours of ``sum_i t_i^k``: what
-    each number of bounces adds under uniform light of 1.
+    Of a scene that turns they are (K,m,n,3), those of each of K angles, and the receivers are
+    points of the turning frame. ``orders`` (bounces + 1,) is the mean over receivers, colours and
+    angles of ``sum_i t_i^k``: what each number of bounces adds under uniform light of 1.
     """
 
-    values: Float[Tensor, "m n 3"]
-    orders: Float[Tensor, " k"]
-
-    def __post_init__(self) -> None:
-        if not bool(self.values.isfinite().all()):
-            raise InputError("transfer coefficients have values that are NaN or infinite")
+    values: Float[Tensor, "*k m n 3"]
+    orders: Float[Tensor, " b"]
 
     def __len__(self) -> int:
-        return len(self.values)
+        return self.values.shape[-3]
 
 
 def transfer_coefficients(
@@ -209,8 +205,6 @@ class Turn:
     def __post_init__(self) -> None:
         if not _FEWEST <= self.angles <= _MOST:
             raise InputError(f"a turn has {_FEWEST} to {_MOST} angles, got {self.angles}")
-        if not all(map(math.isfinite, self.axis)) or not any(self.axis):
-            raise InputError(f"an axis has a direction in finite numbers, got {self.axis}")
 
     @property
     def angles_rad(self) -> list[float]:
@@ -222,21 +216,6 @@ class Turn:
         return RigidTransform.from_vector(torch.cat([angle_rad * axis, torch.zeros(3).double()]))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TurningCoefficients:
-    """t_i (K,m,n,3) of m receivers at K angles, float32: those of each.
-
-    Receivers are points of the turning frame. ``orders`` (b,) are the mean over the angles.
-    """
-
-    values: Float[Tensor, "k m n 3"]
-    orders: Float[Tensor, " b"]
-
-    def __post_init__(self) -> None:
-        if not bool(self.values.isfinite().all()):
-            raise InputError("transfer coefficients have values that are NaN or infinite")
-
-
 def turning_coefficients(
     scene: Scene,
     cells: Cells,
@@ -245,7 +224,7 @@ def turning_coefficients(
     sampling: TransferSampling | None = None,
     workers: int = 1,
     progress: Progress | None = None,
-) -> TurningCoefficients:
+) -> TransferCoefficients:
     """t_i at the vertices of a scene, as it stands at a = 0, turned by each of K angles.
 
     K times the work of :func:`transfer_coefficients`, and 12 K n bytes for each vertex: 4 KB with
@@ -258,19 +237,18 @@ def turning_coefficients(
         back = turn.rotation(-angle_rad).rotation
         made = transfer_coefficients(
             scene,
-            Cells.of(cells.design.turned(back)) if k else cells,
+            Cells.of(cells.design.rotated(back)) if k else cells,
             sampling=sampling,
             workers=workers,
             progress=lambda share, k=k: tell((k + share) / turn.angles),
         )
         values[k] = made.values
         orders.append(made.orders)
-    return TurningCoefficients(values=values, orders=torch.stack(orders).mean(0))
+    return TransferCoefficients(values=values, orders=torch.stack(orders).mean(0))
 
 
 _VERSION = 1  # one more whenever the numbers change that the same scene gives
 _NAMES = ("version", "key", "values", "orders")
-Coefficients = TypeVar("Coefficients", TransferCoefficients, TurningCoefficients)
 
 
 def transfer_key(
@@ -286,34 +264,27 @@ def transfer_key(
     A design's name and the names of files are no part of it.
     """
     digest = hashlib.sha256(f"{_VERSION} {sampling or TransferSampling()}".encode())
-    design = {"seeds": cells.design.seeds, "labels": cells.design.labels}
+
+    def add(tensors: Mapping[str, Tensor | None]) -> None:
+        for name, tensor in tensors.items():
+            if tensor is not None:
+                digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+                digest.update(np.ascontiguousarray(tensor.numpy()).tobytes())
+
     for part in (scene, receivers):
         if part is None:
             digest.update(b"none")
-            continue
-        # a frozen dataclass keeps what it has worked out beside its fields
-        fields = {name: getattr(part, name) for name in part.__dataclass_fields__}
-        _add(digest, fields)
-    _add(digest, design)
+        else:
+            # a frozen dataclass keeps what it has worked out beside its fields
+            add({name: getattr(part, name) for name in part.__dataclass_fields__})
+    add({"seeds": cells.design.seeds, "labels": cells.design.labels})
     if turn is not None:
         digest.update(str(turn).encode())
     return digest.hexdigest()
 
 
-def _add(digest: "hashlib._Hash", tensors: Mapping[str, Tensor | None]) -> None:
-    for name, tensor in tensors.items():
-        if tensor is not None:
-            digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
-            digest.update(np.ascontiguousarray(tensor.numpy()).tobytes())
-
-
-def save_transfer(
-    path: str | Path, coefficients: TransferCoefficients | TurningCoefficients, key: str
-) -> None:
-    """As float16: 6 n bytes for each receiver and angle, to 0.05 % or 3e-8, whichever is more.
-
-    ``values`` of the file are (m,n,3), or (K,m,n,3) of a turning scene.
-    """
+def save_transfer(path: Path, coefficients: TransferCoefficients, key: str) -> None:
+    """As float16: 6 n bytes for each receiver and angle, to 0.05 % or 3e-8, whichever is more."""
     values = coefficients.values
     largest = float(values.abs().amax()) if values.numel() else 0.0
     if largest > torch.finfo(torch.float16).max:
@@ -328,28 +299,10 @@ def save_transfer(
         )
 
 
-def load_transfer(path: str | Path, key: str | None = None) -> TransferCoefficients:
-    """What :func:`save_transfer` wrote of a scene that stands still.
-
-    Raises
-    ------
-    InputError
-        No such file, a damaged one, or one of another ``key``.
-    """
-    values, orders = _read(path, key, 3)
-    return TransferCoefficients(values=values, orders=orders)
-
-
-def load_turning_transfer(path: str | Path, key: str | None = None) -> TurningCoefficients:
-    """As :func:`load_transfer`, of a scene that turns."""
-    values, orders = _read(path, key, 4)
-    return TurningCoefficients(values=values, orders=orders)
-
-
-def _read(path: str | Path, key: str | None, dimensions: int) -> tuple[Tensor, Tensor]:
-    """(values, orders)."""
+def load_transfer(path: Path, key: str | None = None) -> TransferCoefficients:
+    """What :func:`save_transfer` wrote; refuses another ``key``."""
     try:
-        content = load_arrays(Path(path), _NAMES)
+        content = load_arrays(path, _NAMES)
         version, found = int(content["version"]), str(content["key"])
         values, orders = content["values"], content["orders"]
     except (OSError, ValueError, TypeError) as error:
@@ -363,80 +316,53 @@ def _read(path: str | Path, key: str | None, dimensions: int) -> tuple[Tensor, T
         raise InputError(
             f"{path}: made for another scene, probe or sampling than these; make them again"
         )
-    if values.dtype != np.float16 or values.ndim != dimensions or values.shape[-1] != 3:
+    if values.dtype != np.float16 or values.ndim not in (3, 4) or values.shape[-1] != 3:
         raise InputError(f"{path}: the transfer coefficients have a wrong shape")
     if orders.dtype != np.float64 or orders.ndim != 1:
         raise InputError(f"{path}: the sums of the bounces have a wrong shape")
-    return torch.from_numpy(values.astype(np.float32)), torch.from_numpy(orders)
+    if not np.isfinite(values).all():
+        raise InputError(f"{path}: transfer coefficients have values that are NaN or infinite")
+    return TransferCoefficients(
+        values=torch.from_numpy(values.astype(np.float32)), orders=torch.from_numpy(orders)
+    )
 
 
 def kept_transfer(
-    path: str | Path,
+    path: Path,
     scene: Scene,
     cells: Cells,
     receivers: Receivers | None = None,
     *,
+    turn: Turn | None = None,
     sampling: TransferSampling | None = None,
     workers: int = 1,
     progress: Progress | None = None,
 ) -> TransferCoefficients:
-    """:func:`transfer_coefficients`, cached in the file ``path``.
+    """:func:`transfer_coefficients`, or those of the vertices at each angle of a ``turn``, cached.
 
-    Coefficients of another scene, probe, sampling or version are replaced.
-
-    Raises
-    ------
-    InputError
-        The file holds something else, or is damaged; it stays as it is.
+    Coefficients of another scene, probe, sampling or version in the file ``path`` are replaced; a
+    file that is damaged or holds something else is refused, and stays as it is.
     """
-    key = transfer_key(scene, cells, receivers, sampling=sampling)
-
-    def make() -> TransferCoefficients:
-        return transfer_coefficients(
-            scene, cells, receivers, sampling=sampling, workers=workers, progress=progress
-        )
-
-    return _kept(path, key, make, load_transfer)
-
-
-def kept_turning_transfer(
-    path: str | Path,
-    scene: Scene,
-    cells: Cells,
-    turn: Turn,
-    *,
-    sampling: TransferSampling | None = None,
-    workers: int = 1,
-    progress: Progress | None = None,
-) -> TurningCoefficients:
-    """:func:`turning_coefficients`, cached as :func:`kept_transfer` does."""
-    key = transfer_key(scene, cells, sampling=sampling, turn=turn)
-
-    def make() -> TurningCoefficients:
-        return turning_coefficients(
-            scene, cells, turn, sampling=sampling, workers=workers, progress=progress
-        )
-
-    return _kept(path, key, make, load_turning_transfer)
-
-
-def _kept(
-    path: str | Path,
-    key: str,
-    make: Callable[[], Coefficients],
-    load: Callable[[str | Path, str], Coefficients],
-) -> Coefficients:
-    if Path(path).exists():
+    key = transfer_key(scene, cells, receivers, sampling=sampling, turn=turn)
+    if path.exists():
         _require_ours(path)
         try:
-            return load(path, key)
+            return load_transfer(path, key)
         except InputError:
             pass  # stale
-    save_transfer(path, make(), key)
-    return load(path, key)  # the same numbers the first time and later
+    if turn is None:
+        made = transfer_coefficients(
+            scene, cells, receivers, sampling=sampling, workers=workers, progress=progress
+        )
+    else:
+        made = turning_coefficients(
+            scene, cells, turn, sampling=sampling, workers=workers, progress=progress
+        )
+    save_transfer(path, made, key)
+    return load_transfer(path, key)  # the same numbers the first time and later
 
 
-def _require_ours(path: str | Path) -> None:
+def _require_ours(path: Path) -> None:
     try:
         with zipfile.ZipFile(path) as archive:
             ours = set(archive.namelist()) == {f"{name}.npy" for name in _NAMES}

@@ -97,9 +97,7 @@ def test_other_boards_are_refused() -> None:
         ({"design": 3}, "not those"),
     ],
 )
-def test_files_that_are_no_probes_are_refused(
-    tmp_path: Path, change: dict[str, object], message: str
-) -> None:
+def test_files_that_are_no_probes_are_refused(tmp_path, change, message):
     path = tmp_path / "assembly.json"
     write_json(path, standing().to_json())
     path.write_text(json.dumps(json.loads(path.read_text()) | change))

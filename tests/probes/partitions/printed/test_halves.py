@@ -1,8 +1,12 @@
 """Parts as assembled: one piece each, cuts that come apart, and the pole's joint."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from skylight.errors import InputError
 from skylight.probes.fabrication._parts import part_of
@@ -12,11 +16,12 @@ from skylight.probes.partitions._seeds import ProbeDesign
 from skylight.probes.partitions.printed._halves import (
     Foot,
     ProbeParts,
+    ShellPlan,
     lowest_junction,
     probe_parts,
     standing_rotation,
 )
-from skylight.probes.partitions.printed._printing import check_partition_parts
+from skylight.probes.partitions.printed._printing import PrintedPartitions, check_partition_parts
 from skylight.probes.partitions.printed._solids import ProbeSizes, WallNet
 
 SIZES = ProbeSizes(outer_mm=60.0, kernel_mm=9.0)
@@ -83,8 +88,8 @@ def test_the_cubes_walls_weigh_what_they_should(cube: ProbeParts) -> None:
     assert walls * 0.97 < bare < walls + extra
 
 
-def test_all_is_well_with_the_cube(cube: ProbeParts) -> None:
-    report = check_partition_parts(cube, SIZES)
+def test_all_is_well_with_the_printed_cube(printed_cube: PrintedPartitions) -> None:
+    report = printed_cube.report
     assert report.problems == ()
     assert report.thinnest_mm == pytest.approx(1.6, abs=1e-3)
     # 0.15 mm off planes at 45 degrees and more to the way the kernel moves
@@ -99,15 +104,7 @@ def test_reports_tell_what_is_wrong(cube: ProbeParts) -> None:
     assert swollen is not None
     larger = part_of("kernel", swollen.scale((1.05, 1.05, 1.05)), (0, 1, 0))
     pushed = cube.upper.shifted(-0.5 * cube.split.way_in)
-    broken = ProbeParts(
-        net=cube.net,
-        rotation=cube.rotation,
-        lower=cube.lower,
-        upper=pushed,
-        kernel=larger,
-        split=cube.split,
-        foot=cube.foot,
-    )
+    broken = replace(cube, upper=pushed, kernel=larger)
     text = "; ".join(check_partition_parts(broken, SIZES).problems)
     assert "kernel in its shell: clearance 0.000" in text
     assert "upper half on the lower: clearance 0.000" in text
@@ -129,8 +126,11 @@ def test_shells_without_room_for_a_cut_are_refused() -> None:
 
 def test_halves_are_of_one_piece() -> None:
     """The plane with the smallest gaps alone would leave this upper half in three."""
-    parts = parts_of("6d-tilted-sun-12", ProbeSizes(outer_mm=130.0, kernel_mm=13.0, flare=1.0))
-    for part in parts.parts:
-        solid = part.solid()
-        assert solid is not None
-        assert len(solid.decompose()) == 1
+    cells = Cells.of(named_design("6d-tilted-sun-12"))
+    net = WallNet.of(cells, standing_rotation(cells))
+    split = ShellPlan.of(net, ProbeSizes(outer_mm=130.0, kernel_mm=13.0, flare=1.0), 6.0).split
+    kept, count = ~split.cut, len(net.vertices)
+    links = coo_array((kept[kept], (net.starts[kept], net.ends[kept])), shape=(count, count))
+    _, piece = connected_components(links, directed=False)
+    for half in (split.upper, ~split.upper):
+        assert len(set(piece[half & (net.meeting > 0)])) == 1

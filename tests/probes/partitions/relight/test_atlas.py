@@ -1,13 +1,15 @@
+"""Where on a scene light is received: texels of an atlas, points of triangles, finer vertices."""
+
 import numpy as np
 import pytest
 import torch
 import trimesh
 
 from skylight.errors import InputError
-from skylight.probes.partitions.relight._atlas import Atlas, UnusableLayout
+from skylight.probes.partitions.relight._atlas import Atlas, Receivers, UnusableLayout, refined
 from skylight.probes.partitions.relight._scene import Scene, texture_at
 from skylight.probes.partitions.relight._transfer import TransferSampling, transfer_coefficients
-from tests.probes.partitions.shapes import QUAD, six_cells, solid
+from tests.probes.partitions.shapes import QUAD, corner, quad, six_cells, solid
 
 
 @pytest.fixture
@@ -125,3 +127,75 @@ def test_what_is_refused(painted):
     speck = Atlas(corners=torch.full((1, 3, 2), 0.3), size=4)
     with pytest.raises(InputError, match="no texel"):
         speck.image(torch.zeros(0, 3))
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7])
+def test_vertices_at_the_foot_of_a_wall_see_half_of_the_sky(turn):
+    """Whose own place the wall's plane holds: rays must neither start behind nor in it."""
+    matrix = torch.from_numpy(trimesh.transformations.rotation_matrix(turn, [0.3, 1, 0.2]))
+    scene = corner((1.0, 1, 1), (1.0, 1, 1), 0.2)
+    at_foot = torch.zeros(len(scene.vertices), dtype=torch.bool)
+    at_foot |= (scene.vertices[:, :2].abs().amax(1) < 1e-9) & (scene.normals[:, 1] > 0.5)
+    at_foot &= (scene.vertices[:, 2] - 0.5).abs() < 0.3
+    assert at_foot.sum() >= 2
+    sampling = TransferSampling(rays=512, bounces=0)
+    found = transfer_coefficients(scene.placed(matrix), six_cells(), sampling=sampling)
+    share = found.values[at_foot][:, :, 0].sum(1)
+    torch.testing.assert_close(share, torch.full_like(share, 0.5), atol=0.01, rtol=0)
+
+
+def test_points_on_triangles_take_what_is_interpolated_there():
+    ball = solid(trimesh.creation.icosphere(subdivisions=1))
+    faces = torch.arange(len(ball.faces))
+    middle = torch.full((len(faces), 3), 1 / 3).double()
+    points = Receivers.on_surface(ball, faces, middle)
+    outward = ball.vertices[ball.faces].mean(1)
+    outward = outward / outward.norm(dim=1, keepdim=True)
+    torch.testing.assert_close(points.geometric_normals, outward, atol=0.05, rtol=0)
+    assert ((points.normals * outward).sum(1) > 0.999).all()
+    flat = ball.vertices[ball.faces].mean(1).norm(dim=1)
+    assert (points.positions.norm(dim=1) > flat).all()  # lifted towards the round surface
+    torch.testing.assert_close(points.albedo, ball.albedo[:1].expand(len(faces), 3))
+
+
+def test_backs_look_the_other_way():
+    points = Receivers.at_vertices(solid(trimesh.creation.icosphere(subdivisions=1)))
+    backs = points.behind(torch.tensor([3, 5]))
+    assert backs.normals.equal(-points.normals[[3, 5]])
+    both = Receivers.joined(points, backs)
+    assert len(both) == len(points) + 2
+    assert both.albedo[-1].equal(points.albedo[5])
+
+
+@pytest.mark.parametrize("longest", [0.9, 0.33, 0.12])
+def test_edges_are_short_and_the_surface_is_the_same_and_closed(longest):
+    box = solid(trimesh.creation.box((1.0, 0.4, 0.7)))
+    fine = refined(box, longest)
+    mesh = trimesh.Trimesh(fine.vertices.numpy(), fine.faces.numpy())
+    assert mesh.edges_unique_length.max() <= longest
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert not fine.open_faces.any()
+    assert mesh.volume == pytest.approx(0.28)
+    assert mesh.area == pytest.approx(2 * (0.4 + 0.7 + 0.28))
+    corners = fine.normals[fine.faces]
+    torch.testing.assert_close(corners, fine.face_normals[:, None].expand_as(corners))
+
+
+def test_a_surface_that_is_fine_enough_stays_as_it_is():
+    box = solid(trimesh.creation.box())
+    assert refined(box, 1.5) is box
+
+
+def test_colours_are_interpolated():
+    floor = quad([0, 0, 0], [0, 0, 1], [1, 0, 1], [1, 0, 0])
+    ramp = floor.vertices[:, :1].expand(-1, 3)
+    fine = refined(type(floor).of(floor.vertices, floor.faces, ramp), 0.1)
+    np.testing.assert_allclose(fine.albedo[:, 0], fine.vertices[:, 0], atol=1e-12)
+
+
+def test_endless_work_is_refused():
+    with pytest.raises(InputError, match="more than"):
+        refined(quad([0, 0, 0], [0, 0, 1], [1, 0, 1], [1, 0, 0]), 1e-4)
+    with pytest.raises(InputError, match="above 0"):
+        refined(solid(trimesh.creation.box()), 0.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.probes.cameras._drawing import camera_rays, lens_rays, looking_at
+from skylight.probes.cameras._drawing import camera_rays, lens_rays, looking_at, window_of
 from skylight.probes.cameras._intrinsics import Intrinsics
 from skylight.probes.partitions.relight._composite import SceneRenderer
 from skylight.probes.partitions.relight._scene import Scene
@@ -96,7 +96,7 @@ def test_nothing_is_seen_outside_of_the_window() -> None:
     for target in ((0.0, 1, 0), (4.0, 1, 0), (40.0, 1, 0)):
         eye = vector(*target) + vector(3, 6, 12)
         pose = looking_at(eye, vector(*target))
-        window = renderer.window(pose, LENS)
+        window = window_of(renderer.box, pose, LENS)
         whole = renderer.draw(light, lens_rays(LENS), pose)
         part = renderer.draw(light, lens_rays(LENS, 1, window), pose)
         torch.testing.assert_close(part.radiance, whole.radiance[window])

@@ -14,6 +14,7 @@ from skylight.errors import InputError
 from skylight.probes.partitions._probe import PartitionProbe
 from skylight.probes.partitions.relight._atlas import Atlas
 from skylight.probes.partitions.relight._export import (
+    Baking,
     write_relightable_atlas,
     write_relightable_glb,
 )
@@ -72,13 +73,12 @@ def write(path: Path, probe: PartitionProbe, **kind) -> tuple[torch.Tensor, torc
     generator = torch.Generator().manual_seed(0)
     transfer = 0.1 * torch.rand(len(box().vertices), 14, 3, generator=generator)
     light = torch.rand(14, 3, generator=generator)
-    write_relightable_glb(path, box(), transfer, light, probe=probe, rotation=ROTATION, **kind)
+    baking = Baking(probe=probe, rotation=ROTATION, light=light, **kind)
+    write_relightable_glb(path, box(), transfer, baking)
     return transfer, light
 
 
-def test_baked_colours_come_back_from_the_coefficients(
-    tmp_path: Path, probe: PartitionProbe
-) -> None:
+def test_baked_colours_come_back_from_the_coefficients(tmp_path, probe):
     path = tmp_path / "a.glb"
     transfer, light = write(path, probe, exposure=0.5)
     file = Read(path)
@@ -95,9 +95,7 @@ def test_baked_colours_come_back_from_the_coefficients(
     assert 0.1 < baked.mean() < 0.9
 
 
-def test_shading_of_a_probe_becomes_light_by_the_file_alone(
-    tmp_path: Path, probe: PartitionProbe
-) -> None:
+def test_shading_of_a_probe_becomes_light_by_the_file_alone(tmp_path, probe):
     path = tmp_path / "a.glb"
     write(path, probe)
     facts = Read(path).mesh["extras"]
@@ -155,9 +153,8 @@ def test_texels_are_relit_by_the_files_alone(tmp_path: Path, probe: PartitionPro
     # of this cell, what tells places
     transfer[:, 3] = (positions + torch.tensor([0.5, 0, 0.5])).float()
     light = torch.rand(14, 3, generator=generator)
-    write_relightable_atlas(
-        path, scene, atlas, transfer, light, probe=probe, rotation=ROTATION, exposure=0.4
-    )
+    baking = Baking(probe=probe, rotation=ROTATION, light=light, exposure=0.4)
+    write_relightable_atlas(path, scene, atlas, transfer, baking)
     file = Read(path)
     facts = file.mesh["extras"]
     with np.load(tmp_path / facts["atlas"], allow_pickle=False) as content:

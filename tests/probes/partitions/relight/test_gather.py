@@ -78,6 +78,7 @@ def test_direct_light_is_that_of_a_fine_transport_matrix():
     assert abs(error.mean()) < 3e-4
 
 
+@pytest.mark.slow
 def test_the_noise_at_the_default_of_512_rays_is_as_stated():
     scene = Scene.joined(
         [
@@ -123,15 +124,6 @@ def test_what_a_camera_sees_starts_clear_of_the_surface():
     exact = six_cells().clamped_cosine(seen.normals) / math.pi
     np.testing.assert_allclose(found.direct, exact, atol=2e-3)
     torch.testing.assert_close(seen.albedo[0], torch.tensor([0.6, 0.5, 0.4]).double())
-
-
-def test_every_number_of_processes_gives_the_same_bytes():
-    scene = corner((0.5, 0.5, 0.5), (0.5, 0.5, 0.5), 0.1)
-    one, three = gathered(scene, rays=2000), gathered(scene, rays=2000, workers=3)
-    assert len(one.indirect) > 3
-    assert np.array_equal(one.direct, three.direct)
-    light = np.arange(len(Nodes.of(scene)), dtype=np.float32)[:, None]
-    assert np.array_equal(one.from_nodes(light), three.from_nodes(light))
 
 
 @pytest.mark.parametrize("rays", [0, 1 << 17])

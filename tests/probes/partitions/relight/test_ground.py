@@ -9,9 +9,9 @@ from skylight.errors import InputError
 from skylight.probes.cameras._drawing import camera_rays, looking_at
 from skylight.probes.partitions.relight._gather import ACROSS, Ground
 from skylight.transport._cameras import Camera
-from tests.probes.partitions.boards import F64, box
+from tests.probes.partitions.boards import F64, STILL, affine, box
 
-GROUND = Ground(centre=(3.0, -2.0), level=1.0, width=2.0, reach=20.0)
+GROUND = Ground(centre=(3.0, -2.0), width=2.0, reach=20.0)
 
 
 def vector(*values: float) -> torch.Tensor:
@@ -20,8 +20,8 @@ def vector(*values: float) -> torch.Tensor:
 
 def test_grid_is_a_square_that_looks_up() -> None:
     scene = GROUND.scene()
-    torch.testing.assert_close(scene.vertices.amin(0), vector(-17, 1, -22))
-    torch.testing.assert_close(scene.vertices.amax(0), vector(23, 1, 18))
+    torch.testing.assert_close(scene.vertices.amin(0), vector(-17, 0, -22))
+    torch.testing.assert_close(scene.vertices.amax(0), vector(23, 0, 18))
     corners = scene.vertices[scene.faces]
     areas = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
     assert bool((areas[:, 1] > 0).all())
@@ -38,19 +38,19 @@ def test_ground_is_under_the_scene() -> None:
     assert ground.width == pytest.approx(10)
     assert ground.reach == pytest.approx(10 * math.sqrt(2) + 120)
     with pytest.raises(InputError, match="below the ground"):
-        Ground.under(box(20.0), level=5.0)
+        Ground.under(box(20.0).placed(affine(STILL, (0.0, -5.0, 0.0))))
 
 
 def test_values_are_seen_where_they_lie() -> None:
     """An image of its own coordinates comes back as the places that rays meet."""
     place = GROUND.scene().vertices.reshape(ACROSS, ACROSS, 3).float()
     eye = vector(5, 9, 6)
-    pose = looking_at(eye, vector(3, 1, -2))
+    pose = looking_at(eye, vector(3, 0, -2))
     camera = Camera(focal_px=90.0, width=48, height=40, center_px=(24.0, 20.0))
     rays = camera_rays(camera, samples=2)
     seen = GROUND.seen(place, rays, pose)
     directions = rays @ pose.rotation
-    met = eye + directions * ((1 - eye[1]) / directions[..., 1:2])
+    met = eye + directions * (-eye[1] / directions[..., 1:2])
     torch.testing.assert_close(seen, met.mean(2).float(), atol=0.01, rtol=0)
 
 
@@ -59,7 +59,7 @@ def test_nothing_changes_beyond_the_rim_or_from_below() -> None:
     assert bool((shade[[0, -1]] == 1).all())
     assert float(shade[ACROSS // 2, ACROSS // 2, 0]) == 0.5
     camera = Camera(focal_px=30.0, width=40, height=40, center_px=(20.0, 20.0))
-    for eye, target in (((3, 9, -2), (3, 9, -9)), ((3, 0, -2), (3, 5, -9))):
+    for eye, target in (((3, 9, -2), (3, 9, -9)), ((3, -1, -2), (3, 4, -9))):
         place = looking_at(vector(*eye), vector(*target))
         seen = GROUND.seen(shade, camera_rays(camera), place)
         assert bool((seen[:20] == 1).all())  # the sky
@@ -80,7 +80,7 @@ def test_smoothing_keeps_planes_and_the_footprint() -> None:
     generator = torch.Generator().manual_seed(0)
     noise = torch.rand(ACROSS**2, 2, 3, generator=generator)
     smooth = GROUND.smoothed(noise)
-    far = (GROUND.scene().vertices - vector(3, 1, -2)).abs().amax(1)
+    far = (GROUND.scene().vertices - vector(3, 0, -2)).abs().amax(1)
     torch.testing.assert_close(smooth[far <= 2.0], noise[far <= 2.0])
     assert float(smooth[far > 6].std()) < 0.4 * float(noise[far > 6].std())
     even = torch.full_like(noise, 0.3)

@@ -1,4 +1,4 @@
-"""Scenes that turn: laws of turning, and coefficients between the angles against traced ones."""
+"""Relighting by coefficients: linear in the light; laws of turning, and angles in between."""
 
 import math
 from dataclasses import replace
@@ -23,9 +23,9 @@ from skylight.probes.partitions.relight._atlas import refined
 from skylight.probes.partitions.relight._composite import (
     LitScene,
     Relighting,
+    SceneOnBoard,
     TurningRelighting,
-    TurningSceneOnBoard,
-    turning_board_transfer,
+    board_transfer,
 )
 from skylight.probes.partitions.relight._gather import Ground
 from skylight.probes.partitions.relight._scene import Scene
@@ -33,12 +33,13 @@ from skylight.probes.partitions.relight._transfer import (
     TransferCoefficients,
     TransferSampling,
     Turn,
-    TurningCoefficients,
     transfer_coefficients,
     turning_coefficients,
 )
 from tests.probes.partitions.boards import F64, affine, box, fourteen, standing, turn_about_y
 from tests.probes.partitions.shapes import corner, quad, six_cells, solid
+
+pytestmark = pytest.mark.usefixtures("coarse_ground")
 
 SAMPLING = TransferSampling(rays=64, bounces=1)
 ONES = torch.ones(14, 3)
@@ -49,9 +50,9 @@ def some_light(seed: int = 0) -> torch.Tensor:
     return torch.rand(14, 3, generator=torch.Generator().manual_seed(seed))
 
 
-def random_coefficients(angles: int) -> TurningCoefficients:
+def random_coefficients(angles: int) -> TransferCoefficients:
     values = torch.rand(angles, 20, 14, 3, generator=torch.Generator().manual_seed(0))
-    return TurningCoefficients(values=values, orders=torch.zeros(1).double())
+    return TransferCoefficients(values=values, orders=torch.zeros(1).double())
 
 
 def ball() -> Scene:
@@ -62,7 +63,7 @@ def ball() -> Scene:
 
 
 @cache
-def turning_ball() -> TurningCoefficients:
+def turning_ball() -> TransferCoefficients:
     """Convex, so that nothing bounces."""
     sampling = TransferSampling(rays=64, bounces=0)
     return turning_coefficients(ball(), fourteen(), Turn(), sampling=sampling)
@@ -75,15 +76,15 @@ def tower_and_box() -> Scene:
 
 
 @cache
-def on_board() -> TurningSceneOnBoard:
+def on_board() -> SceneOnBoard:
     """Of few rays, beside a pole, by a turned probe."""
     scene, rotation = tower_and_box(), turn_about_y(0.4)
     ground = Ground.under(scene)
-    transfer = turning_board_transfer(
+    transfer = board_transfer(
         Path(mkdtemp()) / "t.npz", scene, ground, fourteen(), rotation,
         angles=12, sampling=TransferSampling(rays=64, bounces=1),
     )  # fmt: skip
-    return TurningSceneOnBoard(scene, ground, transfer, fourteen(), rotation, pole())
+    return SceneOnBoard(scene, ground, transfer, fourteen(), rotation, pole())
 
 
 def pole() -> tuple[np.ndarray, np.ndarray]:
@@ -114,7 +115,7 @@ def test_waves_are_as_near_as_cubic_splines_are(angles: int) -> None:
     """5/384 h^4 max |f''''| (Hall and Meyer 1976), of cos 2a with steps of h: 16 h^4 5/384."""
     grid = torch.arange(angles) * 2 * math.pi / angles
     values = (2 * grid).cos().double()[:, None, None, None].expand(-1, 1, 14, 3)
-    turning = TurningRelighting(TurningCoefficients(values=values, orders=torch.zeros(1).double()))
+    turning = TurningRelighting(TransferCoefficients(values=values, orders=torch.zeros(1).double()))
     bound = 16 * 5 / 384 * (2 * math.pi / angles) ** 4
     places = np.linspace(0, 7, 300)
     found = torch.stack([turning(ONES.double() / 14, angle)[0, 0] for angle in places])
@@ -154,7 +155,9 @@ def test_even_light_is_even_at_all_angles() -> None:
     assert np.ptp(total) < 0.005 * np.mean(total)
 
 
-@pytest.mark.parametrize(("angles", "within"), [(8, 1e-4), (18, 0.01)])
+@pytest.mark.parametrize(
+    ("angles", "within"), [(8, 1e-4), pytest.param(18, 0.01, marks=pytest.mark.slow)]
+)
 def test_turning_scene_and_light_together_changes_nothing(angles: int, within: float) -> None:
     """A quarter turn takes cells of 14d to one another; with 18 angles it is between two."""
     cells, scene = fourteen(), corner((0.5, 0.4, 0.3), (0.8, 0.1, 0.1), 0.3)
@@ -239,14 +242,48 @@ def test_the_ground_far_away_is_unchanged_at_all_angles() -> None:
         assert float(shade.min()) < 0.3
 
 
-@pytest.mark.parametrize(
-    ("kind", "told"),
-    [
-        ({"angles": 3}, "4 to 360"),
-        ({"axis": (0.0, 0.0, 0.0)}, "direction"),
-        ({"axis": (0.0, math.nan, 0.0)}, "direction"),
-    ],
-)
-def test_turns_that_are_refused(kind: dict, told: str) -> None:
-    with pytest.raises(InputError, match=told):
-        Turn(**kind)
+@pytest.mark.parametrize("angles", [3, 361])
+def test_turns_that_are_refused(angles: int) -> None:
+    with pytest.raises(InputError, match="4 to 360"):
+        Turn(angles=angles)
+
+
+@pytest.fixture
+def coefficients() -> TransferCoefficients:
+    values = torch.rand(50, 14, 3, generator=torch.Generator().manual_seed(0))
+    return TransferCoefficients(values=values, orders=torch.zeros(1).double())
+
+
+def test_radiance_is_the_sum_over_the_cells_in_each_colour(coefficients):
+    light = torch.rand(14, 3, generator=torch.Generator().manual_seed(1))
+    expected = sum(light[i] * coefficients.values[:, i] for i in range(14))
+    torch.testing.assert_close(Relighting(coefficients)(light), expected)
+
+
+def test_a_batch_is_each_light_by_itself(coefficients):
+    lights = torch.rand(2, 4, 14, 3, generator=torch.Generator().manual_seed(1))
+    relighting = Relighting(coefficients)
+    found = relighting(lights)
+    assert found.shape == (2, 4, 50, 3)
+    torch.testing.assert_close(found[1, 2], relighting(lights[1, 2]))
+
+
+def test_gradients_are_those_of_the_transpose(coefficients):
+    relighting = Relighting(coefficients).double()
+    light = torch.rand(14, 3, dtype=torch.float64, requires_grad=True)
+    residual = torch.rand(50, 3, dtype=torch.float64)
+    (relighting(light) * residual).sum().backward()
+    expected = torch.einsum("mic,mc->ic", coefficients.values.double(), residual)
+    torch.testing.assert_close(light.grad, expected)
+    torch.autograd.gradcheck(relighting, (light,))
+
+
+def test_transfer_is_the_state_and_precision_that_of_the_light(coefficients, device):
+    relighting = Relighting(coefficients).to(device)
+    light = torch.rand(14, 3, generator=torch.Generator().manual_seed(1)).to(device)
+    other = Relighting(replace(coefficients, values=torch.zeros_like(coefficients.values)))
+    other.to(device).load_state_dict(relighting.state_dict())
+    torch.testing.assert_close(other(light), relighting(light), rtol=0, atol=0)
+    assert relighting(light.double()).dtype == torch.float64
+    torch.testing.assert_close(relighting(light.double()).float(), relighting(light))
+    torch.testing.assert_close(relighting.double()(light), other(light))
