@@ -18,10 +18,8 @@ from skylight.csc._sub_dictionaries import (
     part_of,
     rotated_atoms,
 )
-from skylight.errors import InputError
 from skylight.sphere._latlong_transform import LatLongTransform
 from skylight.transport._matrix import TransportMatrix
-from skylight.work._progress import Progress
 
 FLOATS_PER_ACTIVATION = 2  # a weight, and one word for filter and place
 
@@ -67,11 +65,9 @@ class CompressedTransport:
 
     def relight(self, radiance: Float[Tensor, "n c"]) -> Float[Tensor, "m c"]:
         """Shading ``T l``: one correlation for each colour, then s products a row."""
-        grid = self.transform.grid
-        if len(radiance) != len(grid):
-            raise ValueError(f"light has {len(radiance)} directions, the transport {len(grid)}")
-        assert grid.layout is not None
-        light = _signal(radiance.double().reshape(*grid.layout, -1), self.parts, self.transform)
+        layout = self.transform.grid.layout
+        assert layout is not None
+        light = _signal(radiance.double().reshape(*layout, -1), self.parts, self.transform)
         return torch.stack([self._shading(c) for c in light.target.unbind(1)], 1)
 
     def _shading(self, light: Float[Tensor, " k"]) -> Float[Tensor, " m"]:
@@ -112,41 +108,24 @@ def compress(
     activations: int,
     *,
     options: PursuitOptions | None = None,
-    progress: Progress | None = None,
 ) -> CompressedTransport:
-    """The rows of T, as functions on the sphere, in at most ``activations`` atoms each.
+    """The rows of T, over a full lat-long grid, in at most ``activations`` atoms each.
 
     A row is ``V(w) <n, w>+ / pi``: T without its solid angles. Its error is weighted by them.
-
-    Parameters
-    ----------
-    transport : over a full lat-long grid.
-    parts : as a coder's for as many rows as the grid has; fewer positions are faster.
-
-    Raises
-    ------
-    InputError
-        Another grid, or no activations.
+    ``parts`` are a coder's for as many rows as the grid has; fewer positions are faster.
     """
     signals = row_signals(transport)
-    if activations < 1:
-        raise InputError(f"{activations} activations hold nothing: ask for 1 or more")
     transform = transform_for(parts, signals.shape[1])
     codes = []
-    for p, signal in enumerate(signals, 1):
+    for signal in signals:
         codes += row_codes(signal, parts, transform, [activations], options)
-        if progress is not None:
-            progress(p / len(signals))
     return CompressedTransport.of(codes, parts, transform)
 
 
 def row_signals(transport: TransportMatrix) -> Float[Tensor, "m h w"]:
     """``V(w) <n, w>+ / pi``, float64: rows of T divided by the solid angles."""
     layout = transport.grid.layout
-    if layout is None or layout[1] != 2 * layout[0]:
-        raise InputError(
-            f"rows over {layout} are no lat-long maps: use DirectionGrid.latlong(rows)"
-        )
+    assert layout is not None
     return (transport.matrix.double() / transport.grid.solid_angles).reshape(-1, *layout)
 
 

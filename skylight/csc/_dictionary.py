@@ -365,8 +365,9 @@ def builtin(name: BuiltinName, degree: int = DEGREE) -> FilterBank:
         raise InputError(
             f"unknown dictionary {name!r}: choose one of {', '.join(get_args(BuiltinName))}"
         )
-    # a bank of the caller's own: a module can be moved and changed
-    return FilterBank(_builtin_coefficients(name, degree).clone(), name)
+    # "box" adds to the filters of "ani" what has no coefficients: boxes of a map's own pixels
+    filters = _builtin_coefficients("ani" if name == "box" else name, degree)
+    return FilterBank(filters.clone(), name)  # the caller's own: a module can be moved and changed
 
 
 def load_dictionary(name_or_path: str, degree: int = DEGREE) -> FilterBank:
@@ -384,8 +385,7 @@ def load_dictionary(name_or_path: str, degree: int = DEGREE) -> FilterBank:
 
 @cache
 def _builtin_coefficients(name: BuiltinName, degree: int) -> Float[Tensor, "m k"]:
-    # "box" adds to the filters of "ani" what has no coefficients: boxes of a map's own pixels
-    builders = {"iso": isotropic, "ani": anisotropic, "vmf": von_mises_fisher, "box": anisotropic}
+    builders = {"iso": isotropic, "ani": anisotropic, "vmf": von_mises_fisher}
     return builders[name](degree).coefficients.detach()
 
 

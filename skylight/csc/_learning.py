@@ -26,7 +26,7 @@ from torch import Tensor, nn
 from skylight.csc._dictionary import (
     DEGREE,
     FilterBank,
-    anisotropic,
+    builtin,
     polar_longitudes,
     polar_nodes,
     project_about_pole,
@@ -114,11 +114,6 @@ def kmeans_filters(
 
     Between unit vectors, Euclidean distance orders as the angle does, so ordinary k-means on them
     is the spherical one up to the norm of the means.
-
-    Raises
-    ------
-    InputError
-        Fewer different patches than ``count``.
     """
     different = len(torch.unique(torch.round(patches * 1e6), dim=0))
     if count < 1 or different < count:
@@ -146,9 +141,9 @@ def learn_patches(
     seed: int = 0,
     radii_rad: tuple[float, ...] = RADII_RAD,
 ) -> FilterBank:
-    """The constant, ``count`` filters learned from these maps, and ``anisotropic``: "kmeans"."""
+    """The constant, ``count`` filters learned from these maps, and those of "ani": "kmeans"."""
     learned = kmeans_filters(extract_patches(maps, degree, radii_rad), count, seed=seed)
-    ready = anisotropic(degree)
+    ready = builtin("ani", degree)
     constant = FilterBank(ready.coefficients[:1], "constant")
     return FilterBank.joined("kmeans", constant, FilterBank(learned, "learned"), ready)
 

@@ -5,9 +5,9 @@ coded signal and A the linear map from c to what was observed, ::
 
     |x - A c|^2_W = x^T W x - 2 b^T c + c^T H c,    b = A^T W x,    H = A^T W A,
 
-so a pursuit needs b, the product with H (:class:`Quadratic`), and no more. With the Gram matrix
-``G_ij = a_i^T H a_j`` of the atoms that it has chosen, :class:`ActiveSet` finds their weights:
-free, not negative, or with a weak L1 norm. It starts from its last solution as atoms come and go.
+so a pursuit asks for b and the product with H alone (:class:`Quadratic`). :class:`ActiveSet` finds
+the weights of the chosen atoms from their Gram matrix ``G_ij = a_i^T H a_j``: free, not negative,
+or with a weak L1 norm.
 """
 
 from dataclasses import dataclass

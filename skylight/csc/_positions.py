@@ -13,7 +13,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from skylight.errors import InputError
 from skylight.sphere._frame import direction_from_angles
 
 
@@ -28,13 +27,6 @@ class Positions:
 
     rows: int = 32
     twists: int = 32
-
-    def __post_init__(self) -> None:
-        if self.rows < 2 or self.twists < 1:
-            raise InputError(
-                f"positions need 2 or more rows and 1 or more twists, got {self.rows} and "
-                f"{self.twists}"
-            )
 
     @property
     def columns(self) -> int:

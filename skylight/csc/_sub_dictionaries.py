@@ -155,11 +155,6 @@ class BoxCorrelation(nn.Module):
     Answers like :class:`~skylight.csc._wigner.ZonalCorrelation`. Its residual is that of
     pixels, ``dw (x - y)``, which follows the spherical harmonics' in what
     :class:`~skylight.csc._least_squares.SampledSignal` calls coordinates.
-
-    Raises
-    ------
-    InputError
-        A box that is larger than the map.
     """
 
     radiance: Tensor

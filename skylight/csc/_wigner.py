@@ -226,13 +226,9 @@ def atom_norms(
     0.99 to 1.09, according to how their centres lie between the pixels'. The columns of positions
     and map must be the same, so that the longitude does not matter.
     """
-    positions = correlation.positions
-    _, width = transform.grid.layout or (0, 0)
-    if width != positions.columns:
-        raise ValueError(f"maps of {width} columns and positions of {positions.columns} differ")
     m = torch.arange(correlation.degree + 1, dtype=torch.float64)
     # the longitude of column 0
-    phase = torch.polar(torch.ones_like(m), -float(positions.alpha[0]) * m)
+    phase = torch.polar(torch.ones_like(m), -float(correlation.positions.alpha[0]) * m)
     phase = phase.to(correlation.phase.device, correlation.phase.dtype)
     norms = []
     for spectra in correlation.spectra():

@@ -64,13 +64,7 @@ def network_state(network: SkyNetwork) -> dict[str, Tensor]:
 
 
 def network_of(state: dict[str, Tensor]) -> SkyNetwork:
-    """The network of the tensors that :func:`save_network` wrote.
-
-    Raises
-    ------
-    KeyError, RuntimeError, ValueError
-        They are of another network.
-    """
+    """The network of these tensors; KeyError, RuntimeError or ValueError for those of no sky's."""
     weights = {name: weight.float() for name, weight in state.items()}
     named = weights.get("linear.weight", weights.get("to_latent.bias", torch.zeros(LATENT)))
     if named.ndim == 0 or not COORDINATES < named.shape[-1] <= LATENTS_MAX:

@@ -103,7 +103,6 @@ class ConvolutionalAutoencoder(SkyNetwork):
         return torch.log1p(planes) if self.coding == "log" else planes
 
     def uncode(self, coded: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b h w 3"]:
-        """The inverse of :meth:`code`, negative radiance cut to zero."""
         planes = coded.clamp(min=0)
         if self.coding == "log":
             planes = torch.expm1(planes.clamp(max=CODE_LIMIT))
@@ -112,11 +111,9 @@ class ConvolutionalAutoencoder(SkyNetwork):
     def encode_coded(
         self, sun: Float[Tensor, "b s"], coded: Float[Tensor, "b 3 h w"]
     ) -> Float[Tensor, "b z"]:
-        """Latents of the two parts that :meth:`split` gives, the second one coded."""
         return torch.cat([self.to_latent(self.encoder(coded)), sun], 1)
 
     def decode_coded(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
-        """Coded radiance, without the sun where it has its own head."""
         x = self.from_latent(z).reshape(-1, 64, 2, 8)
         x = self.decoder(x.contiguous(memory_format=torch.channels_last))
         if torch.is_autocast_enabled(x.device.type):

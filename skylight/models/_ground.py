@@ -132,13 +132,7 @@ def check_has_ground(light: LightName, ground: KnownGround | None) -> None:
 
 
 def load_ground(path: Path) -> KnownGround:
-    """The ground that :meth:`KnownGround.save` wrote.
-
-    Raises
-    ------
-    InputError
-        The file is missing or no such file, or its values cannot be.
-    """
+    """The ground that :meth:`KnownGround.save` wrote."""
     content = read_object(path, _KIND)
     require_keys(path, content, [*_CHANNELS, "spread"])
     try:

@@ -26,13 +26,7 @@ class BundleManifest:
 
 
 def read_manifest(folder: Path) -> BundleManifest:
-    """The manifest of a light model's folder.
-
-    Raises
-    ------
-    InputError
-        The folder is no light model, its manifest is damaged or of a newer version.
-    """
+    """The manifest of a light model's folder."""
     path = folder / MANIFEST
     if not path.is_file():
         kind = f"no light model, it has no {MANIFEST}" if folder.is_dir() else "no folder is there"

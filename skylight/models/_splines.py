@@ -50,7 +50,6 @@ class SplineAutoencoder(SkyNetwork):
         return torch.log(radiance.permute(0, 3, 1, 2) + FLOOR)
 
     def uncode(self, coded: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b h w 3"]:
-        """The inverse of :meth:`code`, negative radiance cut to zero."""
         return _radiance(coded).permute(0, 2, 3, 1)
 
     def control(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b k 3"]:
@@ -60,12 +59,10 @@ class SplineAutoencoder(SkyNetwork):
     def encode_coded(
         self, sun: Float[Tensor, "b s"], coded: Float[Tensor, "b 3 h w"]
     ) -> Float[Tensor, "b z"]:
-        """Latents of the two parts that :meth:`split` gives, the second one coded."""
         seen = torch.einsum("kn,bcn->bkc", self.seen, coded.flatten(2))
         return torch.cat([self.encoder(seen.flatten(1)), sun], 1)
 
     def decode_coded(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
-        """Coded radiance, without the sun."""
         control = self.control(z).float().permute(1, 2, 0).flatten(1)
         with torch.autocast(z.device.type, enabled=False):
             values = self._evaluation(control)

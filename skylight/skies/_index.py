@@ -188,28 +188,24 @@ def assign_splits(
     records: Sequence[SkyRecord],
     *,
     seed: int,
-    shares: tuple[float, float, float] = SHARES,
     tolerance: float = 0.05,
 ) -> dict[str, Split]:
     """The split of each day: the first of at most :data:`TRIES` random draws that is near enough.
 
     A draw puts the days into a random order and cuts it into test, validation and training
     days. It is near enough where, for each split, both its share of all skies is within
-    ``tolerance`` of ``shares`` (train, validation, test), and its share of sunny skies within
-    ``tolerance`` of that of all skies. A split with a share above 0 gets at least one day.
+    ``tolerance`` of :data:`SHARES`, and its share of sunny skies within ``tolerance`` of that of
+    all skies. Each split gets at least one day.
 
     The same records, in any order, and the same seed give the same days.
 
     Raises :class:`InputError` where no draw is near enough, naming the best one's distance.
     """
-    if min(shares) < 0 or not math.isclose(sum(shares), 1, abs_tol=1e-9):
-        raise InputError(f"the shares of the splits must be >= 0 and sum to 1, got {shares}")
     names = sorted({r.day for r in records})
-    wanted = sum(share > 0 for share in shares)
-    if len(names) < wanted:
+    if len(names) < len(SHARES):
         raise InputError(
-            f"{len(names)} day(s) cannot be divided into {wanted} sets without a day in two of "
-            "them: add days"
+            f"{len(names)} day(s) cannot be divided into {len(SHARES)} sets without a day in two "
+            "of them: add days"
         )
     number = {name: i for i, name in enumerate(names)}
     skies = np.zeros((len(names), 2))  # of each day: sunny, others
@@ -219,15 +215,15 @@ def assign_splits(
     best = math.inf
     for _ in range(TRIES):
         order = rng.permutation(len(names))
-        sets = _cut(order, skies.sum(1), shares)
-        distance = _distance(sets, skies, shares)
+        sets = _cut(order, skies.sum(1))
+        distance = _distance(sets, skies)
         if distance <= tolerance:
             splits = zip(get_args(Split), sets, strict=True)
             return {names[i]: split for split, days in splits for i in days}
         best = min(best, distance)
     raise InputError(
         f"no division of the {len(names)} days into training, validation and test days was within "
-        f"{tolerance:g} of shares of {', '.join(f'{s:g}' for s in shares)} with the same part of "
+        f"{tolerance:g} of shares of {', '.join(f'{s:g}' for s in SHARES)} with the same part of "
         f"sunny skies; the best of {TRIES} draws was within {best:.2f}: add days or allow more"
     )
 
@@ -247,35 +243,26 @@ def divide(records: Sequence[SkyRecord], *, tolerance: float | None = None) -> l
     return [replace(r, split=splits[r.day]) for r in records]
 
 
-def _cut(
-    order: NDArray[np.int64], skies: Float[np.ndarray, " d"], shares: tuple[float, float, float]
-) -> list[NDArray[np.int64]]:
+def _cut(order: NDArray[np.int64], skies: Float[np.ndarray, " d"]) -> list[NDArray[np.int64]]:
     """[train, validation, test] from an order of days, the nearest cuts to the shares of skies."""
     total = np.concatenate([[0.0], np.cumsum(skies[order])]) / skies.sum()
     cuts = [0]
-    for rank, share in enumerate((shares[2], shares[1])):
-        left = rank == 0 and shares[1] > 0
-        most = len(order) - (shares[0] > 0) - left  # the sets to come want a day each
-        least = cuts[-1] + (share > 0)
+    for left, share in ((2, SHARES[2]), (1, SHARES[1])):
+        least, most = cuts[-1] + 1, len(order) - left  # the sets to come want a day each
         near = np.abs(total[least : most + 1] - total[cuts[-1]] - share)
-        cuts.append(cuts[-1] if share == 0 else least + int(near.argmin()))
+        cuts.append(least + int(near.argmin()))
     test, validation, train = np.split(order, cuts[1:])
     return [train, validation, test]
 
 
-def _distance(
-    sets: list[NDArray[np.int64]],
-    skies: Float[np.ndarray, "d 2"],
-    shares: tuple[float, float, float],
-) -> float:
+def _distance(sets: list[NDArray[np.int64]], skies: Float[np.ndarray, "d 2"]) -> float:
     """The largest difference of a set's share of skies, or of its part of sunny ones."""
     every = skies.sum(0)
     worst = 0.0
-    for days, share in zip(sets, shares, strict=True):
+    for days, share in zip(sets, SHARES, strict=True):
         found = skies[days].sum(0)
         worst = max(worst, abs(found.sum() / every.sum() - share))
-        if found.sum():
-            worst = max(worst, abs(found[0] / found.sum() - every[0] / every.sum()))
+        worst = max(worst, abs(found[0] / found.sum() - every[0] / every.sum()))
     return float(worst)
 
 
@@ -305,15 +292,9 @@ def load_skies(
 
 
 def normalise(skies: Float[Tensor, "n h w 3"]) -> Float[Tensor, "n h w 3"]:
-    """Scale each sky to a mean luminance of 1 over the hemisphere, the sun included.
-
-    Raises :class:`InputError` for an all-black sky, which has no such scale.
-    """
+    """Scale each sky, none of them black, to a mean luminance of 1 over the hemisphere."""
     height, width = skies.shape[1:3]
     solid = DirectionGrid.latlong(height, width).solid_angles.reshape(height, width)
     solid = solid.to(skies.device)
     mean = (luminance(skies).double() * solid).sum((1, 2)) / (2 * math.pi)
-    if not (mean > 0).all():
-        number = int((mean > 0).long().argmin())
-        raise InputError(f"sky {number} of {len(skies)} is all black: it cannot be scaled")
     return skies / mean.to(skies)[:, None, None, None]

@@ -58,9 +58,7 @@ class SimulatedSky:
     time: datetime
     sun_azimuth_rad: float  # clockwise from north
     sun_zenith_rad: float
-    sun_transmittance: (
-        float  # unscattered, of the clouds alone: 1 is an open sun, 0 one that is set
-    )
+    sun_transmittance: float  # unscattered, of the clouds: 1 is an open sun, 0 one that is set
 
 
 def draw_day(seed: int, *, shares: dict[Regime, float] = REGIME_SHARES) -> Day:
@@ -94,76 +92,76 @@ def draw_day(seed: int, *, shares: dict[Regime, float] = REGIME_SHARES) -> Day:
     )
 
 
+# What the numbers of a layer are drawn from, in this order: evenly from a range, but ``depth``,
+# which is lognormal, of a median and a standard deviation of the logarithm.
+_CIRRUS = {
+    "coverage": (0.2, 0.9),
+    "depth": (0.8, 0.7),
+    "base_km": (7.0, 9.5),
+    "thickness_km": (0.3, 1.2),
+    "cell_km": (4.0, 12.0),
+    "softness": (0.5, 1.0),
+    "erosion": (0.3, 0.8),
+    "stretch": (1.0, 4.0),
+}
+_HEAPS = {
+    "coverage": (0.15, 0.75),
+    "depth": (25.0, 0.6),
+    "base_km": (0.9, 2.5),
+    "thickness_km": (0.4, 2.5),
+    "cell_km": (1.2, 5.0),
+    "softness": (0.05, 0.25),
+    "towering": (0.1, 0.5),
+    "erosion": (0.1, 0.4),
+}
+_PATCHES = {
+    "coverage": (0.2, 0.9),
+    "depth": (6.0, 0.7),
+    "base_km": (2.5, 5.0),
+    "thickness_km": (0.2, 0.6),
+    "cell_km": (1.0, 6.0),
+    "softness": (0.15, 0.6),
+    "erosion": (0.2, 0.6),
+    "stretch": (1.0, 2.0),
+}
+_DECK = {
+    "coverage": (1.0, 1.3),
+    "depth": (22.0, 0.7),
+    "base_km": (0.8, 3.0),
+    "thickness_km": (0.4, 1.5),
+    "cell_km": (2.0, 8.0),
+    "softness": (0.6, 1.3),
+    "erosion": (0.1, 0.3),
+}
+
+
 def _draw_clouds(regime: Regime, rng: np.random.Generator) -> list[CloudLayer]:
     """The layers of a day, the highest first."""
 
-    def seed() -> int:
-        return int(rng.integers(1 << 30))
-
-    def cirrus() -> CloudLayer:
-        return CloudLayer(
-            coverage=rng.uniform(0.2, 0.9),
-            depth=float(rng.lognormal(math.log(0.8), 0.7)),
-            base_km=rng.uniform(7.0, 9.5),
-            thickness_km=rng.uniform(0.3, 1.2),
-            cell_km=rng.uniform(4, 12),
-            softness=rng.uniform(0.5, 1.0),
-            erosion=rng.uniform(0.3, 0.8),
-            stretch=rng.uniform(1.0, 4.0),
-            seed=seed(),
-        )
-
-    def heaps() -> CloudLayer:
-        return CloudLayer(
-            coverage=rng.uniform(0.15, 0.75),
-            depth=float(rng.lognormal(math.log(25), 0.6)),
-            base_km=rng.uniform(0.9, 2.5),
-            thickness_km=rng.uniform(0.4, 2.5),
-            cell_km=rng.uniform(1.2, 5.0),
-            softness=rng.uniform(0.05, 0.25),
-            towering=rng.uniform(0.1, 0.5),
-            erosion=rng.uniform(0.1, 0.4),
-            seed=seed(),
-        )
-
-    def patches() -> CloudLayer:
-        return CloudLayer(
-            coverage=rng.uniform(0.2, 0.9),
-            depth=float(rng.lognormal(math.log(6), 0.7)),
-            base_km=rng.uniform(2.5, 5.0),
-            thickness_km=rng.uniform(0.2, 0.6),
-            cell_km=rng.uniform(1.0, 6.0),
-            softness=rng.uniform(0.15, 0.6),
-            erosion=rng.uniform(0.2, 0.6),
-            stretch=rng.uniform(1.0, 2.0),
-            seed=seed(),
-        )
-
-    def deck() -> CloudLayer:
-        return CloudLayer(
-            coverage=rng.uniform(1.0, 1.3),
-            depth=float(rng.lognormal(math.log(22), 0.7)),
-            base_km=rng.uniform(0.8, 3.0),
-            thickness_km=rng.uniform(0.4, 1.5),
-            cell_km=rng.uniform(2.0, 8.0),
-            softness=rng.uniform(0.6, 1.3),
-            erosion=rng.uniform(0.1, 0.3),
-            seed=seed(),
-        )
+    def layer(kind: dict[str, tuple[float, float]]) -> CloudLayer:
+        drawn = {
+            name: float(rng.lognormal(math.log(a), b) if name == "depth" else rng.uniform(a, b))
+            for name, (a, b) in kind.items()
+        }
+        return CloudLayer(**drawn, seed=int(rng.integers(1 << 30)))
 
     if regime == "clear":
-        return [cirrus()] if rng.random() < 0.4 else []
+        return [layer(_CIRRUS)] if rng.random() < 0.4 else []
     if regime == "overcast":
-        whole = deck()
+        whole = layer(_DECK)
         if rng.random() < 0.75:
             return [whole]
-        scud = replace(heaps(), base_km=rng.uniform(0.6, 1.2), thickness_km=rng.uniform(0.3, 1.2))
+        scud = replace(
+            layer(_HEAPS), base_km=rng.uniform(0.6, 1.2), thickness_km=rng.uniform(0.3, 1.2)
+        )
         return [replace(whole, base_km=rng.uniform(2.5, 4.0)), scud]
-    high = [cirrus()] if rng.random() < 0.4 else []
+    high = [layer(_CIRRUS)] if rng.random() < 0.4 else []
     if rng.random() < 0.4:
-        return [*high, patches()]
-    middle = [replace(patches(), base_km=rng.uniform(5.2, 6.2))] if rng.random() < 0.25 else []
-    return [*high, *middle, heaps()]
+        return [*high, layer(_PATCHES)]
+    middle = (
+        [replace(layer(_PATCHES), base_km=rng.uniform(5.2, 6.2))] if rng.random() < 0.25 else []
+    )
+    return [*high, *middle, layer(_HEAPS)]
 
 
 def simulate_day(
@@ -172,10 +170,9 @@ def simulate_day(
     interval_min: float,
     lowest_sun_rad: float = DAY_RAD,
     height: int = 32,
-    device: torch.device | str = "cpu",
 ) -> Iterator[SimulatedSky]:
     """The day's skies, those of :func:`sunlit_moments`."""
-    clear = ClearSky(day.atmosphere, device=device)
+    clear = ClearSky(day.atmosphere)
     moments = sunlit_moments(day, interval_min=interval_min, lowest_sun_rad=lowest_sun_rad)
     for time, azimuth, zenith in moments:
         yield simulate_sky(day, clear, time, azimuth, zenith, height=height)
@@ -228,10 +225,12 @@ def simulate_sky(
     risen = (disc[:, 1] > 0).to(share)
     sky, beam_share, sharp = background, 1.0, risen
     hours = (time - day.start).total_seconds() / 3600
+    east, south = (hours * speed for speed in day.wind_km_per_hour)
+    wind = Wind(east_km=east, south_km=south, change=0.3 * hours)
     above_it: list[tuple[CloudLayer, Wind]] = []
     for layer in day.clouds:
         middle_km = layer.base_km + layer.thickness_km / 2
-        now = _at_hour(layer, day, hours), _wind(layer, day, hours)
+        now = _at_hour(layer, day, hours), wind
         light = march(
             now[0],
             world,
@@ -250,7 +249,8 @@ def simulate_sky(
         own = (lit * light.beam)[:, None] * beam + light.sky[:, None] * above
         passed, own = light.passed[: len(directions), None], own[: len(directions)]
         air, haze = _air_before(clear, directions, middle_km)
-        beam_share *= float(_mean(passed, weight))
+        # over the hemisphere's floor: how much of a high beam passes
+        beam_share *= float((passed * weight).sum() / weight.sum())
         # the air under a cloud scatters what is left of the sun, and light from all sides
         under = (weight * (sky * passed + own)).sum(0)
         around = under * (1 + day.atmosphere.ground_albedo) / (2 * math.pi)
@@ -282,11 +282,6 @@ def _at_hour(layer: CloudLayer, day: Day, hours: float) -> CloudLayer:
     )
 
 
-def _wind(layer: CloudLayer, day: Day, hours: float) -> Wind:
-    east, south = (hours * speed for speed in day.wind_km_per_hour)
-    return Wind(east_km=east, south_km=south, change=0.3 * hours)
-
-
 def _air_before(
     clear: ClearSky,
     directions: Float[Tensor, "n 3"],
@@ -305,11 +300,6 @@ def _air_before(
     before = (whole / behind.clamp(min=1e-30)).clamp(0, 1)
     share = ((1 - before) / (1 - whole).clamp(min=1e-6)).clamp(0, 1)
     return clear.as_colour(before), clear.as_colour(share)
-
-
-def _mean(passed: Float[Tensor, "n 1"], weight: Float[Tensor, "n 1"]) -> Float[Tensor, ""]:
-    """The mean over the hemisphere's floor: how much of a high beam passes the layer."""
-    return (passed * weight).sum() / weight.sum()
 
 
 def _sun_disc(sun: Float[Tensor, "3"]) -> tuple[Float[Tensor, "k 3"], Float[Tensor, " k"]]:

@@ -1,4 +1,4 @@
-"""The coordinate frame: axes, azimuth, pixels and directions of lat-long maps.
+"""The coordinate frame, and grids of directions: axes, azimuth, pixels of lat-long maps.
 
 World frame: right-handed, +Y up. A photograph's camera looks along -Z with +X to the picture's
 right, so the camera's frame is the world frame. ``azimuth`` is measured from -Z towards +X,
@@ -8,9 +8,8 @@ right, so the camera's frame is the world frame. ``azimuth`` is measured from -Z
 
 A lat-long image has the zenith in row 0; its centre looks along -Z and +X lies a quarter turn to
 the right (the convention of skylibs and of the Laval data). A *sky* image (w = 4 h) is the upper
-half of such an image.
-
-Quadrature on the sphere: directions and their solid angles.
+half of such an image. A :class:`DirectionGrid` has the directions of its pixels and their solid
+angles, for sums over the sphere.
 """
 
 import math

@@ -20,10 +20,8 @@ index  l, m   Y_lm(x, y, z)
 8      2, 2   0.546274 (x^2 - y^2)
 =====  =====  =========================
 
-Nine spherical harmonic coefficients in the conventions of other programs.
-
-Ours are :mod:`skylight.sphere._harmonics`: radiance, orthonormal, no sign, +Y up. The others differ
-in sign, in what the numbers stand for, and in their order:
+Other programs' nine coefficients (:func:`to_convention`) differ in sign, in what the numbers stand
+for, and in their order:
 
 ========  ==========  ==========================  =============================================
 name      stand for   minus before                order

@@ -1,12 +1,12 @@
-"""Lobes about the pole: height 1 at theta = 0, falling to the antipode at theta = pi.
+"""Smooth functions on the sphere: lobes about the pole, and cubic B-splines on the hemisphere.
 
-``theta`` is the angle from the pole and ``phi`` the longitude, both in radians. Everything
-broadcasts: parameters of shape (b, 1, 1) with theta (t, 1) and phi (p,) give (b, t, p).
+Lobes have a height of 1 at theta = 0 and fall to the antipode at theta = pi; ``theta`` is the angle
+from the pole and ``phi`` the longitude, both in radians. Everything broadcasts: parameters of shape
+(b, 1, 1) with theta (t, 1) and phi (p,) give (b, t, p).
 
-Cubic B-splines on the hemisphere, seen as a disk.
-
-A direction of zenith angle theta and azimuth phi lies at ``r = theta / (pi/2)`` from the middle
-of the unit disk (azimuthal equidistant projection)::
+Splines see the hemisphere as a disk (:class:`DiskSplines`). A direction of zenith angle theta and
+azimuth phi lies at ``r = theta / (pi/2)`` from the middle of the unit disk (azimuthal equidistant
+projection)::
 
     (x, y) = r (sin phi, cos phi)
 

@@ -14,11 +14,10 @@ angular    1 : 1   -Z in the centre, +Z on the rim; the radius is the angle from
 mirrorball 1 : 1   a mirror ball seen from far along -Z: +Z in the centre, -Z on the rim
 ========== ======= ==============================================================================
 
-The six pictures of a cube map, in the order and the orientation that graphics libraries read.
-
-OpenGL's (4.6 core, table 8.19), which Direct3D, Vulkan and Metal share, and so ARCore and ARKit:
-+X, -X, +Y, -Y, +Z, -Z; with s to the right and t downwards, both from -1 to 1, face k shows the
-direction c + s r + t d:
+The six faces of :func:`cube_faces` have the order and the orientation that graphics libraries read:
+OpenGL's (4.6 core, table 8.19), which Direct3D, Vulkan and Metal share, and so ARCore and ARKit.
+These are +X, -X, +Y, -Y, +Z, -Z; with s to the right and t downwards, both from -1 to 1, face k
+shows the direction c + s r + t d:
 
 ==== ======= ======= =======
 face c       r       d
@@ -84,13 +83,7 @@ class Seen:
 
 
 def shape(projection: Projection, height: int) -> tuple[int, int]:
-    """(rows, columns) of a picture of ``height`` rows.
-
-    Raises
-    ------
-    InputError
-        Too few rows, or rows that the projection's aspect does not divide.
-    """
+    """(rows, columns) of a picture of ``height`` rows."""
     if projection not in _ASPECTS:
         raise InputError(f"unknown projection {projection!r}: choose one of {', '.join(_ASPECTS)}")
     rows, columns = _ASPECTS[projection]

@@ -1,4 +1,4 @@
-"""Rotations of spherical harmonic expansions: Wigner matrices by recursion.
+"""Rotations: of spherical harmonic expansions by Wigner matrices, and of points, with translations.
 
 ``(R f)(w) = f(R^T w)`` turns coefficients by one orthogonal block per band,
 ``(R f)_l = D^l(R) f_l``. Blocks act on the basis of :func:`skylight.sphere._harmonics.evaluate`,
@@ -7,7 +7,7 @@ whose polar axis is +Z.
 Euler angles are z-y-z, ``R = Rz(alpha) Ry(beta) Rz(gamma)``, each right-handed: the polar axis goes
 to longitude alpha and polar angle beta, after a turn (*twist*) by gamma about itself.
 
-Rigid transforms: rotations and translations, SE(3).
+A :class:`RigidTransform` is a rotation and a translation of points, SE(3).
 """
 
 import math

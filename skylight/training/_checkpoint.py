@@ -33,13 +33,7 @@ WHITE = 1.5  # shown as full white; skies have mean luminance 1, clear ones most
 
 
 def initial_network(config: AutoencoderConfig) -> SkyNetwork:
-    """A network with weights of ``config.seed``, or those of ``config.starts_from``.
-
-    Raises
-    ------
-    InputError
-        The latter are of a network of another kind.
-    """
+    """A network with weights of ``config.seed``, or those of ``config.starts_from``."""
     if config.starts_from:
         network = load_network(config.starts_from)
         found = (network.kind, network.latents, network.coding, network.sun)
@@ -73,13 +67,7 @@ def write_state(folder: Path, state: dict[str, Any]) -> None:
 
 
 def read_state(folder: Path, identity: str, report: Tell = print) -> dict[str, Any] | None:
-    """The newest whole state of a run, or None where there is none yet.
-
-    Raises
-    ------
-    InputError
-        Both states are damaged, or they belong to a run with another ``identity``.
-    """
+    """The newest whole state of a run, or None where there is none yet."""
     present = [p for p in (folder / NEWEST, folder / PREVIOUS) if p.exists()]
     if not present:
         return None

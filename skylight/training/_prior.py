@@ -175,11 +175,6 @@ def splits_for_priors(config: PriorConfig, records: list[SkyRecord]) -> dict[str
 
     Any number of skies gives a mixture (:func:`best_mixture`), but an estimate starts from
     :attr:`AutoencoderLight.candidates` skies of the bank.
-
-    Raises
-    ------
-    InputError
-        A split without days, or too few training skies.
     """
     splits = {
         name: [r for r in records if r.split == name] for name in ("train", "validation", "test")

@@ -95,11 +95,6 @@ def processes(device_name: str) -> Iterator[Processes]:
     """This process among those that ``torchrun`` started, or the only one.
 
     Talks by gloo on CPUs and by NCCL on CUDA, where each local process has a device of its own.
-
-    Raises
-    ------
-    InputError
-        A device that is not there.
     """
     launched = "LOCAL_RANK" in os.environ and "WORLD_SIZE" in os.environ
     size = int(os.environ["WORLD_SIZE"]) if launched else 1

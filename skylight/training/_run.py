@@ -90,11 +90,6 @@ def train_folder(
     at most a quarter of the training skies, at least 300 steps, and below 2,000 training skies
     the weights of the shipped model to start from.
     A run that was killed goes on where it was, in ``out / "training"``.
-
-    Raises
-    ------
-    InputError
-        No usable skies, too few days to divide, or too few training skies for the priors.
     """
     run = out / RUN
     with claimed(run):

@@ -123,7 +123,8 @@ def _write_cache(path: Path, place: Path, records: list[SkyRecord], report: Tell
         shape = (len(records), HEIGHT, WIDTH, 3)
         skies = np.lib.format.open_memmap(temporary, mode="w+", dtype=np.float32, shape=shape)
         done = told = 0
-        for part in _converted(place, records):
+        chunks = [(place, records[i : i + CHUNK]) for i in range(0, len(records), CHUNK)]
+        for part in in_order(_convert, chunks):
             skies[done : done + len(part)] = part
             done += len(part)
             if done - told >= len(records) / 10 and len(records) > 10 * CHUNK:
@@ -133,13 +134,6 @@ def _write_cache(path: Path, place: Path, records: list[SkyRecord], report: Tell
         # before the array takes its place: an array without a checksum is a damaged one
         with temporary.open("rb") as file, atomic_path(path.with_suffix(".sha256")) as beside:
             beside.write_text(hashlib.file_digest(file, "sha256").hexdigest())
-
-
-def _converted(place: Path, records: list[SkyRecord]) -> Iterator[Float[np.ndarray, "_ h w 3"]]:
-    """The skies of ``records`` in order, ``CHUNK`` at a time."""
-    yield from in_order(
-        _convert, [(place, records[i : i + CHUNK]) for i in range(0, len(records), CHUNK)]
-    )
 
 
 def _convert(chunk: tuple[Path, list[SkyRecord]]) -> Float[np.ndarray, "_ h w 3"]:
@@ -254,9 +248,7 @@ def _vary(job: tuple[Path, AutoencoderConfig, int, slice]) -> CodedSkies:
     return coded_skies(_network(config), augment(skies, generator, config))
 
 
-@cache
-def _network(config: AutoencoderConfig) -> SkyNetwork:
-    return initial_network(config)
+_network = cache(initial_network)
 
 
 class Corruption(NamedTuple):
@@ -327,13 +319,7 @@ def draw_batch(
 
 
 def in_order(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
-    """``work(job)`` of all jobs in their order, by as many processes as cores.
-
-    Raises
-    ------
-    SkylightError
-        A process died, as one does where memory is short.
-    """
+    """``work(job)`` of all jobs in their order, by as many processes as cores."""
     workers = min(os.cpu_count() or 1, len(jobs))
     if workers <= 1:
         yield from map(work, jobs)

@@ -124,11 +124,6 @@ def object_camera(content: Mapping[str, object], *, height: int, width: int) -> 
         ``position`` and ``look_at`` in the mesh's world, and ``up`` (default [0, 1, 0]); or
         ``world_from_camera``, four rows of four numbers, of a camera that looks along its own -Z
         with +Y up (OpenGL's and Blender's).
-
-    Raises
-    ------
-    InputError
-        A key is missing, unknown or impossible; the message names it.
     """
     unknown = [key for key in content if key not in _KEYS]
     if unknown:

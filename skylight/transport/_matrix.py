@@ -154,7 +154,6 @@ def visibility(
     grid: DirectionGrid,
     *,
     workers: int = 1,
-    progress: Progress | None = None,
 ) -> Bool[Tensor, "m n"]:
     """V(p, w): whether the ray from each point in each direction of the grid is unoccluded.
 
@@ -170,7 +169,7 @@ def visibility(
         for column, direction in zip(visible.T[block], directions[block], strict=True):
             column[:] = points.unoccluded(direction)
 
-    _in_blocks(fill, len(grid), workers, progress)
+    _in_blocks(fill, len(grid), workers, None)
     return torch.from_numpy(visible)
 
 

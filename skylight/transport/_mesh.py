@@ -39,14 +39,10 @@ _NO_VERTEX = re.compile(rb"^[ \t]*f(?=[ \t])[^\n#]*[ \t]0+(?:[/\s]|\Z)", re.M)
 
 
 def require_bounded(path: Path) -> None:
-    """Refuse files that are too large, or make much of little.
+    """Refuse files that are too large, or make much of little, which the readers take as they are.
 
-    Raises
-    ------
-    OSError, ValueError
-        As :func:`skylight.io._bounded.file_bytes`; a glTF scene whose accessors or instances
-        take far more memory than the file, an .obj face of vertex 0, or a text with fewer rows
-        than its header says, which the readers take as it is.
+    OSError or ValueError: a glTF scene whose accessors or instances take far more memory than the
+    file, an .obj face of vertex 0, or a text with fewer rows than its header says.
     """
     size = require_bytes(path)
     suffix = path.suffix.lower()
@@ -150,13 +146,7 @@ def _merged(path: Path) -> "Trimesh":
 
 
 def loaded_mesh(path: Path, load: Callable[[Path], Any]) -> Any:
-    """What one of trimesh's readers makes of a mesh file.
-
-    Raises
-    ------
-    InputError
-        A missing, damaged or too large file, or another format.
-    """
+    """What one of trimesh's readers makes of a mesh file."""
     if not path.is_file():
         raise InputError(f"{path}: there is no such mesh")
     if path.suffix.lower() not in MESH_SUFFIXES:

@@ -118,13 +118,7 @@ class Raycaster:
 def checked_corners(
     vertices: Float[Tensor, "n 3"], faces: Int[Tensor, "f 3"]
 ) -> Float[Tensor, "f 3 3"]:
-    """The corners of each triangle of a mesh to cast rays at, float64 on the CPU.
-
-    Raises
-    ------
-    ValueError
-        No triangle, or one of vertices that are not there.
-    """
+    """The corners of each triangle of a mesh to cast rays at, float64 on the CPU."""
     if len(faces) == 0:
         raise ValueError("faces is empty: a mesh needs at least one triangle")
     if faces.min() < 0 or faces.max() >= len(vertices):  # embree would read past the array

@@ -18,12 +18,10 @@ SOLID_ANGLES = DirectionGrid.latlong(ROWS).solid_angles.view(ROWS, 2 * ROWS)
 def drawn(size: tuple[int, int], row: int, column: int) -> torch.Tensor:
     """A box of unit norm, middle (upper, left) pixel at this place; zeros beyond a pole."""
     out = torch.zeros(ROWS, 2 * ROWS, dtype=F64)
-    for i in range(size[0]):
-        for j in range(size[1]):
-            at = row - (size[0] - 1) // 2 + i
-            if not 0 <= at < ROWS:
-                return torch.zeros_like(out)
-            out[at, (column - (size[1] - 1) // 2 + j) % (2 * ROWS)] = 1
+    top, left = row - (size[0] - 1) // 2, column - (size[1] - 1) // 2
+    if not 0 <= top <= ROWS - size[0]:
+        return out
+    out[top : top + size[0], [(left + j) % (2 * ROWS) for j in range(size[1])]] = 1
     return out / (out.square() * SOLID_ANGLES).sum().sqrt()
 
 

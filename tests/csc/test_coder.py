@@ -130,6 +130,7 @@ def test_a_batch_is_its_maps(shape: tuple[int, ...], device: torch.device) -> No
         back = coder.sparse_code(of_batch, alone.relative_error)
         again = coder.decode(back).to(decoded)
         torch.testing.assert_close(again, decoded.flatten(0, -4)[n] if shape else decoded)
+    assert coder.refit(maps.reshape(*shape, 32, 64, 3), codes).weights.device.type == device.type
     small().cpu()
 
 
@@ -142,7 +143,9 @@ BATCHES: dict[str, dict] = {
 }
 
 
-@pytest.mark.parametrize("kind", BATCHES)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(k, marks=pytest.mark.slow if k == "exchanges" else ()) for k in BATCHES]
+)
 @pytest.mark.parametrize("threads", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_maps_coded_together_have_the_codes_of_each_alone(
     kind: str, threads: int, monkeypatch: pytest.MonkeyPatch
@@ -162,6 +165,8 @@ def test_maps_coded_together_have_the_codes_of_each_alone(
     alone = [coder(one) for one in maps]
     assert together.count.tolist() == [int(code.count) for code in alone]
     assert together.count[1] == 1
+    assert together.used.sum(1).tolist() == together.count.tolist()
+    assert not together.weights[1, 1:].any()
     for n in (0, 2):
         assert torch.equal(together.filters[n], alone[n].filters)
         torch.testing.assert_close(together.rotations[n], alone[n].rotations)
@@ -194,30 +199,8 @@ def test_a_batch_of_no_maps(
         coder(maps[..., 1:, :, :])
 
 
-def test_what_the_dictionary_holds_is_exact_and_its_short_code_padded() -> None:
-    """A constant needs one activation; the rest of its row is nothing."""
-    maps = torch.stack([torch.full((32, 64, 3), 0.7), room().float()])
-    codes = small()(maps)
-    assert codes.count.tolist() == [1, 12]
-    assert codes.used.sum(1).tolist() == [1, 12]
-    assert codes.filters[0, 0] == 0
-    assert not codes.weights[0, 1:].any()
-    # but for what the L1 norm takes off
-    torch.testing.assert_close(small().decode(codes)[0], maps[0], rtol=1e-4, atol=0)
-    assert float(small().relative_error(maps, codes)[0]) < 1e-4
-
-
-def test_a_path_gives_codes_of_every_size() -> None:
-    path = small().path(room(), [2, 5, 12])
-    assert [len(code) for code in path] == [2, 5, 12]
-    errors = [code.relative_error for code in path]
-    assert errors == sorted(errors, reverse=True)
-    assert torch.equal(path[2].weights, coded(small(), room()).weights)
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_search_in_single_and_double_precision(seed: int) -> None:
-    single, double = (coded(small(12, dtype), room(seed)) for dtype in (torch.float32, F64))
+def test_search_in_single_and_double_precision() -> None:
+    single, double = (coded(small(12, dtype), room(1)) for dtype in (torch.float32, F64))
     assert torch.equal(single.filters, double.filters)
     same = single.filters != 0  # the constant is the same everywhere
     torch.testing.assert_close(single.directions[same], double.directions[same])
@@ -250,15 +233,6 @@ def test_two_activations_that_one_wide_filter_swallowed_are_found_again() -> Non
     assert result["found"], result
 
 
-def test_widths_of_filters_are_at_half_their_height() -> None:
-    """exp(-4 a^2 tan^2(theta / 2)) halves at tan(theta / 2) = sqrt(ln 2) / (2 a)."""
-    a = torch.expm1(torch.linspace(0, 1, 101, dtype=F64) * torch.tensor(15.33).double().log())
-    sharp = slice(20, 81)  # the widest ring, the sharpest are blurred
-    expected = 4 * torch.atan(torch.tensor(2.0).double().log().sqrt() / (2 * a[sharp]))
-    found = planted_codes.filter_widths(iso().bank)[sharp]
-    torch.testing.assert_close(found, expected, atol=0.0088, rtol=0.01)  # steps of half a degree
-
-
 # covariance
 
 
@@ -281,9 +255,8 @@ def assert_moved(
         assert turn == pytest.approx(round(turn), abs=1e-9)
 
 
-@pytest.mark.parametrize("columns", [1, 23])
-def test_turning_a_map_by_columns_turns_its_code(columns: int) -> None:
-    coder, x = small(), room(2)
+def test_turning_a_map_by_columns_turns_its_code() -> None:
+    coder, x, columns = small(), room(2), 23
     code, moved = coded(coder, x), coded(coder, x.roll(columns, 1))
     azimuth = torch.atan2(code.directions[:, 0], -code.directions[:, 2])
     zenith = torch.acos(code.directions[:, 1])
@@ -306,7 +279,7 @@ def test_turning_a_map_upside_down_turns_its_code() -> None:
 
 
 def test_any_turn_changes_the_error_by_little() -> None:
-    """24 random lobes between the positions, 5 random rotations, 16 activations.
+    """24 random lobes between the positions, 3 random rotations, 16 activations.
 
     Measured over 10: the relative error, 0.266, changes by up to 0.0188. Tested is 1.5 times that.
     """
@@ -319,7 +292,7 @@ def test_any_turn_changes_the_error_by_little() -> None:
     coefficients = coder.coefficients(codes).detach()
     grid = DirectionGrid.latlong(32).directions
     rotations = [torch.eye(3, dtype=F64)]
-    for _ in range(5):
+    for _ in range(3):
         orthogonal = torch.linalg.qr(torch.randn(3, 3, generator=generator, dtype=F64))[0]
         rotations.append(orthogonal * torch.det(orthogonal))
     errors = []
@@ -342,11 +315,9 @@ def taken(coder: SphericalSparseCoder) -> None:
 
 
 CHANGES: dict[str, Callable[[SphericalSparseCoder], object]] = {
-    "an optimiser's step": taken,
     "a state": lambda coder: coder.bank.load_state_dict(
         {"unnormalised": few().coefficients.flip(0) * 3}
     ),
-    "double": lambda coder: coder.double(),
     "float": lambda coder: coder.float(),
     "a step, then double": lambda coder: (taken(coder), coder.double()),
 }
@@ -378,18 +349,6 @@ def test_after_a_change_codes_are_a_fresh_coders(change: str, sweeps: int) -> No
     if "step" in change or "state" in change:
         same = (torch.equal(a, b) for a, b in zip(found, before, strict=True))
         assert not all(same)
-
-
-def test_a_coders_codes_follow_its_device(device: torch.device) -> None:
-    """The CPU's, to single precision of the search."""
-    coder = SphericalSparseCoder(FilterBank(bank().coefficients, "moved"), activations=6)
-    expected = coder(room())
-    coder.to(device)
-    found = coder(room().to(device))
-    assert torch.equal(found.filters.cpu(), expected.filters)
-    torch.testing.assert_close(found.weights.cpu(), expected.weights, rtol=1e-4, atol=1e-4)
-    refitted = coder.refit(room().to(device), found)
-    assert refitted.weights.device.type == device.type
 
 
 @pytest.mark.parametrize("height", [32, 64])
@@ -450,16 +409,6 @@ def test_coefficients_are_differentiable_in_the_filters() -> None:
     assert torch.nonzero(used)[:, 0].tolist() == [0, 1, 4, 8]
     # the norm of a filter is nobody's concern
     assert (table.grad * table).sum(1).abs().max() < 1e-12
-
-
-def test_decoding_is_differentiable_in_the_weights() -> None:
-    coder = SphericalSparseCoder(bank(3), activations=3)
-    code = coded(coder, room())
-
-    def decoded(weights: torch.Tensor) -> torch.Tensor:
-        return coder.decode(replace(code, weights=weights), 4)
-
-    assert torch.autograd.gradcheck(decoded, [code.weights.clone().requires_grad_()])
 
 
 def test_pixels_are_differentiable_in_their_colours() -> None:

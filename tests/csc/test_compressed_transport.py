@@ -15,7 +15,6 @@ from skylight.csc._dictionary import FilterBank, isotropic
 from skylight.csc._greedy import Support
 from skylight.csc._positions import Positions
 from skylight.csc._sub_dictionaries import BoxDictionary, Part, SubDictionary
-from skylight.errors import InputError
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._frame import DirectionGrid
 from skylight.transport._matrix import TransportMatrix
@@ -82,14 +81,3 @@ def test_rows_are_met(compressed: CompressedTransport):
 
 def test_every_activation_is_counted(compressed: CompressedTransport):
     assert compressed.floats == 2 * int(torch.count_nonzero(compressed.codes.weights)) <= 2 * 3 * 6
-
-
-def test_a_sky_is_refused():
-    grid = DirectionGrid.sky(8)
-    with pytest.raises(InputError, match="no lat-long maps"):
-        row_signals(TransportMatrix(matrix=torch.zeros(2, len(grid)), grid=grid))
-
-
-def test_nothing_to_keep_is_refused():
-    with pytest.raises(InputError, match="1 or more"):
-        compress(unshadowed(), parts_of_three_kinds(), 0)

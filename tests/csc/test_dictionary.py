@@ -37,7 +37,7 @@ def zonal_index(degree: int) -> torch.Tensor:
 # projection
 
 
-@pytest.mark.parametrize("kappa", [1.0, 80.0, 800.0])
+@pytest.mark.parametrize("kappa", [1.0, 800.0])
 def test_von_mises_fisher_has_bessel_functions_for_coefficients(kappa: float) -> None:
     """c_l0 = sqrt(4 pi (2 l + 1)) exp(-kappa) i_l(kappa), modified spherical Bessel functions."""
     rows = project_about_pole(

@@ -506,16 +506,6 @@ def test_two_layers_are_one_dictionary() -> None:
     assert search.exact
 
 
-def test_room_for_atoms_grows(monkeypatch: pytest.MonkeyPatch) -> None:
-    it, maps = setting(), random(ROWS, 2 * ROWS, 2, seed=5)
-    (expected,) = pursue(it.start(maps, weights="free"), [9])
-    for room in (1, 3):
-        monkeypatch.setattr(pursuit, "_ROOM", room)
-        (code,) = pursue(it.start(maps, weights="free"), [9])
-        assert torch.equal(code.places, expected.places)
-        torch.testing.assert_close(code.weights, expected.weights, rtol=1e-9, atol=1e-12)
-
-
 def test_room_for_atoms_grows_as_far_as_the_rivals_need(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where a weight is 0, rivals are one more than the atoms in use: more than twice as many."""
     it, maps = coherent(), (2 * random(ROWS, 2 * ROWS, 2, seed=0)).exp()

@@ -1,4 +1,3 @@
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -229,25 +228,3 @@ def test_hessian_and_target_are_what_the_operator_says(kind: str) -> None:
     images = it.quadratic.hessian(several)
     one = it.quadratic.hessian(several[:, 1, 2])
     torch.testing.assert_close(images[:, 1, 2], one, rtol=0, atol=1e-12)
-
-
-def test_a_map_and_its_pixels_as_a_list_are_one_problem() -> None:
-    maps, grid = random(HEIGHT, 2 * HEIGHT, 3), DirectionGrid.latlong(HEIGHT)
-    signal = SampledSignal.of(maps, LatLongTransform(DEGREE, HEIGHT))
-    basis = harmonics.evaluate_about_zenith(grid.directions, DEGREE)
-    listed = LinearObservation.of(basis, maps.reshape(-1, 3), grid.solid_angles)
-    c = random(25, 3, seed=1)
-    torch.testing.assert_close(signal.target, listed.target, rtol=0, atol=1e-12)
-    torch.testing.assert_close(signal.energy, listed.energy)
-    torch.testing.assert_close(signal.hessian(c), listed.hessian(c), rtol=0, atol=1e-12)
-
-
-def test_energy_of_a_constant_map() -> None:
-    """4 pi L^2, and its target is L sqrt(4 pi) in the mean's place."""
-    maps = torch.full((8, 16, 3), 2.5, dtype=F64)
-    signal = SampledSignal.of(maps, LatLongTransform(3, 8))
-    torch.testing.assert_close(
-        signal.energy, torch.full((3,), 4 * math.pi * 6.25, dtype=F64), rtol=1e-12, atol=0
-    )
-    expected = torch.full((3,), 2.5 * math.sqrt(4 * math.pi), dtype=F64)
-    torch.testing.assert_close(signal.target[0], expected, rtol=1e-12, atol=0)

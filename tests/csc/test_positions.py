@@ -1,10 +1,8 @@
 import math
 
-import pytest
 import torch
 
 from skylight.csc._positions import Positions, centres_of
-from skylight.errors import InputError
 from skylight.sphere._frame import DirectionGrid, angle_between
 from skylight.sphere._rotation import matrix_from_euler
 
@@ -84,9 +82,3 @@ def test_columns_go_round_to_the_right() -> None:
     steps = angle_between(seen, seen.roll(-1, 0))
     torch.testing.assert_close(steps, torch.full((10,), 2 * math.pi / 10, dtype=F64))
     assert seen[5, 0] > 0 > seen[5, 2]  # just right of the centre
-
-
-@pytest.mark.parametrize(("rows", "twists"), [(1, 4), (0, 4), (-3, 4), (4, 0)])
-def test_too_few_are_refused(rows: int, twists: int) -> None:
-    with pytest.raises(InputError, match=f"got {rows} and {twists}"):
-        Positions(rows=rows, twists=twists)

@@ -207,9 +207,3 @@ def test_norms_are_those_of_the_sampled_atoms() -> None:
         spread.append(float(expected.max() - expected.min()))
     assert max(spread) > 0.01  # else there was nothing to see
     assert min(spread) < 1e-12  # the constant
-
-
-def test_norms_need_the_columns_of_the_map() -> None:
-    correlation = RotationCorrelation(bank().coefficients, Positions(rows=8, twists=4))
-    with pytest.raises(ValueError, match=r"32 columns .*16"):
-        atom_norms(correlation, LatLongTransform(8, 16))

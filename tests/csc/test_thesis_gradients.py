@@ -5,7 +5,6 @@ import torch
 
 from skylight.csc._positions import Positions
 from skylight.csc._wigner import RotationCorrelation, rotated_filters
-from skylight.sphere import _harmonics as harmonics
 from tests.csc.draws import F64, random
 from tests.csc.thesis_gradients import IsotropicGradient, RotatedResiduals, RotatedZonalGradient
 
@@ -67,11 +66,6 @@ def test_all_four_agree_on_isotropic_filters(degree: int, rows: int, dtype: torc
         assert (found - default).abs().max() < TOLERANCE[dtype] * default.abs().max()
 
 
-def test_isotropic_gradient_refuses_other_filters() -> None:
-    with pytest.raises(ValueError, match="isotropic"):
-        IsotropicGradient(random(1, 25), Positions(rows=4, twists=2))
-
-
 @pytest.mark.parametrize("method", [RotatedResiduals, RotatedZonalGradient])
 def test_pieces_do_not_show(method: type, monkeypatch: pytest.MonkeyPatch) -> None:
     """Memory is bounded by pieces, the last of which is short."""
@@ -95,11 +89,3 @@ def test_gradient_is_that_of_the_loss(degree: int) -> None:
     (slope,) = torch.autograd.grad(residual.square().sum() / 2, codes)
     found = RotatedResiduals(filter_, positions, dtype=F64)(residual.detach())
     torch.testing.assert_close(found.flatten(), -slope, atol=1e-10, rtol=1e-10)
-
-
-def test_axes_are_the_same_every_time() -> None:
-    first, second = (
-        RotatedZonalGradient(random(1, 25), Positions(rows=2, twists=1)) for _ in range(2)
-    )
-    assert torch.equal(first.axes, second.axes)
-    assert len(first.axes) == 2 * harmonics.degree_of(25) + 1

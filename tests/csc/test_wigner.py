@@ -60,25 +60,17 @@ def brute_force(
     return torch.stack(products).view(-1, *shape)
 
 
-# the columns tell orders below `rows` apart: degrees below, at, above it, and beyond all columns
+# the columns tell orders below `rows` apart: degrees below, at, above it, and beyond all columns,
+# the last so far that orders fold back more than once
 @pytest.mark.parametrize(
     ("degree", "rows", "twists"),
-    [(5, 8, 8), (6, 6, 12), (6, 5, 8), (7, 4, 6), (7, 3, 1), (4, 7, 5), (6, 3, 4), (9, 2, 2)],
+    [(5, 8, 8), (6, 6, 12), (6, 5, 8), (7, 4, 6), (7, 3, 1), (4, 7, 5), (6, 3, 4), (15, 2, 3)],
 )
 def test_agrees_with_brute_force(degree: int, rows: int, twists: int) -> None:
     filters, positions = filters_of_every_kind(degree), Positions(rows=rows, twists=twists)
     residual = random(filters.shape[1], seed=9)
     expected = brute_force(filters, positions, residual)
     found = RotationCorrelation(filters, positions, dtype=F64)(residual)
-    torch.testing.assert_close(found, expected, atol=1e-11, rtol=0)
-
-
-def test_orders_beyond_every_column_fold_back_more_than_once() -> None:
-    """Degree 15 on 4 columns and 3 twists."""
-    filters, positions = filters_of_every_kind(15, each=1), Positions(rows=2, twists=3)
-    residual = random(256, seed=9)
-    found = RotationCorrelation(filters, positions, dtype=F64)(residual)
-    expected = brute_force(filters, positions, residual)
     torch.testing.assert_close(found, expected, atol=1e-11, rtol=0)
 
 
@@ -130,14 +122,6 @@ def test_rotated_is_the_adjoint() -> None:
     residual, weights = random(64, seed=4), random(60, seed=5)
     values = correlation(residual)[which, places[:, 0], places[:, 1], places[:, 2]]
     torch.testing.assert_close(weights @ values, weights @ atoms @ residual)
-
-
-def test_constant_filter_sees_the_mean() -> None:
-    constant, positions = torch.zeros(1, 49, dtype=F64), Positions(rows=6, twists=4)
-    constant[0, 0] = 1
-    residual = random(49)
-    found = RotationCorrelation(constant, positions, dtype=F64)(residual)
-    torch.testing.assert_close(found, residual[0].expand_as(found), atol=1e-14, rtol=0)
 
 
 def test_turning_a_map_by_columns_rolls_its_correlation() -> None:
@@ -247,21 +231,6 @@ def test_agrees_with_rotation_by_real_blocks() -> None:
         torch.testing.assert_close(one, rotate(filter_, matrix), atol=2e-6, rtol=0)
     torch.testing.assert_close(turned[0], filters[0], atol=1e-12, rtol=0)
     torch.testing.assert_close(turned.norm(dim=1), filters.norm(dim=1), rtol=1e-12, atol=0)
-
-
-def test_the_zenith_goes_to_longitude_alpha_and_polar_angle_beta() -> None:
-    """A zonal filter: the addition theorem, whatever the twist."""
-    degree, height = 9, random(10)
-    l = torch.arange(degree + 1)  # noqa: E741
-    filters = torch.zeros(5, 100, dtype=F64)
-    filters[:, l * (l + 1)] = height
-    beta = BETA[:, None]
-    pole = torch.stack([torch.cos(ALPHA), torch.sin(ALPHA)], 1) * torch.sin(beta)
-    pole = torch.cat([pole, torch.cos(beta)], 1)
-    scale = torch.sqrt(4 * math.pi / (2 * l + 1).double()) * height
-    expected = harmonics.evaluate(pole, degree) * scale[harmonics.bands(degree)]
-    turned = rotated_filters(filters, ANGLES)
-    torch.testing.assert_close(turned, expected, atol=1e-12, rtol=0)
 
 
 def test_complex_coefficients_there_and_back() -> None:

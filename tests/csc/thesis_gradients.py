@@ -15,6 +15,7 @@ Each takes filters (f, k) about the zenith and positions, and maps a residual (k
 """
 
 import math
+from functools import cache
 
 import torch
 from jaxtyping import Float
@@ -108,9 +109,8 @@ class RotatedZonalGradient(nn.Module):
         self.positions, self.dtype = positions, dtype
         self.degree = harmonics.degree_of(filters.shape[1])
         self.products = _TwistedProducts(filters, positions, dtype)
-        axes = sampling_directions(self.degree, torch.Generator().manual_seed(0))
-        self.register_buffer("axes", axes, persistent=False)
-        for l, sampled in enumerate(sampled_bands(axes, self.degree)):  # noqa: E741
+        self.register_buffer("axes", sampling_directions(self.degree), persistent=False)
+        for l, sampled in enumerate(sampled_bands(self.axes, self.degree)):  # noqa: E741
             self.register_buffer(f"lobes_{l}", torch.linalg.inv(sampled), persistent=False)
         beta, alpha = torch.meshgrid(positions.beta, positions.alpha, indexing="ij")
         rotations = matrix_from_euler(alpha, beta, torch.zeros_like(alpha)).flatten(0, 1)
@@ -191,12 +191,14 @@ class _TwistedProducts(nn.Module):
         return out.view(-1, p.rows, p.columns, p.twists)
 
 
-def sampling_directions(degree: int, generator: torch.Generator) -> Float[Tensor, "n 3"]:
+@cache
+def sampling_directions(degree: int) -> Float[Tensor, "n 3"]:
     """2 degree + 1 random directions whose first 2l + 1 determine band l, for every l.
 
     The best of 16 draws by the largest condition number of a band's ``Y_l(w_j)``; about 1e3 to
     1e4 at degree 40, so that inverting the samples costs as many digits.
     """
+    generator = torch.Generator().manual_seed(0)
     best, lowest = torch.empty(0), math.inf
     for _ in range(_DRAWS):
         draw = torch.randn(2 * degree + 1, 3, dtype=torch.float64, generator=generator)

@@ -12,7 +12,7 @@ from skylight.models._convolutional import (
     UpConv,
     WrapConv,
 )
-from skylight.models._network import CENTRE_AZIMUTH_RAD, HEIGHT, WIDTH
+from skylight.models._network import HEIGHT, WIDTH
 
 F64 = torch.float64
 
@@ -79,26 +79,6 @@ def test_resolutions_are_those_of_figure_5_2() -> None:
     assert (sky >= 0).all()
 
 
-def test_the_sun_has_its_own_coordinates() -> None:
-    """They change the lobe and not what the encoder's other latents are."""
-    network = random_network()
-    generator = torch.Generator().manual_seed(5)
-    skies = torch.rand(2, HEIGHT, WIDTH, 3, generator=generator)
-    skies[:, 10, WIDTH // 2] = torch.tensor([[500.0], [900.0]])
-    z = network.encode(skies)
-    brighter = skies.clone()
-    brighter[:, 10, WIDTH // 2] *= 2
-    again = network.encode(brighter)
-    torch.testing.assert_close(again[:, :-5], z[:, :-5], rtol=1e-5, atol=1e-5)
-    # coordinates are (log E + 1) / 2: twice the light is half a log 2 more
-    torch.testing.assert_close(
-        again[:, -4:-1] - z[:, -4:-1], torch.full((2, 3), math.log(2) / 2), rtol=0.01, atol=0
-    )
-    decoded = network.decode(z)
-    column = decoded.amax(dim=(1, 3)).argmax(1)
-    assert column.tolist() == [WIDTH // 2] * 2
-
-
 @pytest.mark.parametrize("sun", [True, False])
 def test_the_folded_decoder_is_the_decoder(sun: bool) -> None:
     """To rounding, in float64, with batch statistics that are not those of the start."""
@@ -145,19 +125,6 @@ def test_uncoding_cuts_what_is_no_radiance() -> None:
     assert radiance.isfinite().all()
     # the limit is far above any sun: all of a clear sky's light within the disc, 6.8e-5 sr
     assert float(radiance[3]) > 4 * 2 * math.pi / 6.807e-5
-
-
-@pytest.mark.parametrize("spread", [0.0, 0.02])
-def test_a_turn_by_whole_columns_rolls_them(spread: float) -> None:
-    network = random_network()
-    z = torch.randn(2, LATENT, generator=torch.Generator().manual_seed(2))
-    azimuth = torch.full((2,), CENTRE_AZIMUTH_RAD)
-    with torch.no_grad():
-        ahead = network.decode_at_azimuth(z, azimuth, spread)
-        turned = network.decode_at_azimuth(z, azimuth + 17 * 2 * math.pi / WIDTH, spread)
-        if spread == 0:
-            torch.testing.assert_close(ahead, network.decode(z), rtol=1e-4, atol=1e-4)
-    torch.testing.assert_close(turned, torch.roll(ahead, 17, dims=2), rtol=1e-3, atol=1e-4)
 
 
 @pytest.mark.parametrize("sun", [True, False])

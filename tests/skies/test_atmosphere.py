@@ -119,7 +119,14 @@ def test_diffuse_light_against_photons(sun_zenith_deg: float, haze: float, groun
         assert float(ours[channel]) == pytest.approx(true, abs=0.02 * true + 3 * error)
 
 
-@pytest.mark.parametrize(("haze", "sun_height_deg"), [(0.43, 6.8), (0.6, 30.0), (0.1, 2.0)])
+@pytest.mark.parametrize(
+    ("haze", "sun_height_deg"),
+    [
+        (0.43, 6.8),
+        pytest.param(0.6, 30.0, marks=pytest.mark.slow),
+        pytest.param(0.1, 2.0, marks=pytest.mark.slow),
+    ],
+)
 def test_hazy_and_low_suns_against_photons(haze: float, sun_height_deg: float) -> None:
     """From zenith to horizon round the sky, within 5 % and the photons' noise; the mean, 4 %.
 
@@ -167,13 +174,6 @@ def test_the_earth_hides_the_sun() -> None:
     below = torch.tensor([math.radians(91)])
     assert (clear.sun_irradiance(below) == 0).all()
     assert clear.sun_irradiance(below, height_km=3.0)[0, 0] > 0
-
-
-def test_colour_of_either_precision(rural: ClearSky) -> None:
-    passed = torch.linspace(0.2, 0.9, len(BANDS_NM), dtype=torch.float64)
-    colour = rural.as_colour(passed)
-    assert colour.dtype == torch.float64
-    torch.testing.assert_close(rural.as_colour(passed.float()), colour.float())
 
 
 def test_all_devices_agree(rural: ClearSky, device: torch.device) -> None:

@@ -25,10 +25,14 @@ SUN = (0.8, 0.9)  # azimuth, zenith
 def painted(*, height: int = 48, full: bool = False, sun: float = 2e4) -> Float[Tensor, "h w 3"]:
     """A bright half sky whose sun, if any, is a little wider than a pixel."""
     grid = DirectionGrid.latlong(2 * height) if full else DirectionGrid.sky(height)
-    place = direction_from_angles(torch.tensor(SUN[0]), torch.tensor(SUN[1])).double()
-    angle = angle_between(grid.directions, place.expand_as(grid.directions))
-    light = 1 + grid.directions[:, 1] * 0.5 + sun * torch.exp(-((angle / 0.03) ** 2))
+    light = light_from(grid.directions, sun)
     return light.float().reshape(-1, 4 * height, 1).expand(-1, -1, 3).contiguous()
+
+
+def light_from(directions: Float[Tensor, "*n 3"], sun: float) -> Float[Tensor, "*n"]:
+    place = direction_from_angles(torch.tensor(SUN[0]), torch.tensor(SUN[1])).double()
+    angle = angle_between(directions, place.expand_as(directions))
+    return 1 + directions[..., 1] * 0.5 + sun * torch.exp(-((angle / 0.03) ** 2))
 
 
 def write(path: Path, radiance: Float[Tensor, "h w 3"], **header: object) -> Path:
@@ -88,14 +92,11 @@ def test_what_is_found_and_what_is_refused(tmp_path: Path) -> None:
 
 
 def test_squares_load_like_the_lat_long_map_of_the_same_sky(tmp_path: Path) -> None:
-    place = direction_from_angles(torch.tensor(SUN[0]), torch.tensor(SUN[1])).double()
     size = 256
     centre = (torch.arange(size, dtype=torch.float64) + 0.5) * 2 / size - 1
     right, down = torch.meshgrid(centre, centre, indexing="xy")
     zenith = torch.hypot(right, down) * math.pi / 2
-    directions = direction_from_angles(torch.atan2(right, down), zenith)  # angular
-    angle = angle_between(directions, place.expand_as(directions))
-    light = 1 + directions[..., 1] * 0.5 + 2e4 * torch.exp(-((angle / 0.03) ** 2))
+    light = light_from(direction_from_angles(torch.atan2(right, down), zenith), 2e4)  # angular
     square = torch.where(zenith < math.pi / 2, light, math.nan)[..., None].expand(-1, -1, 3)
     write(tmp_path / "a_square.exr", square.float().contiguous())
     write(tmp_path / "b_map.exr", painted(height=180))

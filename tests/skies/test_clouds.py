@@ -64,7 +64,7 @@ def rows(values: torch.Tensor) -> torch.Tensor:
     return values.reshape(32, 128).mean(1)
 
 
-@pytest.mark.parametrize("depth", [0.3, 3.0, 10.0, 80.0])
+@pytest.mark.parametrize("depth", [0.3, 3.0, 10.0, 40.0])
 @pytest.mark.parametrize("mu0", [0.25, 0.9])
 def test_a_uniform_deck_sends_down_what_photons_do(depth: float, mu0: float) -> None:
     """Irradiance below it, disc included, as a share of what falls on it."""

@@ -185,11 +185,11 @@ def test_skies_on_the_spot_have_seeds_of_their_own(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(
         simulated, "simulate_sky", lambda *moment, height: simulate_sky(*moment, height=height // 4)
     )
-    found = simulated_skies(2, first_seed=2, lowest_transmittance=0.5)
+    found = simulated_skies(2, first_seed=7, lowest_transmittance=0.5)
     assert all(r.sun_transmittance >= 0.5 for r, _ in found)
-    assert all(r.seed is not None and r.seed >= EVALUATION_SEEDS + 2 for r, _ in found)
+    assert all(r.seed is not None and r.seed >= EVALUATION_SEEDS + 7 for r, _ in found)
     assert len({r.day for r, _ in found}) == 2
-    again = simulated_skies(1, first_seed=2, lowest_transmittance=0.5)
+    again = simulated_skies(1, first_seed=7, lowest_transmittance=0.5)
     assert torch.equal(found[0][1].radiance, again[0][1].radiance)
     with pytest.raises(InputError, match="at least 0"):
         simulated_skies(1, first_seed=-1)

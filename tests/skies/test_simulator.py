@@ -64,11 +64,6 @@ def test_same_seed_same_bytes() -> None:
     assert digest(first) == digest(again) != digest(other)
 
 
-def test_days_follow_their_seed() -> None:
-    assert draw_day(11) == draw_day(11)
-    assert draw_day(11).name != draw_day(12).name
-
-
 def test_regimes_come_by_their_shares() -> None:
     days = [draw_day(seed) for seed in range(500)]
     for regime, share in REGIME_SHARES.items():
@@ -206,7 +201,7 @@ def days_of(regime: str, count: int) -> list[Day]:
 
 def test_open_suns_stand_where_they_are_said_to() -> None:
     checked = 0
-    for day in days_of("broken", 3):
+    for day in days_of("broken", 2):
         for sky in simulate_day(day, interval_min=240.0, height=32):
             if sky.sun_transmittance > 0.8:
                 found = sky.sky.brightest_direction()
@@ -233,11 +228,11 @@ def test_clouds_take_the_sun_and_make_no_energy(clear_day: Day, clear_air: Clear
 def test_broken_clouds_brighten_by_less_than_measured_extremes() -> None:
     """Cloud enhancement: sunlit cloud sides lift irradiance by up to about 1.5 times."""
     ratios = []
-    for day in days_of("broken", 3):
+    for day in days_of("broken", 2):
         air = ClearSky(day.atmosphere)
         for moment in sunlit_moments(day, interval_min=240.0):
-            cloudy = simulate_sky(day, air, *moment, height=16).sky.irradiance(UP)
-            open_sky = simulate_sky(without_clouds(day), air, *moment, height=16).sky.irradiance(UP)
+            cloudy = simulate_sky(day, air, *moment, height=8).sky.irradiance(UP)
+            open_sky = simulate_sky(without_clouds(day), air, *moment, height=8).sky.irradiance(UP)
             ratios.append(float(luminance(cloudy) / luminance(open_sky)))
     assert 0.05 < min(ratios) < 0.9
     assert max(ratios) < 1.6
@@ -246,7 +241,7 @@ def test_broken_clouds_brighten_by_less_than_measured_extremes() -> None:
 def test_overcast_skies_are_brighter_above() -> None:
     """Zenith over horizon: 3 for the CIE overcast sky, less where the sun shows through."""
     ratios = []
-    for day in days_of("overcast", 3):
+    for day in days_of("overcast", 2):
         for sky in simulate_day(day, interval_min=300.0, height=16):
             rows = luminance(sky.sky.radiance).mean(1)
             ratios.append(float(rows[:2].mean() / rows[-2:].mean()))
@@ -287,11 +282,6 @@ def test_cover_waxes_and_wanes_but_overcast_stays() -> None:
         assert (max(cover) > min(cover)) == (regime == "broken")
         depth = [_at_hour(day.clouds[-1], day, float(hour)).depth for hour in range(24)]
         assert 1.2 < max(depth) / min(depth) < 2
-
-
-def test_shares_of_the_regimes_are_configurable() -> None:
-    only = [draw_day(s, shares={"clear": 0.0, "broken": 0.0, "overcast": 1.0}) for s in range(20)]
-    assert {d.regime for d in only} == {"overcast"}
 
 
 def test_clouds_move_with_the_wind() -> None:

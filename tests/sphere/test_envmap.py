@@ -240,7 +240,7 @@ def test_brightest_direction_is_better_than_a_pixel(azimuth: float, zenith: floa
     assert math.degrees(angle_between(found, sun).item()) < 1.0
 
 
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(st.floats(-math.pi, math.pi), st.floats(0.1, 1.4))
 def test_brightest_direction_of_a_box_filtered_disc(azimuth: float, zenith: float) -> None:
     sun = direction_from_angles(torch.tensor(azimuth, dtype=F64), torch.tensor(zenith, dtype=F64))

@@ -58,7 +58,7 @@ def test_first_nine_are_those_of_the_table(directions: torch.Tensor) -> None:
     )
 
 
-@pytest.mark.parametrize("degree", [0, 1, 5, 40, 64])
+@pytest.mark.parametrize("degree", [0, 1, 5, 40])
 def test_agrees_with_scipy_poles_included(directions: torch.Tensor, degree: int) -> None:
     oracle = real_harmonics(directions.numpy(), degree)
     np.testing.assert_allclose(
@@ -88,12 +88,14 @@ def test_orthonormal_under_quadrature() -> None:
     torch.testing.assert_close(gram, torch.eye(169, dtype=F64), atol=1e-12, rtol=0)
 
 
-@pytest.mark.parametrize(("rows", "method"), [(82, "quadrature"), (48, "least_squares")])
-def test_round_trip_at_degree_40(rows: int, method: harmonics.ProjectionMethod) -> None:
-    coefficients = random_coefficients(40)
+@pytest.mark.parametrize(
+    ("degree", "rows", "method"), [(40, 82, "quadrature"), (20, 24, "least_squares")]
+)
+def test_round_trip(degree: int, rows: int, method: harmonics.ProjectionMethod) -> None:
+    coefficients = random_coefficients(degree)
     grid = DirectionGrid.latlong(rows)
-    radiance = harmonics.evaluate(grid.directions, 40) @ coefficients
-    back = harmonics.project(radiance, grid, 40, method=method)
+    radiance = harmonics.evaluate(grid.directions, degree) @ coefficients
+    back = harmonics.project(radiance, grid, degree, method=method)
     torch.testing.assert_close(back, coefficients, atol=1e-9, rtol=0)
 
 

@@ -162,13 +162,9 @@ def test_blocks_keep_leading_shapes() -> None:
 
 def test_recursion_and_sampling_agree() -> None:
     """D_l = M_l(R) M_l(I)^-1: two ways that share only the harmonics (thesis, Eq. C.3 to C.5)."""
-    axes = sampling_directions(40, torch.Generator().manual_seed(0))
+    axes = sampling_directions(40)
     still = sampled_bands(axes, 40)
-    for matrix in [
-        *random_rotations(2, seed=3),
-        rotation(0.3, 0.0, 0.2),
-        rotation(0.3, math.pi, 0),
-    ]:
+    for matrix in [*random_rotations(1, seed=3), rotation(0.3, math.pi, 0)]:
         turned = sampled_bands(axes @ matrix.T, 40)
         for block, s, t in zip(rotation_blocks(matrix, 40), still, turned, strict=True):
             sampled = torch.linalg.solve(s, t, left=False)

@@ -88,7 +88,7 @@ def test_resampling_puts_each_direction_where_the_frame_has_it() -> None:
     torch.testing.assert_close(inner, expected)
 
 
-@pytest.mark.parametrize(("height", "size"), [(128, 64), (16, 64), (100, 8), (1, 4), (64, 1)])
+@pytest.mark.parametrize(("height", "size"), [(16, 32), (100, 8), (1, 4), (64, 1)])
 def test_a_constant_stays_constant_both_ways(height: int, size: int) -> None:
     colour = torch.tensor([0.5, 1.0, 3.0], dtype=F64)
     cube = wavelets.cube_from_latlong(colour.expand(height, 2 * height, 3).contiguous(), size)

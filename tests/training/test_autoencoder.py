@@ -18,7 +18,6 @@ from skylight.errors import InputError
 from skylight.io._tensors import read_tensors, write_tensors
 from skylight.models._bundle import load_network, save_network
 from skylight.models._convolutional import ConvolutionalAutoencoder
-from skylight.models._network import SkyNetwork
 from skylight.models._splines import SplineAutoencoder
 from skylight.skies._index import read_index
 from skylight.training import _autoencoder as training
@@ -33,7 +32,14 @@ from skylight.training._checkpoint import (
 )
 from skylight.training._config import AutoencoderConfig, config_yaml, read_config
 from skylight.training._processes import Processes
-from skylight.training._skies import FOLDER, Corruption, coded_skies, draw_corruption, load_data
+from skylight.training._skies import (
+    FOLDER,
+    Corruption,
+    coded_skies,
+    draw_batch,
+    draw_corruption,
+    load_data,
+)
 
 ROOT = Path(__file__).parents[2]
 ALONE = Processes(rank=0, size=1, device=torch.device("cpu"))
@@ -209,37 +215,17 @@ def thesis(config: AutoencoderConfig) -> AutoencoderConfig:
     return replace(config, network="convolutions", optimiser="sgd", learning_rate=0.05)
 
 
-def first_kernel(network: SkyNetwork) -> torch.Tensor:
-    assert isinstance(network, ConvolutionalAutoencoder)
-    return network.encoder[0][0].conv.weight  # type: ignore[union-attr]
-
-
-def test_the_encoder_learns_from_corrupted_skies_alone(
-    config: AutoencoderConfig, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("masked", [0.0, 1.0])
+def test_the_encoder_learns_from_corrupted_skies_alone(masked: float) -> None:
     """Where all of a sky is hidden, the gradient of the first convolution is exactly zero."""
-
-    def changed(masked: float) -> bool:
-        hidden = replace(
-            thesis(config),
-            out=tmp_path / str(masked),
-            masked=masked,
-            sun=False,
-            weight_decay=0.0,
-            epochs=1,
-            batch=3 * config.batch,
-        )
-        before, after = (
-            first_kernel(network)
-            for network in (
-                initial_network(hidden),
-                load_network(train(hidden, report=lambda _: None)),
-            )
-        )
-        return not torch.equal(before, after)
-
-    assert changed(0.0)
-    assert not changed(1.0)
+    config = AutoencoderConfig(network="convolutions", sun=False, batch=2, masked=masked)
+    network = initial_network(config)
+    sky = torch.rand(2, 32, 128, 3, generator=torch.Generator().manual_seed(0))
+    batch = draw_batch([coded_skies(network, sky)], config, 0, 0, slice(None))
+    training.Objective(network, config)(*batch).backward()
+    gradient = network.get_parameter("encoder.0.0.conv.weight").grad
+    assert gradient is not None
+    assert bool(gradient.any()) == (masked == 0)
 
 
 def test_a_finished_run_stays_finished(
@@ -350,6 +336,7 @@ def test_weights_of_another_kind_are_refused(config: AutoencoderConfig, tmp_path
             train(warm, report=lambda _: None)
 
 
+@pytest.mark.slow
 def test_the_thesis_network_learns_by_the_same_loop(
     config: AutoencoderConfig, tmp_path: Path
 ) -> None:
@@ -404,22 +391,6 @@ def test_loss_is_its_formula(
     np.testing.assert_allclose(loss_of(predicted, true, config), expected, rtol=1e-5)
 
 
-def test_loss_of_the_truth_is_zero() -> None:
-    true, _ = skies()
-    np.testing.assert_allclose(loss_of(true, true, AutoencoderConfig()), 0, atol=1e-6)
-
-
-def test_the_second_part_forgives_exposure_and_nothing_else() -> None:
-    true, _ = skies()
-    brighter = np.expm1(np.log1p(true) + 0.3)
-    plain, forgiving = (
-        loss_of(brighter, true, AutoencoderConfig(energy_weight=0.0, scale_invariant=s))
-        for s in (0.0, 5.0)
-    )
-    np.testing.assert_allclose(plain, 0.3, rtol=1e-4)
-    np.testing.assert_allclose(forgiving, plain, atol=1e-5)
-
-
 def test_a_sun_with_its_own_head_is_not_the_networks_concern() -> None:
     """The same loss whatever the sun's strength, but for its coordinates in the decoder."""
     network = ConvolutionalAutoencoder(sun=True)
@@ -461,18 +432,6 @@ def test_the_encoder_sees_the_corruption_and_the_loss_does_not(config: Autoencod
     torch.testing.assert_close(dirty, corruption.kept * (clean + corruption.noise))
     torch.testing.assert_close(shaken, sun + corruption.sun)
     assert not (torch.equal(dirty, clean) and torch.equal(shaken, sun))
-
-
-def test_the_second_part_counts_contrast() -> None:
-    """An error of the same mean and size, but of both signs, is not forgiven."""
-    true, _ = skies()
-    sign = np.where(np.arange(128) % 2, 1.0, -1.0)[None, None, :, None]
-    contrasted = np.expm1(np.maximum(np.log1p(true) + 0.3 * sign, 0))
-    plain, forgiving = (
-        loss_of(contrasted, true, AutoencoderConfig(energy_weight=0.0, scale_invariant=s))
-        for s in (0.0, 5.0)
-    )
-    assert (forgiving > plain + 5 * 0.05).all()
 
 
 def test_noise_and_penalty_are_of_the_latents_but_the_suns() -> None:

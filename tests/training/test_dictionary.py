@@ -43,10 +43,6 @@ def room(seed: int, rows: int = 64) -> EnvironmentMap:
     return EnvironmentMap(radiance=radiance)
 
 
-def silent(_: str) -> None:
-    pass
-
-
 @pytest.fixture
 def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the optimiser in an epoch, whose number changes nothing else."""
@@ -84,12 +80,10 @@ def config(probes: Path, tmp_path: Path) -> DictionaryConfig:
     )
 
 
-def test_means_of_patches(config: DictionaryConfig, tmp_path: Path) -> None:
+def test_means_of_patches(config: DictionaryConfig) -> None:
     said: list[str] = []
     path = learn_dictionary(config, said.append)
     bank = FilterBank.load(path)
-    again = FilterBank.load(learn_dictionary(replace(config, out=tmp_path / "again"), silent))
-    assert torch.equal(again.coefficients, bank.coefficients)
     assert bank.name == "kmeans"
     ani = builtin("ani", DEGREE).coefficients
     assert len(bank) == len(ani) + 3
@@ -110,7 +104,7 @@ def test_means_of_patches(config: DictionaryConfig, tmp_path: Path) -> None:
 
 def test_which_maps(config: DictionaryConfig) -> None:
     def used(**changes: object) -> list[str]:
-        path = learn_dictionary(replace(config, **changes), silent)  # type: ignore[arg-type]
+        path = learn_dictionary(replace(config, **changes), str)  # type: ignore[arg-type]
         return json.loads(path.with_suffix(".json").read_text())["maps"]
 
     assert used(category="indoor") == ["a.exr", "b.hdr"]
@@ -221,7 +215,7 @@ def test_sheet_shows_what_looks_up_and_what_is_negative() -> None:
 
 def test_long_axis_points_to_the_right() -> None:
     """phi = 0, which is +Z at the zenith."""
-    row = builtin("ani", 20).coefficients[50]
+    row = anisotropic(20, 4).coefficients[2]
     values = filter_sheet(FilterBank(torch.stack([row, row]), "two"), 1)[..., 0].astype(float)
     assert values[50, 75] > values[25, 50] + 10
 

@@ -18,12 +18,12 @@ from skylight.training._config import AutoencoderConfig, find_config, read_confi
 from skylight.training._run import fitting, main, train_folder
 from tests.drawn_skies import draw_skies
 
-COUNT = 40
+COUNT = 20
 
 
 @pytest.fixture(scope="session")
 def exr_skies(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Skies of 40 days, with a sun or overcast, and a room."""
+    """Skies of 20 days, with a sun or overcast, and a room."""
     out = tmp_path_factory.mktemp("exr_skies")
     draw_skies(out, COUNT)
     room = np.ones((96, 192, 3), np.float32) * [1.0, 0.9, 0.5]
@@ -44,20 +44,20 @@ def model(exr_skies: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
     return out, said
 
 
-def test_forty_skies_make_a_model(model: tuple[Path, list[str]], exr_skies: Path) -> None:
+def test_twenty_skies_make_a_model(model: tuple[Path, list[str]], exr_skies: Path) -> None:
     out, said = model
     bundle = load_bundle(out)
     assert bundle.name == "mine"
-    assert bundle.skies == 32
+    assert bundle.skies == 16
     assert any(line.startswith("room.exr: left out, no sky above") for line in said)
-    assert any("batches of 8 instead of 16" in line for line in said)
+    assert any("batches of 4 instead of 16" in line for line in said)
     light = bundle.light()
     with torch.no_grad():
         sky = light(light.starts_towards(torch.tensor([[0.5, 0.5, -0.7]]))[0])
     assert bool(sky.isfinite().all())
     assert float(sky.min()) >= 0
     card = (out / "card.md").read_text()
-    assert "| train | 32 | 32 |" in card
+    assert "| train | 16 | 16 |" in card
     assert bundle.data_sha256 in card
     assert (out / "reconstructions.png").is_file()
     assert not (exr_skies / "index.csv").exists()  # FOLDER may be read-only

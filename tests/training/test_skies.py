@@ -1,5 +1,6 @@
 """Skies of a run: converted, varied, prepared, and drawn in batches."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -96,7 +97,19 @@ def test_other_maps_get_another_cache(folder: Path) -> None:
     assert not np.array_equal(second.train, first.train)
 
 
-def test_several_processes_keep_the_order(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+class Threads(ThreadPoolExecutor):
+    """In the place of processes, which take seconds to start."""
+
+    def __init__(self, workers: int, **_: object) -> None:
+        super().__init__(workers)
+
+
+@pytest.mark.parametrize("pool", [Threads, pytest.param(None, marks=pytest.mark.slow)])
+def test_several_processes_keep_the_order(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, pool: type[Threads] | None
+) -> None:
+    if pool is not None:
+        monkeypatch.setattr(module, "ProcessPoolExecutor", pool)
     alone = np.array(load_data(folder, silent).train)
     for path in (folder / ".cache").iterdir():
         path.unlink()
@@ -107,7 +120,6 @@ def test_several_processes_keep_the_order(folder: Path, monkeypatch: pytest.Monk
 
 def test_progress_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "CHUNK", 1)
-    monkeypatch.setattr("os.cpu_count", lambda: 1)
     messages: list[str] = []
     skies = len(load_data(folder, messages.append).train)
     assert skies > 10

@@ -33,14 +33,14 @@ def head() -> tuple[Tensor, Tensor, Tensor]:
 def test_a_head_hides_what_embree_says(
     head: tuple[Tensor, Tensor, Tensor], device: torch.device
 ) -> None:
-    """From 100 vertices to 512 directions each, half of them within the head."""
+    """From 50 vertices to 512 directions each, half of them within the head."""
     vertices, faces, normals = head
     embree, caster = Raycaster(vertices, faces), TorchRaycaster(vertices, faces, device)
-    starts = (vertices + embree.epsilon * normals)[::76].float()
+    starts = (vertices + embree.epsilon * normals)[::152].float()
     directions = DirectionGrid.latlong(16).directions.float()
     origins = starts.repeat_interleave(len(directions), 0)
     rays = directions.repeat(len(starts), 1)
-    assert len(rays) >= 50_000
+    assert len(rays) >= 25_000
     found, expected = caster.occluded(origins, rays), embree.occluded(origins, rays)
     assert 0.6 < float(expected.float().mean()) < 0.8
     # a GPU may round products and sums together: rays that graze an edge may differ there

@@ -44,8 +44,12 @@ def test_what_ships_is_what_is_traced(height: int, grid_height: int) -> None:
     assert ((found - expected).abs() < 1e-7).float().mean() > 0.9999
 
 
-def test_a_traced_scene_comes_back(tmp_path: Path) -> None:
-    traced = trace_scene(12, 8)
+@pytest.fixture(scope="module")
+def traced() -> TracedScene:
+    return trace_scene(12, 8)
+
+
+def test_a_traced_scene_comes_back(traced: TracedScene, tmp_path: Path) -> None:
     traced.save(tmp_path / "scene.npz.xz")
     again = TracedScene.load(tmp_path / "scene.npz.xz")
     np.testing.assert_array_equal(again.visible, traced.visible)
@@ -56,9 +60,9 @@ def test_a_traced_scene_comes_back(tmp_path: Path) -> None:
     assert (again.matt.layout, again.grid_height) == ((12, 16), 8)
 
 
-def test_a_damaged_scene_is_named(tmp_path: Path) -> None:
+def test_a_damaged_scene_is_named(traced: TracedScene, tmp_path: Path) -> None:
     path = tmp_path / "scene.npz.xz"
-    trace_scene(12, 8).save(path)
+    traced.save(path)
     path.write_bytes(path.read_bytes()[:-200])
     with pytest.raises(AssetError, match="reinstall"):
         TracedScene.load(path)

@@ -66,12 +66,10 @@ class Draws:
     def azimuth(self, *shape: int) -> Float[Tensor, "b *s"]:
         return self.uniform((-math.pi, math.pi), *shape)
 
-    def colour(
-        self, table: tuple[Colour, ...], *shape: int, spread: float = 0.2
-    ) -> Float[Tensor, "b *s 3"]:
-        """An albedo of the table, lighter or darker by ``spread`` (of the logarithm)."""
+    def colour(self, table: tuple[Colour, ...], *shape: int) -> Float[Tensor, "b *s 3"]:
+        """An albedo of the table, lighter or darker by 0.2 (of the logarithm)."""
         which = self.choice([1.0] * len(table), *shape)
-        lighter = torch.exp(spread * self.normal(*shape))
+        lighter = torch.exp(0.2 * self.normal(*shape))
         return (torch.tensor(table)[which] * lighter[..., None]).clamp(max=MOST_ALBEDO)
 
 
