@@ -43,14 +43,12 @@ from skylight.evaluation._partition_scene import (
 )
 from skylight.evaluation._pictures import captioned_rows
 from skylight.evaluation._run import (
-    PROBES_AND_MESHES,
     Check,
-    Evaluation,
     Item,
     Metrics,
+    ProbeEvaluation,
     Rows,
     mesh_files,
-    probes_folder,
 )
 from skylight.imaging._colour import tone_map
 from skylight.imaging._metrics import shading_metrics
@@ -81,7 +79,7 @@ Found = dict[str, list[Float[Tensor, "m 3"]]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class PartitionProbeTable(Evaluation):
+class PartitionProbeTable(ProbeEvaluation):
     """``data`` holds the folders hdr (maps and an index.csv) and meshes: up to three of them.
 
     ``rays`` leave each point, or more: 8 for each cell, rounded up to a power of 2.
@@ -89,7 +87,6 @@ class PartitionProbeTable(Evaluation):
     """
 
     title = "partition-probe"
-    needs = PROBES_AND_MESHES
     # one map each, noisy references, and probes of few cells
     quick = MappingProxyType(
         {
@@ -103,7 +100,6 @@ class PartitionProbeTable(Evaluation):
         }
     )
 
-    data: Path
     indoor: int = 100
     sunny: int = 100
     samples: int = 1024
@@ -120,41 +116,25 @@ class PartitionProbeTable(Evaluation):
         _ = self.meshes
         if not self.items():
             raise InputError(
-                f"{self.maps / INDEX_NAME}: no map of the category {INDOOR} or {SUNNY} in it"
+                f"{self.probes / INDEX_NAME}: no map of the category {INDOOR} or {SUNNY} in it"
             )
-
-    @property
-    def maps(self) -> Path:
-        return probes_folder(self.data)
 
     @property
     def meshes(self) -> tuple[Path, ...]:
         return tuple(mesh_files(self.data, MODELS))
 
     def config(self) -> dict[str, object]:
-        return {
-            "indoor": self.indoor,
-            "sunny": self.sunny,
-            "samples": self.samples,
-            "rays": self.rays,
-            "even": self.even,
-            "width": self.width,
-            "searches": self.searches,
-            "steps": self.steps,
-            "turns": self.turns,
-            "seed": self.seed,
-            "meshes": [path.name for path in self.meshes],
-        }
+        return super().config() | {"meshes": [path.name for path in self.meshes]}
 
     def items(self) -> list[str]:
         return [*self._maps(INDOOR)[: self.indoor], *self._maps(SUNNY)[: self.sunny]]
 
     def _maps(self, category: str) -> list[str]:
-        return [name for name, kind in read_categories(self.maps).items() if kind == category]
+        return [name for name, kind in read_categories(self.probes).items() if kind == category]
 
     def measure(self, item: str, picture: Path) -> Item:
         scene = partition_scene(self.meshes, self.width)
-        light = read_environment_map(self.maps / item).resize(LIGHT_HEIGHT)
+        light = read_environment_map(self.probes / item).resize(LIGHT_HEIGHT)
         sunny = item in self._maps(SUNNY)
         if sunny:
             light = with_sun_in_the_east(light)
@@ -242,7 +222,7 @@ class PartitionProbeTable(Evaluation):
         return plain, right
 
     def _optimised(self) -> Optimised:
-        return _search(self.maps, self.searches, self.steps, self.seed)
+        return _search(self.probes, self.searches, self.steps, self.seed)
 
     def _held_out(self) -> tuple[str, ...]:
         """Indoor maps that the search did not see."""
