@@ -248,7 +248,7 @@ class KnownFaceEvaluation(FaceEvaluation):
 def fitted_head(face: KnownFace, seconds: dict[str, float]) -> FaceFit:
     """The head as a photograph's would be fitted.
 
-    ``seconds`` is told what each stage took: "landmarks" and "head".
+    ``seconds`` gets what each stage took: "landmarks" and "head".
     """
     height, width = face.encoded.shape[:2]
     with stage(seconds, "landmarks"):
@@ -270,7 +270,7 @@ def light_of(
 ) -> LitFace:
     """Every method's light, with the head where ``fit`` says; transport is traced once.
 
-    ``seconds`` is told what each stage took: "transport", and each method under its name.
+    ``seconds`` gets what each stage took: "transport", and each method under its name.
     """
     observe = observe_face
     if face_height_px is not None:
@@ -298,7 +298,7 @@ def light_by_method(
     options: EstimateOptions,
     cpu_seconds: dict[str, float] | None = None,
 ) -> dict[str, Estimate]:
-    """The light of a face by every method; ``seconds`` are told what each took, under its name.
+    """The light of a face by every method; ``seconds`` get what each took, under its name.
 
     "auto" chooses from those of :data:`~skylight.inverse._auto.RIVALS`, which come before it.
     """
@@ -311,8 +311,8 @@ def light_by_method(
             if not {*RIVALS} <= {*estimates}:
                 raise InputError(f"auto chooses from {' and '.join(RIVALS)}: name them first")
             estimates[method] = choose([estimates[rival] for rival in RIVALS])
-            for told in (seconds, cpu_seconds):
-                told[method] = sum(told[rival] for rival in RIVALS)
+            for times in (seconds, cpu_seconds):
+                times[method] = sum(times[rival] for rival in RIVALS)
             continue
         cpu_start = time.process_time()
         with stage(seconds, method):

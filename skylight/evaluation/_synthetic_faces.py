@@ -237,8 +237,8 @@ class SyntheticFaces(KnownFaceEvaluation):
             true_head = light_of(face, face.truth, (OURS,), {}, options=self.options)
             rows[OURS + TRUE] = true_head.metrics[OURS]
             observation = found.view.observation
-            told = {TRUE_ALBEDO: with_true_albedo, TRUE_START: from_true_light}
-            for suffix, estimate in told.items():
+            known = {TRUE_ALBEDO: with_true_albedo, TRUE_START: from_true_light}
+            for suffix, estimate in known.items():
                 rows[OURS + suffix] = face_score(estimate(observation, face).environment, face)
         return rows
 

@@ -118,6 +118,8 @@ def test_files_are_those_of_the_list(
         ({"kind": "voxel", "probe": 2.5}, "probe"),
         ({"kind": "voxel", "probe": 4}, "probe"),
         ({"kind": "partitions", "design": ["14d"]}, "design"),
+        ({"kind": "portrait"}, "job: Field required"),
+        ({"kind": "portrait", "job": "it", "face": 2}, "face: Extra inputs"),
     ],
 )
 def test_wrong_requests_are_one_line(client: httpx.Client, wanted: object, words: str) -> None:
@@ -158,8 +160,11 @@ def test_requests_of_unknown_things(client: httpx.Client) -> None:
         {"kind": "estimate", "photo": "x"},
         {"kind": "code", "map": "x"},
         {"kind": "voxel", "job": "x"},
+        {"kind": "portrait", "job": "x"},
     ):
-        assert client.post("/api/jobs", json=wanted).status_code == 404
+        answer = client.post("/api/jobs", json=wanted)
+        assert answer.status_code == 404
+        assert "(any more); begin again" in answer.json()["error"]
 
 
 @pytest.mark.skipif(not Path("/proc").exists(), reason="looks for processes in /proc")

@@ -16,6 +16,7 @@ from skimage.data import astronaut, camera, coffee
 
 import skylight
 from tests.studio.browser.pictures import FOR_DOCUMENTATION, picture
+from tests.studio.browser.test_browser_access import OVERFLOW
 from tests.studio.browser.waiting import expect, gathered
 from tests.studio.conftest import Served
 
@@ -56,7 +57,6 @@ _IS_OVER = """async (path) => {
     const { state } = await (await fetch(path)).json();
     return !["waiting", "running"].includes(state);
 }"""
-_OVERFLOW = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
 
 
 @pytest.fixture(scope="module")
@@ -226,7 +226,7 @@ def test_files_that_are_no_use(new_page: MakePage, portrait_file: Path, tmp_path
     """On a narrow screen, which needs no sideways scroll."""
     page = new_page(viewport={"width": 360, "height": 740})
     page.get_by_role("region", name="Try one of these").wait_for()
-    assert page.evaluate(_OVERFLOW) == 0
+    assert page.evaluate(OVERFLOW) == 0
     line = page.locator(LINE)
     (tmp_path / "heavy.png").write_bytes(bytes(1_100_000))
     choose_photo(page, tmp_path / "heavy.png")
@@ -249,7 +249,7 @@ def test_files_that_are_no_use(new_page: MakePage, portrait_file: Path, tmp_path
     page.get_by_role("button", name="The face").wait_for()
     page.get_by_role("radio").first.wait_for()
     expect(line).to_have_count(0)
-    assert page.evaluate(_OVERFLOW) == 0
+    assert page.evaluate(OVERFLOW) == 0
 
 
 @pytest.mark.slow

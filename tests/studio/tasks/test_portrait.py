@@ -268,20 +268,3 @@ def test_the_studio_takes_a_person_apart(
         answer = client.post("/api/jobs", json={"kind": "portrait", "job": job["job"]})
         assert answer.status_code == 409
         assert "name an estimate that is done" in answer.json()["error"]
-
-
-@pytest.mark.parametrize(
-    ("wanted", "status", "words"),
-    [
-        ({"job": "nobody"}, 404, "there is no such job (any more)"),
-        ({}, 422, "job: Field required"),
-        ({"job": "it", "face": 2}, 422, "face: Extra inputs"),
-    ],
-)
-def test_wrong_requests_are_one_line(
-    client: httpx.Client, wanted: dict[str, Any], status: int, words: str
-) -> None:
-    answer = client.post("/api/jobs", json={"kind": "portrait", **wanted})
-    assert answer.status_code == status
-    assert words in answer.json()["error"]
-    assert "\n" not in answer.json()["error"]
