@@ -55,7 +55,7 @@ def test_harmonics_are_recovered_from_as_many(scene: ObservedScene):
 
 def test_a_lamp_is_recovered_from_few_numbers():
     """On a ball, in ambient light."""
-    places, normals = (torch.from_numpy(part) for part in ball_normals())
+    places, normals = (torch.from_numpy(part[::3].copy()) for part in ball_normals())
 
     def matt(grid: DirectionGrid) -> TransportMatrix:
         cosines = (normals @ grid.directions.T).clamp(min=0)
@@ -71,7 +71,7 @@ def test_a_lamp_is_recovered_from_few_numbers():
     ]
     found, numbers = recovered_by_lamps(scene, scene.fine @ light[0])
     assert numbers == 26
-    assert map_error(found, light[1]) < 0.25
+    assert map_error(found, light[1]) < 0.05
 
 
 def test_noise_is_a_thousandth_of_the_mean(scene: ObservedScene):
