@@ -113,7 +113,9 @@ def test_switched_off_lamps_leave_the_ambient_light(
     lit, ambient, black = faces
     rows, columns = found.view.places.unbind(1)
     assert not black[rows, columns].any()
-    assert (lit >= ambient).all()
+    # normals are corrected to first order, which takes a little light from grazing ones
+    assert (lit >= ambient - 3).all()
+    assert (lit >= ambient).mean() > 0.999
     assert lit[rows, columns].mean() > ambient[rows, columns].mean() + 5
 
 
