@@ -59,7 +59,6 @@ from skylight.probes.partitions._probe import PartitionProbe
 from skylight.probes.partitions._seeds import ProbeDesign
 from skylight.probes.partitions._sun_path import read_maps
 from skylight.probes.partitions._tailored import Optimised, optimise_for
-from skylight.probes.partitions.relight._composite import Relighting
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import angles_from_direction, rotation_about
 
@@ -295,12 +294,10 @@ def _mean(scores: list[dict[str, float]]) -> dict[str, float]:
     return {name: sum(one[name] for one in scores) / len(scores) for name in scores[0]}
 
 
-# designs are told apart by identity, so that named ones and turned ones must be made once
-
-
-@cache
-def _named(design: str) -> ProbeDesign:
-    return named_design(design)
+# designs are compared by identity, so that named ones and turned ones must be made once
+_named = cache(named_design)
+_relighting = cache(PartitionScene.relighting)
+_harmonic_transfer = cache(PartitionScene.harmonic_transfer)
 
 
 @cache
@@ -321,17 +318,7 @@ def _probe(design: ProbeDesign) -> PartitionProbe:
 
 
 @cache
-def _relighting(scene: PartitionScene, design: ProbeDesign, rays: int, seed: int) -> Relighting:
-    return scene.relighting(design, rays, seed)
-
-
-@cache
 def _search(folder: Path, starts: int, steps: int, seed: int) -> Optimised:
     settings = SearchSettings(starts=starts, steps=steps)
     maps = read_maps(folder, INDOOR)
     return optimise_for(maps, OPTIMISED, 14, seed=seed, settings=settings)
-
-
-@cache
-def _harmonic_transfer(scene: PartitionScene, samples: int, seed: int) -> Float[Tensor, "m k"]:
-    return scene.harmonic_transfer(samples, seed)

@@ -20,7 +20,7 @@ from skylight.errors import InputError, SkylightError
 from skylight.io._atomic import atomic_path
 from skylight.io._bounded import json_content
 from skylight.io._files import INDEX_NAME, visible_files
-from skylight.models._bundle import LightBundle, load_bundle
+from skylight.models._bundle import load_bundle
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.transport._mesh import MESH_SUFFIXES
 from skylight.work._progress import CountProgress
@@ -297,13 +297,10 @@ def read_index(path: Path) -> Any:
         raise InputError(f"{path}: not JSON ({error})") from error
 
 
-@cache
-def trained_model(folder: Path | None) -> LightBundle:
-    """The model of that folder; None for the one that comes with skylight."""
-    return load_bundle(folder)
+trained_model = cache(load_bundle)  # of a folder; None for the one that comes with skylight
 
 
 @cache
 def trained_light(folder: Path | None) -> AutoencoderLight:
-    """Its light model, shared: do not modify it."""
+    """The light model of a trained model, shared: do not modify it."""
     return trained_model(folder).light()
