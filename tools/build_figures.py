@@ -296,10 +296,10 @@ def faces() -> list[Figure]:
             ours="drawn",
             where="`evaluate sky-models`, [picture](images/sky_models.png)",
         ),
-        *[_thesis_table("Table 5.1", TABLE_5_1, "sky-models", m) for m in TABLE_5_1.means],
+        *[_thesis_table("Table 5.1", TABLE_5_1, "sky-models", m) for m in TABLE_5_1.rows],
         *[
             _thesis_table("Table 5.1 on captured maps", TABLE_5_1, "sky-models-real", m)
-            for m in TABLE_5_1.means
+            for m in TABLE_5_1.rows
         ],
         Figure(
             name="Fig. 5.6",
@@ -476,7 +476,7 @@ def ordered(
 
 def _thesis_table(name: str, thesis: ThesisTable, of: str, method: str) -> Figure:
     compared = {
-        metric: Compared(thesis=thesis.mean(method, metric), ours=mean(of, method, metric))
+        metric: Compared(thesis=thesis.cell(method, metric)[0], ours=mean(of, method, metric))
         for metric in METRICS
     }
     worse = [LABELS[metric] for metric, c in compared.items() if not c.met]

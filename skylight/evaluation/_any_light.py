@@ -13,8 +13,8 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.evaluation._known_faces import (
-    FaceEvaluation,
     FaceSource,
+    KnownFaceEvaluation,
     coverage,
     face_score,
     lamps_chosen,
@@ -47,7 +47,7 @@ COMPARED = ("mae", "rmse", "full_dw_mae")
 
 
 @dataclass(frozen=True, kw_only=True)
-class AnyLight(FaceEvaluation):
+class AnyLight(KnownFaceEvaluation):
     """Faces of ``skylight faces render --maps`` in the folder ``data``, the first ``count`` of it.
 
     Every light model of ``methods`` has a row, and ``grey`` is what one has without inverse
@@ -82,12 +82,6 @@ class AnyLight(FaceEvaluation):
     @property
     def source(self) -> FaceSource:
         return FaceSource(data=self.data, count=self.count)
-
-    def config(self) -> dict[str, object]:
-        return self.source.config() | {"methods": list(self.methods), **self.options.config()}
-
-    def items(self) -> list[str]:
-        return self.source.names()
 
     def measure(self, item: str, picture: Path) -> Item:
         face, turned = self.source.read(item), read_turned_map(self.data / item)

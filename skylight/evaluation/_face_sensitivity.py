@@ -14,22 +14,22 @@ from typing import Literal
 import cv2
 import numpy as np
 import torch
+from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 from skylight.evaluation._known_faces import (
     FIRST_SEED,
     METHODS,
-    FaceEvaluation,
     FaceSource,
     KnownFace,
+    KnownFaceEvaluation,
     light_of,
 )
-from skylight.evaluation._pictures import NAMES
+from skylight.evaluation._pictures import NAMES, save_figure
 from skylight.evaluation._run import Check, Item, Rows
 from skylight.evaluation._tables import LABELS, METRICS
 from skylight.faces._fit import FaceFit, camera_project
 from skylight.faces._model import HeadModel, Region
-from skylight.io._atomic import atomic_path
 from skylight.models._names import LightName
 from skylight.transport._cameras import Camera
 
@@ -138,15 +138,9 @@ def write_sensitivity(out: Path, curves: Curves) -> list[Path]:
 
 
 def _write(path: Path, panels: list[tuple[str, str]], curves: Curves, rows: int) -> Path:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     columns = -(-len(panels) // rows)
-    figure, axes = plt.subplots(
-        rows, columns, figsize=(4 * columns, 3.4 * rows), squeeze=False, layout="constrained"
-    )
+    figure = Figure(figsize=(4 * columns, 3.4 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False)
     for place, (factor, metric) in zip(axes.flat, panels, strict=False):
         for method, points in curves[factor][metric].items():
             place.plot(*zip(*points, strict=True), marker="o", ms=3, label=NAMES[method])
@@ -157,9 +151,7 @@ def _write(path: Path, panels: list[tuple[str, str]], curves: Curves, rows: int)
     for place in axes.flat[len(panels) :]:
         place.axis("off")
     axes.flat[0].legend(fontsize=8)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=110)
-    plt.close(figure)
+    save_figure(path, figure)
     return path
 
 
@@ -171,7 +163,7 @@ MOST_GROWTH = 0.2  # of Full-dω MAE
 
 
 @dataclass(frozen=True, kw_only=True)
-class FaceSensitivity(FaceEvaluation):
+class FaceSensitivity(KnownFaceEvaluation):
     """The seven metrics over picture size, two axes of pose error and noise of the shape.
 
     Of the first ``count`` faces of the folder ``data``, or of so many that are rendered here, whose
@@ -204,18 +196,6 @@ class FaceSensitivity(FaceEvaluation):
     @property
     def source(self) -> FaceSource:
         return FaceSource(data=self.data, count=self.count, size=self.size, seed=self.seed)
-
-    def config(self) -> dict[str, object]:
-        return self.source.config() | {
-            "sizes": list(self.sizes),
-            "angles_deg": list(self.angles_deg),
-            "sigmas": list(self.sigmas),
-            "methods": list(self.methods),
-            **self.options.config(),
-        }
-
-    def items(self) -> list[str]:
-        return self.source.names()
 
     def conditions(self, side: int) -> list[Condition | None]:
         """For pictures of so many pixels; None, the unchanged face, stands for all zeros."""

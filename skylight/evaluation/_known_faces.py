@@ -11,16 +11,17 @@ import math
 import resource
 import sys
 import time
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from skylight.errors import InputError
@@ -53,19 +54,13 @@ _SEEDS_APART = 1000  # so that each face finds a day of its own
 
 
 @dataclass(frozen=True, kw_only=True)
-class KnownFace:
-    """A picture and what made it; fields as in :class:`skylight.faces._synthetic.SyntheticFace`.
+class KnownFace(SyntheticFace):
+    """A picture and what made it.
 
     ``tone`` is the cluster of skin tones that the person was drawn from (0 the lightest), or None
     where none was drawn.
     """
 
-    encoded: UInt8[np.ndarray, "h w 3"]
-    picture: Float[Tensor, "h w 3"]
-    clipped: Bool[Tensor, "h w"]
-    environment: EnvironmentMap
-    albedo: Float[Tensor, "3"]
-    truth: FaceFit
     sun_visible: bool
     tone: int | None = None
 
@@ -145,16 +140,8 @@ def known_face(face: RenderedFace) -> KnownFace:
 
 
 def _known(face: SyntheticFace, *, sun_visible: bool, tone: int | None = None) -> KnownFace:
-    return KnownFace(
-        encoded=face.encoded,
-        picture=face.picture,
-        clipped=face.clipped,
-        environment=face.environment,
-        albedo=face.albedo,
-        truth=face.truth,
-        sun_visible=sun_visible,
-        tone=tone,
-    )
+    own = {each.name: getattr(face, each.name) for each in fields(SyntheticFace)}
+    return KnownFace(**own, sun_visible=sun_visible, tone=tone)
 
 
 _DEFAULT = SolverOptions()
@@ -225,32 +212,43 @@ class FaceEvaluation(Evaluation):
 
     options: EstimateOptions = EstimateOptions()
 
+    def config(self) -> dict[str, object]:
+        own = super().config()
+        del own["options"]
+        return own | self.options.config()
+
     def with_model(self, model: Path | None, device: str) -> "FaceEvaluation":
         choose_device(device)
         return replace(self, options=replace(self.options, model=model, device=device))
 
     def lit(self, face: KnownFace, methods: tuple[LightName, ...]) -> LitFace:
-        """Every method's light of a rendered face, from the head that its picture gives.
-
-        Raises
-        ------
-        InputError
-            The landmark detector finds no face.
-        """
+        """Every method's light of a rendered face, from the head that its picture gives."""
         seconds: dict[str, float] = {}
         fit = fitted_head(face, seconds)
         return light_of(face, fit, methods, seconds, options=self.options)
 
 
+@dataclass(frozen=True, kw_only=True)
+class KnownFaceEvaluation(FaceEvaluation):
+    """Over the faces of a :class:`FaceSource`."""
+
+    selects = ("data", "count", "size", "seed")  # the source's own configuration stands for them
+
+    @property
+    @abstractmethod
+    def source(self) -> FaceSource: ...
+
+    def config(self) -> dict[str, object]:
+        return super().config() | self.source.config()
+
+    def items(self) -> list[str]:
+        return self.source.names()
+
+
 def fitted_head(face: KnownFace, seconds: dict[str, float]) -> FaceFit:
     """The head as a photograph's would be fitted.
 
-    ``seconds`` is told what each stage took: "landmarks" and "head".
-
-    Raises
-    ------
-    InputError
-        The landmark detector finds no face.
+    ``seconds`` gets what each stage took: "landmarks" and "head".
     """
     height, width = face.encoded.shape[:2]
     with stage(seconds, "landmarks"):
@@ -272,7 +270,7 @@ def light_of(
 ) -> LitFace:
     """Every method's light, with the head where ``fit`` says; transport is traced once.
 
-    ``seconds`` is told what each stage took: "transport", and each method under its name.
+    ``seconds`` gets what each stage took: "transport", and each method under its name.
     """
     observe = observe_face
     if face_height_px is not None:
@@ -300,7 +298,7 @@ def light_by_method(
     options: EstimateOptions,
     cpu_seconds: dict[str, float] | None = None,
 ) -> dict[str, Estimate]:
-    """The light of a face by every method; ``seconds`` are told what each took, under its name.
+    """The light of a face by every method; ``seconds`` get what each took, under its name.
 
     "auto" chooses from those of :data:`~skylight.inverse._auto.RIVALS`, which come before it.
     """
@@ -313,8 +311,8 @@ def light_by_method(
             if not {*RIVALS} <= {*estimates}:
                 raise InputError(f"auto chooses from {' and '.join(RIVALS)}: name them first")
             estimates[method] = choose([estimates[rival] for rival in RIVALS])
-            for told in (seconds, cpu_seconds):
-                told[method] = sum(told[rival] for rival in RIVALS)
+            for times in (seconds, cpu_seconds):
+                times[method] = sum(times[rival] for rival in RIVALS)
             continue
         cpu_start = time.process_time()
         with stage(seconds, method):
@@ -345,13 +343,7 @@ def lamps_chosen(items: list[Item]) -> dict[str, Check]:
 def observe_largest(
     photo: Photo, name: str, seconds: dict[str, float] | None = None
 ) -> tuple[FaceFit, FaceView]:
-    """Head and pixels of a photograph's largest face, as an estimate sees them.
-
-    Raises
-    ------
-    InputError
-        There is no face that can be used.
-    """
+    """Head and pixels of a photograph's largest face, as an estimate sees them."""
     seconds = {} if seconds is None else seconds
     model = HeadModel.load()
     with stage(seconds, "landmarks"):

@@ -67,6 +67,7 @@ class Lamps(FaceEvaluation):
     needs = "grey photographs of faces and a lamps.json with the direction of each one's lamp"
     data_folder = "lamps"
     quick = MappingProxyType({"every": 4})
+    selects = ("every",)
 
     data: Path
     every: int = 1
@@ -74,10 +75,6 @@ class Lamps(FaceEvaluation):
 
     def __post_init__(self) -> None:
         _read_index(self.data)
-
-    def config(self) -> dict[str, object]:
-        config: dict[str, object] = {"data": str(self.data.resolve()), "ablation": self.ablation}
-        return config | self.options.config()
 
     def items(self) -> list[str]:
         return sorted(_read_index(self.data))[:: self.every]

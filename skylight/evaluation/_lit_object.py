@@ -58,11 +58,6 @@ def lit_object(data: Path, *, pixels: int = PIXELS, height: int = HEIGHT) -> Lit
 
     The camera stands before its middle, looks along -Z and sees all of it, ``height`` rows by 4/3
     as many columns.
-
-    Raises
-    ------
-    InputError
-        There is no mesh, or it is damaged, or covers fewer than ``pixels`` pixels.
     """
     (path,) = mesh_files(data, [MESH])
     vertices, faces = read_mesh(path)

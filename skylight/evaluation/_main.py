@@ -231,8 +231,8 @@ def _page(out: Path, done: list[_Done], quick: bool) -> str:
     lines = [f"# All evaluations{how}", "", f"Commit {commit()}.", ""]
     lines += ["| evaluation | minutes of the last run | |", "|---|---|---|"]
     for one in done:
-        told = f"left out: {one.problem}" if one.problem else f"[results](#{one.name})"
-        lines.append(f"| {one.name} | {one.seconds / 60:.1f} | {told.replace('|', '/')} |")
+        outcome = f"left out: {one.problem}" if one.problem else f"[results](#{one.name})"
+        lines.append(f"| {one.name} | {one.seconds / 60:.1f} | {outcome.replace('|', '/')} |")
     for one in done:
         if not one.problem:
             lines += ["", *_section(out, one.name)]

@@ -43,14 +43,12 @@ from skylight.evaluation._partition_scene import (
 )
 from skylight.evaluation._pictures import captioned_rows
 from skylight.evaluation._run import (
-    PROBES_AND_MESHES,
     Check,
-    Evaluation,
     Item,
     Metrics,
+    ProbeEvaluation,
     Rows,
     mesh_files,
-    probes_folder,
 )
 from skylight.imaging._colour import tone_map
 from skylight.imaging._metrics import shading_metrics
@@ -65,7 +63,6 @@ from skylight.probes.partitions._optimise import (
 from skylight.probes.partitions._probe import PartitionProbe
 from skylight.probes.partitions._seeds import ProbeDesign
 from skylight.probes.partitions._sun_path import read_maps
-from skylight.probes.partitions.relight._composite import Relighting
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import angles_from_direction, rotation_about
 
@@ -85,7 +82,7 @@ Found = dict[str, list[Float[Tensor, "m 3"]]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class PartitionProbeTable(Evaluation):
+class PartitionProbeTable(ProbeEvaluation):
     """``data`` holds the folders hdr (maps and an index.csv) and meshes: up to three of them.
 
     ``rays`` leave each point, or more: 8 for each cell, rounded up to a power of 2.
@@ -93,7 +90,6 @@ class PartitionProbeTable(Evaluation):
     """
 
     title = "partition-probe"
-    needs = PROBES_AND_MESHES
     # one map each, noisy references, and probes of few cells
     quick = MappingProxyType(
         {
@@ -107,7 +103,6 @@ class PartitionProbeTable(Evaluation):
         }
     )
 
-    data: Path
     indoor: int = 100
     sunny: int = 100
     samples: int = 1024
@@ -124,41 +119,25 @@ class PartitionProbeTable(Evaluation):
         _ = self.meshes
         if not self.items():
             raise InputError(
-                f"{self.maps / INDEX_NAME}: no map of the category {INDOOR} or {SUNNY} in it"
+                f"{self.probes / INDEX_NAME}: no map of the category {INDOOR} or {SUNNY} in it"
             )
-
-    @property
-    def maps(self) -> Path:
-        return probes_folder(self.data)
 
     @property
     def meshes(self) -> tuple[Path, ...]:
         return tuple(mesh_files(self.data, MODELS))
 
     def config(self) -> dict[str, object]:
-        return {
-            "indoor": self.indoor,
-            "sunny": self.sunny,
-            "samples": self.samples,
-            "rays": self.rays,
-            "even": self.even,
-            "width": self.width,
-            "searches": self.searches,
-            "steps": self.steps,
-            "turns": self.turns,
-            "seed": self.seed,
-            "meshes": [path.name for path in self.meshes],
-        }
+        return super().config() | {"meshes": [path.name for path in self.meshes]}
 
     def items(self) -> list[str]:
         return [*self._maps(INDOOR)[: self.indoor], *self._maps(SUNNY)[: self.sunny]]
 
     def _maps(self, category: str) -> list[str]:
-        return [name for name, kind in read_categories(self.maps).items() if kind == category]
+        return [name for name, kind in read_categories(self.probes).items() if kind == category]
 
     def measure(self, item: str, picture: Path) -> Item:
         scene = partition_scene(self.meshes, self.width)
-        light = read_environment_map(self.maps / item).resize(LIGHT_HEIGHT)
+        light = read_environment_map(self.probes / item).resize(LIGHT_HEIGHT)
         sunny = item in self._maps(SUNNY)
         if sunny:
             light = with_sun_in_the_east(light)
@@ -246,7 +225,7 @@ class PartitionProbeTable(Evaluation):
         return plain, right
 
     def _optimised(self) -> Optimised:
-        return _search(self.maps, self.searches, self.steps, self.seed)
+        return _search(self.probes, self.searches, self.steps, self.seed)
 
     def _held_out(self) -> tuple[str, ...]:
         """Indoor maps that the search did not see."""
@@ -319,12 +298,10 @@ def _mean(scores: list[dict[str, float]]) -> dict[str, float]:
     return {name: sum(one[name] for one in scores) / len(scores) for name in scores[0]}
 
 
-# designs are told apart by identity, so that named ones and turned ones must be made once
-
-
-@cache
-def _named(design: str) -> ProbeDesign:
-    return named_design(design)
+# designs are compared by identity, so that named ones and turned ones must be made once
+_named = cache(named_design)
+_relighting = cache(PartitionScene.relighting)
+_harmonic_transfer = cache(PartitionScene.harmonic_transfer)
 
 
 @cache
@@ -345,17 +322,7 @@ def _probe(design: ProbeDesign) -> PartitionProbe:
 
 
 @cache
-def _relighting(scene: PartitionScene, design: ProbeDesign, rays: int, seed: int) -> Relighting:
-    return scene.relighting(design, rays, seed)
-
-
-@cache
 def _search(folder: Path, starts: int, steps: int, seed: int) -> Optimised:
     settings = SearchSettings(starts=starts, steps=steps)
     maps = read_maps(folder, INDOOR)
     return optimise_for(maps, OPTIMISED, 14, seed=seed, settings=settings)
-
-
-@cache
-def _harmonic_transfer(scene: PartitionScene, samples: int, seed: int) -> Float[Tensor, "m k"]:
-    return scene.harmonic_transfer(samples, seed)

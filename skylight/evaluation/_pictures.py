@@ -5,8 +5,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 from jaxtyping import UInt8
+from matplotlib.figure import Figure
 
 from skylight.imaging._colour import tone_map
+from skylight.io._atomic import atomic_path
 from skylight.io._files import write_png
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.transport._scene import evaluation_scene
@@ -71,22 +73,11 @@ def panorama_rows(truth: EnvironmentMap, estimates: dict[str, EnvironmentMap]) -
     return np.vstack(rows)
 
 
-def sky_grid(skies: dict[str, Picture]) -> Picture:
-    """Pictures of one sky, each with its name above, from left to right and downwards."""
-    width, columns = 4 * TILE, 4
-    tiles = [
-        np.vstack([caption(name, width), sized(sky, width, TILE)]) for name, sky in skies.items()
-    ]
-    blank = np.full_like(tiles[0], 255)
-    tiles += [blank] * (-len(tiles) % columns)
-    return np.vstack([np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)])
-
-
-def captioned_rows(maps: dict[str, Picture], columns: int = 3) -> Picture:
-    """Whole panoramas, each with its name above, from left to right and downwards."""
+def captioned_rows(maps: dict[str, Picture], columns: int = 3, height: int = 2 * TILE) -> Picture:
+    """Panoramas of that height, each with its name above, from left to right and downwards."""
     width = 4 * TILE
     tiles = [
-        np.vstack([caption(name, width), sized(one, width, 2 * TILE)]) for name, one in maps.items()
+        np.vstack([caption(name, width), sized(one, width, height)]) for name, one in maps.items()
     ]
     tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % columns)
     return np.vstack([np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)])
@@ -136,3 +127,8 @@ def write_sheet(
         top, left = i // columns * high, i % columns * wide
         sheet[top : top + tile.shape[0], left : left + tile.shape[1]] = tile
     write_png(path, sheet)
+
+
+def save_figure(path: Path, figure: Figure, *, dpi: int = 110) -> None:
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=dpi, format="png")

@@ -89,6 +89,7 @@ class RealFaces(FaceEvaluation):
     needs = "photographs with a captures.csv (the true light is known) or an index.json (notes)"
     data_folder = "faces"
     quick = MappingProxyType({"every": 3})
+    selects = ("every",)
 
     data: Path
     every: int = 1
@@ -102,9 +103,6 @@ class RealFaces(FaceEvaluation):
         if data is not None and (data / CAPTURES_NAME).is_file():
             return CapturedFaces.over(data, quick=quick)
         return super().over(data, quick=quick)
-
-    def config(self) -> dict[str, object]:
-        return {"data": str(self.data.resolve())} | self.options.config()
 
     def items(self) -> list[str]:
         return sorted(_read_index(self.data))[:: self.every]
@@ -187,6 +185,7 @@ class CapturedFaces(FaceEvaluation):
 
     title = "captured-faces"
     quick = RealFaces.quick
+    selects = ("data", "every")
 
     data: Path
     every: int = 1
@@ -205,9 +204,7 @@ class CapturedFaces(FaceEvaluation):
         digest = hashlib.sha256()
         for capture in self._captures().values():
             digest.update(f"{capture} {capture_hash(self.data, capture)}".encode())
-        return {"captures": digest.hexdigest(), "methods": list(self.methods)} | (
-            self.options.config()
-        )
+        return super().config() | {"captures": digest.hexdigest()}
 
     def items(self) -> list[str]:
         return list(self._captures())[:: self.every]

@@ -81,6 +81,7 @@ class RelitPortraits(FaceEvaluation):
     needs = "folders from and to of the same people, made by 'skylight faces render --light-seed'"
     data_folder = "relit"
     quick = MappingProxyType({"count": 4})
+    selects = ("data", "count")
 
     data: Path
     count: int | None = None
@@ -107,7 +108,7 @@ class RelitPortraits(FaceEvaluation):
 
     def config(self) -> dict[str, object]:
         first, second = (source.config() for source in self.sources)
-        return {"from": first, "to": second, **self.options.config()}
+        return super().config() | {"from": first, "to": second}
 
     def items(self) -> list[str]:
         return self.sources[0].names()

@@ -10,7 +10,7 @@ import hashlib
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
@@ -20,7 +20,7 @@ from skylight.errors import InputError, SkylightError
 from skylight.io._atomic import atomic_path
 from skylight.io._bounded import json_content
 from skylight.io._files import INDEX_NAME, visible_files
-from skylight.models._bundle import LightBundle, load_bundle
+from skylight.models._bundle import load_bundle
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.transport._mesh import MESH_SUFFIXES
 from skylight.work._progress import CountProgress
@@ -103,12 +103,15 @@ class Evaluation(ABC):
         folder itself, None where it is run without any.
     quick
         Settings of a quick run, which shows the form of the results in minutes.
+    selects
+        Settings that choose items, and on which no item's result depends.
     """
 
     title: ClassVar[str]
     needs: ClassVar[str] = ""
     data_folder: ClassVar[str | None] = ""
     quick: ClassVar[Mapping[str, Any]] = {}
+    selects: ClassVar[tuple[str, ...]] = ()
 
     seed: int = 0
 
@@ -133,9 +136,10 @@ class Evaluation(ABC):
         """Its name in the results."""
         return self.title
 
-    @abstractmethod
     def config(self) -> dict[str, object]:
-        """All that an item's result depends on."""
+        """All that an item's result depends on, beside the code."""
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in self.selects}
+        return {k: str(v.resolve()) if isinstance(v, Path) else v for k, v in own.items()}
 
     @abstractmethod
     def items(self) -> list[str]: ...
@@ -163,6 +167,19 @@ class Evaluation(ABC):
             It uses no trained model, or does not work on a device of choice.
         """
         raise InputError(f"{self.title} uses no trained model: leave --model and --device out")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProbeEvaluation(Evaluation):
+    """An evaluation over light probes, of ``data`` or its folder hdr, with meshes or without."""
+
+    needs = PROBES_AND_MESHES
+
+    data: Path
+
+    @property
+    def probes(self) -> Path:
+        return probes_folder(self.data)
 
 
 def measure_all(
@@ -243,13 +260,7 @@ def code_hash() -> str:
 
 
 def probes_folder(data: Path) -> Path:
-    """``data/hdr`` where it has an index of maps, else ``data`` itself.
-
-    Raises
-    ------
-    InputError
-        Neither has one.
-    """
+    """``data/hdr`` where it has an index of maps, else ``data`` itself, else an error."""
     for folder in (data / "hdr", data):
         if (folder / INDEX_NAME).is_file():
             return folder
@@ -263,11 +274,6 @@ def mesh_files(data: Path, usual: Sequence[str]) -> list[Path]:
     """As many meshes as are ``usual``, at least one: those where they are, others in their place.
 
     They are in ``data/meshes``, or in ``meshes`` beside ``data``.
-
-    Raises
-    ------
-    InputError
-        There is no mesh.
     """
     data = data.resolve()
     for folder in (data / "meshes", data.parent / "meshes"):
@@ -282,13 +288,7 @@ def mesh_files(data: Path, usual: Sequence[str]) -> list[Path]:
 
 
 def read_index(path: Path) -> Any:
-    """What a JSON file about a folder's photographs holds.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, or is not JSON.
-    """
+    """What a JSON file about a folder's photographs holds."""
     try:
         return json_content(path)
     except OSError as error:
@@ -297,13 +297,10 @@ def read_index(path: Path) -> Any:
         raise InputError(f"{path}: not JSON ({error})") from error
 
 
-@cache
-def trained_model(folder: Path | None) -> LightBundle:
-    """The model of that folder; None for the one that comes with skylight."""
-    return load_bundle(folder)
+trained_model = cache(load_bundle)  # of a folder; None for the one that comes with skylight
 
 
 @cache
 def trained_light(folder: Path | None) -> AutoencoderLight:
-    """Its light model, shared: do not modify it."""
+    """The light model of a trained model, shared: do not modify it."""
     return trained_model(folder).light()

@@ -10,8 +10,8 @@ import numpy as np
 
 from skylight.errors import InputError
 from skylight.evaluation._known_faces import (
-    FaceEvaluation,
     FaceSource,
+    KnownFaceEvaluation,
     face_score,
     fitted_head,
     peak_mib,
@@ -29,7 +29,7 @@ BETTER = 0.6  # mean sun angle of four faces over that of one
 
 
 @dataclass(frozen=True, kw_only=True)
-class SharedLight(FaceEvaluation):
+class SharedLight(KnownFaceEvaluation):
     """The autoencoder from one, two and four of a scene's first four faces.
 
     ``data`` is a folder of ``skylight faces render --per-scene 4``: the faces of a scene share
@@ -41,6 +41,7 @@ class SharedLight(FaceEvaluation):
     needs = "faces in scenes of four, made by 'skylight faces render --per-scene 4'"
     data_folder = "scenes"
     quick = MappingProxyType({"scenes": 8})
+    selects = ("data", "scenes", "seed")
 
     data: Path
     scenes: int | None = None
@@ -64,9 +65,6 @@ class SharedLight(FaceEvaluation):
                 f"{self.data}: no scene has {TOGETHER} faces; render with --per-scene {TOGETHER}"
             )
         return whole
-
-    def config(self) -> dict[str, object]:
-        return self.source.config() | self.options.config()
 
     def items(self) -> list[str]:
         return list(self.names)[: self.scenes]

@@ -121,6 +121,7 @@ class SkyEvaluation(Evaluation):
     """
 
     data_folder = None
+    selects = ("count",)
 
     count: int
     data: Path | None = None
@@ -139,11 +140,8 @@ class SkyEvaluation(Evaluation):
         return f"{self.title}-real" if self.skies.collected else self.title
 
     def config(self) -> dict[str, object]:
-        data = str(self.data.resolve()) if self.data else None
-        config = {"seed": self.seed, "data": data, "index": self.skies.fingerprint()}
-        if self.model is not None:
-            config["model"] = trained_model(self.model).fingerprint
-        return config
+        model = None if self.model is None else trained_model(self.model).fingerprint
+        return super().config() | {"index": self.skies.fingerprint(), "model": model}
 
     def items(self) -> list[str]:
         return self.skies.names()

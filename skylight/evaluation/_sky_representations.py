@@ -22,7 +22,7 @@ from jaxtyping import Float
 from kornia.metrics import ssim as ssim_map
 from torch import Tensor
 
-from skylight.evaluation._pictures import sky_grid
+from skylight.evaluation._pictures import TILE, captioned_rows
 from skylight.evaluation._run import Item, trained_light
 from skylight.evaluation._sky_fits import (
     HELD,
@@ -71,7 +71,7 @@ class SkyRepresentations(SkyEvaluation):
             scores = tone_mapped_scores(fitted, known.radiance)
             metrics[name] = scores | {"floats": floats, "seconds": seconds}
         codes = {name: (255 * p).round().to(torch.uint8).numpy() for name, p in shown.items()}
-        write_png(picture, sky_grid(codes))
+        write_png(picture, captioned_rows(codes, columns=4, height=TILE))
         return Item(name=item, metrics=metrics, facts=known.facts)
 
 

@@ -25,6 +25,7 @@ from types import MappingProxyType
 
 import torch
 from jaxtyping import Float
+from matplotlib.figure import Figure
 from torch import Tensor
 
 from skylight.csc._code import SparseCode
@@ -34,12 +35,11 @@ from skylight.csc._greedy import PursuitOptions, Sign
 from skylight.csc._learning import learn_patches
 from skylight.csc._sub_dictionaries import SubDictionary, part_of
 from skylight.errors import InputError
-from skylight.evaluation._pictures import captioned_rows
-from skylight.evaluation._run import PROBES, Check, Evaluation, Item, Rows, probes_folder
+from skylight.evaluation._pictures import captioned_rows, save_figure
+from skylight.evaluation._run import PROBES, Check, Item, ProbeEvaluation, Rows
 from skylight.evaluation._tables import curves_of
 from skylight.imaging._colour import tone_map
 from skylight.imaging._metrics import ssim
-from skylight.io._atomic import atomic_path
 from skylight.io._files import read_categories, read_environment_map, write_png
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import luminance
@@ -55,8 +55,6 @@ _LABELS = {"l2": "relative L2 error", "ssim": "SSIM"}
 
 def write_sparse_curves(path: Path, rows: Rows) -> None:
     """Coders of 40 bands on the left, with sharper filters on the right; NNLS dashed."""
-    from matplotlib.figure import Figure
-
     curves = curves_of(rows)
     figure = Figure(figsize=(11, 8.5), layout="constrained")
     for axes, (metric, bands) in zip(figure.subplots(2, 2).flat, _PANELS, strict=True):
@@ -75,8 +73,7 @@ def write_sparse_curves(path: Path, rows: Rows) -> None:
         axes.set_title("40 bands" if bands else "with sharper filters", fontsize=10)
         axes.grid(alpha=0.3, which="both")
         axes.legend(fontsize=7, ncols=2)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=80, format="png")
+    save_figure(path, figure, dpi=80)
 
 
 STEPS = 80
@@ -172,7 +169,7 @@ OTHER_WHITES = ("ssim_mean", "ssim_unit")
 
 
 @dataclass(frozen=True, kw_only=True)
-class SparseCoding(Evaluation):
+class SparseCoding(ProbeEvaluation):
     """``data`` holds maps and an index.csv with the columns file and category.
 
     All maps are measured, or the first ``indoor`` and ``outdoor`` ones: one takes two to three
@@ -182,12 +179,12 @@ class SparseCoding(Evaluation):
 
     title = "sparse-coding"
     needs = PROBES
+    selects = ("indoor", "outdoor")
     # two maps of 64 rows and short codes
     quick = MappingProxyType(
         {"height": 64, "counts": (4, 16), "indoor": 2, "outdoor": 0, "learned": 6}
     )
 
-    data: Path
     height: int = 128
     counts: tuple[int, ...] = COUNTS
     indoor: int | None = None
@@ -196,34 +193,21 @@ class SparseCoding(Evaluation):
     learned_from: int = 100
 
     def __post_init__(self) -> None:
-        if not any(self._is_indoor(name) for name in _index(self.maps)):
-            raise InputError(f"{self.maps / 'index.csv'}: no map of the category indoor in it")
-
-    @property
-    def maps(self) -> Path:
-        return probes_folder(self.data)
-
-    def config(self) -> dict[str, object]:
-        return {
-            "folder": self.maps.name,
-            "height": self.height,
-            "counts": list(self.counts),
-            "learned": self.learned,
-            "learned_from": self.learned_from,
-        }
+        if not any(self._is_indoor(name) for name in _index(self.probes)):
+            raise InputError(f"{self.probes / 'index.csv'}: no map of the category indoor in it")
 
     def items(self) -> list[str]:
-        every = list(_index(self.maps))
+        every = list(_index(self.probes))
         outdoor = [name for name in every if not self._is_indoor(name)]
         return [name for name in every if self._is_indoor(name)][: self.indoor] + outdoor[
             : self.outdoor
         ]
 
     def _is_indoor(self, name: str) -> bool:
-        return _index(self.maps)[name].startswith("indoor")
+        return _index(self.probes)[name].startswith("indoor")
 
     def measure(self, item: str, picture: Path) -> Item:
-        truth = _read(self.maps / item, self.height)
+        truth = _read(self.probes / item, self.height)
         indoor = self._is_indoor(item)
         scale = LatLongTransform(0, self.height).solid_angles[..., None]
         metrics: dict[str, dict[str, float]] = {}
@@ -288,9 +272,9 @@ class SparseCoding(Evaluation):
     def _coder(self, dictionary: str, item: str, *, banded: bool) -> SphericalSparseCoder:
         if dictionary != "kmeans":
             return _builtin_coder(dictionary, self.height, banded)
-        half = list(_index(self.maps)).index(item) % 2
+        half = list(_index(self.probes)).index(item) % 2
         sizes = self.learned, self.learned_from
-        return _learned_coder(self.maps, 1 - half, self.height, sizes, self.seed, banded)
+        return _learned_coder(self.probes, 1 - half, self.height, sizes, self.seed, banded)
 
     def checks(self, rows: Rows, items: list[Item]) -> dict[str, Check]:
         """The thesis' orderings, of its own coder and of the default one; how much below SH."""
@@ -352,7 +336,9 @@ def _kind(banded: bool) -> str:
     return "of 40 bands" if banded else "of sharper filters"
 
 
-def relative_error(fit: Map, truth: Map, solid_angles: Float[Tensor, "h 1 1"]) -> float:
+def relative_error(
+    fit: Float[Tensor, "*s"], truth: Float[Tensor, "*s"], solid_angles: Float[Tensor, "..."]
+) -> float:
     """``|fit - truth| / |truth|``, squares weighted by solid angle."""
     missed = ((fit - truth).square() * solid_angles).sum()
     return float((missed / (truth.square() * solid_angles).sum()).sqrt())

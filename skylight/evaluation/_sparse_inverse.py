@@ -15,7 +15,6 @@ coefficients, and an L2 regulariser. Lamps in ambient light are up to three, tol
 which filter it is.
 """
 
-import math
 import time
 from dataclasses import dataclass
 from functools import cache
@@ -36,15 +35,14 @@ from skylight.errors import InputError
 from skylight.evaluation._lit_object import MESH, SHOWN_HEIGHT, lit_object
 from skylight.evaluation._pictures import Picture, caption, sized
 from skylight.evaluation._run import (
-    PROBES_AND_MESHES,
     Check,
-    Evaluation,
     Item,
     Metrics,
+    ProbeEvaluation,
     Rows,
     mesh_files,
-    probes_folder,
 )
+from skylight.evaluation._sparse_coding import relative_error
 from skylight.imaging._colour import tone_map
 from skylight.io._files import read_categories, read_environment_map, write_png
 from skylight.models._harmonic import solve_linear
@@ -81,7 +79,7 @@ TILE = 64  # rows of a map in a picture
 
 
 @dataclass(frozen=True, kw_only=True)
-class SparseInverse(Evaluation):
+class SparseInverse(ProbeEvaluation):
     """All indoor maps and every :data:`OUTDOOR_STEP`-th other one of the folder ``data``.
 
     ``every`` takes every so many of both, ``counts`` are the sparsities, squares and ascending.
@@ -89,37 +87,21 @@ class SparseInverse(Evaluation):
     """
 
     title = "sparse-inverse"
-    needs = PROBES_AND_MESHES
     quick = MappingProxyType({"every": 11, "counts": (4, 16)})
 
-    data: Path
     every: int = 3
     counts: tuple[int, ...] = COUNTS
 
     def __post_init__(self) -> None:
-        _ = self.maps
+        _ = self.probes
         mesh_files(self.data, [MESH])
 
-    @property
-    def maps(self) -> Path:
-        return probes_folder(self.data)
-
-    def config(self) -> dict[str, object]:
-        return {
-            "every": self.every,
-            "seed": self.seed,
-            "counts": self.counts,
-            "noise": NOISE,
-            "ridges": RIDGES,
-            "heights": (HEIGHT, FINE_HEIGHT),
-        }
-
     def items(self) -> list[str]:
-        return list(_chosen(self.maps, self.every))
+        return list(_chosen(self.probes, self.every))
 
     def measure(self, item: str, picture: Path) -> Item:
-        indoor = _chosen(self.maps, self.every)[item]
-        fine = read_environment_map(self.maps / f"{item}.exr").resize(FINE_HEIGHT)
+        indoor = _chosen(self.probes, self.every)[item]
+        fine = read_environment_map(self.probes / f"{item}.exr").resize(FINE_HEIGHT)
         true = fine.resize(HEIGHT).flat.double()
         scene = observed_scene(self.data)
         generator = torch.Generator().manual_seed(self.seed)
@@ -313,8 +295,7 @@ def _scores(maps: dict[int, Float[Tensor, "n 3"]], true: Float[Tensor, "n 3"]) -
 
 def map_error(found: Float[Tensor, "n 3"], true: Float[Tensor, "n 3"]) -> float:
     """``|l - l'| / |l|`` over all colours, weighted by solid angle."""
-    share = DirectionGrid.latlong(HEIGHT).solid_angles[:, None]
-    return math.sqrt(float((share * (found - true).square()).sum() / (share * true.square()).sum()))
+    return relative_error(found, true, DirectionGrid.latlong(HEIGHT).solid_angles[:, None])
 
 
 @cache

@@ -37,6 +37,7 @@ class Speed(FaceEvaluation):
     needs = "photographs of people"
     data_folder = "faces"
     quick = MappingProxyType({"count": 2, "runs": ((1, 1),)})
+    selects = ("runs",)
 
     data: Path
     count: int = 12
@@ -49,9 +50,6 @@ class Speed(FaceEvaluation):
     def photos(self) -> list[str]:
         nowhere = self.data / ".results"  # nothing is written beside the photographs
         return list_photos(self.data, nowhere)[: self.count]
-
-    def config(self) -> dict[str, object]:
-        return {"data": str(self.data.resolve()), "count": self.count} | self.options.config()
 
     def items(self) -> list[str]:
         return [*self.photos, *(_named(*run) for run in self.runs)]

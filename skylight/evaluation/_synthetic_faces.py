@@ -17,9 +17,9 @@ from torch import Tensor
 from skylight.evaluation._known_faces import (
     FIRST_SEED,
     METHODS,
-    FaceEvaluation,
     FaceSource,
     KnownFace,
+    KnownFaceEvaluation,
     LitFace,
     coverage,
     face_score,
@@ -164,7 +164,7 @@ SHOWN, SHEET_WIDTH = 10, 2500  # faces of Fig. 5.6, in two columns
 
 
 @dataclass(frozen=True, kw_only=True)
-class SyntheticFaces(FaceEvaluation):
+class SyntheticFaces(KnownFaceEvaluation):
     """Rendered people, heads from their landmarks.
 
     Those of the folder ``data``, the first ``count`` of them or all; without a folder so many are
@@ -193,16 +193,6 @@ class SyntheticFaces(FaceEvaluation):
     def source(self) -> FaceSource:
         count = RENDERED if self.data is None and self.count is None else self.count
         return FaceSource(data=self.data, count=count, size=self.size, seed=self.seed)
-
-    def config(self) -> dict[str, object]:
-        return self.source.config() | {
-            "methods": list(self.methods),
-            "ablation": self.ablation,
-            **self.options.config(),
-        }
-
-    def items(self) -> list[str]:
-        return self.source.names()
 
     def measure(self, item: str, picture: Path) -> Item:
         face = self.source.read(item)
@@ -247,8 +237,8 @@ class SyntheticFaces(FaceEvaluation):
             true_head = light_of(face, face.truth, (OURS,), {}, options=self.options)
             rows[OURS + TRUE] = true_head.metrics[OURS]
             observation = found.view.observation
-            told = {TRUE_ALBEDO: with_true_albedo, TRUE_START: from_true_light}
-            for suffix, estimate in told.items():
+            known = {TRUE_ALBEDO: with_true_albedo, TRUE_START: from_true_light}
+            for suffix, estimate in known.items():
                 rows[OURS + suffix] = face_score(estimate(observation, face).environment, face)
         return rows
 

@@ -12,74 +12,55 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
+from skylight.evaluation._pictures import save_figure
 from skylight.evaluation._run import Item, Rows
-from skylight.io._atomic import atomic_path
 
 METRICS = ("mae", "rmse", "si_rmse", "full_dw_mae", "sky_dw_mae", "sun_dw_mae", "sun_angle_deg")
-Figures = tuple[float, ...]  # in the order of METRICS
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThesisTable:
-    """One printed table: ``means`` and ``deviations`` by method, in the order of METRICS."""
+    """One printed table: cells of each method in the order of METRICS, "mean±deviation"."""
 
     title: str
-    means: dict[str, Figures]
-    deviations: dict[str, Figures]
+    rows: dict[str, str]
 
-    def mean(self, method: str, metric: str) -> float:
-        return self.means[method][METRICS.index(metric)]
-
-    def std(self, method: str, metric: str) -> float:
-        return self.deviations[method][METRICS.index(metric)]
+    def cell(self, method: str, metric: str) -> tuple[float, float]:
+        """(mean, deviation)."""
+        mean, deviation = self.rows[method].split()[METRICS.index(metric)].split("±")
+        return float(mean), float(deviation)
 
 
 TABLE_5_1 = ThesisTable(
     title="The thesis, Table 5.1 (mean ± standard deviation over 135 captured skies)",
-    means={
-        "sh9": (0.56, 0.64, 0.50, 0.47, 0.46, 0.43, 20.29),
-        "sh25": (0.53, 0.62, 0.48, 0.41, 0.45, 0.42, 13.93),
-        "sunsky": (0.54, 0.37, 0.23, 0.40, 0.18, 0.06, 0.68),
-        "autoencoder_feedforward": (1.54, 1.05, 0.14, 0.50, 0.23, 0.10, 4.61),
-        "autoencoder": (0.35, 0.29, 0.17, 0.30, 0.22, 0.16, 6.52),
-    },
-    deviations={
-        "sh9": (0.62, 0.69, 0.53, 0.26, 0.25, 0.26, 22.64),
-        "sh25": (0.62, 0.70, 0.53, 0.26, 0.25, 0.26, 14.39),
-        "sunsky": (0.43, 0.28, 0.21, 0.18, 0.14, 0.10, 1.52),
-        "autoencoder_feedforward": (4.69, 3.06, 0.16, 0.70, 0.27, 0.10, 13.63),
-        "autoencoder": (0.32, 0.29, 0.19, 0.21, 0.22, 0.20, 14.51),
+    rows={
+        "sh9": "0.56±0.62 0.64±0.69 0.50±0.53 0.47±0.26 0.46±0.25 0.43±0.26 20.29±22.64",
+        "sh25": "0.53±0.62 0.62±0.70 0.48±0.53 0.41±0.26 0.45±0.25 0.42±0.26 13.93±14.39",
+        "sunsky": "0.54±0.43 0.37±0.28 0.23±0.21 0.40±0.18 0.18±0.14 0.06±0.10 0.68±1.52",
+        "autoencoder_feedforward": (
+            "1.54±4.69 1.05±3.06 0.14±0.16 0.50±0.70 0.23±0.27 0.10±0.10 4.61±13.63"
+        ),
+        "autoencoder": "0.35±0.32 0.29±0.29 0.17±0.19 0.30±0.21 0.22±0.22 0.16±0.20 6.52±14.51",
     },
 )
 TABLE_5_2 = ThesisTable(
     title="The thesis, Table 5.2 (mean ± standard deviation over 135 faces)",
-    means={
-        "sh9": (0.68, 0.53, 0.41, 1.04, 0.43, 0.35, 18.31),
-        "sh25": (0.71, 0.52, 0.43, 1.22, 0.46, 0.34, 22.38),
-        "sunsky": (0.92, 0.71, 0.55, 1.42, 0.64, 0.26, 42.23),
-        "autoencoder": (0.75, 0.60, 0.45, 0.80, 0.62, 0.15, 23.55),
-    },
-    deviations={
-        "sh9": (0.39, 0.30, 0.22, 0.48, 0.23, 0.20, 19.52),
-        "sh25": (0.51, 0.33, 0.22, 0.37, 0.21, 0.21, 18.54),
-        "sunsky": (0.56, 0.47, 0.39, 1.57, 0.42, 0.20, 30.31),
-        "autoencoder": (0.38, 0.33, 0.29, 0.27, 0.32, 0.12, 21.75),
+    rows={
+        "sh9": "0.68±0.39 0.53±0.30 0.41±0.22 1.04±0.48 0.43±0.23 0.35±0.20 18.31±19.52",
+        "sh25": "0.71±0.51 0.52±0.33 0.43±0.22 1.22±0.37 0.46±0.21 0.34±0.21 22.38±18.54",
+        "sunsky": "0.92±0.56 0.71±0.47 0.55±0.39 1.42±1.57 0.64±0.42 0.26±0.20 42.23±30.31",
+        "autoencoder": "0.75±0.38 0.60±0.33 0.45±0.29 0.80±0.27 0.62±0.32 0.15±0.12 23.55±21.75",
     },
 )
 TABLE_5_3 = ThesisTable(
     title="The thesis, Table 5.3 (mean ± standard deviation over 131 photographs)",
-    means={
-        "sh9": (1.39, 0.95, 0.58, 1.65, 0.49, 0.32, 45.88),
-        "sh25": (0.99, 0.71, 0.57, 1.29, 0.46, 0.36, 28.67),
-        "sunsky": (1.11, 0.85, 0.53, 1.73, 1.25, 0.64, 41.58),
-        "autoencoder": (0.86, 0.65, 0.49, 1.22, 0.86, 0.19, 33.30),
-    },
-    deviations={
-        "sh9": (0.91, 0.58, 0.32, 0.73, 0.26, 0.20, 46.72),
-        "sh25": (0.44, 0.31, 0.24, 0.31, 0.23, 0.21, 28.49),
-        "sunsky": (0.75, 0.64, 0.24, 1.75, 1.57, 1.36, 36.48),
-        "autoencoder": (0.36, 0.29, 0.18, 0.34, 0.36, 0.11, 30.20),
+    rows={
+        "sh9": "1.39±0.91 0.95±0.58 0.58±0.32 1.65±0.73 0.49±0.26 0.32±0.20 45.88±46.72",
+        "sh25": "0.99±0.44 0.71±0.31 0.57±0.24 1.29±0.31 0.46±0.23 0.36±0.21 28.67±28.49",
+        "sunsky": "1.11±0.75 0.85±0.64 0.53±0.24 1.73±1.75 1.25±1.57 0.64±1.36 41.58±36.48",
+        "autoencoder": "0.86±0.36 0.65±0.29 0.49±0.18 1.22±0.34 0.86±0.36 0.19±0.11 33.30±30.20",
     },
 )
 # which evaluation's page shows which table
@@ -222,12 +203,12 @@ def markdown(results: dict) -> str:
 
 
 def _thesis(table: ThesisTable) -> list[str]:
-    methods = list(table.means)
+    by_metric = zip(*(row.split() for row in table.rows.values()), strict=True)
     cells = [
-        (LABELS[k], [f"{table.mean(m, k):.2f} ± {table.std(m, k):.2f}" for m in methods])
-        for k in METRICS
+        (LABELS[metric], [cell.replace("±", " ± ") for cell in row])
+        for metric, row in zip(METRICS, by_metric, strict=True)
     ]
-    return ["", f"{table.title}:", "", *_table(methods, cells)]
+    return ["", f"{table.title}:", "", *_table(list(table.rows), cells)]
 
 
 def _by_number(metric: str) -> list[tuple[int, str]]:
@@ -298,12 +279,8 @@ def write_curves(out: Path, rows: Rows) -> list[Path]:
     for metric, methods in curves_of(rows).items():
         if not methods:
             continue
-        import matplotlib
-
-        matplotlib.use("Agg")
-        import matplotlib.pyplot as plt
-
-        figure, axes = plt.subplots(figsize=(8, 6), constrained_layout=True)
+        figure = Figure(figsize=(8, 6), layout="constrained")
+        axes = figure.subplots()
         for number, (method, curve) in enumerate(methods.items()):
             style = ("-", "--", ":")[number // 10 % 3]
             axes.plot(*zip(*curve, strict=True), style, marker="o", ms=3, label=method)
@@ -313,8 +290,6 @@ def write_curves(out: Path, rows: Rows) -> list[Path]:
         axes.grid(alpha=0.3, which="both")
         axes.legend(fontsize=7, ncols=2)
         path = out / f"{metric}.png"
-        with atomic_path(path) as temporary:
-            figure.savefig(temporary, dpi=110)
-        plt.close(figure)
+        save_figure(path, figure)
         written.append(path)
     return written

@@ -36,15 +36,14 @@ from skylight.csc._sub_dictionaries import SubDictionary, rotated_atoms
 from skylight.evaluation._lit_object import MESH, PIXELS, lit_object
 from skylight.evaluation._pictures import Picture, caption, sized
 from skylight.evaluation._run import (
-    PROBES_AND_MESHES,
     Check,
-    Evaluation,
     Item,
     Metrics,
+    ProbeEvaluation,
     Rows,
     mesh_files,
-    probes_folder,
 )
+from skylight.evaluation._sparse_coding import relative_error
 from skylight.imaging._colour import linear_to_srgb
 from skylight.io._files import read_categories, read_environment_map, write_png
 from skylight.sphere import _harmonics as harmonics
@@ -79,7 +78,7 @@ POSITIONS = Positions(rows=16, twists=16)
 
 
 @dataclass(frozen=True, kw_only=True)
-class TransportCompression(Evaluation):
+class TransportCompression(ProbeEvaluation):
     """``rows`` of T, spread evenly, in items of ``chunk``.
 
     Every ``nonnegative_every``-th is coded with ``ani_nnls`` too, which is slow.
@@ -89,33 +88,16 @@ class TransportCompression(Evaluation):
     """
 
     title = "transport-compression"
-    needs = PROBES_AND_MESHES
     quick = MappingProxyType({"rows": 24, "chunk": 4, "nonnegative_every": 4, "timed_rows": 4})
 
-    data: Path
     rows: int = 1000
     chunk: int = 25
     nonnegative_every: int = 10
     timed_rows: int = 60
 
     def __post_init__(self) -> None:
-        _ = self.maps
+        _ = self.probes
         mesh_files(self.data, [MESH])
-
-    @property
-    def maps(self) -> Path:
-        return probes_folder(self.data)
-
-    def config(self) -> dict[str, object]:
-        return {
-            "rows": self.rows,
-            "chunk": self.chunk,
-            "nonnegative_every": self.nonnegative_every,
-            "timed_rows": self.timed_rows,
-            "counts": COUNTS,
-            "bands": BANDS,
-            "positions": (POSITIONS.rows, POSITIONS.columns, POSITIONS.twists),
-        }
 
     def items(self) -> list[str]:
         chunks = math.ceil(self.rows / self.chunk)
@@ -129,7 +111,7 @@ class TransportCompression(Evaluation):
         mine = range(start, min(start + self.chunk, self.rows))
         spread = [p * len(transport.matrix) // self.rows for p in mine]
         signals = row_signals(transport)
-        lit = _lights(self.maps)
+        lit = _lights(self.probes)
         scores: dict[str, dict[str, list[float]]] = {}
         shown: dict[str, _Shown] = {}
         for number, p in zip(mine, spread, strict=True):
@@ -153,7 +135,7 @@ class TransportCompression(Evaluation):
 
     def _timed(self, transport: TransportMatrix) -> Item:
         """Sizes, seconds for one light, and errors of shading, of :data:`PIXELS` rows."""
-        light = _lights(self.maps)[:, :3]
+        light = _lights(self.probes)[:, :3]
         coded = torch.linspace(0, len(transport.matrix) - 1, self.timed_rows).long()
         repeat = torch.arange(PIXELS) % len(coded)
         dense = transport.matrix[coded][repeat]
@@ -285,10 +267,7 @@ def _decoded(
 
 def _error(found: Float[Tensor, "h w"], signal: Float[Tensor, "h w"]) -> float:
     """``|x - y| / |x|``, weighted by solid angle."""
-    share = DirectionGrid.latlong(HEIGHT).solid_angles.view_as(signal)
-    return math.sqrt(
-        float((share * (found - signal).square()).sum() / (share * signal.square()).sum())
-    )
+    return relative_error(found, signal, DirectionGrid.latlong(HEIGHT).solid_angles.view_as(signal))
 
 
 def _relit(

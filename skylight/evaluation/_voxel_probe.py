@@ -17,23 +17,21 @@ from types import MappingProxyType
 
 import torch
 from jaxtyping import Bool, Float
+from matplotlib.figure import Figure
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.evaluation._pictures import Picture, captioned_rows
+from skylight.evaluation._pictures import Picture, captioned_rows, save_figure
 from skylight.evaluation._run import (
-    PROBES_AND_MESHES,
     Check,
-    Evaluation,
     Item,
     Metrics,
+    ProbeEvaluation,
     Rows,
     mesh_files,
-    probes_folder,
 )
 from skylight.imaging._colour import tone_map
 from skylight.imaging._metrics import shading_metrics, ssim
-from skylight.io._atomic import atomic_path
 from skylight.io._files import INDEX_NAME, read_categories, read_environment_map, write_png
 from skylight.probes.cameras._drawing import camera_rays, looking_at
 from skylight.probes.voxel._analysis import (
@@ -217,15 +215,13 @@ ORDER = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class VoxelProbe(Evaluation):
+class VoxelProbe(ProbeEvaluation):
     """``data`` holds the folders hdr (maps and an index.csv) and meshes: the first ``models``."""
 
     title = "voxel-probe"
-    needs = PROBES_AND_MESHES
     # one map, one mesh, noisy references, and some of the sets
     quick = MappingProxyType({"maps": 1, "models": 1, "samples": 32, "best": 6, "every_set": 20})
 
-    data: Path
     maps: int = MAPS
     models: int = len(MODELS)
     samples: int = 256
@@ -240,11 +236,7 @@ class VoxelProbe(Evaluation):
             )
         _ = self.meshes
         if len(self.items()) < 2:
-            raise InputError(f"{self.folder / INDEX_NAME}: no map in it")
-
-    @property
-    def folder(self) -> Path:
-        return probes_folder(self.data)
+            raise InputError(f"{self.probes / INDEX_NAME}: no map in it")
 
     @property
     def meshes(self) -> dict[str, Path]:
@@ -253,26 +245,16 @@ class VoxelProbe(Evaluation):
         return {path.stem.removeprefix("stanford_"): path for path in files}
 
     def config(self) -> dict[str, object]:
-        return {
-            "maps": self.maps,
-            "models": list(self.meshes),
-            "samples": self.samples,
-            "albedo": ALBEDO,
-            "resolution": RESOLUTION,
-            "pixels": PIXELS,
-            "best": self.best,
-            "every_set": self.every_set,
-            "seed": self.seed,
-        }
+        return super().config() | {"meshes": list(self.meshes)}
 
     def items(self) -> list[str]:
-        files = list(read_categories(self.folder))
+        files = list(read_categories(self.probes))
         return [*files[:: max(1, len(files) // self.maps)][: self.maps], TRANSFER]
 
     def measure(self, item: str, picture: Path) -> Item:
         if item == TRANSFER:
             return self._transfer(picture)
-        light = read_environment_map(self.folder / item).resize(LIGHT_HEIGHT)
+        light = read_environment_map(self.probes / item).resize(LIGHT_HEIGHT)
         sampling = Sampling(samples=self.samples)
         scores: dict[str, dict[str, list[float]]] = {}
         shown: dict[str, Picture] = {}
@@ -370,8 +352,6 @@ class VoxelProbe(Evaluation):
 
 def plot_residuals(path: Path, occluders: dict[int, float], best: list[float]) -> None:
     """Figs. 3.6 and 3.7: mean squared residuals of what is left to complete."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     left.bar([f"≤ {most}" for most in occluders], list(occluders.values()))
@@ -380,8 +360,7 @@ def plot_residuals(path: Path, occluders: dict[int, float], best: list[float]) -
     right.set(xlabel="configurations in the best set")
     for axes in (left, right):
         axes.grid(alpha=0.3)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=110, format="png")
+    save_figure(path, figure)
 
 
 def _side_by_side(views: list[Float[Tensor, "h w 3"]], white: float) -> Picture:

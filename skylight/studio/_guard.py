@@ -138,25 +138,25 @@ class Guard:
             await self._app(scope, receive, send)
             return
         headers = Headers(scope=scope)
-        told = _with_headers(send, scope["path"])
+        send = _with_headers(send, scope["path"])
         line = self._why_foreign(scope["method"], headers)
         if line is not None:
-            await refusal(403, line)(scope, receive, told)
+            await refusal(403, line)(scope, receive, send)
             return
         if scope["path"] == "/api/jobs" and scope["method"] == "POST" and not _is_json(headers):
             line = "a job is asked for in JSON; send it with Content-Type: application/json"
-            await refusal(415, line)(scope, receive, told)
+            await refusal(415, line)(scope, receive, send)
             return
         is_upload = scope["path"] in ("/api/photos", "/api/maps")
         most = self._limits.upload_bytes if is_upload else JSON_BYTES
         length = headers.get("content-length", "0")
         if not length.isdecimal() or int(length) > most:
-            await refusal(413, _too_large(most))(scope, receive, told)
+            await refusal(413, _too_large(most))(scope, receive, send)
             return
         # files go out whole: what a wrong Range gets from the framework is no JSON
         whole = [pair for pair in scope["headers"] if pair[0] != b"range"]
         body = _bounded(receive, most, self._limits.upload_s)
-        await self._app({**scope, "headers": whole}, body, told)
+        await self._app({**scope, "headers": whole}, body, send)
 
     def _why_foreign(self, method: str, headers: Headers) -> str | None:
         host = headers.get("host", "")
@@ -247,7 +247,7 @@ def _too_large(most: int) -> str:
 
 
 def _with_headers(send: Send, path: str) -> Send:
-    async def told(message: Message) -> None:
+    async def with_headers(message: Message) -> None:
         if message["type"] == "http.response.start":
             headers = MutableHeaders(scope=message)
             headers.update(_ALWAYS)
@@ -257,4 +257,4 @@ def _with_headers(send: Send, path: str) -> Send:
             )
         await send(message)
 
-    return told
+    return with_headers

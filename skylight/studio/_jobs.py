@@ -283,7 +283,7 @@ class Job(Item):
 
     def describe(self) -> dict[str, Any]:
         """What clients are told."""
-        told: dict[str, Any] = {
+        description: dict[str, Any] = {
             "job": self.id,
             "kind": self.kind,
             "state": self.state,
@@ -291,15 +291,15 @@ class Job(Item):
             "share": self.share,
         }
         if self.state == "waiting":
-            told["before"] = self.before
+            description["before"] = self.before
         if self.error is not None:
-            told["error"] = self.error
+            description["error"] = self.error
         if self.state == "done":
-            told["result"] = self.result
-            told["files"] = [
+            description["result"] = self.result
+            description["files"] = [
                 {"name": name, "size": file.stat().st_size} for name, file in self.files.items()
             ]
-        return told
+        return description
 
     def tell(self, stage: str, share: float) -> None:
         """Progress; not heard any more once it was cancelled."""

@@ -163,8 +163,8 @@ class _Events(StreamingResponse):
 
     @staticmethod
     async def _lines(job: Job) -> AsyncIterator[str]:
-        async for told in events(job):
-            yield f"data: {json.dumps(told)}\n\n"
+        async for description in events(job):
+            yield f"data: {json.dumps(description)}\n\n"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         with self._watching():

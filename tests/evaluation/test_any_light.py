@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 import torch
 
@@ -24,19 +23,19 @@ from skylight.evaluation._any_light import (
 )
 from skylight.evaluation._known_faces import choice_facts, rendered_here
 from skylight.evaluation._main import evaluate
+from skylight.evaluation._pictures import strip
 from skylight.evaluation._run import Item
 from skylight.evaluation._tables import summarise
 from skylight.faces._skin import SkinPrior
 from skylight.inverse._posterior import SunPosterior
 from skylight.inverse._result import Lamp
 from skylight.inverse._scores import MapLamp, find_lamps
-from skylight.people._files import write_rendered_face
-from skylight.people._light import RenderOptions, TurnedMap
-from skylight.people._render import RenderedFace
+from skylight.people._light import TurnedMap
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid
 from skylight.transport._matrix import TransportMatrix
 from skylight.transport._observation import Observation
+from tests.evaluation.rendered import write_face
 
 LAMP = TurnedMap(file="lamp.exr", category="indoor", turn_deg=30.0)
 
@@ -76,30 +75,10 @@ def peaks(light: EnvironmentMap) -> list[MapLamp]:
 
 
 def rendered_folder(out: Path, maps: list[TurnedMap | None], light: EnvironmentMap) -> Path:
-    """What ``skylight faces render`` writes, without rendering: one picture, other facts."""
-    face = rendered_here(20_000_000, 64)
+    """One picture for each map, which says that it was lit by that."""
+    face = replace(rendered_here(20_000_000, 64), environment=light, ground_albedo=None)
     for number, turned in enumerate(maps):
-        folder = out / f"face{number:04d}"
-        folder.mkdir(parents=True)
-        known = {name: getattr(face, name) for name in ("encoded", "picture", "clipped", "albedo")}
-        rendered = RenderedFace(
-            **known,
-            environment=light,
-            ground_albedo=None,
-            truth=face.truth,
-            linear=face.picture,
-            landmarks=np.zeros((68, 2)),
-            hair=np.zeros((64, 64), bool),
-            cluster=number,
-            number=number,
-            scene=number,
-            sky_seed=None,
-            sun_direction=None,
-            sun_transmittance=None,
-            exposure=1.0,
-            turned_map=turned,
-        )
-        write_rendered_face(folder, rendered, RenderOptions(size=64))
+        write_face(out, number, face, turned)
     return out
 
 
@@ -205,15 +184,18 @@ def estimated(monkeypatch: pytest.MonkeyPatch) -> None:
             transport=TransportMatrix(matrix=torch.full((3, len(grid)), 0.01), grid=grid),
         )
         estimates = dict.fromkeys(methods, estimate)
+        score = any_light.face_score(turned, face)
         return SimpleNamespace(
             fit=face.truth,
             view=SimpleNamespace(observation=observation, blocks=torch.arange(3)),
             estimates=estimates,
-            metrics={m: any_light.face_score(turned, face) for m in methods},
+            metrics={method: dict(score) for method in methods},
             facts=choice_facts(estimates),
         )
 
     monkeypatch.setattr(AnyLight, "lit", lit)
+    # one column is enough of a picture
+    monkeypatch.setattr(any_light, "strip", lambda truth, _: strip(truth, {}))
 
 
 @pytest.mark.usefixtures("estimated")

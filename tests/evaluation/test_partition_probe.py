@@ -17,6 +17,7 @@ from skylight.evaluation._partition_probe import (
     with_sun_in_the_east,
 )
 from skylight.evaluation._partition_scene import ALBEDO, MODELS, partition_scene
+from skylight.evaluation._run import Item
 from skylight.io._files import write_environment_map
 from skylight.probes.partitions._cells import Cells
 from skylight.probes.partitions._optimise import named_design
@@ -51,7 +52,15 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def small(data: Path) -> PartitionProbeTable:
-    return PartitionProbeTable(data=data, samples=64, rays=64, even=(6,), width=32, searches=0)
+    """Of probes as they stand, not turned."""
+    return PartitionProbeTable(
+        data=data, samples=64, rays=64, even=(6,), width=32, searches=0, turns=1
+    )
+
+
+@pytest.fixture(scope="module")
+def by_day(data: Path) -> Item:
+    return small(data).measure("day.exr", data / "day.png")
 
 
 def test_uniform_light_is_drawn_right_by_all_that_know_shadows(data: Path, tmp_path: Path) -> None:
@@ -72,22 +81,20 @@ def named_facing(name: str) -> float:
     return float(facing[0])
 
 
-def test_a_sun_on_the_path_casts_shadows_that_even_cells_miss(data: Path, tmp_path: Path) -> None:
-    evaluation = small(data)
-    assert evaluation.items() == ["room.exr", "day.exr"]
-    item = evaluation.measure("day.exr", tmp_path / "b.png")
-    found = item.metrics
+def test_a_sun_on_the_path_casts_shadows_that_even_cells_miss(data: Path, by_day: Item) -> None:
+    assert small(data).items() == ["room.exr", "day.exr"]
+    found = by_day.metrics
     assert found["14d_outdoor"]["rmse_sunny"] < 0.8 * found["6d"]["rmse_sunny"]
     assert all(set(scores) == {f"{s.removesuffix('_sunny')}_sunny" for s in scores}
                for scores in found.values())  # fmt: skip
 
 
-def test_errors_are_means_over_azimuths_of_the_probe(data: Path, tmp_path: Path) -> None:
-    once, twice = (replace(small(data), turns=turns) for turns in (1, 2))
-    first, mean = (
-        one.measure("day.exr", tmp_path / "c.png").metrics["6d"]["mae_sunny"]
-        for one in (once, twice)
-    )
+def test_errors_are_means_over_azimuths_of_the_probe(
+    data: Path, by_day: Item, tmp_path: Path
+) -> None:
+    once = small(data)
+    twice = replace(once, turns=2).measure("day.exr", tmp_path / "c.png")
+    first, mean = (item.metrics["6d"]["mae_sunny"] for item in (by_day, twice))
     scene = partition_scene(once.meshes, once.width)
     light = with_sun_in_the_east(sunny().resize(128))
     angle = math.radians(180 + 45)

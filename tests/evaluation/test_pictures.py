@@ -9,9 +9,10 @@ from skylight.evaluation._pictures import (
     NAMES,
     ROW,
     SIDE,
+    TILE,
     caption,
+    captioned_rows,
     panorama_rows,
-    sky_grid,
     write_sheet,
 )
 from skylight.evaluation._sky_fits import over_ground
@@ -60,8 +61,8 @@ def test_labels_fit_their_column():
 
 def test_skies_of_a_grid_are_all_of_a_size():
     sky = np.zeros((32, 128, 3), np.uint8)
-    five = sky_grid({str(i): sky for i in range(5)})
-    eight = sky_grid({str(i): sky for i in range(8)})
+    five = captioned_rows({str(i): sky for i in range(5)}, columns=4, height=TILE)
+    eight = captioned_rows({str(i): sky for i in range(8)}, columns=4, height=TILE)
     assert five.shape == eight.shape
 
 

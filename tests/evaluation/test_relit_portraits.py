@@ -1,6 +1,7 @@
 """Relit portraits scored against the same people under the other light."""
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,14 +10,21 @@ import torch
 from skimage.color import rgb2lab
 
 from skylight.errors import InputError
+from skylight.evaluation import _known_faces as known_faces, _relit_portraits as relit_portraits
+from skylight.evaluation._main import run_evaluation
 from skylight.evaluation._relit_portraits import (
     RelitPortraits,
     colour_transfer,
     nearest_exposure,
     score,
 )
+from skylight.faces._observe import observe_face
+from skylight.faces._synthetic import SyntheticFace, render_face
 from skylight.imaging._colour import linear_to_srgb
+from skylight.portrait._relit import portrait_of
+from skylight.sphere._envmap import EnvironmentMap
 from tests.evaluation.quick import QUICK
+from tests.evaluation.rendered import write_face
 
 MASK = np.zeros((24, 32), bool)
 MASK[4:20, 6:30] = True
@@ -60,17 +68,21 @@ def test_folders_are_checked(tmp_path: Path) -> None:
         RelitPortraits(data=tmp_path)
 
 
-def test_people_are_relit_and_compared(tmp_path: Path) -> None:
-    pytest.importorskip("mitsuba", reason="mitsuba is not installed")
-    from skylight.evaluation._main import run_evaluation
-    from skylight.people._batch import render_folder
-    from skylight.people._light import RenderOptions
+def a_person(column: int) -> SyntheticFace:
+    """Under a lamp on that column of 16."""
+    light = torch.full((32, 64, 3), 0.05)
+    light[8:12, 4 * column : 4 * column + 4] = 20
+    sky = EnvironmentMap(radiance=light)
+    return render_face(sky, torch.full((3,), 0.1), seed=3, size=144, azimuth_rad=0.0, light_rows=8)
 
-    options = RenderOptions(size=144, samples=4, seed=9, hair=True)
+
+def test_people_are_relit_and_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From as few pixels as show a face."""
+    monkeypatch.setattr(known_faces, "observe_face", partial(observe_face, face_height_px=36))
+    monkeypatch.setattr(relit_portraits, "portrait_of", partial(portrait_of, face_px=32))
     data = tmp_path / "faces"
-    render_folder(data / "from", 1, options)
-    other = RenderOptions(size=144, samples=4, seed=9, hair=True, light_seed=10)
-    render_folder(data / "to", 1, other)
+    for folder, column in (("from", 0), ("to", 3)):  # behind the camera, and at its left
+        write_face(data / folder, 0, a_person(column))
     evaluation = RelitPortraits(data=data, options=QUICK)
     results = run_evaluation(evaluation, tmp_path / "out", command="c")
     rows = json.loads(results.read_text())["rows"]

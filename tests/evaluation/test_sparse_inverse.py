@@ -9,8 +9,6 @@ import torch
 from skylight.csc._dictionary import DEGREE, builtin
 from skylight.csc._positions import Positions
 from skylight.csc._sub_dictionaries import SubDictionary
-from skylight.errors import InputError
-from skylight.evaluation._lit_object import lit_object
 from skylight.evaluation._sparse_inverse import (
     HEIGHT,
     ObservedScene,
@@ -55,7 +53,7 @@ def test_harmonics_are_recovered_from_as_many(scene: ObservedScene):
 
 def test_a_lamp_is_recovered_from_few_numbers():
     """On a ball, in ambient light."""
-    places, normals = (torch.from_numpy(part) for part in ball_normals())
+    places, normals = (torch.from_numpy(part[::3].copy()) for part in ball_normals())
 
     def matt(grid: DirectionGrid) -> TransportMatrix:
         cosines = (normals @ grid.directions.T).clamp(min=0)
@@ -71,7 +69,7 @@ def test_a_lamp_is_recovered_from_few_numbers():
     ]
     found, numbers = recovered_by_lamps(scene, scene.fine @ light[0])
     assert numbers == 26
-    assert map_error(found, light[1]) < 0.25
+    assert map_error(found, light[1]) < 0.05
 
 
 def test_noise_is_a_thousandth_of_the_mean(scene: ObservedScene):
@@ -101,10 +99,3 @@ def test_maps_are_told_apart(tmp_path: Path):
     (tmp_path / "meshes" / "ball.obj").touch()
     assert SparseInverse(data=tmp_path, every=1).items() == ["0", "1", "2", "3", "9"]
     assert SparseInverse(data=tmp_path, every=2).items() == ["0", "2", "3"]
-
-
-def test_a_missing_index_and_a_missing_mesh_are_said(tmp_path: Path):
-    with pytest.raises(InputError, match=r"index\.csv"):
-        SparseInverse(data=tmp_path / "hdr").items()
-    with pytest.raises(InputError, match="no mesh"):
-        lit_object(tmp_path / "hdr")

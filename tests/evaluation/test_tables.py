@@ -148,19 +148,7 @@ def test_a_run_without_any_sun_is_checked_for_the_rest():
 def test_groups_without_quoted_metrics_are_left_out():
     methods = {f"m{i}": {"l2_4": 0.1 * i} for i in range(10)}
     items = [Item(name="a", metrics=methods, facts={"category": "indoor"})]
-    results = {
-        "name": "sparse-coding",
-        "command": "c",
-        "n": 1,
-        "commit": "x",
-        "date": "d",
-        "machine": "m",
-        "rows": summarise(items),
-        "groups": summarise_groups(items),
-        "checks": {},
-        "problems": {},
-    }
-    (only,) = tables(markdown(results))
+    (only,) = tables(markdown(results("sparse-coding", items)))
     assert {name: row.popitem()[1] for name, row in only.items()} == pytest.approx(
         {name: metrics["l2_4"] for name, metrics in methods.items()}
     )

@@ -44,7 +44,11 @@ def small(data: Path) -> VoxelProbe:
     return VoxelProbe(data=data, maps=1, models=1, samples=16, best=2, every_set=5000)
 
 
-def test_items_have_scores_and_a_picture(data: Path, tmp_path: Path) -> None:
+def test_items_have_scores_and_a_picture(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(voxel_probe, "PIXELS", 80)
+    monkeypatch.setattr(voxel_probe, "RESOLUTION", 12)
     evaluation = small(data)
     assert evaluation.items() == ["sky.exr", TRANSFER]
     item = evaluation.measure("sky.exr", tmp_path / "a.png")
@@ -76,7 +80,7 @@ def test_drawing_a_probe_with_its_own_light_is_what_path_tracing_says(
 ) -> None:
     """No slot is missing and no light comes from afar: what differs is noise and interpolation."""
     monkeypatch.setattr(voxel_probe, "PIXELS", 64)
-    scene, light = VoxelScene.of(star_probe(3)), sky()
+    scene, light = VoxelScene.of(star_probe(3), views_deg=((35.0, 25.0),)), sky()
     captured = baked(3, light, Sampling(samples=256), 0)
     completed = reconstruction(3, "direct").complete(captured)
     truths, masks, noise = scene.traced(light, Sampling(samples=256), 1)

@@ -4,7 +4,6 @@ from io import BytesIO
 
 import httpx
 import numpy as np
-import pytest
 from PIL import Image
 
 from skylight.estimation._examples import EXAMPLES
@@ -20,17 +19,3 @@ def test_they_are_those_of_the_demonstration(client: httpx.Client) -> None:
         assert answer.headers["content-type"] == "image/png"
         with Image.open(BytesIO(answer.content), formats=["PNG"]) as picture:
             assert np.array_equal(np.asarray(picture), example.codes())
-
-
-@pytest.mark.parametrize("name", ["nobody", "Astronaut", "astronaut.png", "..", "%0a"])
-def test_an_unknown_one_is_not_found(client: httpx.Client, name: str) -> None:
-    answer = client.get(f"/api/examples/{name}.png")
-    assert answer.status_code == 404
-    line = "there is no such example; choose one of astronaut, cameraman"
-    assert answer.json() == {"error": line}
-
-
-def test_they_are_only_read(client: httpx.Client) -> None:
-    for method in ("POST", "PUT", "DELETE"):
-        answer = client.request(method, "/api/examples/astronaut.png")
-        assert (answer.status_code, answer.json()) == (405, {"error": "Method Not Allowed"})

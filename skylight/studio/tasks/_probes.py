@@ -88,7 +88,6 @@ def _cells(kernel: PrintedPart, normals: Float[np.ndarray, "n 3"]) -> Int[np.nda
 
 
 STARS = {1: "one voxel", 3: "a cross of seven", 5: "a star of 25", 7: "a star of 63"}
-_MM = 0.001
 
 
 def make_voxel_probe(
@@ -118,7 +117,9 @@ def make_voxel_probe(
     captured = captured_by(model, true)
     completed = GlobalReconstruction(captured.known).complete(captured)
     exposure = 1 / white_of(completed.image().reshape(-1, 3))
-    write_glb(out / "preview.glb", model, completed, voxel_size=face_mm * _MM, exposure=exposure)
+    write_glb(
+        out / "preview.glb", model, completed, voxel_size=face_mm * _METRES, exposure=exposure
+    )
     result: dict[str, Any] = {
         "voxels": model.occupied.tolist(),
         "report": describe_print(printed),
@@ -268,6 +269,6 @@ def _write_lightmap(
     larger = max(1, _PREVIEW_ROWS // len(seen))
     seen = seen.repeat_interleave(larger, 0).repeat_interleave(larger, 1)
     grid = DirectionGrid.latlong(len(seen))
-    told = probe.decode(shading, grid).clamp(min=0).reshape(seen.shape)
+    decoded = probe.decode(shading, grid).clamp(min=0).reshape(seen.shape)
     white = white_of(seen.reshape(-1, 3))
-    write_png(path, np.concatenate([tone_map(each, white=white) for each in (seen, told)]))
+    write_png(path, np.concatenate([tone_map(each, white=white) for each in (seen, decoded)]))

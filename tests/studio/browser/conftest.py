@@ -30,6 +30,11 @@ _KEPT = """async () => [
     (await caches.keys()).length,
     (await navigator.serviceWorker.getRegistrations()).length,
 ]"""
+NO_WEBGL = """
+const get = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+    return kind.startsWith("webgl") ? null : get.call(this, kind, ...more);
+};"""
 _PREVIEW_IS_IN = """() => {
     const preview = document.querySelector(".photo img");
     return preview?.complete && preview.naturalWidth > 0;
@@ -66,16 +71,19 @@ def studio_address(studio: Served) -> str:
 def new_page(chromium: "Browser", studio_address: str) -> "Iterator[Callable[..., Page]]":
     """Makes pages of the studio, each with nothing kept from the others.
 
-    At the end each is looked at: it asked no other machine for anything, kept nothing, and no
-    script of it failed.
+    Without ``webgl`` none draws an object into a photo, which takes a processor longer than all
+    else. At the end each is looked at: it asked no other machine for anything, kept nothing, and
+    no script of it failed.
     """
     pages: list[Page] = []
     asked: list[str] = []
     failed: list[str] = []
 
-    def make(path: str = "/", **options: Any) -> "Page":
+    def make(path: str = "/", *, webgl: bool = True, **options: Any) -> "Page":
         context = chromium.new_context(**{"viewport": {"width": 1280, "height": 900}, **options})
         page = context.new_page()
+        if not webgl:
+            page.add_init_script(NO_WEBGL)
         pages.append(page)
         page.set_default_timeout(PATIENCE_MS)
         page.on("request", lambda request: asked.append(request.url))

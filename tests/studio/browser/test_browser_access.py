@@ -34,7 +34,8 @@ _USABLE = """() => [...document.querySelectorAll("a[href], button, select, input
     .filter((it) => it.checkVisibility() && !it.disabled && (it.type !== "radio" || it.checked))
     .length"""
 
-NAMELESS = """() => [...document.querySelectorAll("canvas, img, select, input, button, a[href]")]
+NAMELESS = """() => [...document.querySelectorAll(
+        "canvas, img, svg[role=img], select, input, button, summary, a[href]")]
     .filter((it) => it.checkVisibility())
     .filter((it) => !(it.getAttribute("aria-label") || it.alt))
     .filter((it) => !(it.labels?.length || it.textContent.trim()))

@@ -24,6 +24,7 @@ from skylight.models._ground import LambertianGround
 from skylight.relight._decoder import read_latent
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid, direction_from_angles
+from tests.studio.browser.test_browser_access import CONTRASTS, NAMELESS, OVERFLOW
 from tests.studio.browser.waiting import PATIENCE_MS, expect, painted
 
 pytestmark = pytest.mark.slow
@@ -402,44 +403,6 @@ def turns_by_keyboard(page: "Page") -> None:
 
 # All of them
 
-# controls without a name, pictures without words, and texts on their ground below 4.5 : 1
-LACKS = """() => {
-    const lacks = [];
-    const named = (one) => one.labels?.length || one.ariaLabel || one.textContent.trim();
-    for (const one of document.querySelectorAll("button, select, input, a[href], summary"))
-        if (one.checkVisibility() && !named(one)) lacks.push("no name: " + one.outerHTML);
-    for (const one of document.querySelectorAll("canvas, img, svg[role=img]"))
-        if (!one.ariaLabel && !one.alt && !one.querySelector?.("title"))
-            lacks.push("no words: " + one.outerHTML);
-    const pixel = document.createElement("canvas").getContext("2d");
-    const rgb = (colour) => {
-        pixel.clearRect(0, 0, 1, 1);
-        pixel.fillStyle = colour;
-        pixel.fillRect(0, 0, 1, 1);
-        return [...pixel.getImageData(0, 0, 1, 1).data].map((code) => code / 255);
-    };
-    const light = ([r, g, b]) => {
-        const linear = (c) => (c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4);
-        return 0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b) + 0.05;
-    };
-    const ground = (one) => {
-        for (; one; one = one.parentElement) {
-            const colour = rgb(getComputedStyle(one).backgroundColor);
-            if (colour[3] > 0.99) return light(colour);
-        }
-        return light(rgb("canvas"));
-    };
-    const texts = "h1, h2, p, label, output, a, button, th, td, dt, dd, figcaption, legend";
-    for (const one of document.querySelectorAll(texts)) {
-        if (!one.checkVisibility() || !one.textContent.trim() || one.disabled) continue;
-        const [a, b] = [light(rgb(getComputedStyle(one).color)), ground(one)];
-        const ratio = Math.max(a, b) / Math.min(a, b);
-        if (ratio < 4.5) lacks.push(ratio.toFixed(2) + " to 1: " + one.outerHTML.slice(0, 200));
-    }
-    return lacks;
-}"""
-
-
 # whether the server's choices have arrived
 READY = """() => {
     const choices = [...document.querySelectorAll("select")];
@@ -462,11 +425,12 @@ def test_pages_fit_a_phone_can_be_read_and_reached_by_keyboard(
 ) -> None:
     page = new_page(f"/#/{name}", viewport={"width": 360, "height": 740})
     page.wait_for_function(READY)
-    assert page.evaluate("document.documentElement.scrollWidth") <= 360
+    assert page.evaluate(OVERFLOW) == 0
     for scheme in ("light", "dark"):
         page.emulate_media(color_scheme=scheme)
         page.wait_for_function(f"matchMedia('(prefers-color-scheme: {scheme})').matches")
-        assert page.evaluate(LACKS) == []
+        assert page.evaluate(NAMELESS) == []
+        assert [text for ratio, text in page.evaluate(CONTRASTS) if ratio < 4.5] == []
     wanted = page.evaluate(CONTROLS)
     reached: set[str] = set()
     for _ in range(wanted + 20):

@@ -19,6 +19,7 @@ from jaxtyping import Float
 from skylight.faces._fit import FaceFit
 from skylight.imaging._photo import read_photo
 from skylight.io._tensors import read_tensors
+from skylight.portrait._files import warning_of
 from skylight.portrait._lights import light_with_sun_at
 from skylight.portrait._relit import (
     BASE,
@@ -40,9 +41,10 @@ from skylight.studio._server import make_application
 from skylight.studio._state import Studio, Upload
 from skylight.studio.tasks._portrait import FACE_PX, command_of, kept_person, packed, take_apart
 from tests.studio.conftest import finished
+from tests.studio.tasks.conftest import TakenApart, Told
 from tests.studio.tasks.taken_apart import PHOTO, apart
 from tests.sunny_face import direction
-from tests.three_js import run_in_node
+from tests.three_js import STUDIO, run_in_node
 
 # vite reads TypeScript, as in the build
 _PROGRAM = """
@@ -63,6 +65,10 @@ const answers = suns.map(([azimuth, zenith, times]) => {
 const told = JSON.stringify({ skin: light.skin, whole: light.whole, answers });
 process.stdout.write(told, () => process.exit(0));
 """
+# looked for before a person is rendered for them
+needs_three = pytest.mark.skipif(
+    not (STUDIO / "node_modules" / "three").is_dir(), reason="three.js is not installed"
+)
 SUNS = ((-60.0, 35.0), (20.0, 60.0), (90.0, 10.0), (170.0, 40.0))  # azimuth, elevation
 
 
@@ -105,13 +111,17 @@ def balanced(
     return gains * shading, gains * glossy
 
 
-def test_what_is_kept_gives_the_portrait_of_the_estimate() -> None:
+@pytest.mark.parametrize("main", ["lamp", pytest.param("sun", marks=pytest.mark.slow)])
+def test_what_is_kept_gives_the_portrait_of_the_estimate(told: Told, main: str) -> None:
     """A portrait is a function of fit, reflection and light found, and these are kept exactly.
 
     So no portrait need be compared: of equal numbers that lie elsewhere in memory a sum may be
     taken in another order, and the steep lobe of gloss amplifies its last bit a thousandfold.
     """
-    kept, result = kept_person(apart().folder), apart().result
+    folder, result = told.folder, told.found
+    if main == "sun":
+        folder, result = apart().folder, apart().result
+    kept = kept_person(folder)
     for field in dataclasses.fields(FaceFit):
         np.testing.assert_equal(getattr(kept.fit, field.name), getattr(result.fit, field.name))
     reflection = FaceReflection.of(result.estimate, result.view.observation)
@@ -125,14 +135,15 @@ def test_what_is_kept_gives_the_portrait_of_the_estimate() -> None:
         light = light_with_sun_at(result.estimate, -60.0, 35.0, strength).environment
         moved = kept.sun.at(towards, strength)
         torch.testing.assert_close(moved.radiance, light.radiance, rtol=1e-4, atol=1e-5)
-    assert kept.facts["warning"] == ""
+    assert kept.facts["warning"] == warning_of(result.estimate)
     assert kept.facts["was_found"]
+    assert kept.facts["is_lamp"] == (main == "lamp")
 
 
-def test_the_page_gets_points_and_bits_of_the_surface() -> None:
-    tensors, metadata = read_tensors(apart().file)
-    facts, portrait = json.loads(metadata["facts"]), small()
-    assert apart().file.stat().st_size < 15e6
+def test_the_page_gets_points_and_bits_of_the_surface(taken_apart: TakenApart) -> None:
+    tensors, metadata = read_tensors(taken_apart.file)
+    facts, portrait = json.loads(metadata["facts"]), taken_apart.portrait
+    assert taken_apart.file.stat().st_size < 15e6
     left, top, width, height = facts["crop"]
     image = np.zeros((height, width, 3), np.float32)
     image.reshape(-1, 3)[tensors["places"]] = tensors["shading"]
@@ -143,13 +154,14 @@ def test_the_page_gets_points_and_bits_of_the_surface() -> None:
     np.testing.assert_array_equal(bits, portrait.person.sight.visible.numpy())
     assert bits.shape[1] == len(DirectionGrid.latlong(32))
     codes = tensors["picture"][..., :3].numpy()
-    np.testing.assert_array_equal(codes, apart().result.photos[0].encoded)
-    # the rest and the sun are the light found, but for where within 4 degrees the sun is
+    np.testing.assert_array_equal(codes, taken_apart.codes)
+    # the rest and the lamp are the light found, but for what grids make of the lamp
     rest, irradiance = tensors["rest_power"], torch.tensor(facts["irradiance"])
     whole = float(rest.sum()) + float(irradiance @ torch.tensor(LUMINANCE))
     assert whole == pytest.approx(float(tensors["found_power"].sum()), rel=5e-3)
 
 
+@needs_three
 def test_shading_in_the_page_is_that_of_the_portrait() -> None:
     portrait = small()
     sun = kept_person(apart().folder).sun
@@ -178,6 +190,8 @@ def test_shading_in_the_page_is_that_of_the_portrait() -> None:
     assert not sun.rest.is_sky
 
 
+@pytest.mark.slow
+@needs_three
 def test_a_stronger_sun_is_more_of_the_same() -> None:
     """Shading is affine in the sun's strength, but for the balance of white."""
     facts = json.loads(read_tensors(apart().file)[1]["facts"])
@@ -191,9 +205,9 @@ def test_a_stronger_sun_is_more_of_the_same() -> None:
     assert np.abs(ours["shading"][bare] - want).mean() < 0.01 * want.mean()
 
 
-def test_of_a_grey_photograph_the_light_is_grey() -> None:
-    portrait = dataclasses.replace(small(), grey=True)
-    tensors, facts = packed(portrait, kept_person(apart().folder))
+def test_of_a_grey_photograph_the_light_is_grey(told: Told, taken_apart: TakenApart) -> None:
+    portrait = dataclasses.replace(taken_apart.portrait, grey=True)
+    tensors, facts = packed(portrait, kept_person(told.folder))
     assert len(set(facts["irradiance"])) == 1
     for name in ("rest_shading", "rest_glossy"):
         assert (tensors[name] == tensors[name][:, :1]).all()
@@ -254,20 +268,3 @@ def test_the_studio_takes_a_person_apart(
         answer = client.post("/api/jobs", json={"kind": "portrait", "job": job["job"]})
         assert answer.status_code == 409
         assert "name an estimate that is done" in answer.json()["error"]
-
-
-@pytest.mark.parametrize(
-    ("wanted", "status", "words"),
-    [
-        ({"job": "nobody"}, 404, "there is no such job (any more)"),
-        ({}, 422, "job: Field required"),
-        ({"job": "it", "face": 2}, 422, "face: Extra inputs"),
-    ],
-)
-def test_wrong_requests_are_one_line(
-    client: httpx.Client, wanted: dict[str, Any], status: int, words: str
-) -> None:
-    answer = client.post("/api/jobs", json={"kind": "portrait", **wanted})
-    assert answer.status_code == status
-    assert words in answer.json()["error"]
-    assert "\n" not in answer.json()["error"]
