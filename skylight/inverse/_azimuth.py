@@ -42,11 +42,6 @@ def azimuth_curve(observation: Observation, probe: EnvironmentMap) -> AzimuthCur
 
     All turns are one product of T, and one of G, with (n, w * 3). The probe is brought to the
     transport's grid of w columns: 128 of 2.8 degrees for an estimate's.
-
-    Raises
-    ------
-    InputError
-        A probe that does not light the face, or lights it uniformly.
     """
     height, width = _layout(observation)
     radiance = probe.resize(height).radiance
@@ -129,6 +124,5 @@ def _fit(observation: Observation, lights: Float[Tensor, "n w 3"]) -> _Fit:
 
 def _layout(observation: Observation) -> tuple[int, int]:
     layout = observation.transport.grid.layout
-    if layout is None or layout[1] != 2 * layout[0]:
-        raise ValueError(f"only a full lat-long grid can be turned, got {layout}")
+    assert layout is not None
     return layout
