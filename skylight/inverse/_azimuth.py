@@ -1,4 +1,4 @@
-"""How far a light probe is turned against a photograph, by the face in it (thesis, 5.4.2)."""
+"""The azimuth rotation of a light probe against a photograph, by the face in it (thesis, 5.4.2)."""
 
 import math
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ FLAT = 1e-5  # of the error: less of a difference is rounding
 
 @dataclass(frozen=True, kw_only=True)
 class AzimuthCurve:
-    """Errors of the relit face for every column by which a probe can be turned.
+    """Errors of the relit face for every azimuth rotation of a probe by whole columns.
 
     ``azimuth_deg`` (w,) ascends from -180, positive to the right; ``error`` (w,) is the si-RMSE,
     relative to the face's mean. ``minima`` are indices into both, the best first.
