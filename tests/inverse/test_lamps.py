@@ -9,8 +9,10 @@ import pytest
 import torch
 
 from skylight.errors import InputError
+from skylight.inverse._descent import Stage
 from skylight.inverse._estimate import estimate_light
-from skylight.inverse._lamps import LampsProblem
+from skylight.inverse._faces import Level
+from skylight.inverse._lamps import LampsOptions, LampsProblem
 from skylight.inverse._problem import solve
 from skylight.inverse._sun_prior import SunPart, SunPrior
 from skylight.sphere._envmap import luminance
@@ -18,6 +20,14 @@ from skylight.sphere._frame import DirectionGrid, angle_between
 from tests.inverse.test_solve import ALBEDO_PRIOR, MODES, ball_normals, observed
 
 ONE = (0.7, 0.4, 0.6)
+QUICK = LampsOptions(
+    scan_candidates=3,
+    sets=3,
+    coarse=(
+        Stage(level=Level(2), starts=3, iterations=6, even_skin=True, steps="gauss-newton"),
+        Stage(level=Level(1), starts=1, iterations=8, even_skin=True, steps="gauss-newton"),
+    ),
+)
 
 
 def lit_ball(*lamps, ambient=0.4):
@@ -91,7 +101,10 @@ def test_the_lamps_energies_are_in_the_map():
 def test_two_photographs_of_one_room_tell_of_one_light():
     """A ball in two exposures: the light is that of either, in the first one's units."""
     seen, alone = lit_ball((ONE, 3.0)), found_in((ONE, 3.0))
-    both = estimate_light([seen, seen.scaled(4.0)], "lamps", photos=[0, 1])
+    problem = LampsProblem(ALBEDO_PRIOR, MODES, QUICK)
+    problem.add(seen, 0)
+    problem.add(seen.scaled(4.0), 1)
+    (both,) = solve([problem])
     assert off_deg(both.lamps[0], ONE) < 4
     one, other = both.faces
     assert other.exposure / one.exposure == pytest.approx(4.0, rel=0.02)

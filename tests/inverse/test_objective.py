@@ -152,7 +152,9 @@ def test_a_white_balance_that_is_trusted_has_no_gains():
     assert (whole.terms(silent)["white_balance_prior"] == 0).all()
 
 
-@pytest.mark.parametrize("skin_spread", [pytest.param(0.02, marks=pytest.mark.slow), 0.1, 0.5])
+@pytest.mark.parametrize(
+    "skin_spread", [*(pytest.param(s, marks=pytest.mark.slow) for s in (0.02, 0.1)), 0.5]
+)
 def test_a_cast_is_shared_out_between_camera_and_skin_by_their_variances(skin_spread):
     """Gaussian priors, the light known: normal equations say what of a cast u is the camera's.
 
