@@ -154,13 +154,7 @@ def _middles(length: int, side: float) -> Float[ndarray, " n"]:
 
 
 class Network:
-    """A network of this package that takes one picture; threads may share it.
-
-    Raises
-    ------
-    AssetError
-        Its file is missing or damaged.
-    """
+    """A network of this package that takes one picture; threads may share it."""
 
     def __init__(self, name: str) -> None:
         import onnxruntime  # where it is used only: imported, it leaves a file in TMPDIR

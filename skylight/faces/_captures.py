@@ -71,13 +71,7 @@ def read_captures(folder: Path) -> list[FaceCapture]:
 
 
 def write_azimuths(folder: Path, azimuths_deg: Mapping[str, float]) -> None:
-    """Fill in ``azimuth_deg`` of the photographs named; all else stays, also other columns.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or has no such photograph.
-    """
+    """Fill in ``azimuth_deg`` of the photographs named; all else stays, also other columns."""
     path = folder / CAPTURES_NAME
     header, rows = _read_rows(path)
     unknown = set(azimuths_deg) - {row["photo"] for _, row in rows}
@@ -96,14 +90,7 @@ def write_azimuths(folder: Path, azimuths_deg: Mapping[str, float]) -> None:
 
 
 def read_probe(folder: Path, capture: FaceCapture) -> EnvironmentMap:
-    """The probe as it lies in its file, not rotated.
-
-    Raises
-    ------
-    InputError
-        No HDR lat-long map of the whole sphere, light that is not finite or all black, or one
-        whose brightest part is cut off.
-    """
+    """The probe as it lies in its file, not rotated."""
     path = folder / capture.probe
     probe = read_environment_map(path)
     if probe.is_sky:
@@ -124,13 +111,7 @@ def read_probe(folder: Path, capture: FaceCapture) -> EnvironmentMap:
 
 
 def true_light(folder: Path, capture: FaceCapture, height: int = 64) -> EnvironmentMap:
-    """The light that fell on the person, in the frame of the photograph's camera.
-
-    Raises
-    ------
-    InputError
-        As :func:`read_probe`, and where the row has no azimuth.
-    """
+    """The light that fell on the person, in the frame of the photograph's camera."""
     if capture.azimuth_deg is None:
         raise InputError(
             f"{capture.photo}: {folder / CAPTURES_NAME} has no azimuth_deg for it; find it by "

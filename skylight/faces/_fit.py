@@ -127,11 +127,6 @@ def fit_visible(
 
     ``head`` is "fitted", the morphable model's, or "deformed": bent to meet the landmarks, see
     :func:`fit_face`.
-
-    Raises
-    ------
-    InputError
-        It is turned further: most of what the light does is out of sight. Or no such ``head``.
     """
     if head not in ("fitted", "deformed"):
         raise InputError(f"{head!r} is no head; choose fitted or deformed")

@@ -1,7 +1,4 @@
-"""The landmarkers by name.
-
-dlib's face detector and its 68 landmarks (research use), with the extra ``dlib``.
-"""
+"""The landmarkers by name: MediaPipe's, and dlib's 68 landmarks (research use, extra ``dlib``)."""
 
 import importlib
 import importlib.metadata

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from pathlib import Path
 from typing import Protocol, runtime_checkable
-from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -12,6 +12,7 @@ from jaxtyping import Float, UInt8
 from skylight._names import LandmarkerName, WhichFaces
 from skylight.errors import AssetError, InputError
 from skylight.imaging._photo import Photo
+from skylight.io._bounded import load_arrays
 from skylight.work._progress import Progress
 
 # Outer corners of the eyes, the person's right first: of iBUG's 68 points, and of MediaPipe's 478.
@@ -102,19 +103,16 @@ def find_faces(
     return found, missing
 
 
-def landmark_errors(landmarker: LandmarkerName) -> dict[str, np.ndarray]:
-    """Arrays of what a landmarker errs by on rendered people (``tools/measure_landmarks.py``).
+def landmark_errors(landmarker: LandmarkerName, *names: str) -> list[Float[np.ndarray, "..."]]:
+    """What a landmarker errs by on rendered people (``tools/measure_landmarks.py``)."""
+    stored = shipped_arrays("skylight.faces", f"{landmarker}_landmarks.npz", *names)
+    return [stored[name].astype(np.float64) for name in names]
 
-    Raises
-    ------
-    AssetError
-        The file is missing or damaged.
-    """
-    source = files("skylight.faces") / "data" / f"{landmarker}_landmarks.npz"
+
+def shipped_arrays(package: str, file: str, *names: str) -> dict[str, np.ndarray]:
+    """Arrays of a .npz file that comes with a package of skylight."""
+    path = Path(str(files(package) / "data" / file))
     try:
-        with source.open("rb") as stream, np.load(stream) as stored:
-            return {name: stored[name].astype(np.float64) for name in stored}
-    except (OSError, KeyError, ValueError, BadZipFile) as error:
-        raise AssetError(
-            f"{source}: the landmark errors cannot be read ({error}); reinstall skylight"
-        ) from error
+        return load_arrays(path, names)
+    except (OSError, ValueError) as error:
+        raise AssetError(f"{path} cannot be read ({error}); reinstall skylight") from error

@@ -134,7 +134,7 @@ class MediaPipeLandmarker:
             scores.append(score[inside])
             candidates.append(square.to_picture(found[inside]))
         return [
-            _square_of_candidate(candidate)
+            upright(candidate[:2], candidate[2], candidate[3])
             for candidate in suppress(np.concatenate(scores), np.concatenate(candidates))
         ]
 
@@ -265,10 +265,6 @@ def rotated(image: Picture, angle_deg: float) -> tuple[Shown, Float[ndarray, "2 
     return cv2.warpAffine(image, centres, (int(size[0]), int(size[1])), flags=flags), back
 
 
-def _square_of_candidate(candidate: Float[ndarray, "8 2"]) -> Square:
-    return upright(candidate[:2], candidate[2], candidate[3])
-
-
 def _square_of_landmarks(points: Float[ndarray, "478 2"]) -> Square:
     box = np.stack([points.min(0), points.max(0)])
     right, left = MESH_EYES
@@ -304,11 +300,11 @@ def _mirrored_points() -> Int[ndarray, "478"]:
     try:
         with source.open("rb") as stream:
             return np.load(stream).astype(np.int64)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, EOFError) as error:
         raise AssetError(f"{source} cannot be read ({error}); reinstall skylight") from error
 
 
 @cache
 def _mean_errors() -> Float[ndarray, "68 2"]:
     """In units of :func:`eye_axes`."""
-    return landmark_errors("mediapipe")["mean_error"]
+    return landmark_errors("mediapipe", "mean_error")[0]

@@ -21,7 +21,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache, cached_property
-from importlib.resources import files
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -30,12 +29,15 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 from scipy.sparse import csr_matrix
 
-from skylight.errors import AssetError
-from skylight.faces._landmarks import EYES, MESH_EYES, DetectedFace, landmark_errors
+from skylight.faces._landmarks import EYES, MESH_EYES, DetectedFace, landmark_errors, shipped_arrays
 
 # Mean (n,3), identity basis (n,3,k) and expression basis (n,3,e) of some points of the head.
 Basis = tuple[ndarray, ndarray, ndarray]
 JAW = np.arange(17)
+_REALS = ("mean", "landmark_bary", "contour_bary", "average", "mesh_bary")
+_INDICES = ("faces", "landmark_faces", "contour_faces", "mesh_points", "mesh_faces")
+_WEIGHTS = ("weight_data", "weight_indices", "weight_indptr")
+_OTHERS = ("step", "identity", "expression", "regions", "expression_names")
 
 
 class Region(IntEnum):
@@ -80,42 +82,25 @@ class HeadModel:
     @cache
     def load() -> HeadModel:
         """The head model shipped with the package, float64; read once."""
-        source = files("skylight.faces") / "data" / "head.npz"
-        try:
-            with source.open("rb") as stream, np.load(stream) as stored:
-                step = float(stored["step"])
-                vertex_count = len(stored["mean"])
-                weights = csr_matrix(
-                    (
-                        stored["weight_data"].astype(np.float64),
-                        stored["weight_indices"].astype(np.int32),
-                        stored["weight_indptr"].astype(np.int32),
-                    ),
-                    shape=(vertex_count, 68),
-                )
-                arrays = {
-                    "mean": stored["mean"].astype(np.float64),
-                    "identity_basis": stored["identity"] * step,
-                    "expression_basis": stored["expression"] * step,
-                    "faces": stored["faces"].astype(np.int64),
-                    "regions": stored["regions"],
-                    "landmark_faces": stored["landmark_faces"].astype(np.int64),
-                    "landmark_bary": stored["landmark_bary"].astype(np.float64),
-                    "contour_faces": stored["contour_faces"].astype(np.int64),
-                    "contour_bary": stored["contour_bary"].astype(np.float64),
-                    "average": stored["average"].astype(np.float64),
-                    "mesh_points": stored["mesh_points"].astype(np.int64),
-                    "mesh_faces": stored["mesh_faces"].astype(np.int64),
-                    "mesh_bary": stored["mesh_bary"].astype(np.float64),
-                }
-                names = tuple(str(name) for name in stored["expression_names"])
-        except (OSError, KeyError, ValueError) as error:
-            raise AssetError(
-                f"the head model {source} cannot be read ({error}); reinstall skylight"
-            ) from error
+        names = (*_REALS, *_INDICES, *_WEIGHTS, *_OTHERS)
+        stored = shipped_arrays("skylight.faces", "head.npz", *names)
+        data, indices, starts = (stored[name] for name in _WEIGHTS)
+        weights = csr_matrix(
+            (data.astype(np.float64), indices.astype(np.int32), starts.astype(np.int32)),
+            shape=(len(stored["mean"]), 68),
+        )
+        step = float(stored["step"])
+        arrays = {
+            "identity_basis": stored["identity"] * step,
+            "expression_basis": stored["expression"] * step,
+            "regions": stored["regions"],
+            **{name: stored[name].astype(np.float64) for name in _REALS},
+            **{name: stored[name].astype(np.int64) for name in _INDICES},
+        }
         for array in arrays.values():
             array.flags.writeable = False  # shared by every caller
-        return HeadModel(expression_names=names, weights=weights, **arrays)
+        expressions = tuple(map(str, stored["expression_names"]))
+        return HeadModel(expression_names=expressions, weights=weights, **arrays)
 
     def vertices(
         self, identity: Float[ndarray, " k"], expression: Float[ndarray, " e"]
@@ -316,11 +301,12 @@ def _pinhole(points: Float[ndarray, "*s 3"]) -> Float[ndarray, "*s 2"]:
 @cache
 def _mesh_moment() -> Float[ndarray, "q q"]:
     """S = U U^T + diag(own) of the mesh's points, in squared eye distances."""
-    errors = landmark_errors("mediapipe")
-    return errors["modes"] @ errors["modes"].T + np.diag(errors["own"])
+    modes, own = landmark_errors("mediapipe", "modes", "own")
+    return modes @ modes.T + np.diag(own)
 
 
 @cache
 def _whitening() -> Float[ndarray, "136 136"]:
     """Of the 68 landmarks, in eye distances."""
-    return np.linalg.cholesky(np.linalg.inv(landmark_errors("dlib")["second_moment"])).T
+    (moment,) = landmark_errors("dlib", "second_moment")
+    return np.linalg.cholesky(np.linalg.inv(moment)).T

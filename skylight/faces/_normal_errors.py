@@ -59,15 +59,8 @@ def normal_changes(
     points: Int[Tensor, " u"],
     error: Float[Tensor, " d"],
 ) -> Float[Tensor, "u 3"]:
-    """What is added to normals where pose and shape are off by L ``error``, L L^T = C.
-
-    Raises
-    ------
-    ValueError
-        The fit has no covariance.
-    """
-    if fit.covariance is None:
-        raise ValueError("a head whose pose and shape are known has no errors")
+    """What is added to normals where pose and shape are off by L ``error``, L L^T = C."""
+    assert fit.covariance is not None
     along = np.linalg.cholesky(fit.covariance) @ error.double().numpy()[:, None]
     return torch.from_numpy(_derivatives(model, fit, surface, points, along)[:, :, 0])
 

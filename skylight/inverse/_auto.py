@@ -54,7 +54,6 @@ class AutoProblem(LightProblem):
         return self.sky.is_empty
 
     def add(self, observation: Observation, photo: int = 0) -> None:
-        """One more face; photographs come in order, counted from 0."""
         self.sky.add(observation, photo)
         self.lamps.add(observation, photo)
 
@@ -94,15 +93,8 @@ def choose(rivals: Sequence[Estimate], exposure: float | None = None) -> Estimat
 
     The probability has the log odds ``(difference - LEAD) / TEMPERATURE`` of the evidence and those
     of the ``exposure`` value.
-
-    Raises
-    ------
-    ValueError
-        One has none.
     """
     evidence = {one.light: one.log_evidence for one in rivals if one.log_evidence is not None}
-    if len(evidence) < len(rivals):
-        raise ValueError(f"only {list(evidence)} of {len(rivals)} estimates have evidence")
     odds = open_sky_log_odds(exposure)
     handicap = LEAD + TEMPERATURE * odds
     nats = [value - handicap * (name == "lamps") for name, value in evidence.items()]

@@ -1,4 +1,4 @@
-"""How far a light probe is turned against a photograph, by the face in it (thesis, 5.4.2)."""
+"""The azimuth rotation of a light probe against a photograph, by the face in it (thesis, 5.4.2)."""
 
 import math
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ FLAT = 1e-5  # of the error: less of a difference is rounding
 
 @dataclass(frozen=True, kw_only=True)
 class AzimuthCurve:
-    """Errors of the relit face for every column by which a probe can be turned.
+    """Errors of the relit face for every azimuth rotation of a probe by whole columns.
 
     ``azimuth_deg`` (w,) ascends from -180, positive to the right; ``error`` (w,) is the si-RMSE,
     relative to the face's mean. ``minima`` are indices into both, the best first.
@@ -42,11 +42,6 @@ def azimuth_curve(observation: Observation, probe: EnvironmentMap) -> AzimuthCur
 
     All turns are one product of T, and one of G, with (n, w * 3). The probe is brought to the
     transport's grid of w columns: 128 of 2.8 degrees for an estimate's.
-
-    Raises
-    ------
-    InputError
-        A probe that does not light the face, or lights it uniformly.
     """
     height, width = _layout(observation)
     radiance = probe.resize(height).radiance
@@ -129,6 +124,5 @@ def _fit(observation: Observation, lights: Float[Tensor, "n w 3"]) -> _Fit:
 
 def _layout(observation: Observation) -> tuple[int, int]:
     layout = observation.transport.grid.layout
-    if layout is None or layout[1] != 2 * layout[0]:
-        raise ValueError(f"only a full lat-long grid can be turned, got {layout}")
+    assert layout is not None
     return layout

@@ -1,4 +1,4 @@
-"""Descent from many starts, in rounds, of several problems as one batch.
+"""Descent from many starts, in stages, of several problems as one batch.
 
 Starts are lights towards the sun's candidates, with exposures and albedos that fit. Gauss-Newton
 steps take the faces' deviations and their derivatives with respect to each free parameter. Light
@@ -132,7 +132,7 @@ def _transported(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Round:
+class Stage:
     """So many of the best ``starts``, minimised on a ``level`` of the pyramid.
 
     With ``even_skin`` each face has one albedo, whatever the weights say. ``steps`` of Gauss and
@@ -149,8 +149,8 @@ class Round:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Points:
-    """Points of one problem, where rounds start and end, and what led there."""
+class Iterates:
+    """Iterates of one problem, where stages start and end, and what led there."""
 
     free: Float[Tensor, "s q"]
     scores: Float[Tensor, " s"]
@@ -159,35 +159,35 @@ class Points:
     nonfinite: int = 0
 
     @staticmethod
-    def starting(free: Float[Tensor, "s q"], scores: Float[Tensor, " s"]) -> "Points":
+    def starting(free: Float[Tensor, "s q"], scores: Float[Tensor, " s"]) -> "Iterates":
         """Where nothing has been minimised yet."""
-        return Points(free=free, scores=scores, converged=torch.zeros_like(scores) > 0)
+        return Iterates(free=free, scores=scores, converged=torch.zeros_like(scores) > 0)
 
 
 def descend(
-    objective: LightObjective, points: Sequence[Points], effort: Round, tolerance: float
-) -> list[Points]:
+    objective: LightObjective, points: Sequence[Iterates], stage: Stage, tolerance: float
+) -> list[Iterates]:
     """The best of each problem's points, minimised as one batch."""
-    best = [one.free[one.scores.argsort()[: effort.starts]] for one in points]
+    best = [one.free[one.scores.argsort()[: stage.starts]] for one in points]
     starts = [objective.uneven(free) for free in best]
     sizes = [len(start) for start in starts]
     problem = torch.cat([torch.full((n,), p) for p, n in enumerate(sizes)]).to(starts[0].device)
-    if effort.steps != "l-bfgs":
+    if stage.steps != "l-bfgs":
         result = minimise_robust(
             lambda x, rows: deviations(objective, x, problem[rows]),
             lambda x, rows: jacobian(objective, x, problem[rows]),
             objective.deviation_weights(problem),
             lambda x, rows: objective.prior(x, problem[rows]),
             torch.cat(starts),
-            iterations=effort.iterations,
+            iterations=stage.iterations,
             tolerance=tolerance,
-            broyden=effort.steps == "broyden",
+            broyden=stage.steps == "broyden",
         )
     else:
         result = minimise(
             lambda x, rows: objective(x, problem[rows]),
             torch.cat(starts),
-            iterations=effort.iterations,
+            iterations=stage.iterations,
             tolerance=tolerance,
         )
     # in the tone to answer with, so that hue and light settle to it
@@ -204,7 +204,7 @@ def descend(
         strict=True,
     )
     return [
-        Points(
+        Iterates(
             free=free,
             scores=scores,
             converged=converged,

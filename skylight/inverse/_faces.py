@@ -134,20 +134,13 @@ class FaceTerm:
 
     @staticmethod
     def together(terms: "Sequence[FaceTerm]") -> "FaceTerm":
-        """The faces of as many problems; of one, without a copy."""
+        """The faces of as many problems of one :attr:`LitFaces.shape`; of one, without a copy."""
         first, *others = terms
         if not others:
             return first
         glosses = [term.gloss for term in terms if term.gloss is not None]
         modes = [term.modes for term in terms if term.modes is not None]
         normals = [term.normals for term in terms if term.normals is not None]
-        if any(len(each) not in (0, len(terms)) for each in (glosses, modes, normals)) or any(
-            (term.photo, term.grey) != (first.photo, first.grey) for term in others
-        ):
-            raise ValueError(
-                "faces of several problems must all have gloss or none, all modes or none, all "
-                "normals' errors or none, all colour or none, and one photo"
-            )
         clipped = [
             torch.zeros_like(term.share[..., 0], dtype=torch.bool)
             if term.clipped is None
@@ -276,13 +269,7 @@ class ScannedFace:
         *,
         sphere: bool = False,
     ) -> "ScannedFace":
-        """With those ``levels`` of the pyramid, on that device; for skies or the whole sphere.
-
-        Raises
-        ------
-        InputError
-            The face is black.
-        """
+        """With those ``levels`` of the pyramid, on that device; for skies or the whole sphere."""
         mean = observation.mean_luminance
         pyramid = [observation.to(device).scaled(1 / mean)]
         while len(pyramid) <= max(level.pixels for level in levels):

@@ -195,13 +195,6 @@ class HarmonicProblem(LightProblem):
         return not self._faces
 
     def add(self, observation: Observation, photo: int = 0) -> None:
-        """One more face; photographs come in order, counted from 0.
-
-        Raises
-        ------
-        InputError
-            All of the face is over-exposed, or it is black.
-        """
         _ = observation.mean_luminance  # refuses what is black
         observation = observation.to(self.albedo_modes.device)
         weights = observation.weights
@@ -398,7 +391,7 @@ def _nonnegative(
     """:func:`solve_linear` with :data:`RIDGE`, of light that is nowhere negative."""
     root = weights.sqrt()[:, None]
     points, count = shading.shape
-    noise = math.sqrt(RIDGE * points / count)  # its words for this ridge
+    noise = math.sqrt(RIDGE * points / count)  # of which RIDGE is the ridge
     return nonnegative_harmonics(root * shading, root * pixels, noise=noise).coefficients
 
 

@@ -22,7 +22,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from skylight.inverse._descent import Points, Round, choose_starts, descend
+from skylight.inverse._descent import Iterates, Stage, choose_starts, descend
 from skylight.inverse._faces import Level, LitFaces, ObjectiveWeights, ScannedFace
 from skylight.inverse._least_squares import nnls
 from skylight.inverse._objective import LightObjective
@@ -30,7 +30,7 @@ from skylight.inverse._posterior import face_evidence, sun_evidence
 from skylight.inverse._problem import LightProblem
 from skylight.inverse._result import Estimate, Lamp
 from skylight.inverse._scan import SCAN_HEIGHT, SunScan, scan_faces
-from skylight.inverse._solution import Ends, estimate_of, face_lights, log_evidence
+from skylight.inverse._solution import Solutions, estimate_of, face_lights, log_evidence
 from skylight.models._lamps import LampsLight, LampsPrior
 from skylight.models._prior import GaussianMixture
 from skylight.sphere._envmap import EnvironmentMap, luminance
@@ -212,20 +212,20 @@ def in_pictures_units(
 class LampsOptions:
     """Effort of the optimisation, as :class:`~skylight.inverse._sky.SolverOptions`.
 
-    ``coarse`` are the rounds with no lamp to three, each from the best ``sets`` of so many, one
+    ``coarse`` are the stages with no lamp to three, each from the best ``sets`` of so many, one
     lamp from ``scan_candidates`` directions too; ``fine`` those with the number of lamps that
     was chosen.
     """
 
     scan_candidates: int = 6
     sets: int = 6
-    coarse: tuple[Round, ...] = (
-        Round(level=Level(2), starts=10, iterations=6, even_skin=True, steps="gauss-newton"),
-        Round(level=Level(1), starts=3, iterations=8, even_skin=True, steps="gauss-newton"),
+    coarse: tuple[Stage, ...] = (
+        Stage(level=Level(2), starts=10, iterations=6, even_skin=True, steps="gauss-newton"),
+        Stage(level=Level(1), starts=3, iterations=8, even_skin=True, steps="gauss-newton"),
     )
-    fine: tuple[Round, ...] = (
-        Round(level=Level(0), starts=1, iterations=8, steps="gauss-newton"),
-        Round(level=Level(0), starts=1, iterations=5, steps="gauss-newton"),
+    fine: tuple[Stage, ...] = (
+        Stage(level=Level(0), starts=1, iterations=8, steps="gauss-newton"),
+        Stage(level=Level(0), starts=1, iterations=5, steps="gauss-newton"),
     )
     tolerance: float = 1e-4
     weights: ObjectiveWeights = ObjectiveWeights()
@@ -262,7 +262,6 @@ class LampsProblem(LightProblem):
         return not self.faces
 
     def add(self, observation: Observation, photo: int = 0) -> None:
-        """One more face; photographs come in order, counted from 0."""
         coarse = observation.on_rows(SCAN_HEIGHT)
         device, levels = self.albedo_modes.device, self.options.levels
         self.faces.append(ScannedFace.of(coarse, photo, levels, device, sphere=True))
@@ -281,14 +280,14 @@ class LampsProblem(LightProblem):
         evidence = sun_evidence(face_evidence(observed, every, sphere=True))
         pursuit = Pursuit(observed)
 
-        def fitted(count: int) -> Fitted[Points]:
+        def fitted(count: int) -> Fitted[Iterates]:
             objective = self._objective(count, options.coarse[0])
             assert isinstance(objective.model, LampsLight)
             towards = pursuit.starts(objective.model, options.sets)
             if count == 1:
                 scanned = objective.model.starts_towards(scan.candidates)
                 towards = torch.cat([towards, scanned.to(towards)])
-            points = Points.starting(*choose_starts(objective, towards, self.albedo_modes))
+            points = Iterates.starting(*choose_starts(objective, towards, self.albedo_modes))
             objective, points = self._descend(count, points, options.coarse)
             end = points.free[points.scores.argmin(), None]
             return Fitted(
@@ -297,16 +296,16 @@ class LampsProblem(LightProblem):
 
         best = as_many_as_pay(fitted)
         objective, points = self._descend(best.count, best.point, options.fine, progress)
-        ends = Ends.of(objective, [points], evidence=True)
-        params = ends.parts.light[0].cpu()
-        lights = face_lights(ends, 0, self.faces, options.fine[-1].level)
+        solutions = Solutions.of(objective, [points], evidence=True)
+        params = solutions.parts.light[0].cpu()
+        lights = face_lights(solutions, 0, self.faces, options.fine[-1].level)
         environment, lamps = in_pictures_units(best.count, params, lights[0].exposure)
         return estimate_of(
             objective.model.name,
             params,
             environment,
             lights,
-            ends.search(0, scan),
+            solutions.search(0, scan),
             evidence,
             sun=lamps[0].direction if lamps else None,
             albedo_prior=objective.tone_prior,
@@ -317,24 +316,24 @@ class LampsProblem(LightProblem):
     def _descend(
         self,
         count: int,
-        points: Points,
-        rounds: Sequence[Round],
+        points: Iterates,
+        stages: Sequence[Stage],
         progress: Progress | None = None,
-    ) -> tuple[LightObjective, Points]:
-        """The last round's objective, and its points."""
-        for number, effort in enumerate(rounds, start=1):
-            objective = self._objective(count, effort)
-            (points,) = descend(objective, [points], effort, self.options.tolerance)
+    ) -> tuple[LightObjective, Iterates]:
+        """The last stage's objective, and its points."""
+        for number, stage in enumerate(stages, start=1):
+            objective = self._objective(count, stage)
+            (points,) = descend(objective, [points], stage, self.options.tolerance)
             if progress is not None:
-                progress(number / len(rounds))
+                progress(number / len(stages))
         return objective, points
 
-    def _objective(self, count: int, effort: Round) -> LightObjective:
+    def _objective(self, count: int, stage: Stage) -> LightObjective:
         weights = self.options.weights
         return LightObjective(
-            self.faces.terms(effort.level),
+            self.faces.terms(stage.level),
             LampsLight(count).to(self.albedo_modes.device),
             LampsPrior(count),
             self.albedo_prior,
-            replace(weights, pigment_spread=0.0) if effort.even_skin else weights,
+            replace(weights, pigment_spread=0.0) if stage.even_skin else weights,
         )

@@ -1,6 +1,6 @@
-"""Non-negative least squares of many small problems at once.
+"""Many small problems at once: non-negative least squares, and the evidence of robust ones.
 
-Laplace's approximation of how likely pictures are under a light model.
+:func:`nnls` solves the former, :func:`laplace` approximates the latter.
 """
 
 import math

@@ -166,22 +166,22 @@ class SunPosterior:
 class FaceEvidence:
     """Evidence of one face: its share of m(d).
 
-    ``unlit`` and ``camera_lit`` are its deviations without any sun, and with the camera's lamp.
+    ``without_sun`` are its deviations without any sun, ``camera_lit`` with the camera's lamp.
     """
 
     deviations: Float[Tensor, " n"]
-    unlit: float
+    without_sun: float
     camera_lit: float
 
 
 def sun_evidence(faces: Sequence[FaceEvidence]) -> SunEvidence:
     """That of all faces under one light."""
     total = torch.stack([face.deviations for face in faces]).sum(0).cpu()
-    unlit = math.fsum(face.unlit for face in faces)
+    without_sun = math.fsum(face.without_sun for face in faces)
     return SunEvidence(
         deviations=total,
-        gain=(unlit - float(total.min())) / len(faces),
-        camera_gain=(unlit - math.fsum(face.camera_lit for face in faces)) / len(faces),
+        gain=(without_sun - float(total.min())) / len(faces),
+        camera_gain=(without_sun - math.fsum(face.camera_lit for face in faces)) / len(faces),
     )
 
 
@@ -216,7 +216,7 @@ def face_evidence(
     return [
         FaceEvidence(
             deviations=scan.unexplained * energy,
-            unlit=scan.unlit * float(energy),
+            without_sun=scan.without_sun * float(energy),
             camera_lit=scan.camera_lit * float(energy),
         )
         for scan, energy in zip(scans, energies, strict=True)

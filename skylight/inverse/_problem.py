@@ -47,10 +47,10 @@ class LightProblem(ABC):
         found: list[Estimate] = []
         for done, problem in enumerate(problems):
 
-            def told(share: float, done: int = done) -> None:
+            def partial(share: float, done: int = done) -> None:
                 progress((done + share) / len(problems))
 
-            found.append(problem._solve(told))
+            found.append(problem._solve(partial))
         return found
 
 
@@ -59,11 +59,6 @@ def solve(problems: Sequence[LightProblem], progress: Progress | None = None) ->
 
     Skies are solved as one batch (:class:`~skylight.inverse._sky.SkyProblem`), other problems in
     turn. What is found does not depend on the others but for rounding.
-
-    Raises
-    ------
-    InputError
-        Nothing was added to one of them.
     """
     require_observations(not any(problem.is_empty for problem in problems))
     if not problems:

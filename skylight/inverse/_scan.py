@@ -40,7 +40,7 @@ from skylight.transport._observation import Observation
 
 SCAN_HEIGHT = 32
 LOBES = 20
-RAISES = 3
+BOUND_UPDATES = 3
 LIKELY = 4  # candidates where clock and place tell of the sun
 # c: u counts as if pixels deviated by 0.2 of the mean and 250 of them were independent. The mean
 # error of the scan's sun on rendered people depends on it little: 11.0 to 11.3 degrees from a
@@ -101,14 +101,14 @@ class FaceScan:
     """The problem above for one face.
 
     ``unexplained`` (n,) the share of sum w y^2 that is left with the sun in each direction,
-    ``unlit`` that without any sun, ``camera_lit`` that with a lamp at the camera instead;
+    ``without_sun`` that without any sun, ``camera_lit`` that with a lamp at the camera instead;
     ``strengths`` (n,) the sun's share of the diffuse shading; ``deviations`` (m,) luminance seen
     minus that of the best explanation; ``solution`` (n+2,k) the unknowns, from which another scan
     of the face may start.
     """
 
     unexplained: Float[Tensor, " n"]
-    unlit: float
+    without_sun: float
     camera_lit: float
     strengths: Float[Tensor, " n"]
     deviations: Float[Tensor, " m"]
@@ -217,7 +217,7 @@ class _SunProblem:
         ambient = (self.ambient.T @ self.y).expand(self.suns.shape[2], -1)
         return torch.cat([torch.einsum("gmn,m->ng", self.suns, self.y), ambient], 1)
 
-    def raised_to(
+    def with_bounds_at(
         self, x: Float[Tensor, "n k"], added: Float[Tensor, "n m"] | None = None
     ) -> Float[Tensor, "n m"]:
         """y of each direction where lower bounds are what x, and what is added to it, explains."""
@@ -227,7 +227,9 @@ class _SunProblem:
             shaded = shaded + added
         return torch.where(self.clipped, torch.maximum(self.y, shaded), self.y)
 
-    def raised(self, x: Float[Tensor, "n k"]) -> tuple[Float[Tensor, "n k"], Float[Tensor, " n"]]:
+    def bound_excess(
+        self, x: Float[Tensor, "n k"]
+    ) -> tuple[Float[Tensor, "n k"], Float[Tensor, " n"]]:
         """What y adds to the right side and to y^2 where it is raised to what x explains."""
         g, high = len(self.suns), self.clipped
         suns, ambient, bound = self.suns[:, high], self.ambient[high], self.y[high]
@@ -263,8 +265,6 @@ class _NormalErrors:
         errors = observation.normal_modes
         if errors is None:
             return None
-        if errors.grid.layout != DirectionGrid.latlong(SCAN_HEIGHT).layout:
-            raise ValueError(f"normal errors need {SCAN_HEIGHT} rows, got {errors.grid.layout}")
         directions = errors.grid.directions.to(errors.visible)
         weights = observation.weights
         visible = errors.visible * weights.sqrt()[:, None]
@@ -320,7 +320,7 @@ class _Explained:
         unexplained = self.squared.clamp(min=0) / energy
         return FaceScan(
             unexplained=unexplained[:-2],
-            unlit=float(unexplained[-2]),
+            without_sun=float(unexplained[-2]),
             camera_lit=float(unexplained[-1]),
             strengths=(self.x[:, 0] * (one.suns[0].sum(0) / one.y.sum()))[:-2],
             deviations=self.deviations() / one.root.clamp(min=1e-12),
@@ -343,7 +343,7 @@ def _explain(
     """The solution of each, from where each starts.
 
     Where ``clipped``, y is a lower bound: it is raised to what explains it and the problem is
-    solved anew, :data:`RAISES` times, which never makes the error larger.
+    solved anew, :data:`BOUND_UPDATES` times, which never makes the error larger.
     """
     most = max(one.unknowns for one in problems)
     grams, rights = [one.gram() for one in problems], [one.right() for one in problems]
@@ -355,8 +355,8 @@ def _explain(
         [(one.y @ one.y).expand(len(r)) for one, r in zip(problems, rights, strict=True)]
     )
     if starts is None:  # with a sun what is ambient is about as without
-        unlit = nnls(gram[:, -2], right[:, -2])
-        start = unlit[:, None].repeat(1, right.shape[1], 1)
+        without_sun = nnls(gram[:, -2], right[:, -2])
+        start = without_sun[:, None].repeat(1, right.shape[1], 1)
         start[:, :, 0] = 1
     else:
         scaled = [x * one.norms for x, one in zip(starts, problems, strict=True)]
@@ -368,19 +368,19 @@ def _explain(
     if fresh:
         x[fresh] = _solved(gram[fresh], right[fresh], start[fresh])
     bounded = [p for p in fresh if bool(problems[p].clipped.any())]
-    raised, raised_level = right.clone(), level.clone()
-    for raises in range(RAISES + 1 if bounded else 0):
-        if raises:
-            x[bounded] = _solved(gram[bounded], raised[bounded], x[bounded])
+    bounded_right, bounded_level = right.clone(), level.clone()
+    for update in range(BOUND_UPDATES + 1 if bounded else 0):
+        if update:
+            x[bounded] = _solved(gram[bounded], bounded_right[bounded], x[bounded])
         for p in bounded:
-            more, energy = problems[p].raised(x[p, :, : problems[p].unknowns])
-            raised[p, :, : problems[p].unknowns] = rights[p] + more
-            raised_level[p] = level[p] + energy
+            more, energy = problems[p].bound_excess(x[p, :, : problems[p].unknowns])
+            bounded_right[p, :, : problems[p].unknowns] = rights[p] + more
+            bounded_level[p] = level[p] + energy
     explained = []
     for p, one in enumerate(problems):
         mine, k = x[p, :, : one.unknowns], one.unknowns
         along = torch.einsum("nj,njk,nk->n", mine, grams[p], mine)
-        squared = raised_level[p] - 2 * (raised[p, :, :k] * mine).sum(1) + along
+        squared = bounded_level[p] - 2 * (bounded_right[p, :, :k] * mine).sum(1) + along
         found = _Explained(problem=one, x=mine, squared=squared)
         explained.append(_turned(found, grams[p], 1 if begun[p] else NORMAL_ROUNDS))
     return explained
@@ -411,7 +411,7 @@ def _turned(explained: _Explained, gram: Float[Tensor, "n k k"], rounds: int) ->
     gram = gram.to(seen)
     x, y = explained.x.to(seen), seen.expand(count, -1)
     if bounded:
-        y = single.raised_to(x)
+        y = single.with_bounds_at(x)
     for further in reversed(range(rounds)):
         parts = [
             _without_turns(single, suns[some], gram[some], x[some], y[some], some) for some in rows
@@ -427,7 +427,7 @@ def _turned(explained: _Explained, gram: Float[Tensor, "n k k"], rounds: int) ->
             return (amounts[some].transpose(1, 2) @ turned)[:, 0]
 
         if bounded and further:
-            y = single.raised_to(x, torch.cat([added(some) for some in rows]))
+            y = single.with_bounds_at(x, torch.cat([added(some) for some in rows]))
     found = _Explained(problem=one, x=x.to(one.y), squared=squared.to(one.y))
     return replace(found, added=added(slice(found.best, found.best + 1))[0].to(one.y))
 

@@ -1,11 +1,12 @@
-"""All scores of a predicted environment map, with its scale as it is and aligned to the truth.
+"""Scores of a predicted environment map against the true one.
 
-Three spheres under the predicted and the true light: mirror, matte silver, matte diffuse.
-
-The protocol by which papers on lighting estimation compare (LeGendre et al. 2019, "DeepLight";
-Wang et al. 2022, "StyleLight"; Phongthawee et al. 2024, "DiffusionLight"). They differ in renderer,
-sizes and materials and do not state all of them, so that figures compare only within one set of
-constants. Ours, in this place only:
+:func:`score` has the metrics of the thesis' tables, :func:`score_maps` all metrics, with the scale
+of the prediction as it is and aligned to the truth. Some are of three spheres under either light:
+mirror, matte silver, matte diffuse (:func:`render_spheres`), the protocol by which papers on
+lighting estimation compare (LeGendre et al. 2019, "DeepLight"; Wang et al. 2022, "StyleLight";
+Phongthawee et al. 2024, "DiffusionLight"). They differ in renderer, sizes and materials and do not
+state all of them, so that figures compare only within one set of constants. Ours, in this place
+only:
 
 * camera: orthographic, looks along -Z; each sphere fills a square of 64 x 64 pixels; the picture is
   the pixels whose centres lie inside (3,228 of them); nothing else is in the scene;
@@ -17,18 +18,15 @@ constants. Ours, in this place only:
 
 Reflectances scale a picture and its truth alike: no metric here depends on them.
 
-The lamps of a map: where over the whole sphere light is concentrated, and how much of it.
-
-Lamps are peeled off one after the other. With luminance L, its median m over solid angle and the
-excess ``e(w) = max(L(w) - m, 0)``, the next lamp is the cap of 15 degrees with the most excess
-that is left; it is centred on the centroid of what is in it (mean shift), which is the lamp's
-direction, and taken away. Its share is ::
+:func:`find_lamps` tells where over the sphere the light of a map is concentrated. Lamps are peeled
+off one after the other: with luminance L, its median m over solid angle and the excess
+``e(w) = max(L(w) - m, 0)``, the next lamp is the cap of 15 degrees with the most excess that is
+left; it is centred on the centroid of what is in it (mean shift), which is the lamp's direction,
+and removed. Its share is ::
 
     int_cap e dw / int_sphere L dw.
 
 Lamps less than 30 degrees apart may count as one, and a wide window as several.
-
-The metrics of the thesis' tables for an estimated environment map.
 """
 
 import math
@@ -197,8 +195,7 @@ def score_maps(predicted: EnvironmentMap, truth: EnvironmentMap) -> tuple[Scores
 def _score_scene(scores: Scores, predicted: EnvironmentMap, truth: EnvironmentMap) -> None:
     scene = evaluation_scene()
     shaded, true = scene.shade(predicted), scene.shade(truth)
-    covered = scene.matt.image(torch.ones(len(scene.matt), 1))[..., 0] > 0
-    shown = scene.matt.image(true)
+    shown, covered = scene.matt.image(true), _covered(scene)
     for alignment in get_args(Alignment):
         picture = scene.matt.image(shaded * scale_factor(shaded, true, alignment))
         values = shading_metrics(picture, shown, covered)
@@ -231,10 +228,9 @@ def _score_spheres(scores: Scores, predicted: EnvironmentMap, truth: Environment
     for material, picture in shown.items():
         for alignment in get_args(Alignment):
             aligned = picture * scale_factor(picture, true[material], alignment)
-            values = scores.setdefault(f"{material}_rmse", {})
-            values[alignment] = rmse(aligned, true[material])
-            values = scores.setdefault(f"{material}_mae", {})
-            values[alignment] = mae(aligned, true[material])
+            for name, metric in (("rmse", rmse), ("mae", mae)):
+                values = scores.setdefault(f"{material}_{name}", {})
+                values[alignment] = metric(aligned, true[material])
         scores[f"{material}_si_rmse"] = {SCALE_FREE: si_rmse(picture, true[material])}
         scores[f"{material}_angle_deg"] = {SCALE_FREE: angular_error_deg(picture, true[material])}
 

@@ -17,14 +17,14 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from skylight.inverse._descent import Points, Round, choose_starts, descend
+from skylight.inverse._descent import Iterates, Stage, choose_starts, descend
 from skylight.inverse._faces import FaceTerm, Level, LitFaces, ObjectiveWeights, ScannedFace
 from skylight.inverse._objective import LightObjective
 from skylight.inverse._posterior import SunEvidence, credible, face_evidence, sun_evidence
 from skylight.inverse._problem import LightProblem
 from skylight.inverse._result import Estimate
 from skylight.inverse._scan import SunScan, scan_faces
-from skylight.inverse._solution import Ends, estimate_of, face_lights
+from skylight.inverse._solution import Solutions, estimate_of, face_lights
 from skylight.inverse._sun_prior import SunPrior
 from skylight.models._base import LightModel, Prior
 from skylight.models._ground import KnownGround, LambertianGround
@@ -44,11 +44,11 @@ SKY_ROWS = 64  # of an estimate's sky; the objective works on those of the light
 
 @dataclass(frozen=True, kw_only=True)
 class SolverOptions:
-    """Effort of the optimisation: directions taken from the scan, then rounds, coarse to fine.
+    """Effort of the optimisation: directions taken from the scan, then stages, coarse to fine.
 
     Many starts matter: from three, faces lit from behind ended in minima up to 50 nats above those
     that ten find. The coarsest level, on which suns compete, has even skin: pigments that settle
-    beside a sun that is wrong excuse it. The last rounds take Gauss-Newton steps: twenty of L-BFGS
+    beside a sun that is wrong excuse it. The last stages take Gauss-Newton steps: twenty of L-BFGS
     ended up to 100 nats above where these do, with suns that were not yet where the face has them.
 
     With a ``start`` from the "mean" there is one: the mean of all latents, its azimuth that of
@@ -62,12 +62,12 @@ class SolverOptions:
 
     start: Literal["scan", "mean"] = "scan"
     scan_candidates: int = 10
-    rounds: tuple[Round, ...] = (
-        Round(level=Level(2, light=1), starts=10, iterations=6, even_skin=True),
-        Round(level=Level(2, light=1), starts=4, iterations=10, even_skin=True),
-        Round(level=Level(1, light=1), starts=2, iterations=12),
-        Round(level=Level(0), starts=1, iterations=8, steps="broyden"),
-        Round(level=Level(0), starts=1, iterations=4, steps="broyden"),
+    stages: tuple[Stage, ...] = (
+        Stage(level=Level(2, light=1), starts=10, iterations=6, even_skin=True),
+        Stage(level=Level(2, light=1), starts=4, iterations=10, even_skin=True),
+        Stage(level=Level(1, light=1), starts=2, iterations=12),
+        Stage(level=Level(0), starts=1, iterations=8, steps="broyden"),
+        Stage(level=Level(0), starts=1, iterations=4, steps="broyden"),
     )
     tolerance: float = 1e-4
     weights: ObjectiveWeights = ObjectiveWeights()
@@ -80,7 +80,7 @@ class SolverOptions:
 # pigments, white balance and wrong normals, which B.1 has not.
 THESIS = SolverOptions(
     start="mean",
-    rounds=tuple(Round(level=Level(k, light=k), starts=1, iterations=100) for k in (3, 2, 1, 0)),
+    stages=tuple(Stage(level=Level(k, light=k), starts=1, iterations=100) for k in (3, 2, 1, 0)),
 )
 SOLVERS: dict[SolverName, SolverOptions] = {"scan": SolverOptions(), "thesis": THESIS}
 
@@ -106,14 +106,14 @@ class SkySolver:
         Starts (of a scan): the directions of the linear scan, each with the model's candidates,
         and the mixture's centroids turned to the best of them; each with the albedo modes that
         explain the picture best. All are scored on the coarsest level, the best few optimised,
-        fewer on every finer level; the best end point wins. In each round the starts of all
+        fewer on every finer level; the best end point wins. In each stage the starts of all
         problems are one batch, and a problem's end does not depend on the others but for
         rounding.
 
         What clock and place tell of the sun counts unless the faces contradict it
         (:func:`~skylight.inverse._posterior.credible`): else a wrong clock would draw the sun.
         """
-        rounds, observed = self.options.rounds, [face.scanned for one in problems for face in one]
+        stages, observed = self.options.stages, [face.scanned for one in problems for face in one]
         every = scan_faces(observed)
         evidence = [
             sun_evidence(each) for each in _per_problem(face_evidence(observed, every), problems)
@@ -131,43 +131,43 @@ class SkySolver:
             for faces, prior, scan in zip(problems, priors, scans, strict=True)
         ]
         before, objective = None, None
-        for number, effort in enumerate(rounds, start=1):
-            stage = effort.level, effort.even_skin
-            if objective is None or stage != before:
+        for number, stage in enumerate(stages, start=1):
+            kind = stage.level, stage.even_skin
+            if objective is None or kind != before:
                 objective = None  # of many faces, one level at a time is much memory
-                before, objective = stage, self.objective(problems, priors, effort)
-            points = descend(objective, points, effort, self.options.tolerance)
+                before, objective = kind, self.objective(problems, priors, stage)
+            points = descend(objective, points, stage, self.options.tolerance)
             if progress is not None:
-                progress(number / len(rounds))
+                progress(number / len(stages))
         assert objective is not None
-        ends = Ends.of(objective, points, evidence=self.options.evidence)
+        solutions = Solutions.of(objective, points, evidence=self.options.evidence)
         return [
-            _estimate(ends, p, faces, rounds[-1].level, scan, each)
+            _estimate(solutions, p, faces, stages[-1].level, scan, each)
             for p, (faces, scan, each) in enumerate(zip(problems, scans, evidence, strict=True))
         ]
 
     def objective(
-        self, problems: Sequence[LitFaces], priors: Sequence[SunPrior | None], effort: Round
+        self, problems: Sequence[LitFaces], priors: Sequence[SunPrior | None], stage: Stage
     ) -> LightObjective:
-        """Of all problems on a round's level; of one, without a copy of its transport."""
-        faces = zip(*(one.terms(effort.level) for one in problems), strict=True)
+        """Of all problems on a stage's level; of one, without a copy of its transport."""
+        faces = zip(*(one.terms(stage.level) for one in problems), strict=True)
         weights, model = self.options.weights, self.model
         assert model.grid.layout is not None
         return LightObjective(
             [FaceTerm.together(terms) for terms in faces],
-            model.on_rows(model.grid.layout[0] >> effort.level.light),
+            model.on_rows(model.grid.layout[0] >> stage.level.light),
             self.light_prior,
             self.albedo_prior,
-            replace(weights, pigment_spread=0.0) if effort.even_skin else weights,
+            replace(weights, pigment_spread=0.0) if stage.even_skin else weights,
             priors,
             self.options.ground,
         )
 
     def starts(
         self, faces: LitFaces, prior: SunPrior | None, directions: Float[Tensor, "d 3"]
-    ) -> Points:
+    ) -> Iterates:
         """Where descent begins towards each direction and from the mixture's centroids."""
-        objective = self.objective([faces], [prior], self.options.rounds[0])
+        objective = self.objective([faces], [prior], self.options.stages[0])
         if self.options.start == "mean":
             towards = self._mean(linear_direction([face.scanned for face in faces]))
         else:
@@ -175,7 +175,7 @@ class SkySolver:
         found = choose_starts(
             objective, towards, self.albedo_modes, centroids=self.options.start != "mean"
         )
-        return Points.starting(*found)
+        return Iterates.starting(*found)
 
     def _mean(self, direction: Float[Tensor, "3"]) -> Float[Tensor, "1 1 p"]:
         """The mean of all latents, turned to a direction."""
@@ -200,21 +200,26 @@ def environment_of(
 
 
 def _estimate(
-    ends: Ends, p: int, faces: LitFaces, level: Level, scan: SunScan, evidence: SunEvidence
+    solutions: Solutions,
+    p: int,
+    faces: LitFaces,
+    level: Level,
+    scan: SunScan,
+    evidence: SunEvidence,
 ) -> Estimate:
     """The answer to problem ``p``, in its photographs' units and on the CPU."""
-    parts, model = ends.parts, ends.objective.model
-    lights = face_lights(ends, p, faces, level)
+    parts, model = solutions.parts, solutions.objective.model
+    lights = face_lights(solutions, p, faces, level)
     environment = environment_of(model, parts.light[p], parts.ground_albedo[p], lights[0].exposure)
     return estimate_of(
         model.name,
         parts.light[p].cpu(),
         environment,
         lights,
-        ends.search(p, scan),
+        solutions.search(p, scan),
         evidence,
         sun=environment.brightest_direction(),
-        albedo_prior=ends.objective.tone_prior,
+        albedo_prior=solutions.objective.tone_prior,
         reflects=faces[0].scanned.gloss is not None,
         sun_prior=faces.sun_prior,
         ground_albedo=parts.ground_albedo[p].cpu(),
@@ -311,17 +316,10 @@ class SkyProblem(LightProblem):
         return not self.faces
 
     def add(self, observation: Observation, photo: int = 0) -> None:
-        """One more face; photographs come in order, counted from 0.
-
-        Raises
-        ------
-        ValueError
-            The observation's light is not on :attr:`grid_height` rows.
-        """
         layout = observation.transport.grid.layout
         if layout is None or layout[0] != self.grid_height:
             raise ValueError(f"a sky needs transport of {self.grid_height} rows, got {layout}")
-        levels = sorted({one.level for one in self.solver.options.rounds})
+        levels = sorted({one.level for one in self.solver.options.stages})
         device = self.solver.albedo_modes.device
         self.faces.append(ScannedFace.of(observation, photo, levels, device))
 
@@ -330,25 +328,17 @@ class SkyProblem(LightProblem):
 
     @classmethod
     def _solve_each(cls, problems: Sequence["SkyProblem"], progress: Progress) -> list[Estimate]:
-        """As batches of one shape each.
-
-        Raises
-        ------
-        ValueError
-            A problem that is not :meth:`another` of the first.
-        """
+        """As batches of one shape each; all are :meth:`another` of the first."""
         solver = problems[0].solver
-        if any(problem.solver is not solver for problem in problems):
-            raise ValueError("problems solved together share a solver: make them by another()")
         groups: dict[tuple, list[int]] = defaultdict(list)
         for number, problem in enumerate(problems):
             groups[problem.faces.shape].append(number)
         found: dict[int, Estimate] = {}
         for done, numbers in enumerate(groups.values()):
 
-            def told(share: float, done: int = done) -> None:
+            def partial(share: float, done: int = done) -> None:
                 progress((done + share) / len(groups))
 
-            estimates = solver.solve([problems[k].faces for k in numbers], told)
+            estimates = solver.solve([problems[k].faces for k in numbers], partial)
             found.update(zip(numbers, estimates, strict=True))
         return [found[k] for k in range(len(problems))]

@@ -1,6 +1,6 @@
 """From the best points of an objective to an estimate in the photographs' units.
 
-:class:`Ends` holds the best point of each problem and how likely the faces are under its light
+:class:`Solutions` holds the best point of each problem and how likely the faces are under its light
 model (:func:`log_evidence`, by which models compete); :func:`face_lights` is what the light does to
 each face; :func:`estimate_of` puts the answer of any solver together, with its posterior.
 """
@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from skylight.inverse._descent import Points, deviations, jacobian
+from skylight.inverse._descent import Iterates, deviations, jacobian
 from skylight.inverse._faces import Level, LitFaces
 from skylight.inverse._least_squares import laplace
 from skylight.inverse._objective import LightObjective, Unpacked
@@ -73,8 +73,8 @@ class Search:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ends:
-    """The best point of each of p problems, and what it means."""
+class Solutions:
+    """The best iterate of each of p problems, and what it means."""
 
     objective: LightObjective
     parts: Unpacked
@@ -89,8 +89,8 @@ class Ends:
     @staticmethod
     @torch.no_grad()
     def of(
-        objective: LightObjective, points: Sequence[Points], *, evidence: bool = False
-    ) -> "Ends":
+        objective: LightObjective, points: Sequence[Iterates], *, evidence: bool = False
+    ) -> "Solutions":
         """With the :func:`log_evidence` where that is asked for."""
         best = [int(one.scores.argmin()) for one in points]
         free = torch.stack([one.free[i] for one, i in zip(points, best, strict=True)])
@@ -104,7 +104,7 @@ class Ends:
                 status.append(
                     "recovered from a non-finite step" if one.nonfinite else "iteration limit"
                 )
-        return Ends(
+        return Solutions(
             objective=objective,
             parts=parts,
             white_balance=objective.white_balance(parts),
@@ -130,22 +130,24 @@ class Ends:
         )
 
 
-def face_lights(ends: Ends, p: int, faces: LitFaces, level: Level) -> tuple[FaceLight, ...]:
+def face_lights(
+    solutions: Solutions, p: int, faces: LitFaces, level: Level
+) -> tuple[FaceLight, ...]:
     """What the light of problem ``p`` does to its faces, in their units and on the CPU."""
-    parts, scales = ends.parts, faces.scales()
+    parts, scales = solutions.parts, faces.scales()
     lights = []
     for k, (face, term) in enumerate(zip(faces, faces.terms(level), strict=True)):
         # others may have more pixels
-        shading = term.seen(ends.shadings[k][p, : term.target.shape[1]])
+        shading = term.seen(solutions.shadings[k][p, : term.target.shape[1]])
         clipped = None if term.clipped is None else term.clipped[0]
-        turns = None if term.normals is None else ends.objective.turns(parts, k)
+        turns = None if term.normals is None else solutions.objective.turns(parts, k)
         lights.append(
             FaceLight(
                 photo=face.photo,
                 exposure=float(parts.exposure[p, face.photo]) * scales[face.photo],
-                white_balance=ends.white_balance[p, face.photo].cpu(),
+                white_balance=solutions.white_balance[p, face.photo].cpu(),
                 albedo=parts.albedo[p, k].cpu(),
-                pixel_albedo=ends.albedos[k][p, : len(shading)].cpu(),
+                pixel_albedo=solutions.albedos[k][p, : len(shading)].cpu(),
                 gloss=float(parts.gloss[p, k]),
                 rendered=(shading * scales[face.photo]).cpu(),
                 residual=residual(shading, term.target[0], clipped),

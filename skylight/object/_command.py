@@ -8,7 +8,7 @@ from tyro.conf import Positional
 
 from skylight._names import ObjectLightName
 from skylight._options import take_care
-from skylight.work._device import Device
+from skylight.work._device import Device, choose_device
 
 Decoding = tyro.conf.create_mutex_group(required=False)
 
@@ -62,7 +62,6 @@ def estimate_object(
         summarise_object,
         write_object_results,
     )
-    from skylight.work._device import choose_device
     from skylight.work._progress import stage_bar
     from skylight.work._resumable import results_folder
 

@@ -10,12 +10,12 @@ open: no albedo, gloss, white balance or normals are estimated, and log e has a 
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
-from torch.func import jvp, vmap
 
 from skylight.inverse._faces import ObjectiveWeights
 from skylight.inverse._gauss_newton import minimise_robust
@@ -61,11 +61,6 @@ def lamps_of_objects(
     Each number starts from the sets that explain the picture best
     (:class:`~skylight.inverse._lamps.Pursuit`) and is fitted to the ``coarse`` observation,
     where numbers compete as for faces; the best is then fitted to all of the ``observation``.
-
-    Raises
-    ------
-    InputError
-        The objects are black.
     """
     mean = coarse.mean_luminance
     whole, few = (_Objective.of(one.scaled(1 / mean), material) for one in (observation, coarse))
@@ -103,6 +98,22 @@ def _as_white(observation: Observation, material: ObjectMaterial) -> Observation
         matrix = matrix + material.share * observation.gloss.matrix
     white = TransportMatrix(matrix=matrix, grid=observation.transport.grid)
     return replace(observation, transport=white, gloss=None)
+
+
+@torch.enable_grad()
+def _along_axes(
+    function: Callable[[Tensor], Tensor], x: Float[Tensor, "b q"]
+) -> Float[Tensor, "q b n 3"]:
+    """Derivatives by each unknown: of v -> J^T v, which is linear, by reverse mode twice.
+
+    Forward mode would import torch's compiler, which takes seconds.
+    """
+    x = x.detach().requires_grad_()
+    value = function(x)
+    v = torch.zeros_like(value).requires_grad_()
+    (pulled,) = torch.autograd.grad(value, x, v, create_graph=True)
+    axes = torch.eye(x.shape[1]).to(x)[:, None].expand(-1, len(x), -1)
+    return torch.autograd.grad(pulled, v, axes, is_grads_batched=True)[0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,11 +169,8 @@ class _Objective:
             return (self.shading(radiance(x)) - self.observation.pixels).flatten(1)
 
         def jacobian(x: Tensor, _: Int[Tensor, " b"]) -> Float[Tensor, "b m q"]:
-            def along(axis: Tensor) -> Tensor:
-                change: Tensor = jvp(radiance, (x,), (axis.expand_as(x),))[1]
-                return change
-
-            return self.shading(vmap(along)(torch.eye(x.shape[1]).to(x))).flatten(2).movedim(0, 2)
+            changes = _along_axes(radiance, x)
+            return self.shading(changes).flatten(2).movedim(0, 2)
 
         def prior(x: Tensor, _: Int[Tensor, " b"]) -> Float[Tensor, " b"]:
             return -density.log_prob(x[:, :-3])

@@ -4,6 +4,7 @@ import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -22,7 +23,7 @@ from skylight.errors import InputError
 from skylight.inverse._harmonic import nonnegative_harmonics
 from skylight.inverse._problem import require_observations
 from skylight.inverse._result import Lamp
-from skylight.object._lamps import ObjectLamps, lamps_of_objects, thinned
+from skylight.object._lamps import lamps_of_objects, thinned
 from skylight.object._view import GRID_HEIGHT, ObjectMaterial, shading
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import EnvironmentMap
@@ -137,7 +138,16 @@ def estimate_object_light(
     if light == "lamps":
         coarse = _together([thinned(one) for one in parts])
         found = lamps_of_objects(observation, coarse, material, progress)
-        return _lamps_light(observation, found, material)
+        return _explained(
+            observation,
+            material,
+            found.environment,
+            light="lamps",
+            coefficients=None,
+            clamped_share=0.0,
+            lamps=found.lamps,
+            log_evidence=found.log_evidence,
+        )
     bank, code = None, None
     if isinstance(light, FilterBank) or light == "ani" or light == "iso" or light == "vmf":
         bank = light if isinstance(light, FilterBank) else builtin(light)
@@ -153,48 +163,39 @@ def estimate_object_light(
         radiance=radiance.clamp(min=0).float().reshape(MAP_HEIGHT, 2 * MAP_HEIGHT, 3)
     )
     share = DirectionGrid.latlong(MAP_HEIGHT).solid_angles[:, None]
-    taken = float((share * (-radiance).clamp(min=0)).sum() / (share * radiance.abs()).sum())
-    rendered = _rendered(observation, environment, material)
-    residual = _relative_error(observation, rendered)
-    return ObjectLight(
+    clamped = float((share * (-radiance).clamp(min=0)).sum() / (share * radiance.abs()).sum())
+    return _explained(
+        observation,
+        material,
+        environment,
+        linear.apply(coefficients),
         light=name,
-        environment=environment,
         coefficients=coefficients.cpu(),
-        rendered=rendered.cpu(),
-        residual=residual,
-        linear_residual=_relative_error(observation, linear.apply(coefficients)),
-        clamped_share=taken,
-        advice=_advice(residual),
+        clamped_share=clamped,
         dictionary=bank,
         code=code,
     )
 
 
-def _lamps_light(
-    observation: Observation, found: ObjectLamps, material: ObjectMaterial
+def _explained(
+    observation: Observation,
+    material: ObjectMaterial,
+    environment: EnvironmentMap,
+    unclamped: Float[Tensor, "m 3"] | None = None,
+    **found: Any,
 ) -> ObjectLight:
-    rendered = _rendered(observation, found.environment, material)
+    """The answer, with what the pixels are in the light found; ``unclamped`` are those before."""
+    coarse = environment.resize(GRID_HEIGHT).flat.to(observation.pixels)
+    rendered = shading(observation.transport, observation.gloss, coarse, material)
     residual = _relative_error(observation, rendered)
     return ObjectLight(
-        light="lamps",
-        environment=found.environment,
-        coefficients=None,
+        environment=environment,
         rendered=rendered.cpu(),
         residual=residual,
-        linear_residual=residual,
-        clamped_share=0.0,
+        linear_residual=residual if unclamped is None else _relative_error(observation, unclamped),
         advice=_advice(residual),
-        lamps=found.lamps,
-        log_evidence=found.log_evidence,
+        **found,
     )
-
-
-def _rendered(
-    observation: Observation, environment: EnvironmentMap, material: ObjectMaterial
-) -> Float[Tensor, "m 3"]:
-    """What the observation's pixels are in this light."""
-    coarse = environment.resize(GRID_HEIGHT).flat.to(observation.pixels)
-    return shading(observation.transport, observation.gloss, coarse, material)
 
 
 def _together(observations: list[Observation]) -> Observation:

@@ -146,13 +146,6 @@ def propose(
 
     For each, ``data/azimuth/PHOTO.png`` shows what there is to choose from, and ``PHOTO.json``
     keeps it: what was done is not done again unless photograph or probe changed.
-
-    Raises
-    ------
-    InputError
-        No usable ``captures.csv``.
-    OutputError
-        The pictures cannot be written.
     """
     captures = [c for c in read_captures(data) if c.azimuth_deg is None]
     tell = progress or (lambda done, total: None)
@@ -168,14 +161,7 @@ def propose(
 
 
 def choose(data: Path, numbers: Mapping[str, int]) -> dict[str, float]:
-    """Write the chosen minima, counted from 1, into ``captures.csv``; all of them or none.
-
-    Raises
-    ------
-    InputError
-        A photograph that is not in the table, has no proposal or changed since, or a number
-        that it does not have.
-    """
+    """Write the chosen minima, counted from 1, into ``captures.csv``; all of them or none."""
     captures = {capture.photo: capture for capture in read_captures(data)}
     azimuths = {}
     for photo, number in numbers.items():

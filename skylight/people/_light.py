@@ -180,13 +180,7 @@ class MapFolder:
 
     @staticmethod
     def read(folder: Path) -> "MapFolder":
-        """Every .exr and .hdr file in it, each a usable map of the whole sphere.
-
-        Raises
-        ------
-        InputError
-            No such folder, no maps in it, or one that is damaged, a sky alone or black.
-        """
+        """Every .exr and .hdr file in it, each a usable map of the whole sphere."""
         if not folder.is_dir():
             raise InputError(f"{folder}: there is no such folder; give one with lat-long maps")
         files = tuple(path.name for path in visible_files(folder, SUFFIXES))
@@ -222,13 +216,7 @@ class MapFolder:
 
 
 def read_light(path: Path) -> EnvironmentMap:
-    """A map of the whole sphere that gives light.
-
-    Raises
-    ------
-    InputError
-        As :func:`read_environment_map`; a sky alone; a map that is black.
-    """
+    """A map of the whole sphere that gives light."""
     light = read_environment_map(path)
     if light.is_sky:
         raise InputError(f"{path}: shows the sky alone; give maps of the whole sphere (w = 2 h)")

@@ -9,8 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
-from zipfile import BadZipFile
 
 import numpy as np
 import torch
@@ -19,7 +17,7 @@ from numpy import ndarray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import KDTree
 
-from skylight.errors import AssetError
+from skylight.faces._landmarks import shipped_arrays
 from skylight.faces._model import HeadModel, Region
 from skylight.faces._synthetic import field, spots
 from skylight.transport._render import vertex_normals
@@ -112,13 +110,10 @@ class Paint:
 @cache
 def skin_colour() -> RegularGridInterpolator:
     """(log melanin, log blood) -> log albedo, from ``tools/build_skin_spectra.py``'s table."""
-    source = files("skylight.people") / "data" / "skin_colours.npz"
-    try:
-        with source.open("rb") as stream, np.load(stream) as stored:
-            axes = np.log(stored["melanin"]), np.log(stored["blood"])
-            return RegularGridInterpolator(axes, np.log(stored["albedo"]))
-    except (OSError, KeyError, ValueError, BadZipFile, EOFError) as error:
-        raise AssetError(f"{source} cannot be read ({error}); reinstall skylight") from error
+    names = "melanin", "blood", "albedo"
+    stored = shipped_arrays("skylight.people", "skin_colours.npz", *names)
+    melanin, blood, albedo = (np.log(stored[name]) for name in names)
+    return RegularGridInterpolator((melanin, blood), albedo)
 
 
 def skin_albedo(

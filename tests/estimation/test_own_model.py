@@ -11,14 +11,14 @@ from skimage.data import astronaut
 
 from skylight.cli import main
 from skylight.evaluation._main import EVALUATIONS
-from skylight.inverse._descent import Round
+from skylight.inverse._descent import Stage
 from skylight.inverse._estimate import estimate_light
 from skylight.inverse._faces import Level
 from skylight.inverse._sky import SolverOptions
 from tests.evaluation.test_run import Counting
 from tests.inverse.test_solve import SUNS, watched
 
-FEW = SolverOptions(rounds=(Round(level=Level(3), starts=2, iterations=3),))
+FEW = SolverOptions(stages=(Stage(level=Level(3), starts=2, iterations=3),))
 
 
 @pytest.fixture

@@ -4,10 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from skylight.errors import AssetError
-from skylight.faces import _blazeface as networks
 from skylight.faces._blazeface import (
-    Network,
     Square,
     decode,
     network,
@@ -39,17 +36,6 @@ def test_what_goes_in_and_out(name, side, channels, sizes):
 
 def test_it_is_loaded_once():
     assert network("face_detector") is network("face_detector")
-
-
-@pytest.mark.parametrize("content", [None, b"", b"no network"])
-def test_a_missing_or_damaged_file_is_told(tmp_path, monkeypatch, content):
-    folder = tmp_path / "data"
-    folder.mkdir()
-    if content is not None:
-        (folder / "face_detector.onnx").write_bytes(content)
-    monkeypatch.setattr(networks, "files", lambda _: tmp_path)
-    with pytest.raises(AssetError, match=r"face_detector\.onnx.*reinstall"):
-        Network("face_detector")
 
 
 class TestBlazeFace:

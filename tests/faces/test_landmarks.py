@@ -44,7 +44,7 @@ def test_the_astronaut_is_found(found):
     assert max(right[1], left[1]) < nose[1] < mouth[1] < chin[1]
 
 
-@pytest.mark.parametrize("factor", [2, 4])
+@pytest.mark.parametrize("factor", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_large_pictures_give_the_same_landmarks(landmarker, found, factor):
     """And their first face is no fold of cloth."""
     size = (512 * factor, 512 * factor)

@@ -103,12 +103,11 @@ def test_modes_are_the_spread_of_sampled_heads(head, fit, surface):
     used &= (surface.normals * surface.positions).sum(1) < -0.25 * surface.positions.norm(dim=1)
     used = used.nonzero()[:, 0]
     errors = normal_error_modes(head, small, surface, used)
-    assert errors is not None
     modes = errors.modes
     assert modes.shape == (len(used), 3, MODES)
     rng, samples = np.random.default_rng(0), []
     root = np.linalg.cholesky(small.covariance)
-    for _ in range(300):
+    for _ in range(200):
         step = root @ rng.standard_normal(len(root))
         samples.append(normals_at(head, fit, step, surface, used))
     apart = np.stack(samples) - surface.normals[used].numpy()
@@ -126,7 +125,6 @@ def test_an_error_of_the_head_turns_normals_at_any_points(head, fit, surface):
     """The modes of some points are errors of pose and shape, so they tell of all others."""
     some, others = torch.arange(0, len(surface), 40), torch.arange(7, len(surface), 20)
     errors = normal_error_modes(head, fit, surface, some)
-    assert errors is not None
     amounts = torch.linspace(-1.0, 1.0, MODES)
     error = errors.axes @ amounts
     torch.testing.assert_close(
@@ -149,5 +147,3 @@ def test_a_known_head_has_none(head, surface):
     truth = person(head, 1)
     used = torch.arange(len(surface))
     assert normal_error_modes(head, truth, surface, used) is None
-    with pytest.raises(ValueError, match="has no errors"):
-        normal_changes(head, truth, surface, used, torch.ones(3))

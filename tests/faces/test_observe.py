@@ -48,6 +48,11 @@ def observed(head, person, *, picture=None, clipped=None, fit=None, **options):
     )
 
 
+def at(person, view):
+    """Where the whole picture has the points used, (x, y)."""
+    return person.truth.camera.project(view.surface.positions[view.used])
+
+
 @pytest.fixture(scope="module")
 def view(head, person):
     return observed(head, person)
@@ -158,13 +163,12 @@ def test_pictures_are_scaled_down_to_the_working_height(head, person):
 
 
 def test_over_exposed_pixels_are_lower_bounds(head, person, view):
-    points = person.truth.camera.project(view.surface.positions[view.used])
+    points = at(person, view)
     middle = int(points[:, 0].mean())
     clipped = torch.zeros_like(person.clipped)
     clipped[:, :middle] = True
     half = observed(head, person, clipped=clipped)
-    points = person.truth.camera.project(half.surface.positions[half.used])
-    assert half.observation.clipped is not None
+    points = at(person, half)
     bound = half.observation.clipped[half.blocks]
     assert bool(bound[points[:, 0] < middle - 1].all())
     assert not bool(bound[points[:, 0] > middle + 1].any())
@@ -173,7 +177,6 @@ def test_over_exposed_pixels_are_lower_bounds(head, person, view):
     white = person.picture.clone()
     white[:, :middle] = 1.0
     lost = observed(head, person, picture=white, clipped=clipped).observation
-    assert lost.clipped is not None
     assert float(lost.clipped.float().mean()) > 0.25
     assert float((~lost.clipped).float().mean()) > 0.25
     with pytest.raises(InputError, match="0 usable pixels"):
@@ -181,17 +184,15 @@ def test_over_exposed_pixels_are_lower_bounds(head, person, view):
 
 
 def test_sunglasses_are_left_out(head, person, view):
-    at = person.truth.camera.project(torch.from_numpy(person.truth.vertices)).numpy()
-    eyes = at[head.regions == Region.EYEBALL]
+    head_at = person.truth.camera.project(torch.from_numpy(person.truth.vertices)).numpy()
+    eyes = head_at[head.regions == Region.EYEBALL]
     (left, top), (right, bottom) = (eyes.min(0) - 3).astype(int), (eyes.max(0) + 4).astype(int)
     picture = person.picture.clone()
     picture[top:bottom, left:right] *= 0.1
     there = observed(head, person, picture=picture)
 
     def behind(seen):
-        rows, columns = (
-            person.truth.camera.project(seen.surface.positions[seen.used]).flip(1).unbind(1)
-        )
+        columns, rows = at(person, seen).unbind(1)
         inside = (rows > top + 1) & (rows < bottom - 1)
         return int((inside & (columns > left + 1) & (columns < right - 1)).sum())
 
@@ -201,7 +202,7 @@ def test_sunglasses_are_left_out(head, person, view):
 
 
 def test_hair_is_left_out(head, person, view, monkeypatch):
-    points = person.truth.camera.project(view.surface.positions[view.used])
+    points = at(person, view)
     middle = int(points[:, 0].mean())
 
     def left_of_middle(picture, square):
@@ -211,7 +212,7 @@ def test_hair_is_left_out(head, person, view, monkeypatch):
 
     monkeypatch.setattr(observe, "hair_probability", left_of_middle)
     half = observed(head, person)
-    left = person.truth.camera.project(half.surface.positions[half.used])
+    left = at(person, half)
     assert float(left[:, 0].min()) > middle - 1
     assert 0.2 < len(left) / len(points) < 0.8
 
@@ -229,12 +230,12 @@ def test_hair_is_looked_for_around_the_upright_head(head, person):
 
 
 def test_dark_pixels_are_left_out(head, person, view):
-    points = person.truth.camera.project(view.surface.positions[view.used])
+    points = at(person, view)
     middle = int(points[:, 1].mean())
     picture = person.picture.clone()
     picture[middle:] *= 0.002
     half = observed(head, person, picture=picture)
-    left = person.truth.camera.project(half.surface.positions[half.used])
+    left = at(person, half)
     assert float(left[:, 1].max()) < middle + 1
     assert 0.2 < len(left) / len(points) < 0.8
 

@@ -75,6 +75,6 @@ def test_it_explains_what_it_lights_and_is_not_asked_where_there_is_none():
     assert scan.camera_lit < 1e-4
     assert scan.camera_lit < 0.2 * float(scan.unexplained.min())
     blind = scan_faces([replace(lit, camera_lamp=None)])[0]
-    assert blind.camera_lit == pytest.approx(blind.unlit)
+    assert blind.camera_lit == pytest.approx(blind.without_sun)
     torch.testing.assert_close(blind.unexplained, scan.unexplained)
-    assert math.isfinite(blind.unlit)
+    assert math.isfinite(blind.without_sun)

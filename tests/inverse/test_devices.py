@@ -7,7 +7,7 @@ import torch
 
 from skylight._names import ObjectLightName
 from skylight.inverse import _estimate as entry
-from skylight.inverse._descent import Round
+from skylight.inverse._descent import Stage
 from skylight.inverse._estimate import estimate_each, estimate_light, light_problems
 from skylight.inverse._faces import Level
 from skylight.inverse._problem import solve
@@ -22,9 +22,9 @@ from tests.inverse.test_solve import SUNS, harmonic_ball, observed, watched
 
 LIGHTS = ("sunsky", "autoencoder", "sh9")
 FEW = SolverOptions(
-    rounds=(
-        Round(level=Level(3), starts=3, iterations=3),
-        Round(level=Level(2), starts=1, iterations=3),
+    stages=(
+        Stage(level=Level(3), starts=3, iterations=3),
+        Stage(level=Level(2), starts=1, iterations=3),
     )
 )
 

@@ -90,7 +90,10 @@ def test_broydens_updates_find_the_same_minimum_with_fewer_jacobians():
 
         def jacobian(x, _):
             counts[-1] += 1
-            return torch.func.vmap(torch.func.jacfwd(lambda one: curve(one[None])[0]))(x)
+            rate, middle, height = x[:, :, None].unbind(1)
+            logistic = torch.sigmoid(rate * (times - middle))
+            slope = height * logistic * (1 - logistic)
+            return torch.stack([slope * (times - middle), -slope * rate, logistic], 2)
 
         ends.append(
             minimise_robust(

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from skylight.inverse._descent import Round
+from skylight.inverse._descent import Stage
 from skylight.inverse._faces import FaceTerm, Level, ObjectiveWeights
 from skylight.inverse._problem import solve
 from skylight.inverse._sky import SkyProblem, SolverOptions
@@ -24,10 +24,10 @@ from tests.inverse.test_solve import (
 
 LUMINANCE = torch.tensor([0.2126, 0.7152, 0.0722])  # ITU-R BT.709
 FEW = SolverOptions(
-    rounds=(
-        Round(level=Level(3), starts=4, iterations=15),
-        Round(level=Level(1), starts=2, iterations=10),
-        Round(level=Level(0), starts=1, iterations=10),
+    stages=(
+        Stage(level=Level(3), starts=4, iterations=15),
+        Stage(level=Level(1), starts=2, iterations=10),
+        Stage(level=Level(0), starts=1, iterations=10),
     )
 )
 
@@ -69,11 +69,6 @@ def test_grey_survives_the_pyramid_and_the_device(faces):
     assert faces[1].to(torch.device("cpu")).grey
     assert faces[1].on_rows(32).scaled(2.0).grey
     assert not faces[0].coarser(2).grey
-
-
-def test_faces_with_and_without_colour_are_not_one_batch(faces):
-    with pytest.raises(ValueError, match="all colour or none"):
-        FaceTerm.together([FaceTerm.of(faces[0]), FaceTerm.of(faces[1])])
 
 
 def test_a_sky_is_found_from_luminance(faces):

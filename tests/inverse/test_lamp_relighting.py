@@ -6,16 +6,23 @@ from dataclasses import replace
 import pytest
 import torch
 
-from skylight.inverse._estimate import estimate_light
+from skylight.inverse._descent import Stage
+from skylight.inverse._faces import Level
 from skylight.inverse._lamp_relighting import FaceTransport, LampLight, lamps_radiance
-from skylight.inverse._lamps import MAP_ROWS
+from skylight.inverse._lamps import MAP_ROWS, LampsOptions, LampsProblem
+from skylight.inverse._problem import solve
 from skylight.inverse._scan import SCAN_HEIGHT
 from skylight.models._lamps import LampsLight
 from skylight.sphere._envmap import luminance
 from skylight.transport._normal_modes import NormalModes
 from tests.inverse.test_lamps import lit_ball
-from tests.inverse.test_solve import ball_normals
+from tests.inverse.test_solve import ALBEDO_PRIOR, MODES, ball_normals
 from tests.lamp_lit import EXPOSURE, ambient_of, lamp_lit, lamp_params
+
+FEW = LampsOptions(
+    coarse=(Stage(level=Level(2), starts=2, iterations=4, even_skin=True, steps="gauss-newton"),),
+    fine=(Stage(level=Level(0), starts=1, iterations=2, steps="gauss-newton"),),
+)
 
 
 def known_light() -> LampLight:
@@ -65,14 +72,16 @@ def test_an_edit_that_changes_nothing_gives_the_face(grey: bool) -> None:
     if grey:
         seen = replace(seen, pixels=luminance(seen.pixels)[:, None].expand(-1, 3))
     brighter = replace(seen, pixels=3 * seen.pixels)
-    found = estimate_light([seen, brighter], "lamps", photos=[0, 1])
+    problem = LampsProblem(ALBEDO_PRIOR, MODES, FEW)
+    for photo, one in enumerate((seen, brighter)):
+        problem.add(one, photo)
+    (found,) = solve([problem])
     assert found.lamps
     light = LampLight.of(found)
     torch.testing.assert_close(
         light.environment(MAP_ROWS).radiance, found.environment.radiance, rtol=1e-4, atol=1e-6
     )
     for observation, face in zip((seen, brighter), found.faces, strict=True):
-        assert face.turns is not None
         assert bool(face.turns.any())
         transport = FaceTransport.of(observation, face, found.exposure)
         rendered = transport.rendered(light)

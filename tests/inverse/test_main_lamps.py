@@ -7,15 +7,11 @@ import torch
 
 from skylight.inverse._scores import find_lamps
 from skylight.sphere._envmap import EnvironmentMap
-from skylight.sphere._frame import DirectionGrid, angle_between, direction_from_angles
+from skylight.sphere._frame import DirectionGrid, angle_between
+from tests.sunny_face import direction as at
 
 BACKGROUND = 0.2
 Disc = tuple[float, float, float, float]  # azimuth, zenith, radius in degrees; radiance
-
-
-def at(azimuth_deg: float, zenith_deg: float) -> torch.Tensor:
-    angles = (torch.tensor(math.radians(a)).double() for a in (azimuth_deg, zenith_deg))
-    return direction_from_angles(*angles)
 
 
 def room(*discs: Disc, height: int = 512) -> EnvironmentMap:

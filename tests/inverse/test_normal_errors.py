@@ -14,6 +14,7 @@ from skylight.transport._matrix import TransportMatrix
 from skylight.transport._normal_modes import NormalModes
 from skylight.transport._observation import Observation
 from tests.inverse.test_objective import MODEL, normal, observation, parameters
+from tests.inverse.test_pigments import pigments, varied
 from tests.inverse.test_scan import GRID, SUNS, degrees_between, under
 
 K = 3
@@ -96,7 +97,6 @@ def test_what_is_left_is_that_of_all_unknowns_together(bumps, monkeypatch):
     cell = int((coarse.transport.grid.directions[: len(found.unexplained)] @ direction).argmax())
     weights = seen.weights.double()
     y = seen.pixels.double() @ torch.tensor([0.2126, 0.7152, 0.0722]).double()
-    assert seen.normal_modes is not None
     ways = torch.einsum(
         "mck,c->mk", seen.normal_modes.modes.double(), coarse.transport.grid.directions[cell]
     )
@@ -119,7 +119,7 @@ def test_what_is_left_is_that_of_all_unknowns_together(bumps, monkeypatch):
         lobe = ambient_scale * torch.exp(free[1 : 1 + ambient.shape[1]] - 4)
         u = free[-K:]
         shaded = sun * (coarse.transport.matrix[:, cell].double() + ways @ u) + ambient @ lobe
-        modes = seen.normal_modes.modes.double()  # type: ignore[union-attr]
+        modes = seen.normal_modes.modes.double()
         shaded = shaded + torch.einsum("mck,mjc,j,k->m", modes, vectors, lobe, u)
         return (weights * (y - shaded) ** 2).sum() + scan.NORMAL_COST * level * u.square().sum()
 
@@ -141,7 +141,6 @@ def turned():
     normals = normalize(torch.randn(len(seen.pixels), 3, generator=generator), dim=1)
     modes = 0.1 * torch.randn(len(seen.pixels), 3, K, generator=generator)
     layout = seen.transport.grid.layout
-    assert layout is not None
     errors = NormalModes.of(seen.transport, normals, modes, layout[0] // 2)
     return replace(seen, normal_modes=errors)
 
@@ -163,7 +162,6 @@ def test_shading_has_what_the_turned_normals_add(double):
     parts = whole.unpack(free)
     torch.testing.assert_close(parts.turns, amounts)
     full = whole.ground.append(MODEL(light), ground) * exposure[:, None]
-    assert seen.gloss is not None
     assert seen.normal_modes is not None
     errors = seen.normal_modes
     layout = seen.transport.grid.layout
@@ -195,8 +193,12 @@ def test_trusted_normals_are_those_that_were_fitted(double):
 
 
 def test_slopes_are_those_of_finite_differences(double):
-    whole = objective(turned())
-    free = whole.pack(*parameters(count=2), turns=turns(2)).requires_grad_(True)
+    """And of pigments, which it has too."""
+    seen = varied(turned())
+    weights = ObjectiveWeights(normal_spread=0.5, pigment_spread=1.0)
+    whole = LightObjective([FaceTerm.of(seen)], MODEL, normal(9), normal(3), weights)
+    free = whole.pack(*parameters(count=1), turns=turns(1), pigments=pigments(1))
+    free = free.requires_grad_(True)
     assert torch.autograd.gradcheck(whole, (free,), eps=1e-6, atol=1e-4, rtol=1e-5)
 
 
@@ -210,9 +212,7 @@ def test_the_bayes_scale_leaves_turns_alone(double):
 
 def test_coarser_modes_are_means_over_blocks(double):
     seen = turned()
-    assert seen.normal_modes is not None
     coarse = seen.coarser(1)
-    assert coarse.normal_modes is not None
     for k, place in enumerate(coarse.places):
         mine = (seen.places // 2 == place).all(1).double() * seen.weights
         for here, fine in (
@@ -220,9 +220,3 @@ def test_coarser_modes_are_means_over_blocks(double):
             (coarse.normal_modes.visible[k], seen.normal_modes.visible),
         ):
             torch.testing.assert_close(here, torch.einsum("m,m...->...", mine / mine.sum(), fine))
-
-
-def test_faces_whose_normals_are_known_are_not_in_one_batch_with_others(double):
-    seen = turned()
-    with pytest.raises(ValueError, match="normals' errors or none"):
-        FaceTerm.together([FaceTerm.of(seen), FaceTerm.of(replace(seen, normal_modes=None))])

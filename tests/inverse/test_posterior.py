@@ -20,18 +20,14 @@ from skylight.inverse._posterior import (
 )
 from skylight.inverse._scan import scan_faces
 from skylight.models._prior import GaussianMixture
-from skylight.sphere._frame import DirectionGrid, direction_from_angles
+from skylight.sphere._frame import DirectionGrid
 from skylight.transport._matrix import TransportMatrix
 from skylight.transport._observation import Observation
+from tests.sunny_face import direction as towards
 
 CELLS, GRID = DirectionGrid.sky(16), DirectionGrid.sky(32)
 MEAN = torch.tensor([-1.0, -1.2, -1.5])
 SKIN = GaussianMixture(torch.ones(1), MEAN[None], torch.eye(3)[None] / 0.6)
-
-
-def towards(azimuth_deg, zenith_deg):
-    angles = torch.tensor([azimuth_deg, zenith_deg], dtype=torch.float64).deg2rad()
-    return direction_from_angles(*angles)
 
 
 def evidence_of(*suns, kappa=60.0, gain=0.5):
@@ -261,7 +257,7 @@ def test_faces_add_their_deviations_and_share_the_gain(lit_ball):
     both = sun_evidence(face_evidence([one, other], scan_faces([one, other])))
     alone = lit_ball, watched(other)
     torch.testing.assert_close(both.deviations, sum(face.deviations for face in alone))
-    unlit = sum(face.gain + float(face.deviations.min()) for face in alone)
-    assert both.gain == pytest.approx((unlit - float(both.deviations.min())) / 2)
+    without_sun = sum(face.gain + float(face.deviations.min()) for face in alone)
+    assert both.gain == pytest.approx((without_sun - float(both.deviations.min())) / 2)
     twice = sun_evidence(face_evidence([one, one], scan_faces([one, one])))
     assert twice.gain == pytest.approx(lit_ball.gain)

@@ -1,38 +1,32 @@
 """Several faces under one light: what they share, what each has for itself."""
 
-import copy
 import math
 from dataclasses import replace
 
 import pytest
 import torch
 
-from skylight.faces._skin import SkinPrior
-from skylight.inverse._descent import Round
+from skylight.inverse._descent import Stage
 from skylight.inverse._faces import FaceTerm, Level, ObjectiveWeights
 from skylight.inverse._harmonic import HarmonicProblem
 from skylight.inverse._objective import LightObjective
 from skylight.inverse._problem import solve
 from skylight.inverse._scan import SunScan, scan_faces
 from skylight.inverse._sky import SkyProblem, SolverOptions
-from skylight.models._bundle import load_bundle
 from skylight.models._harmonic import HarmonicLight
 from skylight.models.sunsky import SunSky
 from skylight.sphere._frame import DirectionGrid, direction_from_angles
 from skylight.transport._matrix import TransportMatrix
 from skylight.transport._observation import Observation
+from tests.inverse.test_solve import ALBEDO_PRIOR, MODES, SUNSKY_PRIOR
 from tests.oracles.harmonics import irradiance
 from tests.oracles.outdoors import Outdoors
 
-SKIN = SkinPrior.load()
-SUNSKY_PRIOR = load_bundle().sunsky_prior
-ALBEDO_PRIOR = copy.deepcopy(SKIN.log_albedo).float()
-MODES = SKIN.means.float()
 QUICK = SolverOptions(
-    rounds=(
-        Round(level=Level(3), starts=3, iterations=15),
-        Round(level=Level(1), starts=2, iterations=8),
-        Round(level=Level(0), starts=1, iterations=5),
+    stages=(
+        Stage(level=Level(3), starts=3, iterations=15),
+        Stage(level=Level(1), starts=2, iterations=8),
+        Stage(level=Level(0), starts=1, iterations=5),
     )
 )
 GROUND = torch.tensor([[0.15, 0.13, 0.11]])
@@ -143,10 +137,10 @@ def test_a_face_twice_gives_the_light_of_once() -> None:
     """All of the objective but the priors on light doubles; with weak ones the minimum stays."""
     weak = ObjectiveWeights(light_prior=0.0, albedo_prior=1e-3, ground_prior=1e-3)
     patient = (
-        Round(level=Level(2), starts=2, iterations=40),
-        Round(level=Level(0), starts=1, iterations=60),
+        Stage(level=Level(2), starts=2, iterations=40),
+        Stage(level=Level(0), starts=1, iterations=60),
     )
-    options = replace(QUICK, weights=weak, tolerance=1e-6, rounds=patient)
+    options = replace(QUICK, weights=weak, tolerance=1e-6, stages=patient)
     seen = lit(half_ball(20), MODES[1], 1.0)
     twice = problem(options)
     for photo in range(2):

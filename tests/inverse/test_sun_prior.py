@@ -29,7 +29,6 @@ from skylight.sphere._frame import DirectionGrid, angle_between, angles_from_dir
 from tests.inverse.test_objective import normal, parameters
 from tests.inverse.test_posterior import FRONT, ball, evidence_of, light_of, posterior_of
 from tests.inverse.test_shared_light import half_ball
-from tests.inverse.test_solve import watched
 from tests.sunny_face import direction, sunny_face
 
 GRID = DirectionGrid.sky(64)
@@ -108,7 +107,7 @@ def test_a_share_is_kept_for_wrong_clocks() -> None:
 
 def test_its_slope_is_finite_and_that_of_differences() -> None:
     up = torch.tensor([[0.0, 1.0, 0.0]], dtype=torch.float64)
-    places = torch.cat([GRID.directions[::2011], up, -direction(40.0, 90.0)[None]])
+    places = torch.cat([GRID.directions[::4001], up, -direction(40.0, 90.0)[None]])
     for prior in (about(40.0, 50.0), SunPrior(parts=(part(0.0, 50.0, 0.0),)), about(0.0, 0.0)):
         assert torch.autograd.gradcheck(prior.log_density, (places.clone().requires_grad_(),))
 
@@ -136,7 +135,6 @@ def test_published_positions(shared_data: Path) -> None:
             assert prior is None
             assert "below the horizon" in advice[0]
             continue
-        assert prior is not None
         (one,) = prior.parts
         true = direction(azimuth_deg, zenith_deg)
         told = direction(math.degrees(one.azimuth_rad), math.degrees(one.zenith_rad))
@@ -191,7 +189,6 @@ def test_a_clock_without_a_zone_may_be_in_the_right_one(name: str) -> None:
     local = datetime(2024, month, 15, 13, 30)
     facts = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg, "heading_deg": 20.0}
     prior, advice = sun_prior(Taken(time=local, **facts))
-    assert prior is not None
     assert len(advice) == 1
     assert "no time zone" in advice[0]
     exact = local.replace(tzinfo=timezone(timedelta(hours=hours)))
@@ -238,7 +235,6 @@ def test_models_tell_where_their_sun_is() -> None:
     learnt = load_bundle().light()
     params = learnt.starts_towards(towards)[:, 0]
     told = learnt.sun_direction(params)
-    assert told is not None
     for radiance, sun in zip(learnt(params), told.double(), strict=True):
         brightest = EnvironmentMap(radiance=radiance.reshape(32, 128, 3)).brightest_direction()
         assert math.degrees(float(angle_between(brightest, sun))) < 4
@@ -295,7 +291,6 @@ def test_a_clock_that_agrees_narrows_the_region() -> None:
     evidence = evidence_of(direction(120.0, 50.0), kappa=20.0)
     alone, both = told(evidence, None), told(evidence, about(115.0, 52.0))
     assert alone.clock_wrong is None
-    assert both.clock_wrong is not None
     assert both.clock_wrong < 0.05
     assert both.region_sr < 0.6 * alone.region_sr
     assert float((both.density * both.grid.solid_angles).sum()) == pytest.approx(1)
@@ -314,7 +309,6 @@ def test_a_face_that_contradicts_the_clock_is_doubtful_and_keeps_its_sun() -> No
     evidence = evidence_of(sun, kappa=100.0)
     found = told(evidence, about(-60.0, 50.0), sun)
     assert found.verdict == "doubtful: the face and the clock disagree"
-    assert found.clock_wrong is not None
     assert found.clock_wrong > 0.9
     assert float(found.parts[0].peak @ sun) > 0.99
     assert found.parts[0].share > 0.8
@@ -374,10 +368,9 @@ def test_a_wrong_clock_does_not_draw_a_clear_faces_sun():
 
 
 def test_harmonics_have_a_clock_in_their_posterior_alone():
-    observation, world = watched(140.0, 50.0)
-    sun = torch.tensor(world.sun, dtype=torch.float64)
+    observation = ball(light_of(FRONT, 0.6), noise=0.05)
     plain = estimate_light(observation, "sh9")
-    told = estimate_light(observation, "sh9", sun_prior=about(140.0, 50.0))
+    told = estimate_light(observation, "sh9", sun_prior=about(150.0, 50.0))
     torch.testing.assert_close(told.environment.radiance, plain.environment.radiance)
-    cell = int((plain.posterior.grid.directions @ sun).argmax())
+    cell = int((plain.posterior.grid.directions @ FRONT).argmax())
     assert told.posterior.density[cell] > 1.5 * plain.posterior.density[cell]

@@ -2,7 +2,6 @@
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -149,61 +148,30 @@ class TestResults:
         assert lamp["irradiance"] == pytest.approx([30 * 2 * math.pi * 49 / 50**2] * 3, rel=0.05)
 
 
-def text(name: str, content: str) -> Callable[[Path], None]:
-    return lambda folder: (folder / name).write_text(content) and None
-
-
-def picture(name: str, pixels: np.ndarray) -> Callable[[Path], None]:
-    return lambda folder: Image.fromarray(pixels).save(folder / name)
-
-
-def exr_with_nan(folder: Path) -> None:
-    pixels = np.random.default_rng(0).random((SIZE, SIZE, 3)).astype(np.float32)
-    pixels[0, 0] = np.nan
-    write_exr(folder / "nan.exr", pixels, half=False, header={})
-
-
-SATURATED = np.full((SIZE, SIZE, 3), (255, 200, 100), np.uint8)
-
-
 class TestFailures:
     @pytest.mark.parametrize(
-        ("spoil", "changes", "message"),
+        ("changes", "message"),
         [
-            (text("c.json", '{"fov_deg": 30}'), {"--camera": "c.json"}, 'lacks "position"'),
-            (text("c.json", "?"), {"--camera": "c.json"}, "no JSON"),
-            (None, {"--camera": "none.json"}, "No such file"),
-            (
-                text("c.json", json.dumps({**CAMERA, "look_at": [9, 9, -9]})),
-                {"--camera": "c.json"},
-                "does not see the mesh",
-            ),
-            (picture("m.png", SATURATED[:9]), {"--mask": "m.png"}, "mask has 40x9 pixels"),
-            (text("m.png", "none"), {"--mask": "m.png"}, "no picture"),
-            (None, {"--mask": "none.png"}, "none.png: No such file"),
-            (picture("p.png", SATURATED), {"photo": "p.png"}, "over-exposed"),
-            (picture("p.png", SATURATED[..., 1]), {"photo": "p.png"}, "give a colour photo"),
-            (exr_with_nan, {"photo": "nan.exr"}, "NaN"),
-            (None, {"mesh": "none.ply"}, "no such mesh"),
-            (text("m.ply", "ply?"), {"mesh": "m.ply"}, "m.ply"),
-            (None, {"--albedo": "red"}, "--albedo"),
-            (None, {"--albedo": "0.5,0.5,2"}, "from 0 to 1"),
-            (None, {"--roughness": "0.1"}, "roughness must be"),
-            (None, {"--reflectance": "0.1"}, "--roughness"),
-            (None, {"--activations": "0"}, "1 or more"),
+            ({"--camera": "none.json"}, "No such file"),
+            ({"--mask": "none.png"}, "none.png: No such file"),
+            ({"--mask": "text.png"}, "no picture"),
+            ({"mesh": "none.ply"}, "no such mesh"),
+            ({"photo": "grey.png"}, "give a colour photo"),
+            ({"--albedo": "red"}, "--albedo"),
+            ({"--reflectance": "0.1"}, "--roughness"),
+            ({"--activations": "0"}, "1 or more"),
         ],
     )
     def test_one_line(
         self,
-        spoil: Callable[[Path], None] | None,
         changes: dict[str, str],
         message: str,
         folder: Path,
         tmp_path: Path,
         capsys: pytest.CaptureFixture[str],
     ) -> None:
-        if spoil is not None:
-            spoil(tmp_path)
+        (tmp_path / "text.png").write_text("none")
+        Image.fromarray(np.full((SIZE, SIZE), 200, np.uint8)).save(tmp_path / "grey.png")
         given = {
             "mesh": str(folder / "mesh.ply"),
             "photo": str(folder / "photo.exr"),

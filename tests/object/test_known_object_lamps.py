@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import pytest
 import torch
@@ -66,14 +67,15 @@ def check(found: ObjectLight, *lamps: Planted) -> None:
         torch.testing.assert_close(lamp.irradiance, torch.tensor(irradiance), rtol=0.1, atol=0.0)
 
 
-@pytest.fixture(scope="module")
+@cache
 def front() -> ObjectView:
     return seen_by(object_camera(FRONT, height=32, width=32), bumpy(), material=CORAL)
 
 
-@pytest.fixture(scope="module")
-def two(front: ObjectView) -> tuple[Observation, ObjectLight]:
-    seen = photographed(front, planted(RED, BLUE))
+@cache
+def found_in(*lamps: Planted) -> tuple[Observation, ObjectLight]:
+    """The bumpy ball in these lamps and its estimate, made once."""
+    seen = photographed(front(), planted(*lamps))
     return seen, estimate_object_light(seen, "lamps", material=CORAL)
 
 
@@ -95,22 +97,15 @@ def check_light(found: ObjectLight, *lamps: Planted) -> None:
 
 
 @pytest.mark.parametrize(
-    "lamps", [(), (STRONG,), pytest.param((STRONG, WEAK), marks=pytest.mark.slow)]
+    "lamps", [(), (RED,), (RED, BLUE), pytest.param((STRONG, WEAK), marks=pytest.mark.slow)]
 )
-def test_lamps_come_back(front: ObjectView, lamps: tuple[Planted, ...]) -> None:
-    seen = photographed(front, planted(*lamps))
-    check_light(estimate_object_light(seen, "lamps", material=CORAL), *lamps)
+def test_lamps_come_back(lamps: tuple[Planted, ...]) -> None:
+    check_light(found_in(*lamps)[1], *lamps)
 
 
-def test_coloured_lamps_come_back(two: tuple[Observation, ObjectLight]) -> None:
-    check_light(two[1], RED, BLUE)
-
-
-def test_units_and_an_albedo_that_is_not_known_go_into_the_light(
-    two: tuple[Observation, ObjectLight],
-) -> None:
+def test_units_and_an_albedo_that_is_not_known_go_into_the_light() -> None:
     """The prior knows lamps' colours against the ambient light's alone: any tint is as likely."""
-    seen, known = two
+    seen, known = found_in(RED)
     folded = estimate_object_light(seen.scaled(7.0), "lamps")
     units = 7 * torch.tensor(CORAL.albedo)
     expected = known.environment.radiance * units
@@ -119,9 +114,9 @@ def test_units_and_an_albedo_that_is_not_known_go_into_the_light(
         torch.testing.assert_close(lamp.irradiance, units * before.irradiance, rtol=1e-2, atol=0.0)
 
 
-def test_a_colour_that_is_black_is_no_light(two: tuple[Observation, ObjectLight]) -> None:
+def test_a_colour_that_is_black_is_no_light() -> None:
     """Under sodium lamps there is no blue; the other colours are what they were."""
-    seen, once = two
+    seen, once = found_in(RED)
     found = estimate_object_light(
         replace(seen, pixels=seen.pixels * torch.tensor([1.0, 1.0, 0.0])), "lamps", material=CORAL
     )
@@ -147,9 +142,9 @@ def test_gloss_on_a_coloured_thing() -> None:
     check(estimate_object_light(seen, "lamps", material=material), RED, BLUE)
 
 
-def test_dirt_and_noise_are_no_lamp(front: ObjectView) -> None:
+def test_dirt_and_noise_are_no_lamp() -> None:
     """10 % of smooth albedo and 5 % of each pixel; three lamps would explain more of it."""
-    seen = photographed(front, planted(STRONG))
+    seen = photographed(front(), planted(STRONG))
     places = seen.places / seen.places.max()
     dirt = 0.1 * torch.sin(7 * places[:, :1]) * torch.cos(6 * places[:, 1:])
     noise = torch.randn(seen.pixels.shape, generator=torch.Generator().manual_seed(0))
@@ -160,18 +155,19 @@ def test_dirt_and_noise_are_no_lamp(front: ObjectView) -> None:
     assert found.residual > 0.05
 
 
-def test_observations_add_up(two: tuple[Observation, ObjectLight]) -> None:
+@pytest.mark.slow  # as harmonics do
+def test_observations_add_up() -> None:
     """Two halves of the picture, one after the other."""
-    whole, once = two
+    whole, once = found_in(RED, BLUE)
     halves = [part_of(whole, half) for half in torch.arange(len(whole.pixels)).chunk(2)]
     found = estimate_object_light(halves, "lamps", material=CORAL)
     check(found, RED, BLUE)
     torch.testing.assert_close(found.rendered, once.rendered, rtol=0.01, atol=1e-3)
 
 
-def test_a_thinned_observation_is_lit_alike(front: ObjectView) -> None:
+def test_a_thinned_observation_is_lit_alike() -> None:
     """Means over its blocks: what a light makes of few points adds up to what it makes of all."""
-    seen = photographed(front, planted(STRONG))
+    seen = photographed(front(), planted(STRONG))
     few = thinned(seen)
     assert len(few.pixels) <= COARSE_POINTS < len(seen.pixels)
     light = planted(WEAK).resize(32).flat
@@ -180,8 +176,8 @@ def test_a_thinned_observation_is_lit_alike(front: ObjectView) -> None:
 
 
 @pytest.mark.parametrize("value", [0.0, float("nan"), float("inf")])
-def test_pixels_without_light_are_refused(front: ObjectView, value: float) -> None:
-    seen = front.observation
+def test_pixels_without_light_are_refused(value: float) -> None:
+    seen = front().observation
     broken = replace(seen, pixels=torch.full_like(seen.pixels, value))
     with pytest.raises(InputError, match="mean luminance of") as caught:
         estimate_object_light(broken, "lamps", material=CORAL)

@@ -18,7 +18,7 @@ from skylight.evaluation._known_faces import read_face
 from skylight.faces._fit import camera_project
 from skylight.faces._model import HeadModel
 from skylight.io._files import write_environment_map
-from skylight.people import _batch as batch
+from skylight.people import _batch as batch, _light as light_module
 from skylight.people._batch import render_folder
 from skylight.people._files import read_rendered_face, rendered_faces
 from skylight.people._light import MapFolder, RenderOptions, Skies, TurnedMap, scene_light
@@ -61,7 +61,6 @@ def test_the_truth_fits_together(folder: Path) -> None:
     assert face.turned_map is face.turbidity is None
     assert face.sky_seed is not None
     assert face.sun_direction is not None
-    assert face.ground_albedo is not None
     brightest = face.environment.brightest_direction()
     assert float(torch.rad2deg(angle_between(face.sun_direction, brightest))) < 4
     assert face.sky_seed >= EVALUATION_SEEDS
@@ -89,7 +88,6 @@ def test_a_lamp_to_one_side_lights_that_side(tmp_path: Path) -> None:
     assert render_folder(out, 1, options) == 0
     face = read_rendered_face(out / "face0000")
     turned = face.turned_map
-    assert turned is not None
     assert turned == TurnedMap(file="lamp.exr", category=None, turn_deg=turned.turn_deg)
     assert face.sky_seed is face.sun_transmittance is face.sun_direction is None
     assert face.ground_albedo is None
@@ -105,7 +103,10 @@ def test_a_lamp_to_one_side_lights_that_side(tmp_path: Path) -> None:
     assert (right > 1.2 * left) if np.sin(azimuth) > 0 else (left > 1.2 * right)
 
 
-def test_a_face_under_a_sky_of_hosek_and_wilkie(tmp_path: Path) -> None:
+def test_a_face_under_a_sky_of_hosek_and_wilkie(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(light_module, "_FINER", 1)
     options = RenderOptions(size=40, samples=4, skies="hosek-wilkie")
     out = tmp_path / "faces"
     assert render_folder(out, 1, options) == 1

@@ -20,15 +20,15 @@ from skylight.people._light import (
 )
 from skylight.skies._sun import SUN_RADIUS_RAD
 from skylight.sphere._envmap import EnvironmentMap, luminance
-from skylight.sphere._frame import angle_between, direction_from_angles, rotation_about
+from skylight.sphere._frame import angle_between, rotation_about
 from skylight.transport._cameras import Camera
+from tests.sunny_face import direction
 
 IRRADIANCE = torch.tensor([3.0, 2.0, 1.0])
 
 
 def towards(azimuth_deg: float, elevation_deg: float) -> torch.Tensor:
-    angles = math.radians(azimuth_deg), math.radians(90 - elevation_deg)
-    return direction_from_angles(*(torch.tensor(a, dtype=torch.float64) for a in angles))
+    return direction(azimuth_deg, 90 - elevation_deg)
 
 
 def dark(height: int = 64) -> EnvironmentMap:
@@ -75,7 +75,7 @@ def test_a_turned_camera_sees_the_sun_turned() -> None:
     np.testing.assert_allclose(turn @ camera_frame(sun, turn), sun)
 
 
-def lit_plane(sun: SunDisc, occluder: dict[str, object]) -> np.ndarray:
+def lit_plane(sun: SunDisc, occluder: dict[str, object], samples: int) -> np.ndarray:
     """Irradiance of a white plane at z = 0, 4 cm wide, under something above it; (64,3) over x."""
     mi = mitsuba_variant()
     white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
@@ -90,7 +90,7 @@ def lit_plane(sun: SunDisc, occluder: dict[str, object]) -> np.ndarray:
     camera = Camera(focal_px=800.0, width=64, height=64, center_px=(32.0, 32.0))
     film = {"pixel_format": "rgb"}
     place = np.array([0.0, 0.0, -0.5])
-    sensor = mi.load_dict(pinhole(camera, np.eye(3), place, samples=576, film=film))
+    sensor = mi.load_dict(pinhole(camera, np.eye(3), place, samples=samples, film=film))
     path = mi.load_dict({"type": "path", "max_depth": 2})
     picture = np.array(mi.render(scene, sensor=sensor, integrator=path, seed=mi.UInt32(1)))
     return math.pi * picture.mean(0)
@@ -104,7 +104,7 @@ def test_the_penumbra_is_that_of_a_disc() -> None:
     black = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.0}}
     occluder: dict[str, object] = {"type": "rectangle", "to_world": half, "bsdf": black}
     sun = SunDisc(direction=torch.tensor([0.0, 0.0, 1.0]).double(), irradiance=IRRADIANCE)
-    got = lit_plane(sun, occluder)
+    got = lit_plane(sun, occluder, 256)
     x = (np.arange(64) + 0.5 - 32) / 800 * 0.5
     u = (x / (above * math.tan(SUN_RADIUS_RAD))).clip(-1, 1)
     want = (np.arccos(u) - u * np.sqrt(1 - u**2)) / math.pi
@@ -119,7 +119,7 @@ def test_a_slanted_sun_gives_the_cosine() -> None:
     mi = mitsuba_variant()
     away = mi.ScalarTransform4f().translate([0, 0, -5.0])
     nothing: dict[str, object] = {"type": "rectangle", "to_world": away}
-    got = lit_plane(slanted, nothing)
+    got = lit_plane(slanted, nothing, 16)
     np.testing.assert_allclose(got, np.tile(0.8 * IRRADIANCE.numpy(), (64, 1)), rtol=3e-3)
     assert sun.radiance.tolist() == pytest.approx(
         (IRRADIANCE / (math.pi * math.sin(SUN_RADIUS_RAD) ** 2)).tolist()

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from skylight.errors import AssetError
 from skylight.faces._model import HeadModel, Region
 from skylight.faces._skin import SkinPrior
-from skylight.people import _skin as skin
 from skylight.people._people import bare_skin
 from skylight.people._skin import (
     CLUSTERS,
@@ -19,7 +17,6 @@ from skylight.people._skin import (
     freckles,
     paint,
     skin_albedo,
-    skin_colour,
     stubble,
 )
 
@@ -43,18 +40,6 @@ def test_measured_people_are_among_the_colours(
     ours = SURFACE + (1 - SURFACE) * skin_albedo(melanin.ravel(), blood.ravel())
     gap = np.abs(np.log(measured[:, None] / ours)).max(-1).min(1)
     assert np.median(gap) < 0.06
-
-
-@pytest.mark.parametrize("kept", [0, 1000])
-def test_a_damaged_table_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: int
-) -> None:
-    table = Path(skin.__file__).parent / "data" / "skin_colours.npz"
-    (tmp_path / "data").mkdir()
-    (tmp_path / "data" / table.name).write_bytes(table.read_bytes()[:kept])
-    monkeypatch.setattr(skin, "files", lambda _: tmp_path)
-    with pytest.raises(AssetError, match="reinstall"):
-        skin_colour.__wrapped__()
 
 
 def test_melanin_darkens_blue_most_and_blood_darkens_green_most() -> None:

@@ -24,7 +24,7 @@ from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from skylight.estimation.film._smoother import DRIFTS, Drifting, Sight, likeliest, smooth
-from skylight.inverse._descent import Round, best_exposure, deviations, jacobian
+from skylight.inverse._descent import Stage, best_exposure, deviations, jacobian
 from skylight.inverse._faces import Level, LitFaces, ScannedFace
 from skylight.inverse._gauss_newton import charbonnier, prior_shape
 from skylight.inverse._least_squares import curvatures
@@ -42,7 +42,7 @@ STARTING = 4  # keyframes of the start
 _ROUNDS = 2
 _GROUP = 12  # keyframes whose derivatives are taken together: memory grows with their square
 SHARE_OF_START = 0.5  # in what progress is told
-_FULL = Round(level=Level(0), starts=1, iterations=1)
+_FULL = Stage(level=Level(0), starts=1, iterations=1)
 _SHARED_PRIORS = ("light_prior", "albedo_prior", "ground_prior", "gloss_prior", "sun_prior")
 # The variance of an azimuth that may be anything, as whitened parameters have a variance of 1,
 _ANY_AZIMUTH = np.pi**2 / 3

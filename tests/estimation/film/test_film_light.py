@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from skylight.estimation.film._light import FilmLight, FilmProblem, in_world
 from skylight.faces._skin import SkinPrior
-from skylight.inverse._descent import Round
+from skylight.inverse._descent import Stage
 from skylight.inverse._faces import Level
 from skylight.inverse._sky import SkyProblem, SolverOptions
 from skylight.models._bundle import load_bundle
@@ -22,10 +22,10 @@ from skylight.transport._observation import Observation
 
 SKIN = SkinPrior.load()
 QUICK = SolverOptions(
-    rounds=(
-        Round(level=Level(1), starts=3, iterations=15),
-        Round(level=Level(1), starts=2, iterations=8),
-        Round(level=Level(0), starts=1, iterations=5),
+    stages=(
+        Stage(level=Level(1), starts=3, iterations=15),
+        Stage(level=Level(1), starts=2, iterations=8),
+        Stage(level=Level(0), starts=1, iterations=5),
     )
 )
 SKY = SunSky()
