@@ -28,5 +28,10 @@ HeadName = Literal["fitted", "deformed"]
 ObjectLightName = Literal["ani", "iso", "vmf", "sh9", "sh25", "sh49", "lamps"]
 OBJECT_LIGHTS: tuple[ObjectLightName, ...] = get_args(ObjectLightName)
 
+# Paper that marker boards are printed on: skylight.probes.cameras._board
+Page = Literal["A4", "A3", "letter"]
+# What is photographed to merge a light probe: skylight.probes.mirror_balls._merged
+MergedFrom = Literal["ball", "360"]
+
 # Programs for which light is exported: skylight.maps._export
 LightTarget = Literal["threejs", "sh", "ar", "gltf", "usd", "mitsuba", "blender"]

@@ -130,14 +130,14 @@ def world_from_cameras(
     turn cannot be told the camera is taken to have stood still.
     """
     world = {links[0].start: np.eye(3)} if links else {}
-    untold = []
+    unresolved = []
     for link in links:
         turn = turn_between(link, focal_px, size)
         if turn is None:
-            untold.append(link)
+            unresolved.append(link)
             turn = np.eye(3)
         world[link.end] = world[link.start] @ turn
-    return world, untold
+    return world, unresolved
 
 
 def focal_from_turns(

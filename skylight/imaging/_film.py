@@ -227,13 +227,7 @@ class FilmFrame:
 
 @contextmanager
 def opened_film(source: Path | int) -> Iterator[cv2.VideoCapture]:
-    """A film, or the webcam of that number, as OpenCV reads it; turned as the file asks.
-
-    Raises
-    ------
-    InputError
-        It cannot be opened, its pictures are too large, or it is high dynamic range (PQ or HLG).
-    """
+    """A film, or the webcam of that number, as OpenCV reads it; turned as the file asks."""
     name = f"webcam {source}" if isinstance(source, int) else str(source)
     require_film(source)
     if isinstance(source, Path):

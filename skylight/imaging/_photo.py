@@ -36,13 +36,6 @@ def develop(path: Path) -> tuple[UInt16[np.ndarray, "h w 3"], Bool[np.ndarray, "
 
     65535 is the sensor's white level; nothing is brightened. Saturated are pixels at the white
     level and their neighbours, to which demosaicing spreads them.
-
-    Raises
-    ------
-    DependencyError
-        rawpy is not installed.
-    InputError
-        The file is missing, damaged, too large or of a camera that LibRaw does not know.
     """
     try:
         import rawpy
@@ -222,7 +215,7 @@ def _from_linear_file(path: Path, decode: Decode) -> Photo:
     # cameras' colour conversion leaves small negative values: colours outside Rec.709
     pixels = decode_values(torch.from_numpy(stored).clamp(min=0), decode)
     clipped = torch.zeros(pixels.shape[:2], dtype=torch.bool)
-    return _told(pixels, tone_map(pixels), clipped, CameraFacts())
+    return _with_facts(pixels, tone_map(pixels), clipped, CameraFacts())
 
 
 def _from_raw(path: Path, decode: Decode | None) -> Photo:
@@ -234,7 +227,7 @@ def _from_raw(path: Path, decode: Decode | None) -> Photo:
     pixels = torch.from_numpy(codes.astype(np.float32) / np.float32(65535))
     facts = camera_facts(raw_exif(path), width, height)
     # a RAW file is exposed for its highlights, so what detectors see is brightened
-    return _told(pixels, tone_map(pixels), torch.from_numpy(clipped), facts)
+    return _with_facts(pixels, tone_map(pixels), torch.from_numpy(clipped), facts)
 
 
 def _from_picture(path: Path, decode: Decode) -> Photo:
@@ -258,10 +251,10 @@ def _photo(
         rows = slice(start, start + _BLOCK_ROWS)
         np.take(linear.numpy(), codes[rows], out=pixels[rows], mode="clip")
         np.take(srgb, codes[rows], out=encoded[rows], mode="clip")
-    return _told(torch.from_numpy(pixels), encoded, torch.from_numpy(clipped), facts)
+    return _with_facts(torch.from_numpy(pixels), encoded, torch.from_numpy(clipped), facts)
 
 
-def _told(
+def _with_facts(
     pixels: Float[Tensor, "h w 3"],
     encoded: UInt8[np.ndarray, "h w 3"],
     clipped: Bool[Tensor, "h w"],
@@ -276,10 +269,7 @@ def _told(
         encoded=encoded,
         clipped=clipped,
         grey=grey,
-        focal_px=facts.focal_px,
-        flash=facts.flash,
-        exposure_value=facts.exposure_value,
-        taken=facts.taken,
+        **vars(facts),
     )
 
 

@@ -50,11 +50,14 @@ def convert_file(
         light = read_environment_map(source, convention=source_convention)
     else:
         picture = read_light(source)
-        rows = _even(picture.shape[0] / _ROWS[source_projection])
+        rows = 2 * max(1, round(picture.shape[0] / _ROWS[source_projection] / 2))
         light = to_latlong(picture, source_projection, rows)
     if projection == "latlong":
         if height is not None and height != light.layout[0]:
-            _check_height(height)
+            if height < 2 or height % 2:
+                raise InputError(
+                    f"a lat-long map has an even number of rows, 2 or more, not {height}"
+                )
             light = light.resize(height)
         write_environment_map(out, light, half=half, convention=convention)
         return light.layout
@@ -65,12 +68,3 @@ def convert_file(
     pixels = from_latlong(light, projection, height)
     write_light(out, pixels, header={"comments": f"{projection}, skylight's frame"}, half=half)
     return pixels.shape[0], pixels.shape[1]
-
-
-def _even(rows: float) -> int:
-    return max(2, 2 * round(rows / 2))
-
-
-def _check_height(height: int) -> None:
-    if height < 2 or height % 2:
-        raise InputError(f"a lat-long map has an even number of rows, 2 or more, not {height}")

@@ -28,11 +28,6 @@ def read_light(path: Path, convention: Convention) -> tuple[EnvironmentMap, tupl
     """A map's light without lamps; that of an estimate's folder or estimate.json with its lamps.
 
     A sky alone gets a black lower half.
-
-    Raises
-    ------
-    InputError
-        A file is missing or damaged, or a map of an estimate is said to have another convention.
     """
     if not path.is_dir() and path.suffix.lower() != ".json":
         return whole_sphere(read_environment_map(path, convention=convention)), ()
@@ -47,13 +42,7 @@ def read_light(path: Path, convention: Convention) -> tuple[EnvironmentMap, tupl
 
 
 def read_numbers(path: Path) -> tuple[Path, dict[str, Any]]:
-    """The estimate.json of a folder, or that file itself, and what it holds.
-
-    Raises
-    ------
-    InputError
-        The file is missing or damaged, or is that of something else.
-    """
+    """The estimate.json of a folder, or that file itself, and what it holds."""
     path = path / NUMBERS if path.is_dir() else path
     try:
         content = json_content(path)
@@ -72,13 +61,7 @@ def read_numbers(path: Path) -> tuple[Path, dict[str, Any]]:
 
 
 def head_file(numbers: Path, place: int, *, of: int) -> Path:
-    """The mesh of one of so many faces of an estimate.json, at a place from 0 in its list.
-
-    Raises
-    ------
-    InputError
-        It is not there.
-    """
+    """The mesh of one of so many faces of an estimate.json, at a place from 0 in its list."""
     path = numbers.parent / ("mesh.obj" if of == 1 else f"mesh_{place + 1}.obj")
     if not path.is_file():
         raise InputError(f"{path}: there is no such file; estimate the photograph again")
@@ -132,11 +115,6 @@ def picked(value: Any, form: Any, name: str) -> Any:
     A form is a type, a list with the form of all elements or with the forms of so many, a dict
     with those of some keys (or of all of them, under ``str``), or a tuple of a form and None,
     where there may be null.
-
-    Raises
-    ------
-    ValueError
-        Something is missing, of another type or beyond :data:`LARGEST`; the message names it.
     """
     if isinstance(form, tuple):
         return None if value is None else picked(value, form[0], name)

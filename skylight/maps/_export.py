@@ -10,9 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
-from jaxtyping import UInt8
 
 from skylight._names import Convention, HarmonicConvention, LightTarget
 from skylight.errors import InputError
@@ -160,7 +158,8 @@ def export_blender_scene(estimate: Path, out: Path, *, photo: Path | None = None
     picture = photo or _where_it_was(Path(face["source"]), numbers)
     if not os.path.isfile(picture):  # Path's raises for names that cannot be
         raise InputError(f"{picture}: the photograph is not there; say where it is with --photo")
-    codes = _codes(picture)
+    # sRGB's codes of the linear values themselves, to which the light belongs: no tone map
+    codes = tone_map(read_photo(picture).pixels, white=1.0)
     height, width = codes.shape[:2]
     if [width, height] != face["picture_px"]:
         raise InputError(
@@ -212,11 +211,6 @@ def _checked(path: Path, content: dict[str, Any]) -> dict[str, Any]:
             "estimate the photograph again"
         )
     return told
-
-
-def _codes(photo: Path) -> UInt8[np.ndarray, "h w 3"]:
-    """sRGB's codes of the linear values themselves, to which the light belongs: no tone map."""
-    return tone_map(read_photo(photo).pixels, white=1.0)
 
 
 def _named_lights(

@@ -16,7 +16,6 @@ from skylight.io._atomic import atomic_path
 from skylight.io._bounded import write_json
 from skylight.io._files import read_environment_map, visible_files
 from skylight.io._hdr import SUFFIXES
-from skylight.sphere._envmap import EnvironmentMap
 from skylight.work._progress import Progress
 
 COMPARED_ROWS = 64  # of the thesis' probes; larger maps are averaged down to it
@@ -60,7 +59,7 @@ def score_files(
     if upper_only:
         guess, truth = (m.with_ground(torch.zeros(3)) for m in (guess, truth))
     rows = height or min(COMPARED_ROWS, truth.layout[0])
-    guess, truth = (_at(m, rows) for m in (guess, truth))
+    guess, truth = (m if m.layout[0] == rows else m.resize(rows) for m in (guess, truth))
     try:
         scores, sun_visible = score_maps(guess, truth)
     except InputError as error:
@@ -78,11 +77,6 @@ def pair_folders(predicted: Path, true: Path) -> tuple[list[tuple[str, Path, Pat
 
     Of an .exr and an .hdr of one name the .exr is taken. A folder of an estimate's results stands
     for its probe.exr, named as the photo: ``a/me_jpg`` and ``a/me_light`` are ``a/me``.
-
-    Raises
-    ------
-    InputError
-        No name is in both, or two estimates have one name.
     """
     guesses, truths = _maps(predicted), _maps(true)
     pairs = [(name, guesses[name], truths[name]) for name in sorted(guesses.keys() & truths.keys())]
@@ -150,7 +144,14 @@ def table(scores: Scores) -> str:
 
 def write_scores(out: Path, result: ScoredMap) -> None:
     """The scores of one map as .json."""
-    write_json(out, {"format": "skylight scores 1", **_described(result)})
+    content = {
+        "format": "skylight scores 1",
+        "map": result.name,
+        "sun_visible": result.sun_visible,
+        "upper_half_only": result.upper_only,
+        "scores": result.scores,
+    }
+    write_json(out, content)
 
 
 def write_table(out: Path, results: list[ScoredMap]) -> None:
@@ -167,15 +168,6 @@ def write_table(out: Path, results: list[ScoredMap]) -> None:
     writer.writerows(rows)
     with atomic_path(out) as temporary:
         temporary.write_text(text.getvalue(), encoding="utf-8")
-
-
-def _described(result: ScoredMap) -> dict:
-    return {
-        "map": result.name,
-        "sun_visible": result.sun_visible,
-        "upper_half_only": result.upper_only,
-        "scores": result.scores,
-    }
 
 
 def _flat(scores: Scores) -> dict[str, float]:
@@ -204,7 +196,3 @@ def _maps(folder: Path) -> dict[str, Path]:
             # sorted: .exr comes before .hdr
             found.setdefault(inner.with_suffix("").as_posix(), path)
     return found
-
-
-def _at(light: EnvironmentMap, rows: int) -> EnvironmentMap:
-    return light if light.layout[0] == rows else light.resize(rows)

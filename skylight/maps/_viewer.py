@@ -294,11 +294,6 @@ def stored_head(path: Path, eyes: list[float]) -> dict[str, Any]:
 
     ``eyes`` is in the mesh's units; ``scale`` is the farthest coordinate from there over 32767, so
     that each coordinate is off by half of it at most: for a head by 5 micrometres.
-
-    Raises
-    ------
-    InputError
-        The mesh is missing or damaged, or has more vertices than 16 bits can number.
     """
     vertices, faces = (part.numpy() for part in read_mesh(path))
     if len(vertices) > _VERTICES_MAX:
@@ -316,14 +311,7 @@ def stored_head(path: Path, eyes: list[float]) -> dict[str, Any]:
 
 
 def read_model(path: Path, *, most: int) -> bytes:
-    """The content of a .glb or .obj file of at most ``most`` bytes that the page can show.
-
-    Raises
-    ------
-    InputError
-        Another format, a file that is missing, damaged, too large, not as long as it says, or not
-        whole: one that names other files, which a page by itself cannot fetch.
-    """
+    """The content of a .glb or .obj file of at most ``most`` bytes that the page can show."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"{path}: '{suffix}' is no model that the page reads: use .glb or .obj")

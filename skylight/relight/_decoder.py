@@ -39,14 +39,7 @@ _STANDARD = (b"", b"ai.onnx")
 
 
 def require_plain(model: bytes) -> None:
-    """Refuse a model that is more than a graph of :data:`OPERATORS` with its weights inside.
-
-    Raises
-    ------
-    ValueError
-        It is damaged, too large, or has custom operators, functions, nested graphs or data in
-        other files.
-    """
+    """Refuse a model that is more than a graph of :data:`OPERATORS` with its weights inside."""
     if len(model) > MODEL_BYTES_MAX:
         raise ValueError(f"{len(model)} bytes are more than the {MODEL_BYTES_MAX} that are read")
     for field, value in _fields(model):

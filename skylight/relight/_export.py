@@ -30,7 +30,7 @@ from skylight.work._progress import Progress
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-OPSET = 20  # from 19 on a padding may wrap around
+_OPSET = 20  # from 19 on a padding may wrap around
 # A sun of kappa 30,000 makes 1e-4 of its radiance from the last bit of its height.
 TOLERANCE = 3e-4
 # A tenth of the mean luminance; below it differences are absolute. Near 0 relative ones would
@@ -39,13 +39,12 @@ RADIANCE_FLOOR = 0.1
 BATCHES = (1, 5, 10)
 _HALVED = 1024  # numbers; fewer are not worth a cast
 GRID_HEIGHT = 64  # twice the decoder's rows
+_ALBEDO = 0.7  # of meshes, whose materials are not used
 EYE_HEIGHT, DISTANCE = 1.6, 3.4  # of the camera, in radii of the mesh's bounding sphere
 _BLOCK_PIXELS = 4096  # 134 MB of transport at a time
 
 
-def export_decoder(
-    light: AutoencoderLight | SkyNetwork, path: str | Path, *, opset: int = OPSET
-) -> float:
+def export_decoder(light: AutoencoderLight | SkyNetwork, path: str | Path) -> float:
     """Write latent (b, z) -> radiance (b, 32, 128, 3), float32, as an ONNX graph; b is dynamic.
 
     Weights that half precision holds are stored so, and cast when the graph is loaded.
@@ -58,7 +57,7 @@ def export_decoder(
     over all pixels; above 3e-4 it is a :class:`SkylightError`.
     """
     network = light.network if isinstance(light, AutoencoderLight) else light
-    graph = _decoder_graph(network, opset)
+    graph = _decoder_graph(network)
     latents = torch.randn(
         sum(BATCHES), network.latents + 1, generator=torch.Generator().manual_seed(0)
     )
@@ -88,7 +87,7 @@ def decoder_difference(graph: bytes, network: SkyNetwork, latents: Float[Tensor,
     return worst
 
 
-def _decoder_graph(network: SkyNetwork, opset: int) -> bytes:
+def _decoder_graph(network: SkyNetwork) -> bytes:
     try:
         import onnx
         import onnxscript.optimizer
@@ -107,7 +106,7 @@ def _decoder_graph(network: SkyNetwork, opset: int) -> bytes:
                 input_names=["latent"],
                 output_names=["radiance"],
                 dynamic_shapes=({0: torch.export.Dim("batch")},),
-                opset_version=opset,
+                opset_version=_OPSET,
                 dynamo=True,
                 verbose=False,
             )
@@ -184,7 +183,6 @@ def precompute_scene(
     *,
     height: int = 240,
     placement: Placement | None = None,
-    albedo: tuple[float, float, float] = (0.7, 0.7, 0.7),
     workers: int = 1,
     progress: Progress | None = None,
 ) -> PrecomputedScene:
@@ -197,15 +195,11 @@ def precompute_scene(
     mesh is lit by the lower half of the probe, which for a sky is the plane's own bounce,
     unshadowed (thesis, Eq. 5.7).
 
-    Parameters
-    ----------
-    mesh : a file that trimesh reads (.obj, .ply, .glb, ...), or a mesh; materials are not used.
-    workers, progress : see :func:`skylight.transport._matrix.diffuse_transport`.
+    ``mesh`` is a file that trimesh reads (.obj, .ply, .glb, ...), or a mesh; ``workers`` are those
+    of :func:`skylight.transport._matrix.diffuse_transport`.
     """
     if not 16 <= height <= 2160:
         raise InputError(f"height must be from 16 to 2160 rows, got {height}")
-    if not all(0 <= value <= 1 for value in albedo):
-        raise InputError(f"albedo must be from 0 to 1, got {albedo}")
     placement = placement or Placement()
     vertices, faces = read_mesh(mesh) if isinstance(mesh, str | Path) else creased(mesh)
     vertices = _placed(vertices, placement)
@@ -236,7 +230,7 @@ def precompute_scene(
         camera=camera,
         pixels=pixels,
         normals=normals,
-        albedo=torch.tensor(albedo).expand(len(pixels), 3),
+        albedo=torch.full((len(pixels), 3), _ALBEDO),
         on_ground=torch.arange(len(pixels)) >= len(seen),
         visible=np.concatenate(visible),
         grid=grid,

@@ -32,11 +32,6 @@ def without_lamps(environment: EnvironmentMap, lamps: Sequence[Lamp]) -> Environ
 
     E_k is the irradiance of a surface that faces lamp k, and g and f are those by which the map was
     made: see :mod:`skylight.inverse._lamp_relighting`.
-
-    Raises
-    ------
-    InputError
-        The maximum would add more than a thousandth of the lamps' energy: the map is another one.
     """
     if not lamps:
         return environment

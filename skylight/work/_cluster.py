@@ -48,15 +48,6 @@ def share_on_cluster(
     A piece whose worker is lost goes to another one, so ``work`` may run twice and must leave the
     same files. Workers may come and go at any time; without any, this waits. ``lost`` is as in
     :func:`skylight.work._resumable.share_work`, dask's ``allowed-failures`` the number of times.
-
-    Raises
-    ------
-    DependencyError
-        The extra ``cluster`` is not installed.
-    InputError
-        No scheduler answers, or a worker is not set up as it must be.
-    SkylightError
-        The scheduler went away, or there is no ``lost`` and a piece lost its workers.
     """
     with ExitStack() as stack:
         client = stack.enter_context(closing(_connect(cluster.address)))

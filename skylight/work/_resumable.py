@@ -41,13 +41,6 @@ def claimed(folder: Path, *inner: Path) -> Iterator[None]:
 
     The lock ends with its process. Windows, and some clusters' file systems, have no such locks:
     there runs are not kept apart, and nothing is swept.
-
-    Raises
-    ------
-    InputError
-        Another run is at work there.
-    OutputError
-        It cannot be written to.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -93,13 +86,7 @@ def _is_locked(file: IO[str], folder: Path) -> bool:
 
 
 def settle(note: Path, settings: dict[str, object]) -> None:
-    """Note what a folder is made with, or see that an earlier run made it with the same.
-
-    Raises
-    ------
-    InputError
-        The note is damaged or tells of other settings; the line names both.
-    """
+    """Note what a folder is made with, or see that an earlier run made it with the same."""
     wanted = json.loads(json.dumps(settings))
     if note.exists():
         try:

@@ -1,6 +1,6 @@
 """Full and read-only disks, and workers that die: one clear line, and what was there stays whole.
 
-Needs root for a small disk in memory of its own; skips without.
+Small and read-only disks in memory need root; their tests skip without.
 """
 
 import os
@@ -75,16 +75,23 @@ def read_only_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_full_disk_leaves_the_old_file_whole(small_disk: Path, name: str) -> None:
-    path = small_disk / name
+def test_a_full_disk_leaves_the_old_file_whole(tmp_path: Path, name: str) -> None:
+    """A real failing write without a disk: no file of this process may be longer than 1 KiB."""
+    resource = pytest.importorskip("resource")
+    path = tmp_path / name
     path.write_bytes(b"the old one")
-    with pytest.raises(OutputError) as caught:
-        WRITERS[name](path)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1024, limits[1]))
+    try:
+        with pytest.raises(OutputError, match=r"File too large|requested and") as caught:
+            WRITERS[name](path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     line = str(caught.value)
     assert "\n" not in line
     assert str(path) in line
     assert path.read_bytes() == b"the old one"
-    assert os.listdir(small_disk) == [name]
+    assert os.listdir(tmp_path) == [name]
 
 
 def test_a_full_disk_leaves_old_results_whole(small_disk: Path) -> None:

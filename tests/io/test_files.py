@@ -306,34 +306,6 @@ def test_an_interrupted_write_leaves_the_old_file(tmp_path: Path, stop: type) ->
     assert os.listdir(tmp_path) == ["result.txt"]
 
 
-@pytest.mark.parametrize("name", ["light.exr", "light.hdr", "shown.png", "numbers.json"])
-def test_a_full_disk_leaves_the_old_file(tmp_path: Path, name: str) -> None:
-    """A real failing write: the process may not make a file longer than 1 KiB."""
-    resource = pytest.importorskip("resource")
-    path = tmp_path / name
-    path.write_text("good")
-    light = some_map((64, 128))
-
-    def write() -> None:
-        if name.startswith("light"):
-            write_environment_map(path, light)
-        elif name == "shown.png":
-            write_png(path, (light.radiance.numpy() * 255).astype(np.uint8))
-        else:
-            write_json(path, list(range(10_000)))
-
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1024, limits[1]))
-    try:
-        with pytest.raises(OutputError, match="File too large") as error:
-            write()
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    one_line(error, path)
-    assert path.read_text() == "good"
-    assert os.listdir(tmp_path) == [name]
-
-
 def test_no_space_says_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(descriptor: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

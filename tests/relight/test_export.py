@@ -105,14 +105,14 @@ def test_the_shadow_lies_opposite_the_sun(scene_path):
 
 def test_meshes_of_all_kinds_stand_on_the_ground_alike(tmp_path):
     box = trimesh.creation.box(extents=(1.0, 2.0, 0.5))
-    expected = precompute_scene(box, tmp_path / "box.npz", height=24)
+    expected = precompute_scene(box, tmp_path / "box.npz", height=16)
     for suffix in ("obj", "ply", "glb"):
         box.export(tmp_path / f"box.{suffix}")
-        got = precompute_scene(tmp_path / f"box.{suffix}", tmp_path / "got.npz", height=24)
+        got = precompute_scene(tmp_path / f"box.{suffix}", tmp_path / "got.npz", height=16)
         np.testing.assert_array_equal(got.visible, expected.visible)
     lying = trimesh.creation.box(extents=(1.0, 0.5, 2.0))  # the same one, up is z
     got = precompute_scene(
-        lying, tmp_path / "got.npz", height=24, placement=Placement(up="z"), workers=2
+        lying, tmp_path / "got.npz", height=16, placement=Placement(up="z"), workers=2
     )
     np.testing.assert_array_equal(got.pixels, expected.pixels)
     np.testing.assert_allclose(got.normals, expected.normals, atol=1e-6)
@@ -123,7 +123,7 @@ def test_a_turn_adds_to_the_azimuth(tmp_path):
     wedge = trimesh.creation.box(extents=(1.0, 1.0, 1.0))
     wedge.vertices[wedge.vertices[:, 0] > 0, 1] *= 0.2  # lower on its +X side
     turned = Placement(turn_rad=np.pi / 2, ground=False)
-    got = precompute_scene(wedge, tmp_path / "a.npz", height=48, placement=turned)
+    got = precompute_scene(wedge, tmp_path / "a.npz", height=24, placement=turned)
     top = got.normals[got.normals[:, 1] > 0.5].mean(0)
     assert top[2] > 0.2
     assert abs(top[0]) < 1e-3

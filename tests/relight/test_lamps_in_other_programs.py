@@ -1,12 +1,9 @@
 """An estimate's lamps as lights of other programs: each read as that program reads it."""
 
 import ast
-import importlib.util
 import json
 import math
 import re
-import subprocess
-import sys
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from pathlib import Path
@@ -33,6 +30,7 @@ from skylight.relight._scenes import (
 from skylight.sphere._envmap import EnvironmentMap
 from tests.lamp_lit import lamp_lit, lamp_params
 from tests.oracles.harmonics import from_convention, irradiance
+from tests.relight.programs import mitsuba, seen_by_blender
 from tests.relight.test_light_files import read_glb
 from tests.relight.test_threejs_light import PAGE
 from tests.three_js import browser_page, run_in_node
@@ -111,7 +109,7 @@ def usd(folder: Path) -> tuple[list[Parsed], Callable[[Tensor], Tensor]]:
     return found, rest.irradiance
 
 
-def mitsuba(folder: Path) -> tuple[list[Parsed], Callable[[Tensor], Tensor]]:
+def in_mitsuba(folder: Path) -> tuple[list[Parsed], Callable[[Tensor], Tensor]]:
     write_mitsuba(folder, REST, LAMPS)
     found = []
     for emitter in ElementTree.parse(folder / SCENE).getroot().findall("emitter")[1:]:
@@ -139,7 +137,7 @@ def blender(folder: Path) -> tuple[list[Parsed], Callable[[Tensor], Tensor]]:
     return found, rest.irradiance
 
 
-@pytest.mark.parametrize("written", [threejs, gltf, usd, mitsuba, blender])
+@pytest.mark.parametrize("written", [threejs, gltf, usd, in_mitsuba, blender])
 def test_a_surface_facing_a_lamp_receives_what_the_full_map_gives_it(
     tmp_path: Path, written: Callable[[Path], tuple[list[Parsed], Callable[[Tensor], Tensor]]]
 ) -> None:
@@ -237,10 +235,7 @@ def test_usd_itself_reads_the_lamps(tmp_path: Path) -> None:
 
 
 def test_mitsuba_itself_shines_from_the_lamps(tmp_path: Path) -> None:
-    mi = pytest.importorskip("mitsuba", reason="mitsuba is not installed")
-    if "scalar_rgb" not in mi.variants():
-        pytest.skip("this mitsuba has no scalar_rgb variant")
-    mi.set_variant("scalar_rgb")
+    mi = mitsuba()
     write_mitsuba(tmp_path, REST, LAMPS)
     scene = mi.load_file(str(tmp_path / SCENE))
     found = {emitter.id(): emitter for emitter in scene.emitters()}
@@ -253,19 +248,8 @@ def test_mitsuba_itself_shines_from_the_lamps(tmp_path: Path) -> None:
         assert [float(c) for c in strength] == pytest.approx(lamp.irradiance.tolist(), rel=1e-5)
 
 
-BLENDER_CHECK = """
-import json, math, runpy, sys
-import bpy, mathutils
-import numpy as np
-folder, normals = sys.argv[1], json.loads(sys.argv[2])
-bpy.ops.wm.read_factory_settings(use_empty=True)
-runpy.run_path(folder + "/load_light.py")
-scene = bpy.context.scene
-scene.render.engine = "CYCLES"
-scene.cycles.samples, scene.cycles.use_denoising = 1024, False
-scene.render.resolution_x = scene.render.resolution_y = 4
-scene.view_settings.view_transform = "Raw"
-scene.render.image_settings.file_format = "OPEN_EXR"
+WHITE_PLANE = """
+scene.cycles.samples = 1024
 bpy.ops.mesh.primitive_plane_add(size=1)
 plane = bpy.context.object
 white = bpy.data.materials.new("white")
@@ -277,37 +261,18 @@ matt, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMa
 matt.inputs["Color"].default_value = 1, 1, 1, 1
 white.node_tree.links.new(matt.outputs["BSDF"], output.inputs["Surface"])
 plane.data.materials.append(white)
-camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
-camera.data.lens = 500
-scene.collection.objects.link(camera)
-scene.camera = camera
 seen = []
-for x, y, z in normals:
+for x, y, z in asked:
     towards = mathutils.Vector((x, -z, y))
     plane.rotation_euler = camera.rotation_euler = towards.to_track_quat("Z", "Y").to_euler()
     camera.location = 3 * towards
-    scene.render.filepath = folder + "/seen.exr"
-    bpy.ops.render.render(write_still=True)
-    picture = bpy.data.images.load(scene.render.filepath, check_existing=False)
-    seen.append((math.pi * np.array(picture.pixels[:]).reshape(-1, 4)[:, :3].mean(0)).tolist())
-print("SEEN", json.dumps(seen))
+    seen.append((math.pi * picture("seen")[..., :3].mean((0, 1))).tolist())
 """
 
 
 def test_blender_itself_lights_a_plane_with_suns_and_world(tmp_path: Path) -> None:
-    if importlib.util.find_spec("bpy") is None:
-        pytest.skip("Blender's module bpy is not installed")
     write_blender(tmp_path, REST, LAMPS)
     normals = [lamp.direction for lamp in LAMPS]
-    asked = json.dumps([normal.tolist() for normal in normals])
-    ended = subprocess.run(
-        [sys.executable, "-c", BLENDER_CHECK, str(tmp_path), asked],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    lines = [line for line in ended.stdout.splitlines() if line.startswith("SEEN ")]
-    assert lines, ended.stderr
-    for normal, seen in zip(normals, json.loads(lines[0][5:]), strict=True):
+    shown = seen_by_blender(tmp_path, WHITE_PLANE, [normal.tolist() for normal in normals])
+    for normal, seen in zip(normals, shown, strict=True):
         assert seen == pytest.approx(LIT.irradiance(normal).tolist(), rel=0.015)

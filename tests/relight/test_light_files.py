@@ -1,10 +1,7 @@
 """Lights written for other programs: each read as that program reads it."""
 
-import importlib.util
 import json
 import math
-import subprocess
-import sys
 from io import BytesIO
 from pathlib import Path
 
@@ -31,6 +28,7 @@ from skylight.sphere._wavelets import texel_solid_angles
 from tests.axis_colours import AXES, axis_map
 from tests.oracles.harmonics import from_convention, irradiance
 from tests.oracles.rgbd import decode_rgbd
+from tests.relight.programs import mitsuba, seen_by_blender
 
 
 def sunny_map() -> EnvironmentMap:
@@ -224,51 +222,21 @@ def test_blender_texture_lies_as_cycles_looks_it_up(tmp_path: Path) -> None:
         assert looked_up(picture, u, v) == pytest.approx(colour, abs=0.01)
 
 
-BLENDER_CHECK = """
-import json, runpy, sys
-import bpy, mathutils
-import numpy as np
-folder, axes = sys.argv[1], json.loads(sys.argv[2])
-bpy.ops.wm.read_factory_settings(use_empty=True)
-runpy.run_path(folder + "/load_light.py")
-scene = bpy.context.scene
-scene.render.engine = "CYCLES"
-scene.cycles.samples, scene.cycles.use_denoising = 16, False
-scene.render.resolution_x = scene.render.resolution_y = 4
-scene.view_settings.view_transform = "Raw"
-scene.render.image_settings.file_format = "OPEN_EXR"
-camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
-camera.data.lens = 500
-scene.collection.objects.link(camera)
-scene.camera = camera
+ALONG_THE_AXES = """
+scene.cycles.samples = 16
 seen = {}
-for name, (x, y, z) in axes.items():
+for name, (x, y, z) in asked.items():
     towards = mathutils.Vector((x, -z, y))
     camera.rotation_euler = towards.to_track_quat("-Z", "Y").to_euler()
-    scene.render.filepath = folder + "/seen_" + name + ".exr"
-    bpy.ops.render.render(write_still=True)
-    pixels = np.array(bpy.data.images.load(scene.render.filepath).pixels[:]).reshape(4, 4, 4)
-    seen[name] = pixels[1, 1, :3].tolist()
-print("SEEN", json.dumps(seen))
+    seen[name] = picture("seen_" + name)[1, 1, :3].tolist()
 """
 
 
 def test_blender_itself_sees_the_axes(tmp_path: Path) -> None:
-    if importlib.util.find_spec("bpy") is None:
-        pytest.skip("Blender's module bpy is not installed")
     write_blender(tmp_path, axis_map())
     # a little beside the poles, across which Cycles blends with the other one
-    axes = json.dumps({name: [x + 0.05, y, z + 0.03] for name, ((x, y, z), _) in AXES.items()})
-    ended = subprocess.run(
-        [sys.executable, "-c", BLENDER_CHECK, str(tmp_path), axes],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    lines = [line for line in ended.stdout.splitlines() if line.startswith("SEEN ")]
-    assert lines, ended.stderr
-    seen = json.loads(lines[0][5:])
+    axes = {name: [x + 0.05, y, z + 0.03] for name, ((x, y, z), _) in AXES.items()}
+    seen = seen_by_blender(tmp_path, ALONG_THE_AXES, axes)
     for name, (_, colour) in AXES.items():
         assert seen[name] == pytest.approx(colour, abs=0.02)
 
@@ -277,10 +245,7 @@ def test_blender_itself_sees_the_axes(tmp_path: Path) -> None:
 
 
 def test_mitsuba_itself_sees_the_axes_in_our_scene(tmp_path: Path) -> None:
-    mi = pytest.importorskip("mitsuba", reason="mitsuba is not installed")
-    if "scalar_rgb" not in mi.variants():
-        pytest.skip("this mitsuba has no scalar_rgb variant")
-    mi.set_variant("scalar_rgb")
+    mi = mitsuba()
     write_mitsuba(tmp_path, axis_map())
     scene = mi.load_file(str(tmp_path / SCENE), spp=16, width=96, height=32)
     far = mi.Point3f(0, 50, 0)  # above the balls

@@ -196,10 +196,6 @@ def test_a_sky_probe_gets_a_ground_and_an_exposure(scene_path, tmp_path):
         ({"latent": [0.0] * 64, "exposure": 0}, "exposure"),
         ({"latent": [0.0] * 64, "exposure": True}, "exposure"),
         ({"latent": [0.0] * 64, "ground_albedo": [0.1, 0.1, 2]}, "from 0 to 1"),
-        (
-            {"params": [0.0] * 65, "versions": {"skylight": "0.1.0"}},
-            r"skylight 0\.1\.0, .*probe\.exr",
-        ),
         ({"z": [0.0] * 64}, 'an object with "latent"'),
         (
             {"params": [0.0] * 65, "versions": {"skylight": "0.1.0"}},

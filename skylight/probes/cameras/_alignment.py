@@ -147,8 +147,7 @@ class OutlineAligner:
             if len(starts) <= _STARTS and all(abs(turn - s) > 1.5 * _STEP_DEG for s in starts):
                 starts.append(turn)
         fits = [self._followed(_about_vertical(turn)) for turn in starts]
-        found = [fit for fit in fits if fit is not None]
-        return sorted(found, key=lambda fit: -fit.share)
+        return sorted((fit for fit in fits if fit is not None), key=lambda fit: -fit.share)
 
     def _followed(self, motion: RigidTransform) -> OutlineFit | None:
         """From a motion to the nearest that all pictures tell; None where they do not.
@@ -162,25 +161,25 @@ class OutlineAligner:
         )
         for _ in range(_ROUNDS):
             looks = [self._look(view, motion, self._outline) for view in self._views]
-            misses = [look.misses(search) for look in looks]
-            miss = np.concatenate(misses)
+            miss = np.concatenate([look.misses(search) for look in looks])
             found = np.isfinite(miss)
             if found.sum() < 12:
                 return None
             slope = np.concatenate([look.slopes for look in looks])[found]
             weight, scale = tukey_weights(miss[found])
-            told = slope.T @ (weight[:, None] * slope) / scale**2 + prior
+            information = slope.T @ (weight[:, None] * slope) / scale**2 + prior
             pull = slope.T @ (weight * miss[found]) / scale**2 - prior @ motion.vector().numpy()
-            if np.linalg.cond(told) > 1e12:
+            if np.linalg.cond(information) > 1e12:
                 return None
-            step = np.linalg.solve(told, pull)
+            step = np.linalg.solve(information, pull)
             further = RigidTransform.from_vector(torch.from_numpy(step))
             motion = further.about(motion.translation) @ motion
             still = np.abs([*np.degrees(step[:3]), *step[3:]]).max() < _STILL
             if still and search <= _SEARCH_LAST_PX:
                 break
             search = max(_SEARCH_LAST_PX, _NARROWER * search)
-        return self._fit_of(motion, float(np.degrees(np.sqrt(np.linalg.inv(told)[1, 1]))))
+        variance = np.linalg.inv(information)[1, 1]
+        return self._fit_of(motion, float(np.degrees(np.sqrt(variance))))
 
     def _fit_of(self, motion: RigidTransform, turn_error_deg: float) -> OutlineFit:
         agree, places = [], []

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,13 +18,13 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from skylight._names import Page
 from skylight.errors import InputError
 from skylight.io._atomic import atomic_path
 from skylight.io._bounded import read_number, read_object, read_whole, require_keys, write_json
 from skylight.sphere._rotation import RigidTransform
 from skylight.transport._rays import Raycaster
 
-Page = Literal["A4", "A3", "letter"]
 PAGES_MM: dict[str, tuple[float, float]] = {  # ISO 216; ANSI/ASME Y14.1
     "A4": (210.0, 297.0),
     "A3": (297.0, 420.0),
@@ -161,13 +161,7 @@ def dictionaries() -> list[str]:
 
 
 def write_board(path: str | Path, board: Board, page: Page = "A4") -> None:
-    """Draw the board in true size on a page, as .svg or .pdf, with a ruler to check the print.
-
-    Raises
-    ------
-    InputError
-        Another ending or page, or a board that does not fit; the message says what would.
-    """
+    """Draw the board in true size on a page, as .svg or .pdf, with a ruler to check the print."""
     path = Path(path)
     kind = path.suffix.lower()
     if kind not in (".svg", ".pdf"):
@@ -338,13 +332,7 @@ class ProbeAssembly:
 
 
 def read_placement(content: Mapping[str, object]) -> dict[str, Any]:
-    """The fields of a :class:`ProbeAssembly` in an assembly file.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Numbers of another shape, texts, or lengths that are not above 0.
-    """
+    """The fields of a :class:`ProbeAssembly` in an assembly file."""
 
     def numbers(key: str, *shape: int) -> Float[np.ndarray, "..."]:
         found = np.array(content[key])

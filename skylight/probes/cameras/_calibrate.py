@@ -59,10 +59,6 @@ class Calibration:
     coverage: float
     warnings: tuple[str, ...]
 
-    def __post_init__(self) -> None:
-        if len(self.views) < VIEWS_MIN or not 0 <= self.coverage <= 1:
-            raise ValueError(f"{len(self.views)} views, coverage {self.coverage}")
-
 
 @dataclass(frozen=True, kw_only=True)
 class _Solution:

@@ -1,14 +1,12 @@
 """``skylight camera``: boards to print, lenses and responses."""
 
 from pathlib import Path
-from typing import Literal
 
 import tyro
 from tyro.conf import Positional
 
+from skylight._names import Page
 from skylight._options import one_source, take_care
-
-BoardPage = Literal["A4", "A3", "letter"]  # a test compares it with the board's own
 
 camera = tyro.extras.SubcommandApp()
 
@@ -20,7 +18,7 @@ def camera_board(
     rows: int = 10,
     square_mm: float = 25.0,
     marker_mm: float | None = None,
-    page: BoardPage = "A4",
+    page: Page = "A4",
     dictionary: str = "DICT_4X4_50",
     first_marker: int = 0,
 ) -> None:

@@ -13,12 +13,11 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
 
-from skylight.errors import InputError
 from skylight.probes.cameras._intrinsics import FLIP, FLIPPED, Intrinsics
 from skylight.probes.cameras._pose import project
 from skylight.sphere._rotation import RigidTransform
 
-SEARCH_PX = 8.0
+_SEARCH_PX = 8.0  # less than to the next edge that looks like it, where the pose allows
 _SEARCH_LAST_PX = 2.5  # once near, what lies further off is another edge
 _STEP_PX = 0.5  # between the places tried across an edge
 _SPACING_PX = 4.0  # between samples along an edge
@@ -57,41 +56,22 @@ def refine_on_edges(
     intrinsics: Intrinsics,
     edges: Float[np.ndarray, "n 2 3"],
     visible: Bool[np.ndarray, " n"],
-    *,
-    search_px: float = SEARCH_PX,
 ) -> EdgeFit:
     """The pose under which the object's edges lie on the picture's.
 
-    Parameters
-    ----------
-    image
-        As the camera took it; distortion is in ``intrinsics``.
-    edges
-        Ends of the object's straight edges in the pose's world, mm.
-    visible
-        Which of them are to be seen; others are not used.
-    search_px
-        How far from an edge its place in the picture may be: less than to the next edge that
-        looks like it, where the pose allows.
+    ``edges``: ends of the object's straight edges in the pose's world, mm, of which the
+    ``visible`` ones are used.
 
-    Notes
-    -----
     Each sample p on an edge with normal n in the picture gives one residual r: how far along n,
-    within ``search_px``, the derivative of the blurred brightness is strongest. The motion m
+    within the search range, the derivative of the blurred brightness is strongest. The motion m
     (rotation and translation in the camera's frame) minimises sum rho(n . dp/dm m - r) with
     Tukey's rho, whose scale is ``1.48 median |r|``; iterated to convergence with a
     shrinking search range.
     """
     intrinsics.require_size(image.shape[1], image.shape[0])
-    if len(edges) != len(visible):
-        raise InputError(
-            f"{len(edges)} edges and {len(visible)} marks of visibility: give one each"
-        )
     shown = edges[visible]
     grey = blurred_grey(image)
-    if not search_px > 0:
-        raise InputError(f"the search must reach further than 0 px, got {search_px:g}")
-    current, search, last = pose, search_px, min(search_px, _SEARCH_LAST_PX)
+    current, search = pose, _SEARCH_PX
     for _ in range(_ROUNDS):
         points, normals, slopes = _samples(shown, current, intrinsics)
         offsets = strongest_steps(grey, points, normals, search)
@@ -108,16 +88,16 @@ def refine_on_edges(
         left = miss - slope @ solved
         inliers = weight > 0
         rms, used = float(np.sqrt((left[inliers] ** 2).mean())), int(inliers.sum())
-        if shift < _STILL_PX and search <= last:
+        if shift < _STILL_PX and search <= _SEARCH_LAST_PX:
             moved = _moved_px(pose, current, shown, intrinsics)
             if rms > _RMS_MAX_PX or used < max(_AGREE_MIN * len(offsets), _SAMPLES_MIN):
                 return _kept(
                     pose, f"{used} of {len(offsets)} places on edges agree, to {rms:.1f} px"
                 )
-            if moved > 2 * search_px:
+            if moved > 2 * _SEARCH_PX:
                 return _kept(pose, f"the edges went {moved:.0f} px, further than was searched")
             return EdgeFit(pose=current, converged=True, samples=used, rms_px=rms, moved_px=moved)
-        search = max(last, min(search, 0.75 * search + 0.25 * 6 * scale))
+        search = max(_SEARCH_LAST_PX, min(search, 0.75 * search + 0.25 * 6 * scale))
     return _kept(pose, f"the edges did not come to rest within {_ROUNDS} rounds")
 
 

@@ -40,19 +40,10 @@ def read_views(
 ) -> tuple[ExposureSeries, ...]:
     """One or two views, both in the unit of the first.
 
-    Parameters
-    ----------
-    times
-        Exposure times of ``photos`` and then of ``second``, or one list that serves both; by
-        default EXIF data tell.
-    response
-        "auto", "srgb", "recover", or a file of `skylight camera response`. The second view gets
-        the first one's.
-
-    Raises
-    ------
-    InputError
-        Files that cannot be read, that have no times, or that do not belong together.
+    ``times``: exposure times of ``photos`` and then of ``second``, or one list that serves both; by
+    default EXIF data tell.
+    ``response``: "auto", "srgb", "recover", or a file of `skylight camera response`. The second
+    view gets the first one's.
     """
     given = None if times is None else exposure_times(times)
     if given is not None and len(given) == len(photos) == len(second):
@@ -92,11 +83,6 @@ def read_series(
     """One view; ``seconds`` as EXIF data tell by default.
 
     ``lone`` allows for a single exposure, of which whatever is saturated stays unknown.
-
-    Raises
-    ------
-    InputError
-        Files that cannot be read, that have no times, or that do not belong together.
     """
     if not files:
         raise InputError("no pictures were given: name two exposures or more")
@@ -121,13 +107,7 @@ def read_series(
 
 
 def exposure_times(text: str) -> list[float]:
-    """Seconds of a list such as "1/60,0.5,2".
-
-    Raises
-    ------
-    InputError
-        A part is no number, or not finite and above 0.
-    """
+    """Seconds of a list such as "1/60,0.5,2"."""
     out = []
     for part in text.split(","):
         above, _, below = part.partition("/")
@@ -144,13 +124,7 @@ def exposure_times(text: str) -> list[float]:
 
 
 def exif_exposures(paths: Sequence[Path]) -> list[float]:
-    """Exposure times in seconds that the pictures' EXIF data tell.
-
-    Raises
-    ------
-    InputError
-        One of them tells none or cannot be read, or aperture or sensitivity differ.
-    """
+    """Exposure times in seconds that the pictures' EXIF data tell."""
     seconds, settings = [], []
     for path in paths:
         tags = read_exif(path).get_ifd(ExifTags.IFD.Exif)
@@ -166,13 +140,7 @@ def exif_exposures(paths: Sequence[Path]) -> list[float]:
 
 
 def read_exposure(path: Path, response: Response | Choice) -> np.ndarray:
-    """Codes of 8 bits, or linear light, (h,w,3).
-
-    Raises
-    ------
-    InputError
-        It cannot be read, or has 16 bits and the response is for 8.
-    """
+    """Codes of 8 bits, or linear light, (h,w,3)."""
     suffix = path.suffix.lower()
     if suffix in HDR_SUFFIXES:
         return _read_linear(path)

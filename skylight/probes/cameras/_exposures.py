@@ -144,13 +144,7 @@ def common_response(exposures: Sequence[Exposure], wanted: Choice) -> tuple[Resp
 
 
 def linearised(exposure: Exposure, response: Response | Choice = "auto") -> Merged:
-    """Linear light of one exposure alone, of which whatever is saturated stays unknown.
-
-    Raises
-    ------
-    InputError
-        "recover": one exposure tells no response.
-    """
+    """Linear light of one exposure alone, of which whatever is saturated stays unknown."""
     if response == "recover":
         raise InputError(f"{exposure.name}: one exposure tells no response; give one, or sRGB")
     curve = None
@@ -165,13 +159,7 @@ def linearised(exposure: Exposure, response: Response | Choice = "auto") -> Merg
 
 
 def check_bracket(exposures: Sequence[Exposure]) -> None:
-    """Raise unless the pictures are a bracket.
-
-    Raises
-    ------
-    InputError
-        Fewer than two pictures, sizes or kinds that differ, or times too alike.
-    """
+    """Raise unless the pictures are a bracket."""
     if len(exposures) < 2:
         raise InputError(
             "one picture cannot show both lamps and shadows: give two exposures or more, or one "

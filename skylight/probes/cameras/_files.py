@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skylight import __version__
+from skylight._names import Page
 from skylight.errors import InputError
 from skylight.io._bounded import write_json
-from skylight.probes.cameras._board import Board, Page, load_board, save_board, write_board
+from skylight.probes.cameras._board import Board, load_board, save_board, write_board
 from skylight.probes.cameras._calibrate import Calibration, calibrate
 from skylight.probes.cameras._exposure_files import exif_exposures, exposure_times
 from skylight.probes.cameras._intrinsics import Intrinsics, describe_intrinsics, load_intrinsics
@@ -25,31 +26,16 @@ from skylight.work._progress import Tell
 MOVED = 0.1  # of a face's shading: more is another light, or another pose than was thought
 
 
-@dataclass(frozen=True, kw_only=True)
-class MadeBoard:
-    """The page to print and the file of the board's measures."""
-
-    page: Path
-    measures: Path
-
-
-def make_board(out: Path, board: Board, *, page: Page = "A4", tell: Tell = print) -> MadeBoard:
-    """Draw a board on a page (.pdf or .svg) and write its measures beside it, as .json.
-
-    Raises
-    ------
-    InputError
-        Another ending, or the board does not fit on the page.
-    """
+def make_board(out: Path, board: Board, *, page: Page = "A4") -> None:
+    """Draw a board on a page (.pdf or .svg) and write its measures beside it, as .json."""
     measures = out.with_suffix(".json")
     write_board(out, board, page)
     save_board(measures, board)
     width, height = board.size_mm
-    tell(
+    print(
         f"{out}: {board.columns} x {board.rows} squares, {width:g} x {height:g} mm on {page}; "
         f"print at 100 %, measure the ruler, and keep {measures.name}"
     )
-    return MadeBoard(page=out, measures=measures)
 
 
 def calibrate_camera(
@@ -58,17 +44,11 @@ def calibrate_camera(
     out: Path,
     *,
     most: int = FRAMES_MOST,
-    tell: Tell = print,
     warn: Tell = print,
 ) -> Calibration:
     """Calibrate from photographs, a video or a webcam (its number), and write the camera as JSON.
 
-    ``tell`` gets the summary's line, ``warn`` one line for each picture dropped and each doubt.
-
-    Raises
-    ------
-    InputError
-        A file cannot be used, or the pictures do not suffice; nothing is written.
+    ``warn`` gets one line for each picture dropped and each doubt.
     """
     if out.suffix.lower() != ".json":
         raise InputError(f"{out}: a camera is written as .json; choose another name")
@@ -81,7 +61,7 @@ def calibrate_camera(
     for warning in found.warnings:
         warn(warning)
     lens = found.intrinsics
-    tell(
+    print(
         f"{out}: focal length {lens.fx:.1f} x {lens.fy:.1f} px (± {found.std['fx']:.1f}), "
         f"{lens.width}x{lens.height}, {len(found.views)} pictures, corners off by "
         f"{lens.rms_px:.2f} px"
@@ -114,21 +94,12 @@ def describe_calibration(calibration: Calibration) -> dict[str, object]:
 
 
 def recover_camera_response(
-    photos: Sequence[Path],
-    out: Path,
-    *,
-    times: str | None = None,
-    tell: Tell = print,
+    photos: Sequence[Path], out: Path, *, times: str | None = None
 ) -> Response:
     """Recover how codes encode light from exposures of one scene, and write it as JSON.
 
     ``times`` lists the exposure times in the pictures' order, such as "1/60,1/30,1/15"; by default
     they are taken from the files' EXIF data.
-
-    Raises
-    ------
-    InputError
-        A file cannot be used, a time is missing, or the pictures do not suffice.
     """
     if out.suffix.lower() != ".json":
         raise InputError(f"{out}: a response is written as .json; choose another name")
@@ -140,7 +111,7 @@ def recover_camera_response(
     save_response(out, response)
     assert response.curve is not None
     middle = ", ".join(f"{value:.3f}" for value in response.curve[:, 128])
-    tell(
+    print(
         f"{out}: from {len(photos)} exposures, {max(seconds) / min(seconds):.3g} to 1; code 128 "
         f"stands for {middle} of the most light (sRGB 0.216)"
     )

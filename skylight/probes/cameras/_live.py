@@ -18,7 +18,7 @@ from skylight.io._atomic import atomic_path, require_place
 from skylight.io._files import opened_picture
 
 FRAMES_MOST = 40
-WEBCAM_SECONDS = 20.0
+WEBCAM_SECONDS = 20.0  # for which one is watched
 _WINDOW = 10  # frames of which the sharpest is taken: a third of a second of most videos
 # codes, mean over a thumbnail: noise makes 0.02, a board tilted by 15 degrees at 80 cm 1.5
 _DIFFERENT = 1.0
@@ -42,45 +42,21 @@ class _Candidate:
     thumbnail: Float[np.ndarray, "h w"]
 
 
-def read_frames(
-    source: Path | Sequence[Path] | int,
-    *,
-    most: int = FRAMES_MOST,
-    seconds: float = WEBCAM_SECONDS,
-) -> Iterator[Frame]:
+def read_frames(source: Path | Sequence[Path] | int, *, most: int = FRAMES_MOST) -> Iterator[Frame]:
     """Pictures of one size.
 
-    Parameters
-    ----------
-    source
-        A list of photographs, all of which are given; a video, or the number of a webcam, of
-        which come at most ``most`` frames, each the sharpest of its ten and different from others.
-    seconds
-        How long a webcam is watched.
-
-    Raises
-    ------
-    InputError
-        A file or camera that cannot be opened or has no pictures; several sizes, or photographs
-        for which the camera was held in several ways.
+    ``source``: a list of photographs, all of which are given; a video, or the number of a webcam,
+    of which come at most ``most`` frames, each the sharpest of its ten and different from others.
     """
     if isinstance(source, Sequence):
         if not source:
             raise InputError("no pictures were given: name one or more files")
         return _one_size(map(read_picture, source))
-    if isinstance(source, int) and source < 0:
-        raise InputError(f"webcams are numbered from 0, got {source}")
-    return _one_size(sharp_and_different(film(source, seconds=seconds), most=most))
+    return _one_size(sharp_and_different(film(source, seconds=WEBCAM_SECONDS), most=most))
 
 
 def read_picture(path: Path) -> Frame:
-    """A photograph as 8-bit RGB, upright as its EXIF orientation asks; grey is welcome.
-
-    Raises
-    ------
-    InputError
-        The file is missing, damaged or no 8-bit picture.
-    """
+    """A photograph as 8-bit RGB, upright as its EXIF orientation asks; grey is welcome."""
     with opened_picture(path) as image:
         orientation = int(image.getexif().get(ExifTags.Base.Orientation, 1))
         if image.mode in ("I", "F") or image.mode.startswith("I;"):
@@ -144,13 +120,7 @@ def _difference(a: _Candidate, b: _Candidate) -> float:
 
 
 def film(source: Path | int, *, seconds: float = math.inf) -> Iterator[Frame]:
-    """Every frame of a video; of a webcam (its number), those of ``seconds``.
-
-    Raises
-    ------
-    InputError
-        A film that cannot be opened or has no pictures.
-    """
+    """Every frame of a video; of a webcam (its number), those of ``seconds``."""
     if isinstance(source, Path):
         for frame in film_frames(source):
             yield Frame(name=f"{source}, frame {frame.number + 1}", image=frame.codes)
@@ -278,11 +248,6 @@ def write_film(
     """Write ``out`` (.mp4, ``size`` is width and height) with what each frame becomes.
 
     Ctrl-C ends a webcam's film, which is kept.
-
-    Raises
-    ------
-    InputError
-        The source or another file cannot be used, or no frame shows the board.
     """
     check_film(source, out, most)
     rate = film_rate(source)

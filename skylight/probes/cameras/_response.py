@@ -64,17 +64,19 @@ class Response:
 
     def linearise(self, image: Codes) -> Float[Tensor, "h w 3"]:
         """Linear light of 8-bit or 16-bit codes, float32; 1 is the largest code's of "srgb"."""
-        if image.dtype != np.uint8:
-            return torch.from_numpy(self._light(_shares(image)))
-        import cv2
+        if image.dtype == np.uint8:
+            import cv2
 
-        return torch.from_numpy(np.asarray(cv2.LUT(image, self._table)))
+            return torch.from_numpy(np.asarray(cv2.LUT(image, self._table)))
+        if image.dtype != np.uint16:
+            raise InputError(f"codes must be uint8 or uint16, got {image.dtype}")
+        return torch.from_numpy(self._light(image / 65535.0))
 
     @cached_property
     def _table(self) -> Float[np.ndarray, "256 1 3"]:
         """Light of the 8-bit codes."""
-        codes = np.arange(LEVELS, dtype=np.uint8)[:, None, None]
-        return self._light(_shares(np.repeat(codes, 3, axis=2)))
+        codes = np.arange(LEVELS)[:, None, None]
+        return self._light(np.repeat(codes / 255.0, 3, axis=2))
 
     def _light(self, share: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
         if self.curve is None:
@@ -100,7 +102,6 @@ class Response:
 
 def saturated(image: Codes) -> Bool[np.ndarray, "h w"]:
     """Where a channel is at 250/255 of the largest code or above, so more light may have fallen."""
-    _require_codes(image)
     least = math.ceil(SATURATED * np.iinfo(image.dtype).max - 1e-6)
     return np.asarray(image.max(-1) >= least)
 
@@ -207,17 +208,6 @@ def load_response(path: str | Path) -> Response:
         return Response()
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-
-
-def _shares(image: np.ndarray) -> Float[np.ndarray, "h w 3"]:
-    """Codes as shares of the largest."""
-    _require_codes(image)
-    return image / float(np.iinfo(image.dtype).max)
-
-
-def _require_codes(image: np.ndarray) -> None:
-    if image.dtype not in (np.uint8, np.uint16):
-        raise InputError(f"codes must be uint8 or uint16, got {image.dtype}")
 
 
 def _check(pictures: Sequence[np.ndarray], times: Float[np.ndarray, " p"]) -> None:

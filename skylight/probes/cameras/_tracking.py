@@ -110,7 +110,7 @@ class BoardTracker:
         if corners is None:
             return None
         plane, _ = self._plane(corners.numbers, corners.pixels, _OFF_PX)
-        found = None if plane is None else self._settled(grey, plane)
+        found = None if plane is None else self._pose_near(grey, plane)
         return found or corners_pose(corners, self._intrinsics)
 
     def _followed(self, grey: UInt8[np.ndarray, "h w"], last: _Seen) -> BoardPose | None:
@@ -130,9 +130,9 @@ class BoardTracker:
         )
         there = there.ravel() == 1
         plane, _ = self._plane(numbers[there], flowed[there], _FLOW_OFF_PX)
-        return None if plane is None else self._settled(grey, plane)
+        return None if plane is None else self._pose_near(grey, plane)
 
-    def _settled(
+    def _pose_near(
         self, grey: UInt8[np.ndarray, "h w"], plane: Float[np.ndarray, "3 3"]
     ) -> BoardPose | None:
         """The pose near a homography, from all corners that are there; None where they are not."""

@@ -75,13 +75,7 @@ def picture_camera(height: int, width: int, focal_px: float | None) -> Camera:
 
 
 def focal_from_fov(height: int, fov_deg: float) -> float:
-    """Focal length in px of a picture so high whose vertical field of view is ``fov_deg``.
-
-    Raises
-    ------
-    InputError
-        A field outside 0.1 to 170 degrees.
-    """
+    """Focal length in px of a picture so high whose vertical field of view is ``fov_deg``."""
     if not PARALLEL_FOV_DEG <= fov_deg <= 170:
         raise InputError(
             f"a vertical field of view is {PARALLEL_FOV_DEG:g} to 170 degrees, got {fov_deg:g}"
@@ -90,13 +84,7 @@ def focal_from_fov(height: int, fov_deg: float) -> float:
 
 
 def ball_of_circle(camera: Camera, x: float, y: float, radius: float) -> Ball:
-    """The ball whose outline is nearest to a circle, all in px.
-
-    Raises
-    ------
-    InputError
-        A circle that is not wholly in the picture, or too small.
-    """
+    """The ball whose outline is nearest to a circle, all in px."""
     if not all(math.isfinite(value) for value in (x, y, radius)) or radius < RADIUS_MIN_PX:
         raise InputError(
             f"a ball must have a radius of {RADIUS_MIN_PX:g} px or more, got {radius:g}"
@@ -122,11 +110,6 @@ def fit_ball(
     linear, ``p.v = |p|``; v = (v1, v2, -1 - e) keeps it exact for parallel rays::
 
         v1 x + v2 y + e = |p| - 1,    tan^2(a) = v1^2 + v2^2 + 2 e + e^2
-
-    Raises
-    ------
-    InputError
-        Points on no outline of a ball.
     """
     x, y, excess, scale = _scaled(camera, points)
     rows = np.stack([x / scale, y / scale, np.ones_like(x)], -1)
@@ -184,11 +167,6 @@ def find_ball(radiance: Float[Tensor, "h w 3"], camera: Camera) -> Outline:
     across each, the steepest places vote (RANSAC; Fischler & Bolles 1981) for a ball, whose cone of
     rays is then fitted to them by robust least squares
     (:func:`skylight.probes.mirror_balls._ball.fit_ball`).
-
-    Raises
-    ------
-    InputError
-        No ball is found.
     """
     grey = evened(radiance)
     found: list[tuple[float, Ball]] = []

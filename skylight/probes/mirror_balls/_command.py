@@ -1,20 +1,17 @@
 """``skylight probe merge``."""
 
 from pathlib import Path
-from typing import Literal
 
 from tyro.conf import Positional
 
+from skylight._names import MergedFrom
 from skylight._options import take_care
-
-# Parsing must not import torch, so the choices stand here again.
-Kind = Literal["ball", "360"]
 
 
 def merge_exposures(
     photos: Positional[tuple[Path, ...]],
     out: Path = Path("probe"),
-    kind: Kind = "ball",
+    kind: MergedFrom = "ball",
     second: tuple[Path, ...] = (),
     times: str | None = None,
     response: str = "auto",

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from skylight._figures import ACCENT
+from skylight._names import MergedFrom
 from skylight.errors import InputError
 from skylight.imaging._colour import tone_map
 from skylight.probes._probe_map import check_rows
@@ -13,7 +14,6 @@ from skylight.probes.cameras._exposure_files import read_views
 from skylight.probes.cameras._response import describe_response
 from skylight.probes.mirror_balls._merged import (
     BallOptions,
-    Kind,
     MergedProbe,
     camera_distance_deg,
     merged_from_360,
@@ -33,7 +33,7 @@ def merge_probe(
     photos: Sequence[Path],
     out: Path,
     *,
-    kind: Kind = "ball",
+    kind: MergedFrom = "ball",
     second: Sequence[Path] = (),
     times: str | None = None,
     response: str = "auto",
@@ -70,7 +70,7 @@ def merge_probe(
     return result
 
 
-def _check(kind: Kind, second: Sequence[Path], ball: BallOptions, height: int) -> None:
+def _check(kind: MergedFrom, second: Sequence[Path], ball: BallOptions, height: int) -> None:
     if kind == "360" and (second or ball != BallOptions()):
         raise InputError(
             "--second, --ball, --second-ball, --fov-deg, --turn-deg and --reflectivity are for "

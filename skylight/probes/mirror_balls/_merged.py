@@ -9,7 +9,6 @@ views, each fills in the camera and the blind cone of the other.
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -19,6 +18,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from skylight._names import MergedFrom
 from skylight.errors import InputError
 from skylight.probes._probe_map import ProbeMap, averaged, finer_rows, latlong_directions
 from skylight.probes.cameras._exposures import Clipping, ExposureSeries, find_clipping
@@ -41,7 +41,6 @@ _NEAR_DEG = 25.0  # how far off the stated turn is still taken for it
 _ALIKE_MIN = 0.3  # correlation below which two views do not tell their turn
 _UNALIKE = 0.2  # in ln: from there on, what differs is not the turn but nearness or movement
 _POWER = 8
-Kind = Literal["ball", "360"]
 Circle = tuple[float, float, float]
 
 
@@ -278,7 +277,7 @@ class MergedProbe:
     tells it.
     """
 
-    kind: Kind
+    kind: MergedFrom
     probe: ProbeMap
     views: tuple[ExposureSeries, ...]
     outlines: tuple[Outline, ...] = ()

@@ -32,20 +32,10 @@ def find_brackets(
 ) -> tuple[Bracket, ...]:
     """The shots of a folder, of several, or of files in the order in which they were taken.
 
-    Parameters
-    ----------
-    sources
-        A folder with a folder for each direction; a folder with all files, in the order of their
-        names; several folders, one for each direction; or files.
-    times
-        Exposure times of one direction, the same for all; by default EXIF data tell.
-    size
-        Exposures of one direction; by default as many as there are different times.
-
-    Raises
-    ------
-    InputError
-        No pictures, files beside folders of pictures, times that are missing or do not repeat.
+    ``sources``: a folder with a folder for each direction; a folder with all files, in the order of
+    their names; several folders, one for each direction; or files.
+    ``times``: exposure times of one direction, the same for all; by default EXIF data tell.
+    ``size``: exposures of one direction; by default as many as there are different times.
     """
     groups = _folders(sources)
     if groups is None:
@@ -85,11 +75,6 @@ def read_turns(path: Path, count: int) -> dict[int, Float[np.ndarray, "3 3"]]:
     Azimuth 0 becomes the map's middle, + is to the right; elevation + is up. A row for each
     direction, in the order of the shots; an empty one for a direction that is not known. Empty
     rows beyond the last direction do not count.
-
-    Raises
-    ------
-    InputError
-        No such file, other columns, no numbers, or another count.
     """
     try:
         # Excel begins its UTF-8 with a byte order mark
@@ -106,11 +91,11 @@ def read_turns(path: Path, count: int) -> dict[int, Float[np.ndarray, "3 3"]]:
         raise InputError(f"{path}: {len(rows)} rows for {count} directions: give one each")
     turns = {}
     for number, row in enumerate(rows):
-        told = [row.get(name, "").strip() for name in _COLUMNS]
-        if not any(told):
+        stated = [row.get(name, "").strip() for name in _COLUMNS]
+        if not any(stated):
             continue
         try:
-            azimuth, elevation = map(float, told)
+            azimuth, elevation = map(float, stated)
         except ValueError as error:
             raise InputError(f"{path}, row {number + 1}: {error}; give degrees") from error
         if not (abs(azimuth) <= 720 and abs(elevation) <= 90):
@@ -163,9 +148,9 @@ def _of_folders(groups: Sequence[Sequence[Path]], times: str | None) -> list[Bra
             return [Bracket(files=tuple(group), seconds=None) for group in groups]
         raise InputError(f"{every[0]}: it tells no exposure time; give --times")
     if given is None:
-        told = dict(zip(every, exif_exposures(every), strict=True))
+        stated = dict(zip(every, exif_exposures(every), strict=True))
         return [
-            Bracket(files=tuple(group), seconds=tuple(told[path] for path in group))
+            Bracket(files=tuple(group), seconds=tuple(stated[path] for path in group))
             for group in groups
         ]
     for group in groups:

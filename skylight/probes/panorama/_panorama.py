@@ -31,7 +31,9 @@ from skylight.probes.panorama._matches import (
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.work._progress import Progress, StageProgress
 
-_TOLD = 0.02  # of the shots' number: least spread of their right-hand sides that tells the vertical
+_SPREAD_MIN = (
+    0.02  # of the shots' number: least spread of their right-hand sides that tells the vertical
+)
 _STEEP = 0.9  # sine of the elevation above which a shot tells no azimuth
 _MARGIN_PX = 1.0
 _POWER = 3  # of the weight that falls from a shot's middle to its edges
@@ -57,7 +59,7 @@ def levelled(
     frames = np.array([rotations[shot] for shot in shots])
     right, up = frames[:, :, 0], frames[:, :, 1]
     spread, axes = np.linalg.eigh(right.T @ right)
-    vertical = axes[:, 0] if spread[1] > _TOLD * len(shots) else up[0]
+    vertical = axes[:, 0] if spread[1] > _SPREAD_MIN * len(shots) else up[0]
     vertical = vertical * (1.0 if up.sum(0) @ vertical > 0 else -1.0)
     ahead = -frames[:, :, 2]
     level = np.flatnonzero(np.abs(ahead @ vertical) < _STEEP)
@@ -82,9 +84,9 @@ def aligned(
 def rotation_to(azimuth_deg: float, elevation_deg: float) -> Float[np.ndarray, "3 3"]:
     """World from camera: turned to the right from -Z, then up, without roll."""
     a, e = np.radians(azimuth_deg), np.radians(elevation_deg)
-    turned = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
-    raised = np.array([[1, 0, 0], [0, np.cos(e), -np.sin(e)], [0, np.sin(e), np.cos(e)]])
-    return turned @ raised
+    yaw = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
+    pitch = np.array([[1, 0, 0], [0, np.cos(e), -np.sin(e)], [0, np.sin(e), np.cos(e)]])
+    return yaw @ pitch
 
 
 def stitch(

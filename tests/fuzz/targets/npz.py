@@ -10,7 +10,6 @@ import zipfile
 import numpy as np
 import torch
 
-from skylight.errors import InputError
 from skylight.probes.partitions.relight._transfer import (
     TransferCoefficients,
     load_transfer,
@@ -18,7 +17,7 @@ from skylight.probes.partitions.relight._transfer import (
 )
 from skylight.probes.voxel._lightmap import Lightmap, load_lightmap
 from skylight.relight._runtime import PrecomputedScene, load_scene, relight
-from tests.fuzz.files import as_file, clear, joined, parted, written
+from tests.fuzz.files import as_file, joined, parted, read_by_any, written
 
 
 def seeds() -> list[bytes]:
@@ -49,20 +48,12 @@ def seeds() -> list[bytes]:
 
 def read(content: bytes) -> None:
     path = as_file(content if content[:2] == b"PK" else _packed(content), "a.npz")
-    refused: InputError | None = None
-    done = 0
-    for reader in (load_lightmap, load_transfer, load_scene):
-        try:
-            found = reader(path)
-        except InputError as error:
-            clear(error)
-            refused = error
-            continue
-        done += 1
-        if isinstance(found, PrecomputedScene):
-            relight(found, np.ones((4, 8, 3), np.float32))
-    if not done and refused is not None:
-        raise refused
+    readers = (
+        lambda: load_lightmap(path),
+        lambda: load_transfer(path),
+        lambda: relight(load_scene(path), np.ones((4, 8, 3), np.float32)),
+    )
+    read_by_any(readers)
 
 
 def _unpacked(content: bytes) -> bytes:

@@ -2,14 +2,13 @@
 
 import json
 from collections.abc import Callable
-from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from skylight.errors import InputError, SkylightError
 from skylight.io._bounded import write_json
 from skylight.io._files import read_categories
 from skylight.models._ground import KnownGround, load_ground
@@ -32,7 +31,7 @@ from skylight.skies._index import read_index
 from skylight.sphere._rotation import RigidTransform
 from skylight.training._config import read_config
 from skylight.transport._cameras import read_object_camera
-from tests.fuzz.files import PLACE, as_file, clear, written
+from tests.fuzz.files import PLACE, as_file, read_by_any, written
 
 _READERS: tuple[Callable[[Path], object], ...] = (
     load_board,
@@ -117,17 +116,6 @@ def seeds() -> list[bytes]:
 
 def read(content: bytes) -> None:
     """Refused by all, or read by one of them."""
+    (PLACE / "a.json").unlink(missing_ok=True)
     path = as_file(content, "index.csv")
-    refused: SkylightError = InputError("unread")
-    done = False
-    for reader in _READERS:
-        try:
-            reader(path)
-            done = True
-        except SkylightError as error:
-            clear(error)
-            refused = error
-    with suppress(OSError):
-        (PLACE / "a.json").unlink()
-    if not done:
-        raise refused
+    read_by_any(partial(reader, path) for reader in _READERS)

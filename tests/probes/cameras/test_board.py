@@ -1,6 +1,5 @@
 """A printed board has its true size, and is what OpenCV looks for."""
 
-import json
 import re
 import zlib
 from pathlib import Path
@@ -9,14 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
+from skylight._names import Page
 from skylight.errors import InputError
 from skylight.probes.cameras._board import (
     MARGIN_MM,
     PAGES_MM,
     Board,
-    Page,
-    load_board,
-    save_board,
     write_board,
 )
 from skylight.probes.cameras._pose import find_corners
@@ -162,21 +159,3 @@ def test_other_endings_are_refused(tmp_path: Path) -> None:
 def test_impossible_boards_are_refused(change: dict, message: str) -> None:
     with pytest.raises(InputError, match=message):
         Board(**change)
-
-
-def test_file_there_and_back(tmp_path: Path) -> None:
-    for board, _ in BOARDS:
-        save_board(tmp_path / "board.json", board)
-        assert load_board(tmp_path / "board.json") == board
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [({"columns": 7.5}, '"columns"'), ({"dictionary": 4}, '"dictionary"'), ({"rows": 1}, "3 or")],
-)
-def test_impossible_files_are_refused(tmp_path: Path, change: dict, message: str) -> None:
-    path = tmp_path / "board.json"
-    save_board(path, Board())
-    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
-    with pytest.raises(InputError, match=message):
-        load_board(path)

@@ -1,6 +1,8 @@
 """Exposures of a known response and noise give back the light."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -120,31 +122,25 @@ class TestResponse:
 
 
 class TestRefusals:
-    def test_one_picture(self, light: np.ndarray) -> None:
-        with pytest.raises(InputError, match="one picture"):
-            merge(bracket(light)[:1])
-
-    def test_sizes(self, light: np.ndarray) -> None:
-        shots = bracket(light)
-        small = Exposure(name="b.png", seconds=9.0, image=shots[0].image[:50])
-        with pytest.raises(InputError, match=r"b\.png: 128x50"):
-            merge([shots[0], small])
-
-    def test_equal_times(self, light: np.ndarray) -> None:
-        shots = bracket(light)
-        again = Exposure(name="b.png", seconds=TIMES[0], image=shots[1].image)
-        with pytest.raises(InputError, match="too alike"):
-            merge([shots[0], again])
-
-    def test_times_that_cannot_be(self, light: np.ndarray) -> None:
-        wrong = Exposure(name="b.png", seconds=0.0, image=bracket(light)[0].image)
-        with pytest.raises(InputError, match=r"b\.png: .*time"):
-            merge([*bracket(light), wrong])
-
-    def test_linear_and_codes(self, light: np.ndarray) -> None:
-        linear = Exposure(name="b.exr", seconds=9.0, image=light.astype(np.float32))
-        with pytest.raises(InputError, match="not both"):
-            merge([*bracket(light), linear])
+    @pytest.mark.parametrize(
+        ("count", "other", "message"),
+        [
+            (1, {}, "one picture"),
+            (1, {"seconds": 9.0, "image": np.zeros((50, 128, 3), np.uint8)}, r"b\.png: 128x50"),
+            (1, {"seconds": TIMES[0]}, "too alike"),
+            (5, {"seconds": 0.0}, r"b\.png: .*time"),
+            (5, {"seconds": 9.0, "image": np.ones((96, 128, 3), np.float32)}, "not both"),
+        ],
+        ids=["one", "size", "alike", "zero", "linear"],
+    )
+    def test_no_bracket(
+        self, light: np.ndarray, count: int, other: dict[str, Any], message: str
+    ) -> None:
+        shots = bracket(light)[:count]
+        if other:
+            shots.append(replace(shots[0], name="b.png", **other))
+        with pytest.raises(InputError, match=message):
+            merge(shots)
 
     def test_a_scene_that_does_not_follow_its_times(self, light: np.ndarray) -> None:
         shots = bracket(light)

@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import get_args
 
 import cv2
 import numpy as np
@@ -11,12 +10,12 @@ from PIL import Image
 
 from skylight.cli import main
 from skylight.errors import InputError
-from skylight.probes.cameras._board import Board, Page, load_board, save_board
-from skylight.probes.cameras._command import BoardPage
+from skylight.probes.cameras._board import Board, load_board, save_board
 from skylight.probes.cameras._exposure_files import exif_exposures, exposure_times
 from skylight.probes.cameras._intrinsics import load_intrinsics
 from skylight.probes.cameras._live import Frame
 from skylight.probes.cameras._response import load_response
+from tests.cli.test_cli import one_line
 from tests.probes.cameras.scenes import LENS
 
 
@@ -32,17 +31,6 @@ def folder(
     return folder
 
 
-def failure(capsys: pytest.CaptureFixture[str]) -> str:
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    (line,) = captured.err.splitlines()
-    return line
-
-
-def test_the_pages_are_those_of_the_command_line() -> None:
-    assert get_args(BoardPage) == get_args(Page)
-
-
 class TestBoard:
     def test_page_and_measures(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         out = tmp_path / "sheet.svg"
@@ -53,7 +41,7 @@ class TestBoard:
 
     def test_too_large(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["camera", "board", str(tmp_path / "a.pdf"), "--square-mm", "40"]) == 2
-        assert "does not fit on A4" in failure(capsys)
+        assert "does not fit on A4" in one_line(capsys)
         assert list(tmp_path.iterdir()) == []
 
 
@@ -83,7 +71,7 @@ class TestCalibrate:
         for i in (1, 2, 3, 5):
             picture = cv2.imread(str(folder / f"view{i}.jpg"))
             assert picture is not None
-            for _ in range(20):  # the board held still: one of the two windows of ten is enough
+            for _ in range(10):  # of each window of ten one frame is taken
                 film.write(picture)
         film.release()
         out = tmp_path / "camera.json"
@@ -113,7 +101,7 @@ class TestCalibrate:
     ) -> None:
         monkeypatch.chdir(folder)
         assert main(["camera", "calibrate", *arguments]) == 2
-        assert message in failure(capsys)
+        assert message in one_line(capsys)
         assert not (folder / "camera.json").exists()
 
 
@@ -149,7 +137,7 @@ class TestResponse:
         self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
         assert main(["camera", "response", *self.photos(tmp_path, exif=False)]) == 2
-        assert "give --times" in failure(capsys)
+        assert "give --times" in one_line(capsys)
 
     def test_lists_of_times(self, tmp_path: Path) -> None:
         assert exposure_times("1/4,0.5,2") == [0.25, 0.5, 2.0]

@@ -1,15 +1,13 @@
 """OpenCV's lens model, and its meeting with skylight's camera."""
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
 from skylight.errors import InputError
-from skylight.probes.cameras._intrinsics import Intrinsics, load_intrinsics, save_intrinsics
+from skylight.probes.cameras._intrinsics import Intrinsics
 from tests.probes.cameras.scenes import LENS
 
 POINTS = np.array([[0.0, 0, 500], [120, -80, 400], [-150, 100, 450], [60, 130, 700]])
@@ -48,45 +46,3 @@ class TestModel:
 def test_pictures_of_another_size_are_refused(width: int, height: int, mend: str) -> None:
     with pytest.raises(InputError, match=mend):
         LENS.require_size(width, height)
-
-
-class TestFile:
-    def test_there_and_back(self, tmp_path: Path) -> None:
-        save_intrinsics(tmp_path / "a.json", LENS)
-        assert load_intrinsics(tmp_path / "a.json") == LENS
-
-    @pytest.mark.parametrize(
-        ("change", "message"),
-        [
-            ({"fx": "wide"}, '"fx" must be a number'),
-            ({"fx": -3.0}, "above 0"),
-            ({"fx": 90.0}, "differ too much"),
-            ({"width": 1.5}, '"width"'),
-            ({"kind": "board"}, "no camera intrinsics file"),
-            ({"k1": None}, '"k1"'),
-        ],
-    )
-    def test_impossible_values_are_refused(
-        self, tmp_path: Path, change: dict, message: str
-    ) -> None:
-        path = tmp_path / "a.json"
-        save_intrinsics(path, LENS)
-        path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
-        with pytest.raises(InputError, match=message):
-            load_intrinsics(path)
-
-    def test_missing_and_unreadable_files(self, tmp_path: Path) -> None:
-        with pytest.raises(InputError, match="cannot read"):
-            load_intrinsics(tmp_path / "none.json")
-        (tmp_path / "b.json").write_text("{")
-        with pytest.raises(InputError, match="no JSON"):
-            load_intrinsics(tmp_path / "b.json")
-        (tmp_path / "c.json").write_text('{"kind": "camera intrinsics"}')
-        with pytest.raises(InputError, match="missing"):
-            load_intrinsics(tmp_path / "c.json")
-
-    def test_opencv_agrees_on_the_order_of_distortion(self) -> None:
-        out, _ = cv2.projectPoints(
-            POINTS, np.zeros(3), np.zeros(3), STRONG.matrix, STRONG.distortion
-        )
-        np.testing.assert_allclose(out.reshape(-1, 2), STRONG.project(POINTS))

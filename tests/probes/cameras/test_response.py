@@ -1,8 +1,6 @@
 """Response curves: named ones, and one found again from exposures."""
 
-import json
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,10 +10,8 @@ from skylight.errors import InputError
 from skylight.imaging._colour import srgb_to_linear
 from skylight.probes.cameras._response import (
     Response,
-    load_response,
     recover_response,
     saturated,
-    save_response,
 )
 from tests.probes.cameras.scenes import film, srgb
 
@@ -130,36 +126,3 @@ class TestRecovered:
         flat = [np.full((40, 40, 3), code, dtype=np.uint8) for code in (60, 70, 80)]
         with pytest.raises(InputError, match="too few of the 256 codes of red"):
             recover_response(flat, TIMES[:3])
-
-
-class TestFile:
-    def test_there_and_back(self, tmp_path: Path) -> None:
-        curve = np.stack([np.linspace(0, 1, 300) ** k for k in (1, 2, 3)])
-        for response in (
-            Response(),
-            Response(kind="gamma", gamma=2.2),
-            Response(kind="curve", curve=curve),
-        ):
-            save_response(tmp_path / "a.json", response)
-            found = load_response(tmp_path / "a.json")
-            assert (found.kind, found.gamma) == (response.kind, response.gamma)
-            torch.testing.assert_close(found.linearise(RAMP), response.linearise(RAMP))
-
-    @pytest.mark.parametrize(
-        ("content", "message"),
-        [
-            ({"response": "log"}, "unknown response"),
-            ({"response": "gamma"}, '"gamma" is missing'),
-            ({"response": "gamma", "gamma": "2"}, '"gamma" must be a number'),
-            ({"response": "curve", "curve": [1, 2]}, "three rows"),
-            ({"response": "curve", "curve": [[1], [1, 2]]}, "three rows"),
-            ({}, '"response" is missing'),
-        ],
-    )
-    def test_impossible_files_are_refused(
-        self, tmp_path: Path, content: dict, message: str
-    ) -> None:
-        path = tmp_path / "a.json"
-        path.write_text(json.dumps({"kind": "camera response", **content}))
-        with pytest.raises(InputError, match=message):
-            load_response(path)

@@ -22,6 +22,12 @@ def with_sun(w: np.ndarray) -> np.ndarray:
     return colour
 
 
+def even(clipped: torch.Tensor) -> ProbeMap:
+    """Light of 1 from all directions, with these shares of clipped light."""
+    light = EnvironmentMap(radiance=torch.ones(8, 16, 3))
+    return ProbeMap(environment=light, clipped=clipped, seen=torch.ones(8, 16))
+
+
 def test_the_suns_disc() -> None:
     assert pytest.approx(6.8e-5, rel=0.01) == SUN_SR
 
@@ -49,11 +55,7 @@ def test_regions_join_across_the_edge_of_the_map() -> None:
     share = torch.zeros(8, 16)
     share[3, [0, 15]] = 1
     share[6, 4:6] = 0.5
-    probe = ProbeMap(
-        environment=EnvironmentMap(radiance=torch.ones(8, 16, 3)),
-        clipped=share,
-        seen=torch.ones(8, 16),
-    )
+    probe = even(share)
     found = find_clipping(probe)
     assert found is not None
     assert found.regions == 2
@@ -70,11 +72,7 @@ def test_pixels_at_a_pole_are_one_region() -> None:
     share[0, [2, 10]] = 1
     share[1, 2] = 1
     share[7, [0, 5, 11]] = 0.1
-    probe = ProbeMap(
-        environment=EnvironmentMap(radiance=torch.ones(8, 16, 3)),
-        clipped=share,
-        seen=torch.ones(8, 16),
-    )
+    probe = even(share)
     found = find_clipping(probe)
     assert found is not None
     assert found.regions == 2
@@ -87,9 +85,4 @@ def test_pixels_at_a_pole_are_one_region() -> None:
 
 
 def test_nothing_clipped() -> None:
-    probe = ProbeMap(
-        environment=EnvironmentMap(radiance=torch.ones(8, 16, 3)),
-        clipped=torch.zeros(8, 16),
-        seen=torch.ones(8, 16),
-    )
-    assert find_clipping(probe) is None
+    assert find_clipping(even(torch.zeros(8, 16))) is None

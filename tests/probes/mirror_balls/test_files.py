@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -12,9 +11,8 @@ from PIL import ExifTags, Image
 from skylight.cli import main
 from skylight.imaging._colour import linear_to_srgb
 from skylight.io._files import read_environment_map, write_environment_map
-from skylight.probes.mirror_balls import _command as command
-from skylight.probes.mirror_balls._merged import Kind
 from skylight.sphere._envmap import EnvironmentMap
+from tests.cli.test_cli import one_line
 from tests.probes.mirror_balls.conftest import (
     FOV_DEG,
     made_light,
@@ -62,14 +60,7 @@ def circle() -> list[str]:
 
 def failure(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     assert main(["probe", "merge", *arguments]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    (line,) = captured.err.splitlines()
-    return line
-
-
-def test_the_kinds_are_those_of_the_command_line() -> None:
-    assert get_args(command.Kind) == get_args(Kind)
+    return one_line(capsys)
 
 
 class TestBall:

@@ -13,6 +13,7 @@ from skylight.errors import InputError
 from skylight.io._files import read_environment_map
 from skylight.io._hdr import write_radiance
 from skylight.probes.panorama._brackets import find_brackets, read_turns
+from tests.cli.test_cli import one_line
 from tests.turning_camera import HEAD, LENS, SUN_IRRADIANCE, TIMES, pictures, sun_irradiance
 from tests.virtual_camera import expose
 
@@ -40,10 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def failure(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> str:
     assert main(["probe", "stitch", *map(str, arguments)]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    (line,) = captured.err.splitlines()
-    return line
+    return one_line(capsys)
 
 
 @pytest.fixture(scope="module")

@@ -90,6 +90,7 @@ class TestFound:
         # the poles are in no shot: elevations reach 45 + atan(75 / 120) = 77 degrees
         assert 0.003 < probe.unseen_share < 0.03
 
+    @pytest.mark.slow  # test_files stitches eight bits as well
     def test_eight_bits_do_as_well(self, found: Panorama) -> None:
         where = in_true_world(found)
         probe = stitch(shots(8), where, found.bundle.lens, ROWS)
@@ -97,6 +98,7 @@ class TestFound:
         np.testing.assert_allclose(sun_irradiance(probe.environment), SUN_IRRADIANCE, rtol=0.05)
 
 
+@pytest.mark.slow
 def test_a_sun_that_every_exposure_clips_is_told(found: Panorama) -> None:
     """Exposures from 1/256 s on: a bound, and where it is."""
     probe = panorama_of(shots(16, TIMES[1:]), ROWS, focal_px=LENS.focal_px)
