@@ -7,8 +7,14 @@ import numpy as np
 import torch
 
 from skylight.csc._dictionary import FilterBank
-from skylight.estimation.film._follow import FOLLOWED, read_followed, write_followed
-from skylight.estimation.film._follow import Followed, Keyframe, Shot
+from skylight.estimation.film._follow import (
+    FOLLOWED,
+    Followed,
+    Keyframe,
+    Shot,
+    read_followed,
+    write_followed,
+)
 from skylight.faces._landmarks import DetectedFace
 from skylight.imaging._camera_turns import Link
 from skylight.io._tensors import read_tensors
