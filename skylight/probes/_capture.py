@@ -77,13 +77,7 @@ def polygon_areas(corners: Float[np.ndarray, "n k 2"]) -> Float[np.ndarray, " n"
 
 
 def pose_in_photo(photo: Path, setup: Setup) -> tuple[UInt8[np.ndarray, "h w 3"], RigidTransform]:
-    """(picture, camera_from_board) of a photograph of the board.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or the board is not in it, or too small to tell its tilt.
-    """
+    """(picture, camera_from_board) of a photograph of the board."""
     image = read_picture(photo).image
     found = board_pose(image, setup.board, setup.intrinsics)
     if found is None or found.is_ambiguous:
@@ -100,13 +94,7 @@ class PosedFrames:
 
     @staticmethod
     def of(frames: Iterable[Frame], setup: Setup) -> "PosedFrames":
-        """The board found in each picture on its own; all pictures are held in memory.
-
-        Raises
-        ------
-        InputError
-            None of them can be used.
-        """
+        """The board found in each picture on its own; all pictures are held in memory."""
         pictures = BoardPictures(frames, setup)
         seen = list(pictures)
         pictures.require_some()

@@ -101,13 +101,7 @@ class GreyLine:
 
     @staticmethod
     def through(greys: Float[np.ndarray, "5 3"], fit: Bool[np.ndarray, "5"]) -> "GreyLine":
-        """By ordinary least squares through the greys that are not over-exposed.
-
-        Raises
-        ------
-        InputError
-            Fewer than four of them, or greys that do not differ.
-        """
+        """By ordinary least squares through the greys that are not over-exposed."""
         known = GREYS[fit]
         if len(known) < _LEAST_GREYS:
             raise InputError(
@@ -210,13 +204,7 @@ def measure_ground(
 def flat_field(
     light: Float[np.ndarray, "h w 3"], burnt: Bool[np.ndarray, "h w"]
 ) -> Float[np.ndarray, "h w 3"]:
-    """What a lens leaves of light at each pixel, 1 where most: a photo of something even, smoothed.
-
-    Raises
-    ------
-    InputError
-        It is saturated, black, or not even.
-    """
+    """What a lens leaves of light at each pixel, 1 where most: a photo of something even."""
     if burnt.mean() > MOST_CLIPPED:
         raise InputError("the flat field is over-exposed: expose shorter")
     width = _SMOOTH * max(burnt.shape)

@@ -32,11 +32,6 @@ def ground_albedo(
 
     ``flat`` is a photo of something even, by which vignetting is undone. The spread is what one
     place tells of the ground round it, a tenth, and the error.
-
-    Raises
-    ------
-    InputError
-        The photos do not show what is needed, well exposed.
     """
     if out.suffix.lower() != ".json":
         raise InputError(f"{out}: an albedo is written as .json; choose another name")

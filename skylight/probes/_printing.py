@@ -31,12 +31,6 @@ class MountedPrint(ABC):
     def paper_hole_mm(self) -> float:
         """Diameter of the hole in the marker's paper."""
 
-    @property
-    def clearances(self) -> str:
-        """From the least to the largest, as measured."""
-        least, largest = self.report.clearances_mm
-        return f"{least:.2f} to {largest:.2f} mm"
-
 
 def board_frame(point: str) -> str:
     """The frame of assembly.json in words; ``point`` is a point p of the probe in mm."""
@@ -123,9 +117,10 @@ def write_print_figure(
 def summary_lines(result: MountedPrint, parts: str, material: str, measured: str = "") -> list[str]:
     """For the terminal: the parts on the bed, their material, and what was measured on them."""
     width, depth, height = result.bed.size_mm
+    least, largest = result.report.clearances_mm
     return [
         f"parts       {parts}, on {width:.0f} x {depth:.0f} mm, {height:.0f} mm high",
         f"material    {material}",
         f"measured    walls {result.report.thinnest_mm:.2f} mm or more, clearances "
-        f"{result.clearances}{measured}",
+        f"{least:.2f} to {largest:.2f} mm{measured}",
     ]

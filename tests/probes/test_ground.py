@@ -20,14 +20,14 @@ from tests.drawn_chart import grey_albedos, lay_chart
 
 GRASS = np.array([0.09, 0.10, 0.03])  # thesis, Fig. B.4
 SUN = np.array([0.95, 0.9, 0.8])
-SIZE = (900, 1300)
-CHART = [[120, 90], [700, 70], [720, 470], [110, 480]]
+SIZE = (450, 650)
+CHART = [[60, 45], [350, 35], [360, 235], [55, 240]]
 
 
 def vignetting() -> np.ndarray:
     """cos^4 of a wide lens, whose axis misses the middle of the picture."""
     y, x = np.mgrid[: SIZE[0], : SIZE[1]]
-    r2 = ((x - 750) ** 2 + (y - 400) ** 2) / 1000.0**2
+    r2 = ((x - 375) ** 2 + (y - 200) ** 2) / 500.0**2
     return (1 / (1 + r2) ** 2)[..., None]
 
 
@@ -37,7 +37,7 @@ def photo(
 ) -> np.ndarray:
     """Codes in sRGB: grass whose tufts vary by a third, the chart on it, a pixel's noise."""
     rng = np.random.default_rng(1)
-    tufts = cv2.GaussianBlur(rng.standard_normal(SIZE).astype(np.float32), (0, 0), 6)
+    tufts = cv2.GaussianBlur(rng.standard_normal(SIZE).astype(np.float32), (0, 0), 3)
     tufts = 0.33 * tufts / tufts.std()
     scene = (GRASS * np.exp(tufts - tufts.var() / 2)[..., None]).astype(np.float32)
     scene *= GRASS / scene.mean((0, 1))
@@ -104,17 +104,17 @@ def test_the_flat_field_is_the_lens() -> None:
 
 
 def test_a_region() -> None:
-    found = measured(photo(), region=(750, 100, 500, 700))
-    assert found.share == pytest.approx(500 * 700 / (900 * 1300), rel=0.1)
+    found = measured(photo(), region=(375, 50, 250, 350))
+    assert found.share == pytest.approx(250 * 350 / (450 * 650), rel=0.1)
     np.testing.assert_allclose(found.rgb, GRASS, rtol=0.06)
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"region": (1000, 0, 500, 100)}, "leaves the photo"),
-        ({"region": (0, 0, 50, 50)}, "hardly any ground"),
-        ({"region": (200, 150, 300, 200)}, "hardly any ground"),
+        ({"region": (500, 0, 250, 50)}, "leaves the photo"),
+        ({"region": (0, 0, 25, 25)}, "hardly any ground"),
+        ({"region": (100, 75, 150, 100)}, "hardly any ground"),
     ],
 )
 def test_regions_that_cannot_be(options: dict, message: str) -> None:

@@ -20,8 +20,8 @@ from skylight.probes.partitions._relight_files import ScenePlacement, VirtualSce
 from skylight.probes.partitions.relight._live import PartitionLiveView, RunningShading
 from skylight.probes.partitions.relight._scene import Scene
 from skylight.probes.partitions.relight._transfer import TransferSampling
+from skylight.probes.voxel._assembly import PlacedProbe
 from skylight.probes.voxel._model import star_probe
-from skylight.probes.voxel._parts import PlacedProbe
 from skylight.probes.voxel._reconstruct import DirectReconstruction
 from skylight.probes.voxel._relight import VoxelLiveView
 from skylight.probes.voxel._render_files import VoxelPlacement

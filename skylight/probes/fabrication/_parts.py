@@ -3,13 +3,16 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
-from manifold3d import Error, Manifold, Mesh64
 
 from skylight.errors import InputError
 from skylight.sphere._rotation import RigidTransform
+
+if TYPE_CHECKING:
+    from manifold3d import Manifold
 
 _WIDTHS = 60  # shelf widths that are tried
 
@@ -59,13 +62,15 @@ class PrintedPart:
         """At ``x + translation``."""
         return replace(self, vertices=self.vertices + translation)
 
-    def solid(self) -> Manifold | None:
+    def solid(self) -> "Manifold | None":
         """For boolean operations; None where the mesh does not enclose a volume."""
+        from manifold3d import Error, Manifold, Mesh64
+
         solid = Manifold(Mesh64(vert_properties=self.vertices, tri_verts=self.faces))
         return solid if solid.status() == Error.NoError and not solid.is_empty() else None
 
 
-def part_of(name: str, solid: Manifold, up: tuple[int, int, int] = (0, 0, 1)) -> PrintedPart:
+def part_of(name: str, solid: "Manifold", up: tuple[int, int, int] = (0, 0, 1)) -> PrintedPart:
     """The mesh of a solid."""
     mesh = solid.to_mesh64()
     vertices = np.array(mesh.vert_properties, np.float64)[:, :3]
@@ -85,8 +90,10 @@ def merged(
     )
 
 
-def box(low: Float[np.ndarray, " 3"], high: Float[np.ndarray, " 3"]) -> Manifold:
+def box(low: Float[np.ndarray, " 3"], high: Float[np.ndarray, " 3"]) -> "Manifold":
     """An axis-aligned box."""
+    from manifold3d import Manifold
+
     return Manifold.cube(tuple(high - low)).translate(tuple(low))
 
 

@@ -12,10 +12,10 @@ from skylight.io._files import write_png
 from skylight.probes._capture import CaptureResult, PosedFrames, place_found, write_capture
 from skylight.probes.cameras._files import MOVED, Setup, require_capture
 from skylight.probes.cameras._live import FRAMES_MOST, Frame, LiveReport, check_film
+from skylight.probes.voxel._assembly import PlacedProbe, VoxelAssembly, load_voxel_assembly
 from skylight.probes.voxel._captured import Aligner, Alignment, LightmapCapture
 from skylight.probes.voxel._lightmap import Lightmap, load_lightmap
 from skylight.probes.voxel._model import OCCLUDERS, ORIENTATIONS, VoxelModel
-from skylight.probes.voxel._parts import PlacedProbe, VoxelAssembly, load_voxel_assembly
 from skylight.probes.voxel._reconstruct import first_slot, ranks
 from skylight.probes.voxel._relight import VoxelLiveView
 from skylight.probes.voxel._render_files import Reconstruction, VoxelPlacement, reconstruction_for
@@ -198,11 +198,6 @@ def live_film(
     """Write ``out`` (.mp4) with the model drawn into each frame of a video or webcam.
 
     Ctrl-C ends a webcam's film, which is kept.
-
-    Raises
-    ------
-    InputError
-        The source or another file cannot be used, or no frame shows the board.
     """
     check_film(source, out, most)
     printed = load_voxel_assembly(assembly)

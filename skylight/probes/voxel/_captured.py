@@ -19,9 +19,9 @@ from skylight.probes.cameras._edges import refine_on_edges
 from skylight.probes.cameras._intrinsics import Intrinsics
 from skylight.probes.cameras._pose import camera_centre, in_frame, part_around, project
 from skylight.probes.cameras._response import Response, saturated
+from skylight.probes.voxel._assembly import PlacedProbe, VoxelAssembly
 from skylight.probes.voxel._lightmap import SIZE, Lightmap
 from skylight.probes.voxel._model import CONFIGURATIONS, NORMALS, ORIENTATIONS, places_on
-from skylight.probes.voxel._parts import PlacedProbe, VoxelAssembly
 from skylight.sphere._rotation import RigidTransform
 
 _INSET = 0.04  # of a face: what lies nearer to its edge may belong to what is beyond

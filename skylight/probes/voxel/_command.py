@@ -51,12 +51,9 @@ def print_voxel(
     """
     from skylight.probes.fabrication._mount import MarkerBoard, Pole
     from skylight.probes.fabrication._parts import PrintSizes
+    from skylight.probes.voxel._model import probe_model
     from skylight.probes.voxel._printing import print_voxel_probe
-    from skylight.probes.voxel._printing_files import (
-        probe_model,
-        summarise_print,
-        write_printed_probe,
-    )
+    from skylight.probes.voxel._printing_files import summarise_print, write_printed_probe
     from skylight.work._progress import stage_bar
     from skylight.work._resumable import results_folder
 
@@ -92,7 +89,7 @@ def inspect_voxel(
         albedo: Of the printed material.
     """
     from skylight.probes.voxel._analysis import inspect
-    from skylight.probes.voxel._printing_files import probe_model
+    from skylight.probes.voxel._model import probe_model
 
     model, title = probe_model(probe, voxels, resolution)
     report = inspect(model, albedo=albedo)

@@ -103,6 +103,16 @@ def read_voxels(path: str | Path, *, resolution: int = 32) -> VoxelModel:
     return voxelise(path, resolution)
 
 
+def probe_model(probe: int | None, voxels: Path | None, resolution: int) -> tuple[VoxelModel, str]:
+    """(model, title) that the command line's options describe: a star, or a file."""
+    if (probe is None) == (voxels is None):
+        raise InputError("give either --probe, such as 3, or --voxels with a file")
+    if probe is not None:
+        return star_probe(probe), f"{probe}-probe"
+    assert voxels is not None
+    return read_voxels(voxels, resolution=resolution).cropped(), voxels.name
+
+
 def write_voxels(path: Path, model: VoxelModel) -> None:
     """As .npy."""
     with atomic_path(path) as temporary, temporary.open("wb") as stream:

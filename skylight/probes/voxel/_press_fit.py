@@ -53,12 +53,6 @@ def plan_press_fit(model: VoxelModel, sizes: PrintSizes) -> PressFit:
     Trees are tried: breadth first with the vertical or the level directions first, then random
     ones. An order is found backwards, by taking off any part that can be pulled away from its
     parent; as taking off never adds an obstacle, none exists where that ends early.
-
-    Raises
-    ------
-    InputError
-        The voxels do not hang together through faces, are too many, or none of the trees tried
-        can be put together.
     """
     cells = np.argwhere(model.occupied)
     if len(cells) > _MOST_CELLS:

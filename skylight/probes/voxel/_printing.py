@@ -18,8 +18,9 @@ from skylight.probes.fabrication._parts import (
     part_of,
 )
 from skylight.probes.fabrication._report import PrintReport
+from skylight.probes.voxel._assembly import VoxelAssembly
 from skylight.probes.voxel._model import NORMALS, OCCLUDERS, ORIENTATIONS, VoxelModel, exposed_faces
-from skylight.probes.voxel._parts import VoxelAssembly, VoxelParts, voxel_parts
+from skylight.probes.voxel._parts import VoxelParts, voxel_parts
 from skylight.probes.voxel._press_fit import DOWN, FLUSH, opposite
 from skylight.sphere._rotation import RigidTransform
 from skylight.work._progress import StageProgress

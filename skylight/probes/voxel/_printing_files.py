@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from manifold3d import Manifold
 
-from skylight.errors import InputError
 from skylight.probes._printing import (
     board_frame,
     describe_measured,
@@ -26,7 +25,7 @@ from skylight.probes.fabrication._report import (
     POLE,
     paper_parts,
 )
-from skylight.probes.voxel._model import ORIENTATIONS, VoxelModel, read_voxels, star_probe
+from skylight.probes.voxel._model import ORIENTATIONS
 from skylight.probes.voxel._printing import PrintedProbe, hidden_by_pole, voxel_assembly
 
 # linear reflectances
@@ -135,16 +134,6 @@ def _rows(result: PrintedProbe) -> list[tuple[str, str]]:
         ("faces off the model's plane", f"{report.face_deviation_mm:.1g} mm"),
         ("longest bridge to print", f"{max(p.bridge_mm for p in report.parts):.1f} mm"),
     ]
-
-
-def probe_model(probe: int | None, voxels: Path | None, resolution: int) -> tuple[VoxelModel, str]:
-    """(model, title) that the command line's options describe: a star, or a file."""
-    if (probe is None) == (voxels is None):
-        raise InputError("give either --probe, such as 3, or --voxels with a file")
-    if probe is not None:
-        return star_probe(probe), f"{probe}-probe"
-    assert voxels is not None
-    return read_voxels(voxels, resolution=resolution).cropped(), voxels.name
 
 
 def write_printed_probe(folder: Path, result: PrintedProbe, *, panel_px: int = PANEL_PX) -> None:

@@ -22,10 +22,10 @@ from skylight.probes.cameras._drawing import (
 from skylight.probes.cameras._files import Setup
 from skylight.probes.cameras._intrinsics import Intrinsics
 from skylight.probes.cameras._live import Clock
+from skylight.probes.voxel._assembly import PlacedProbe
 from skylight.probes.voxel._captured import LightmapCapture
 from skylight.probes.voxel._lightmap import SLOTS_ACROSS, Lightmap, texture_coordinates
 from skylight.probes.voxel._model import VoxelModel, exposed_faces
-from skylight.probes.voxel._parts import PlacedProbe
 from skylight.probes.voxel._reconstruct import SlotReconstruction
 from skylight.sphere._rotation import RigidTransform
 from skylight.transport._rays import Raycaster

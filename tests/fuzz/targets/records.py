@@ -24,7 +24,7 @@ from skylight.probes.partitions._seeds import load_design, save_design
 from skylight.probes.partitions.printed._assembly import PartitionAssembly, load_partition_assembly
 from skylight.probes.partitions.printed._halves import standing_rotation
 from skylight.probes.partitions.printed._solids import ProbeSizes
-from skylight.probes.voxel._parts import load_voxel_assembly
+from skylight.probes.voxel._assembly import load_voxel_assembly
 from skylight.relight._decoder import read_latent
 from skylight.skies._captures import read_days
 from skylight.skies._index import read_index

@@ -10,6 +10,7 @@ from skylight.probes.voxel._model import (
     VoxelFaces,
     VoxelModel,
     exposed_faces,
+    star_probe,
 )
 
 
@@ -27,3 +28,8 @@ def face_among(orientation: int, configuration: int) -> tuple[VoxelFaces, int]:
     here = (faces.orientation == orientation) & (faces.cells == cell).all(1)
     (number,) = torch.nonzero(here)[:, 0].tolist()
     return faces, number
+
+
+def known_of(size: int) -> torch.Tensor:
+    """Which slots the star-shaped probe of so many voxels shows."""
+    return exposed_faces(star_probe(size)).counts() > 0

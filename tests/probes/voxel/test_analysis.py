@@ -1,17 +1,33 @@
-"""Figures 3.6 and 3.7, searches against brute force, and what a model encodes."""
+"""Figures 3.6 and 3.7, searches against brute force, what a model encodes, and grown probes."""
 
 from itertools import combinations
 
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import label
 
 from skylight.errors import InputError
-from skylight.probes.voxel._analysis import best_sets, inspect, residuals, residuals_by_occluders
+from skylight.probes.voxel._analysis import (
+    BestSet,
+    CameraRing,
+    best_sets,
+    design_probe,
+    inspect,
+    probe_residual,
+    residuals,
+    residuals_by_occluders,
+    visible_faces,
+)
 from skylight.probes.voxel._interreflection import slot_transfer
-from skylight.probes.voxel._model import VoxelModel, star_probe
+from skylight.probes.voxel._model import VoxelModel, exposed_faces, star_probe
 
 THREE_PROBE = torch.tensor([[0, 1, 2, 4, 8]])
+
+
+@pytest.fixture(scope="module")
+def exhaustive() -> list[BestSet]:
+    return best_sets(5)
 
 
 def test_residuals_are_those_of_least_squares() -> None:
@@ -45,8 +61,10 @@ def test_residuals_fall_with_the_category_of_occluders() -> None:
     assert means[4] == 0
 
 
-def test_the_best_sets_are_the_best_and_fall_in_a_line_up_to_five() -> None:
-    found = best_sets(5)
+def test_the_best_sets_are_the_best_and_fall_in_a_line_up_to_five(
+    exhaustive: list[BestSet],
+) -> None:
+    found = exhaustive
     sizes = [len(s.configurations) for s in found]
     assert sizes == [1, 2, 3, 4, 5]
     for entry in found[:3]:
@@ -58,9 +76,10 @@ def test_the_best_sets_are_the_best_and_fall_in_a_line_up_to_five() -> None:
     assert (steps > -2.6).all()
 
 
-def test_the_search_is_never_worse_than_the_best_addition_and_sees_the_exhaustive_optimum() -> None:
-    exhaustive = best_sets(5)
-    searched = best_sets(30, exhaustive=1)
+def test_the_search_is_never_worse_than_the_best_addition_and_sees_the_exhaustive_optimum(
+    exhaustive: list[BestSet],
+) -> None:
+    searched = best_sets(12, exhaustive=1)
     members: list[int] = []
     for entry in searched:
         offers = [[*members, c] for c in range(31) if c not in members]
@@ -89,8 +108,34 @@ def test_models_are_inspected() -> None:
     assert single.rank.tolist() == [1] * 6
 
 
+def test_a_symmetric_design_is_no_worse_than_the_five_probe() -> None:
+    star = star_probe(5)
+    design = design_probe(len(star), beam=3)
+    assert len(design.model) <= len(star)
+    assert label(design.model.occupied)[1] == 1
+    assert design.residual <= probe_residual(star) + 1e-9
+    assert probe_residual(design.model) == pytest.approx(design.residual)
+    for axis in "xyz":
+        np.testing.assert_array_equal(design.model.turned(axis, 1).occupied, design.model.occupied)
+
+
+def test_all_faces_of_a_cube_are_seen_and_none_in_a_narrow_well() -> None:
+    cube = exposed_faces(VoxelModel(occupied=np.ones((1, 1, 1), bool)))
+    assert visible_faces(cube, CameraRing()).all()
+    solid = np.ones((3, 4, 3), bool)
+    solid[1, 1:, 1] = False
+    well = exposed_faces(VoxelModel(occupied=solid))
+    bottom = (well.orientation == 2) & (well.configuration == 15)
+    assert bottom.sum() == 1
+    assert not visible_faces(well, CameraRing())[bottom].any()
+
+
+def test_cameras_above_do_not_see_what_looks_down() -> None:
+    cube = exposed_faces(VoxelModel(occupied=np.ones((1, 1, 1), bool)))
+    seen = visible_faces(cube, CameraRing(elevations_deg=(15.0, 60.0)))
+    assert (seen == (cube.orientation != 3)).all()
+
+
 def test_bad_input_is_named() -> None:
-    with pytest.raises(InputError, match="0 to 30"):
-        residuals(torch.tensor([[31]]))
-    with pytest.raises(InputError, match="1 to 30"):
-        best_sets(31)
+    with pytest.raises(InputError, match="odd grid"):
+        design_probe(7, size=4)

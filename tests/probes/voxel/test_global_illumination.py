@@ -4,18 +4,14 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.probes.voxel._analysis import inspect, transfer_error
+from skylight.probes.voxel._analysis import transfer_error
 from skylight.probes.voxel._interreflection import (
     GlobalReconstruction,
     slot_transfer,
     transfer_vectors,
 )
-from skylight.probes.voxel._model import star_probe
 from skylight.probes.voxel._reconstruct import DirectReconstruction
-
-
-def known_of(size: int) -> torch.Tensor:
-    return inspect(star_probe(size)).faces > 0
+from tests.probes.voxel.shapes import known_of
 
 
 @pytest.mark.parametrize(

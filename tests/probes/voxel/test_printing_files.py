@@ -11,8 +11,8 @@ from PIL import Image
 from skylight.cli import main
 from skylight.probes.fabrication._parts import PrintSizes
 from skylight.probes.voxel import _printing_files as probe_printing
+from skylight.probes.voxel._assembly import load_voxel_assembly
 from skylight.probes.voxel._model import VoxelModel, exposed_faces, star_probe, write_voxels
-from skylight.probes.voxel._parts import load_voxel_assembly
 from skylight.probes.voxel._printing import PrintedProbe, print_voxel_probe
 from skylight.probes.voxel._printing_files import (
     describe_assembly,

@@ -9,12 +9,13 @@ from torch.autograd import gradcheck
 
 from skylight.errors import InputError
 from skylight.probes.voxel._lightmap import Lightmap
-from skylight.probes.voxel._model import exposed_faces, star_probe, visibility_vectors
+from skylight.probes.voxel._model import visibility_vectors
 from skylight.probes.voxel._reconstruct import (
     DirectReconstruction,
     SlotReconstruction,
     sparse_combinations,
 )
+from tests.probes.voxel.shapes import known_of
 
 F64 = torch.float64
 LEFT, RIGHT, FORWARD, BACKWARD, TOP = 1, 2, 4, 8, 16
@@ -22,13 +23,6 @@ LEFT, RIGHT, FORWARD, BACKWARD, TOP = 1, 2, 4, 8, 16
 
 def random(*shape: int, seed: int = 0) -> torch.Tensor:
     return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
-
-
-def known_of(size: int) -> torch.Tensor:
-    faces = exposed_faces(star_probe(size))
-    known = torch.zeros(6, 32, dtype=torch.bool)
-    known[faces.orientation, faces.configuration] = True
-    return known
 
 
 def terms(module: SlotReconstruction) -> torch.Tensor:

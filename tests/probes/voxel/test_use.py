@@ -21,9 +21,9 @@ from skylight.probes.cameras._drawing import composite, lens_rays, looking_at
 from skylight.probes.cameras._intrinsics import FLIP, Intrinsics, save_intrinsics
 from skylight.probes.cameras._pose import OPENCV_FROM_BOARD
 from skylight.probes.cameras._response import Response
+from skylight.probes.voxel._assembly import VoxelAssembly
 from skylight.probes.voxel._lightmap import Lightmap, load_lightmap
 from skylight.probes.voxel._model import exposed_faces, star_probe, visibility_vectors, write_voxels
-from skylight.probes.voxel._parts import VoxelAssembly
 from skylight.probes.voxel._relight import VoxelRenderer
 from skylight.probes.voxel._render_files import VoxelPlacement, render_voxels
 from skylight.sphere._rotation import RigidTransform
@@ -61,13 +61,10 @@ def pose(azimuth_deg: float, elevation_deg: float) -> RigidTransform:
 
 
 @cache
-def rays() -> torch.Tensor:
-    return lens_rays(LENS, samples=2)
-
-
-def cells_to_board() -> torch.Tensor:
+def renderer() -> VoxelRenderer:
     matrix = standing().board_from_probe.matrix()
-    return matrix @ torch.diag(torch.tensor([20.0, 20, 20, 1], dtype=torch.float64))
+    cells = torch.diag(torch.tensor([20.0, 20, 20, 1], dtype=torch.float64))
+    return VoxelRenderer(star_probe(3), matrix @ cells)
 
 
 def photograph(number: int, brightness: float = 1.0) -> np.ndarray:
@@ -81,17 +78,10 @@ def photograph_from(where: RigidTransform, brightness: float = 1.0) -> np.ndarra
         FLIP @ where.rotation.numpy() @ OPENCV_FROM_BOARD.T,
         FLIP @ where.translation.numpy(),
     )
-    shown = Lightmap(
-        radiance=light().radiance * brightness,
-        coverage=light().coverage,
-        confidence=light().confidence,
-    )
-    drawing = VoxelRenderer(star_probe(3), cells_to_board()).draw(
-        shown,
-        rays(),
-        where,
-    )
-    return composite(image, drawing, Response())
+    shown = replace(light(), radiance=light().radiance * brightness)
+    window = renderer().window(where, LENS)
+    drawing = renderer().draw(shown, lens_rays(LENS, 2, window), where)
+    return composite(image, drawing, Response(), window)
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,10 @@ junction is cut squarely at its middle. So no cut runs along a wall, and no edge
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from manifold3d import Manifold, OpType
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -31,6 +31,9 @@ from skylight.probes.partitions.printed._solids import (
     wall_solid,
 )
 from skylight.sphere._frame import DirectionGrid
+
+if TYPE_CHECKING:
+    from manifold3d import Manifold
 
 _CANDIDATES = 500
 _PIN_MM = 0.05  # gap that another pin is worth
@@ -239,7 +242,7 @@ class ShellPlan:
     """What is decided of a probe before its solids are made: whether its sizes fit the design."""
 
     rims: Float[np.ndarray, "e 2"]
-    kernel: Manifold
+    kernel: "Manifold"
     ends: WallEnds
     foot: Foot
     split: Split
@@ -324,7 +327,9 @@ def _half(
     sizes: ProbeSizes,
     *,
     upper: bool,
-) -> Manifold:
+) -> "Manifold":
+    from manifold3d import Manifold, OpType
+
     net = ends.net
     own = split.upper == upper
     walls = []
@@ -368,14 +373,16 @@ class _PinJoint:
     def length(self) -> float:
         return _PIN_LENGTHS * self.width
 
-    def boss(self, side: int) -> Manifold:
+    def boss(self, side: int) -> "Manifold":
         """Above (1) or below (-1) the cut."""
         gap = self.sizes.clearance_mm / 2
         height = self.length + self.sizes.clearance_mm + self.sizes.wall_mm
         return self._rod(self.radius, *sorted((side * gap, side * (gap + height))))
 
-    def keep_clear(self, side: int) -> Manifold:
+    def keep_clear(self, side: int) -> "Manifold":
         """What the other half must leave to that boss."""
+        from manifold3d import Manifold
+
         gap, height = self.sizes.clearance_mm, self.length + 3 * self.sizes.wall_mm
         low, high = sorted((-side * gap / 2, side * height))
         across = np.cross(self.pole, self.axis)
@@ -386,21 +393,23 @@ class _PinJoint:
         block = Manifold.cube(size, True).translate((0.0, 0.0, (low + high) / 2))
         return block.transform(np.concatenate([turn, self.place[:, None]], 1))
 
-    def pin(self) -> Manifold:
+    def pin(self) -> "Manifold":
         gap = self.sizes.clearance_mm / 2
         return self._rod(self.width / 2, -gap - self.sizes.wall_mm, self.length - gap)
 
-    def hole(self) -> Manifold:
+    def hole(self) -> "Manifold":
         clear = self.sizes.clearance_mm
         return self._rod(self.width / 2 + clear, -2 * clear, self.length + clear / 2)
 
-    def _rod(self, radius: float, low: float, high: float) -> Manifold:
+    def _rod(self, radius: float, low: float, high: float) -> "Manifold":
+        from manifold3d import Manifold
+
         outer = radius / math.cos(math.pi / _SEGMENTS)  # nothing is narrower than the circle
         rod = Manifold.cylinder(high - low, outer, outer, _SEGMENTS).translate((0.0, 0.0, low))
         return along_axis(rod, self.axis).translate(tuple(self.place.tolist()))
 
 
-def _with_socket(lower: Manifold, foot: Foot, sizes: ProbeSizes) -> Manifold:
+def _with_socket(lower: "Manifold", foot: Foot, sizes: ProbeSizes) -> "Manifold":
     """A cylinder round the pole's upper end that holds the walls above it."""
     high = float(sizes.radius_mm * foot.joint[1]) + _JOINT_MM
     holder = _upright(foot, foot.radius_mm, foot.bottom_mm, high)
@@ -408,13 +417,17 @@ def _with_socket(lower: Manifold, foot: Foot, sizes: ProbeSizes) -> Manifold:
     return lower + holder - bore
 
 
-def _without_specks(solid: Manifold) -> Manifold:
+def _without_specks(solid: "Manifold") -> "Manifold":
     """Booleans of surfaces that nearly meet leave pieces without a volume."""
+    from manifold3d import Manifold
+
     pieces = solid.decompose()
     return Manifold.compose([piece for piece in pieces if piece.volume() > _SPECK_MM3])
 
 
-def _upright(foot: Foot, radius: float, low: float, high: float) -> Manifold:
+def _upright(foot: Foot, radius: float, low: float, high: float) -> "Manifold":
+    from manifold3d import Manifold
+
     outer = radius / math.cos(math.pi / _SEGMENTS)
     rod = Manifold.cylinder(high - low, outer, outer, _SEGMENTS).rotate((-90, 0, 0))
     return rod.translate((foot.axis[0], low, foot.axis[1]))

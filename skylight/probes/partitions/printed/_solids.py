@@ -15,13 +15,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
-from manifold3d import Manifold, Mesh64
 
 from skylight.errors import InputError
 from skylight.probes.partitions._cells import Cells
+
+if TYPE_CHECKING:
+    from manifold3d import Manifold
 
 NOZZLE_MM = 0.4  # the common one
 # of a face's free radius: how far round its centre captures look at it
@@ -183,7 +186,7 @@ def kernel_planes(net: WallNet) -> Float[np.ndarray, "k 3"]:
     return np.concatenate([net.normals, net.merged_seeds[away > _FLAT_RAD]])
 
 
-def kernel_solid(net: WallNet, sizes: ProbeSizes) -> Manifold:
+def kernel_solid(net: WallNet, sizes: ProbeSizes) -> "Manifold":
     """The polyhedron whose faces touch the ball of radius ``kernel_mm``.
 
     Where every cell has one seed, this is the union of {x in cell i's cone, <x, n_i> <=
@@ -201,13 +204,15 @@ def kernel_solid(net: WallNet, sizes: ProbeSizes) -> Manifold:
     return solid
 
 
-def corners_of(solid: Manifold) -> Float[np.ndarray, "v 3"]:
+def corners_of(solid: "Manifold") -> Float[np.ndarray, "v 3"]:
     """Vertices of a solid."""
     return np.array(solid.to_mesh64().vert_properties, np.float64)[:, :3]
 
 
-def bounded(normals: Float[np.ndarray, "k 3"], offsets: Float[np.ndarray, " k"]) -> Manifold:
+def bounded(normals: Float[np.ndarray, "k 3"], offsets: Float[np.ndarray, " k"]) -> "Manifold":
     """{x: <x, normals_k> <= offsets_k}, within a cube of 2 m."""
+    from manifold3d import Manifold
+
     solid = Manifold.cube((2e3, 2e3, 2e3), True)
     for normal, offset in zip(normals, offsets, strict=True):
         solid = solid.trim_by_plane(tuple((-normal).tolist()), -float(offset))
@@ -259,7 +264,7 @@ class WallEnds:
         return normals[row, best], heights[row, best]
 
 
-def core_solid(ends: WallEnds, clearance_mm: float, way_in: Float[np.ndarray, "3"]) -> Manifold:
+def core_solid(ends: WallEnds, clearance_mm: float, way_in: Float[np.ndarray, "3"]) -> "Manifold":
     """What walls keep free: the kernel with its clearance, on its whole way out along ``way_in``.
 
     Every wall ends in one plane at right angles to its own, so that no edge is sharp.
@@ -290,7 +295,7 @@ def frame_along(axis: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     return np.stack([across, np.cross(axis, across), axis])
 
 
-def along_axis(solid: Manifold, axis: Float[np.ndarray, "3"]) -> Manifold:
+def along_axis(solid: "Manifold", axis: Float[np.ndarray, "3"]) -> "Manifold":
     """Turned so that its +Z points along a unit vector."""
     return solid.transform(np.concatenate([frame_along(axis).T, np.zeros((3, 1))], 1))
 
@@ -351,7 +356,7 @@ def wall_solid(
     pole: Float[np.ndarray, "3"],
     rim: Float[np.ndarray, "2"],
     sizes: ProbeSizes,
-) -> Manifold:
+) -> "Manifold":
     """A wall from the centre to the shell's radius, square at both directions and at its rim.
 
     ``rim``: from the wall's plane to the rim's side along ``pole``, and to the opposite one.
@@ -379,8 +384,10 @@ def wall_solid(
 
 def _between(
     upper: Float[np.ndarray, "v 3"], lower: Float[np.ndarray, "v 3"], count: int
-) -> Manifold:
+) -> "Manifold":
     """The solid between two sheets, each a tip and arcs of ``count`` points, anticlockwise."""
+    from manifold3d import Manifold, Mesh64
+
     below = len(upper)
     arcs = np.arange(1, below).reshape(-1, count)
     fan = np.stack([np.zeros(count - 1, int), arcs[0, :-1], arcs[0, 1:]], 1)
@@ -403,11 +410,13 @@ def bend_solids(
     vertices: Sequence[int],
     rims: Float[np.ndarray, "e 2"],
     sizes: ProbeSizes,
-) -> list[Manifold]:
+) -> list["Manifold"]:
     """Round edges where walls leave more than half a turn open, as at the bends of merged cells.
 
     Cones, at the rim as wide as the narrowest side of the walls that meet there.
     """
+    from manifold3d import Manifold
+
     found = []
     for vertex in vertices:
         axis = net.vertices[vertex]
