@@ -74,7 +74,7 @@ def _part(whole, kept):
         weights=whole.weights[kept],
         places=whole.places[kept],
         transport=rows(whole.transport),
-        gloss=rows(whole.gloss),
+        specular=rows(whole.specular),
     )
 
 

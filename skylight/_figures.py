@@ -148,12 +148,12 @@ SCENE_HEIGHT, SCENE_GRID = 144, 32  # for looking at: twice the scores' pixels, 
 def relit(
     scene: EvaluationScene, environment: EnvironmentMap, *, like: EnvironmentMap | None = None
 ) -> tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]]:
-    """(matt objects, metal objects) in this light, exposed for them or as in the light ``like``."""
-    matt, metal = scene.relight(environment), scene.relight_glossy(environment)
-    matt_like = matt if like is None else scene.relight(like)
-    metal_like = metal if like is None else scene.relight_glossy(like)
-    rows, columns = scene.matt.pixels.unbind(1)
+    """(diffuse, metal objects) in this light, exposed for them or as in the light ``like``."""
+    diffuse, metal = scene.relight(environment), scene.relight_specular(environment)
+    diffuse_like = diffuse if like is None else scene.relight(like)
+    metal_like = metal if like is None else scene.relight_specular(like)
+    rows, columns = scene.diffuse.pixels.unbind(1)
     return (
-        tone_map(matt, white=white_of(matt_like[rows, columns])),
+        tone_map(diffuse, white=white_of(diffuse_like[rows, columns])),
         tone_map(metal, white=white_of(metal_like.reshape(-1, 3))),
     )

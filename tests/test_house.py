@@ -14,7 +14,7 @@ REGISTERS = {"command", "get", "post", "put", "delete", "middleware", "exception
 ALLOWED = {
     "forward",  # called by torch
     "_check_input_dim",
-    "GlossyTransport",  # for users' own programs, in the API reference
+    "SpecularTransport",  # for users' own programs, in the API reference
     "compress",
     "pdf",
     "dual_basis",

@@ -22,7 +22,7 @@ Diffuse light is thrown back from below the surface by k = 0.46, so what comes o
 that gets in is R = (1 - k) R_i / (1 - k R_i) (J. L. Saunderson 1942, JOSA 32). Fresnel's formula
 for an index of refraction of 1.4 gives k = 0.53; 0.46 was chosen because it meets the measured
 people better (median gap 4.2 against 5.2 %). The surface's own reflection is no part of the table:
-it is rendered as a gloss.
+it is rendered as specular reflection.
 """
 
 import argparse

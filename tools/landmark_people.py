@@ -116,8 +116,8 @@ def render(number: int) -> Pictured:
     view = normalize(-seen.positions, dim=1).float()
     lobe = Specular(roughness=float(rng.uniform(0.35, 0.6)))
     n_v = (seen.normals.float() * view).sum(1).clamp(min=1e-3)
-    gloss = (cosine * ggx(cosine, n_v, directions @ view.T, lobe)).T @ flux
-    radiance = colour * (cosine.T @ flux) / math.pi + float(rng.uniform(0.3, 1.6)) * gloss
+    specular = (cosine * ggx(cosine, n_v, directions @ view.T, lobe)).T @ flux
+    radiance = colour * (cosine.T @ flux) / math.pi + float(rng.uniform(0.3, 1.6)) * specular
     white = torch.quantile(radiance.amax(1), float(rng.uniform(0.93, 1.0)))
     balance = torch.from_numpy(np.exp(rng.normal(0, 0.1, 3))).float()
     backdrop = torch.full((SIZE, SIZE, 3), float(rng.uniform(0.02, 0.6)))

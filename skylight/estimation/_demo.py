@@ -87,11 +87,11 @@ def estimate_examples(out: Path, progress: StageProgress) -> tuple[Path, ...]:
 
 
 def score(estimated: EnvironmentMap, true: EnvironmentMap) -> dict[str, float]:
-    """All scores: of the maps on the true one's rows, and of the evaluation scene's matt shading in
-    their light."""
+    """All scores: of the maps on the true one's rows, and of the evaluation scene's diffuse shading
+    in their light."""
     estimated = estimated.resize(true.layout[0])
     scene = evaluation_scene()
-    mask = scene.matt.image(torch.ones(len(scene.matt), 1))[..., 0] > 0
+    mask = scene.diffuse.image(torch.ones(len(scene.diffuse), 1))[..., 0] > 0
     shading = shading_metrics(scene.relight(estimated), scene.relight(true), mask)
     return {**lighting_metrics(estimated, true), **shading}
 
@@ -142,8 +142,10 @@ def write_comparison(
         )
         for row, (name, environment) in enumerate(maps.items()):
             show_probe(figure.add_subplot(grid[row, 1]), environment, f"{name} light", white=white)
-            matt, metal = relit(scene, environment, like=true)
-            show(figure.add_subplot(grid[row, 2]), matt, f"Matt objects, {name.lower()} light")
+            diffuse, metal = relit(scene, environment, like=true)
+            show(
+                figure.add_subplot(grid[row, 2]), diffuse, f"Diffuse objects, {name.lower()} light"
+            )
             show(figure.add_subplot(grid[row, 3]), metal, f"Metal objects, {name.lower()} light")
         figure.text(0.98, 0.955, note, ha="right", color=MUTED)
         save(figure, path)

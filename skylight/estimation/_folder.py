@@ -321,7 +321,7 @@ def estimate_together(pieces: Sequence[Piece], *, batch: int, workers: int) -> I
     settings = pieces[0].settings.with_model
     (needs,) = settings.problems()
     queue: deque[tuple] = deque(
-        (_observe, piece, needs.grid_height, needs.uses_gloss) for piece in pieces
+        (_observe, piece, needs.grid_height, needs.uses_specular) for piece in pieces
     )
     left, waiting = {piece.source for piece in pieces}, []
     stream = share_work(
@@ -369,14 +369,14 @@ def _lost(step: Callable[..., Any], piece: Piece, *_: Any) -> Entry:
     return lost(piece)
 
 
-def _observe(piece: Piece, grid_height: int, gloss: bool) -> Entry | Observed:
+def _observe(piece: Piece, grid_height: int, specular: bool) -> Entry | Observed:
     """Everything that comes before the light."""
     begun = time.perf_counter()
     sha256 = photo_hash(piece.path)
 
     def seen() -> tuple[Pictures, tuple[SeenFace, ...]]:
         pictures = piece.pictures()
-        return pictures, tuple(pictures.observe(pictures.fit_heads(), grid_height, gloss))
+        return pictures, tuple(pictures.observe(pictures.fit_heads(), grid_height, specular))
 
     found, error = piece.attempt(seen)
     seconds = time.perf_counter() - begun

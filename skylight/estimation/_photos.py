@@ -22,7 +22,7 @@ from skylight.estimation._summary import PhotoEstimate, SeenFace
 from skylight.faces._fit import FaceFit, fit_visible
 from skylight.faces._landmarks import FoundFace, find_faces
 from skylight.faces._model import HeadModel
-from skylight.faces._observe import SKIN_GLOSS, observe_face
+from skylight.faces._observe import SKIN_SPECULAR, observe_face
 from skylight.imaging._colour import Decode
 from skylight.imaging._photo import Photo, photo_from_codes, read_photo
 from skylight.imaging._taken import Taken
@@ -49,7 +49,7 @@ def estimate(
 
     Faces, heads, transport, one light: thesis, chapter 5, with a data term for each face. Cameras
     are taken to be level (their up is the world's up) and, where there are several, to look the
-    same way. Each photograph has its own exposure, each face its own albedo and gloss.
+    same way. Each photograph has its own exposure, each face its own albedo and specular scale.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ class Pictures:
         fitted = self.fit_heads()
         seen: list[SeenFace] = []
         for one in self.observe(
-            fitted, problem.grid_height, problem.uses_gloss, self.settings.rays_on
+            fitted, problem.grid_height, problem.uses_specular, self.settings.rays_on
         ):
             # photographs without a usable face have no exposure to estimate
             used = sorted({face.photo for face in seen} | {one.photo})
@@ -207,10 +207,11 @@ class Pictures:
         self,
         fitted: Sequence[tuple[FoundFace, FaceFit]],
         grid_height: int,
-        gloss: bool,
+        specular: bool,
         rays_on: torch.device | None = None,
     ) -> Iterator[SeenFace]:
-        """Each face with its transport on so many rows, of the skin's gloss where that is wanted.
+        """Each face with its transport on so many rows, of the skin's specular reflection where
+        that is wanted.
 
         ``rays_on`` is that of :func:`~skylight.faces._observe.observe_face`.
         """
@@ -229,7 +230,7 @@ class Pictures:
                         heads,
                         fit,
                         grid_height=grid_height,
-                        specular=SKIN_GLOSS if gloss else None,
+                        specular=SKIN_SPECULAR if specular else None,
                         grey=photo.grey,
                         workers=self.workers or os.cpu_count() or 1,
                         rays_on=rays_on,

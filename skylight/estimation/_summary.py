@@ -39,8 +39,8 @@ KEPT_ROWS = SCAN_HEIGHT
 class SeenFace:
     """Face ``number`` (1 is the largest) of photograph ``photo``, counted from 0, named ``name``.
 
-    Harmonics have coarser transport than skies, without gloss: a sky cannot be fitted to it.
-    Where several heads were fitted, ``view.observation`` keeps its transport on
+    Harmonics have coarser transport than skies, without specular reflection: a sky cannot be fitted
+    to it. Where several heads were fitted, ``view.observation`` keeps its transport on
     :data:`KEPT_ROWS` rows only.
     """
 
@@ -231,7 +231,7 @@ def _describe_face(seen: SeenFace, light: FaceLight, source: str) -> dict[str, o
         "source": source,
         "number": seen.number,
         "albedo": light.albedo.tolist(),
-        "gloss": light.gloss,
+        "gloss": light.specular_scale,
         "exposure": light.exposure,
         "white_balance": light.white_balance.tolist(),
         "residual": light.residual,

@@ -27,7 +27,7 @@ _FILLED = 0.92  # of the picture, by the mesh
 
 @dataclass(frozen=True, kw_only=True)
 class LitObject:
-    """A matt mesh of albedo 1; directions are those of the mesh's own world, +Y up.
+    """A diffuse mesh of albedo 1; directions are those of the mesh's own world, +Y up.
 
     ``buffer`` is all that the camera sees, ``chosen`` the covered pixels whose shading is observed,
     spread evenly.

@@ -260,17 +260,21 @@ def aligned_scores(
 def figure_columns(
     truth: EnvironmentMap, estimates: dict[str, EnvironmentMap]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Fig. 5.7: truth first, then each method; matt things, the light, shining things.
+    """Fig. 5.7: truth first, then each method; diffuse things, the light, specular things.
 
-    Each column is exposed for the same mean shading of the matt things.
+    Each column is exposed for the same mean shading of the diffuse things.
     """
     scene = evaluation_scene()
     columns = []
     for name, environment in ({"truth": truth} | estimates).items():
         mean = float(luminance(scene.shade(environment)).mean())
-        matt = tone_map(scene.relight(environment), white=2 * mean)
+        diffuse = tone_map(scene.relight(environment), white=2 * mean)
         light = tone_map(environment.radiance, white=3 * mean)
-        glossy = tone_map(scene.relight_glossy(environment), white=3 * mean)
-        rows = [sized(matt, WIDTH, SCENE), sized(light, WIDTH, PROBE), sized(glossy, WIDTH, SCENE)]
+        specular = tone_map(scene.relight_specular(environment), white=3 * mean)
+        rows = [
+            sized(diffuse, WIDTH, SCENE),
+            sized(light, WIDTH, PROBE),
+            sized(specular, WIDTH, SCENE),
+        ]
         columns.append(np.vstack([caption(name, WIDTH), *rows]))
     return np.hstack(columns)

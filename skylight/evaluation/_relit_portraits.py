@@ -66,9 +66,9 @@ class RelitPortraits(FaceEvaluation):
     Landmarks, head and light of the first picture are estimated from it; the second light is given
     as its map. Rows: ``relit``; ``relit_true_light``, the same from the true first light;
     ``relit_true_head``, from the true head and the light found; ``relit_true_light_and_head``, from
-    both, which leaves the errors of the method and of the gloss found; ``relit_without_shell``,
-    without the shell of hair; ``transfer``, the first picture with the mean and deviation in CIELAB
-    of the true second one
+    both, which leaves the errors of the method and of the specular scale found;
+    ``relit_without_shell``, without the shell of hair; ``transfer``, the first picture with the
+    mean and deviation in CIELAB of the true second one
     (:func:`~skylight.evaluation._relit_portraits.colour_transfer`), which a user would not
     have; and ``unchanged``. All but the transfer get the one exposure at which they are nearest to
     the truth. Scores are of sRGB values over the person (head and hair), and with ``_skin`` over

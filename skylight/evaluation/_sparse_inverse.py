@@ -1,6 +1,6 @@
 """Illumination from the shading of an object of known shape (thesis, 6.6.2, Fig. 6.4b).
 
-A matt dragon of albedo 1 is lit by a map; its shading ``s = T l`` at some pixels is all that the
+A diffuse dragon of albedo 1 is lit by a map; its shading ``s = T l`` at some pixels is all that the
 methods see. The error is ``|l - l'| / |l|``, weighted by solid angle, between the map of
 :data:`HEIGHT` rows and the one recovered, as it is and after clamping it at 0.
 

@@ -24,7 +24,7 @@ from skylight.transport._matrix import TransportMatrix
 from skylight.transport._normal_modes import NormalModes
 from skylight.transport._observation import Observation
 from skylight.transport._rays import Raycaster, TorchRaycaster
-from skylight.transport._reflection import camera_lamp, glossy_transport
+from skylight.transport._reflection import camera_lamp, specular_transport
 from skylight.transport._render import GBuffer, Specular, rasterize
 from skylight.transport._visibility import PixelBlocks, adaptive_visibility
 from skylight.work._progress import Progress
@@ -49,7 +49,7 @@ NORMAL_ROWS = 32  # of the light that normal errors are seen in: cells of 5.6 de
 # dark against the face their skin may be. What is above a hairline is lit from the sky.
 BARE_PARTS = {Region.EAR: 0.3, Region.NECK: 0.25, Region.SCALP: 0.7}
 # Index of refraction 1.4; the roughness is nominal, and its strength is estimated per face.
-SKIN_GLOSS = Specular(f0=0.028, roughness=0.5)
+SKIN_SPECULAR = Specular(f0=0.028, roughness=0.5)
 # luminance of the mean over the modes of the skin prior, by which light bounces on a head
 BOUNCING_ALBEDO = 0.12
 
@@ -83,7 +83,7 @@ def observe_face(
     *,
     face_height_px: int = 72,
     grid_height: int = 64,
-    specular: Specular | None = SKIN_GLOSS,
+    specular: Specular | None = SKIN_SPECULAR,
     grey: bool = False,
     bounces: int = 0,
     workers: int = 1,
@@ -106,8 +106,8 @@ def observe_face(
     90 px estimates hardly change (thesis, 5.5.5.1), while rays grow. From 48 px on the observation
     has means over blocks of 2 x 2 pixels, which say as much: a face's pixels are not independent.
     Memory: 2 * pixels * 2 * grid_height**2 bytes while rays are cast, 50 MB for 3,000 pixels and
-    64 rows; the transport of the blocks takes half as much, that of the gloss as much, and what
-    normals may be wrong by a quarter of it.
+    64 rows; the transport of the blocks takes half as much, that of the specular reflection as
+    much, and what normals may be wrong by a quarter of it.
     """
     vertices, faces = torch.from_numpy(fit.vertices), torch.from_numpy(model.faces.copy())
     hair = hair_of(picture, model, fit)
@@ -145,16 +145,16 @@ def observe_face(
     )
     coarse = sight.transport(min(grid_height, LIGHT_ROWS))
     views = view[used]
-    gloss = None
+    reflected = None
     if specular is not None:
-        gloss = glossy_transport(coarse, surface.normals[used], views, specular)
+        reflected = specular_transport(coarse, surface.normals[used], views, specular)
     # pixels seen at a slant cover more skin each and lie less surely: weight by the cosine
     by_pixel = Observation(
         pixels=seen[used],
         weights=facing[used].float(),
         places=surface.pixels[used],
         transport=coarse,
-        gloss=gloss,
+        specular=reflected,
         clipped=over[used] if bool(over[used].any()) else None,
     )
     inlier = inlier_probability(by_pixel)
@@ -177,7 +177,9 @@ def observe_face(
         transport=mesh.transport(
             transport, surface.origins[points], normals, bounces=bounces, workers=workers
         ),
-        gloss=None if specular is None else glossy_transport(transport, normals, views, specular),
+        specular=None
+        if specular is None
+        else specular_transport(transport, normals, views, specular),
         clipped=blocks.clipped,
         grey=grey,
         modes=_modes(surface, points, model),

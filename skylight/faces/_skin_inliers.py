@@ -31,11 +31,12 @@ OUTLIER_RANGE = (4.0, 1.5, 2.0)
 FEWEST_OUTLIERS, MOST_OUTLIERS = 0.02, 0.5
 NEIGHBOURS = 0.3  # nats by which each of eight neighbours of the same label makes it likelier
 ITERATIONS, LIGHT_UPDATES, MEAN_FIELD_STEPS = 6, 40, 10
-# Gloss against shading, 1 / albedo where skin shines as modelled: of light and of dark, oily skin.
-LEAST_GLOSS, MOST_GLOSS = 1.5, 15.0
+# Specular scale against shading, 1 / albedo where skin shines as modelled: of light and of dark,
+# oily skin.
+LEAST_SPECULAR, MOST_SPECULAR = 1.5, 15.0
 # By how much the ln of a ratio of channels may change: as shading grows by a factor of e (a low
-# sun ten times as bright as blue sky is 2.5 times as red), between matt skin and a highlight, and
-# over a face that turns by a radian.
+# sun ten times as bright as blue sky is 2.5 times as red), between diffuse reflection and a
+# highlight, and over a face that turns by a radian.
 MOST_TINT = (0.4, 1.0, 0.5, 0.5, 0.5)
 RIDGE = 1e-3
 
@@ -43,15 +44,16 @@ RIDGE = 1e-3
 def inlier_probability(seen: Observation) -> Float[Tensor, " m"]:
     """The probability that each pixel of an observation is skin.
 
-    Alternates between the light and the gloss g of ::
+    Alternates between the light and the specular scale g of ::
 
         argmin sum_i w_i (y_i - (D l + g G l)_i)^2 / (D l + g G l)_i^2,  l >= 0,
 
-    luminances y, transport D and that of gloss G; the colours that skin has in that light; and the
-    posterior w of the mixture. Over-exposed pixels have no residual: their neighbours decide.
+    luminances y, transport D and that of specular reflection G; the colours that skin has in that
+    light; and the posterior w of the mixture. Over-exposed pixels have no residual: their
+    neighbours decide.
     """
     diffuse = _coarse(seen.transport.matrix)
-    glossy = torch.zeros_like(diffuse) if seen.gloss is None else _coarse(seen.gloss.matrix)
+    specular = torch.zeros_like(diffuse) if seen.specular is None else _coarse(seen.specular.matrix)
     exact = torch.ones(len(diffuse), dtype=torch.bool) if seen.clipped is None else ~seen.clipped
     pixels = seen.pixels.double()
     brightness = luminance(pixels)
@@ -63,13 +65,17 @@ def inlier_probability(seen: Observation) -> Float[Tensor, " m"]:
     skin = seen.weights.double() * exact
     light = torch.ones(diffuse.shape[1], dtype=torch.float64)
     light *= brightness[exact].mean() / (diffuse @ light)[exact].mean()
-    inlier, share, gloss = exact.double(), 0.2, 2 * LEAST_GLOSS
+    inlier, share, specular_scale = exact.double(), 0.2, 2 * LEAST_SPECULAR
     for _ in range(ITERATIONS):
         weights = inlier * skin
-        light, gloss = _light(diffuse, glossy, brightness, weights, (light, gloss), floor)
-        matt, shine = diffuse @ light, gloss * (glossy @ light)
-        shading = (matt + shine + floor).log()
-        causes = torch.stack([shading, shine / (matt + shine + floor), *towards.unbind(1)], 1)
+        light, specular_scale = _light(
+            diffuse, specular, brightness, weights, (light, specular_scale), floor
+        )
+        diffuse_shading, shine = diffuse @ light, specular_scale * (specular @ light)
+        shading = (diffuse_shading + shine + floor).log()
+        causes = torch.stack(
+            [shading, shine / (diffuse_shading + shine + floor), *towards.unbind(1)], 1
+        )
         tint = _tint(ratios, causes, weights)
         residual = torch.cat([(bright - shading)[:, None], ratios - tint], 1)
         evidence, share = _evidence(residual, inlier * exact, exact, share)
@@ -88,28 +94,28 @@ def _coarse(matrix: Float[Tensor, "m n"]) -> Float[Tensor, "m k"]:
 
 def _light(
     diffuse: Float[Tensor, "m k"],
-    glossy: Float[Tensor, "m k"],
+    specular: Float[Tensor, "m k"],
     brightness: Float[Tensor, " m"],
     weights: Float[Tensor, " m"],
     start: tuple[Float[Tensor, " k"], float],
     floor: float,
 ) -> tuple[Float[Tensor, " k"], float]:
-    """(non-negative light, strength of the gloss) of least squared relative errors.
+    """(non-negative light, specular scale) of least squared relative errors.
 
     By multiplicative updates (Lee & Seung 2001), the two by turns; those of the light, in
     single precision: nothing is subtracted in them.
     """
-    light, gloss = start
-    basis = diffuse + gloss * glossy
+    light, specular_scale = start
+    basis = diffuse + specular_scale * specular
     relative = weights / (basis @ light + floor) ** 2
     aim = basis.T @ (relative * brightness)
     single, factor, aim, found = (x.float() for x in (basis, relative, aim, light))
     for _ in range(LIGHT_UPDATES):
         found = found * aim / (single.T @ (factor * (single @ found))).clamp(min=1e-30)
     light = found.double()
-    shine = relative * (glossy @ light)
+    shine = relative * (specular @ light)
     grown = float(shine @ brightness / (shine @ (basis @ light)).clamp(min=1e-30))
-    return light, min(max(gloss * grown**2, LEAST_GLOSS), MOST_GLOSS)
+    return light, min(max(specular_scale * grown**2, LEAST_SPECULAR), MOST_SPECULAR)
 
 
 def _seen_from(transport: TransportMatrix) -> Float[Tensor, "m 3"]:
@@ -125,7 +131,7 @@ def _tint(
     """ln of red and of blue over green, linear in what changes them, by least squares in bounds.
 
     Sun, sky and walls have different colours, so that ratios change with the shading and with where
-    skin faces; gloss has the light's own.
+    skin faces; specular reflection has the light's own.
     """
     total = weights.sum().clamp(min=1e-12)
     mean, middle = weights @ ratios / total, weights @ causes / total

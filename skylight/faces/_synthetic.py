@@ -67,7 +67,7 @@ def render_face(
     """A random person under a sky turned by a random azimuth (or the given one).
 
     Geometry, expression, pose (yaw 15, pitch 8, roll 5 degrees, standard deviations), focal
-    length, skin albedo and how it varies with melanin and blood (:func:`paint`), a glossy lobe,
+    length, skin albedo and how it varies with melanin and blood (:func:`paint`), a specular lobe,
     sensor noise of 0.5 % and 8-bit sRGB all follow from ``seed``. The light has 64 x 128 pixels,
     sampled far finer than the transport of an estimate where it is bright (``light_rows``).
     """

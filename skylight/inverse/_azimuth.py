@@ -36,9 +36,10 @@ def azimuth_curve(observation: Observation, probe: EnvironmentMap) -> AzimuthCur
     """si-RMSE of the face relit by a probe in every azimuth, column by column.
 
     For each turn k the relit face is ``p = a_c (T l_k)_c + g (G l_k)_c`` with the albedo a and the
-    strength of gloss g, both times the exposure, that fit best; g is 0 where the observation
-    has no gloss. White balance goes into a. Its error is ``sqrt(mean_c sum w (p - t)^2)`` over
-    ``mean_c sum w t``, with the pixels t and weights w that sum to 1.
+    specular scale g, both times the exposure, that fit best; g is 0 where the observation
+    has no specular reflection. White balance goes into a. Its error is
+    ``sqrt(mean_c sum w (p - t)^2)`` over ``mean_c sum w t``, with the pixels t and weights w that
+    sum to 1.
 
     All turns are one product of T, and one of G, with (n, w * 3). The probe is brought to the
     transport's grid of w columns: 128 of 2.8 degrees for an estimate's.
@@ -76,7 +77,7 @@ def local_minima(curve: Float[Tensor, " w"], *, prominence: float) -> tuple[int,
 def relit_face(
     observation: Observation, probe: EnvironmentMap, azimuth_deg: float
 ) -> Float[Tensor, "m 3"]:
-    """The face's pixels in the turned probe, with the albedo and gloss that suit them best."""
+    """The face's pixels in the turned probe, with the albedo and specular scale that suit best."""
     turned = probe.rotate_azimuth(math.radians(azimuth_deg)).resize(_layout(observation)[0])
     return _fit(observation, turned.flat[:, None]).relit[:, 0].float()
 
@@ -91,7 +92,7 @@ class _Fit:
 
 
 def _fit(observation: Observation, lights: Float[Tensor, "n w 3"]) -> _Fit:
-    """Least squares for each light: three albedos and one strength of gloss, none below 0."""
+    """Least squares for each light: three albedos and one specular scale, none below 0."""
     weights = observation.weights
     if observation.clipped is not None:  # bounds say nothing to least squares
         weights = weights * ~observation.clipped
@@ -105,19 +106,19 @@ def _fit(observation: Observation, lights: Float[Tensor, "n w 3"]) -> _Fit:
         return torch.einsum("m,mwc->wc", share, a * b)
 
     target = seen[:, None]
-    matt = shading(observation.transport.matrix)
-    energy, both = product(matt, matt).clamp(min=1e-300), product(matt, target)
-    albedo, relit = both / energy, torch.zeros_like(matt)
-    if observation.gloss is not None:
-        shine = shading(observation.gloss.matrix)
-        # what of the gloss, and of the picture, no albedo explains
-        mixed = product(matt, shine)
+    diffuse = shading(observation.transport.matrix)
+    energy, both = product(diffuse, diffuse).clamp(min=1e-300), product(diffuse, target)
+    albedo, relit = both / energy, torch.zeros_like(diffuse)
+    if observation.specular is not None:
+        shine = shading(observation.specular.matrix)
+        # what of the specular reflection, and of the picture, no albedo explains
+        mixed = product(diffuse, shine)
         left = (product(shine, target) - mixed * albedo).sum(1)
         own = (product(shine, shine) - mixed.square() / energy).sum(1)
         strength = (left / own.clamp(min=1e-300)).clamp(min=0)[:, None]
         albedo = (albedo - strength * mixed / energy).clamp(min=0)
         relit = strength * shine
-    relit = albedo * matt + relit
+    relit = albedo * diffuse + relit
     squared = product(relit - target, relit - target).mean(1)
     return _Fit(relit=relit, albedo=albedo, error=squared.sqrt() / (share @ seen).mean())
 

@@ -3,7 +3,8 @@
 Starts are lights towards the sun's candidates, with exposures and albedos that fit. Gauss-Newton
 steps take the faces' deviations and their derivatives with respect to each free parameter. Light
 acts through matrices: only the derivatives of what it radiates are transported, all of a
-start's as one product; what albedo, gloss, exposure and turns do is for each pixel by itself.
+start's as one product; what albedo, specular scale, exposure and turns do is for each pixel by
+itself.
 
 Derivatives of the radiance are forward differences, (f(x + h e) - f(x)) / h with h the square
 root of the floating-point precision; those of what is reflected, which is cheap, are central ones
@@ -124,8 +125,8 @@ def _transported(
     each = None if problem is None else problem.repeat_interleave(shape[1])
     flat = skies.flatten(0, 1), grounds.flatten(0, 1), each
     fields = {"diffuse": face.transport.white(*flat).unflatten(0, shape)}
-    if face.gloss is not None:
-        fields["glossy"] = face.gloss.white(*flat).unflatten(0, shape)
+    if face.specular is not None:
+        fields["specular"] = face.specular.white(*flat).unflatten(0, shape)
     if face.normals is not None and turns is not None:
         fields["turned"] = face.normals.turned(skies, grounds, turns, problem)
     return fields
@@ -258,15 +259,15 @@ def choose_starts(
         for k in mine:
             face = objective.faces[k]
             diffuse = face.transport(sky, ground, ones)
-            glossy = torch.zeros_like(diffuse)
-            if face.gloss is not None:
-                glossy = face.gloss(sky, ground, ones)
-            shaded.append(_Shaded(face=face, diffuse=diffuse, glossy=glossy))
+            specular = torch.zeros_like(diffuse)
+            if face.specular is not None:
+                specular = face.specular(sky, ground, ones)
+            shaded.append(_Shaded(face=face, diffuse=diffuse, specular=specular))
         start = _photo_start(objective, shaded, albedo_modes)
         exposures[:, photo], albedos[:, mine] = start.exposure, start.albedo
         losses = losses + start.loss
-    gloss = light.new_ones(len(light), len(objective.faces))
-    packed = objective.pack(light, exposures, gloss, albedos, ground_albedo)
+    specular_scale = light.new_ones(len(light), len(objective.faces))
+    packed = objective.pack(light, exposures, specular_scale, albedos, ground_albedo)
     # one sky for each direction: many starts are to look in many directions
     each = losses[: len(towards)].unflatten(0, (count, -1)).min(1)
     every = torch.arange(len(light), device=light.device)
@@ -277,11 +278,11 @@ def choose_starts(
 
 @dataclass(frozen=True, kw_only=True)
 class _Shaded:
-    """A face in the lights of all starts, apart: what its albedo scales and what its gloss."""
+    """A face in the lights of all starts, apart: diffuse and specular shading."""
 
     face: FaceTerm
     diffuse: Float[Tensor, "s m 3"]
-    glossy: Float[Tensor, "s m 3"]
+    specular: Float[Tensor, "s m 3"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -309,7 +310,7 @@ def _photo_start(
     )
     for number, mode in enumerate(albedo_modes):
         # the sky need not be rendered again: shading is linear in exposure and albedo
-        shading = first.diffuse * mode + first.glossy
+        shading = first.diffuse * mode + first.specular
         exposure = best_exposure(
             first.face.seen(shading), first.face.target, first.face.exact_share
         )
@@ -318,7 +319,8 @@ def _photo_start(
         albedo = [mode.expand(count, 3)]
         for one in others:
             fits = [
-                one.face.data_term((one.diffuse * m + one.glossy) * scale, w) for m in albedo_modes
+                one.face.data_term((one.diffuse * m + one.specular) * scale, w)
+                for m in albedo_modes
             ]
             least = (torch.stack(fits) + nll[:, None]).min(0)
             loss = loss + least.values

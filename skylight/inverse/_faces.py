@@ -35,9 +35,9 @@ class ObjectiveWeights:
     """How much the parts count. All parts are negative log-likelihoods, in nats.
 
     ``noise`` is the expected mean deviation of a pixel from the model, relative to the face's
-    mean radiance: not sensor noise, but freckles, gloss and wrong geometry. Neighbouring pixels
-    deviate together, so a face's pixels count as ``independent`` observations, whatever their
-    number; those of several faces add up.
+    mean radiance: not sensor noise, but freckles, specular reflection and wrong geometry.
+    Neighbouring pixels deviate together, so a face's pixels count as ``independent`` observations,
+    whatever their number; those of several faces add up.
 
     ``white_balance_spread`` is the standard deviation of the log of red and of blue against green
     that a camera leaves in a picture of something grey; 0 trusts its white balance.
@@ -67,18 +67,18 @@ class ObjectiveWeights:
 
 @dataclass(frozen=True, kw_only=True)
 class Transported:
-    """A face in lights, for an exposure, albedo and gloss of 1.
+    """A face in lights, for an exposure, albedo and specular scale of 1.
 
     ``diffuse`` T l, what wrong normals add to it (``turned``; None where they are known), and what
-    its surface reflects (``glossy``; None where it is matt).
+    its surface reflects (``specular``; None where it is diffuse).
     """
 
     diffuse: Float[Tensor, "b m 3"]
     turned: Float[Tensor, "b m 3"] | None = None
-    glossy: Float[Tensor, "b m 3"] | None = None
+    specular: Float[Tensor, "b m 3"] | None = None
 
     @property
-    def matt(self) -> Float[Tensor, "b m 3"]:
+    def diffuse_shading(self) -> Float[Tensor, "b m 3"]:
         """Never negative, whatever the normals."""
         return self.diffuse if self.turned is None else (self.diffuse + self.turned).clamp(min=0)
 
@@ -104,7 +104,7 @@ class FaceTerm:
     target: Float[Tensor, "p m 3"]
     share: Float[Tensor, "p m 1"]
     transport: SkyTransport
-    gloss: SkyTransport | None
+    specular: SkyTransport | None
     level: Float[Tensor, " p"]
     photo: int = 0
     clipped: Bool[Tensor, "p m"] | None = None
@@ -118,13 +118,13 @@ class FaceTerm:
 
         For light of the whole ``sphere``, or of skies above grounds.
         """
-        gloss, clipped = observation.gloss, observation.clipped
+        specular, clipped = observation.specular, observation.clipped
         normals = observation.normal_modes
         return FaceTerm(
             target=observation.pixels[None],
             share=(observation.weights / observation.weights.sum())[None, :, None] / 3,
             transport=SkyTransport.of(observation.transport, sphere=sphere),
-            gloss=None if gloss is None else SkyTransport.of(gloss, sphere=sphere),
+            specular=None if specular is None else SkyTransport.of(specular, sphere=sphere),
             level=observation.pixels.new_ones(1),
             clipped=None if clipped is None else clipped[None],
             grey=observation.grey,
@@ -138,7 +138,7 @@ class FaceTerm:
         first, *others = terms
         if not others:
             return first
-        glosses = [term.gloss for term in terms if term.gloss is not None]
+        specular = [term.specular for term in terms if term.specular is not None]
         modes = [term.modes for term in terms if term.modes is not None]
         normals = [term.normals for term in terms if term.normals is not None]
         clipped = [
@@ -151,7 +151,7 @@ class FaceTerm:
             target=_padded([term.target for term in terms]),
             share=_padded([term.share for term in terms]),
             transport=SkyTransport(_padded([term.transport.folded for term in terms])),
-            gloss=SkyTransport(_padded([one.folded for one in glosses])) if glosses else None,
+            specular=SkyTransport(_padded([one.folded for one in specular])) if specular else None,
             level=torch.cat([term.level for term in terms]),
             photo=first.photo,
             clipped=_padded(clipped) if any(bool(one.any()) for one in clipped) else None,
@@ -175,13 +175,13 @@ class FaceTerm:
         problem: Int[Tensor, " b"] | None = None,
     ) -> Transported:
         """This face in lights; its normals turned by so much, None where they are trusted."""
-        turned, glossy = None, None
+        turned, specular = None, None
         if self.normals is not None and turns is not None:
             turned = self.normals(sky, ground, turns, problem)
-        if self.gloss is not None:
-            glossy = self.gloss.white(sky, ground, problem)
+        if self.specular is not None:
+            specular = self.specular.white(sky, ground, problem)
         return Transported(
-            diffuse=self.transport.white(sky, ground, problem), turned=turned, glossy=glossy
+            diffuse=self.transport.white(sky, ground, problem), turned=turned, specular=specular
         )
 
     @property
@@ -305,7 +305,7 @@ class LitFaces(list[ScannedFace]):
         return tuple(
             (
                 one.photo,
-                one.scanned.gloss is None,
+                one.scanned.specular is None,
                 one.scanned.modes is None,
                 one.scanned.normal_modes is None,
                 one.scanned.grey,

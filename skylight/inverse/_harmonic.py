@@ -160,13 +160,13 @@ class HarmonicProblem(LightProblem):
     """SH coefficients from all faces under one light.
 
     Surface reflection is left out, in the posterior too: highlights count as outliers. Keeps
-    each observation's transport on :data:`ROWS` rows, without its gloss. Where one of the pictures
-    is grey all are taken for grey: the light is neutral, and luminance alone is fitted. Everything
-    is computed on the device of ``albedo_modes``, where the model and the prior have to be; the
-    estimate is on the CPU.
+    each observation's transport on :data:`ROWS` rows, without its specular reflection. Where one of
+    the pictures is grey all are taken for grey: the light is neutral, and luminance alone is
+    fitted. Everything is computed on the device of ``albedo_modes``, where the model and the prior
+    have to be; the estimate is on the CPU.
     """
 
-    uses_gloss = False
+    uses_specular = False
 
     def __init__(
         self,
@@ -202,10 +202,10 @@ class HarmonicProblem(LightProblem):
             weights = weights * ~observation.clipped
             if not bool((weights > 0).any()):
                 raise InputError("the whole face is over-exposed; use a darker picture")
-        matt = replace(observation, gloss=None)
-        self._faces.append(replace(matt, weights=weights).on_rows(ROWS))
+        diffuse = replace(observation, specular=None)
+        self._faces.append(replace(diffuse, weights=weights).on_rows(ROWS))
         self._photos.append(photo)
-        self._scanned.append(matt.coarser(1).on_rows(SCAN_HEIGHT))
+        self._scanned.append(diffuse.coarser(1).on_rows(SCAN_HEIGHT))
 
     def _solve(self, progress: Progress) -> Estimate:
         """Robust fit of non-negative light by reweighted linear least squares.
@@ -245,7 +245,7 @@ class HarmonicProblem(LightProblem):
                     white_balance=torch.ones(3),  # the light is free in colour, and takes it
                     albedo=albedos[k].float().cpu(),
                     pixel_albedo=albedos[k].float().cpu().expand(len(rendered), -1),
-                    gloss=0.0,
+                    specular_scale=0.0,
                     rendered=rendered.cpu(),
                     residual=residual(rendered, face.pixels, face.clipped),
                 )

@@ -87,14 +87,14 @@ class LampLight:
 class FaceTransport:
     """What a face shows of any light l on ``SCAN_HEIGHT`` rows of the sphere, in the map's units::
 
-        gains * (pixel_albedo * max(matt l, 0) + glossy l)
+        gains * (pixel_albedo * max(diffuse l, 0) + specular l)
 
-    ``matt`` is T with the face's normals as they were estimated, ``glossy`` G times the face's
-    gloss (None where it is matt). Of a ``grey`` picture it shows luminance.
+    ``diffuse`` is T with the face's normals as they were estimated, ``specular`` G times the face's
+    specular scale (None where it is diffuse). Of a ``grey`` picture it shows luminance.
     """
 
-    matt: Float[Tensor, "m n"]
-    glossy: Float[Tensor, "m n"] | None
+    diffuse: Float[Tensor, "m n"]
+    specular: Float[Tensor, "m n"] | None
     pixel_albedo: Float[Tensor, "m 3"]
     gains: Float[Tensor, "3"]
     grey: bool
@@ -109,13 +109,15 @@ class FaceTransport:
             The observation has fewer rows of directions than the solver had.
         """
         observed = observation.on_rows(SCAN_HEIGHT)
-        matt, modes = observed.transport.matrix, observed.normal_modes
+        diffuse, modes = observed.transport.matrix, observed.normal_modes
         if light.turns is not None and modes is not None:
             turned = modes.modes @ light.turns.to(modes.modes)
-            matt = matt + modes.visible * (turned @ modes.grid.directions.to(matt).T)
+            diffuse = diffuse + modes.visible * (turned @ modes.grid.directions.to(diffuse).T)
         return FaceTransport(
-            matt=matt,
-            glossy=None if observed.gloss is None else light.gloss * observed.gloss.matrix,
+            diffuse=diffuse,
+            specular=None
+            if observed.specular is None
+            else light.specular_scale * observed.specular.matrix,
             pixel_albedo=light.pixel_albedo,
             gains=light.white_balance * (light.exposure / exposure),
             grey=observed.grey,
@@ -124,8 +126,8 @@ class FaceTransport:
     def rendered(self, light: LampLight) -> Float[Tensor, "m 3"]:
         """The face's pixels under that light, in its photograph's radiance units."""
         radiance = light.radiance(SCAN_HEIGHT)
-        shading = self.pixel_albedo * (self.matt @ radiance).clamp(min=0)
-        if self.glossy is not None:
-            shading = shading + self.glossy @ radiance
+        shading = self.pixel_albedo * (self.diffuse @ radiance).clamp(min=0)
+        if self.specular is not None:
+            shading = shading + self.specular @ radiance
         shading = self.gains * shading
         return luminance(shading)[:, None].expand(-1, 3) if self.grey else shading

@@ -239,8 +239,8 @@ class LampsProblem(LightProblem):
     """Eq. 5.8 for all faces under one light that is no sky.
 
     Light is on :data:`~skylight.inverse._scan.SCAN_HEIGHT` rows of the sphere: two thirds of the
-    memory that a sky has, 130 MB for a face of 3,700 pixels with gloss. Everything is computed on
-    the device of ``albedo_modes``, where the prior has to be.
+    memory that a sky has, 130 MB for a face of 3,700 pixels with specular reflection. Everything is
+    computed on the device of ``albedo_modes``, where the prior has to be.
     """
 
     def __init__(
@@ -309,7 +309,7 @@ class LampsProblem(LightProblem):
             evidence,
             sun=lamps[0].direction if lamps else None,
             albedo_prior=objective.tone_prior,
-            reflects=self.faces[0].scanned.gloss is not None,
+            reflects=self.faces[0].scanned.specular is not None,
             lamps=lamps,
         )
 

@@ -1,8 +1,8 @@
 """The objective of inverse lighting (thesis, Eq. 5.8) as a function of free parameters.
 
 One light, seen on one face or more: every face adds its own data term and priors. Problems of one
-shape (as many faces in the same photographs, all with gloss or none) share one objective, so that
-points of all of them are evaluated as one batch.
+shape (as many faces in the same photographs, all with specular reflection or none) share one
+objective, so that points of all of them are evaluated as one batch.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,13 @@ from torch.nn.functional import pad
 
 from skylight.faces._skin import PIGMENT_COLOURS, PIGMENT_SPREADS
 from skylight.inverse._faces import FaceTerm, ObjectiveWeights, Transported, of_problem
-from skylight.inverse._scale import GLOSS_SPREAD, bayes_scale, gloss_nll, scale_nll, tone_prior
+from skylight.inverse._scale import (
+    SPECULAR_SPREAD,
+    bayes_scale,
+    scale_nll,
+    specular_nll,
+    tone_prior,
+)
 from skylight.inverse._sun_prior import SunPrior
 from skylight.models._base import LightModel, Prior, without_azimuth
 from skylight.models._ground import KnownGround, LambertianGround, ground_prior
@@ -39,7 +45,7 @@ class Unpacked:
     light: Float[Tensor, "b p"]
     exposure: Float[Tensor, "b n"]
     balance: Float[Tensor, "b n 2"]
-    gloss: Float[Tensor, "b f"]
+    specular_scale: Float[Tensor, "b f"]
     albedo: Float[Tensor, "b f 3"]
     ground_albedo: Float[Tensor, "b g"]
     pigments: Float[Tensor, "b f 2 k"]
@@ -49,13 +55,14 @@ class Unpacked:
 class LightObjective:
     """Eq. 5.8 for a model of the sky over a Lambertian ground, summed over the faces it lights.
 
-    Beyond the thesis, a share of surface reflection: shading is rho T l + gloss G l, with one
-    unknown strength for each face (1 is what the index of refraction of skin says). On dark skin
-    highlights are as bright as the diffuse part, and taken for diffuse they pull the sun aside.
+    Beyond the thesis, a share of surface reflection: shading is rho T l + specular_scale G l, with
+    one unknown strength for each face (1 is what the index of refraction of skin says). On dark
+    skin highlights are as bright as the diffuse part, and taken for diffuse they pull the sun
+    aside.
 
-    Beyond it too, every photograph has gains of its channels, diag(g) (rho T l + gloss G l) with
-    sum_c log g_c = 0, which are what its camera's white balance is wrong by. Cameras take away
-    part of what colours the light: without gains a low sun has to be warm, so skin turns blue.
+    Beyond it too, every photograph has gains of its channels, diag(g) (rho T l + specular_scale
+    G l) with sum_c log g_c = 0, which are what its camera's white balance is wrong by. Cameras take
+    away part of what colours the light: without gains a low sun has to be warm, so skin turns blue.
 
     And the albedo of a face varies with its melanin and blood, as smooth fields that
     :mod:`skylight.faces._skin` has: rho of pixel p is a prod_i exp(-d_i sum_k Phi_pk u_ik), with
@@ -69,9 +76,9 @@ class LightObjective:
     distribution, but its maximum would lean towards dark skin.
 
     Free parameters of one problem: those of the light model, for each photograph a log exposure
-    and its two log gains against green, for each face log gloss, the logits of skin albedo,
-    its turns and its pigments, then the logits of ground albedo, so that 0 < albedo < 1 always
-    holds. A model of the whole sphere has no ground. Targets are scaled beforehand to a mean
+    and its two log gains against green, for each face the log specular scale, the logits of skin
+    albedo, its turns and its pigments, then the logits of ground albedo, so that 0 < albedo < 1
+    always holds. A model of the whole sphere has no ground. Targets are scaled beforehand to a mean
     luminance of 1 in each photograph, which makes the loss's epsilon mean the same for every
     picture.
     """
@@ -127,7 +134,7 @@ class LightObjective:
         self,
         light: Float[Tensor, "b p"],
         exposure: Float[Tensor, "b n"],
-        gloss: Float[Tensor, "b f"],
+        specular_scale: Float[Tensor, "b f"],
         albedo: Float[Tensor, "b f 3"],
         ground_albedo: Float[Tensor, "b g"],
         balance: Float[Tensor, "b n 2"] | None = None,
@@ -141,13 +148,13 @@ class LightObjective:
         if balance is None:
             balance = exposure.new_zeros(*exposure.shape, 2)
         if pigments is None:
-            pigments = gloss.new_zeros(*gloss.shape, 2, self.mode_count)
+            pigments = specular_scale.new_zeros(*specular_scale.shape, 2, self.mode_count)
         if turns is None:
-            turns = gloss.new_zeros(*gloss.shape, self.turn_count)
+            turns = specular_scale.new_zeros(*specular_scale.shape, self.turn_count)
         camera = torch.cat([exposure.log()[..., None], balance], 2)
         skin = torch.cat(
             [
-                gloss.log()[..., None],
+                specular_scale.log()[..., None],
                 torch.logit(albedo, eps=1e-4),
                 turns / TURN_STEP,
                 pigments.flatten(2),
@@ -185,7 +192,7 @@ class LightObjective:
             # beyond e^+-20 a line search has gone astray; exp must not overflow on its way back
             exposure=camera[..., 0].clamp(-20, 20).exp(),
             balance=camera[..., 1:],
-            gloss=skin[..., 0].clamp(-20, 5).exp(),
+            specular_scale=skin[..., 0].clamp(-20, 5).exp(),
             albedo=torch.sigmoid(skin[..., 1:4]),
             ground_albedo=torch.sigmoid(ground_albedo),
             turns=TURN_STEP * skin[..., 4 : 4 + self.turn_count],
@@ -212,7 +219,7 @@ class LightObjective:
     def shading(
         self, parts: Unpacked, problem: Int[Tensor, " b"] | None = None
     ) -> list[Float[Tensor, "b _ 3"]]:
-        """Each face's rho T l + gloss G l times its photograph's exposure and gains.
+        """Each face's rho T l + specular_scale G l times its photograph's exposure and gains.
 
         Where its normals may be wrong, T l has what they add, and is 0 where that is less.
         """
@@ -242,9 +249,9 @@ class LightObjective:
     ) -> Float[Tensor, "b m 3"]:
         """The shading of face ``k`` in that light."""
         photo = self.faces[k].photo
-        shading = self.albedo(parts, k, problem) * light.matt
-        if light.glossy is not None:
-            shading = shading + parts.gloss[:, k, None, None] * light.glossy
+        shading = self.albedo(parts, k, problem) * light.diffuse_shading
+        if light.specular is not None:
+            shading = shading + parts.specular_scale[:, k, None, None] * light.specular
         gains = parts.exposure[:, photo, None] * self.white_balance(parts)[:, photo]
         return gains[:, None] * shading
 
@@ -275,7 +282,7 @@ class LightObjective:
             "light_prior": -w.light_prior * self.light_prior.log_prob(light),
             "albedo_prior": -w.albedo_prior * skin.unflatten(0, (-1, len(self.faces))).sum(1),
             **self._ground_nll(parts),
-            "gloss_prior": (0.5 * (parts.gloss.log() / GLOSS_SPREAD) ** 2).sum(1),
+            "gloss_prior": (0.5 * (parts.specular_scale.log() / SPECULAR_SPREAD) ** 2).sum(1),
             "white_balance_prior": self._white_balance_nll(parts),
             "pigment_prior": 0.5 * (parts.pigments / self.pigment_spreads).square().sum((1, 2, 3)),
             "normal_prior": 0.5 * parts.turns.square().sum((1, 2)),
@@ -325,26 +332,30 @@ class LightObjective:
     def at_bayes_scale(self, free: Float[Tensor, "b q"]) -> Float[Tensor, "b q"]:
         """The same appearance with albedo and exposure at the scale of least expected error.
 
-        Albedo and gloss times c under 1/c of a photograph's exposure look the same: only the
-        priors know c, and between skins of different tone they have valleys that a descent does
+        Albedo and specular scale times c under 1/c of a photograph's exposure look the same: only
+        the priors know c, and between skins of different tone they have valleys that a descent does
         not cross. Every photograph's c is that of :func:`bayes_scale`.
         """
         parts = self.unpack(free)
-        exposure, gloss, albedo = parts.exposure.clone(), parts.gloss.clone(), parts.albedo.clone()
+        exposure, specular_scale, albedo = (
+            parts.exposure.clone(),
+            parts.specular_scale.clone(),
+            parts.albedo.clone(),
+        )
         for photo in range(self.photo_count):
             mine = self.faces_of(photo)
-            glossy = free.new_tensor([self.faces[k].gloss is not None for k in mine])
+            has_specular = free.new_tensor([self.faces[k].specular is not None for k in mine])
             scale = bayes_scale(
                 scale_nll(albedo[:, mine], self.tone_prior, self.weights.albedo_prior)
-                + gloss_nll(gloss[:, mine], glossy)
+                + specular_nll(specular_scale[:, mine], has_specular)
             )
             exposure[:, photo] /= scale
-            gloss[:, mine] *= scale[:, None]
+            specular_scale[:, mine] *= scale[:, None]
             albedo[:, mine] *= scale[:, None, None]
         return self.pack(
             parts.light,
             exposure,
-            gloss,
+            specular_scale,
             albedo,
             parts.ground_albedo,
             parts.balance,

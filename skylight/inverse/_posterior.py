@@ -48,7 +48,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from skylight.inverse._scale import GLOSS_SPREAD
+from skylight.inverse._scale import SPECULAR_SPREAD
 from skylight.inverse._scan import FaceScan, scan_faces
 from skylight.inverse._sun_prior import FLOOR, SunPrior
 from skylight.models._base import Prior
@@ -333,7 +333,7 @@ def sun_posterior(
     explained: bool,
     exposure: float,
     albedo: Float[Tensor, "3"],
-    gloss: float | None,
+    specular_scale: float | None,
     albedo_prior: Prior,
     model: PosteriorConstants = FITTED,
     sun_prior: SunPrior | None = None,
@@ -343,13 +343,13 @@ def sun_posterior(
 
     ``seen``: the light found has a lamp. By default a sun is seen where it lowers the deviation by
     ``sun_gain`` of the constants.
-    ``exposure``, ``albedo`` and ``gloss`` (None where the model has none) are a face's own.
+    ``exposure``, ``albedo`` and ``specular_scale`` (None where the model has none) are the face's.
     """
     grid = density_grid(evidence)
     density = sun_density(evidence, estimate, model, sun_prior)
     region = smallest_region(density, grid.solid_angles)
     share = float(grid.solid_angles[region].sum() / grid.solid_angles.sum())
-    split = split_density(albedo, gloss, albedo_prior)
+    split = split_density(albedo, specular_scale, albedo_prior)
     low, high = interval(-split[0], split[1], model.exposure_spread + model.unseen_spread * share)
     posterior = SunPosterior(
         grid=grid,
@@ -391,18 +391,18 @@ def _verdict(
 
 
 def split_density(
-    albedo: Float[Tensor, "3"], gloss: float | None, albedo_prior: Prior
+    albedo: Float[Tensor, "3"], specular_scale: float | None, albedo_prior: Prior
 ) -> tuple[Float[Tensor, " k"], Float[Tensor, " k"]]:
     """(log s, p): how likely albedo is s times what was estimated; p sums to 1.
 
-    Skin of albedo s a in light of 1 / s looks the same if its gloss is s times as strong too, so
-    the priors alone say how likely s is: p(log s) ~ p_albedo(log a + log s) p_gloss(log g + log s),
-    the last where ``gloss`` (the strength g) was estimated.
+    Skin of albedo s a in light of 1 / s looks the same if its specular reflection is s times as
+    strong too, so the priors alone say how likely s is: p(log s) ~ p_albedo(log a + log s)
+    p_specular(log g + log s), the last where ``specular_scale`` (the strength g) was estimated.
     """
     shift = torch.linspace(-3.0, 3.0, 601, dtype=torch.float64)
     level = albedo_prior.log_prob(albedo.log() + shift[:, None].to(albedo)).double()
-    if gloss is not None:
-        level = level - 0.5 * ((math.log(gloss) + shift) / GLOSS_SPREAD) ** 2
+    if specular_scale is not None:
+        level = level - 0.5 * ((math.log(specular_scale) + shift) / SPECULAR_SPREAD) ** 2
     return shift, torch.softmax(level, 0)
 
 

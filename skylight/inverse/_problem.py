@@ -21,7 +21,7 @@ class LightProblem(ABC):
     held with its full transport.
     """
 
-    uses_gloss: ClassVar[bool] = True  # whether transport of surface reflection is of use
+    uses_specular: ClassVar[bool] = True  # whether transport of surface reflection is of use
 
     @property
     @abstractmethod

@@ -24,7 +24,7 @@ UNEXPLAINED = 0.25  # a face whose residual is larger cannot be trusted
 
 @dataclass(frozen=True, kw_only=True)
 class FaceLight:
-    """What a face does with the light: ``white_balance * (pixel_albedo * T l + gloss * G l)``.
+    """What a face does with light: ``white_balance * (pixel_albedo * T l + specular_scale * G l)``.
 
     l is the light exposed, and ``pixel_albedo`` (m,3) varies about ``albedo``, its geometric mean
     over the skin of the face, with melanin and blood; it is ``albedo`` for what is no face.
@@ -32,10 +32,10 @@ class FaceLight:
     ``photo`` is the number of its photograph among all that were given, from 0, and ``exposure``
     that photograph's, as are the gains ``white_balance``, of product 1, by which it shows each
     channel too bright; ``rendered`` (m,3) its observation's pixels, in the photograph's radiance
-    units; ``residual`` their mean deviation in luminance, relative to the face's mean. ``gloss``
-    is 0 where a model leaves surface reflection out. ``turns`` (j,) is what normals are turned by
-    along the observation's ``normal_modes``, with which T l is 0 at least; None where they are
-    trusted.
+    units; ``residual`` their mean deviation in luminance, relative to the face's mean.
+    ``specular_scale`` is 0 where a model leaves surface reflection out. ``turns`` (j,) is what
+    normals are turned by along the observation's ``normal_modes``, with which T l is 0 at least;
+    None where they are trusted.
     """
 
     photo: int
@@ -43,7 +43,7 @@ class FaceLight:
     white_balance: Float[Tensor, "3"]
     albedo: Float[Tensor, "3"]
     pixel_albedo: Float[Tensor, "m 3"]
-    gloss: float
+    specular_scale: float
     rendered: Float[Tensor, "m 3"]
     residual: float
     turns: Float[Tensor, " j"] | None = None
@@ -161,6 +161,6 @@ def advice(faces: tuple[FaceLight, ...]) -> tuple[str, ...]:
             given.append(
                 f"the re-rendered {name} is off by {100 * face.residual:.0f} % on average: the "
                 "light is unreliable; check the mesh overlay, or use a picture with less hair, "
-                "glasses or gloss"
+                "glasses or specular reflection"
             )
     return tuple(given)

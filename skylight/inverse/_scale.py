@@ -1,6 +1,6 @@
 """How bright is the light, how dark the skin? Priors over the scale that a picture leaves open.
 
-Albedo and gloss times c in light times 1/c look the same (thesis, Eq. 5.9).
+Albedo and specular scale times c in light times 1/c look the same (thesis, Eq. 5.9).
 """
 
 import torch
@@ -12,7 +12,7 @@ from skylight.models._prior import GaussianMixture
 MOST_ALBEDO = 0.95  # of skin, in any channel
 DAYLIGHT_HUE = 0.2  # in the log of each channel against their mean
 SCALES = 2.0 ** torch.arange(-4, 4.01, 0.125)  # of albedo against light
-GLOSS_SPREAD = 0.7  # of log gloss: skin from matt to oily, a factor of two either way
+SPECULAR_SPREAD = 0.7  # of log specular scale: skin from dry to oily, a factor of two either way
 
 
 def tone_prior(albedo_prior: GaussianMixture) -> GaussianMixture:
@@ -40,10 +40,12 @@ def scale_nll(
     return torch.where(possible, nll.sum(2), torch.inf)
 
 
-def gloss_nll(gloss: Float[Tensor, "b f"], glossy: Float[Tensor, " f"]) -> Float[Tensor, "s b"]:
-    """-ln p of the gloss of all faces at each of :data:`SCALES`, of those that are ``glossy``."""
-    shine = (SCALES.to(gloss)[:, None, None] * gloss).log() * glossy
-    return 0.5 * (shine / GLOSS_SPREAD).square().sum(2)
+def specular_nll(
+    specular_scale: Float[Tensor, "b f"], has_specular: Float[Tensor, " f"]
+) -> Float[Tensor, "s b"]:
+    """-ln p of all faces' specular scales at each of :data:`SCALES`, where ``has_specular``."""
+    shine = (SCALES.to(specular_scale)[:, None, None] * specular_scale).log() * has_specular
+    return 0.5 * (shine / SPECULAR_SPREAD).square().sum(2)
 
 
 def bayes_scale(nll: Float[Tensor, "s b"]) -> Float[Tensor, " b"]:

@@ -180,15 +180,15 @@ class _SunProblem:
             """One problem for each direction, one without a sun, and one with the camera's lamp."""
             return torch.cat([pad(every[:, :sources], (0, 1)), lamp[:, group, None]], 1)
 
-        matt = columns(coarse.transport)
+        diffuse = columns(coarse.transport)
         lobes = _ambient_lobes(grid).to(root)
-        groups = [suns(matt, 0)]
-        if coarse.gloss is not None:
-            groups.append(suns(columns(coarse.gloss), 1))
+        groups = [suns(diffuse, 0)]
+        if coarse.specular is not None:
+            groups.append(suns(columns(coarse.specular), 1))
         clipped = torch.zeros_like(root, dtype=torch.bool)
         if observation.clipped is not None:
             clipped = observation.clipped
-        every, ambient = torch.stack(groups), matt @ lobes
+        every, ambient = torch.stack(groups), diffuse @ lobes
         sun_norms, ambient_norms = _norms(every), _norms(ambient)
         return _SunProblem(
             suns=every / sun_norms[:, None],
@@ -197,7 +197,7 @@ class _SunProblem:
             y=luminance(observation.pixels).double() * root,
             root=root,
             clipped=clipped,
-            normals=_NormalErrors.of(observation, matt, lobes, sources),
+            normals=_NormalErrors.of(observation, diffuse, lobes, sources),
         )
 
     @property
@@ -257,7 +257,7 @@ class _NormalErrors:
     @staticmethod
     def of(
         observation: Observation,
-        matt: Float[Tensor, "m n2"],
+        diffuse: Float[Tensor, "m n2"],
         lobes: Float[Tensor, "n2 j"],
         sources: int,
     ) -> "_NormalErrors | None":
@@ -269,14 +269,14 @@ class _NormalErrors:
         weights = observation.weights
         visible = errors.visible * weights.sqrt()[:, None]
         ambient = torch.stack([lobes.to(visible).T @ (visible * a).T for a in directions.T])
-        norms = (matt @ lobes).norm(dim=0).clamp(min=1e-12).to(visible)
-        suns = visible[:, :sources] / matt[:, :sources].norm(dim=0).clamp(min=1e-12).to(visible)
+        norms = (diffuse @ lobes).norm(dim=0).clamp(min=1e-12).to(visible)
+        suns = visible[:, :sources] / diffuse[:, :sources].norm(dim=0).clamp(min=1e-12).to(visible)
         level = weights @ luminance(observation.pixels)
         towards = directions.new_tensor([[0.0, 0.0, 1.0]])  # the camera
         lamp = torch.zeros_like(weights)
         if observation.camera_lamp is not None:
-            matt_lamp = observation.camera_lamp[:, 0] * weights.sqrt()
-            lamp = weights.sqrt() / matt_lamp.norm().clamp(min=1e-12)
+            diffuse_lamp = observation.camera_lamp[:, 0] * weights.sqrt()
+            lamp = weights.sqrt() / diffuse_lamp.norm().clamp(min=1e-12)
         return _NormalErrors(
             modes=errors.modes.permute(1, 2, 0).contiguous(),
             suns=torch.cat([pad(suns, (0, 1)), lamp[:, None]], 1).T.contiguous(),
@@ -286,7 +286,7 @@ class _NormalErrors:
         )
 
     def added(self, x: Float[Tensor, "b q"], rows: slice, suns: int) -> Float[Tensor, "b k m"]:
-        """<M_pk, F_p> in the light x of some directions, whose first is the matt sun's."""
+        """<M_pk, F_p> in the light x of some directions, whose first is the diffuse sun's."""
         strength = x[:, :1] * self.suns[rows]
         total = x.new_zeros(len(x), self.modes.shape[1], len(self.modes[0, 0]))
         for axis, modes in enumerate(self.modes):
@@ -347,7 +347,7 @@ def _explain(
     """
     most = max(one.unknowns for one in problems)
     grams, rights = [one.gram() for one in problems], [one.right() for one in problems]
-    # unknowns that a problem without gloss has not are 0 and stay 0
+    # unknowns that a problem without specular reflection has not are 0 and stay 0
     missing = [most - one.unknowns for one in problems]
     gram = torch.stack([pad(a, (0, k, 0, k)) for a, k in zip(grams, missing, strict=True)])
     right = torch.stack([pad(r, (0, k)) for r, k in zip(rights, missing, strict=True)])

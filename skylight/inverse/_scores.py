@@ -54,7 +54,7 @@ from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import DirectionGrid
 from skylight.sphere._projections import from_latlong
 from skylight.transport._matrix import TransportMatrix
-from skylight.transport._reflection import glossy_transport
+from skylight.transport._reflection import specular_transport
 from skylight.transport._render import Specular
 from skylight.transport._scene import EvaluationScene, evaluation_scene
 
@@ -111,7 +111,7 @@ def sphere_transport() -> SphereTransport:
     cosine = (normals.float() @ grid.directions.T.float()).clamp(min=0)
     diffuse = TransportMatrix(matrix=cosine * (grid.solid_angles / math.pi).float(), grid=grid)
     towards_camera = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64).expand_as(normals)
-    silver = glossy_transport(diffuse, normals, towards_camera, SILVER)
+    silver = specular_transport(diffuse, normals, towards_camera, SILVER)
     return SphereTransport(inside=inside, diffuse=diffuse, silver=silver)
 
 
@@ -195,9 +195,9 @@ def score_maps(predicted: EnvironmentMap, truth: EnvironmentMap) -> tuple[Scores
 def _score_scene(scores: Scores, predicted: EnvironmentMap, truth: EnvironmentMap) -> None:
     scene = evaluation_scene()
     shaded, true = scene.shade(predicted), scene.shade(truth)
-    shown, covered = scene.matt.image(true), _covered(scene)
+    shown, covered = scene.diffuse.image(true), _covered(scene)
     for alignment in get_args(Alignment):
-        picture = scene.matt.image(shaded * scale_factor(shaded, true, alignment))
+        picture = scene.diffuse.image(shaded * scale_factor(shaded, true, alignment))
         values = shading_metrics(picture, shown, covered)
         for name in ("mae", "rmse", "ssim"):
             scores.setdefault(f"scene_{name}", {})[alignment] = values[name]
@@ -320,7 +320,9 @@ def score(
     if estimate.layout != truth.layout:
         estimate = estimate.resize(height)
     shaded, true = scene.shade(estimate), scene.shade(truth)
-    shading = shading_metrics(scene.matt.image(shaded), scene.matt.image(true), _covered(scene))
+    shading = shading_metrics(
+        scene.diffuse.image(shaded), scene.diffuse.image(true), _covered(scene)
+    )
     brightness = float(shaded.double().mean() / true.double().mean())
     aligned = shaded / max(brightness, 1e-12)
     shading |= {
@@ -337,4 +339,4 @@ def score(
 
 
 def _covered(scene: EvaluationScene) -> Bool[Tensor, "h w"]:
-    return scene.matt.image(torch.ones(len(scene.matt), 1))[..., 0] > 0
+    return scene.diffuse.image(torch.ones(len(scene.diffuse), 1))[..., 0] > 0

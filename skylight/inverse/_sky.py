@@ -76,8 +76,8 @@ class SolverOptions:
 
 
 # Thesis, B.1: pyramids of four levels for face and light, on each L-BFGS until it converges (or
-# 100 steps), from the mean of the latents. What is minimised is as for a scan's starts, with gloss,
-# pigments, white balance and wrong normals, which B.1 has not.
+# 100 steps), from the mean of the latents. What is minimised is as for a scan's starts, with
+# specular reflection, pigments, white balance and wrong normals, which B.1 has not.
 THESIS = SolverOptions(
     start="mean",
     stages=tuple(Stage(level=Level(k, light=k), starts=1, iterations=100) for k in (3, 2, 1, 0)),
@@ -220,7 +220,7 @@ def _estimate(
         evidence,
         sun=environment.brightest_direction(),
         albedo_prior=solutions.objective.tone_prior,
-        reflects=faces[0].scanned.gloss is not None,
+        reflects=faces[0].scanned.specular is not None,
         sun_prior=faces.sun_prior,
         ground_albedo=parts.ground_albedo[p].cpu(),
     )
@@ -265,13 +265,14 @@ class SkyProblem(LightProblem):
 
     The faces of one photograph share its exposure. Of an observation's transport only the
     sky's half is kept, folded with the ground: with the pyramid 0.7 times as much memory as
-    the observation's own, 35 MB for a face in 700 blocks of pixels seen on 64 rows with gloss.
+    the observation's own, 35 MB for a face in 700 blocks of pixels seen on 64 rows with specular
+    reflection.
 
-    Problems of one shape, with as many faces in the same photographs, all with gloss or none and
-    all grey or none, are solved as one batch; numbers of pixels may differ. What a problem holds
-    is copied level by level, padded to the most pixels: beside the 185 MB of a face of 3,700
-    pixels with gloss that is up to 120 MB, 9 GB for a batch of 32 such faces, and 1.3 GB for the
-    autoencoder's gradients with respect to ten starts of each.
+    Problems of one shape, with as many faces in the same photographs, all with specular reflection
+    or none and all grey or none, are solved as one batch; numbers of pixels may differ. What a
+    problem holds is copied level by level, padded to the most pixels: beside the 185 MB of a face
+    of 3,700 pixels with specular reflection that is up to 120 MB, 9 GB for a batch of 32 such
+    faces, and 1.3 GB for the autoencoder's gradients with respect to ten starts of each.
 
     Everything is computed on the device of ``albedo_modes``, where ``model`` and the priors have
     to be; observations are moved there when they are added. The estimate is on the CPU.

@@ -148,7 +148,7 @@ def face_lights(
                 white_balance=solutions.white_balance[p, face.photo].cpu(),
                 albedo=parts.albedo[p, k].cpu(),
                 pixel_albedo=solutions.albedos[k][p, : len(shading)].cpu(),
-                gloss=float(parts.gloss[p, k]),
+                specular_scale=float(parts.specular_scale[p, k]),
                 rendered=(shading * scales[face.photo]).cpu(),
                 residual=residual(shading, term.target[0], clipped),
                 turns=None if turns is None else turns[p].cpu(),
@@ -175,9 +175,9 @@ def estimate_of(
     """The answer of a solver, with its posterior and advice, on the CPU.
 
     ``sun`` is the optimised direction of the sun or main lamp, None of light without one.
-    ``albedo_prior`` and ``reflects``, whether gloss was estimated, say how sure exposure and albedo
-    are; ``ground_albedo`` is None where the map's lower half is free, and is then measured there.
-    ``lamps`` are those of a model that has some, None of skies.
+    ``albedo_prior`` and ``reflects``, whether a specular scale was estimated, say how sure exposure
+    and albedo are; ``ground_albedo`` is None where the map's lower half is free, and is then
+    measured there. ``lamps`` are those of a model that has some, None of skies.
     """
     posterior = sun_posterior(
         evidence,
@@ -186,7 +186,7 @@ def estimate_of(
         explained=all(face.residual <= UNEXPLAINED for face in faces),
         exposure=faces[0].exposure,
         albedo=faces[0].albedo,
-        gloss=faces[0].gloss if reflects else None,
+        specular_scale=faces[0].specular_scale if reflects else None,
         albedo_prior=albedo_prior,
         sun_prior=sun_prior,
     )

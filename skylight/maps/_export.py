@@ -14,7 +14,7 @@ import torch
 
 from skylight._names import Convention, HarmonicConvention, LightTarget
 from skylight.errors import InputError
-from skylight.faces._observe import SKIN_GLOSS
+from skylight.faces._observe import SKIN_SPECULAR
 from skylight.imaging._colour import tone_map
 from skylight.imaging._photo import read_photo
 from skylight.inverse._result import Lamp
@@ -180,7 +180,7 @@ def export_blender_scene(estimate: Path, out: Path, *, photo: Path | None = None
         focal_px=face["focal_length_px"],
         head=head,
         albedo=torch.tensor(face["albedo"], dtype=torch.float64),
-        specular=replace(SKIN_GLOSS, f0=min(face["gloss"] * SKIN_GLOSS.f0, MOST_REFLECTED)),
+        specular=replace(SKIN_SPECULAR, f0=min(face["gloss"] * SKIN_SPECULAR.f0, MOST_REFLECTED)),
         verdict=told["posterior"]["verdict"],
         advice=told["advice"],
     )

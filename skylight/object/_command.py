@@ -46,9 +46,9 @@ def estimate_object(
         mask: Picture of the photo's size, white where the object shows and black elsewhere.
         albedo: Reflectance of the object as R,G,B; by default it is taken to be grey and counts
             as brightness of the light.
-        roughness: Roughness of a glossy object, 0.25 to 1; without it, the object is matt. How
-            strong the gloss is against the matt part depends on --albedo.
-        reflectance: Of a glossy object, seen head-on; by default 0.04.
+        roughness: Roughness of a specular object, 0.25 to 1; without it, the object is diffuse. How
+            strong the specular reflection is against the diffuse part depends on --albedo.
+        reflectance: Of a specular object, seen head-on; by default 0.04.
         bounces: How often light may bounce between parts of the object; needs --albedo.
         device: Where the light is fitted: on the CPU, by CUDA, or by CUDA where it is.
         out: Folder for the results; by default PHOTO's name with _light, in the current folder.

@@ -130,7 +130,7 @@ def material_of(
         colour = (r, g, b)
     if roughness is None:
         if reflectance is not None:
-            raise InputError("--reflectance is that of a glossy object: give --roughness as well")
+            raise InputError("--reflectance is that of a specular object: give --roughness as well")
         return ObjectMaterial(albedo=colour, bounces=bounces)
     f0 = REFLECTANCE if reflectance is None else reflectance
     specular = Specular(f0=f0, roughness=roughness)

@@ -1,12 +1,13 @@
 """Lamps in ambient light from objects of known shape and material.
 
 The light is that of :mod:`skylight.models._lamps`, exposed for each colour by itself: an albedo
-that is taken to be white tints all light alike. With ``S`` the shading by known albedo and gloss::
+that is taken to be white tints all light alike. With ``S`` the shading by known albedo and specular
+reflection::
 
     f(x, e) = sum_p w_p sum_c rho((S_c(e_c l_c(x)))_p - s_pc) - log p(x),
 
 which is the objective of faces (thesis, Eq. 5.8) without what skin, cameras and fitted heads leave
-open: no albedo, gloss, white balance or normals are estimated, and log e has a flat prior.
+open: no albedo, specular scale, white balance or normals are estimated, and log e has a flat prior.
 """
 
 import math
@@ -91,13 +92,13 @@ def thinned(observation: Observation) -> Observation:
 
 
 def _as_white(observation: Observation, material: ObjectMaterial) -> Observation:
-    """Matt, of albedo 1: with the transport that luminance has under white light."""
+    """Diffuse, of albedo 1: with the transport that luminance has under white light."""
     albedo = float(luminance(torch.tensor(material.albedo)))
     matrix = albedo * observation.transport.matrix
-    if observation.gloss is not None:
-        matrix = matrix + material.share * observation.gloss.matrix
+    if observation.specular is not None:
+        matrix = matrix + material.share * observation.specular.matrix
     white = TransportMatrix(matrix=matrix, grid=observation.transport.grid)
-    return replace(observation, transport=white, gloss=None)
+    return replace(observation, transport=white, specular=None)
 
 
 @torch.enable_grad()
@@ -140,7 +141,9 @@ class _Objective:
         return LampsLight(count, GRID_HEIGHT).to(self.weights.device)
 
     def shading(self, radiance: Float[Tensor, "*b n 3"]) -> Float[Tensor, "*b m 3"]:
-        return shading(self.observation.transport, self.observation.gloss, radiance, self.material)
+        return shading(
+            self.observation.transport, self.observation.specular, radiance, self.material
+        )
 
     def best_of_each(
         self, model: LampsLight, starts: Float[Tensor, "s c p"]

@@ -89,10 +89,10 @@ def estimate_object_light(
 
     Spherical harmonics are those whose light is nowhere negative
     (:func:`~skylight.inverse._harmonic.nonnegative_harmonics`), with the largest ridge
-    (1e-2 .. 1e-6) that raises the squared error by a tenth at most: a matt object hardly shows some
-    of them. Sparse codes grow by one activation at a time, up to ``activations``, and end where
-    three together lower the squared error by less than 1 %; the shortest code within 1 % of the
-    least error is taken.
+    (1e-2 .. 1e-6) that raises the squared error by a tenth at most: a diffuse object hardly shows
+    some of them. Sparse codes grow by one activation at a time, up to ``activations``, and end
+    where three together lower the squared error by less than 1 %; the shortest code within 1 % of
+    the least error is taken.
     All colours share their activations; each colour's weights are then fitted to its own albedo,
     none below 0.
     Lamps, none to three in smooth ambient light, minimise the robust error with a prior instead:
@@ -122,7 +122,7 @@ def estimate_object_light(
         No observation, an unknown light, no activation, or no sparse code that explains the
         pictures.
     ValueError
-        Material and observation disagree about gloss.
+        Material and observation disagree about specular reflection.
     """
     if activations < 1:
         raise InputError(f"a sparse code has 1 or more activations, got {activations}")
@@ -131,8 +131,8 @@ def estimate_object_light(
     material, where = material or ObjectMaterial(), choose_device(device)
     given = [observations] if isinstance(observations, Observation) else observations
     require_observations(bool(given))
-    if any((material.specular is None) != (one.gloss is None) for one in given):
-        raise ValueError("material and observation disagree about gloss")
+    if any((material.specular is None) != (one.specular is None) for one in given):
+        raise ValueError("material and observation disagree about specular reflection")
     parts = [one.to(where) for one in given]
     observation = _together(parts)
     if light == "lamps":
@@ -186,7 +186,7 @@ def _explained(
 ) -> ObjectLight:
     """The answer, with what the pixels are in the light found; ``unclamped`` are those before."""
     coarse = environment.resize(GRID_HEIGHT).flat.to(observation.pixels)
-    rendered = shading(observation.transport, observation.gloss, coarse, material)
+    rendered = shading(observation.transport, observation.specular, coarse, material)
     residual = _relative_error(observation, rendered)
     return ObjectLight(
         environment=environment,
@@ -207,24 +207,24 @@ def _together(observations: list[Observation]) -> Observation:
     def rows(matrices: list[TransportMatrix]) -> TransportMatrix:
         return replace(matrices[0], matrix=torch.cat([one.matrix for one in matrices]))
 
-    gloss = [one.gloss for one in observations if one.gloss is not None]
+    specular = [one.specular for one in observations if one.specular is not None]
     return Observation(
         pixels=torch.cat([one.pixels for one in observations]),
         weights=torch.cat([one.weights for one in observations]),
         places=torch.cat([one.places for one in observations]),
         transport=rows([one.transport for one in observations]),
-        gloss=rows(gloss) if gloss else None,
+        specular=rows(specular) if specular else None,
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Shading:
-    """Pixels as a linear map of coefficients: ``albedo_c matt + share gloss``, (m,k) each."""
+    """Pixels as a linear map of coefficients: ``albedo_c diffuse + share specular``, (m,k) each."""
 
     observation: Observation
     material: ObjectMaterial
-    matt: Float[Tensor, "m k"]
-    gloss: Float[Tensor, "m k"] | None
+    diffuse: Float[Tensor, "m k"]
+    specular: Float[Tensor, "m k"] | None
 
     @staticmethod
     def of(
@@ -232,21 +232,21 @@ class _Shading:
     ) -> "_Shading":
         """``fine`` is the basis on the pixels of the map; its means over cells meet transport."""
         coarse = _cell_means(fine)
-        gloss = observation.gloss
+        specular = observation.specular
         return _Shading(
             observation=observation,
             material=material,
-            matt=observation.transport.project(coarse).double(),
-            gloss=None if gloss is None else gloss.project(coarse).double(),
+            diffuse=observation.transport.project(coarse).double(),
+            specular=None if specular is None else specular.project(coarse).double(),
         )
 
     def operator(self, colour: int) -> Float[Tensor, "m k"]:
         return self.mixed(self.material.albedo[colour])
 
     def mixed(self, albedo: float) -> Float[Tensor, "m k"]:
-        """``albedo matt + share gloss``."""
-        matt = albedo * self.matt
-        return matt if self.gloss is None else matt + self.material.share * self.gloss
+        """``albedo diffuse + share specular``."""
+        diffuse = albedo * self.diffuse
+        return diffuse if self.specular is None else diffuse + self.material.share * self.specular
 
     def apply(self, coefficients: Float[Tensor, "k 3"]) -> Float[Tensor, "m 3"]:
         return torch.stack([self.operator(c) @ coefficients[:, c] for c in range(3)], dim=1)
@@ -256,7 +256,7 @@ def _harmonic_coefficients(linear: _Shading) -> Float[Tensor, "k 3"]:
     """Non-negative light; the ridge by the discrepancy principle (Morozov 1966)."""
     root = linear.observation.weights.double().sqrt()[:, None]
     pixels = root * linear.observation.pixels.double()
-    points, count = linear.matt.shape
+    points, count = linear.diffuse.shape
 
     def solved(ridge: float) -> tuple[Float[Tensor, "k 3"], float]:
         noise = math.sqrt(ridge * points / count)  # a ridge of that share of the mean |A_k|^2
@@ -285,13 +285,13 @@ def _sparse_code(
     """The code, and the coefficients of its light.
 
     The activations are sought for an albedo that is grey (the mean), with pixels divided by the
-    albedo's colour: exact but for gloss on a coloured object. The weights are then those of
-    non-negative least squares with each colour's own albedo.
+    albedo's colour: exact but for specular reflection on a coloured object. The weights are then
+    those of non-negative least squares with each colour's own albedo.
     """
-    device = linear.matt.device
+    device = linear.diffuse.device
     # a copy: to() moves a module in place
     coder = SphericalSparseCoder(copy.deepcopy(bank), height=MAP_HEIGHT, banded=True).to(device)
-    albedo = linear.matt.new_tensor(linear.material.albedo)
+    albedo = linear.diffuse.new_tensor(linear.material.albedo)
     tint = albedo / albedo.mean() if float(albedo.min()) > 0 else torch.ones_like(albedo)
     pixels, weights = linear.observation.pixels.double(), linear.observation.weights.double()
     objective = LinearObservation.of(linear.mixed(float(albedo.mean())), pixels / tint, weights)

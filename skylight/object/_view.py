@@ -18,7 +18,7 @@ from skylight.transport._interreflection import BouncingMesh
 from skylight.transport._matrix import TransportMatrix, diffuse_transport
 from skylight.transport._observation import Observation
 from skylight.transport._rays import Raycaster
-from skylight.transport._reflection import glossy_transport, shade
+from skylight.transport._reflection import shade, specular_transport
 from skylight.transport._render import GBuffer, Specular, rasterize
 from skylight.work._progress import Progress
 
@@ -35,11 +35,11 @@ _BLOCK_PIXELS = 4096
 class ObjectMaterial:
     """``albedo``/pi plus ``share`` times a GGX lobe, the same all over the object.
 
-    The default, a matt surface of albedo 1, folds a grey albedo into the brightness of the light.
-    A metal has albedo 0 and a ``specular`` whose ``f0`` is its reflectance. Light ``bounces`` so
-    often between parts of the object, in every colour as much as in luminance: of a saturated
-    albedo, three times as strong in one channel as in another, what a bounce adds is up to 60 % off
-    in the weaker one.
+    The default, a diffuse surface of albedo 1, folds a grey albedo into the brightness of the
+    light. A metal has albedo 0 and a ``specular`` whose ``f0`` is its reflectance. Light
+    ``bounces`` so often between parts of the object, in every colour as much as in luminance: of a
+    saturated albedo, three times as strong in one channel as in another, what a bounce adds is up
+    to 60 % off in the weaker one.
     """
 
     albedo: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -70,7 +70,9 @@ class ObjectMaterial:
                     f"reflectance must be above 0 and at most 1, got {self.specular.f0:g}"
                 )
             if not self.share > 0:
-                raise InputError(f"the share of gloss must be above 0, got {self.share:g}")
+                raise InputError(
+                    f"the share of specular reflection must be above 0, got {self.share:g}"
+                )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,10 +99,10 @@ class ObjectView:
         light = environment.resize(grid.layout[0]).flat
         shades = []
         for some in points.split(_BLOCK_PIXELS):
-            matt, gloss = _transport(
+            diffuse, specular = _transport(
                 self.surface, some, self.raycaster, self.camera, grid, self.material, self.mesh
             )
-            shades.append(shading(matt, gloss, light, self.material))
+            shades.append(shading(diffuse, specular, light, self.material))
         return torch.cat(shades)
 
 
@@ -158,7 +160,7 @@ def observe_object(
         raycaster=Raycaster(vertices.double(), faces),
         albedo=float(luminance(torch.tensor(material.albedo))),
     )
-    matt, gloss = _transport(
+    diffuse, specular = _transport(
         surface, points, raycaster, camera, grid, material, mesh, progress=progress
     )
     # pixels seen at a slant cover more of the surface each and lie less surely
@@ -166,8 +168,8 @@ def observe_object(
         pixels=seen,
         weights=_facing(surface)[points].float(),
         places=surface.pixels[points],
-        transport=matt,
-        gloss=gloss,
+        transport=diffuse,
+        specular=specular,
     )
     return ObjectView(
         picture=picture,
@@ -268,7 +270,7 @@ def _transport(
     *,
     progress: Progress | None = None,
 ) -> tuple[TransportMatrix, TransportMatrix | None]:
-    """Matt and glossy transport of surface points, over a grid of directions in the world.
+    """Diffuse and specular transport of surface points, over a grid of directions in the world.
 
     Rays are cast in the camera's frame, where the surface is; columns belong to the same
     directions named in the world's.
@@ -278,7 +280,7 @@ def _transport(
         solid_angles=grid.solid_angles,
         layout=grid.layout,
     )
-    matt = diffuse_transport(
+    diffuse = diffuse_transport(
         surface.origins[points],
         surface.normals[points],
         surface.geometric_normals[points],
@@ -286,26 +288,26 @@ def _transport(
         turned,
         progress=progress,
     )
-    gloss = None
+    specular = None
     if material.specular is not None:
         view = -normalize(surface.positions[points], dim=1)
-        shiny = glossy_transport(matt, surface.normals[points], view, material.specular)
-        gloss = TransportMatrix(matrix=shiny.matrix, grid=grid)
+        shiny = specular_transport(diffuse, surface.normals[points], view, material.specular)
+        specular = TransportMatrix(matrix=shiny.matrix, grid=grid)
     world = mesh.transport(
-        TransportMatrix(matrix=matt.matrix, grid=grid),
+        TransportMatrix(matrix=diffuse.matrix, grid=grid),
         camera.world_from_camera.points(surface.origins[points].double()),
         camera.world_from_camera.directions(surface.normals[points].double()),
         bounces=material.bounces,
     )
-    return world, gloss
+    return world, specular
 
 
 def shading(
-    matt: TransportMatrix,
-    gloss: TransportMatrix | None,
+    diffuse: TransportMatrix,
+    specular: TransportMatrix | None,
     light: Float[Tensor, "*b n 3"],
     material: ObjectMaterial,
 ) -> Float[Tensor, "*b m 3"]:
     """albedo T l + share G l."""
-    shading = torch.tensor(material.albedo).to(light) * shade(matt.matrix, light)
-    return shading if gloss is None else shading + material.share * shade(gloss.matrix, light)
+    shading = torch.tensor(material.albedo).to(light) * shade(diffuse.matrix, light)
+    return shading if specular is None else shading + material.share * shade(specular.matrix, light)

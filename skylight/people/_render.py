@@ -38,14 +38,14 @@ def compose(
     camera: Camera,
     backdrop: Float[ndarray, "h w 3"],
 ) -> Float[ndarray, "h w 3"]:
-    """albedo * scattered(diffuse / albedo) + gloss, before a backdrop."""
+    """albedo * scattered(diffuse / albedo) + specular, before a backdrop."""
     shown = layers.albedo > 1e-6
     entered = np.where(shown, layers.diffuse / np.where(shown, layers.albedo, 1), 0)
     left = entered.astype(np.float64)
     where, pixel_mm = seen.positions[seen.skin], 1000 * seen.pixel_m(camera)
     left[seen.skin] = scattered(left[seen.skin], where, pixel_mm, patches, layers.entering)
     behind = backdrop * (1 - layers.cover[..., None])
-    return (layers.albedo * left + layers.gloss + behind).astype(np.float32)
+    return (layers.albedo * left + layers.specular + behind).astype(np.float32)
 
 
 def background(

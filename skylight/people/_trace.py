@@ -29,14 +29,14 @@ _LIFT_M = 2e-5  # where rays to a patch begin, above it
 
 @dataclass(frozen=True, kw_only=True)
 class Layers:
-    """Pictures in the light's units: ``diffuse`` light from inside, ``gloss`` from the surface.
+    """Pictures in the light's units: ``diffuse`` light from inside, ``specular`` from the surface.
 
     Where a pixel is covered in part, all are scaled by ``cover``. ``albedo`` is that of what the
     camera sees, so diffuse / albedo is irradiance / pi, which ``entering`` is at patches of skin.
     """
 
     diffuse: Float[ndarray, "h w 3"]
-    gloss: Float[ndarray, "h w 3"]
+    specular: Float[ndarray, "h w 3"]
     albedo: Float[ndarray, "h w 3"]
     cover: Float[ndarray, "h w"]
     entering: Float[ndarray, "k 3"]
@@ -96,7 +96,7 @@ def trace(
     )
     return Layers(
         diffuse=diffuse,
-        gloss=whole(surface[..., :3]),
+        specular=whole(surface[..., :3]),
         albedo=albedo,
         cover=whole(inside[..., 3:4])[..., 0],
         entering=entering,

@@ -36,8 +36,8 @@ def relight_portrait(
     """Show a photographed person in another light: a map's, or the one found, turned or moved.
 
     The light of the photograph is estimated as `skylight estimate --light auto` does; then skin
-    gets the new light's shading, shadows and gloss in place of the old one's, hair and clothes
-    their ratio, and what lies behind the ratio of the lights on upright surfaces.
+    gets the new light's shading, shadows and specular reflection in place of the old one's, hair
+    and clothes their ratio, and what lies behind the ratio of the lights on upright surfaces.
     docs/portraits.md tells where that ends. A picture whose light could not be relied on says so
     below itself.
 

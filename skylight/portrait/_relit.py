@@ -1,7 +1,8 @@
 """A photograph of a person in another light.
 
-With S the diffuse shading of albedo 1 and g the gloss, both of the fitted head and in the colours
-of the picture, the photograph I under the light found (A) is ``I = rho S_A + g_A``. The albedo ::
+With S the diffuse shading of albedo 1 and g the specular reflection, both of the fitted head and in
+the colours of the picture, the photograph I under the light found (A) is ``I = rho S_A + g_A``. The
+albedo ::
 
     rho = ((I - g_A) S_A + l rho_0) / (S_A^2 + l)
 
@@ -30,7 +31,7 @@ from torch import Tensor
 from skylight.errors import InputError
 from skylight.faces._fit import FaceFit
 from skylight.faces._model import HeadModel, Region
-from skylight.faces._observe import SKIN_GLOSS, hair_of
+from skylight.faces._observe import SKIN_SPECULAR, hair_of
 from skylight.faces._segmentation import person_matte
 from skylight.imaging._photo import Photo
 from skylight.inverse._result import Estimate
@@ -82,9 +83,9 @@ SOFT = 0.06  # and of the shading of hair and clothes
 DARK = 0.1  # of the mean shading: l is its square
 BASE = 0.05  # of the mean shading: what ratios of smoothed shadings have in addition
 BRIGHTEST = 1.6  # times the local albedo: what is brighter is a highlight that stays behind
-# Of what the skin shows in any channel. Estimates take too much for gloss, most of all of
-# over-exposed skin; of the darkest skin a correct gloss is cut too.
-MOST_GLOSS = 0.4
+# Of what the skin shows in any channel. Estimates take too much for specular reflection, most of
+# all of over-exposed skin; of the darkest skin a correct specular scale is cut too.
+MOST_SPECULAR = 0.4
 HAIR_COUNTS = 1e-3  # where skin's shading is filled in from, what covered pixels without skin count
 SKIN = (Region.FACE, Region.LIPS, Region.EAR, Region.NECK, Region.BROW)
 # Of the old picture: nothing more than is no light, the skin's brightness, or all of the place but
@@ -100,23 +101,24 @@ class Portrait:
 
     ``albedo``, ``residual`` (h,w,3) and ``skin`` (h,w), how much of a pixel shows skin, are at the
     photograph's pixels, as is ``matte``, how much of one is the person's. At the pixels of
-    ``person``, ``shading`` and ``glossy`` (p,q,3) are S_A and g_A, ``local`` is rho_0, ``soft`` the
-    smoothed S_A, ``bare`` where skin is, ``inside`` that without its border, which fades, and
-    ``covered`` where there is any surface. ``mean`` (3,) is the mean S_A of skin. ``gloss`` is at
-    most that whose mean g_A over skin is :data:`MOST_GLOSS` of the photograph's in each channel.
+    ``person``, ``shading`` and ``specular`` (p,q,3) are S_A and g_A, ``local`` is rho_0, ``soft``
+    the smoothed S_A, ``bare`` where skin is, ``inside`` that without its border, which fades, and
+    ``covered`` where there is any surface. ``mean`` (3,) is the mean S_A of skin.
+    ``specular_scale`` is at most that whose mean g_A over skin is :data:`MOST_SPECULAR` of the
+    photograph's in each channel.
     """
 
     photo: Float[ndarray, "h w 3"]
     person: PersonSurface
     found: EnvironmentMap
-    gloss: float
+    specular_scale: float
     grey: bool
     albedo: Float[ndarray, "h w 3"]
     residual: Float[ndarray, "h w 3"]
     skin: Float[ndarray, "h w"]
     matte: Float[ndarray, "h w"]
     shading: Float[ndarray, "p q 3"]
-    glossy: Float[ndarray, "p q 3"]
+    specular: Float[ndarray, "p q 3"]
     local: Float[ndarray, "p q 3"]
     soft: Float[ndarray, "p q 3"]
     bare: Float[ndarray, "p q"]
@@ -129,28 +131,29 @@ class Portrait:
         photo: Float[Tensor, "h w 3"],
         person: PersonSurface,
         found: EnvironmentMap,
-        gloss: float,
+        specular_scale: float,
         hair: Float[ndarray, "p q"],
         matte: Float[ndarray, "h w"],
         *,
         grey: bool = False,
     ) -> "Portrait":
-        """From a linear photograph, the light ``found`` in its colours and units, the ``gloss``.
+        """From a linear photograph, the light ``found`` in its colours and units, the
+        ``specular_scale``.
 
         ``hair`` is how likely a pixel of ``person`` shows hair.
         """
         picture = float32(photo.numpy())
-        shading, glossy = _images(person, found, gloss, grey=grey)
+        shading, specular = _images(person, found, specular_scale, grey=grey)
         small = cv2.resize(picture, shading.shape[1::-1], interpolation=cv2.INTER_AREA)
         regions = person.region_image()
         on_skin = np.isin(regions, SKIN) & (hair < 0.5)
         if not on_skin.any():
             raise InputError("the face is turned away or covered: no skin of it can be relit")
         bare, covered = float32(on_skin), float32(regions >= 0)
-        mean, shine = shading[on_skin].mean(0), glossy[on_skin].mean(0)
-        most = float((MOST_GLOSS * small[on_skin].mean(0) / np.maximum(shine, 1e-12)).min())
-        gloss, glossy = min(1.0, most) * gloss, min(1.0, most) * glossy
-        lit, face_px = np.maximum(small - glossy, 0), person.face_px
+        mean, shine = shading[on_skin].mean(0), specular[on_skin].mean(0)
+        most = float((MOST_SPECULAR * small[on_skin].mean(0) / np.maximum(shine, 1e-12)).min())
+        specular_scale, specular = min(1.0, most) * specular_scale, min(1.0, most) * specular
+        lit, face_px = np.maximum(small - specular, 0), person.face_px
         local = blurred(lit * shading, bare, LOCAL * face_px) / np.maximum(
             blurred(shading**2, bare, LOCAL * face_px), 1e-12
         )
@@ -159,7 +162,7 @@ class Portrait:
 
         size, known = picture.shape[:2], _from_skin(bare, covered)
         dark, usual = _enlarged(shading, known, size), _enlarged(local, known, size)
-        shine = _enlarged(glossy, known, size)
+        shine = _enlarged(specular, known, size)
         least = (DARK * float(mean @ _LUMINANCE)) ** 2
         albedo = (np.maximum(picture - shine, 0) * dark + least * usual) / (dark**2 + least)
         albedo = np.minimum(albedo, BRIGHTEST * usual)
@@ -167,14 +170,14 @@ class Portrait:
             photo=picture,
             person=person,
             found=found,
-            gloss=gloss,
+            specular_scale=specular_scale,
             grey=grey,
             albedo=albedo,
             residual=picture - albedo * dark - shine,
             skin=_resized(inside[..., None], size)[..., 0],
             matte=float32(matte),
             shading=shading,
-            glossy=glossy,
+            specular=specular,
             local=local,
             soft=blurred(shading, covered, SOFT * face_px),
             bare=bare,
@@ -194,7 +197,7 @@ class Portrait:
         light that does not reach the skin, which is shown as it is.
         """
         size, known = self.photo.shape[:2], _from_skin(self.bare, self.covered)
-        shading, glossy = self.shaded_by(light)
+        shading, specular = self.shaded_by(light)
         received = shading[self.bare > 0].mean(0)
         level, gains = 1.0, np.ones(3, np.float32)
         if keep == "brightness" and received.any():
@@ -202,10 +205,10 @@ class Portrait:
         if keep == "place" and received.all():
             gains = self.mean / received
             gains *= (received @ _LUMINANCE) / ((gains * received) @ _LUMINANCE)
-        shading, glossy = level * gains * shading, level * gains * glossy
+        shading, specular = level * gains * shading, level * gains * specular
         common = shared_light(self.found, light)
         lit = _enlarged(shading, known, size)
-        skin = self.albedo * lit + _enlarged(glossy, known, size) + common * self.residual
+        skin = self.albedo * lit + _enlarged(specular, known, size) + common * self.residual
         soft = blurred(shading, self.covered, SOFT * self.person.face_px)
         base = BASE * float(self.mean @ _LUMINANCE)
         ratio = np.log((soft + base) / (self.soft + base))
@@ -220,7 +223,7 @@ class Portrait:
         self, light: EnvironmentMap
     ) -> tuple[Float[ndarray, "p q 3"], Float[ndarray, "p q 3"]]:
         """(S, g) of the module's text under a light, 0 where there is no surface."""
-        return _images(self.person, light, self.gloss, grey=self.grey)
+        return _images(self.person, light, self.specular_scale, grey=self.grey)
 
     def _behind(self, light: EnvironmentMap) -> Float[ndarray, "3"]:
         """How much brighter what lies behind becomes."""
@@ -255,19 +258,21 @@ def upright_irradiance(light: EnvironmentMap) -> Float[Tensor, "3"]:
 def _images(
     person: PersonSurface,
     light: EnvironmentMap,
-    gloss: float,
+    specular_scale: float,
     *,
     grey: bool,
 ) -> tuple[Float[ndarray, "p q 3"], Float[ndarray, "p q 3"]]:
     """(S, g) of the module's text as pictures, 0 where there is no surface."""
-    shading = person.shade(light, SKIN_GLOSS)
-    diffuse, glossy = (
+    shading = person.shade(light, SKIN_SPECULAR)
+    diffuse, specular = (
         float32(person.surface.image(each).numpy())
-        for each in (shading.diffuse, gloss * shading.glossy)
+        for each in (shading.diffuse, specular_scale * shading.specular)
     )
     if grey:
-        diffuse, glossy = (np.repeat((x @ _LUMINANCE)[..., None], 3, 2) for x in (diffuse, glossy))
-    return diffuse, glossy
+        diffuse, specular = (
+            np.repeat((x @ _LUMINANCE)[..., None], 3, 2) for x in (diffuse, specular)
+        )
+    return diffuse, specular
 
 
 def _from_skin(
@@ -293,11 +298,11 @@ def _resized(picture: Float[ndarray, "p q c"], size: tuple[int, int]) -> Float[n
 class FaceReflection:
     """What an estimate tells of a face beside its light.
 
-    ``gloss`` is that of :class:`~skylight.inverse._result.FaceLight`; by ``head_error``, pose and
-    shape are off, as :func:`~skylight.faces._normal_errors.normal_changes` takes it.
+    ``specular_scale`` is that of :class:`~skylight.inverse._result.FaceLight`; by ``head_error``,
+    pose and shape are off, as :func:`~skylight.faces._normal_errors.normal_changes` takes it.
     """
 
-    gloss: float
+    specular_scale: float
     head_error: Float[Tensor, " d"] | None
 
     @staticmethod
@@ -305,8 +310,10 @@ class FaceReflection:
         """The (first) face's, which was ``seen``."""
         face, modes = estimate.faces[0], seen.normal_modes
         if face.turns is None or modes is None or modes.axes is None:
-            return FaceReflection(gloss=face.gloss, head_error=None)
-        return FaceReflection(gloss=face.gloss, head_error=modes.axes @ face.turns.to(modes.axes))
+            return FaceReflection(specular_scale=face.specular_scale, head_error=None)
+        return FaceReflection(
+            specular_scale=face.specular_scale, head_error=modes.axes @ face.turns.to(modes.axes)
+        )
 
 
 def portrait_of(
@@ -343,7 +350,9 @@ def portrait_of(
         hairy,
         person.face_px,
     )
-    return Portrait.of(photo.pixels, person, found, reflection.gloss, hairy, matte, grey=photo.grey)
+    return Portrait.of(
+        photo.pixels, person, found, reflection.specular_scale, hairy, matte, grey=photo.grey
+    )
 
 
 def light_in_photo(estimate: Estimate, light: EnvironmentMap | None = None) -> EnvironmentMap:

@@ -136,10 +136,10 @@ _BLOCK_POINTS = 256
 
 @dataclass(frozen=True, kw_only=True)
 class Shading:
-    """What points of albedo 1 send to the camera: ``diffuse`` (m,3) and, by gloss, ``glossy``."""
+    """What points of albedo 1 send to the camera: ``diffuse`` and ``specular`` (m,3)."""
 
     diffuse: Float[Tensor, "m 3"]
-    glossy: Float[Tensor, "m 3"]
+    specular: Float[Tensor, "m 3"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,13 +237,13 @@ class PersonSurface:
             raise ValueError(f"a map needs {SMOOTH_HEIGHT} rows or more, got {light.layout[0]}")
         normals = self.normals.float()
         views = -normalize(self.surface.positions, dim=1).float()
-        diffuse, glossy = torch.zeros(2, len(normals), 3)
+        diffuse, reflected = torch.zeros(2, len(normals), 3)
         towards, radiance = self.sight.grid.directions.float(), smooth.flat.float()
         for points in torch.arange(len(normals)).split(_BLOCK_POINTS):
             transport = self.sight[points]  # V <n, w>+ dw / pi
             lobe = specular_lobe(normals[points], views[points], towards, specular)
             diffuse[points] = transport @ radiance
-            glossy[points] = (math.pi * transport * lobe) @ radiance
+            reflected[points] = (math.pi * transport * lobe) @ radiance
         for some, sent in zip(
             directions.float().split(BLOCK_DIRECTIONS),
             flux.float().split(BLOCK_DIRECTIONS),
@@ -251,8 +251,8 @@ class PersonSurface:
         ):
             seen = torch.from_numpy(self.rays.visible_cosines(some.numpy())).T
             diffuse += seen @ sent / math.pi
-            glossy += (seen * specular_lobe(normals, views, some, specular)) @ sent
-        return Shading(diffuse=diffuse, glossy=glossy)
+            reflected += (seen * specular_lobe(normals, views, some, specular)) @ sent
+        return Shading(diffuse=diffuse, specular=reflected)
 
 
 def scaled(camera: Camera, scale: float) -> Camera:

@@ -50,7 +50,8 @@ def ground_albedo(
         )
     except InputError as wrong:
         raise InputError(
-            f"{photo}: {wrong}; chart and ground must lie flat in the same light, without gloss"
+            f"{photo}: {wrong}; chart and ground must lie flat in the same light, without specular "
+            "reflection"
         ) from wrong
     ground.save(out, _facts(found, photo, flat))
     if error > _UNSURE:

@@ -109,8 +109,8 @@ class PortraitScene:
 
     ``ambient`` is the light without the ``lamps``, each with its name. ``photograph`` has sRGB's
     codes, upright; the camera's centre is its middle and ``focal_px`` its focal length. ``head``
-    is the .obj of the face, in metres, ``albedo`` its mean reflectance and ``specular`` its gloss.
-    ``verdict`` and ``advice`` tell how far to trust the light.
+    is the .obj of the face, in metres, ``albedo`` its mean reflectance and ``specular`` its
+    specular lobe. ``verdict`` and ``advice`` tell how far to trust the light.
     """
 
     ambient: EnvironmentMap

@@ -128,7 +128,7 @@ def write_augmented_reality(folder: Path, environment: EnvironmentMap, size: int
         E(harmonics) + E(main light) = E(cube map):
 
     the cube map shows the sun, the harmonics do not. The main light's direction points towards
-    it; its intensity is the irradiance of a plane that faces it, so that a matt surface sends
+    it; its intensity is the irradiance of a plane that faces it, so that a diffuse surface sends
     back albedo / pi * (intensity <n, s>+ + E_harmonics(n)).
     """
     main, rest = split_main_light(environment)

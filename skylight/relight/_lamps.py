@@ -93,7 +93,7 @@ class MainLight:
     """Parallel light from ``direction`` (3,), a unit vector towards it.
 
     ``irradiance`` (3,) is what a plane facing it receives, linear Rec.709, in units of radiance
-    times sr: a matt surface of albedo a and normal n sends back a / pi irradiance <n, s>+.
+    times sr: a diffuse surface of albedo a and normal n sends back a / pi irradiance <n, s>+.
     """
 
     direction: Float[Tensor, "3"]

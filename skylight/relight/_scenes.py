@@ -18,7 +18,7 @@ SCENE, MITSUBA_TEXTURE = "scene.xml", "mitsuba_light.exr"
 # The map is turned to Mitsuba's own convention, so that the emitter needs no to_world.
 _SCENE = f"""<?xml version="1.0" encoding="utf-8"?>
 <!-- Light by skylight: right-handed, +Y up, the camera of the picture looked along -Z.
-     mitsuba scene.xml renders a mirror, a rough metal and a matt ball in it. -->
+     mitsuba scene.xml renders a mirror, a rough metal and a diffuse ball in it. -->
 <scene version="3.0.0">
     <default name="spp" value="64"/>
     <default name="width" value="384"/>

@@ -34,8 +34,8 @@ from ._rays import (
 )
 from ._reflection import (
     DiffuseTransport as DiffuseTransport,
-    GlossyTransport as GlossyTransport,
     SkyTransport as SkyTransport,
+    SpecularTransport as SpecularTransport,
     shade_scenes as shade_scenes,
 )
 from ._render import (

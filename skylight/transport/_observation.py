@@ -18,8 +18,8 @@ from skylight.transport._visibility import PixelBlocks
 class Observation:
     """``pixels`` (m,3) linear radiance, ``weights`` (m,) >= 0, ``transport`` of the same points.
 
-    ``gloss`` is the transport of a surface reflection at those points (see
-    :func:`skylight.transport._reflection.glossy_transport`), or None for matt things.
+    ``specular`` is the transport of a surface reflection at those points (see
+    :func:`skylight.transport._reflection.specular_transport`), or None for diffuse things.
 
     ``places`` (m,2) are the pixels' (row, column) in their picture: the image pyramid merges
     neighbours by them.
@@ -43,7 +43,7 @@ class Observation:
     weights: Float[Tensor, " m"]
     places: Int[Tensor, "m 2"]
     transport: TransportMatrix
-    gloss: TransportMatrix | None = None
+    specular: TransportMatrix | None = None
     clipped: Bool[Tensor, " m"] | None = None
     grey: bool = False
     modes: Float[Tensor, "m k"] | None = None
@@ -70,8 +70,8 @@ class Observation:
             raise ValueError(f"camera_lamp ({len(self.camera_lamp)}) must match pixels ({count})")
         if self.normal_modes is not None and len(self.normal_modes) != count:
             raise ValueError(f"normal_modes ({len(self.normal_modes)}) must match pixels ({count})")
-        if self.gloss is not None and self.gloss.matrix.shape != self.transport.matrix.shape:
-            raise ValueError("gloss must have the shape of the transport")
+        if self.specular is not None and self.specular.matrix.shape != self.transport.matrix.shape:
+            raise ValueError("specular must have the shape of the transport")
 
     @property
     def mean_luminance(self) -> float:
@@ -95,7 +95,7 @@ class Observation:
             weights=self.weights.to(device),
             places=self.places.to(device),
             transport=moved(self.transport),
-            gloss=None if self.gloss is None else moved(self.gloss),
+            specular=None if self.specular is None else moved(self.specular),
             clipped=None if self.clipped is None else self.clipped.to(device),
             modes=None if self.modes is None else self.modes.to(device),
             normal_modes=None if self.normal_modes is None else self.normal_modes.to(device),
@@ -114,7 +114,7 @@ class Observation:
         return replace(
             self,
             transport=self.transport.on_rows(rows),
-            gloss=None if self.gloss is None else self.gloss.on_rows(rows),
+            specular=None if self.specular is None else self.specular.on_rows(rows),
             normal_modes=None if self.normal_modes is None else self.normal_modes.on_rows(rows),
         )
 
@@ -143,7 +143,7 @@ class Observation:
             weights=blocks.weights,
             places=blocks.places,
             transport=merged(self.transport),
-            gloss=None if self.gloss is None else merged(self.gloss),
+            specular=None if self.specular is None else merged(self.specular),
             clipped=blocks.clipped,
             modes=None if self.modes is None else means(self.modes),
             normal_modes=normal_modes,

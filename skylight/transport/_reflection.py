@@ -1,6 +1,6 @@
 """Shading as torch modules: linear in light, differentiable in light, reflectance and normals.
 
-Diffuse reflection, and glossy reflection of skin by a transport matrix with a microfacet BRDF.
+Diffuse reflection, and specular reflection of skin by a transport matrix with a microfacet BRDF.
 """
 
 import math
@@ -199,12 +199,14 @@ def _broadcasts(shape: Sequence[int], target: Sequence[int]) -> bool:
 _BLOCK = 2**17  # entries at a time: 6 MB of intermediate results, which the processor's caches hold
 
 
-class GlossyTransport(DiffuseTransport):
-    """Reflection of distant light at m glossy points: ``sum_w f_s(n_p, w, v_p) V <n_p, w>+ L dw``.
+class SpecularTransport(DiffuseTransport):
+    """Specular reflection of distant light at m points:
+    ``sum_w f_s(n_p, w, v_p) V <n_p, w>+ L dw``.
 
-    ``forward(radiance, gloss)`` is :class:`DiffuseTransport`'s with the strength of the lobe in
-    the place of the albedo; differentiable in radiance, gloss and normals, the latter where the
-    cosine with the view is above 0.01. ``views`` (towards the camera) are unit vectors.
+    ``forward(radiance, specular_scale)`` is :class:`DiffuseTransport`'s with the strength of the
+    lobe in the place of the albedo; differentiable in radiance, specular scale and normals, the
+    latter where the cosine with the view is above 0.01. ``views`` (towards the camera) are unit
+    vectors.
 
     Memory: about ten times 4 m n bytes while the matrix is computed.
     """
@@ -230,7 +232,7 @@ class GlossyTransport(DiffuseTransport):
         return math.pi * specular_lobe(normals, views, light, self.specular) * super()._compute()
 
 
-def glossy_transport(
+def specular_transport(
     transport: TransportMatrix,
     normals: Float[Tensor, "m 3"],
     views: Float[Tensor, "m 3"],
@@ -260,11 +262,11 @@ def camera_lamp(
     1.5 m by a twelfth. Without ``specular`` the second is 0.
     """
     facing = (normals * views).sum(1).clamp(min=0)
-    gloss = torch.zeros_like(facing)
+    reflected = torch.zeros_like(facing)
     if specular is not None:
         n_v = facing.clamp(min=1e-2)
-        gloss = math.pi * ggx(n_v[None], n_v, torch.ones_like(n_v)[None], specular)[0] * facing
-    return torch.stack([facing, gloss], 1)
+        reflected = math.pi * ggx(n_v[None], n_v, torch.ones_like(n_v)[None], specular)[0] * facing
+    return torch.stack([facing, reflected], 1)
 
 
 def specular_lobe(

@@ -173,7 +173,7 @@ def render_diffuse(
     view = torch.nn.functional.normalize(-gbuffer.positions, dim=1).float()
     normals = gbuffer.normals.float()
     diffuse = torch.zeros(len(gbuffer), 3)
-    glossy = torch.zeros(len(gbuffer), 3)
+    reflected = torch.zeros(len(gbuffer), 3)
     for light, power in zip(
         directions.float().split(BLOCK_DIRECTIONS),
         flux.float().split(BLOCK_DIRECTIONS),
@@ -183,8 +183,8 @@ def render_diffuse(
         diffuse += cosine.T @ power / math.pi
         if specular is not None:
             n_v = (normals * view).sum(1).clamp(min=1e-3)
-            glossy += (cosine * ggx(cosine, n_v, light @ view.T, specular)).T @ power
-    return albedo * diffuse + glossy
+            reflected += (cosine * ggx(cosine, n_v, light @ view.T, specular)).T @ power
+    return albedo * diffuse + reflected
 
 
 def light_samples(

@@ -41,7 +41,7 @@ class TracedScene:
 
     height: int
     grid_height: int
-    matt: CoveredPixels
+    diffuse: CoveredPixels
     normals: Float[Tensor, "m 3"]
     on_ground: Bool[Tensor, " m"]
     visible: UInt8[np.ndarray, "n bytes"]
@@ -62,8 +62,8 @@ class TracedScene:
     def save(self, path: Path) -> None:
         """Bits and float32 numbers, packed by LZMA."""
         arrays = {
-            "layout": np.array(self.matt.layout),
-            "matt": self.matt.pixels.numpy().astype(np.uint16),
+            "layout": np.array(self.diffuse.layout),
+            "matt": self.diffuse.pixels.numpy().astype(np.uint16),
             "normals": self.normals.numpy(),
             "on_ground": self.on_ground.numpy(),
             "visible": self.visible,
@@ -85,7 +85,7 @@ class TracedScene:
             return TracedScene(
                 height=layout[0],
                 grid_height=round((len(arrays["visible"]) / 2) ** 0.5),
-                matt=_traced_pixels(layout, arrays["matt"]),
+                diffuse=_traced_pixels(layout, arrays["matt"]),
                 on_ground=torch.from_numpy(arrays["on_ground"]),
                 visible=np.ascontiguousarray(arrays["visible"]),
                 metal=_traced_pixels(layout, arrays["metal"]),
@@ -116,18 +116,18 @@ GROUND_Y = -1.5  # the camera is at the origin, so it stands 1.5 above the groun
 
 
 def trace_scene(height: int, grid_height: int, *, workers: int = 1) -> TracedScene:
-    """The scene from its camera, with the directions from which each matt pixel is lit."""
+    """The scene from its camera, with the directions from which each diffuse pixel is lit."""
     camera, grid = scene_camera(height), DirectionGrid.latlong(grid_height)
-    matt, raycaster, on_ground = matt_surface(camera)
-    free = visibility(matt.origins, matt.geometric_normals, raycaster, grid, workers=workers)
-    below = matt.normals @ grid.directions.T <= 0  # as good as free, and packed better so
+    diffuse, raycaster, on_ground = diffuse_surface(camera)
+    free = visibility(diffuse.origins, diffuse.geometric_normals, raycaster, grid, workers=workers)
+    below = diffuse.normals @ grid.directions.T <= 0  # as good as free, and packed better so
     vertices, faces, _ = _mesh(_metal_parts())
     metal = rasterize(camera, vertices, faces, Raycaster(vertices, faces))
     return TracedScene(
         height=height,
         grid_height=grid_height,
-        matt=_pixels(matt),
-        normals=matt.normals.float(),
+        diffuse=_pixels(diffuse),
+        normals=diffuse.normals.float(),
         on_ground=on_ground,
         # a direction's pixels side by side: neighbours are alike, for whatever packs the file
         visible=np.packbits((free | below).T.numpy(), axis=1),
@@ -136,12 +136,12 @@ def trace_scene(height: int, grid_height: int, *, workers: int = 1) -> TracedSce
     )
 
 
-def matt_surface(camera: Camera) -> tuple[GBuffer, Raycaster, Bool[Tensor, " m"]]:
-    """What the camera sees of the matt scene, and which pixels are of the ground."""
-    vertices, faces, of_ground = _mesh(_matt_parts())
+def diffuse_surface(camera: Camera) -> tuple[GBuffer, Raycaster, Bool[Tensor, " m"]]:
+    """What the camera sees of the diffuse scene, and which pixels are of the ground."""
+    vertices, faces, of_ground = _mesh(_diffuse_parts())
     raycaster = Raycaster(vertices, faces)
-    matt = rasterize(camera, vertices, faces, raycaster)
-    return matt, raycaster, of_ground[matt.faces]
+    diffuse = rasterize(camera, vertices, faces, raycaster)
+    return diffuse, raycaster, of_ground[diffuse.faces]
 
 
 def _pixels(surface: GBuffer) -> CoveredPixels:
@@ -155,7 +155,7 @@ def _mirrored(metal: GBuffer) -> Float[Tensor, "k 3"]:
     return view - 2 * cosine * metal.normals
 
 
-def _matt_parts() -> list:
+def _diffuse_parts() -> list:
     ground = make.cylinder(radius=9, height=0.02, sections=96)
     ground.apply_transform(_turned(1.5 * np.pi, axis=(1.0, 0.0, 0.0)))
     ball = make.icosphere(subdivisions=4, radius=0.42)
@@ -253,9 +253,9 @@ class EvaluationScene:
         return scene_camera(self.traced.height)
 
     @property
-    def matt(self) -> CoveredPixels:
-        """Pixels of the matt scene; ``metal`` those of a metal ball and ring without ground."""
-        return self.traced.matt
+    def diffuse(self) -> CoveredPixels:
+        """Pixels of the diffuse scene; ``metal`` those of a metal ball and ring without ground."""
+        return self.traced.diffuse
 
     @property
     def metal(self) -> CoveredPixels:
@@ -268,13 +268,13 @@ class EvaluationScene:
 
     @property
     def transport(self) -> TransportMatrix:
-        """The matt scene's, made anew by every call: 4 bytes for each pixel and direction."""
+        """The diffuse scene's, made anew by every call: 4 bytes for each pixel and direction."""
         seen = self.traced.seen_by(0, len(self.traced.normals)).T.bool()
         sight = SeenDirections(visible=seen, normals=self.traced.normals, grid=self.grid)
         return sight.transport()
 
     def shade(self, environment: EnvironmentMap) -> Float[Tensor, "m 3"]:
-        """Direct diffuse light at the matt scene's pixels, albedo * T l."""
+        """Direct light at the diffuse scene's pixels, albedo * T l."""
         grid, traced = self.grid, self.traced
         irradiance = self._light(environment) * (grid.solid_angles / torch.pi).float()[:, None]
         directions, shading = grid.directions.float(), []
@@ -285,10 +285,10 @@ class EvaluationScene:
         return self.albedo * torch.cat(shading, 1).T
 
     def relight(self, environment: EnvironmentMap) -> Float[Tensor, "h w 3"]:
-        """Picture of the matt scene; where it ends, the environment itself is seen."""
-        return self.matt.image(self.shade(environment), self._background(environment))
+        """Picture of the diffuse scene; where it ends, the environment itself is seen."""
+        return self.diffuse.image(self.shade(environment), self._background(environment))
 
-    def relight_glossy(self, environment: EnvironmentMap) -> Float[Tensor, "h w 3"]:
+    def relight_specular(self, environment: EnvironmentMap) -> Float[Tensor, "h w 3"]:
         """Picture of the metal objects before the environment, without shadows."""
         light, alpha = self._light(environment), METAL_ROUGHNESS**2
         reflected = METAL_REFLECTANCE * torch.cat(

@@ -134,9 +134,9 @@ def _white() -> bpy.types.Material:
         white.use_nodes = True
     nodes = white.node_tree.nodes
     nodes.clear()
-    matt, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
-    matt.inputs["Color"].default_value = 1, 1, 1, 1
-    white.node_tree.links.new(matt.outputs["BSDF"], output.inputs["Surface"])
+    diffuse, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
+    diffuse.inputs["Color"].default_value = 1, 1, 1, 1
+    white.node_tree.links.new(diffuse.outputs["BSDF"], output.inputs["Surface"])
     return white
 
 

@@ -55,12 +55,12 @@ def test_a_lamp_is_recovered_from_few_numbers():
     """On a ball, in ambient light."""
     places, normals = (torch.from_numpy(part[::3].copy()) for part in ball_normals())
 
-    def matt(grid: DirectionGrid) -> TransportMatrix:
+    def diffuse(grid: DirectionGrid) -> TransportMatrix:
         cosines = (normals @ grid.directions.T).clamp(min=0)
         return TransportMatrix(matrix=(cosines * grid.solid_angles / math.pi).float(), grid=grid)
 
     coarse, fine = (DirectionGrid.latlong(rows) for rows in (HEIGHT, 2 * HEIGHT))
-    scene = ObservedScene.of(places, matt(fine), matt(coarse))
+    scene = ObservedScene.of(places, diffuse(fine), diffuse(coarse))
     lamp = torch.nn.functional.normalize(torch.tensor([0.5, 0.5, 0.7]).double(), dim=0)
     light = [
         (0.5 + 20 * ((grid.directions @ lamp - 1) / math.radians(12) ** 2).exp())[:, None]

@@ -121,17 +121,17 @@ def test_no_point_reflects_more_than_it_gets(view):
     assert float(diffuse.max()) < 1.01
     assert float(diffuse.median()) > 0.6  # faces are mostly convex
     assert (view.observation.transport.matrix >= 0).all()
-    gloss = view.observation.gloss.matrix
-    assert (gloss >= 0).all()
-    assert gloss.isfinite().all()
-    assert 0.005 < float(gloss.sum(1).median()) < 0.2  # a few per cent, more at a slant
+    specular = view.observation.specular.matrix
+    assert (specular >= 0).all()
+    assert specular.isfinite().all()
+    assert 0.005 < float(specular.sum(1).median()) < 0.2  # a few per cent, more at a slant
 
 
 def test_transport_under_the_true_light_gives_the_picture(person, view):
     light = person.environment.flat
     observation = view.observation
     shading = person.albedo * (observation.transport.matrix @ light)
-    shading = shading + observation.gloss.matrix @ light
+    shading = shading + observation.specular.matrix @ light
     error = (luminance(shading) / luminance(observation.pixels)).log()
     assert abs(float(error.median())) < 0.05
     assert float(error.abs().median()) < 0.08  # blotches, a bright pixel's place, roughness

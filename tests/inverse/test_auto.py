@@ -29,8 +29,10 @@ def under_a_learnt_sky():
         sky = model(model.starts_towards(sun)[0, :1])
         light = LambertianGround(32).append(sky, torch.full((1, 3), 0.12))[0].double()
     blank = observed(np.zeros((len(ball_normals()[0]), 3)))
-    gloss = blank.gloss.matrix.double() @ light
-    return observed((MODES[0].double() * (blank.transport.matrix.double() @ light) + gloss).numpy())
+    specular = blank.specular.matrix.double() @ light
+    return observed(
+        (MODES[0].double() * (blank.transport.matrix.double() @ light) + specular).numpy()
+    )
 
 
 QUICK = SolverOptions(stages=(Stage(level=Level(2), starts=2, iterations=3),))

@@ -18,7 +18,7 @@ from skylight.transport._matrix import TransportMatrix
 from skylight.transport._observation import Observation
 
 HEIGHT, WIDTH = 8, 16
-ALBEDO, GLOSS = torch.tensor([0.6, 0.4, 0.3]), 1.3
+ALBEDO, SPECULAR_SCALE = torch.tensor([0.6, 0.4, 0.3]), 1.3
 
 
 def random(*shape: int, seed: int) -> torch.Tensor:
@@ -37,15 +37,15 @@ def observation(probe) -> Observation:
     normals = torch.nn.functional.normalize(random(60, 3, seed=2).double() - 0.5, dim=1)
     normals[:, 2] = normals[:, 2].abs()
     cosines = (normals @ grid.directions.T).clamp(min=0)
-    matt = (cosines * grid.solid_angles / math.pi).float()
+    diffuse = (cosines * grid.solid_angles / math.pi).float()
     shine = (cosines**20 * grid.solid_angles).float()
     light = probe.radiance.roll(5, dims=1).reshape(-1, 3)
     return Observation(
-        pixels=ALBEDO * (matt @ light) + GLOSS * (shine @ light),
+        pixels=ALBEDO * (diffuse @ light) + SPECULAR_SCALE * (shine @ light),
         weights=random(60, seed=3),
         places=torch.stack([torch.arange(60), torch.zeros(60, dtype=torch.long)], 1),
-        transport=TransportMatrix(matrix=matt, grid=grid),
-        gloss=TransportMatrix(matrix=shine, grid=grid),
+        transport=TransportMatrix(matrix=diffuse, grid=grid),
+        specular=TransportMatrix(matrix=shine, grid=grid),
     )
 
 
@@ -69,11 +69,15 @@ def test_exposure_and_white_balance_change_nothing(observation, probe):
     error = azimuth_curve(observation, probe).error
     brighter = azimuth_curve(observation.scaled(37.0), probe).error
     torch.testing.assert_close(brighter, error, atol=1e-5, rtol=1e-5)
-    # without gloss, whose strength all channels share, each channel has a scale of its own
-    matt = replace(observation, gloss=None)
+    # without specular reflection, whose strength all channels share, each channel has a scale of
+    # its own
+    diffuse = replace(observation, specular=None)
     tinted = EnvironmentMap(radiance=probe.radiance * torch.tensor([2.0, 1.0, 0.25]))
     torch.testing.assert_close(
-        azimuth_curve(matt, tinted).error, azimuth_curve(matt, probe).error, atol=1e-5, rtol=1e-5
+        azimuth_curve(diffuse, tinted).error,
+        azimuth_curve(diffuse, probe).error,
+        atol=1e-5,
+        rtol=1e-5,
     )
 
 
@@ -87,10 +91,10 @@ def test_every_error_is_the_least_possible(observation, probe):
     for place, degrees in enumerate(curve.azimuth_deg.tolist()):
         turned = np.roll(probe.radiance.double().numpy(), round(degrees / 360 * WIDTH), 1)
         light = turned.reshape(-1, 3)
-        matt = observation.transport.matrix.double().numpy() @ light
-        shine = observation.gloss.matrix.double().numpy() @ light
+        diffuse = observation.transport.matrix.double().numpy() @ light
+        shine = observation.specular.matrix.double().numpy() @ light
         system = np.zeros((60, 3, 4))
-        system[:, range(3), range(3)] = matt
+        system[:, range(3), range(3)] = diffuse
         system[:, :, 3] = shine
         root = np.sqrt(weight)[:, None]
         _, rest = nnls((system * root[..., None]).reshape(-1, 4), (seen * root).reshape(-1))
@@ -149,7 +153,7 @@ def test_light_without_a_direction_has_no_azimuth(observation):
 def test_light_that_reaches_no_point(observation, probe):
     dark = replace(observation.transport, matrix=torch.zeros_like(observation.transport.matrix))
     with pytest.raises(InputError, match="no light on the face"):
-        azimuth_curve(replace(observation, transport=dark, gloss=None), probe)
+        azimuth_curve(replace(observation, transport=dark, specular=None), probe)
 
 
 def test_a_rendered_face_in_its_true_geometry(face_captures):

@@ -41,13 +41,13 @@ def part(observation: Observation, kept: Tensor) -> Observation:
     def rows(transport: TransportMatrix) -> TransportMatrix:
         return replace(transport, matrix=transport.matrix[kept])
 
-    assert observation.gloss is not None
+    assert observation.specular is not None
     return Observation(
         pixels=observation.pixels[kept],
         weights=observation.weights[kept],
         places=observation.places[kept],
         transport=rows(observation.transport),
-        gloss=rows(observation.gloss),
+        specular=rows(observation.specular),
     )
 
 
@@ -60,20 +60,20 @@ def double(observation: Observation) -> Observation:
         pixels=observation.pixels.double(),
         weights=observation.weights.double(),
         transport=moved(observation.transport),
-        gloss=None if observation.gloss is None else moved(observation.gloss),
+        specular=None if observation.specular is None else moved(observation.specular),
     )
 
 
 @pytest.fixture(scope="module")
 def seen() -> list[Observation]:
-    """A whole ball, half of one, a matt one, and one whose brightest pixels are clipped."""
-    whole, half, matt, bright = (watched(*sun)[0] for sun in (*SUNS, SUNS[0]))
+    """A whole ball, half of one, a diffuse one, and one whose brightest pixels are clipped."""
+    whole, half, diffuse, bright = (watched(*sun)[0] for sun in (*SUNS, SUNS[0]))
     level = luminance(bright.pixels)
     white = float(level.quantile(0.8))
     return [
         whole,
         part(half, half.places[:, 1] < 10),
-        replace(matt, gloss=None),
+        replace(diffuse, specular=None),
         replace(bright, pixels=bright.pixels.clamp(max=white), clipped=level > white),
     ]
 

@@ -11,7 +11,7 @@ from skylight.inverse._posterior import CAMERA_SHARE, face_evidence, sun_evidenc
 from skylight.inverse._scan import scan_faces
 from skylight.sphere._frame import DirectionGrid
 from skylight.transport._matrix import TransportMatrix
-from skylight.transport._reflection import camera_lamp, glossy_transport
+from skylight.transport._reflection import camera_lamp, specular_transport
 from skylight.transport._render import Specular
 from tests.inverse.test_posterior import FRONT, ball, light_of, posterior_of
 
@@ -28,10 +28,10 @@ def test_it_is_the_transport_from_the_cameras_direction():
     normals, lobe = visible_normals(), Specular(f0=0.028, roughness=0.5)
     views = AHEAD.expand_as(normals)
     grid = DirectionGrid(directions=AHEAD[None].double(), solid_angles=torch.ones(1).double())
-    matt = TransportMatrix(matrix=normals[:, 2:], grid=grid)
-    glossy = glossy_transport(matt, normals, views, lobe)
+    diffuse = TransportMatrix(matrix=normals[:, 2:], grid=grid)
+    specular = specular_transport(diffuse, normals, views, lobe)
     found = camera_lamp(normals, views, lobe)
-    torch.testing.assert_close(found, torch.cat([matt.matrix, glossy.matrix], 1))
+    torch.testing.assert_close(found, torch.cat([diffuse.matrix, specular.matrix], 1))
     assert float(camera_lamp(normals, views, None)[:, 1].abs().max()) == 0
 
 

@@ -84,9 +84,9 @@ def test_a_device_gives_the_cpus_light(on_cpu: Estimate) -> None:
 
 
 def estimated_object(light: ObjectLightName, device: torch.device) -> ObjectLight:
-    """Of a glossy ball."""
-    matt = harmonic_ball(2)[1]
-    observation = replace(matt, gloss=observed(matt.pixels.numpy(), rows=32).gloss)
+    """Of a specular ball."""
+    diffuse = harmonic_ball(2)[1]
+    observation = replace(diffuse, specular=observed(diffuse.pixels.numpy(), rows=32).specular)
     material = ObjectMaterial(albedo=(0.8, 0.5, 0.3), specular=Specular(f0=0.04, roughness=0.4))
     return estimate_object_light(
         observation, light, material=material, activations=6, device=str(device)

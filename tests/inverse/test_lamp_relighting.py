@@ -92,8 +92,8 @@ def test_an_edit_that_changes_nothing_gives_the_face(grey: bool) -> None:
         parts = [replace(light, level=0.0, lamps=(lamp,)) for lamp in light.lamps]
         parts.append(replace(light, lamps=()))
         added = torch.stack([transport.rendered(part) for part in parts]).sum(0)
-        unclamped = (transport.matt @ light.radiance(SCAN_HEIGHT) > 0).all(1)
+        unclamped = (transport.diffuse @ light.radiance(SCAN_HEIGHT) > 0).all(1)
         for part in parts:
-            unclamped &= (transport.matt @ part.radiance(SCAN_HEIGHT) >= 0).all(1)
+            unclamped &= (transport.diffuse @ part.radiance(SCAN_HEIGHT) >= 0).all(1)
         assert bool(unclamped.any())
         torch.testing.assert_close(added[unclamped], rendered[unclamped], rtol=1e-4, atol=1e-5)

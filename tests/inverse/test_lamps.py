@@ -39,9 +39,9 @@ def lit_ball(*lamps, ambient=0.4):
         lobe = torch.exp(200 * (grid.directions @ (towards / towards.norm()) - 1))
         radiance += energy * (lobe / (lobe @ grid.solid_angles))[:, None]
     seen = observed(np.zeros((len(ball_normals()[0]), 3)))
-    matt = seen.transport.matrix.double() @ radiance
-    gloss = seen.gloss.matrix.double() @ radiance
-    return observed((MODES[0].double() * matt + gloss).numpy())
+    diffuse = seen.transport.matrix.double() @ radiance
+    specular = seen.specular.matrix.double() @ radiance
+    return observed((MODES[0].double() * diffuse + specular).numpy())
 
 
 @cache

@@ -20,15 +20,15 @@ def first(transport, points):
     return replace(transport, matrix=transport.matrix[:points])
 
 
-def face(*, pixels=64, gloss=True, turned=True, uneven=True, clipped=False, grey=False):
-    seen = observation(gloss=gloss)
+def face(*, pixels=64, specular=True, turned=True, uneven=True, clipped=False, grey=False):
+    seen = observation(specular=specular)
     seen = replace(
         seen,
         pixels=seen.pixels[:pixels],
         weights=seen.weights[:pixels],
         places=seen.places[:pixels],
         transport=first(seen.transport, pixels),
-        gloss=None if seen.gloss is None else first(seen.gloss, pixels),
+        specular=None if seen.specular is None else first(seen.specular, pixels),
     )
     generator = torch.Generator().manual_seed(4)
     count = len(seen.pixels)
@@ -65,7 +65,7 @@ def check(objective, problem=None):
     "kind",
     [
         {},
-        {"gloss": False, "turned": False, "uneven": False},
+        {"specular": False, "turned": False, "uneven": False},
         {"clipped": True},
         {"grey": True, "uneven": False},
     ],
@@ -104,7 +104,7 @@ def test_of_faces_in_two_problems():
 
 def test_single_precision_is_near_double() -> None:
     """Estimates take it: forward differences have errors of rounding there."""
-    seen = face(gloss=False, turned=False, uneven=False)
+    seen = face(specular=False, turned=False, uneven=False)
     transport = replace(seen.transport, matrix=seen.transport.matrix.float())
     rounded = replace(seen, pixels=seen.pixels.float(), weights=seen.weights.float())
     rounded = replace(rounded, transport=transport)

@@ -157,8 +157,8 @@ def turns(count=5):
 def test_shading_has_what_the_turned_normals_add(double):
     seen, amounts = turned(), turns()
     whole = objective(seen)
-    light, exposure, gloss, albedo, ground, _ = parameters()
-    free = whole.pack(light, exposure, gloss, albedo, ground, turns=amounts)
+    light, exposure, specular_scale, albedo, ground, _ = parameters()
+    free = whole.pack(light, exposure, specular_scale, albedo, ground, turns=amounts)
     parts = whole.unpack(free)
     torch.testing.assert_close(parts.turns, amounts)
     full = whole.ground.append(MODEL(light), ground) * exposure[:, None]
@@ -169,13 +169,13 @@ def test_shading_has_what_the_turned_normals_add(double):
     rows, columns = layout
     blocks = full.reshape(len(free), rows // 2, 2, columns // 2, 2, 3).mean((2, 4))
     for b in range(len(free)):
-        matt = albedo[b] * (seen.transport.matrix @ full[b])
+        diffuse = albedo[b] * (seen.transport.matrix @ full[b])
         radiance = blocks[b].reshape(-1, 3)
         for colour in range(3):
             vector = (errors.visible * radiance[:, colour]) @ errors.grid.directions
             added = ((errors.modes @ (0.5 * amounts[b, 0])) * vector).sum(1)
-            expected = (matt[:, colour] + albedo[b, 0, colour] * added).clamp(min=0)
-            expected = expected + gloss[b] * (seen.gloss.matrix @ full[b])[:, colour]
+            expected = (diffuse[:, colour] + albedo[b, 0, colour] * added).clamp(min=0)
+            expected = expected + specular_scale[b] * (seen.specular.matrix @ full[b])[:, colour]
             torch.testing.assert_close(whole.shading(parts)[0][b, :, colour], expected)
     nll = 0.5 * amounts.square().sum((1, 2))
     torch.testing.assert_close(whole.terms(free)["normal_prior"], nll)

@@ -15,7 +15,7 @@ from skylight.models.sunsky import SunSky
 from skylight.sphere._frame import DirectionGrid
 from skylight.transport._matrix import TransportMatrix
 from skylight.transport._observation import Observation
-from skylight.transport._reflection import glossy_transport
+from skylight.transport._reflection import specular_transport
 from skylight.transport._render import Specular
 
 ROWS, SIDE = 4, 8
@@ -30,7 +30,7 @@ def normal(size):
     return GaussianMixture(torch.ones(1), torch.zeros(1, size), torch.eye(size)[None])
 
 
-def observation(*, gloss=True):
+def observation(*, specular=True):
     """Random normals towards the camera, convex, on a square of pixels; some without weight."""
     generator = torch.Generator().manual_seed(11)
     count = SIDE * SIDE
@@ -49,7 +49,7 @@ def observation(*, gloss=True):
         weights=weights,
         places=torch.stack([y.flatten() + 3, x.flatten() + 5], 1),
         transport=transport,
-        gloss=glossy_transport(transport, normals, views, Specular()) if gloss else None,
+        specular=specular_transport(transport, normals, views, Specular()) if specular else None,
     )
 
 
@@ -58,7 +58,7 @@ def objective(seen):
 
 
 def parameters(count=5, seed=2):
-    """Plausible (light, exposure, gloss, albedo, ground albedo, white balance) of one face."""
+    """(light, exposure, specular scale, albedo, ground albedo, white balance) of one face."""
     rng = np.random.default_rng(seed)
     parts = (
         np.concatenate(
@@ -85,21 +85,21 @@ def test_unpacking_undoes_packing():
     free = whole.pack(*given)
     assert free.shape == (5, whole.size)
     parts = whole.unpack(free)
-    found = (parts.light, parts.exposure, parts.gloss, parts.albedo, parts.ground_albedo)
+    found = (parts.light, parts.exposure, parts.specular_scale, parts.albedo, parts.ground_albedo)
     for theirs, ours in zip((*found, parts.balance), given, strict=True):
         torch.testing.assert_close(theirs, ours)
 
 
-@pytest.mark.parametrize("gloss", [True, False])
-def test_shading_is_transport_times_the_whole_sphere(gloss):
-    seen = observation(gloss=gloss)
+@pytest.mark.parametrize("specular", [True, False])
+def test_shading_is_transport_times_the_whole_sphere(specular):
+    seen = observation(specular=specular)
     whole, (light, exposure, shine, albedo, ground, balance) = objective(seen), parameters()
     red, blue = balance[:, 0].exp().unbind(1)
     gains = torch.stack([red, torch.ones_like(red), blue], 1) / (red * blue)[:, None] ** (1 / 3)
     full = whole.ground.append(MODEL(light), ground) * (exposure * gains)[:, None]
     expected = albedo * (seen.transport.matrix @ full)
-    if seen.gloss is not None:
-        expected = expected + shine[:, None] * (seen.gloss.matrix @ full)
+    if seen.specular is not None:
+        expected = expected + shine[:, None] * (seen.specular.matrix @ full)
     (found,) = whole.shading(whole.unpack(whole.pack(*parameters())))
     torch.testing.assert_close(found, expected)
 
@@ -124,14 +124,17 @@ def test_parts_add_up_and_are_what_they_say():
     torch.testing.assert_close(terms["data"], data, atol=4.2, rtol=0)  # Charbonnier's 1e-3
 
 
-def test_ground_and_gloss_are_drawn_to_the_usual():
-    whole, (light, exposure, gloss, albedo, ground, _) = objective(observation()), parameters()
+def test_ground_and_specular_scale_are_drawn_to_the_usual():
+    whole, (light, exposure, specular_scale, albedo, ground, _) = (
+        objective(observation()),
+        parameters(),
+    )
     usual = whole.ground_prior.means[0].exp().expand(5, 3)
     terms = whole.terms(whole.pack(light, exposure, torch.ones(5, 1), albedo, usual))
     least = -whole.ground_prior.log_prob(whole.ground_prior.means)
     torch.testing.assert_close(terms["ground_prior"], least.expand(5), atol=1e-4, rtol=0)
     torch.testing.assert_close(terms["gloss_prior"], torch.zeros(5), atol=1e-9, rtol=0)
-    terms = whole.terms(whole.pack(light, exposure, gloss, albedo, ground))
+    terms = whole.terms(whole.pack(light, exposure, specular_scale, albedo, ground))
     assert (terms["ground_prior"] > least).all()
     assert (terms["gloss_prior"] > 0).all()
 
@@ -139,16 +142,18 @@ def test_ground_and_gloss_are_drawn_to_the_usual():
 def test_a_white_balance_that_is_trusted_has_no_gains():
     seen, trusting = observation(), replace(WEIGHTS, white_balance_spread=0.0)
     whole = LightObjective([FaceTerm.of(seen)], MODEL, normal(9), normal(3), trusting)
-    light, exposure, gloss, albedo, ground, balance = parameters()
-    told = whole.pack(light, exposure, gloss, albedo, ground, balance)
-    silent = whole.pack(light, exposure, gloss, albedo, ground)
+    light, exposure, specular_scale, albedo, ground, balance = parameters()
+    told = whole.pack(light, exposure, specular_scale, albedo, ground, balance)
+    silent = whole.pack(light, exposure, specular_scale, albedo, ground)
     for gains, without in zip(
         whole.shading(whole.unpack(told)), whole.shading(whole.unpack(silent)), strict=True
     ):
         assert torch.equal(gains, without)
     assert torch.equal(whole.white_balance(whole.unpack(told)), torch.ones(5, 1, 3))
     # balances of 0 cost nothing and are what a picture without a cast is packed with
-    assert torch.equal(silent, whole.pack(light, exposure, gloss, albedo, ground, 0 * balance))
+    assert torch.equal(
+        silent, whole.pack(light, exposure, specular_scale, albedo, ground, 0 * balance)
+    )
     assert (whole.terms(silent)["white_balance_prior"] == 0).all()
 
 
@@ -161,12 +166,12 @@ def test_a_cast_is_shared_out_between_camera_and_skin_by_their_variances(skin_sp
     min_v |v|^2 / s^2 + |P (u - v)|^2 / t^2 over ratios to green, where |P w|^2 is the squared norm
     of (w_red, 0, w_blue) less its mean, which is exposure.
     """
-    light, exposure, gloss, albedo, ground, _ = parameters(count=1)
+    light, exposure, specular_scale, albedo, ground, _ = parameters(count=1)
     mean, spread = albedo[:, 0].log(), torch.eye(3)[None] / skin_spread
     skin = GaussianMixture(torch.ones(1), mean, spread)
-    seen = observation(gloss=False)
+    seen = observation(specular=False)
     known = LightObjective([FaceTerm.of(seen)], MODEL, normal(9), skin, WEIGHTS)
-    free = known.pack(light, exposure, gloss, albedo, ground)
+    free = known.pack(light, exposure, specular_scale, albedo, ground)
     cast = torch.tensor([0.08, -0.1])
     factors = torch.tensor([cast[0], 0.0, cast[1]]).exp()
     pixels = known.shading(known.unpack(free))[0][0].detach() * factors
@@ -204,9 +209,9 @@ def test_pixels_without_weight_do_not_count():
     torch.testing.assert_close(objective(seen)(free), objective(spoilt)(free))
 
 
-@pytest.mark.parametrize("gloss", [True, False])
-def test_slopes_are_those_of_finite_differences(gloss):
-    whole = objective(observation(gloss=gloss))
+@pytest.mark.parametrize("specular", [True, False])
+def test_slopes_are_those_of_finite_differences(specular):
+    whole = objective(observation(specular=specular))
     free = whole.pack(*parameters(count=2)).requires_grad_(True)
     assert torch.autograd.gradcheck(whole, (free,), eps=1e-6, atol=1e-4, rtol=1e-5)
 
@@ -281,9 +286,9 @@ def tones(weights, means, spread):
 def scaled_albedo(prior, albedo):
     """What the choice of scale makes of an albedo; the picture stays."""
     whole = LightObjective([FaceTerm.of(observation())], MODEL, normal(9), prior, WEIGHTS)
-    light, exposure, gloss, _, ground, balance = parameters(count=1)
+    light, exposure, specular_scale, _, ground, balance = parameters(count=1)
     albedo = torch.tensor(albedo).expand(1, 1, 3)
-    free = whole.pack(light, exposure, gloss, albedo, ground, balance)
+    free = whole.pack(light, exposure, specular_scale, albedo, ground, balance)
     after = whole.at_bayes_scale(free)
     same, other = whole.unpack(free), whole.unpack(after)
     torch.testing.assert_close(whole.shading(same)[0], whole.shading(other)[0])

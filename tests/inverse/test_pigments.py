@@ -36,20 +36,20 @@ def pigments(count=5):
 def test_shading_has_the_albedo_of_each_pixel():
     seen, amounts = varied(), pigments()
     whole = objective(seen)
-    light, exposure, gloss, albedo, ground, _ = parameters()
-    free = whole.pack(light, exposure, gloss, albedo, ground, pigments=amounts)
+    light, exposure, specular_scale, albedo, ground, _ = parameters()
+    free = whole.pack(light, exposure, specular_scale, albedo, ground, pigments=amounts)
     parts = whole.unpack(free)
     torch.testing.assert_close(parts.pigments, amounts)
     full = whole.ground.append(MODEL(light), ground) * exposure[:, None]
-    expected = gloss[:, None] * (seen.gloss.matrix @ full)
+    expected = specular_scale[:, None] * (seen.specular.matrix @ full)
     for b in range(len(free)):
         melanin, blood = (seen.modes @ amount for amount in amounts[b, 0])
         absorbed = torch.stack(
             [melanin * PIGMENT_COLOURS[0][c] + blood * PIGMENT_COLOURS[1][c] for c in range(3)],
             1,
         )
-        matt = albedo[b] * torch.exp(-absorbed) * (seen.transport.matrix @ full[b])
-        torch.testing.assert_close(whole.shading(parts)[0][b], matt + expected[b])
+        diffuse = albedo[b] * torch.exp(-absorbed) * (seen.transport.matrix @ full[b])
+        torch.testing.assert_close(whole.shading(parts)[0][b], diffuse + expected[b])
     spreads = torch.tensor(PIGMENT_SPREADS)[:, None]
     nll = 0.5 * ((amounts[:, 0] / spreads) ** 2).sum((1, 2))
     torch.testing.assert_close(whole.terms(free)["pigment_prior"], nll)

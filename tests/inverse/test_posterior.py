@@ -44,7 +44,7 @@ def posterior_of(evidence, estimate=None, *, explained=True, sun_prior=None):
         explained=explained,
         exposure=3.0,
         albedo=MEAN.exp(),
-        gloss=None,
+        specular_scale=None,
         albedo_prior=SKIN,
         sun_prior=sun_prior,
     )
@@ -55,7 +55,7 @@ def watched(observation):
 
 
 def ball(light, noise=0.0):
-    """The near half of a matt ball of 14 pixels under light on 32 x 64 pixels."""
+    """The near half of a diffuse ball of 14 pixels under light on 32 x 64 pixels."""
     line = (torch.arange(14) + 0.5) / 7 - 1
     y, x = torch.meshgrid(-line, line, indexing="ij")
     inside = x**2 + y**2 < 0.95
@@ -237,7 +237,7 @@ def test_exposure_is_less_sure_where_the_sun_is():
     assert wide.albedo_scale_interval == narrow.albedo_scale_interval
 
 
-def test_gloss_that_would_be_odd_narrows_the_interval():
+def test_specular_scale_that_would_be_odd_narrows_the_interval():
     vague = GaussianMixture(torch.ones(1), MEAN[None], torch.eye(3)[None] / 2.0)
     _, free = split_density(MEAN.exp(), None, vague)
     shift, held = split_density(MEAN.exp(), 1.0, vague)

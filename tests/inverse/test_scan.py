@@ -12,7 +12,7 @@ from skylight.transport._cameras import Camera
 from skylight.transport._matrix import TransportMatrix, diffuse_transport
 from skylight.transport._observation import Observation
 from skylight.transport._rays import Raycaster
-from skylight.transport._reflection import glossy_transport
+from skylight.transport._reflection import specular_transport
 from skylight.transport._render import Specular, rasterize
 from tests.transport.shapes import icosphere
 
@@ -24,7 +24,7 @@ SUNS = [(0.5, 0.6, 0.62), (-0.75, 0.35, 0.5), (0.2, 0.95, 0.1), (0.85, 0.4, -0.3
 
 @pytest.fixture(scope="module")
 def ball():
-    """(diffuse, glossy transport, places) of a ball with a nose towards the camera."""
+    """(diffuse, specular transport, places) of a ball with a nose towards the camera."""
     vertices, faces = icosphere(4)
     vertices = torch.nn.functional.normalize(vertices, dim=1)
     nose = torch.exp(-(torch.acos(vertices[:, 2].clamp(-1, 1)) ** 2) / (2 * 0.2**2))
@@ -34,7 +34,7 @@ def ball():
     seen = rasterize(camera, vertices, faces, caster)
     diffuse = diffuse_transport(seen.origins, seen.normals, seen.geometric_normals, caster, GRID)
     views = -torch.nn.functional.normalize(seen.positions, dim=1)
-    return diffuse, glossy_transport(diffuse, seen.normals, views, Specular()), seen.pixels
+    return diffuse, specular_transport(diffuse, seen.normals, views, Specular()), seen.pixels
 
 
 def under(sun, share):
@@ -49,15 +49,15 @@ def under(sun, share):
     return light.float(), direction
 
 
-def seen(ball, light, albedo, *, shine, gloss):
-    diffuse, glossy, places = ball
-    pixels = albedo * diffuse.matrix @ light + shine * glossy.matrix @ light
+def seen(ball, light, albedo, *, shine, with_specular):
+    diffuse, specular, places = ball
+    pixels = albedo * diffuse.matrix @ light + shine * specular.matrix @ light
     return Observation(
         pixels=pixels,
         weights=torch.linspace(0.5, 1, len(pixels)),
         places=places,
         transport=diffuse,
-        gloss=glossy if gloss else None,
+        specular=specular if with_specular else None,
     )
 
 
@@ -72,7 +72,7 @@ def degrees_between(a, b):
 @pytest.mark.parametrize("sun", SUNS)
 def test_the_sun_is_found_within_a_cell(ball, sun):
     light, direction = under(sun, share=0.6)
-    scan = scanned(seen(ball, light, 0.5, shine=0.0, gloss=False))
+    scan = scanned(seen(ball, light, 0.5, shine=0.0, with_specular=False))
     assert degrees_between(scan.candidates[0], direction) < CELL_DEG
     assert 0.2 < float(scan.strengths[0]) <= 1.0
 
@@ -81,16 +81,16 @@ def test_the_sun_is_found_within_a_cell(ball, sun):
 def test_highlights_do_not_pull_the_sun_aside(ball, sun):
     # as bright as they are on dark skin
     light, direction = under(sun, share=0.6)
-    scan = scanned(seen(ball, light, 0.06, shine=1.5, gloss=True))
+    scan = scanned(seen(ball, light, 0.06, shine=1.5, with_specular=True))
     assert degrees_between(scan.candidates[0], direction) < CELL_DEG
-    blind = scanned(seen(ball, light, 0.06, shine=1.5, gloss=False))
+    blind = scanned(seen(ball, light, 0.06, shine=1.5, with_specular=False))
     assert scan.residuals.min() < 0.8 * blind.residuals.min()
 
 
 def test_lower_bounds_tell_of_a_sun_behind(ball):
     # a picture exposed for the shade: the rim that the sun lights is as white as can be
     light, direction = under(SUNS[3], share=0.8)
-    whole = seen(ball, light, 0.5, shine=0.0, gloss=False)
+    whole = seen(ball, light, 0.5, shine=0.0, with_specular=False)
     white = 2 * float(whole.pixels.median())
     over = (whole.pixels >= white).any(1)
     assert 0.05 < float(over.float().mean()) < 0.4
@@ -110,7 +110,7 @@ def test_one_direction_alone_is_explained_entirely(ball):
     cell = 9 * 64 + 27
     light = torch.zeros(32, 2, 64, 2, 3)
     light[9, :, 27] = 100.0
-    scan = scanned(seen(ball, light.reshape(-1, 3), 0.4, shine=0.0, gloss=False))
+    scan = scanned(seen(ball, light.reshape(-1, 3), 0.4, shine=0.0, with_specular=False))
     assert int(scan.residuals.argmin()) == cell
     assert float(scan.residuals[cell]) < 1e-3
     assert float(scan.strengths[0]) == pytest.approx(1, abs=0.01)
@@ -119,7 +119,7 @@ def test_one_direction_alone_is_explained_entirely(ball):
 def test_candidates_are_apart_and_in_order(ball):
     light, _ = under(SUNS[0], share=0.3)
     scan = scanned(
-        seen(ball, light, 0.5, shine=0.0, gloss=False), candidates=6, separation_deg=20.0
+        seen(ball, light, 0.5, shine=0.0, with_specular=False), candidates=6, separation_deg=20.0
     )
     assert len(scan.candidates) == len(scan.strengths) == 6
     cosines = scan.candidates @ scan.candidates.T - 2 * torch.eye(6)
@@ -132,7 +132,7 @@ def test_candidates_are_apart_and_in_order(ball):
 
 def test_the_unit_of_radiance_does_not_matter(ball):
     light, _ = under(SUNS[1], share=0.5)
-    observation = seen(ball, light, 0.3, shine=1.0, gloss=True)
+    observation = seen(ball, light, 0.3, shine=1.0, with_specular=True)
     ours, theirs = scanned(observation), scanned(observation.scaled(1000.0))
     torch.testing.assert_close(ours.residuals, theirs.residuals, atol=1e-5, rtol=1e-3)
     torch.testing.assert_close(ours.candidates[0], theirs.candidates[0])

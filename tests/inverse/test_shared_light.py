@@ -47,7 +47,7 @@ def half_ball_normals(turn_deg: float, side: int = 12) -> tuple[torch.Tensor, to
 
 
 def half_ball(turn_deg: float = 0.0) -> Observation:
-    """A matt half ball, white until it is lit."""
+    """A diffuse half ball, white until it is lit."""
     places, normals = half_ball_normals(turn_deg)
     grid = DirectionGrid.latlong(64)
     cosine = (normals @ grid.directions.T).clamp(min=0)
@@ -95,15 +95,15 @@ def test_each_face_adds_its_data_and_its_priors() -> None:
     def objective(*faces: FaceTerm) -> LightObjective:
         return LightObjective(faces, model, SUNSKY_PRIOR, ALBEDO_PRIOR, weights)
 
-    exposure, gloss = torch.tensor([[0.7, 1.9]]), torch.tensor([[0.6, 1.4]])
+    exposure, specular_scale = torch.tensor([[0.7, 1.9]]), torch.tensor([[0.6, 1.4]])
     albedo = MODES[None, 1:3]
     joint = objective(terms[0], replace(terms[1], photo=1))
-    both = joint.terms(joint.pack(sunny(), exposure, gloss, albedo, GROUND))
+    both = joint.terms(joint.pack(sunny(), exposure, specular_scale, albedo, GROUND))
     alone = []
     for k, term in enumerate(terms):
         one = objective(term)
         cut = slice(k, k + 1)
-        free = one.pack(sunny(), exposure[:, cut], gloss[:, cut], albedo[:, cut], GROUND)
+        free = one.pack(sunny(), exposure[:, cut], specular_scale[:, cut], albedo[:, cut], GROUND)
         alone.append(one.terms(free))
     for name in ("data", "albedo_prior", "gloss_prior"):
         torch.testing.assert_close(both[name], alone[0][name] + alone[1][name])

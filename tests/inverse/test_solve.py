@@ -1,4 +1,4 @@
-"""The solvers on pictures of a ball computed by oracles: its light, albedo and gloss come back."""
+"""The solvers on pictures of a ball by oracles: its light, albedo and specular scale come back."""
 
 import copy
 import math
@@ -27,7 +27,7 @@ from skylight.sphere._envmap import luminance
 from skylight.sphere._frame import DirectionGrid
 from skylight.transport._matrix import TransportMatrix
 from skylight.transport._observation import Observation
-from skylight.transport._reflection import glossy_transport
+from skylight.transport._reflection import specular_transport
 from skylight.transport._render import Specular
 from tests.oracles import harmonics
 from tests.oracles.outdoors import Outdoors
@@ -56,7 +56,7 @@ def ball_normals(side=16):
 
 
 def observed(pixels, rows=64):
-    """The ball's pixels (m,3) with the matt and the glossy transport that the solvers need."""
+    """The ball's pixels (m,3) with the diffuse and the specular transport that the solvers need."""
     places, normals = (torch.from_numpy(part) for part in ball_normals())
     grid = DirectionGrid.latlong(rows)
     cosine = (normals @ grid.directions.T).clamp(min=0)
@@ -67,7 +67,7 @@ def observed(pixels, rows=64):
         weights=torch.ones(len(pixels)),
         places=places,
         transport=transport,
-        gloss=glossy_transport(transport, normals.float(), views, Specular()),
+        specular=specular_transport(transport, normals.float(), views, Specular()),
     )
 
 
@@ -85,8 +85,8 @@ def watched(azimuth, zenith):
         rows=32,
     )
     _, normals = ball_normals()
-    matt = ALBEDO / math.pi * world.irradiance(normals)
-    pixels = EXPOSURE * (matt + world.gloss(normals, np.array([0.0, 0.0, 1.0])))
+    diffuse = ALBEDO / math.pi * world.irradiance(normals)
+    pixels = EXPOSURE * (diffuse + world.specular(normals, np.array([0.0, 0.0, 1.0])))
     return observed(pixels), world
 
 
@@ -137,10 +137,10 @@ def quick():
 
 
 @pytest.mark.parametrize("sun", [*SUNS[:2], pytest.param(SUNS[2], marks=pytest.mark.slow)])
-def test_sun_albedo_gloss_and_light_come_back(sun):
+def test_sun_albedo_specular_scale_and_light_come_back(sun):
     _, world, found = found_under(sun)
     assert math.degrees(math.acos(float(found.sun_direction.double().numpy() @ world.sun))) < 1.5
-    assert found.faces[0].gloss == pytest.approx(1, abs=0.15)
+    assert found.faces[0].specular_scale == pytest.approx(1, abs=0.15)
     # a picture shows albedo times light: the tone alone is left to the prior
     ratio = found.albedo.double().numpy() / ALBEDO
     assert ratio == pytest.approx(ratio.mean(), rel=0.05)
@@ -211,7 +211,7 @@ def test_an_estimate_is_in_itself_consistent(first):
     sky = SunSky()(found.params[None])[0] * found.exposure
     flat = LambertianGround().append(sky, found.ground_albedo)
     rendered = found.albedo * (observation.transport.matrix @ flat)
-    rendered = rendered + found.faces[0].gloss * (observation.gloss.matrix @ flat)
+    rendered = rendered + found.faces[0].specular_scale * (observation.specular.matrix @ flat)
     torch.testing.assert_close(found.white_balance * rendered, found.rendered, rtol=1e-4, atol=1e-5)
     sky = SunSky(64)(found.params[None])[0] * found.exposure
     torch.testing.assert_close(sky, found.environment.upper().flat, rtol=1e-4, atol=1e-5)
@@ -281,7 +281,7 @@ def test_pictures_that_no_light_explains_come_with_advice(quick):
 
 
 def harmonic_light(degree):
-    """Coefficients of a light without degree 3, of which a matt ball shows nothing."""
+    """Coefficients of a light without degree 3, of which a diffuse ball shows nothing."""
     coefficients = 0.15 * np.random.default_rng(degree).standard_normal(((degree + 1) ** 2, 3))
     coefficients[0] = 4.0
     coefficients[9:16] = 0.0
@@ -289,12 +289,12 @@ def harmonic_light(degree):
 
 
 def harmonic_ball(degree):
-    """(light model, a matt ball in a light of that model)."""
+    """(light model, a diffuse ball in a light of that model)."""
     _, normals = ball_normals()
     light = torch.from_numpy(harmonic_light(degree))
     shading = harmonics.irradiance(light, torch.from_numpy(normals)).numpy() / math.pi
-    matt = replace(observed(MODES[1].double().numpy() * shading, rows=32), gloss=None)
-    return HarmonicLight(degree, height=32), matt
+    diffuse = replace(observed(MODES[1].double().numpy() * shading, rows=32), specular=None)
+    return HarmonicLight(degree, height=32), diffuse
 
 
 @pytest.mark.parametrize("light", ["sh9", "sunsky", "autoencoder"])

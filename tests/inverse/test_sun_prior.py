@@ -243,7 +243,7 @@ def test_models_tell_where_their_sun_is() -> None:
 
 def test_the_objective_counts_the_suns_place() -> None:
     prior = about(40.0, 50.0)
-    seen = replace(half_ball(), gloss=None)
+    seen = replace(half_ball(), specular=None)
     faces = [FaceTerm.of(seen), FaceTerm.of(seen)]
     model, weights = SunSky(), ObjectiveWeights()
     plain = LightObjective(faces[:1], model, normal(9), normal(3), weights)

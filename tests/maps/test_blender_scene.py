@@ -12,7 +12,7 @@ from PIL import Image
 
 from skylight._figures import describe_lamps
 from skylight.cli import main
-from skylight.faces._observe import SKIN_GLOSS
+from skylight.faces._observe import SKIN_SPECULAR
 from skylight.io._bounded import write_json
 from skylight.io._files import read_environment_map, write_environment_map
 from skylight.relight._lamps import SUN_RADIUS_RAD as NEAR_RAD, disc_diameter_rad
@@ -101,9 +101,9 @@ def test_the_numbers_are_the_estimates(estimate: Path) -> None:
     assert told["photograph_px"] == [48, 64]
     assert told["focal_length_px"] == 120
     assert told["albedo"] == [0.5, 0.4, 0.3]
-    assert told["roughness"] == SKIN_GLOSS.roughness
+    assert told["roughness"] == SKIN_SPECULAR.roughness
     reflectance = ((told["ior"] - 1) / (told["ior"] + 1)) ** 2
-    assert reflectance == pytest.approx(2 * SKIN_GLOSS.f0)
+    assert reflectance == pytest.approx(2 * SKIN_SPECULAR.f0)
     assert told["verdict"] == "ambiguous: wide region"
     assert told["advice"] == ["grey picture"]
     out = estimate.parent / "out"
@@ -179,7 +179,7 @@ def test_without_a_sun_to_be_seen_all_light_is_the_worlds(estimate: Path) -> Non
     torch.testing.assert_close(shown, torch.ones_like(shown), rtol=0.01, atol=0)
 
 
-def test_a_gloss_that_would_reflect_more_than_all_has_an_index_of_refraction(
+def test_a_specular_scale_that_would_reflect_more_than_all_has_an_index_of_refraction(
     estimate: Path,
 ) -> None:
     rewrite(estimate, {"gloss": 1e6})

@@ -61,7 +61,7 @@ def lit(view: ObjectView, light: EnvironmentMap) -> ObjectView:
 
 
 def part_of(whole: Observation, pixels: torch.Tensor) -> Observation:
-    """An observation of some of the pixels alone; without gloss."""
+    """An observation of some of the pixels alone; without specular reflection."""
     return Observation(
         pixels=whole.pixels[pixels],
         weights=whole.weights[pixels],
@@ -174,7 +174,7 @@ class TestHarmonics:
         torch.testing.assert_close(found.rendered, expected.rendered)
 
     def test_noise_does_not_run_away(self, front: ObjectView) -> None:
-        """49 harmonics of which a matt thing shows few: the ridge grows with the noise."""
+        """49 harmonics of which a diffuse thing shows few: the ridge grows with the noise."""
         truth, environment = harmonic_light(2)
         view = lit(front, environment)
         noise = torch.randn(
@@ -294,8 +294,8 @@ class TestSparse:
         assert found.residual < 0.01
         assert found.clamped_share < 0.01
 
-    @pytest.mark.slow  # as of a matt thing; the command's test has gloss too
-    def test_gloss_on_a_coloured_thing(self) -> None:
+    @pytest.mark.slow  # as of a diffuse thing; the command's test has specular reflection too
+    def test_specular_reflection_on_a_coloured_thing(self) -> None:
         material = ObjectMaterial(
             albedo=(0.8, 0.5, 0.3), specular=Specular(f0=0.04, roughness=0.4), share=1.0
         )
@@ -311,7 +311,7 @@ class TestSparse:
 
     @pytest.mark.slow
     def test_metal_shows_the_light(self) -> None:
-        """A ball without a matt part: a mirror that is a little rough."""
+        """A ball without a diffuse part: a mirror that is a little rough."""
         material = ObjectMaterial(albedo=(0.0, 0.0, 0.0), specular=Specular(f0=0.9, roughness=0.4))
         view = seen_by(object_camera(FRONT, height=56, width=56), icosphere(4), material=material)
         directions, environment = lobes([[10, 60], [14, 5]], self.COLOURS)
@@ -411,7 +411,10 @@ class TestRefused:
             ({"albedo": (0.0, 0.0, 0.0)}, "no light of some colour"),
             ({"specular": Specular(f0=0.04, roughness=0.1)}, "roughness must be"),
             ({"specular": Specular(f0=0.0, roughness=0.5)}, "reflectance must be"),
-            ({"specular": Specular(f0=0.04, roughness=0.5), "share": 0.0}, "share of gloss"),
+            (
+                {"specular": Specular(f0=0.04, roughness=0.5), "share": 0.0},
+                "share of specular reflection",
+            ),
             ({"albedo": (0.5, float("nan"), 0.5)}, "from 0 to 1"),
         ],
     )
@@ -423,9 +426,9 @@ class TestRefused:
         with pytest.raises(InputError, match="1 or more"):
             estimate_object_light(front.observation, "vmf", material=CORAL, activations=0)
 
-    def test_gloss_of_one_alone(self, front: ObjectView) -> None:
+    def test_specular_reflection_of_one_alone(self, front: ObjectView) -> None:
         metal = ObjectMaterial(albedo=(0.5, 0.5, 0.5), specular=Specular(f0=0.5, roughness=0.5))
-        with pytest.raises(ValueError, match="disagree about gloss"):
+        with pytest.raises(ValueError, match="disagree about specular reflection"):
             estimate_object_light(front.observation, "sh9", material=metal)
 
     @pytest.mark.parametrize("light", ["sh9", "vmf", "lamps"])

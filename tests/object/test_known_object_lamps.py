@@ -54,7 +54,7 @@ def photographed(view: ObjectView, light: EnvironmentMap) -> Observation:
         matrix=torch.zeros(1, 1).expand(len(view.observation.pixels), len(light.grid)),
         grid=light.grid,
     )
-    seen = replace(view.observation, transport=fine, gloss=None)
+    seen = replace(view.observation, transport=fine, specular=None)
     pixels = lit(replace(view, observation=seen), light).observation.pixels
     return replace(view.observation, pixels=pixels)
 
@@ -127,7 +127,7 @@ def test_a_colour_that_is_black_is_no_light() -> None:
 
 @pytest.mark.slow
 def test_a_metal_shows_three() -> None:
-    """A ball without a matt part: a mirror that is a little rough."""
+    """A ball without a diffuse part: a mirror that is a little rough."""
     metal = ObjectMaterial(albedo=(0.0, 0.0, 0.0), specular=Specular(f0=0.9, roughness=0.4))
     view = seen_by(object_camera(FRONT, height=56, width=56), icosphere(4), material=metal)
     seen = photographed(view, planted(STRONG, WEAK, LOW))
@@ -135,7 +135,7 @@ def test_a_metal_shows_three() -> None:
 
 
 @pytest.mark.slow
-def test_gloss_on_a_coloured_thing() -> None:
+def test_specular_reflection_on_a_coloured_thing() -> None:
     material = ObjectMaterial(albedo=CORAL.albedo, specular=Specular(f0=0.04, roughness=0.4))
     view = seen_by(object_camera(FRONT, height=56, width=56), bumpy(), material=material)
     seen = photographed(view, planted(RED, BLUE))

@@ -45,7 +45,7 @@ class Outdoors:
         """Irradiance (n, 3) of planes that see everything above them."""
         return self.reflected(normals, lambda w: np.ones((len(normals), len(w))))
 
-    def gloss(self, normals, view):
+    def specular(self, normals, view):
         """Radiance towards ``view`` by a GGX surface (Walter et al. 2007; masking and shadowing of
         Heitz 2014, eq. 99; Schlick 1994)."""
 

@@ -72,7 +72,7 @@ def test_layers_add_up() -> None:
     def picture(lit: np.ndarray, entering: np.ndarray) -> np.ndarray:
         layers = Layers(
             diffuse=albedo * lit,
-            gloss=np.full((48, 48, 3), 0.25),
+            specular=np.full((48, 48, 3), 0.25),
             albedo=albedo,
             cover=cover,
             entering=entering,

@@ -71,7 +71,7 @@ def test_layers_agree_with_our_own_renderer(column: int) -> None:
     # Schlick's formula, ours, is up to a quarter below Fresnel's for light at 60 degrees
     for ours, theirs, low, high in (
         (diffuse, layers.diffuse, 0.97, 1.03),
-        (both - diffuse, layers.gloss, 0.97, 1.2),
+        (both - diffuse, layers.specular, 0.97, 1.2),
     ):
         a, b = ours[bare].numpy(), theirs[rows, columns][bare.numpy()]
         ratio = b.mean(0) / a.mean(0)
@@ -164,7 +164,7 @@ def test_a_sun_as_a_disc_gives_what_one_in_a_pixel_gives() -> None:
     one = layers_of(who, light, samples=36, seed=6)
     two = trace(who, parted, some_patches(50), samples=36, seed=6)
     bare = seen_parts(who).bare
-    for name in ("diffuse", "gloss"):
+    for name in ("diffuse", "specular"):
         a, b = getattr(one, name)[bare], getattr(two, name)[bare]
         assert b.mean() / a.mean() == pytest.approx(1, abs=0.03)
     assert np.corrcoef(one.diffuse[bare, 1], two.diffuse[bare, 1])[0, 1] > 0.95

@@ -8,7 +8,7 @@ import torch
 
 from skylight.faces._fit import FaceFit
 from skylight.faces._model import HeadModel, Region
-from skylight.faces._observe import SKIN_GLOSS
+from skylight.faces._observe import SKIN_SPECULAR
 from skylight.portrait._surface import HAIR, THICKNESS_M, PersonSurface, hair_shell
 from skylight.sphere._envmap import EnvironmentMap
 from tests.sunny_face import direction, sunny_face
@@ -101,7 +101,7 @@ def test_it_shades_the_forehead_below_a_fringe(fit: FaceFit) -> None:
         for hair in (None, drawn(slice(0, round(fringe))))
     )
     images = [
-        one.surface.image(one.shade(light, SKIN_GLOSS).diffuse).numpy()[..., 0]
+        one.surface.image(one.shade(light, SKIN_SPECULAR).diffuse).numpy()[..., 0]
         for one in (bald, hairy)
     ]
     regions = hairy.region_image()

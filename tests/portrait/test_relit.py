@@ -10,14 +10,14 @@ import torch
 
 from skylight.errors import InputError
 from skylight.faces._model import Region
-from skylight.faces._observe import SKIN_GLOSS
-from skylight.portrait._relit import MOST_GLOSS, Keep, Portrait, shared_light, upright_irradiance
+from skylight.faces._observe import SKIN_SPECULAR
+from skylight.portrait._relit import MOST_SPECULAR, Keep, Portrait, shared_light, upright_irradiance
 from skylight.portrait._surface import BUST, PersonSurface, Shading, scaled
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.transport._render import render_diffuse
 from tests.sunny_face import direction, sunny_face
 
-GLOSS = 0.8
+SPECULAR_SCALE = 0.8
 ALBEDO = np.array([0.45, 0.3, 0.22], np.float32)
 
 
@@ -37,12 +37,12 @@ def person() -> PersonSurface:
 
 @cache
 def shade(light: EnvironmentMap) -> Shading:
-    return person().shade(light, SKIN_GLOSS)
+    return person().shade(light, SKIN_SPECULAR)
 
 
 def image(light: EnvironmentMap, albedo: np.ndarray = ALBEDO) -> np.ndarray:
-    """The person by its own model: every pixel of one albedo, with gloss, before black."""
-    lit = torch.from_numpy(albedo) * shade(light).diffuse + GLOSS * shade(light).glossy
+    """The person by its own model: all of one albedo, with specular reflection, before black."""
+    lit = torch.from_numpy(albedo) * shade(light).diffuse + SPECULAR_SCALE * shade(light).specular
     return person().surface.image(lit).numpy()
 
 
@@ -53,7 +53,7 @@ def portrait(
         torch.from_numpy(picture),
         person(),
         light,
-        GLOSS,
+        SPECULAR_SCALE,
         np.full(picture.shape[:2], hair, np.float32),
         (person().region_image() >= 0).astype(np.float32),
         grey=grey,
@@ -83,15 +83,15 @@ def test_shading_is_the_reference_renderers() -> None:
     )
     off = (ours.diffuse - want).abs().mean() / want.mean()
     assert off < 0.004  # rays that adaptive visibility leaves out
-    with_gloss = render_diffuse(
+    with_specular = render_diffuse(
         one.surface,
         light,
         torch.ones(count, 3),
         one.rays.raycaster,  # type: ignore[arg-type]
-        specular=SKIN_GLOSS,
+        specular=SKIN_SPECULAR,
         fine_height=128,
     )
-    off = (ours.glossy - (with_gloss - want)).abs().mean() / ours.glossy.mean()
+    off = (ours.specular - (with_specular - want)).abs().mean() / ours.specular.mean()
     assert off < 0.01
     assert one.face_px == pytest.approx(40.0)
     assert face.truth.camera.height / one.camera.height > 1
@@ -170,27 +170,27 @@ def test_twice_the_exposure_is_twice_the_picture(keep: Keep) -> None:
     np.testing.assert_array_equal(double, 2 * single)
 
 
-def test_gloss_is_no_more_than_a_part_of_what_skin_shows() -> None:
-    """A blue channel that an estimate takes for gloss alone would leave no albedo there."""
+def test_specular_reflection_is_no_more_than_a_part_of_what_skin_shows() -> None:
+    """A blue channel taken for specular reflection alone would leave no albedo there."""
     light = sunny(40.0, 50.0)
     seen = image(light)
     seen[..., 2] *= 0.2
     one = portrait(light, seen)
     skin = one.bare > 0
-    assert one.gloss < GLOSS
-    _, glossy = one.shaded_by(light)
-    np.testing.assert_allclose(glossy, one.glossy, rtol=1e-5)
-    shares = glossy[skin].mean(0) / seen[skin].mean(0)
-    assert shares.max() == pytest.approx(MOST_GLOSS, rel=1e-4)
-    assert of_the_model(light).gloss == GLOSS
+    assert one.specular_scale < SPECULAR_SCALE
+    _, specular = one.shaded_by(light)
+    np.testing.assert_allclose(specular, one.specular, rtol=1e-5)
+    shares = specular[skin].mean(0) / seen[skin].mean(0)
+    assert shares.max() == pytest.approx(MOST_SPECULAR, rel=1e-4)
+    assert of_the_model(light).specular_scale == SPECULAR_SCALE
 
 
-def test_what_the_limit_of_gloss_costs_the_darkest_skin() -> None:
-    """Half of the blue that it shows is gloss and is cut: highlights stay in part."""
+def test_what_the_limit_of_specular_reflection_costs_the_darkest_skin() -> None:
+    """Half of the blue that it shows is specular reflection and is cut: highlights stay in part."""
     dark = np.array([0.08, 0.045, 0.03], np.float32)
     old, new = sunny(50.0, 45.0), sunny(-60.0, 35.0)
     one = portrait(old, image(old, dark))
-    assert 0.5 * GLOSS < one.gloss < 0.9 * GLOSS
+    assert 0.5 * SPECULAR_SCALE < one.specular_scale < 0.9 * SPECULAR_SCALE
     picture, _ = one.under(new)
     want, inner = image(new, dark)[on_skin()], on_skin()
     error = np.abs(picture[inner] - want).mean() / want.mean()

@@ -208,7 +208,9 @@ def test_three_js_itself_lights_a_ball_with_lamps_and_probe(tmp_path: Path) -> N
         page.wait_for_function("window.ready === true", timeout=30000)
         shown = page.evaluate("(axes) => window.show(axes)", [n.tolist() for n in normals])
     for normal, seen in zip(normals, shown, strict=True):
-        assert seen["matt"] == pytest.approx((LIT.irradiance(normal) / math.pi).tolist(), rel=0.02)
+        assert seen["diffuse"] == pytest.approx(
+            (LIT.irradiance(normal) / math.pi).tolist(), rel=0.02
+        )
 
 
 def test_usd_itself_reads_the_lamps(tmp_path: Path) -> None:
@@ -257,9 +259,9 @@ if white.node_tree is None:
     white.use_nodes = True
 nodes = white.node_tree.nodes
 nodes.clear()
-matt, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
-matt.inputs["Color"].default_value = 1, 1, 1, 1
-white.node_tree.links.new(matt.outputs["BSDF"], output.inputs["Surface"])
+diffuse, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
+diffuse.inputs["Color"].default_value = 1, 1, 1, 1
+white.node_tree.links.new(diffuse.outputs["BSDF"], output.inputs["Surface"])
 plane.data.materials.append(white)
 seen = []
 for x, y, z in asked:

@@ -42,7 +42,7 @@ def sunny_map() -> EnvironmentMap:
     return EnvironmentMap(radiance=radiance.reshape(64, 128, 3).float())
 
 
-# a matt surface's light
+# a diffuse surface's light
 
 
 def test_what_arcores_shader_adds_up_is_the_probes_irradiance(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ from skylight.relight._runtime import (
 )
 from skylight.sphere._envmap import EnvironmentMap, shift_columns
 from skylight.sphere._frame import DirectionGrid
-from skylight.transport._scene import evaluation_scene, matt_surface
+from skylight.transport._scene import diffuse_surface, evaluation_scene
 
 
 def random_map(height, width, seed=0):
@@ -89,13 +89,13 @@ def test_tone_map_is_the_package_s(white):
 @pytest.mark.parametrize("height", [64, 128])
 def test_relight_is_the_evaluation_scene_s(height, tmp_path):
     torch_scene = evaluation_scene(24)
-    matt = torch_scene.matt
+    diffuse = torch_scene.diffuse
     make_scene(
         camera=torch_scene.camera,
-        pixels=matt.pixels,
-        normals=matt_surface(torch_scene.camera)[0].normals,
+        pixels=diffuse.pixels,
+        normals=diffuse_surface(torch_scene.camera)[0].normals,
         albedo=torch_scene.albedo,
-        on_ground=torch.zeros(len(matt), dtype=torch.bool),
+        on_ground=torch.zeros(len(diffuse), dtype=torch.bool),
         visible=pack_visibility(torch_scene.transport),
         grid=torch_scene.grid,
     ).save(tmp_path / "scene.npz")
@@ -103,7 +103,7 @@ def test_relight_is_the_evaluation_scene_s(height, tmp_path):
     got = relight(load_scene(tmp_path / "scene.npz"), environment.radiance.numpy())
     expected = torch_scene.relight(environment).numpy()
     np.testing.assert_allclose(got, expected, rtol=2e-3, atol=1e-4)
-    inside = got[matt.pixels[:, 0], matt.pixels[:, 1]]
+    inside = got[diffuse.pixels[:, 0], diffuse.pixels[:, 1]]
     np.testing.assert_allclose(inside, torch_scene.shade(environment), rtol=2e-5)
 
 

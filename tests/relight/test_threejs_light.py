@@ -55,14 +55,14 @@ window.show = async (axes) => {
   mirrored.environment = texture;
   const mirror = new T.MeshStandardMaterial({metalness: 1, roughness: 0});
   mirrored.add(new T.Mesh(new T.SphereGeometry(1, 128, 64), mirror));
-  const matt = new T.Scene();
+  const diffuse = new T.Scene();
   const probe = await (await fetch('/files/lightprobe.json')).json();
-  matt.add(new T.ObjectLoader().parse(probe));
-  matt.add(new T.Mesh(new T.SphereGeometry(1, 128, 64), new T.MeshLambertMaterial()));
+  diffuse.add(new T.ObjectLoader().parse(probe));
+  diffuse.add(new T.Mesh(new T.SphereGeometry(1, 128, 64), new T.MeshLambertMaterial()));
   return axes.map((a) => ({
     background: look(sky, [0, 0, 0], a),
     mirror: look(mirrored, a.map((x) => 5 * x), [0, 0, 0]),
-    matt: look(matt, a.map((x) => 5 * x), [0, 0, 0]),
+    diffuse: look(diffuse, a.map((x) => 5 * x), [0, 0, 0]),
   }));
 };
 window.ready = true;
@@ -115,4 +115,4 @@ def test_what_the_library_renders_has_the_axes_colours(tmp_path: Path) -> None:
         assert seen["background"] == pytest.approx(colour, abs=0.06)
         assert seen["mirror"] == pytest.approx(colour, abs=0.06)
         received = light.irradiance(torch.tensor(axis)) / math.pi
-        assert seen["matt"] == pytest.approx(received.tolist(), abs=0.01)
+        assert seen["diffuse"] == pytest.approx(received.tolist(), abs=0.01)

@@ -37,7 +37,7 @@ def test_numbers_come_back(convention: HarmonicConvention) -> None:
 def test_arcores_sample_shader_finds_our_irradiance() -> None:
     numbers = to_convention(LIGHT, "arcore").reshape(9, 3)
     coefficients = numbers * torch.tensor(ARCORE_FACTORS, dtype=torch.float64)[:, None]
-    radiance = polynomials(NORMALS) @ coefficients  # of a white matt surface
+    radiance = polynomials(NORMALS) @ coefficients  # of a white diffuse surface
     torch.testing.assert_close(radiance, irradiance(LIGHT, NORMALS) / math.pi, atol=2e-5, rtol=1e-5)
 
 

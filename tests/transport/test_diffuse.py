@@ -10,10 +10,10 @@ from skylight.transport._matrix import TransportMatrix, diffuse_transport, visib
 from skylight.transport._rays import Raycaster
 from skylight.transport._reflection import (
     DiffuseTransport,
-    GlossyTransport,
     SkyTransport,
-    glossy_transport,
+    SpecularTransport,
     shade_scenes,
+    specular_transport,
 )
 from skylight.transport._render import Specular
 from tests.transport.shapes import icosphere, seen_sphere
@@ -27,21 +27,21 @@ def random(*shape: int, seed: int = 0) -> torch.Tensor:
     return torch.rand(shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
 
 
-def matt(seed: int = 0) -> DiffuseTransport:
+def diffuse(seed: int = 0) -> DiffuseTransport:
     return DiffuseTransport(
         random(POINTS, len(GRID), seed=seed) > 0.3, random(POINTS, 3, seed=seed + 1) - 0.5, GRID
     )
 
 
-def glossy(seed: int = 0) -> GlossyTransport:
+def specular(seed: int = 0) -> SpecularTransport:
     """Views near the normals, where the lobe is smooth."""
     normals = normalize(random(POINTS, 3, seed=seed + 1) - 0.5)
     views = normalize(normals + 0.5 * random(POINTS, 3, seed=seed + 2))
     visible = random(POINTS, len(GRID), seed=seed) > 0.3
-    return GlossyTransport(visible, normals, GRID, views=views, specular=Specular())
+    return SpecularTransport(visible, normals, GRID, views=views, specular=Specular())
 
 
-@pytest.fixture(params=[matt, glossy])
+@pytest.fixture(params=[diffuse, specular])
 def make(request: pytest.FixtureRequest) -> Callable[[int], DiffuseTransport]:
     return request.param
 
@@ -61,8 +61,8 @@ def test_the_matrices_are_those_of_ray_casting():
     torch.testing.assert_close(module.transport_matrix().matrix, traced.matrix, atol=1e-6, rtol=0)
 
     views, lobe = normalize(-gbuffer.positions), Specular(roughness=0.5)
-    expected = glossy_transport(traced, normals, views, lobe)
-    shiny = GlossyTransport(visible, normals, grid, views=views, specular=lobe)
+    expected = specular_transport(traced, normals, views, lobe)
+    shiny = SpecularTransport(visible, normals, grid, views=views, specular=lobe)
     torch.testing.assert_close(
         shiny.transport_matrix().matrix, expected.matrix, atol=1e-5, rtol=1e-3
     )

@@ -6,7 +6,7 @@ import torch
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid, direction_from_angles
 from skylight.transport._render import Specular, ggx, light_samples, render_diffuse
-from skylight.transport._scene import evaluation_scene, matt_surface
+from skylight.transport._scene import diffuse_surface, evaluation_scene
 from tests.transport.shapes import seen_sphere
 
 
@@ -76,10 +76,10 @@ def test_the_specular_lobe_only_adds_light():
     gbuffer, caster = seen_sphere(subdivisions=3, height=24)
     albedo = torch.full((len(gbuffer), 3), 0.4)
     environment = sunny(120, 60)
-    matt = render_diffuse(gbuffer, environment, albedo, caster)
+    diffuse = render_diffuse(gbuffer, environment, albedo, caster)
     shiny = render_diffuse(gbuffer, environment, albedo, caster, specular=Specular())
-    assert (shiny >= matt).all()
-    assert (shiny > matt + 0.01).any()
+    assert (shiny >= diffuse).all()
+    assert (shiny > diffuse + 0.01).any()
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def test_shadows_fall_where_the_sun_is_hidden(scene, azimuth_deg):
     environment = sunny(azimuth_deg, 60, height=16)
     sun = environment.grid.directions[environment.flat[:, 0].argmax()]
     lit = scene.shade(environment)[:, 0]
-    surface, _, _ = matt_surface(scene.camera)
+    surface, _, _ = diffuse_surface(scene.camera)
     ground = (scene.albedo[:, 0] == 0.5) & (surface.normals[:, 1] > 0.99)
     dark = lit < 0.5 * lit[ground].max()
 
@@ -126,12 +126,12 @@ def test_shadows_fall_where_the_sun_is_hidden(scene, azimuth_deg):
 
 def test_relit_pictures_show_the_environment_behind(scene):
     environment = EnvironmentMap(radiance=torch.full((16, 32, 3), 2.0))
-    for picture in (scene.relight(environment), scene.relight_glossy(environment)):
+    for picture in (scene.relight(environment), scene.relight_specular(environment)):
         assert picture.shape == (36, 48, 3)
         torch.testing.assert_close(picture[0, 0], torch.full((3,), 2.0))
     # a constant light is reflected whole by every metal pixel
     row, column = scene.metal.pixels[0]
-    assert scene.relight_glossy(environment)[row, column].tolist() == pytest.approx([1.8] * 3)
+    assert scene.relight_specular(environment)[row, column].tolist() == pytest.approx([1.8] * 3)
 
 
 def test_a_sky_without_ground_is_refused(scene):

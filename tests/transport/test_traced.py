@@ -9,8 +9,8 @@ from skylight.errors import AssetError
 from skylight.transport._matrix import diffuse_transport
 from skylight.transport._scene import (
     TracedScene,
+    diffuse_surface,
     evaluation_scene,
-    matt_surface,
     shipped_path,
     trace_scene,
 )
@@ -24,12 +24,12 @@ def test_what_ships_is_what_is_traced(height: int, grid_height: int) -> None:
     """Of scores and reports; but for the pixels at edges, where rounding may decide."""
     shipped, traced = TracedScene.load(shipped_path(height, grid_height)), trace_scene(height, 8)
     assert (shipped.height, shipped.grid_height) == (height, grid_height)
-    one, other = (scene.matt.image(scene.normals) for scene in (shipped, traced))
+    one, other = (scene.diffuse.image(scene.normals) for scene in (shipped, traced))
     alike = (one - other).abs().amax(-1) < 1e-5
     assert alike.float().mean() > 0.999
     one, other = (scene.metal.image(scene.mirrored) for scene in (shipped, traced))
     assert ((one - other).abs().amax(-1) < 1e-4).float().mean() > 0.999
-    surface, raycaster, on_ground = matt_surface(evaluation_scene(height, grid_height).camera)
+    surface, raycaster, on_ground = diffuse_surface(evaluation_scene(height, grid_height).camera)
     some = torch.arange(0, len(surface), 37)
     assert torch.equal(shipped.on_ground[some], on_ground[some])
     grid = evaluation_scene(height, grid_height).transport.grid
@@ -55,9 +55,9 @@ def test_a_traced_scene_comes_back(traced: TracedScene, tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.visible, traced.visible)
     for name in ("normals", "on_ground", "mirrored"):
         assert torch.equal(getattr(again, name), getattr(traced, name)), name
-    assert torch.equal(again.matt.pixels, traced.matt.pixels)
+    assert torch.equal(again.diffuse.pixels, traced.diffuse.pixels)
     assert torch.equal(again.metal.pixels, traced.metal.pixels)
-    assert (again.matt.layout, again.grid_height) == ((12, 16), 8)
+    assert (again.diffuse.layout, again.grid_height) == ((12, 16), 8)
 
 
 def test_a_damaged_scene_is_named(traced: TracedScene, tmp_path: Path) -> None:

@@ -2,8 +2,8 @@
 
 Every keyframe k is a face in the objective of :mod:`skylight.inverse._objective`,
 its transport in the world's frame (:func:`in_world`). What all share are the sky's free parameters
-x_k, which drift (a random walk, whose strength is found from the data), and albedo, gloss and
-ground, which do not; exposure, white balance and what the head's normals are wrong by are each
+x_k, which drift (a random walk, whose strength is found from the data), and albedo, specular scale
+and ground, which do not; exposure, white balance and what the head's normals are wrong by are each
 frame's own.
 
 The start is one light for a few keyframes. Then, several times: each frame's likelihood becomes its
@@ -49,7 +49,7 @@ _ANY_AZIMUTH = np.pi**2 / 3
 # and what it gains in a second by a drift of 1: the fastest drift turns the sky by 2.5 degrees in
 # ten minutes, as the sun does.
 _TURNING = np.radians(2.5) ** 2 / (600 * DRIFTS[1])
-_SKIN = 4  # of a face's unknowns: gloss and albedo; the rest are its normals'
+_SKIN = 4  # of a face's unknowns: specular scale and albedo; the rest are its normals'
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +86,7 @@ class FilmLight:
     start: Estimate
     ground_albedo: Float[Tensor, "3"]
     albedo: Float[Tensor, "3"]
-    gloss: float
+    specular_scale: float
     drift_per_s: float
     noise: float
 
@@ -193,7 +193,7 @@ class _Film:
             start=start,
             ground_albedo=parts.ground_albedo[0],
             albedo=parts.albedo[0, 0],
-            gloss=float(parts.gloss[0, 0]),
+            specular_scale=float(parts.specular_scale[0, 0]),
             drift_per_s=self.drift,
             noise=self.noise,
         )
@@ -343,7 +343,7 @@ def _starting(objective: LightObjective, start: Estimate) -> Float[Tensor, "1 q"
         return objective.pack(
             start.params[None],
             exposure,
-            first.gloss * ones if first.gloss > 0 else ones,
+            first.specular_scale * ones if first.specular_scale > 0 else ones,
             first.albedo[None, None],
             start.ground_albedo[None],
         )
@@ -377,7 +377,7 @@ def in_world(observation: Observation, world_from_camera: Float[ndarray, "3 3"])
     return replace(
         observation,
         transport=moved(observation.transport),
-        gloss=None if observation.gloss is None else moved(observation.gloss),
+        specular=None if observation.specular is None else moved(observation.specular),
         normal_modes=normal_modes,
     )
 

@@ -74,7 +74,7 @@ def describe_film(result: FilmEstimate, *, source: str) -> dict[str, object]:
         "params": light.mean.params.tolist(),
         "ground_albedo": light.ground_albedo.tolist(),
         "albedo": light.albedo.tolist(),
-        "gloss": light.gloss,
+        "gloss": light.specular_scale,
         "drift_per_s": light.drift_per_s,
         "noise": light.noise,
         "focal_length_px": result.fits[0].camera.focal_px,

@@ -147,7 +147,7 @@ def _compared(
     except InputError as wrong:
         raise InputError(
             f"{wrong}: material and {reference} must lie side by side, in the same light and "
-            "without gloss"
+            "without specular reflection"
         ) from wrong
 
 

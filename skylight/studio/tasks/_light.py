@@ -113,7 +113,7 @@ def keep_lamps(folder: Path, result: PhotoEstimate) -> dict[str, Any]:
         observation = seen.view.observation
         transport = FaceTransport.of(observation, face, light.level)
         kept = {
-            "matt": transport.matt,
+            "matt": transport.diffuse,
             "pixel_albedo": transport.pixel_albedo,
             "gains": transport.gains,
             "grey": torch.tensor(transport.grey),
@@ -122,8 +122,8 @@ def keep_lamps(folder: Path, result: PhotoEstimate) -> dict[str, Any]:
             "blocks": seen.view.blocks,
             "white": torch.tensor(white_of(observation.pixels), dtype=torch.float64),
         }
-        if transport.glossy is not None:
-            kept["glossy"] = transport.glossy
+        if transport.specular is not None:
+            kept["glossy"] = transport.specular
         tensors |= {f"{number}.{name}": tensor for name, tensor in kept.items()}
     write_tensors(folder / KEPT, tensors)
     return {
@@ -186,8 +186,8 @@ def _kept(folder: str) -> tuple[LampLight, list[_Face]]:
             if name.startswith(start)
         }
         transport = FaceTransport(
-            matt=mine["matt"],
-            glossy=mine.get("glossy"),
+            diffuse=mine["matt"],
+            specular=mine.get("glossy"),
             pixel_albedo=mine["pixel_albedo"],
             gains=mine["gains"],
             grey=bool(mine["grey"]),

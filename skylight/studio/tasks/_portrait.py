@@ -1,9 +1,9 @@
 """A person taken apart for a page that moves the sun: shading and transport, without the light.
 
-The page adds, at each of the m points of the person's surface, to the shading S_0 and gloss g_0
-by all light but the sun's ::
+The page adds, at each of the m points of the person's surface, to the shading S_0 and specular
+reflection g_0 by all light but the sun's ::
 
-    S = S_0 + E / pi V(d) <n, d>+,     g = g_0 + gloss E V(d) <n, d>+ f_s(n, d, v),
+    S = S_0 + E / pi V(d) <n, d>+,     g = g_0 + specular_scale E V(d) <n, d>+ f_s(n, d, v),
 
 for a sun of irradiance E at d, and goes on as :mod:`skylight.portrait._relit` does. V(d) is
 interpolated between the four nearest of 32 x 64 directions, so shadows have penumbras of 5.6
@@ -31,7 +31,7 @@ from torch.nn.functional import normalize
 
 from skylight.estimation._summary import PhotoEstimate
 from skylight.faces._fit import FaceFit
-from skylight.faces._observe import SKIN_GLOSS
+from skylight.faces._observe import SKIN_SPECULAR
 from skylight.imaging._colour import linear_to_srgb
 from skylight.imaging._photo import Photo
 from skylight.io._tensors import read_tensors, write_tensors
@@ -114,7 +114,7 @@ def keep_person(folder: Path, result: PhotoEstimate, command: dict[str, Any]) ->
         "strength": float(luminance(sun.irradiance)) / sun.level if sun.level > 0 else None,
         "level": sun.level,
         "spread_rad": sun.spread_rad,
-        "gloss": reflection.gloss,
+        "gloss": reflection.specular_scale,
         "landmark_error": fit.landmark_error,
         "converged": fit.converged,
         "warning": warning_of(estimate),
@@ -151,7 +151,9 @@ def kept_person(folder: Path) -> KeptPerson:
     )
     return KeptPerson(
         fit=fit,
-        reflection=FaceReflection(gloss=facts.pop("gloss"), head_error=tensors.get("head_error")),
+        reflection=FaceReflection(
+            specular_scale=facts.pop("gloss"), head_error=tensors.get("head_error")
+        ),
         found=EnvironmentMap(radiance=tensors["found"]),
         sun=sun,
         facts=facts,
@@ -198,7 +200,7 @@ def packed(portrait: Portrait, person: KeptPerson) -> tuple[dict[str, Tensor], d
     :func:`~skylight.portrait._relit.coarse_power`; ``rest_map`` is to be looked at.
     """
     surface, sun = portrait.person.surface, person.sun
-    rest_shading, rest_glossy = portrait.shaded_by(sun.rest)
+    rest_shading, rest_specular = portrait.shaded_by(sun.rest)
     rows, columns = np.nonzero(portrait.covered)  # row by row, as the surface has them
     left, top, width, height = _crop(portrait)
     codes = (linear_to_srgb(torch.from_numpy(portrait.photo).clamp(0, 1)) * 255).round()
@@ -209,10 +211,10 @@ def packed(portrait: Portrait, person: KeptPerson) -> tuple[dict[str, Tensor], d
     azimuth, zenith = angles_from_direction(sun.direction)
     of_points = {
         "shading": portrait.shading,
-        "glossy": portrait.glossy,
+        "glossy": portrait.specular,
         "local": portrait.local,
         "rest_shading": rest_shading,
-        "rest_glossy": rest_glossy,
+        "rest_glossy": rest_specular,
         "inside": portrait.inside,
         "bare": portrait.bare,
     }
@@ -235,8 +237,8 @@ def packed(portrait: Portrait, person: KeptPerson) -> tuple[dict[str, Tensor], d
         "sun": {"azimuth_deg": math.degrees(azimuth), "zenith_deg": math.degrees(zenith)},
         "irradiance": irradiance.tolist(),
         "map_rows": sun.rest.layout[0],
-        "gloss": portrait.gloss,
-        "lobe": {"f0": SKIN_GLOSS.f0, "alpha": SKIN_GLOSS.alpha},
+        "gloss": portrait.specular_scale,
+        "lobe": {"f0": SKIN_SPECULAR.f0, "alpha": SKIN_SPECULAR.alpha},
         "soft_px": SOFT * portrait.person.face_px,
         "dark": DARK,
         "base": BASE,

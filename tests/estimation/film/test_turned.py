@@ -29,7 +29,7 @@ def seen() -> Observation:
         weights=torch.ones(40),
         places=torch.arange(80).reshape(40, 2),
         transport=transport,
-        gloss=transport,
+        specular=transport,
         normal_modes=NormalModes.of(transport, normals, modes, 16),
     )
 
@@ -60,8 +60,8 @@ def test_a_turn_about_the_vertical_by_whole_columns_is_exact() -> None:
     expected = observation.transport.matrix @ in_camera.flat
     found = in_world(observation, turn)
     torch.testing.assert_close(found.transport.matrix @ world.flat, expected, rtol=1e-4, atol=1e-5)
-    assert found.gloss is not None
-    torch.testing.assert_close(found.gloss.matrix @ world.flat, expected, rtol=1e-4, atol=1e-5)
+    assert found.specular is not None
+    torch.testing.assert_close(found.specular.matrix @ world.flat, expected, rtol=1e-4, atol=1e-5)
 
 
 def test_any_turn_is_that_of_the_light() -> None:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 GROUND = FAR_EYES[1] - 1.6
 EVEN = torch.full((64, 128, 3), 0.5)
-GREY = 0.18  # of the matt ball
+GREY = 0.18  # of the diffuse ball
 CHROME = (0.55, 0.556, 0.554)
 
 
@@ -45,7 +45,7 @@ def light_of(radiance: torch.Tensor) -> Light:
 
 
 def test_balls_hang_beside_the_face_and_show_the_light(show: Callable[..., "Page"]) -> None:
-    """The matt one what a path of one bounce brings to it, the chrome one what it mirrors."""
+    """The diffuse one what a path of one bounce brings to it, the chrome one what it mirrors."""
     radiance = 0.5 * ((DirectionGrid.latlong(64).directions + 1) / 2).reshape(64, 128, 3).float()
     page = show(radiance)
     expect(page.get_by_label("Object", exact=True)).to_have_value("balls")

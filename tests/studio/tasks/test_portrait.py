@@ -104,11 +104,11 @@ def balanced(
     portrait: Portrait, light: EnvironmentMap
 ) -> tuple[Float[np.ndarray, "p q 3"], Float[np.ndarray, "p q 3"]]:
     """S_B and g_B with the colour of skin's mean shading kept (``keep="place"``)."""
-    shading, glossy = portrait.shaded_by(light)
+    shading, specular = portrait.shaded_by(light)
     received = shading[portrait.bare > 0].mean(0)
     gains = portrait.mean / received
     gains *= (received @ LUMINANCE) / ((gains * received) @ LUMINANCE)
-    return gains * shading, gains * glossy
+    return gains * shading, gains * specular
 
 
 @pytest.mark.parametrize("main", ["lamp", pytest.param("sun", marks=pytest.mark.slow)])
@@ -116,7 +116,7 @@ def test_what_is_kept_gives_the_portrait_of_the_estimate(told: Told, main: str) 
     """A portrait is a function of fit, reflection and light found, and these are kept exactly.
 
     So no portrait need be compared: of equal numbers that lie elsewhere in memory a sum may be
-    taken in another order, and the steep lobe of gloss amplifies its last bit a thousandfold.
+    taken in another order, and the steep specular lobe amplifies its last bit a thousandfold.
     """
     folder, result = told.folder, told.found
     if main == "sun":
@@ -125,7 +125,7 @@ def test_what_is_kept_gives_the_portrait_of_the_estimate(told: Told, main: str) 
     for field in dataclasses.fields(FaceFit):
         np.testing.assert_equal(getattr(kept.fit, field.name), getattr(result.fit, field.name))
     reflection = FaceReflection.of(result.estimate, result.view.observation)
-    assert kept.reflection.gloss == reflection.gloss
+    assert kept.reflection.specular_scale == reflection.specular_scale
     assert kept.reflection.head_error is not None
     assert reflection.head_error is not None
     assert torch.equal(kept.reflection.head_error, reflection.head_error)
@@ -171,14 +171,14 @@ def test_shading_in_the_page_is_that_of_the_portrait() -> None:
     base = BASE * float(portrait.mean @ np.array(LUMINANCE))
     for (azimuth, elevation), ours in zip(SUNS, page["answers"], strict=True):
         moved = light_with_sun_at(apart().result.estimate, azimuth, elevation).environment
-        shading, glossy = balanced(portrait, moved)
+        shading, specular = balanced(portrait, moved)
         mean = shading[portrait.bare > 0].mean()
         want = in_grid(filled(shading, known), page["skin"])
         off = np.abs(ours["shading"] - want)
         assert off[bare].mean() < 0.01 * mean, (azimuth, elevation)
-        gloss = in_grid(filled(glossy, known), page["skin"])
-        off = np.abs(ours["glossy"] - gloss)
-        assert off[bare].mean() < 0.01 * gloss[bare].mean(), (azimuth, elevation)
+        want_specular = in_grid(filled(specular, known), page["skin"])
+        off = np.abs(ours["glossy"] - want_specular)
+        assert off[bare].mean() < 0.01 * want_specular[bare].mean(), (azimuth, elevation)
         soft = blurred(shading, portrait.covered, SOFT * portrait.person.face_px)
         ratio = filled(np.log((soft + base) / (portrait.soft + base)), portrait.covered)
         coarse = in_grid(ratio, page["whole"])[::2, ::2]
