@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import torch
 
+from skylight._names import LIGHT_NAMES
 from skylight.estimation._photos import STAGES, estimate_photo
 from skylight.imaging._colour import srgb_to_linear
 from skylight.imaging._photo import Photo
 from skylight.inverse._estimate import estimate_light, light_problems
 from skylight.inverse._problem import solve
 from skylight.models._bundle import load_bundle
-from skylight.models._names import LIGHT_NAMES
 from skylight.skies._atmosphere import ClearSky
 from skylight.skies._simulator import draw_day, simulate_sky, sunlit_moments
 from skylight.transport._observation import Observation

@@ -12,8 +12,8 @@ from .estimation import (
     estimate_photo as estimate_photo,
 )
 from .imaging import (
+    CaptureMetadata as CaptureMetadata,
     Photo as Photo,
-    Taken as Taken,
     read_photo as read_photo,
 )
 from .inverse import (

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skylight.errors import InputError
-from skylight.imaging._taken import Taken
+from skylight.imaging._capture_metadata import CaptureMetadata
 
 if TYPE_CHECKING:
     from skylight.work._resumable import Workers
@@ -61,12 +61,14 @@ def take_care(line: str) -> None:
     print(f"skylight: take care: {line}", file=sys.stderr)
 
 
-def taken_by_hand(time: str | None, place: str | None, heading: float | None) -> Taken | None:
+def taken_by_hand(
+    time: str | None, place: str | None, heading: float | None
+) -> CaptureMetadata | None:
     """The capture metadata of ``--time``, ``--place`` and ``--heading``, None without any."""
     if time is None and place is None and heading is None:
         return None
     latitude_deg, longitude_deg = (None, None) if place is None else _place(place)
-    return Taken(
+    return CaptureMetadata(
         time=None if time is None else _time(time),
         latitude_deg=latitude_deg,
         longitude_deg=longitude_deg,

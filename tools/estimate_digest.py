@@ -16,7 +16,7 @@ import torch
 from skimage.data import astronaut
 
 import skylight
-from skylight.models._names import LIGHT_NAMES
+from skylight._names import LIGHT_NAMES
 
 
 def digest(light: str) -> dict[str, object]:

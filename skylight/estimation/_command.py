@@ -9,16 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 from tyro.conf import Positional
 
-from skylight._names import HeadName, LandmarkerName
+from skylight._names import HeadName, LandmarkerName, LightName, SolverName
 from skylight._options import take_care, taken_by_hand, who_works
 from skylight.errors import InputError, SkylightError
-from skylight.models._names import LightName, SolverName
 from skylight.work._device import Device
 from skylight.work._progress import ProgressForm, stage_bar
 
 if TYPE_CHECKING:
     from skylight.estimation._settings import EstimateSettings
-    from skylight.imaging._taken import Taken
+    from skylight.imaging._capture_metadata import CaptureMetadata
 
 Decoding = tyro.conf.create_mutex_group(required=False)
 
@@ -195,7 +194,7 @@ def _estimate_photos(
     paths: tuple[Path, ...],
     out: Path | None,
     settings: EstimateSettings,
-    taken: Taken | None,
+    taken: CaptureMetadata | None,
     keep_place: bool,
     progress: ProgressForm,
 ) -> None:
@@ -233,14 +232,14 @@ def _estimate_film(
 ) -> None:
     from skylight.estimation.film._estimate import FOLLOWING, FilmSettings, estimate_film
     from skylight.estimation.film._results import FILM_FILES, film_summary, write_film_results
-    from skylight.work._resumable import SETTINGS, claimed, results_folder, settle
+    from skylight.work._resumable import SETTINGS, keep_settings, locked, results_folder
 
     out = out or Path(f"{film.resolve().stem}_light")
     chosen = FilmSettings(estimate=settings, keyframes=keyframes, rate=rate)
     facts = chosen.facts(film)
     try:
-        with stage_bar(progress) as tell, claimed(out, out / FOLLOWING):
-            settle(out / SETTINGS, facts)
+        with stage_bar(progress) as tell, locked(out, out / FOLLOWING):
+            keep_settings(out / SETTINGS, facts)
             result = estimate_film(film, out, chosen, tell)
             with results_folder(out, FILM_FILES) as folder:
                 write_film_results(folder, result, source=str(film))

@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 
 import torch
 
+from skylight._names import SKY_LIGHTS
 from skylight.errors import DependencyError, InputError, SkylightError
 from skylight.estimation._manifest import (
     MANIFEST,
@@ -37,7 +38,6 @@ from skylight.estimation._summary import PhotoEstimate, SeenFace
 from skylight.inverse._problem import solve
 from skylight.inverse._result import Estimate
 from skylight.inverse._sun_prior import SunPrior
-from skylight.models._names import SKY_LIGHTS
 from skylight.work._cluster import Cluster
 from skylight.work._device import choose_device
 from skylight.work._processes import send_tensors_by_value
@@ -45,9 +45,9 @@ from skylight.work._progress import StageProgress
 from skylight.work._resumable import (
     SETTINGS,
     Workers,
-    claimed,
+    keep_settings,
+    locked,
     results_folder,
-    settle,
     share_work,
 )
 
@@ -93,8 +93,8 @@ def estimate_folder(
     together = _batch(settings, workers, batch)
     facts = settings.facts() | {"keep_place": keep_place}
     settings_hash = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
-    with claimed(out, *(out / folder_name(source) for source in sources)):
-        settle(out / SETTINGS, facts)
+    with locked(out, *(out / folder_name(source) for source in sources)):
+        keep_settings(out / SETTINGS, facts)
         entries = read_manifest(out / MANIFEST)
         missing = [
             source

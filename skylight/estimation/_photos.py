@@ -23,9 +23,9 @@ from skylight.faces._fit import FaceFit, fit_visible
 from skylight.faces._landmarks import FoundFace, find_faces
 from skylight.faces._model import HeadModel
 from skylight.faces._observe import SKIN_SPECULAR, observe_face
+from skylight.imaging._capture_metadata import CaptureMetadata
 from skylight.imaging._colour import Decode
 from skylight.imaging._photo import Photo, photo_from_codes, read_photo
-from skylight.imaging._taken import Taken
 from skylight.inverse._problem import solve
 from skylight.inverse._result import Estimate
 from skylight.inverse._sun_prior import SunPrior, sun_prior
@@ -41,7 +41,7 @@ Image = str | Path | Photo | UInt8[np.ndarray, "h w 3"]
 def estimate(
     image: Image,
     *more: Image,
-    taken: Taken | None = None,
+    taken: CaptureMetadata | None = None,
     progress: StageProgress | None = None,
     **settings: Unpack[SettingKeywords],
 ) -> Estimate:
@@ -85,7 +85,7 @@ def estimate(
 def estimate_photo(
     image: Image,
     *more: Image,
-    taken: Taken | None = None,
+    taken: CaptureMetadata | None = None,
     names: Sequence[str] | None = None,
     workers: int | None = None,
     progress: StageProgress | None = None,
@@ -120,7 +120,7 @@ class Pictures:
     settings: EstimateSettings
     photos: tuple[Photo, ...]
     names: tuple[str, ...]
-    taken: Taken
+    taken: CaptureMetadata
     sun_prior: SunPrior | None
     notes: tuple[str, ...]
     workers: int | None = None
@@ -133,7 +133,7 @@ class Pictures:
         images: Sequence[Image],
         settings: EstimateSettings,
         *,
-        taken: Taken | None = None,
+        taken: CaptureMetadata | None = None,
         names: Sequence[str] | None = None,
         workers: int | None = None,
         progress: StageProgress | None = None,
@@ -303,13 +303,15 @@ def _as_photo(image: Image, decode: Decode | None) -> Photo:
     return image
 
 
-def _known_of(photo: Photo, by_hand: Taken | None, *, ignore_exif_sun: bool) -> Taken:
+def _known_of(
+    photo: Photo, by_hand: CaptureMetadata | None, *, ignore_exif_sun: bool
+) -> CaptureMetadata:
     """Time, place and heading of a photograph: by hand, else from its EXIF data."""
-    recorded = Taken() if ignore_exif_sun or photo.taken is None else photo.taken
+    recorded = CaptureMetadata() if ignore_exif_sun or photo.taken is None else photo.taken
     return recorded if by_hand is None else recorded.overruled_by(by_hand)
 
 
-def _unused(by_hand: Taken | None, known: Taken) -> Iterator[str]:
+def _unused(by_hand: CaptureMetadata | None, known: CaptureMetadata) -> Iterator[str]:
     """Only time and place together tell of the sun; that EXIF data have but one is no news."""
     for name, value in (("time", known.time), ("place", known.latitude_deg)):
         if by_hand is not None and value is None:

@@ -11,7 +11,18 @@ from typing import TypedDict
 
 import torch
 
-from skylight._names import HeadName, LandmarkerName, WhichFaces
+from skylight._names import (
+    DEFAULT_LIGHT,
+    DEFAULT_SOLVER,
+    HeadName,
+    LandmarkerName,
+    LightName,
+    SolverName,
+    WhichFaces,
+    check_is_trained,
+    check_light_name,
+    check_solver_name,
+)
 from skylight.faces._landmarkers import choose_landmarker
 from skylight.faces._landmarks import FaceLandmarker
 from skylight.imaging._colour import Decode
@@ -20,15 +31,6 @@ from skylight.inverse._problem import LightProblem
 from skylight.inverse._sky import SOLVERS
 from skylight.inverse._sun_prior import SunPrior
 from skylight.models._ground import KnownGround, check_has_ground
-from skylight.models._names import (
-    DEFAULT_LIGHT,
-    DEFAULT_SOLVER,
-    LightName,
-    SolverName,
-    check_is_trained,
-    check_light_name,
-    check_solver_name,
-)
 from skylight.work._device import choose_device
 
 

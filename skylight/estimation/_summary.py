@@ -19,8 +19,8 @@ from skylight._figures import angles_deg, describe_lamps, named_angles
 from skylight.faces._fit import FaceFit
 from skylight.faces._landmarks import DetectedFace
 from skylight.faces._observe import FaceView
+from skylight.imaging._capture_metadata import CaptureMetadata
 from skylight.imaging._photo import Photo
-from skylight.imaging._taken import Taken
 from skylight.inverse._posterior import SHARE, SunPosterior
 from skylight.inverse._result import Estimate, FaceLight
 from skylight.inverse._scan import SCAN_HEIGHT
@@ -70,7 +70,7 @@ class PhotoEstimate:
     photos: tuple[Photo, ...]
     names: tuple[str, ...]
     seen: tuple[SeenFace, ...]
-    taken: Taken
+    taken: CaptureMetadata
     seconds: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -216,7 +216,7 @@ def describe(result: PhotoEstimate, *, keep_place: bool) -> dict[str, object]:
     }
 
 
-def _describe_taken(taken: Taken) -> dict[str, object]:
+def _describe_taken(taken: CaptureMetadata) -> dict[str, object]:
     return {
         "time": None if taken.time is None else taken.time.isoformat(),
         "latitude_deg": taken.latitude_deg,

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skylight._names import LightName
 from skylight.errors import InputError
 from skylight.evaluation._known_faces import (
     FaceSource,
@@ -28,7 +29,6 @@ from skylight.inverse._result import Lamp
 from skylight.inverse._scores import LEAST_SHARE, MapLamp, find_lamps
 from skylight.io._files import write_png
 from skylight.models._lamps import LampsLight
-from skylight.models._names import LightName
 from skylight.people._files import read_turned_map
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import angle_between

@@ -17,6 +17,7 @@ import torch
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
+from skylight._names import LightName
 from skylight.evaluation._known_faces import (
     FIRST_SEED,
     METHODS,
@@ -30,7 +31,6 @@ from skylight.evaluation._run import Check, Item, Rows
 from skylight.evaluation._tables import LABELS, METRICS
 from skylight.faces._fit import FaceFit, camera_project
 from skylight.faces._model import HeadModel, Region
-from skylight.models._names import LightName
 from skylight.transport._cameras import Camera
 
 Factor = Literal["size", "yaw", "pitch", "shape"]

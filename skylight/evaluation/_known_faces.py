@@ -24,6 +24,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from skylight._names import LightName, is_trained
 from skylight.errors import InputError
 from skylight.evaluation._run import Check, Evaluation, Item, trained_model
 from skylight.faces._fit import FaceFit, fit_face, fit_visible
@@ -41,7 +42,6 @@ from skylight.inverse._result import Estimate
 from skylight.inverse._scores import score
 from skylight.inverse._sky import SolverOptions
 from skylight.models._ground import GROUND_ALBEDOS
-from skylight.models._names import LightName, is_trained
 from skylight.people._files import RenderedFace, read_rendered_face, rendered_faces
 from skylight.people._light import LOWEST_TRANSMITTANCE
 from skylight.skies._simulated import simulated_skies

@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from skylight._names import LightName
 from skylight.errors import InputError
 from skylight.evaluation._known_faces import (
     FaceEvaluation,
@@ -33,7 +34,6 @@ from skylight.imaging._colour import linear_to_srgb
 from skylight.imaging._photo import Photo, photo_from_codes
 from skylight.inverse._result import Estimate
 from skylight.io._files import write_png
-from skylight.models._names import LightName
 from skylight.sphere._frame import angle_between, angles_from_direction
 
 OURS: LightName = "autoencoder"

@@ -37,7 +37,7 @@ from skylight.evaluation._transport_compression import TransportCompression
 from skylight.evaluation._voxel_probe import VoxelProbe
 from skylight.io._atomic import atomic_path
 from skylight.io._bounded import write_json
-from skylight.work._resumable import Workers, claimed
+from skylight.work._resumable import Workers
 
 SHEET_STRIPS = 12
 
@@ -202,7 +202,7 @@ def evaluate_all(
     if data is not None and not data.is_dir():
         raise InputError(f"{data}: there is no such folder; give one with data, or none")
     done: list[_Done] = []
-    with claimed(out):
+    with locked(out):
         for name, kind in EVALUATIONS.items():
             begun, problem = time.monotonic(), ""
             own = None if data is None or kind.data_folder is None else data / kind.data_folder

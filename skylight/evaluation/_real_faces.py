@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import UInt8
 
+from skylight._names import LightName
 from skylight.errors import InputError
 from skylight.evaluation._known_faces import (
     METHODS,
@@ -38,7 +39,6 @@ from skylight.imaging._colour import tone_map
 from skylight.imaging._photo import read_photo
 from skylight.inverse._scores import score
 from skylight.io._files import write_png
-from skylight.models._names import LightName
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.transport._scene import evaluation_scene
 

@@ -14,6 +14,7 @@ from numpy import ndarray
 from skimage.color import lab2rgb, rgb2lab
 from skimage.metrics import structural_similarity
 
+from skylight._names import LightName
 from skylight.errors import InputError
 from skylight.evaluation._known_faces import (
     FaceEvaluation,
@@ -26,7 +27,6 @@ from skylight.faces._model import HeadModel
 from skylight.imaging._colour import linear_to_srgb, srgb_to_linear
 from skylight.imaging._photo import photo_from_codes
 from skylight.io._files import write_png
-from skylight.models._names import LightName
 from skylight.people._files import RenderedFace, read_rendered_face
 from skylight.portrait._relit import FaceReflection, light_in_photo, portrait_of, shared_light
 from skylight.transport._rays import Raycaster

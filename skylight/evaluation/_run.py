@@ -24,7 +24,7 @@ from skylight.models._bundle import load_bundle
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.transport._mesh import MESH_SUFFIXES
 from skylight.work._progress import CountProgress
-from skylight.work._resumable import Workers, claimed, share_work
+from skylight.work._resumable import Workers, locked, share_work
 
 Metrics = dict[str, dict[str, float]]  # method -> metric -> value
 Rows = dict[str, dict[str, dict[str, float]]]  # method -> metric -> mean, median, std, n
@@ -197,7 +197,7 @@ def measure_all(
     names = evaluation.items()
     tell = progress or (lambda count, total: None)
     pictures = out / "pictures"
-    with claimed(out, pictures):
+    with locked(out, pictures):
         pictures.mkdir(exist_ok=True)
         config = {"name": evaluation.name, "code": code_hash(), **evaluation.config()}
         done = _read_cache(out / CACHE, config)

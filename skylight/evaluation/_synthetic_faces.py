@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skylight._names import LightName
 from skylight.evaluation._known_faces import (
     FIRST_SEED,
     METHODS,
@@ -44,7 +45,6 @@ from skylight.inverse._result import Estimate
 from skylight.inverse._sky import THESIS, SkyProblem
 from skylight.io._files import write_png
 from skylight.models._bundle import load_bundle
-from skylight.models._names import LightName
 from skylight.models._network import CENTRE_AZIMUTH_RAD
 from skylight.models._prior import GaussianMixture
 from skylight.models.autoencoder import AutoencoderLight

@@ -2,6 +2,9 @@ from ._camera_turns import (
     turn_between as turn_between,
     world_from_cameras as world_from_cameras,
 )
+from ._capture_metadata import (
+    CaptureMetadata as CaptureMetadata,
+)
 from ._colour import (
     linear_to_srgb as linear_to_srgb,
     srgb_to_linear as srgb_to_linear,
@@ -28,7 +31,4 @@ from ._photo import (
     Photo as Photo,
     photo_from_codes as photo_from_codes,
     read_photo as read_photo,
-)
-from ._taken import (
-    Taken as Taken,
 )

@@ -9,7 +9,7 @@ from datetime import UTC, date, datetime, timedelta, timezone
 from PIL import ExifTags, Image
 
 from skylight.errors import InputError
-from skylight.imaging._taken import Taken
+from skylight.imaging._capture_metadata import CaptureMetadata
 
 FULL_FRAME_DIAGONAL_MM = math.hypot(36.0, 24.0)
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # EXIF 2.32, FocalPlaneResolutionUnit
@@ -29,7 +29,7 @@ class CameraFacts:
     focal_px: float | None = None
     flash: bool | None = None
     exposure_value: float | None = None
-    taken: Taken | None = None
+    taken: CaptureMetadata | None = None
 
 
 def camera_facts(exif: Image.Exif, width: int, height: int) -> CameraFacts:
@@ -97,7 +97,7 @@ def exposure_value(exif: Image.Exif) -> float | None:
     return value if EXPOSURE_VALUES[0] <= value <= EXPOSURE_VALUES[1] else None
 
 
-def taken_from(exif: Image.Exif) -> Taken:
+def taken_from(exif: Image.Exif) -> CaptureMetadata:
     """Time, place and heading.
 
     The satellites' time (UTC) counts where there is one, else the camera's clock, in its zone
@@ -110,7 +110,7 @@ def taken_from(exif: Image.Exif) -> Taken:
     latitude_deg, longitude_deg = _place(gps, notes) or (None, None)
     heading_deg = _heading(gps, notes)
     reference = _text(gps.get(ExifTags.GPS.GPSImgDirectionRef))
-    return Taken(
+    return CaptureMetadata(
         time=time,
         latitude_deg=latitude_deg,
         longitude_deg=longitude_deg,
@@ -165,7 +165,7 @@ def _clock_time(tags: Mapping[int, object], notes: list[str]) -> datetime | None
 
 def _possible(time: datetime) -> datetime:
     """The time itself; InputError in a year that cannot be."""
-    Taken(time=time)
+    CaptureMetadata(time=time)
     return time
 
 
@@ -184,7 +184,7 @@ def _place(gps: Mapping[int, object], notes: list[str]) -> tuple[float, float] |
         notes.append("the place 0, 0 in its EXIF data means that none was known: it was ignored")
         return None
     try:
-        Taken(latitude_deg=angles[0], longitude_deg=angles[1])
+        CaptureMetadata(latitude_deg=angles[0], longitude_deg=angles[1])
     except InputError:
         notes.append("the place in its EXIF data is impossible and was ignored")
         return None
@@ -196,7 +196,7 @@ def _heading(gps: Mapping[int, object], notes: list[str]) -> float | None:
     if parts is None:
         return None
     try:
-        return Taken(heading_deg=parts[0]).heading_deg
+        return CaptureMetadata(heading_deg=parts[0]).heading_deg
     except (InputError, IndexError):
         notes.append("the heading in its EXIF data is impossible and was ignored")
         return None

@@ -16,9 +16,9 @@ from PIL import Image, ImageCms, ImageOps
 from torch import Tensor
 
 from skylight.errors import InputError, not_installed
+from skylight.imaging._capture_metadata import CaptureMetadata
 from skylight.imaging._colour import Decode, decode_values, linear_to_srgb, tone_map
 from skylight.imaging._exif import CameraFacts, camera_facts
-from skylight.imaging._taken import Taken
 from skylight.io._bounded import file_bytes, require_bytes, require_pixels
 from skylight.io._files import opened_picture
 from skylight.io._hdr import SUFFIXES as HDR_SUFFIXES, muted, read_linear
@@ -110,7 +110,7 @@ class Photo:
     focal_px: float | None = None
     flash: bool | None = None
     exposure_value: float | None = None
-    taken: Taken | None = None
+    taken: CaptureMetadata | None = None
 
 
 def read_photo(

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import torch
 
+from skylight._names import LightName
 from skylight.inverse._lamps import LampsProblem
 from skylight.inverse._problem import LightProblem, solve
 from skylight.inverse._result import Choice, Estimate, Scene
 from skylight.inverse._sky import SkyProblem
-from skylight.models._names import LightName
 from skylight.sphere._frame import angle_between
 from skylight.transport._observation import Observation
 from skylight.work._progress import Progress

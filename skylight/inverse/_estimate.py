@@ -6,6 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from skylight._names import (
+    DEFAULT_LIGHT,
+    SKY_LIGHTS,
+    LightName,
+    check_is_trained,
+    check_light_name,
+)
 from skylight.errors import InputError
 from skylight.faces._skin import SkinPrior
 from skylight.inverse._auto import AutoProblem
@@ -17,13 +24,6 @@ from skylight.inverse._sky import SkyProblem, SolverOptions
 from skylight.inverse._sun_prior import SunPrior
 from skylight.models._bundle import LightBundle, load_bundle
 from skylight.models._harmonic import HarmonicLight
-from skylight.models._names import (
-    DEFAULT_LIGHT,
-    SKY_LIGHTS,
-    LightName,
-    check_is_trained,
-    check_light_name,
-)
 from skylight.models._prior import GaussianMixture
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.sunsky import SunSky

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from skylight._names import SolverName
 from skylight.inverse._descent import Iterates, Stage, choose_starts, descend
 from skylight.inverse._faces import FaceTerm, Level, LitFaces, ObjectiveWeights, ScannedFace
 from skylight.inverse._objective import LightObjective
@@ -29,7 +30,6 @@ from skylight.inverse._sun_prior import SunPrior
 from skylight.models._base import LightModel, Prior
 from skylight.models._ground import KnownGround, LambertianGround
 from skylight.models._harmonic import solve_linear
-from skylight.models._names import SolverName
 from skylight.models._prior import GaussianMixture
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.sphere import _harmonics as harmonics

@@ -29,7 +29,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from skylight.imaging._taken import Taken
+from skylight.imaging._capture_metadata import CaptureMetadata
 from skylight.skies._sun import Place, sun_angles
 
 FLOOR = 0.1
@@ -100,7 +100,7 @@ class SunPrior:
         return self.log_density(directions) > math.log(2 * FLOOR / (2 * math.pi))
 
 
-def sun_prior(taken: Taken) -> tuple[SunPrior | None, tuple[str, ...]]:
+def sun_prior(taken: CaptureMetadata) -> tuple[SunPrior | None, tuple[str, ...]]:
     """(what the facts tell of the sun, what to know of that); None where they tell nothing.
 
     That is without a time or a place, and where the sun was below the horizon.

@@ -12,9 +12,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from skylight._names import SKY_LIGHTS, LightName
 from skylight.errors import InputError
 from skylight.io._bounded import read_number, read_object, require_keys, write_json
-from skylight.models._names import SKY_LIGHTS, LightName
 from skylight.models._prior import GaussianMixture
 from skylight.sphere._frame import row_edges_cos
 

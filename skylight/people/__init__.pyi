@@ -1,8 +1,6 @@
-from ._batch import (
-    render_folder as render_folder,
-)
 from ._files import (
     read_rendered_face as read_rendered_face,
+    render_folder as render_folder,
     rendered_faces as rendered_faces,
     write_rendered_face as write_rendered_face,
 )

@@ -71,7 +71,7 @@ def render_faces(
     if light_seed is not None and light_seed < 0:
         raise InputError(f"--light-seed must be 0 or more, got {light_seed}")
     who = who_works(workers, cluster, out)
-    from skylight.people._batch import render_folder
+    from skylight.people._files import render_folder
     from skylight.people._light import MapFolder, RenderOptions
     from skylight.work._progress import stage_bar, with_time_left
 

@@ -1,16 +1,20 @@
-"""Rendered faces on disk: a folder each."""
+"""Rendered faces on disk: a folder each, rendered in parallel and resumable."""
 
+import os
+import shutil
+from contextlib import suppress
 from pathlib import Path
+from uuid import uuid4
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.errors import InputError
+from skylight.errors import InputError, OutputError
 from skylight.faces._fit import FaceFit
 from skylight.imaging._colour import srgb_to_linear
-from skylight.io._atomic import atomic_path
+from skylight.io._atomic import PARTIAL, atomic_path
 from skylight.io._bounded import json_content, load_arrays, write_json
 from skylight.io._files import (
     opened_picture,
@@ -19,9 +23,12 @@ from skylight.io._files import (
     write_png,
 )
 from skylight.io._hdr import HALF_MAX, read_linear, write_exr
+from skylight.people._independent_render import mitsuba_variant
 from skylight.people._light import RenderOptions, TurnedMap
-from skylight.people._render import RenderedFace
+from skylight.people._render import RenderedFace, render
 from skylight.transport._cameras import Camera
+from skylight.work._progress import CountProgress
+from skylight.work._resumable import Workers, keep_settings, locked, share_work
 
 _FACTS = ("number", "scene", "cluster", "sky_seed", "sun_transmittance", "exposure")
 _ARRAYS = ("rotation", "translation", "identity", "expression", "vertices")
@@ -154,3 +161,66 @@ def _turned_map(facts: dict) -> TurnedMap | None:
     return TurnedMap(
         file=facts["map"], category=facts["category"], turn_deg=float(facts["turn_deg"])
     )
+
+
+def render_folder(
+    out: Path,
+    count: int,
+    options: RenderOptions,
+    *,
+    workers: Workers = 1,
+    progress: CountProgress | None = None,
+) -> int:
+    """Render faces 0 to ``count`` - 1 into ``out`` and say how many were made now.
+
+    A face's folder appears when all of it is there, so those that exist are passed over.
+
+    Raises
+    ------
+    InputError
+        ``out`` holds faces made with other options, another run is at work there, or Mitsuba is
+        not installed.
+    OutputError
+        A folder that cannot be written to.
+    """
+    mitsuba_variant()  # refuses at once where it is not installed
+    with locked(out):
+        keep_settings(out / "options.json", options.settings())
+        missing = [n for n in range(count) if not (out / folder_name(n)).exists()]
+        done = count - len(missing)
+        if progress:
+            progress(done, count)
+        work = [(out, number, options) for number in missing]
+        for _ in share_work(render_to, work, workers=workers, prepare=_prepare, finish=True):
+            done += 1
+            if progress:
+                progress(done, count)
+    return len(missing)
+
+
+def render_to(out: Path, number: int, options: RenderOptions) -> None:
+    """Render one face into its folder, which appears whole or not at all.
+
+    A folder that another process has made meanwhile, which was taken for lost, is left as it is.
+    """
+    place, partial = out / folder_name(number), out / f"{PARTIAL}{uuid4().hex[:12]}"
+    try:
+        partial.mkdir()
+        write_rendered_face(partial, render(number, options), options)
+        try:
+            os.replace(partial, place)
+        except OSError:
+            if not place.is_dir():
+                raise
+    except OSError as error:
+        raise OutputError(f"cannot write {place}: {error.strerror}") from error
+    finally:
+        with suppress(OSError):
+            shutil.rmtree(partial)
+
+
+def _prepare() -> None:
+    mitsuba_variant()
+    import drjit
+
+    drjit.set_thread_count(1)  # the processes already share the cores

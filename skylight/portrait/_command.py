@@ -7,10 +7,10 @@ from typing import Annotated
 import tyro
 from tyro.conf import Positional
 
+from skylight._names import LightName
 from skylight._options import take_care
 from skylight.errors import InputError
 from skylight.io._atomic import require_place
-from skylight.models._names import LightName
 from skylight.work._device import Device
 from skylight.work._progress import stage_bar
 

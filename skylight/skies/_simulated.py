@@ -30,7 +30,7 @@ from skylight.skies._simulator import (
 )
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.work._progress import CountProgress
-from skylight.work._resumable import SETTINGS, Workers, claimed, settle, share_work
+from skylight.work._resumable import SETTINGS, Workers, keep_settings, locked, share_work
 
 # Skies simulated on the spot come from seeds from here on, which no folder may use: so nothing
 # is ever evaluated on a day that something was trained on.
@@ -76,8 +76,8 @@ def simulate_folder(
         interval_min=interval_min, height=height, shares=shares, lowest_sun_deg=lowest_sun_deg
     )
     parts = out / "days"
-    with claimed(out, parts):
-        settle(out / SETTINGS, asdict(settings))
+    with locked(out, parts):
+        keep_settings(out / SETTINGS, asdict(settings))
         parts.mkdir(exist_ok=True)
         seeds = range(first_seed, first_seed + days)
         missing = [s for s in seeds if not (parts / f"{s}.csv").exists()]

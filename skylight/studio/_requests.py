@@ -5,8 +5,7 @@ from typing import Annotated, Literal, get_args
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field
 
-from skylight._names import BuiltinName
-from skylight.models._names import DEFAULT_LIGHT, LightName
+from skylight._names import DEFAULT_LIGHT, BuiltinName, LightName
 
 LIGHTS: dict[LightName, str] = {
     "auto": "Open sky or lamps, whichever is likelier",

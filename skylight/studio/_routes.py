@@ -14,9 +14,9 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.types import Receive, Scope, Send
 
+from skylight._names import is_trained
 from skylight.estimation._examples import EXAMPLES
 from skylight.io._atomic import atomic_path
-from skylight.models._names import is_trained
 from skylight.studio._guard import Refused
 from skylight.studio._jobs import Job, Jobs, KeptFile, events
 from skylight.studio._requests import (

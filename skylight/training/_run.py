@@ -24,7 +24,7 @@ from skylight.training._config import (
 from skylight.training._dictionary import learn_dictionary
 from skylight.training._prior import fit_priors, splits_for_priors
 from skylight.work._progress import CountProgress, Tell
-from skylight.work._resumable import claimed
+from skylight.work._resumable import locked
 
 RUN = "training"  # in the model's folder: what training goes on from
 SHIPPED_LATENTS = 64
@@ -92,7 +92,7 @@ def train_folder(
     A run that was killed goes on where it was, in ``out / "training"``.
     """
     run = out / RUN
-    with claimed(run):
+    with locked(run):
         place = _indexed(folder, run, report, progress)
         records = read_index(place)
         skies = sum(record.split == "train" for record in records)

@@ -1,6 +1,6 @@
 """Work that may be interrupted: folders that keep what is done, and processes that share the rest.
 
-A folder is claimed by one run at a time, notes the settings that it is made with, or is replaced
+A folder is locked by one run at a time, notes the settings that it is made with, or is replaced
 as a whole when a run succeeds. A piece of work whose process dies is given to another one.
 """
 
@@ -28,7 +28,7 @@ from skylight.work._cluster import Cluster, share_on_cluster
 from skylight.work._memory import collect_seldom
 from skylight.work._processes import run_piece
 
-SETTINGS = "settings.json"  # the note of :func:`settle`
+SETTINGS = "settings.json"  # the note of :func:`keep_settings`
 Result = TypeVar("Result")
 Workers = int | Cluster  # so many processes here, or those of a cluster
 MOST_LOSSES = 3  # a piece that its process did not survive so often is given up
@@ -36,7 +36,7 @@ ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THRE
 
 
 @contextmanager
-def claimed(folder: Path, *inner: Path) -> Iterator[None]:
+def locked(folder: Path, *inner: Path) -> Iterator[None]:
     """A folder for one run at a time, made where there is none; it and ``inner`` are swept.
 
     The lock ends with its process. Windows, and some clusters' file systems, have no such locks:
@@ -85,7 +85,7 @@ def _is_locked(file: IO[str], folder: Path) -> bool:
     return True
 
 
-def settle(note: Path, settings: dict[str, object]) -> None:
+def keep_settings(note: Path, settings: dict[str, object]) -> None:
     """Note what a folder is made with, or see that an earlier run made it with the same."""
     wanted = json.loads(json.dumps(settings))
     if note.exists():

@@ -28,7 +28,7 @@ from skylight.estimation._settings import EstimateSettings
 from skylight.estimation._summary import PhotoEstimate
 from skylight.imaging._photo import PHOTO_SUFFIXES
 from skylight.models._ground import KnownGround
-from skylight.work._resumable import claimed
+from skylight.work._resumable import locked
 from tests.estimated import RESULTS
 from tests.sunny_face import sunny_estimate, sunny_face
 
@@ -223,7 +223,7 @@ class TestGoingOn:
 
     def test_two_runs_do_not_share_a_folder(self, copied: tuple[Path, Path]) -> None:
         photos, out = copied
-        with claimed(out), pytest.raises(InputError, match="another run"):
+        with locked(out), pytest.raises(InputError, match="another run"):
             estimate_folder(photos, out, SH9)
         assert len(estimate_folder(photos, out, SH9)) == 3
 

@@ -15,6 +15,7 @@ import torch
 from PIL import ExifTags, Image
 from skimage.data import astronaut, camera
 
+from skylight._names import LightName
 from skylight._options import taken_by_hand
 from skylight.cli import main
 from skylight.errors import InputError
@@ -26,11 +27,10 @@ from skylight.estimation._settings import EstimateSettings
 from skylight.estimation._summary import PhotoEstimate, describe
 from skylight.faces._fit import camera_project
 from skylight.faces._model import HeadModel
+from skylight.imaging._capture_metadata import CaptureMetadata
 from skylight.imaging._colour import srgb_to_linear
 from skylight.imaging._photo import photo_from_codes, read_photo
-from skylight.imaging._taken import Taken
 from skylight.io._hdr import write_exr
-from skylight.models._names import LightName
 from skylight.skies._sun import Place, sun_angles
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.studio.tasks import _light as studio
@@ -130,7 +130,7 @@ def test_they_are_ignored_on_request(taken_photo: Path) -> None:
     assert Pictures.of([taken_photo], SH9).sun_prior is not None
     ignored = Pictures.of([taken_photo], replace(SH9, ignore_exif_sun=True))
     assert ignored.sun_prior is None
-    assert ignored.taken == Taken()
+    assert ignored.taken == CaptureMetadata()
 
 
 def test_they_are_kept_on_request(found: PhotoEstimate) -> None:
@@ -173,7 +173,7 @@ def test_bad_exif_is_left_out_with_a_line(tmp_path: Path) -> None:
 
 
 def test_half_of_what_is_needed_by_hand() -> None:
-    taken = Taken(time=datetime(2024, 6, 1, 10, tzinfo=UTC))
+    taken = CaptureMetadata(time=datetime(2024, 6, 1, 10, tzinfo=UTC))
     pictures = Pictures.of([photo_from_codes(sunny_face(40.0, 50.0).encoded)], SH9, taken=taken)
     assert [line for line in pictures.notes if "without the picture's place" in line]
     assert pictures.sun_prior is None
@@ -227,7 +227,7 @@ def test_the_studio_tells_no_place(
 
 def test_from_python(taken_photo: Path) -> None:
     """What is said by hand tells what EXIF data tell."""
-    by_hand = Taken(
+    by_hand = CaptureMetadata(
         time=MORNING,
         latitude_deg=LATITUDE,
         longitude_deg=LONGITUDE,

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from skylight.estimation._summary import PhotoEstimate, summary
-from skylight.imaging._taken import Taken
+from skylight.imaging._capture_metadata import CaptureMetadata
 from skylight.inverse._auto import choose
 from skylight.inverse._result import Lamp
 from tests.inverse.test_lamps import ONE, found_in
@@ -18,7 +18,7 @@ def found():
 
 
 def lines(estimate):
-    told = PhotoEstimate(estimate=estimate, photos=(), names=(), seen=(), taken=Taken())
+    told = PhotoEstimate(estimate=estimate, photos=(), names=(), seen=(), taken=CaptureMetadata())
     return [(line[:12].strip(), line[12:]) for line in summary(told).split("\n")]
 
 

@@ -11,6 +11,7 @@ import torch
 from PIL import Image
 from skimage.data import astronaut
 
+from skylight._names import LightName
 from skylight.cli import main
 from skylight.estimation import _folder as batch
 from skylight.estimation._folder import estimate_folder
@@ -18,7 +19,6 @@ from skylight.estimation._manifest import MANIFEST, Entry, read_manifest
 from skylight.estimation._settings import EstimateSettings
 from skylight.estimation._summary import describe
 from skylight.io._files import read_environment_map
-from skylight.models._names import LightName
 from skylight.sphere._frame import angle_between, direction_from_angles
 from skylight.work._cluster import Cluster
 from skylight.work._resumable import Workers

@@ -9,8 +9,7 @@ import pytest
 pytest.importorskip("distributed", reason="dask is not installed")
 
 from skylight.evaluation._run import CACHE, Check, Item, measure_all
-from skylight.people._batch import render_folder
-from skylight.people._files import read_rendered_face, rendered_faces
+from skylight.people._files import read_rendered_face, render_folder, rendered_faces
 from skylight.people._light import RenderOptions
 from skylight.skies._simulated import simulate_folder
 from skylight.work._cluster import Cluster

@@ -9,8 +9,8 @@ import pytest
 from PIL import ExifTags, Image
 
 from skylight.errors import InputError
+from skylight.imaging._capture_metadata import CaptureMetadata
 from skylight.imaging._photo import Photo, read_photo
-from skylight.imaging._taken import Taken
 
 CLOCK = {"DateTimeOriginal": "2024:06:01 14:30:00"}
 ZONE = {"OffsetTimeOriginal": "+02:00"}
@@ -37,7 +37,7 @@ def photo(folder: Path, **tags: Any) -> Photo:
     return read_photo(folder / "a.jpg")
 
 
-def taken(folder: Path, **tags: Any) -> Taken:
+def taken(folder: Path, **tags: Any) -> CaptureMetadata:
     found = photo(folder, **tags).taken
     assert found is not None
     return found
@@ -175,13 +175,13 @@ def test_the_flash(tmp_path: Path, code: int, fired: bool) -> None:
 )
 def test_facts_by_hand_are_checked(facts: dict, what: str) -> None:
     with pytest.raises(InputError, match=what) as error:
-        Taken(**facts)
+        CaptureMetadata(**facts)
     assert "\n" not in str(error.value)
 
 
 def test_what_is_said_by_hand_overrules() -> None:
     zone = timezone(timedelta(hours=2))
-    recorded = Taken(
+    recorded = CaptureMetadata(
         time=datetime(2024, 6, 1),
         latitude_deg=1.0,
         longitude_deg=2.0,
@@ -189,9 +189,11 @@ def test_what_is_said_by_hand_overrules() -> None:
         heading_error_deg=20.0,
         notes=("a note",),
     )
-    hand = Taken(time=datetime(2023, 1, 1, tzinfo=zone), latitude_deg=8.0, longitude_deg=9.0)
+    hand = CaptureMetadata(
+        time=datetime(2023, 1, 1, tzinfo=zone), latitude_deg=8.0, longitude_deg=9.0
+    )
     both = recorded.overruled_by(hand)
-    assert both == Taken(
+    assert both == CaptureMetadata(
         time=hand.time,
         latitude_deg=8.0,
         longitude_deg=9.0,
@@ -199,6 +201,6 @@ def test_what_is_said_by_hand_overrules() -> None:
         heading_error_deg=20.0,
         notes=("a note",),
     )
-    turned = recorded.overruled_by(Taken(heading_deg=90.0))
+    turned = recorded.overruled_by(CaptureMetadata(heading_deg=90.0))
     assert (turned.heading_deg, turned.heading_error_deg) == (90.0, 10.0)
     assert turned.time == recorded.time

@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from skylight._names import LightName
 from skylight.errors import InputError
 from skylight.inverse._auto import AutoProblem
 from skylight.inverse._descent import Stage
@@ -17,7 +18,6 @@ from skylight.inverse._problem import solve
 from skylight.inverse._result import Estimate
 from skylight.inverse._scan import scan_faces
 from skylight.inverse._sky import SkyProblem, SkySolver, SolverOptions
-from skylight.models._names import LightName
 from skylight.models.sunsky import SunSky
 from skylight.sphere._envmap import luminance
 from skylight.transport._matrix import TransportMatrix

@@ -13,7 +13,7 @@ from scipy.stats import vonmises
 
 from skylight.faces._model import HeadModel
 from skylight.faces._observe import observe_face
-from skylight.imaging._taken import Taken
+from skylight.imaging._capture_metadata import CaptureMetadata
 from skylight.inverse._estimate import estimate_light
 from skylight.inverse._faces import FaceTerm, ObjectiveWeights
 from skylight.inverse._objective import LightObjective
@@ -49,7 +49,7 @@ def about(azimuth_deg: float, zenith_deg: float) -> SunPrior:
     return SunPrior(parts=(part(azimuth_deg, zenith_deg),))
 
 
-def known(taken: Taken) -> SunPrior:
+def known(taken: CaptureMetadata) -> SunPrior:
     prior, _ = sun_prior(taken)
     assert prior is not None
     return prior
@@ -124,7 +124,7 @@ def test_published_positions(shared_data: Path) -> None:
     for line in path.read_text().splitlines()[::100]:
         day, clock, *numbers = line.split()
         latitude, longitude, _, azimuth_deg, zenith_deg = map(float, numbers)
-        taken = Taken(
+        taken = CaptureMetadata(
             time=datetime.fromisoformat(f"{day}T{clock}+00:00"),
             latitude_deg=latitude,
             longitude_deg=(longitude + 180) % 360 - 180,
@@ -148,18 +148,18 @@ def test_the_heading_turns_the_sun_into_the_cameras_frame() -> None:
     noon, evening = datetime(2024, 6, 21, 11, 12, tzinfo=UTC), datetime(2024, 6, 21, 17, tzinfo=UTC)
     cases = [(noon, 180.0, 0.0), (noon, 0.0, 180.0), (noon, 90.0, 90.0), (evening, 270.0, 0.0)]
     for time, heading_deg, azimuth_deg in cases:
-        prior = known(Taken(time=time, heading_deg=heading_deg, **ROME))
+        prior = known(CaptureMetadata(time=time, heading_deg=heading_deg, **ROME))
         best = GRID.directions[prior.log_density(GRID.directions).argmax()]
         found, _ = angles_from_direction(best)
         off = (math.degrees(float(found)) - azimuth_deg + 180) % 360 - 180
         assert abs(off) < 25, (heading_deg, azimuth_deg)
-    assert known(Taken(time=noon, **ROME)).parts[0].turn == 0
+    assert known(CaptureMetadata(time=noon, **ROME)).parts[0].turn == 0
 
 
 def test_a_less_exact_heading_spreads_further() -> None:
     time = datetime(2024, 6, 21, 9, tzinfo=UTC)
     sharp, wide = (
-        known(Taken(time=time, heading_deg=0.0, heading_error_deg=error, **ROME))
+        known(CaptureMetadata(time=time, heading_deg=0.0, heading_error_deg=error, **ROME))
         for error in (10.0, 20.0)
     )
     assert sharp.likely(GRID.directions).sum() < wide.likely(GRID.directions).sum()
@@ -188,11 +188,11 @@ def test_a_clock_without_a_zone_may_be_in_the_right_one(name: str) -> None:
     assert shares[hours] >= 0.15
     local = datetime(2024, month, 15, 13, 30)
     facts = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg, "heading_deg": 20.0}
-    prior, advice = sun_prior(Taken(time=local, **facts))
+    prior, advice = sun_prior(CaptureMetadata(time=local, **facts))
     assert len(advice) == 1
     assert "no time zone" in advice[0]
     exact = local.replace(tzinfo=timezone(timedelta(hours=hours)))
-    (true,) = known(Taken(time=exact, **facts)).parts
+    (true,) = known(CaptureMetadata(time=exact, **facts)).parts
     sun = direction(math.degrees(true.azimuth_rad), math.degrees(true.zenith_rad))
     assert bool(prior.likely(sun[None]))
 
@@ -208,17 +208,21 @@ def test_summer_time_is_of_the_hemispheres_own_summer() -> None:
 
 def test_nothing_is_told_without_time_and_place() -> None:
     time = datetime(2024, 6, 21, 12, tzinfo=UTC)
-    for taken in (Taken(), Taken(time=time, heading_deg=3.0), Taken(**ROME)):
+    for taken in (
+        CaptureMetadata(),
+        CaptureMetadata(time=time, heading_deg=3.0),
+        CaptureMetadata(**ROME),
+    ):
         assert sun_prior(taken) == (None, ())
 
 
 def test_a_sun_below_the_horizon_is_left_out_with_a_line() -> None:
-    prior, advice = sun_prior(Taken(time=datetime(2024, 6, 21, 0, tzinfo=UTC), **ROME))
+    prior, advice = sun_prior(CaptureMetadata(time=datetime(2024, 6, 21, 0, tzinfo=UTC), **ROME))
     assert prior is None
     assert len(advice) == 1
     assert "below the horizon" in advice[0]
     # half an hour before sunrise by one zone, after it by the others
-    early = known(Taken(time=datetime(2024, 6, 21, 5, 15), **ROME))
+    early = known(CaptureMetadata(time=datetime(2024, 6, 21, 5, 15), **ROME))
     assert math.fsum(one.share for one in early.parts) == pytest.approx(1)
     assert 0 < len(early.parts) < len(zone_offsets(Place(**ROME), 6))
 

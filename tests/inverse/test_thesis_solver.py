@@ -6,11 +6,11 @@ from dataclasses import replace
 import pytest
 import torch
 
+from skylight._names import SOLVER_NAMES, check_solver_name
 from skylight.errors import InputError
 from skylight.inverse._estimate import estimate_light, light_problems, smooth_autoencoder
 from skylight.inverse._sky import SOLVERS, THESIS, SkyProblem, linear_direction
 from skylight.models._bundle import load_bundle
-from skylight.models._names import SOLVER_NAMES, check_solver_name
 from skylight.models._network import COARSE_HEIGHTS
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.sphere import _harmonics as harmonics

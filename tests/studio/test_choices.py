@@ -5,8 +5,8 @@ import sys
 from importlib.resources import files
 from typing import get_args
 
+from skylight._names import LIGHT_NAMES
 from skylight.csc._dictionary import BuiltinName
-from skylight.models._names import LIGHT_NAMES
 from skylight.studio._requests import (
     DICTIONARIES,
     LIGHTS,

@@ -16,15 +16,15 @@ import torch
 
 from skylight.errors import InputError, OutputError, SkylightError
 from skylight.work import _resumable as resumable
-from skylight.work._resumable import MOST_LOSSES, claimed, settle, share_work
+from skylight.work._resumable import MOST_LOSSES, keep_settings, locked, share_work
 
 
 def test_a_folder_keeps_its_settings(tmp_path: Path) -> None:
     note = tmp_path / "settings.json"
-    settle(note, {"height": 4, "shares": (0.5, 0.5)})
-    settle(note, {"shares": (0.5, 0.5), "height": 4})
+    keep_settings(note, {"height": 4, "shares": (0.5, 0.5)})
+    keep_settings(note, {"shares": (0.5, 0.5), "height": 4})
     with pytest.raises(InputError, match=r'made with other settings .*"height": 4.*"height": 8'):
-        settle(note, {"height": 8, "shares": (0.5, 0.5)})
+        keep_settings(note, {"height": 8, "shares": (0.5, 0.5)})
     assert json.loads(note.read_text()) == {"height": 4, "shares": [0.5, 0.5]}
 
 
@@ -33,18 +33,18 @@ def test_a_damaged_note_is_named(tmp_path: Path, text: str) -> None:
     note = tmp_path / "settings.json"
     note.write_text(text)
     with pytest.raises(InputError, match="damaged"):
-        settle(note, {"height": 4})
+        keep_settings(note, {"height": 4})
 
 
 def test_a_folder_has_one_run_at_a_time(tmp_path: Path) -> None:
     folder = tmp_path / "deep" / "out"
     with (
-        claimed(folder),
+        locked(folder),
         pytest.raises(InputError, match="another run is at work there"),
-        claimed(folder),
+        locked(folder),
     ):
         pass
-    with claimed(folder):
+    with locked(folder):
         pass
 
 
@@ -60,7 +60,7 @@ def test_what_is_half_written_goes_where_no_other_run_can_be_writing(
         file.touch()
     if not has_locks:
         monkeypatch.setattr("fcntl.flock", _no_locks)
-    with claimed(tmp_path, inner, tmp_path / "none"):
+    with locked(tmp_path, inner, tmp_path / "none"):
         there = {file for file in tmp_path.rglob("*") if file.is_file()}
     assert there - {tmp_path / ".lock"} == (whole if has_locks else half | whole)
 
@@ -71,7 +71,7 @@ def _no_locks(*_: object) -> None:
 
 def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match="cannot write into"), claimed(tmp_path / "file" / "out"):
+    with pytest.raises(OutputError, match="cannot write into"), locked(tmp_path / "file" / "out"):
         pass
 
 

@@ -19,6 +19,7 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from skylight._figures import white_of
+from skylight._names import LightName
 from skylight.estimation._photos import estimate_photo
 from skylight.estimation._report import over_grey, write_results
 from skylight.estimation._summary import PhotoEstimate
@@ -28,7 +29,6 @@ from skylight.inverse._lamps import MAP_ROWS
 from skylight.inverse._result import Lamp
 from skylight.io._files import write_environment_map, write_png
 from skylight.io._tensors import read_tensors, write_tensors
-from skylight.models._names import LightName
 from skylight.relight._lamps import disc_diameter_rad
 from skylight.sphere._frame import direction_from_angles
 from skylight.studio.tasks._portrait import command_of, keep_person

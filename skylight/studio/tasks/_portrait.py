@@ -29,13 +29,13 @@ from jaxtyping import UInt8
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from skylight._names import LightName
 from skylight.estimation._summary import PhotoEstimate
 from skylight.faces._fit import FaceFit
 from skylight.faces._observe import SKIN_SPECULAR
 from skylight.imaging._colour import linear_to_srgb
 from skylight.imaging._photo import Photo
 from skylight.io._tensors import read_tensors, write_tensors
-from skylight.models._names import LightName
 from skylight.portrait._files import KNEE, warning_of
 from skylight.portrait._lights import MovableSun
 from skylight.portrait._relit import (

@@ -12,7 +12,7 @@ from skylight.estimation._manifest import MANIFEST, Entry, append_entry, read_ma
 from skylight.faces._captures import CAPTURES_NAME, capture_hash, read_captures
 from skylight.people._azimuth import FOLDER, choose
 from skylight.people._files import read_turned_map
-from skylight.work._resumable import SETTINGS, settle
+from skylight.work._resumable import SETTINGS, keep_settings
 from tests.fuzz.files import PLACE, joined, parted, read_by_any, written
 
 _PHOTO = "anna.jpg"
@@ -22,7 +22,7 @@ _READERS: dict[str, Callable[[Path], object]] = {
     CAPTURES_NAME: read_captures,
     _PROPOSAL: lambda folder: choose(folder, {_PHOTO: 1}),
     MANIFEST: lambda folder: read_manifest(folder / MANIFEST),
-    SETTINGS: lambda folder: settle(folder / SETTINGS, _SETTINGS),
+    SETTINGS: lambda folder: keep_settings(folder / SETTINGS, _SETTINGS),
     "face.json": read_turned_map,
 }
 

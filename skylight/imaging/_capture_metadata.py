@@ -10,7 +10,7 @@ HEADING_ERROR_DEG = 10.0  # of a heading read from a map or a compass by hand
 
 
 @dataclass(frozen=True, kw_only=True)
-class Taken:
+class CaptureMetadata:
     """Facts about a picture that do not depend on its pixels; None where they are unknown.
 
     ``time`` has a time zone, or is that of the clocks there, in an unknown zone (no ``tzinfo``).
@@ -60,7 +60,7 @@ class Taken:
         """Nothing is known, not even of something that cannot be."""
         return (self.time, self.latitude_deg, self.heading_deg) == (None,) * 3 and not self.notes
 
-    def overruled_by(self, other: "Taken") -> "Taken":
+    def overruled_by(self, other: "CaptureMetadata") -> "CaptureMetadata":
         """``other``, and this where it knows nothing; place and heading go with what is theirs."""
         known = replace(self, notes=(*self.notes, *other.notes))
         if other.time is not None:
