@@ -25,7 +25,7 @@ def test_forward_and_backward(benchmark, network, skies):
 
     def gradient():
         z.grad = None
-        network.turned(z, AZIMUTH, SPREAD_RAD).sum().backward()
+        network.decode_at_azimuth(z, AZIMUTH, SPREAD_RAD).sum().backward()
 
     benchmark(gradient)
 

@@ -1,4 +1,4 @@
-"""Names that the command line takes as choices, each beside the module that it belongs to.
+"""Names that the command line takes as choices; a comment tells the module that each belongs to.
 
 They stand by themselves so that parsing a command imports no torch.
 """

@@ -18,6 +18,7 @@ from skylight.csc._sub_dictionaries import (
     part_of,
     rotated_atoms,
 )
+from skylight.errors import InputError
 from skylight.sphere._latlong_transform import LatLongTransform
 from skylight.transport._matrix import TransportMatrix
 
@@ -65,9 +66,11 @@ class CompressedTransport:
 
     def relight(self, radiance: Float[Tensor, "n c"]) -> Float[Tensor, "m c"]:
         """Shading ``T l``: one correlation for each colour, then s products a row."""
-        layout = self.transform.grid.layout
-        assert layout is not None
-        light = _signal(radiance.double().reshape(*layout, -1), self.parts, self.transform)
+        grid = self.transform.grid
+        if len(radiance) != len(grid):
+            raise ValueError(f"light has {len(radiance)} directions, the transport {len(grid)}")
+        assert grid.layout is not None
+        light = _signal(radiance.double().reshape(*grid.layout, -1), self.parts, self.transform)
         return torch.stack([self._shading(c) for c in light.target.unbind(1)], 1)
 
     def _shading(self, light: Float[Tensor, " k"]) -> Float[Tensor, " m"]:
@@ -114,6 +117,8 @@ def compress(
     A row is ``V(w) <n, w>+ / pi``: T without its solid angles. Its error is weighted by them.
     ``parts`` are a coder's for as many rows as the grid has; fewer positions are faster.
     """
+    if activations < 1:
+        raise InputError(f"{activations} activations hold nothing: ask for 1 or more")
     signals = row_signals(transport)
     transform = transform_for(parts, signals.shape[1])
     codes = []
@@ -125,7 +130,10 @@ def compress(
 def row_signals(transport: TransportMatrix) -> Float[Tensor, "m h w"]:
     """``V(w) <n, w>+ / pi``, float64: rows of T divided by the solid angles."""
     layout = transport.grid.layout
-    assert layout is not None
+    if layout is None or layout[1] != 2 * layout[0]:
+        raise InputError(
+            f"rows over {layout} are no lat-long maps: use DirectionGrid.latlong(rows)"
+        )
     return (transport.matrix.double() / transport.grid.solid_angles).reshape(-1, *layout)
 
 

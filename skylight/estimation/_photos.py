@@ -210,8 +210,7 @@ class Pictures:
         specular: bool,
         rays_on: torch.device | None = None,
     ) -> Iterator[SeenFace]:
-        """Each face with its transport on so many rows, of the skin's specular reflection where
-        that is wanted.
+        """Each face with its transport on so many rows; ``specular`` adds that of the skin's lobe.
 
         ``rays_on`` is that of :func:`~skylight.faces._observe.observe_face`.
         """

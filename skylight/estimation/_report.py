@@ -342,11 +342,11 @@ def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
         ("brightest", where(azimuth_deg, zenith_deg)),
         ("   azimuth, right of ahead", f"{azimuth_deg:+.0f}°"),
         ("   zenith angle", f"{zenith_deg:.0f}°"),
-        ("ground albedo", rgb(estimate.ground_albedo)),
     ]
     if len(result.seen) == 1:
         rows += [
             ("skin albedo", rgb(estimate.albedo)),
+            ("ground albedo", rgb(estimate.ground_albedo)),
             ("mean residual", f"{100 * estimate.faces[0].residual:.0f} %"),
             ("pixels used", f"{len(result.view.blocks)}"),
             ("landmarks off, of eye distance", f"{100 * fit.landmark_error:.1f} %"),
@@ -354,8 +354,11 @@ def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
         ]
     else:
         rows += [
-            (f"skin albedo of face {number}", rgb(face.albedo))
-            for number, face in enumerate(estimate.faces, start=1)
+            ("ground albedo", rgb(estimate.ground_albedo)),
+            *(
+                (f"skin albedo of face {number}", rgb(face.albedo))
+                for number, face in enumerate(estimate.faces, start=1)
+            ),
         ]
     terms = estimate.terms.items()
     return [

@@ -37,7 +37,7 @@ from skylight.evaluation._transport_compression import TransportCompression
 from skylight.evaluation._voxel_probe import VoxelProbe
 from skylight.io._atomic import atomic_path
 from skylight.io._bounded import write_json
-from skylight.work._resumable import Workers
+from skylight.work._resumable import Workers, locked
 
 SHEET_STRIPS = 12
 

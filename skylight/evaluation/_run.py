@@ -35,8 +35,6 @@ PROBES_AND_MESHES = "a folder hdr of light probes with an index.csv, and a folde
 # Sources that no number depends on.
 _UNMEASURED = (
     "cli.py",
-    "estimate/",
-    "film/",
     "maps/",
     "relight/",
     "studio/",
@@ -174,8 +172,13 @@ class ProbeEvaluation(Evaluation):
     """An evaluation over light probes, of ``data`` or its folder hdr, with meshes or without."""
 
     needs = PROBES_AND_MESHES
+    selects = ("data",)  # wherever it lies
 
     data: Path
+
+    def config(self) -> dict[str, object]:
+        index = (self.probes / INDEX_NAME).read_bytes()
+        return {**super().config(), "index": hashlib.sha256(index).hexdigest()}
 
     @property
     def probes(self) -> Path:

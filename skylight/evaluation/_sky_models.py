@@ -156,6 +156,8 @@ def _collected_sky(data: Path, number: int) -> KnownSky:
     """The upper half at 32 x 128, its energy kept, the brightest direction ahead."""
     file, category = _collection(data)[number]
     sky = read_environment_map(data / file).upper().resize(HEIGHT)
+    if not sky.radiance.any():
+        raise InputError(f"{data / file}: its sky is all black; take it out of the index")
     azimuth, zenith = angles_from_direction(sky.brightest_direction())
     turn = (centre_column_azimuth(HEIGHT) - azimuth).to(sky.radiance)
     facts: dict[str, object] = {

@@ -179,7 +179,7 @@ class SparseCoding(ProbeEvaluation):
 
     title = "sparse-coding"
     needs = PROBES
-    selects = ("indoor", "outdoor")
+    selects = ("data", "indoor", "outdoor")
     # two maps of 64 rows and short codes
     quick = MappingProxyType(
         {"height": 64, "counts": (4, 16), "indoor": 2, "outdoor": 0, "learned": 6}

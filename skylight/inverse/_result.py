@@ -161,6 +161,6 @@ def advice(faces: tuple[FaceLight, ...]) -> tuple[str, ...]:
             given.append(
                 f"the re-rendered {name} is off by {100 * face.residual:.0f} % on average: the "
                 "light is unreliable; check the mesh overlay, or use a picture with less hair, "
-                "glasses or specular reflection"
+                "glasses or shine on the skin"
             )
     return tuple(given)

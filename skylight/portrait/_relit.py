@@ -137,10 +137,10 @@ class Portrait:
         *,
         grey: bool = False,
     ) -> "Portrait":
-        """From a linear photograph, the light ``found`` in its colours and units, the
-        ``specular_scale``.
+        """From a linear photograph and the light ``found`` in its colours and units.
 
-        ``hair`` is how likely a pixel of ``person`` shows hair.
+        ``specular_scale`` is the strength of the skin's specular lobe; ``hair``
+        is how likely a pixel of ``person`` shows hair.
         """
         picture = float32(photo.numpy())
         shading, specular = _images(person, found, specular_scale, grey=grey)

@@ -159,7 +159,7 @@ def visibility(
 
     Independent of shading normals, which may therefore be optimised
     (:class:`skylight.transport._reflection.DiffuseTransport`); twice as many rays as
-    :func:`diffuse_transport`, whose parameters these are. Memory: m n bytes.
+    :func:`diffuse_transport`, whose parameters of the same names these are. Memory: m n bytes.
     """
     points = SurfaceRays.leaving(positions, geometric_normals, geometric_normals, raycaster)
     directions = grid.directions.numpy().astype(np.float32)

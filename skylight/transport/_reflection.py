@@ -200,8 +200,9 @@ _BLOCK = 2**17  # entries at a time: 6 MB of intermediate results, which the pro
 
 
 class SpecularTransport(DiffuseTransport):
-    """Specular reflection of distant light at m points:
-    ``sum_w f_s(n_p, w, v_p) V <n_p, w>+ L dw``.
+    """Specular reflection at m points under distant light from n directions.
+
+    ``s_p = sum_w f_s(n_p, w, v_p) V(p, w) <n_p, w>+ L(w) dw``.
 
     ``forward(radiance, specular_scale)`` is :class:`DiffuseTransport`'s with the strength of the
     lobe in the place of the albedo; differentiable in radiance, specular scale and normals, the

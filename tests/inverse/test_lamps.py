@@ -98,6 +98,7 @@ def test_the_lamps_energies_are_in_the_map():
     torch.testing.assert_close(cap - around, lamp.irradiance.double(), rtol=0.1, atol=0.05)
 
 
+@pytest.mark.slow
 def test_two_photographs_of_one_room_tell_of_one_light():
     """A ball in two exposures: the light is that of either, in the first one's units."""
     seen, alone = lit_ball((ONE, 3.0)), found_in((ONE, 3.0))

@@ -97,7 +97,12 @@ def check_light(found: ObjectLight, *lamps: Planted) -> None:
 
 
 @pytest.mark.parametrize(
-    "lamps", [(), (RED,), (RED, BLUE), pytest.param((STRONG, WEAK), marks=pytest.mark.slow)]
+    "lamps", [
+        (),
+        pytest.param((RED,), marks=pytest.mark.slow),
+        (RED, BLUE),
+        pytest.param((STRONG, WEAK), marks=pytest.mark.slow),
+    ]
 )
 def test_lamps_come_back(lamps: tuple[Planted, ...]) -> None:
     check_light(found_in(*lamps)[1], *lamps)

@@ -18,7 +18,7 @@ from skylight.evaluation._known_faces import read_face
 from skylight.faces._fit import camera_project
 from skylight.faces._model import HeadModel
 from skylight.io._files import write_environment_map
-from skylight.people import _batch as batch, _light as light_module
+from skylight.people import _files as batch, _light as light_module
 from skylight.people._files import read_rendered_face, render_folder, rendered_faces
 from skylight.people._light import MapFolder, RenderOptions, Skies, TurnedMap, scene_light
 from skylight.people._people import person

@@ -31,9 +31,8 @@ from skylight.probes.panorama._matches import (
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.work._progress import Progress, StageProgress
 
-_SPREAD_MIN = (
-    0.02  # of the shots' number: least spread of their right-hand sides that tells the vertical
-)
+# Of the shots' number: least spread of their right-hand sides that tells the vertical
+_SPREAD_MIN = 0.02
 _STEEP = 0.9  # sine of the elevation above which a shot tells no azimuth
 _MARGIN_PX = 1.0
 _POWER = 3  # of the weight that falls from a shot's middle to its edges

@@ -57,7 +57,7 @@ class ProbeCapture:
         for values in (self.shading, self.area_px, self.clipped):
             if not bool((values.isfinite() & (values >= 0)).all()):
                 raise InputError("a capture's numbers must be finite and 0 or more")
-        if not bool(((self.albedo > 0) & (self.albedo <= 1)).all()):
+        if self.albedo.shape != (3,) or not bool(((self.albedo > 0) & (self.albedo <= 1)).all()):
             raise InputError("a kernel's albedo is three numbers above 0 and at most 1")
 
     @staticmethod

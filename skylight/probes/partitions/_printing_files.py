@@ -109,7 +109,7 @@ def write_printed_partitions(
         f"{sizes.wall_mm:g} mm, clearance {sizes.clearance_mm:g} mm",
         panels={
             "On its pole and marker base": assembled(result, panel_px),
-            "CaptureMetadata apart along the pins": taken_apart(result, panel_px),
+            "Taken apart along the pins": taken_apart(result, panel_px),
             "Its cells, from two sides": draw_cells(result.cells, size=panel_px // 2),
         },
         rows=_rows(result),

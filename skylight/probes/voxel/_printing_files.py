@@ -53,7 +53,7 @@ def write_print_picture(path: Path, result: PrintedProbe, *, panel_px: int = PAN
         f"clearance {sizes.clearance_mm:g} mm",
         panels={
             "On its pole and marker base": assembled(result, panel_px),
-            "CaptureMetadata apart": taken_apart(result, panel_px),
+            "Taken apart": taken_apart(result, panel_px),
             "On the printer's bed": on_bed(result, panel_px),
         },
         rows=_rows(result),

@@ -286,6 +286,8 @@ def transfer_key(
 def save_transfer(path: Path, coefficients: TransferCoefficients, key: str) -> None:
     """As float16: 6 n bytes for each receiver and angle, to 0.05 % or 3e-8, whichever is more."""
     values = coefficients.values
+    if not bool(values.isfinite().all()):
+        raise InputError("transfer coefficients have values that are NaN or infinite")
     largest = float(values.abs().amax()) if values.numel() else 0.0
     if largest > torch.finfo(torch.float16).max:
         raise InputError(f"coefficients of {largest:g} do not fit: albedos must be below 1")
