@@ -331,6 +331,8 @@ class SkyProblem(LightProblem):
     def _solve_each(cls, problems: Sequence["SkyProblem"], progress: Progress) -> list[Estimate]:
         """As batches of one shape each; all are :meth:`another` of the first."""
         solver = problems[0].solver
+        if any(problem.solver is not solver for problem in problems):
+            raise ValueError("problems solved together share a solver: make them by another()")
         groups: dict[tuple, list[int]] = defaultdict(list)
         for number, problem in enumerate(problems):
             groups[problem.faces.shape].append(number)

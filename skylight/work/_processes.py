@@ -46,6 +46,8 @@ def in_processes(
     What it makes must go to :func:`shared_array`. However this ends (Ctrl-C, an error here or in
     another process), no process is left. More than one worker needs ``fork`` (not on Windows).
     """
+    if workers < 1:
+        raise ValueError(f"workers must be 1 or more, got {workers}")
     parent = os.getpid()
 
     def help_out(share: range) -> None:

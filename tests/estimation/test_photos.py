@@ -198,6 +198,19 @@ def test_bad_facts_by_hand_are_refused(
         taken_by_hand(time, place, heading)
 
 
+def test_a_bad_time_ends_the_command_before_anything_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Image.fromarray(face()).save(tmp_path / "a.png")
+    out = tmp_path / "out"
+    assert (
+        main(["estimate", str(tmp_path / "a.png"), "--out", str(out), "--time", "yesterday"]) == 2
+    )
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "--time 'yesterday' is no time" in line
+    assert not out.exists()
+
+
 @pytest.mark.slow
 def test_each_photo_of_a_folder_has_its_own(taken_photo: Path, tmp_path: Path) -> None:
     (tmp_path / "photos").mkdir()

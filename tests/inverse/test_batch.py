@@ -239,6 +239,14 @@ def test_no_photographs_have_no_lights() -> None:
     assert estimate_each([]) == estimate_each([], "sh9") == solve([]) == []
 
 
+def test_problems_that_share_no_solver_are_refused(seen: list[Observation]) -> None:
+    problems = [SkyProblem(SunSky(), SUNSKY_PRIOR, ALBEDO_PRIOR, MODES) for _ in range(2)]
+    for problem in problems:
+        problem.add(seen[0])
+    with pytest.raises(ValueError, match="share a solver"):
+        solve(problems)
+
+
 def test_an_empty_problem_among_others_is_refused_before_any_is_solved(
     seen: list[Observation], monkeypatch: pytest.MonkeyPatch
 ) -> None:

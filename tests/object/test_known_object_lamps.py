@@ -97,12 +97,13 @@ def check_light(found: ObjectLight, *lamps: Planted) -> None:
 
 
 @pytest.mark.parametrize(
-    "lamps", [
+    "lamps",
+    [
         (),
         pytest.param((RED,), marks=pytest.mark.slow),
         (RED, BLUE),
         pytest.param((STRONG, WEAK), marks=pytest.mark.slow),
-    ]
+    ],
 )
 def test_lamps_come_back(lamps: tuple[Planted, ...]) -> None:
     check_light(found_in(*lamps)[1], *lamps)

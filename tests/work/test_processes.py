@@ -31,6 +31,11 @@ def test_all_work_is_done_once_and_the_share_grows_to_one(workers):
     assert seen[-1] == 1
 
 
+def test_without_workers_nothing_is_done():
+    with pytest.raises(ValueError, match="workers must be 1 or more, got 0"):
+        in_processes(lambda _: None, 3, workers=0)
+
+
 def test_nothing_runs_on_after_an_error():
     def work(i: int) -> None:
         if i == 0:

@@ -11,30 +11,26 @@ from PIL import Image
 
 from skylight.errors import InputError
 from skylight.probes.fabrication._mount import Pole
-from skylight.probes.fabrication._parts import lay_out
+from skylight.probes.partitions._optimise import named_design
 from skylight.probes.partitions._printing_files import (
     free_discs,
     summarise_partition_print,
     write_printed_partitions,
 )
 from skylight.probes.partitions.printed._assembly import load_partition_assembly
-from skylight.probes.partitions.printed._halves import probe_parts, standing_rotation
-from skylight.probes.partitions.printed._printing import PrintedPartitions, _lying, _over_board
+from skylight.probes.partitions.printed._printing import PrintedPartitions, print_partition_probe
 from skylight.probes.partitions.printed._solids import ProbeSizes
 
 
 @pytest.fixture(scope="module")
-def plain_cube(printed_cube: PrintedPartitions) -> PrintedPartitions:
-    """Of larger parts, whose vertices float32 keeps apart, and all else as of the printed one."""
-    cells, sizes = printed_cube.cells, ProbeSizes(outer_mm=60.0, kernel_mm=9.0)
-    parts = probe_parts(cells, sizes, rotation=standing_rotation(cells), pole_mm=6.0)
-    return replace(printed_cube, printed=parts, sizes=sizes, bed=lay_out(_lying(parts)))
+def cube() -> PrintedPartitions:
+    return print_partition_probe(named_design("6d"), ProbeSizes(outer_mm=60.0, kernel_mm=9.0))
 
 
 @pytest.fixture(scope="module")
-def folder(plain_cube: PrintedPartitions, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(cube: PrintedPartitions, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("probe")
-    write_printed_partitions(folder, plain_cube, panel_px=120)
+    write_printed_partitions(folder, cube, panel_px=120)
     return folder
 
 
@@ -68,13 +64,13 @@ def test_report(folder: Path) -> None:
     assert report["parts_mm3"]["kernel"] == pytest.approx(18**3)
 
 
-def test_assembly_is_what_was_measured(folder: Path, printed_cube: PrintedPartitions) -> None:
+def test_assembly_is_what_was_measured(folder: Path, cube: PrintedPartitions) -> None:
     standing = load_partition_assembly(folder / "assembly.json")
-    assert (standing.response == printed_cube.visibility.response).all()
-    # the pole's 120 mm end 40 mm below the centre and 1.8 mm below the board
+    assert (standing.response == cube.visibility.response).all()
+    # the pole's 120 mm end 30 mm below the centre and 1.8 mm below the board
     height = 120 - 1.8
     assert standing.pole_mm == pytest.approx((87.5, 62.5, 3.0, height), abs=0.5)
-    assert float(standing.board_from_probe.translation[1]) == pytest.approx(height + 40)
+    assert float(standing.board_from_probe.translation[1]) == pytest.approx(height + 30)
     np.testing.assert_allclose(standing.board_from_probe.translation[[0, 2]], [87.5, 62.5])
 
 
@@ -84,11 +80,11 @@ def test_picture(folder: Path) -> None:
     assert (picture.max(2) < 130).mean() > 0.01  # dark shells
 
 
-def test_summary(printed_cube: PrintedPartitions) -> None:
-    said = summarise_partition_print(printed_cube)
+def test_summary(cube: PrintedPartitions) -> None:
+    said = summarise_partition_print(cube)
     assert "two half shells with 4 pins" in said
     assert "walls 1.60 mm or more" in said
-    across = 2 * printed_cube.face_radii_mm[0]
+    across = 2 * cube.face_radii_mm[0]
     assert f"discs of {across:.1f} mm across are free" in said
 
 
@@ -96,16 +92,20 @@ def test_discs_of_several_sizes() -> None:
     assert free_discs(np.array([4.0, 4.85])) == "8.0 to 9.7 mm"
 
 
-def test_poles_that_let_the_shell_hide_the_board_are_told(printed_cube):
+def test_poles_that_let_the_shell_hide_the_board_are_told(cube: PrintedPartitions) -> None:
     """Seen 60 degrees from above, its shadow on the board begins at c / tan 60 - r / sin 60."""
-    assert "make it 162 mm or longer" in printed_cube.warnings[0]
-    assert not replace(printed_cube, pole=Pole(length_mm=161.8)).warnings
-    slope, centre = np.radians(60), 2.5 * 80.0
+    assert "make it 122 mm or longer" in cube.warnings[0]
+    assert not replace(cube, pole=Pole(length_mm=190.0)).warnings
+    wide = replace(cube, sizes=ProbeSizes(outer_mm=80.0), pole=Pole(length_mm=161.8))
+    assert not wide.warnings
+    slope = np.radians(60)
+    centre = 2.5 * 80.0
     hidden_from = centre / np.tan(slope) - 40 / np.sin(slope)
-    assert hidden_from >= printed_cube.board.height_mm / 2
+    assert hidden_from >= wide.board.height_mm / 2
 
 
-def test_short_poles_are_refused(printed_cube: PrintedPartitions) -> None:
-    cube = printed_cube
-    with pytest.raises(InputError, match="162 mm"):
-        _over_board(cube.printed, cube.sizes, Pole(length_mm=20.0), cube.board)
+def test_short_poles_are_refused() -> None:
+    with pytest.raises(InputError, match="122 mm"):
+        print_partition_probe(
+            named_design("6d"), ProbeSizes(outer_mm=60.0, kernel_mm=9.0), pole=Pole(length_mm=20.0)
+        )

@@ -134,3 +134,12 @@ def test_halves_are_of_one_piece() -> None:
     _, piece = connected_components(links, directed=False)
     for half in (split.upper, ~split.upper):
         assert len(set(piece[half & (net.meeting > 0)])) == 1
+
+
+@pytest.mark.slow
+def test_solids_of_halves_are_of_one_piece() -> None:
+    parts = parts_of("6d-tilted-sun-12", ProbeSizes(outer_mm=130.0, kernel_mm=13.0, flare=1.0))
+    for part in parts.parts:
+        solid = part.solid()
+        assert solid is not None
+        assert len(solid.decompose()) == 1

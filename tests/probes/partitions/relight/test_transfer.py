@@ -8,7 +8,7 @@ import torch
 import trimesh
 
 from skylight.errors import InputError, OutputError
-from skylight.probes.partitions.relight import _transfer as transfer_file
+from skylight.probes.partitions.relight import _gather, _transfer as transfer_file
 from skylight.probes.partitions.relight._atlas import Receivers
 from skylight.probes.partitions.relight._scene import Scene
 from skylight.probes.partitions.relight._transfer import (
@@ -144,15 +144,17 @@ def test_a_thin_screen_throws_shadow_and_light_from_both_sides():
     assert float((first - second).square().mean().sqrt()) < 1e-3
 
 
-def test_the_same_seed_gives_the_same_bytes_with_any_number_of_processes():
+def test_the_same_seed_gives_the_same_bytes_with_any_number_of_processes(monkeypatch):
     scene = corner((0.5, 0.5, 0.5), (0.8, 0.2, 0.2), 0.3)
     points = Receivers.at_vertices(scene)
     sampling = TransferSampling(rays=1500, bounces=2, seed=5)
+    monkeypatch.setattr(_gather, "_RAYS_AT_ONCE", len(points) // 6 * sampling.rays)  # 6 blocks
     seen: list[float] = []
     one = transfer_coefficients(scene, six_cells(), points, sampling=sampling, progress=seen.append)
     three = transfer_coefficients(scene, six_cells(), points, sampling=sampling, workers=3)
     assert one.values.equal(three.values)
     assert one.orders.equal(three.orders)
+    assert len(set(seen)) >= 6
     assert seen == sorted(seen)
     assert seen[-1] == pytest.approx(1)
 
