@@ -87,10 +87,16 @@ def coded(coder: SphericalSparseCoder, x: torch.Tensor) -> SparseCode:
 def test_relative_error_is_that_of_the_decoded_map(weights: str) -> None:
     options = PursuitOptions(weights=weights)  # type: ignore[arg-type]
     coder = SphericalSparseCoder(bank(), activations=12, options=options)
-    code = coded(coder, room())
-    assert len(code) == 12
-    assert code.relative_error == pytest.approx(relative_error(room(), coder.decode(code)))
-    assert code.relative_error < 0.95
+    path = coder.path(room(), [2, 5, 12])
+    assert [len(code) for code in path] == [2, 5, 12]
+    for code in path:
+        assert code.relative_error == pytest.approx(relative_error(room(), coder.decode(code)))
+    errors = [code.relative_error for code in path]
+    assert 0.95 > errors[0] > errors[1] > errors[2]
+    assert torch.equal(path[2].weights, coded(coder, room()).weights)
+    (constant,) = coder.path(torch.full((32, 64, 3), 0.7), [12])
+    assert len(constant) == 1
+    assert constant.relative_error < 1e-4
 
 
 def test_relative_error_with_every_layer() -> None:

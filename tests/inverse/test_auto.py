@@ -17,7 +17,7 @@ from skylight.inverse._result import Lamp
 from skylight.inverse._sky import SolverOptions
 from skylight.models._bundle import load_bundle
 from skylight.models._ground import LambertianGround
-from tests.inverse.test_lamps import lit_ball
+from tests.inverse.test_lamps import found_in, lit_ball
 from tests.inverse.test_solve import MODES, ball_normals, observed
 
 
@@ -113,10 +113,12 @@ def test_a_lamp_at_the_camera_is_a_flash(from_below, direction, scene):
     assert scene_of(two) == "no open sky, two lamps"
 
 
-def test_even_light_that_does_not_explain_the_face_has_no_lamp_either(from_below):
+def test_even_light_that_does_not_explain_the_face_has_no_lamp_either():
+    even = found_in()
     verdict = "unreliable: the face is not explained"
-    posterior = replace(from_below.posterior, verdict=verdict, is_seen=False)
-    assert scene_of(replace(from_below, lamps=(), posterior=posterior)) == "no open sky, even light"
+    unexplained = replace(even, posterior=replace(even.posterior, verdict=verdict))
+    assert even.lamps == ()
+    assert scene_of(even) == scene_of(unexplained) == "no open sky, even light"
 
 
 def test_without_observations():

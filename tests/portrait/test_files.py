@@ -1,5 +1,6 @@
 """Relit portraits: the command from photograph to picture, brightness, and how they are shown."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import torch
 from PIL import Image
 
 from skylight.cli import main
+from skylight.estimation._summary import PhotoEstimate
 from skylight.imaging._colour import linear_to_srgb
 from skylight.io._files import write_png
 from skylight.io._hdr import read_linear
@@ -22,7 +24,7 @@ from skylight.portrait._files import (
 from skylight.portrait._lights import NewLight
 from skylight.portrait._relit import FaceReflection, light_in_photo, portrait_of
 from skylight.sphere._envmap import EnvironmentMap
-from tests.sunny_face import direction, sunny_estimate, sunny_face
+from tests.sunny_face import direction, sky_estimate, sunny_estimate, sunny_face
 
 
 @pytest.fixture(scope="module")
@@ -53,10 +55,15 @@ def test_the_sun_goes_to_the_other_side(
     assert after[0] > after[1]
 
 
-def test_under_a_map_the_face_is_as_bright_as_it_was(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "estimate", [sky_estimate, pytest.param(sunny_estimate, marks=pytest.mark.slow)]
+)
+def test_under_a_map_the_face_is_as_bright_as_it_was(
+    estimate: Callable[[], PhotoEstimate], tmp_path: Path
+) -> None:
     dim = EnvironmentMap(radiance=torch.full((32, 64, 3), 0.001))
     light = NewLight(environment=dim.with_light(direction(-50.0, 60.0), torch.full((3,), 0.004)))
-    result = sunny_estimate()
+    result = estimate()
     portrait = portrait_of(
         result.photos[0],
         result.fit,

@@ -53,7 +53,8 @@ def unknown() -> Iterator[Refusal]:
         yield "POST", "/api/jobs", {"json": {"kind": kind, of: "x"}}, 404, gone
 
 
-def jobs() -> Iterator[Refusal]:
+def unusable() -> Iterator[Refusal]:
+    yield "POST", "/api/maps?name=me.jpg", {"content": b"x"}, 415, ".exr or .hdr files"
     for wanted, words in (
         ({"kind": "paint"}, "paint"),
         ({}, "kind"),
@@ -89,22 +90,41 @@ def uploads() -> Iterator[Refusal]:
         ("..\\..\\x\n.hdr", b"#?RADIANCE\n", 422, "x.hdr: damaged"),
     ):
         yield "POST", f"/api/photos?name={quote(name)}", {"content": content}, status, words
-    yield "POST", "/api/maps?name=me.jpg", {"content": b"x"}, 415, ".exr or .hdr files"
 
 
-@pytest.mark.parametrize(
-    ("method", "path", "options", "status", "words"),
-    [*pages(), *foreign(), *unknown(), *jobs(), *uploads()],
-)
-def test_what_is_refused_is_one_line(
-    client: httpx.Client, method: str, path: str, options: dict[str, Any], status: int, words: str
-) -> None:
+def refused(
+    client: httpx.Client, method: str, path: str, options: dict[str, Any], status: int
+) -> str:
+    """The line that is answered."""
     url = httpx.URL(client.base_url, raw_path=path.encode())
     answer = client.request(method, url, **options)
     assert answer.status_code == status
     assert list(answer.json()) == ["error"]
     error = answer.json()["error"]
-    assert words in error
     assert "\n" not in error
     assert PREFIX not in error  # the folder where files are put
     assert "default-src 'self'" in answer.headers["content-security-policy"]
+    return error
+
+
+@pytest.mark.parametrize(("method", "path", "options", "status", "line"), [*pages()])
+def test_what_is_no_page_is_refused_by_this_line(
+    client: httpx.Client, method: str, path: str, options: dict[str, Any], status: int, line: str
+) -> None:
+    assert refused(client, method, path, options, status) == line
+
+
+@pytest.mark.parametrize(("method", "path", "options", "status", "words"), [*uploads()])
+def test_files_that_are_refused_are_named_first(
+    client: httpx.Client, method: str, path: str, options: dict[str, Any], status: int, words: str
+) -> None:
+    assert refused(client, method, path, options, status).startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "options", "status", "words"), [*foreign(), *unknown(), *unusable()]
+)
+def test_what_is_refused_is_one_line(
+    client: httpx.Client, method: str, path: str, options: dict[str, Any], status: int, words: str
+) -> None:
+    assert words in refused(client, method, path, options, status)

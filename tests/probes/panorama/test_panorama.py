@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from skylight.errors import InputError
 from skylight.probes._probe_map import ProbeMap
-from skylight.probes.panorama._matches import Shot
+from skylight.probes.cameras._exposures import merge
+from skylight.probes.panorama._matches import Shot, shot_of
 from skylight.probes.panorama._panorama import (
     Panorama,
     aligned,
@@ -32,6 +33,7 @@ from tests.turning_camera import (
     shots,
     sun_irradiance,
 )
+from tests.virtual_camera import expose
 
 ROWS = 64
 
@@ -96,6 +98,28 @@ class TestFound:
         probe = stitch(shots(8), where, found.bundle.lens, ROWS)
         assert np.median(errors_outside_the_sun(probe)) < 0.03
         np.testing.assert_allclose(sun_irradiance(probe.environment), SUN_IRRADIANCE, rtol=0.05)
+
+
+def test_a_panorama_of_two_shots_tells_of_a_clipped_sun() -> None:
+    """Both see it, from 1/256 s on; a panorama of what they see from 1/4096 s on tells of none."""
+    which, rng = (8, 9), np.random.default_rng(4)
+    turns = {k: pictures()[0][each] for k, each in enumerate(which)}
+
+    def made(times: tuple[float, ...]) -> Panorama:
+        seen = [[expose(pictures()[1][k], t, rng, 16, f"{t} s") for t in times] for k in which]
+        some = [shot_of(f"{k}", merge(each, "srgb")) for k, each in enumerate(seen)]
+        return panorama_of(some, ROWS, focal_px=LENS.focal_px, hints=turns)
+
+    assert made(TIMES).clipping is None
+    probe = made(TIMES[1:])
+    assert probe.clipping is not None
+    true = 2 * math.pi * (1 - math.cos(SUN_RAD))
+    assert true < probe.clipping.solid_angle_sr < 2 * true
+    assert probe.clipping.regions == 1
+    azimuth, zenith = math.atan2(SUN[0], -SUN[2]), math.acos(SUN[1])
+    assert probe.clipping.azimuth_deg == pytest.approx(math.degrees(azimuth), abs=0.5)
+    assert probe.clipping.zenith_deg == pytest.approx(math.degrees(zenith), abs=0.5)
+    assert max(sun_irradiance(probe.probe.environment)) < 0.5 * SUN_IRRADIANCE
 
 
 @pytest.mark.slow

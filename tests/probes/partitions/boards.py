@@ -9,6 +9,7 @@ import trimesh
 
 from skylight.probes.partitions._cells import Cells
 from skylight.probes.partitions._optimise import named_design
+from skylight.probes.partitions.relight import _gather
 from skylight.probes.partitions.relight._atlas import refined
 from skylight.probes.partitions.relight._composite import SceneOnBoard, board_transfer
 from skylight.probes.partitions.relight._gather import Ground
@@ -59,6 +60,11 @@ def standing(
     return SceneOnBoard(scene, ground, transfer, fourteen(), rotation, **real)
 
 
-@cache
 def box_on_board() -> SceneOnBoard:
+    return _box_on_ground(_gather.ACROSS)
+
+
+@cache
+def _box_on_ground(_across: int) -> SceneOnBoard:
+    """One for each density of the ground, which ``coarse_ground`` changes."""
     return standing(box(), rays=128)

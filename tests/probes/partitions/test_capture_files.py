@@ -127,14 +127,11 @@ def capture(folder: Path, out: Path, *arguments: object) -> int:
     return main(command)
 
 
-@pytest.fixture(autouse=True)
-def no_other_turns(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The probe is built once, and sought where the assembly says, but where it was turned."""
-    if request.node.get_closest_marker("slow") is None:
-        monkeypatch.setattr(PartitionAssembly, "placed", lambda _: probe())
-        monkeypatch.setattr(
-            PartitionAligner, "best", lambda self, _: OutlineAligner.best(self, 0.0)
-        )
+@pytest.fixture
+def no_other_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests of other things than the turn: one probe, sought where the assembly says."""
+    monkeypatch.setattr(PartitionAssembly, "placed", lambda _: probe())
+    monkeypatch.setattr(PartitionAligner, "best", lambda self, _: OutlineAligner.best(self, 0.0))
 
 
 def capture_of_turned(folder: Path, degrees: float) -> tuple[Path, str]:
@@ -185,6 +182,7 @@ def without_probe(folder: Path) -> Path:
     return folder / "board.png"
 
 
+@pytest.mark.usefixtures("no_other_turns")
 def test_a_capture_is_continued(folder, without_probe, tmp_path, capsys):
     """First of the upper cells, where one is darker than later, and another over-exposed."""
     shine = SHINE.copy()
@@ -243,6 +241,7 @@ def test_cells_that_are_missing_get_their_neighbours_light(captured: tuple[Path,
     assert "cell 2 towards" in said[0]
 
 
+@pytest.mark.usefixtures("no_other_turns")
 class TestRefusals:
     def test_no_board_in_view(self, folder, tmp_path, capsys):
         Image.new("RGB", (640, 480), (90, 90, 90)).save(tmp_path / "grey.png")

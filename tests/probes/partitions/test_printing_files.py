@@ -17,6 +17,7 @@ from skylight.probes.partitions._printing_files import (
     summarise_partition_print,
     write_printed_partitions,
 )
+from skylight.probes.partitions.printed import _printing
 from skylight.probes.partitions.printed._assembly import load_partition_assembly
 from skylight.probes.partitions.printed._printing import PrintedPartitions, print_partition_probe
 from skylight.probes.partitions.printed._solids import ProbeSizes
@@ -104,7 +105,8 @@ def test_poles_that_let_the_shell_hide_the_board_are_told(cube: PrintedPartition
     assert hidden_from >= wide.board.height_mm / 2
 
 
-def test_short_poles_are_refused() -> None:
+def test_short_poles_are_refused_before_parts_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_printing, "probe_parts", None)
     with pytest.raises(InputError, match="122 mm"):
         print_partition_probe(
             named_design("6d"), ProbeSizes(outer_mm=60.0, kernel_mm=9.0), pole=Pole(length_mm=20.0)

@@ -39,8 +39,13 @@ from skylight.probes.partitions.printed._assembly import (
     fitted_sizes,
     placed_parts,
 )
-from skylight.probes.partitions.printed._halves import ProbeParts, probe_parts, standing_rotation
-from skylight.probes.partitions.printed._solids import ProbeSizes, frame_along, rim_halves
+from skylight.probes.partitions.printed._halves import (
+    Foot,
+    ProbeParts,
+    probe_parts,
+    standing_rotation,
+)
+from skylight.probes.partitions.printed._solids import ProbeSizes, WallNet, frame_along, rim_halves
 from skylight.sphere._frame import DirectionGrid
 from skylight.sphere._rotation import RigidTransform
 from skylight.transport._rays import Raycaster
@@ -303,14 +308,15 @@ def print_partition_probe(
     tell("making the parts", 0.0)
     cells = Cells.of(design)
     rotation = standing_rotation(cells)
+    foot = Foot.of(WallNet.of(cells, rotation), sizes, pole.diameter_mm)
+    translation = _over_board(foot, sizes, pole, board)
     printed = probe_parts(cells, sizes, rotation=rotation, pole_mm=pole.diameter_mm)
-    translation = _over_board(printed, sizes, pole, board)
-    x, z = printed.foot.axis
+    x, z = foot.axis
     pole_mm = (
         float(x + translation[0]),
         float(z + translation[2]),
         pole.diameter_mm / 2,
-        float(printed.foot.top_mm + translation[1]),
+        float(foot.top_mm + translation[1]),
     )
     base = marker_base(pole, board, wall_mm=sizes.wall_mm, clearance_mm=sizes.clearance_mm)
     tell("measuring the parts", 0.2)
@@ -347,10 +353,9 @@ def print_partition_probe(
 
 
 def _over_board(
-    printed: ProbeParts, sizes: ProbeSizes, pole: Pole, board: MarkerBoard
+    foot: Foot, sizes: ProbeSizes, pole: Pole, board: MarkerBoard
 ) -> Float[np.ndarray, " 3"]:
     """From the standing probe's frame to the board's: the pole stands in its middle."""
-    foot = printed.foot
     stop = base_stop_mm(board, sizes.wall_mm)
     height = pole.length_mm - stop - foot.top_mm
     clear = height + foot.bottom_mm - boss_mm(pole, board)
