@@ -3,11 +3,11 @@
 import json
 import shutil
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from pathlib import Path
 
 import hypothesis.strategies as st
 import pytest
+import torch
 from hypothesis import given
 from PIL import Image
 from skimage.data import astronaut
@@ -25,25 +25,14 @@ from skylight.estimation._manifest import (
 )
 from skylight.estimation._photos import Pictures
 from skylight.estimation._settings import EstimateSettings
-from skylight.estimation._summary import PhotoEstimate
 from skylight.imaging._photo import PHOTO_SUFFIXES
+from skylight.io._files import read_environment_map
 from skylight.models._ground import KnownGround
 from skylight.work._resumable import locked
 from tests.estimated import RESULTS
 from tests.sunny_face import sunny_estimate, sunny_face
 
 SH9 = EstimateSettings(light="sh9")
-
-
-def in_this_process(sources: list[str]) -> Callable[..., Iterable[Entry]]:
-    """In place of ``share_work``, for tests of what is done; notes the sources."""
-
-    def share(work: Callable, arguments: Iterable[tuple], **_: object) -> Iterable:
-        for one in arguments:
-            sources.append(one[0].source)
-            yield work(*one)
-
-    return share
 
 
 @pytest.fixture(scope="module")
@@ -55,17 +44,8 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     Image.fromarray(sunny_face(40.0, 50.0).encoded).save(photos / "me.png")
     Image.new("RGB", (64, 64), (200, 120, 40)).save(photos / "more" / "no_face.png")
     (photos / "bad.png").write_bytes(b"nothing")
-    estimate = Pictures.estimate
-
-    def known(pictures: Pictures) -> PhotoEstimate:
-        if pictures.names == ("me.png",):
-            return replace(sunny_estimate(), names=pictures.names, seconds={})
-        return estimate(pictures)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(batch, "share_work", in_this_process([]))
-        patch.setattr(Pictures, "estimate", known)
-        assert main(["estimate", str(photos), "--light", "sh9", "--out", str(out)]) == 0
+    arguments = ["estimate", str(photos), "--light", "sh9", "--out", str(out), "--workers", "2"]
+    assert main(arguments) == 0
     return photos, out
 
 
@@ -77,9 +57,15 @@ def copied(finished: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Path]:
 
 @pytest.fixture
 def here(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The sources that are done."""
+    """Work is done in this process, for tests of what is done; the sources that were."""
     sources: list[str] = []
-    monkeypatch.setattr(batch, "share_work", in_this_process(sources))
+
+    def share(work: Callable, arguments: Iterable[tuple], **_: object) -> Iterable:
+        for one in arguments:
+            sources.append(one[0].source)
+            yield work(*one)
+
+    monkeypatch.setattr(batch, "share_work", share)
     return sources
 
 
@@ -120,7 +106,13 @@ class TestResults:
                 assert line["verdict"] == told["posterior"]["verdict"]
                 assert line["versions"] == told["versions"]
                 assert told["sources"] == [line["source"]]
-                assert line["seconds"] > 0
+                assert line["seconds"] > sum(told["seconds"].values())
+
+    def test_a_photo_gets_the_light_that_it_gets_alone(self, finished: tuple[Path, Path]) -> None:
+        _, out = finished
+        written = read_environment_map(out / "me_png" / "probe.exr").radiance
+        alone = sunny_estimate().estimate.environment.radiance
+        torch.testing.assert_close(written, alone, rtol=1e-3, atol=1e-4)
 
 
 class TestGoingOn:

@@ -102,6 +102,15 @@ def test_means_of_patches(config: DictionaryConfig) -> None:
     assert sheet.shape == (100, 300, 3)
 
 
+@pytest.mark.slow
+def test_one_configuration_gives_one_dictionary(config: DictionaryConfig, tmp_path: Path) -> None:
+    one, other = (
+        FilterBank.load(learn_dictionary(replace(config, out=tmp_path / name), str))
+        for name in ("one", "other")
+    )
+    assert torch.equal(one.coefficients, other.coefficients)
+
+
 def test_which_maps(config: DictionaryConfig) -> None:
     def used(**changes: object) -> list[str]:
         path = learn_dictionary(replace(config, **changes), str)  # type: ignore[arg-type]

@@ -168,6 +168,33 @@ def test_the_object_moves(estimate: Path, made: tuple[Path, Path], opened: Opene
 
 
 @pytest.mark.slow
+def test_the_head_hides_what_is_behind_it(
+    estimate: Path, made: tuple[Path, Path], opened: Opener
+) -> None:
+    page = opened(estimate)
+    choose(page, "Object", "box")
+    choose(page, "Surface", "matte")
+    placed, photo = Placed(page), photo_pixels(made)
+    told = json.loads((estimate / "estimate.json").read_text())["faces"][0]
+    inside = placed.seen(*((np.array(told["eyes"]) - placed.foot) / placed.size))
+    canvas = page.locator("canvas.composite")
+    canvas.scroll_into_view_if_needed()
+    bounds = canvas.bounding_box()
+    assert bounds is not None
+    scale = bounds["width"] / SIZE
+    for move, (row, column) in ("down", placed.seen(0, 0.5, 0)), ("up", inside):
+        page.mouse.move(bounds["x"] + column * scale, bounds["y"] + row * scale)
+        getattr(page.mouse, move)()
+    seen = finished(page, 1 / 64)[..., :3]
+    assert Placed(page).seen(0, 0.5, 0) == pytest.approx(inside, abs=3)
+    row, column = inside
+    head = np.s_[row - 8 : row + 8, column - 8 : column + 8]
+    assert np.abs(seen[head] - photo[head]).mean() < 8
+    row, column = Placed(page).seen(0, -0.2 / placed.size, 0)  # its rod, below the chin
+    assert np.abs(seen[row, column] - photo[row, column]).max() > 20
+
+
+@pytest.mark.slow
 def test_the_object_has_the_photographs_white_balance(estimate: Path, opened: Opener) -> None:
     told = json.loads((estimate / "estimate.json").read_text())["faces"]
     gains = [1.25, 1.0, 0.8]
