@@ -177,8 +177,7 @@ class ProbeEvaluation(Evaluation):
     data: Path
 
     def config(self) -> dict[str, object]:
-        index = (self.probes / INDEX_NAME).read_bytes()
-        return {**super().config(), "index": hashlib.sha256(index).hexdigest()}
+        return {**super().config(), "index": index_sha256(self.probes)}
 
     @property
     def probes(self) -> Path:
@@ -260,6 +259,11 @@ def code_hash() -> str:
             digest.update(name.encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def index_sha256(folder: Path) -> str:
+    """Of a folder's index: results of another one are none of these."""
+    return hashlib.sha256((folder / INDEX_NAME).read_bytes()).hexdigest()
 
 
 def probes_folder(data: Path) -> Path:

@@ -9,7 +9,6 @@ names is the *development* half, which settings may be chosen by, and the rest i
 half.
 """
 
-import hashlib
 import math
 import time
 from dataclasses import dataclass, replace
@@ -24,7 +23,15 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.evaluation._pictures import panorama_rows
-from skylight.evaluation._run import Check, Evaluation, Item, Rows, trained_light, trained_model
+from skylight.evaluation._run import (
+    Check,
+    Evaluation,
+    Item,
+    Rows,
+    index_sha256,
+    trained_light,
+    trained_model,
+)
 from skylight.evaluation._sky_fits import fits, over_ground
 from skylight.inverse._scores import score
 from skylight.io._files import names_categories, read_categories, read_environment_map, write_png
@@ -78,10 +85,8 @@ class KnownSkies:
         return self.data is not None and names_categories(self.data)
 
     def fingerprint(self) -> str | None:
-        """SHA-256 of the folder's index: results of another one are none of these."""
-        if self.data is None:
-            return None
-        return hashlib.sha256((self.data / INDEX_NAME).read_bytes()).hexdigest()
+        """SHA-256 of the folder's index."""
+        return None if self.data is None else index_sha256(self.data)
 
     def names(self) -> list[str]:
         if self.data is None:

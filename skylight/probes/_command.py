@@ -1,5 +1,7 @@
 """``skylight probe``: one command for each kind of light probe, and the ground's albedo."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import tyro
@@ -9,6 +11,7 @@ from skylight._names import MergedFrom
 from skylight._options import take_care
 from skylight.probes.partitions._command import Box, partitions
 from skylight.probes.voxel._command import voxel
+from skylight.work._progress import StageProgress, Tell, stage_bar
 
 probe = tyro.extras.SubcommandApp()
 
@@ -54,13 +57,11 @@ def merge_exposures(
     """
     from skylight.probes.mirror_balls._files import merge_probe
     from skylight.probes.mirror_balls._merged import BallOptions
-    from skylight.work._progress import stage_bar
 
     options = BallOptions(
         circles=(ball, second_ball), fov_deg=fov_deg, turn_deg=turn_deg, reflectivity=reflectivity
     )
-    warnings: list[str] = []
-    with stage_bar() as progress:
+    with _bar_then_warnings() as (progress, warn):
         merge_probe(
             photos,
             out,
@@ -71,10 +72,8 @@ def merge_exposures(
             ball=options,
             height=height,
             progress=progress,
-            warn=warnings.append,
+            warn=warn,
         )
-    for line in warnings:
-        take_care(line)
 
 
 @probe.command(name="stitch")
@@ -111,10 +110,8 @@ def stitch_shots(
         height: Rows of the map.
     """
     from skylight.probes.panorama._files import stitch_probe
-    from skylight.work._progress import stage_bar
 
-    doubts: list[str] = []
-    with stage_bar() as progress:
+    with _bar_then_warnings() as (progress, warn):
         stitch_probe(
             shots,
             out,
@@ -125,9 +122,17 @@ def stitch_shots(
             turns=turns,
             height=height,
             progress=progress,
-            warn=doubts.append,
+            warn=warn,
         )
-    for line in doubts:
+
+
+@contextmanager
+def _bar_then_warnings() -> Iterator[tuple[StageProgress, Tell]]:
+    """Progress on a bar, and a function for warnings, which are printed when the bar has gone."""
+    warnings: list[str] = []
+    with stage_bar() as progress:
+        yield progress, warnings.append
+    for line in warnings:
         take_care(line)
 
 
