@@ -3,6 +3,9 @@
 
 def main() -> int:
     """Run one command and return its exit code."""
+    from skylight.work._threads import prefer_one_thread
+
+    prefer_one_thread()
     try:
         from skylight.cli import main
     except ModuleNotFoundError as error:

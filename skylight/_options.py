@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from datetime import datetime
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from skylight.errors import InputError
 from skylight.imaging._capture_metadata import CaptureMetadata
+from skylight.work._threads import cores
 
 if TYPE_CHECKING:
     from skylight.work._resumable import Workers
@@ -27,14 +27,7 @@ def who_works(workers: int, cluster: str | None, out: Path) -> Workers:
         return Cluster(address=cluster, folder=out)
     if workers < 0:
         raise InputError(f"--workers must be 0 or more, got {workers}")
-    return workers or _cores()
-
-
-def _cores() -> int:
-    """Those that this process may use: a batch system or a container gives it some of them."""
-    if hasattr(os, "sched_getaffinity"):  # Linux
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return workers or cores()
 
 
 def one_source(

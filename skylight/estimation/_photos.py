@@ -4,7 +4,6 @@
 and does what comes before the light and after it.
 """
 
-import os
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -30,6 +29,7 @@ from skylight.inverse._problem import solve
 from skylight.inverse._result import Estimate
 from skylight.inverse._sun_prior import SunPrior, sun_prior
 from skylight.work._progress import Progress, StageProgress
+from skylight.work._threads import cores
 
 STAGES = ("finding the face", "fitting the head", "tracing light", "estimating the light")
 # Landmarks farther off the fitted head, of the distance of the eyes as seen, are no face's: of 62
@@ -231,7 +231,7 @@ class Pictures:
                         grid_height=grid_height,
                         specular=SKIN_SPECULAR if specular else None,
                         grey=photo.grey,
-                        workers=self.workers or os.cpu_count() or 1,
+                        workers=self.workers or cores(),
                         rays_on=rays_on,
                         progress=told,
                     )

@@ -1,6 +1,5 @@
 """A photographed person in another light, from an estimate to a picture file."""
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from skylight.io._files import write_light, write_png
 from skylight.portrait._lights import NewLight
 from skylight.portrait._relit import FaceReflection, Keep, Portrait, light_in_photo, portrait_of
 from skylight.work._progress import Progress
+from skylight.work._threads import cores
 
 _MIDDLE = 20, 230  # codes that are neither dark nor clipped
 _ROUNDED = 0.05  # what codes and gammas may differ by
@@ -57,9 +57,7 @@ def relit_portrait(
     :func:`taken_apart` made of the estimate, for several lights; ``workers`` are the processes that
     trace light otherwise, one per core where None.
     """
-    portrait = portrait or taken_apart(
-        result, workers=workers or os.cpu_count() or 1, progress=progress
-    )
+    portrait = portrait or taken_apart(result, workers=workers or cores(), progress=progress)
     picture, used = portrait.under(light.environment, exposure, keep=keep)
     return RelitPortrait(
         picture=picture,

@@ -43,6 +43,7 @@ from skylight.training._skies import (
     prepare,
 )
 from skylight.work._progress import Tell
+from skylight.work._threads import use_all_cores
 
 
 @dataclass(kw_only=True)
@@ -89,6 +90,8 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell) -> Path:
     share = here.share(config.batch)
     if config.threads:
         torch.set_num_threads(config.threads)
+    else:
+        use_all_cores()
     data = _load(config, here, report)
     config.out.mkdir(parents=True, exist_ok=True)
     steps_per_epoch = len(data.train) // config.batch

@@ -24,6 +24,7 @@ from skylight.sphere._envmap import EnvironmentMap
 from skylight.training._checkpoint import drop_damaged, read_state, write_state
 from skylight.training._config import DictionaryConfig
 from skylight.work._progress import Tell
+from skylight.work._threads import use_all_cores
 
 FILE = "dictionary.safetensors"
 LEAST_ROWS = 64
@@ -55,6 +56,7 @@ def learn_dictionary(config: DictionaryConfig, report: Tell = print) -> Path:
     InputError
         No usable map, or too few for so many filters.
     """
+    use_all_cores()
     probes = _probes(config, report)
     config.out.mkdir(parents=True, exist_ok=True)
     errors: list[float] = []

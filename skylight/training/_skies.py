@@ -12,7 +12,6 @@ All of it is a function of the seed, and of the place in the run.
 
 import hashlib
 import multiprocessing
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -36,6 +35,7 @@ from skylight.sphere._frame import DirectionGrid
 from skylight.training._checkpoint import initial_network
 from skylight.training._config import AutoencoderConfig
 from skylight.work._progress import Tell
+from skylight.work._threads import cores
 
 CHUNK = 32  # skies that one process converts at a time
 CACHE = ".cache"  # folder beside the index
@@ -320,7 +320,7 @@ def draw_batch(
 
 def in_order(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
     """``work(job)`` of all jobs in their order, by as many processes as cores."""
-    workers = min(os.cpu_count() or 1, len(jobs))
+    workers = min(cores(), len(jobs))
     if workers <= 1:
         yield from map(work, jobs)
         return

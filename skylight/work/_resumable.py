@@ -27,12 +27,12 @@ from skylight.io._bounded import json_content, write_json
 from skylight.work._cluster import Cluster, share_on_cluster
 from skylight.work._memory import collect_seldom
 from skylight.work._processes import run_piece
+from skylight.work._threads import ONE_THREAD
 
 SETTINGS = "settings.json"  # the note of :func:`keep_settings`
 Result = TypeVar("Result")
 Workers = int | Cluster  # so many processes here, or those of a cluster
 MOST_LOSSES = 3  # a piece that its process did not survive so often is given up
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
 @contextmanager

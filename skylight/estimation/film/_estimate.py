@@ -4,7 +4,6 @@ What following the person found is kept between runs, beside the results.
 """
 
 import hashlib
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -39,6 +38,7 @@ from skylight.inverse._sky import SkyProblem
 from skylight.io._files import visible_files
 from skylight.work._progress import StageProgress
 from skylight.work._resumable import results_folder
+from skylight.work._threads import cores
 
 FOLLOWING = "following"  # the folder in that of the results
 
@@ -160,7 +160,7 @@ def estimate_film(
                 face_height_px=FACE_HEIGHT_PX,
                 grid_height=problem.grid_height,
                 grey=photo.grey,
-                workers=os.cpu_count() or 1,
+                workers=cores(),
                 rays_on=settings.estimate.rays_on,
             )
         except InputError as error:

@@ -16,7 +16,6 @@ the estimate itself would have given.
 
 import json
 import math
-import os
 import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -56,6 +55,7 @@ from skylight.sphere._frame import angles_from_direction
 from skylight.studio.tasks._uploads import open_photo
 from skylight.transport._cameras import Camera
 from skylight.work._progress import StageProgress
+from skylight.work._threads import cores
 
 KEPT = "person.safetensors"
 _OF_FIT = ("rotation", "translation", "identity", "expression", "vertices")
@@ -181,7 +181,7 @@ def take_apart(
         person.reflection,
         person.found,
         face_px=FACE_PX,
-        workers=os.cpu_count() or 1,
+        workers=cores(),
         progress=lambda share: tell("tracing light", share),
     )
     tell("writing the results", 0.0)
