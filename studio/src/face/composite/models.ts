@@ -46,7 +46,7 @@ const SHAPES: Record<string, { title: string; usual: number; make: () => BufferG
 };
 const BALLS = "balls";
 export const MODELS: readonly { value: string; title: string }[] = [
-  { value: BALLS, title: "Matt and chrome balls" },
+  { value: BALLS, title: "Diffuse and chrome balls" },
   ...Object.entries(SHAPES).map(([value, { title }]) => ({ value, title })),
 ];
 

@@ -113,7 +113,7 @@ export function compositePanel(photo: SeenPhoto): CompositePanel {
       { value: OWN, title: "The model's own" },
       { value: "clay", title: "Clay" },
       { value: "matte", title: "Matte white" },
-      { value: "chart", title: "Matt grey, 18 %" },
+      { value: "chart", title: "Diffuse grey, 18 %" },
       { value: "glazed", title: "Red glaze" },
       { value: "silver", title: "Silver" },
       { value: "mirror", title: "Mirror" },
