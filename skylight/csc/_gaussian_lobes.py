@@ -21,6 +21,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from skylight.csc._dictionary import FilterBank
+from skylight.sphere._frame import cosines
 
 _LONGEST = 400.0  # the largest ratio of precisions that is fitted: lobes 20 times as long as wide
 
@@ -54,7 +55,7 @@ class GaussianLobes:
 
     def density(self, directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n k"]:
         """f of every lobe, 1/sr."""
-        x, y, z = directions @ self.axes.mT
+        x, y, z = (cosines(directions, axes) for axes in self.axes)
         p, q = self.precisions.unbind(1)
         # (u, v) = (x, y) / (1 + z); nothing but the uniform density reaches the antipode
         reach = (1 + z).clamp(min=torch.finfo(z.dtype).tiny ** 0.25).square()

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call, vmap
 
-from skylight.work._derived import Derived
+from skylight._modes import Derived
 
 
 class Doubled(nn.Module):
