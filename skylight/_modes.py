@@ -6,14 +6,14 @@ them. What is kept for others is computed without, and so is what eight bits wou
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache, update_wrapper
-from typing import Any, Generic, TypeVar
+from functools import lru_cache, update_wrapper, wraps
+from typing import Any, Generic, ParamSpec, TypeVar
 
 import torch
 from torch import Tensor
 from torch.autograd.forward_ad import unpack_dual
 
-T = TypeVar("T")
+P, T = ParamSpec("P"), TypeVar("T")
 
 
 def full_precision(like: Tensor) -> torch.autocast:
@@ -22,14 +22,25 @@ def full_precision(like: Tensor) -> torch.autocast:
     return torch.autocast(kind if torch.amp.is_autocast_available(kind) else "cpu", enabled=False)
 
 
+def without_autocast(function: Callable[P, T]) -> Callable[P, T]:
+    """The function without autocast: a search compares what is nearly equal."""
+
+    @wraps(function)
+    def inner(*args: P.args, **kwargs: P.kwargs) -> T:
+        with torch.autocast("cpu", enabled=False), torch.autocast("cuda", enabled=False):
+            return function(*args, **kwargs)
+
+    return inner
+
+
 def single(x: Tensor) -> Tensor:
     """In float32 at least: what autocast made may have eight bits."""
     return x.to(torch.promote_types(x.dtype, torch.float32))
 
 
 def transformed() -> bool:
-    """Whether a transform of :mod:`torch.func` or a compiler asks: values cannot be looked at."""
-    return torch.compiler.is_compiling() or torch._C._functorch.peek_interpreter_stack() is not None
+    """Whether a transform of :mod:`torch.func` asks, in which values cannot be looked at."""
+    return torch._C._functorch.peek_interpreter_stack() is not None
 
 
 def constant(maxsize: int | None = None) -> Callable[[Callable[..., T]], Callable[..., T]]:

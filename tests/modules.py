@@ -74,6 +74,7 @@ class Case:
     axis: int | None = -1
     transforms: bool = True  # torch.func's
     meta: bool = True
+    slow: bool = False
 
     def single(self) -> Any:
         return self.make().float()
@@ -205,9 +206,9 @@ def zonal() -> Tensor:
 
 CASES: dict[str, Case] = {
     "autoencoder light": Case(
-        make=lambda: load_bundle().light(sun_spread_rad=0.025), inputs=free, float32=5e-5
+        slow=True, make=lambda: load_bundle().light(sun_spread_rad=0.025), inputs=free, float32=5e-5
     ),
-    "autoencoder light, convolutions": Case(make=convolutional_light, inputs=free),
+    "autoencoder light, convolutions": Case(slow=True, make=convolutional_light, inputs=free),
     "sunsky": Case(make=lambda: SunSky(8), inputs=free, autocast=1e-5, tf32=1e-5),
     "lamps": Case(make=lambda: LampsLight(2, 8), inputs=free, autocast=1e-5),
     "harmonics": Case(
@@ -221,6 +222,7 @@ CASES: dict[str, Case] = {
     ),
     # a network's encoder adds the roundings of its layers
     "splines, encode": Case(
+        slow=True,
         make=shipped,
         inputs=skies,
         call=lambda m, x: m.encode(x),
@@ -228,16 +230,18 @@ CASES: dict[str, Case] = {
         autocast=2**-4,
         tf32=2**-8,
     ),
-    "splines, decode": Case(make=shipped, inputs=latents, call=lambda m, z: m.decode(z)),
+    "splines, decode": Case(slow=True, make=shipped, inputs=latents, call=lambda m, z: m.decode(z)),
     "splines, azimuth": Case(
         make=shipped,
         inputs=lambda _: (0.7 * normal(2, 64), normal(2)),
         call=lambda m, z, azimuth: m.decode_at_azimuth(z, azimuth, 0.025),
     ),
     "convolutions, encode": Case(
-        make=convolutional, inputs=skies, call=lambda m, x: m.encode(x), axis=-2
+        slow=True, make=convolutional, inputs=skies, call=lambda m, x: m.encode(x), axis=-2
     ),
-    "convolutions, decode": Case(make=convolutional, inputs=latents, call=lambda m, z: m.decode(z)),
+    "convolutions, decode": Case(
+        slow=True, make=convolutional, inputs=latents, call=lambda m, z: m.decode(z)
+    ),
     "convolutions, azimuth": Case(
         make=convolutional,
         inputs=lambda _: (0.7 * normal(2, 64), normal(2)),
@@ -276,6 +280,7 @@ CASES: dict[str, Case] = {
     ),
     # its transfer is solved for on the CPU, wherever the probe is
     "voxel probe": Case(
+        slow=True,
         make=lambda: VoxelProbe(star_probe(3), size=2, degree=2).requires_grad_(False),
         inputs=light(),
         call=lambda m, x: m(x, GRID),

@@ -10,22 +10,30 @@ import importlib
 import inspect
 import pickle
 import re
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 from torch import Tensor, nn
 from torch.func import grad, jacfwd, jacrev, vmap
+from torch.nn.functional import normalize
 
 import skylight
 from skylight.errors import InputError
-from skylight.models import LightModel
-from tests.modules import CASES, F32, F64, NOT_HERE, TF32, Case, error
+from skylight.models import GaussianLobes, LampsLight, LightModel, SunSky
+from tests.modules import CASES, F32, F64, NOT_HERE, TF32, Case, coder as coder_of_few, error
 
 PACKAGE = Path(skylight.__file__).parent
 
 
-@pytest.fixture(params=CASES)
+@pytest.fixture(
+    params=[
+        pytest.param(name, marks=pytest.mark.slow if case.slow else ())
+        for name, case in CASES.items()
+    ]
+)
 def case(request: pytest.FixtureRequest) -> Case:
     return CASES[request.param]
 
@@ -37,6 +45,7 @@ def transformable(case: Case) -> Case:
     return case
 
 
+@pytest.mark.slow
 def test_all_public_modules_are_here() -> None:
     """Whatever a package's ``__init__.pyi`` names and is a module is called by a case."""
     public = set()
@@ -142,3 +151,63 @@ def test_a_wrong_size_is_named(case: Case) -> None:
     for wrong in (x.narrow(case.axis, 1, x.shape[case.axis] - 1), torch.cat([x, x], case.axis)):
         with pytest.raises(InputError, match=re.escape(str(tuple(wrong.shape)))):
             case.call(case.single(), wrong, *rest)
+
+
+def test_a_search_within_a_transform_is_refused_and_leaves_nothing() -> None:
+    coder, maps = coder_of_few(), CASES["coder"].given(F64)[0]
+    with pytest.raises(InputError, match="code the maps before"):
+        grad(lambda x: coder.relative_error(x, coder(x)))(maps)
+    codes = coder(maps)
+    grad(lambda x: coder.relative_error(x, coder.refit(x, codes)))(maps)
+    pickle.dumps(coder)
+
+
+def _sunsky(kappa: Tensor) -> Tensor:
+    sun = normalize(torch.tensor([[0.3, 0.5, -0.8]], dtype=F64)).to(kappa)
+    return SunSky(16).sun_lobe(sun, kappa)
+
+
+def _sun_pixels(kappa: Tensor) -> Tensor:
+    """The whole model, with most light in the sun."""
+    values = [0.2, 0.2, 0.2, 5.0, 5.0, 5.0, 0.7, 1.1, 2.5]
+    params = torch.cat([torch.tensor([values], dtype=F64).to(kappa), kappa[:, None]], 1)
+    return SunSky(16)(params)
+
+
+def _lamps(kappa: Tensor) -> Tensor:
+    model = LampsLight(1, 16)
+    lamps = model.lamps(torch.tensor([[0.0] * 16 + [0.3, 0.5, -0.8] + [0.0] * 4]).to(kappa))
+    return model.lobes(replace(lamps, widths_rad=kappa[:, None].rsqrt()))
+
+
+def _gaussians(kappa: Tensor) -> Tensor:
+    values = [1.0, 1.0, 1.0, 0.7, 1.1]
+    params = torch.cat([torch.tensor([values], dtype=F64).to(kappa), kappa[:, None]], 1)
+    return GaussianLobes(1, 16)(nn.functional.pad(params, (0, 3)))
+
+
+@pytest.mark.parametrize("kappa", [8.0, 60.0, 1000.0, 8000.0])
+@pytest.mark.parametrize("lobe", [_sunsky, _sun_pixels, _lamps, _gaussians])
+def test_sharp_lobes_keep_their_energy(lobe: Callable[[Tensor], Tensor], kappa: float) -> None:
+    """Pixels, and the energy that moves between them; float32 rounds an exponent of -90 by 1e-5."""
+    truth = lobe(torch.tensor([kappa], dtype=F64))
+    for mode in (torch.autocast("cpu", torch.bfloat16), TF32()):
+        with mode:
+            found = lobe(torch.tensor([kappa]))
+        assert float((found - truth).abs().sum() / truth.sum()) < 2e-5
+        assert error(found, truth) < 1e-4
+
+
+def test_parameters_that_autocast_made_are_not_rounded_again() -> None:
+    """A head of a network that predicts lights: its output has eight bits, the light all."""
+    sunsky, lamps, gaussians = SunSky(8), LampsLight(2, 8), GaussianLobes(3, 8)
+    some = torch.full((2, gaussians.parameter_count), 0.3)
+    for model, params in (
+        (sunsky, sunsky.starts()),
+        (lamps, lamps.starts()),
+        (gaussians, some),
+    ):
+        eight_bits = params.bfloat16()
+        with torch.autocast("cpu", torch.bfloat16):
+            found = model(eight_bits)
+        assert torch.equal(found, model(eight_bits.float()))

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from skylight._modes import full_precision
+from skylight._modes import full_precision, transformed
 from skylight.csc._code import CodeTensors, SparseCode
 from skylight.csc._dictionary import FilterBank, load_dictionary
 from skylight.csc._greedy import Pursuit, PursuitOptions, Support, pursue, pursue_together
@@ -147,7 +147,17 @@ class SphericalSparseCoder(nn.Module):
 
         Weights have the maps' dtype. The maps of a batch are searched together, by as many workers
         as torch has threads.
+
+        Raises
+        ------
+        InputError
+            Maps of another size, black or not finite, or within a transform of :mod:`torch.func`.
         """
+        if transformed():
+            raise InputError(
+                "which filters are active is searched for, which no transform of torch.func can "
+                "follow: code the maps before, and refit or decode within"
+            )
         self._check_maps(maps)
         flat = maps.reshape(-1, *maps.shape[-3:])
         if len(flat) == 0:

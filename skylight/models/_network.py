@@ -126,14 +126,14 @@ class SkyNetwork(nn.Module, ABC):
 
 
 _SUN_SHARE = 0.1  # of all light, within six degrees: a bright cloud has a third of that
-_COLUMNS_ASIDE = 2  # of the centre, where the sun may be
+_ASIDE_RAD = math.radians(7.0)  # two columns and a half at the horizon
 
 
 def _check_centred(skies: Float[Tensor, "b h w 3"]) -> None:
     """:class:`InputError` for skies of another size, or whose sun is not in the centre column."""
     check_shape("skies", skies.shape, HEIGHT, WIDTH, 3)
-    if transformed() or skies.is_meta or len(skies) == 0:
-        return
+    if torch.compiler.is_compiling() or transformed() or skies.is_meta or len(skies) == 0:
+        return  # values cannot be looked at
     grid = DirectionGrid.sky(HEIGHT)
     directions = grid.directions.to(skies.device)
     radiance = luminance(skies.detach().flatten(1, 2).double())
@@ -142,7 +142,10 @@ def _check_centred(skies: Float[Tensor, "b h w 3"]) -> None:
     near = cosines(directions[peak], directions) > math.cos(NEAR_RAD)
     is_sun = (light * near).sum(1) > _SUN_SHARE * light.sum(1)
     columns = peak % WIDTH - WIDTH // 2
-    for sky in torch.nonzero(is_sun & (columns.abs() > _COLUMNS_ASIDE))[:1, 0].tolist():
+    # from the half circle from the zenith through the centre, near which all columns are near
+    turn = (2 * math.pi / WIDTH * columns.double()).clamp(-math.pi / 2, math.pi / 2)
+    aside = (1 - directions[peak, 1].square()).sqrt() * turn.sin().abs()
+    for sky in torch.nonzero(is_sun & (aside > math.sin(_ASIDE_RAD)))[:1, 0].tolist():
         off = int(columns[sky])
         raise InputError(
             f"the sun of sky {sky} stands {abs(off)} columns {'right' if off > 0 else 'left'} of "
