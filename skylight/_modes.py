@@ -13,7 +13,8 @@ import torch
 from torch import Tensor
 from torch.autograd.forward_ad import unpack_dual
 
-P, T = ParamSpec("P"), TypeVar("T")
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 def full_precision(like: Tensor) -> torch.autocast:
@@ -40,7 +41,8 @@ def single(x: Tensor) -> Tensor:
 
 def transformed() -> bool:
     """Whether a transform of :mod:`torch.func` asks, in which values cannot be looked at."""
-    return torch._C._functorch.peek_interpreter_stack() is not None
+    stack = torch._C._functorch  # pyright: ignore[reportAttributeAccessIssue]
+    return stack.peek_interpreter_stack() is not None
 
 
 def constant(maxsize: int | None = None) -> Callable[[Callable[..., T]], Callable[..., T]]:
