@@ -4,8 +4,9 @@ Autocast, inference mode, transforms of :mod:`torch.func` and a default device h
 them. What is kept for others is computed without, and so is what eight bits would ruin.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import lru_cache, update_wrapper, wraps
 from typing import Any, Generic, ParamSpec, TypeVar
 
@@ -45,6 +46,14 @@ def transformed() -> bool:
     return stack.peek_interpreter_stack() is not None
 
 
+@contextmanager
+def kept() -> Iterator[None]:
+    """A context for what stays: tensors of inference mode or of a transform could be no part of a
+    later graph."""
+    with torch.inference_mode(False), torch.no_grad(), torch._C._DisableFuncTorch():
+        yield
+
+
 def constant(maxsize: int | None = None) -> Callable[[Callable[..., T]], Callable[..., T]]:
     """:func:`functools.lru_cache` of a table that depends on its arguments alone.
 
@@ -54,11 +63,11 @@ def constant(maxsize: int | None = None) -> Callable[[Callable[..., T]], Callabl
 
     def decorate(function: Callable[..., T]) -> Callable[..., T]:
         @lru_cache(maxsize)
-        def kept(*args: Any) -> T:
+        def once(*args: Any) -> T:
             with ThreadPoolExecutor(1) as thread:
                 return thread.submit(function, *args).result()
 
-        return update_wrapper(kept, function)
+        return update_wrapper(once, function)
 
     return decorate
 
@@ -89,8 +98,7 @@ class Derived(Generic[T]):
             if now is None:
                 return compute()
             if now != self._states:
-                # tensors of inference mode or of a transform could be no part of a later graph
-                with torch.inference_mode(False), torch.no_grad(), torch._C._DisableFuncTorch():
+                with kept():
                     self._value = compute()
                     self._storages = [source.detach() for source in sources]
                 self._states = now

@@ -209,6 +209,11 @@ CASES: dict[str, Case] = {
         slow=True, make=lambda: load_bundle().light(sun_spread_rad=0.025), inputs=free, float32=5e-5
     ),
     "autoencoder light, convolutions": Case(slow=True, make=convolutional_light, inputs=free),
+    "autoencoder light, coarse": Case(
+        make=lambda: load_bundle().light(sun_spread_rad=0.025).on_rows(8),
+        inputs=free,
+        float32=5e-5,
+    ),
     "sunsky": Case(make=lambda: SunSky(8), inputs=free, autocast=1e-5, tf32=1e-5),
     "lamps": Case(make=lambda: LampsLight(2, 8), inputs=free, autocast=1e-5),
     "harmonics": Case(

@@ -153,6 +153,15 @@ def test_a_wrong_size_is_named(case: Case) -> None:
             case.call(case.single(), wrong, *rest)
 
 
+def test_a_search_finds_the_same_under_autocast() -> None:
+    coder, maps = coder_of_few().float(), CASES["coder"].given(F32)[0]
+    expected = coder(maps)
+    with torch.autocast("cpu", torch.bfloat16):
+        found = coder(maps)
+    for one, other in zip(found, expected, strict=True):
+        assert torch.equal(one, other)
+
+
 def test_a_search_within_a_transform_is_refused_and_leaves_nothing() -> None:
     coder, maps = coder_of_few(), CASES["coder"].given(F64)[0]
     with pytest.raises(InputError, match="code the maps before"):

@@ -20,6 +20,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from skylight._modes import Derived
 from skylight.csc._dictionary import FilterBank
 from skylight.sphere._frame import cosines
 
@@ -34,9 +35,13 @@ class GaussianLobes:
     precisions: Float[Tensor, "k 2"]
 
     @cached_property
+    def _normaliser(self) -> Derived[Tensor]:
+        return Derived()
+
+    @property
     def normaliser(self) -> Float[Tensor, " k"]:
         """Z, the integrals of ``exp(-(p u^2 + q v^2))`` over the sphere, in steradians."""
-        return 4 * self._integral(2)
+        return self._normaliser.of([self.precisions], lambda: 4 * self._integral(2))
 
     def _integral(self, power: int, *, squared: Literal[0, 1] | None = None) -> Tensor:
         """``int exp(-(p u^2 + q v^2)) / (1 + u^2 + v^2)^power du dv``; times u^2 or v^2.
