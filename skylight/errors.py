@@ -4,6 +4,8 @@ The command line prints the message of a :class:`SkylightError` as one line and 
 ``exit_code``; anything else is a bug and shows a traceback.
 """
 
+from collections.abc import Sequence
+
 
 class SkylightError(Exception):
     """Base class; ``str(error)`` says what is wrong and what to do about it.
@@ -85,3 +87,10 @@ def explain(error: BaseException, *, more: str = "rerun with --debug") -> tuple[
         return f"{file}{error.strerror}; check the disk's free space and your access to it", 1
     first = str(error).partition("\n")[0]
     return f"internal error ({type(error).__name__}: {first}); {more}", 1
+
+
+def check_shape(what: str, shape: Sequence[int], *last: int) -> None:
+    """:class:`InputError` unless the last sizes of a tensor are these."""
+    if tuple(shape[-len(last) :]) != last:
+        sizes = ", ".join(str(size) for size in last)
+        raise InputError(f"{what} of shape {tuple(shape)}: give (..., {sizes})")

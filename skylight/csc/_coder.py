@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from skylight._modes import full_precision, transformed
 from skylight.csc._code import CodeTensors, SparseCode
 from skylight.csc._dictionary import FilterBank, load_dictionary
 from skylight.csc._greedy import Pursuit, PursuitOptions, Support, pursue, pursue_together
@@ -26,7 +27,7 @@ from skylight.csc._sub_dictionaries import (
     rotated_atoms,
 )
 from skylight.csc._wigner import RotationCorrelation, atom_norms
-from skylight.errors import InputError
+from skylight.errors import InputError, check_shape
 from skylight.sphere._envmap import averaged
 from skylight.sphere._frame import pixel_from_direction
 from skylight.sphere._latlong_transform import LatLongTransform
@@ -146,7 +147,17 @@ class SphericalSparseCoder(nn.Module):
 
         Weights have the maps' dtype. The maps of a batch are searched together, by as many workers
         as torch has threads.
+
+        Raises
+        ------
+        InputError
+            Maps of another size, black or not finite, or within a transform of :mod:`torch.func`.
         """
+        if transformed():
+            raise InputError(
+                "which filters are active is searched for, which no transform of torch.func can "
+                "follow: code the maps before, and refit or decode within"
+            )
         self._check_maps(maps)
         flat = maps.reshape(-1, *maps.shape[-3:])
         if len(flat) == 0:
@@ -176,12 +187,13 @@ class SphericalSparseCoder(nn.Module):
     ) -> list[SparseCode]:
         """Codes of several sizes, ascending, from one pursuit, which continues from each."""
         self._check_maps(radiance)
-        signal = self._signal(radiance)
-        energy = float(signal.energy.sum())
-        return [
-            self.sparse_code(s.tensors(self.parts), max(0.0, s.error / energy) ** 0.5)
-            for s in pursue(self._start(signal), counts, progress)
-        ]
+        with full_precision(radiance):
+            signal = self._signal(radiance)
+            energy = float(signal.energy.sum())
+            return [
+                self.sparse_code(s.tensors(self.parts), max(0.0, s.error / energy) ** 0.5)
+                for s in pursue(self._start(signal), counts, progress)
+            ]
 
     def _signal(self, radiance: Float[Tensor, "h w 3"]) -> SampledSignal:
         radiance = radiance.detach().to(self.bank.unnormalised.device, torch.float64)
@@ -194,6 +206,10 @@ class SphericalSparseCoder(nn.Module):
 
     @torch.no_grad()
     def _search_together(self, maps: Float[Tensor, "n h w 3"]) -> list[Support]:
+        with full_precision(maps):  # the next atom is the largest of many that are alike
+            return self._searched(maps)
+
+    def _searched(self, maps: Float[Tensor, "n h w 3"]) -> list[Support]:
         return [
             support
             for some in maps.split(_TOGETHER)
@@ -219,6 +235,7 @@ class SphericalSparseCoder(nn.Module):
         That is in the maps and in the dictionary's filters. Weights that are 0 stay 0, so on the
         support of a non-negative code the derivative is that of its non-negative least squares.
         """
+        check_shape("maps", maps.shape, self.height, 2 * self.height, 3)
         atoms = self._sampled_atoms(codes).flatten(-2)
         weighted = atoms * self.transform.grid.solid_angles.to(atoms)
         target = maps.to(atoms).flatten(-3, -2)

@@ -8,7 +8,6 @@ basis, so a filter of unit L2 norm is a unit vector.
 import hashlib
 import math
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 from typing import get_args
 
@@ -17,8 +16,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
+from skylight._modes import constant
 from skylight._names import BuiltinName
-from skylight.errors import InputError
+from skylight.errors import InputError, check_shape
 from skylight.io._tensors import read_tensors, write_tensors
 from skylight.sphere import _harmonics as harmonics, _lobes as lobes
 
@@ -123,6 +123,7 @@ class FilterBank(nn.Module):
 
     def evaluate(self, directions: Float[Tensor, "n 3"]) -> Float[Tensor, "m n"]:
         """The filters' values in these directions, unrotated."""
+        check_shape("directions", directions.shape, 3)
         basis = harmonics.evaluate_about_zenith(directions, self.degree)
         return self.coefficients.to(basis) @ basis.T
 
@@ -383,7 +384,7 @@ def load_dictionary(name_or_path: str, degree: int = DEGREE) -> FilterBank:
     return bank.cut(min(degree, bank.degree))
 
 
-@cache
+@constant()
 def _builtin_coefficients(name: BuiltinName, degree: int) -> Float[Tensor, "m k"]:
     builders = {"iso": isotropic, "ani": anisotropic, "vmf": von_mises_fisher}
     return builders[name](degree).coefficients.detach()

@@ -20,7 +20,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from skylight._modes import Derived
 from skylight.csc._dictionary import FilterBank
+from skylight.sphere._frame import cosines
 
 _LONGEST = 400.0  # the largest ratio of precisions that is fitted: lobes 20 times as long as wide
 
@@ -33,9 +35,13 @@ class GaussianLobes:
     precisions: Float[Tensor, "k 2"]
 
     @cached_property
+    def _normaliser(self) -> Derived[Tensor]:
+        return Derived()
+
+    @property
     def normaliser(self) -> Float[Tensor, " k"]:
         """Z, the integrals of ``exp(-(p u^2 + q v^2))`` over the sphere, in steradians."""
-        return 4 * self._integral(2)
+        return self._normaliser.of([self.precisions], lambda: 4 * self._integral(2))
 
     def _integral(self, power: int, *, squared: Literal[0, 1] | None = None) -> Tensor:
         """``int exp(-(p u^2 + q v^2)) / (1 + u^2 + v^2)^power du dv``; times u^2 or v^2.
@@ -54,7 +60,7 @@ class GaussianLobes:
 
     def density(self, directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n k"]:
         """f of every lobe, 1/sr."""
-        x, y, z = directions @ self.axes.mT
+        x, y, z = (cosines(directions, axes) for axes in self.axes)
         p, q = self.precisions.unbind(1)
         # (u, v) = (x, y) / (1 + z); nothing but the uniform density reaches the antipode
         reach = (1 + z).clamp(min=torch.finfo(z.dtype).tiny ** 0.25).square()

@@ -24,7 +24,7 @@ from skylight.csc._wigner import (
     rotated_filters,
     rotated_zonal_filters,
 )
-from skylight.errors import InputError
+from skylight.errors import InputError, check_shape
 from skylight.sphere._frame import DirectionGrid
 
 Sizes = tuple[tuple[int, int], ...]  # (rows, columns) of boxes
@@ -199,6 +199,7 @@ class BoxCorrelation(nn.Module):
     ) -> list[Float[Tensor, "*batch _ _ rows columns"]]:
         """One group, one twist."""
         p = self.positions
+        check_shape("residuals", residual.shape, p.rows * p.columns)
         sums = self._sums(residual.reshape(*residual.shape[:-1], p.rows, p.columns))
         return [(sums * self.radiance.to(residual)[..., None])[..., None, :, :, :]]
 

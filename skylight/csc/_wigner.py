@@ -27,8 +27,10 @@ import torch
 from jaxtyping import Complex, Float, Int
 from torch import Tensor, nn
 
+from skylight._modes import full_precision
 from skylight.csc._correlation import FilterGroup, signed_orders, spans_of
 from skylight.csc._positions import Chunk, Positions, by_signal
+from skylight.errors import check_shape
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._frame import direction_from_angles
 from skylight.sphere._latlong_transform import LatLongTransform
@@ -133,15 +135,24 @@ class RotationCorrelation(nn.Module):
         flat = residual.reshape(-1, residual.shape[-1])
         p = self.positions
         out = [
-            self.phase.real.new_empty(len(flat), each.twists, len(each.members), p.rows, p.columns)
+            flat.new_empty(
+                len(flat),
+                each.twists,
+                len(each.members),
+                p.rows,
+                p.columns,
+                dtype=self.phase.real.dtype,
+            )
             for each in self.groups
         ]
-        for chunk in self.in_chunks(flat):
-            out[chunk.group][chunk.signals, :, :, chunk.rows] = chunk.values.movedim(3, 1)
+        with full_precision(flat):  # complex numbers have no eight bits
+            for chunk in self.in_chunks(flat):
+                out[chunk.group][chunk.signals, :, :, chunk.rows] = chunk.values.movedim(3, 1)
         return [values.view(*residual.shape[:-1], *values.shape[1:]) for values in out]
 
     def in_chunks(self, residuals: Float[Tensor, "s k"]) -> Iterator[Chunk]:
         """What :meth:`by_group` gives, a part at a time."""
+        check_shape("residuals", residuals.shape, (self.degree + 1) ** 2)
         r = complex_coefficients(residuals.to(self.dtype)) * self.phase
         chosen = r[..., self.signed.abs()]
         signals = torch.where(self.signed < 0, chosen, chosen.conj())
@@ -157,7 +168,7 @@ class RotationCorrelation(nn.Module):
         if len(found) == 1 and found[0].shape[-4] == twists:
             return found[0].movedim(-4, -1)
         p = self.positions
-        out = self.phase.real.new_empty(*residual.shape[:-1], twists, self.count, p.rows, p.columns)
+        out = found[0].new_empty(*residual.shape[:-1], twists, self.count, p.rows, p.columns)
         for group, values in zip(self.groups, found, strict=True):
             repeats = twists // values.shape[-4]
             out[..., list(group.members), :, :] = torch.cat([values] * repeats, -4)
@@ -288,6 +299,7 @@ class ZonalCorrelation(nn.Module):
         self, residual: Float[Tensor, "*batch k"]
     ) -> list[Float[Tensor, "*batch _ _ rows columns"]]:
         """One group, one twist."""
+        check_shape("residuals", residual.shape, len(self.band_of))
         weighted = self.bands[:, self.band_of] * residual.to(self.bands)[..., None, :]
         return [self.transform.synthesise(weighted)[..., None, :, :, :]]
 

@@ -43,7 +43,7 @@ from skylight.imaging._metrics import ssim
 from skylight.io._files import read_categories, read_environment_map, write_png
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import luminance
-from skylight.sphere._frame import DirectionGrid
+from skylight.sphere._frame import DirectionGrid, squared_chords
 from skylight.sphere._latlong_transform import LatLongTransform
 from skylight.sphere._wavelets import approximate, cube_from_latlong, latlong_from_cube
 
@@ -131,7 +131,7 @@ def fit_gaussians(truth: Float[Tensor, "h w 3"], start: Lobes) -> Float[Tensor, 
     def lobes() -> Float[Tensor, "n s"]:
         unit = torch.nn.functional.normalize(directions, dim=1)
         kappa = sharpness.clamp(max=torch.tensor(SHARPEST).log()).exp()
-        return root * torch.exp(kappa * (directions_out @ unit.T - 1))
+        return root * torch.exp(-0.5 * kappa * squared_chords(directions_out, unit))
 
     def solved(shape: Float[Tensor, "n s"]) -> Float[Tensor, "s 3"]:
         gram = (shape.T @ shape).double()

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from skylight._modes import without_autocast
 from skylight._names import (
     DEFAULT_LIGHT,
     SKY_LIGHTS,
@@ -35,6 +36,7 @@ SUN_SPREAD_RAD = math.radians(1.4)  # half a pixel of the sky
 Model = str | Path | LightBundle
 
 
+@without_autocast
 def estimate_light(
     observations: Observation | Sequence[Observation],
     light: LightName = DEFAULT_LIGHT,
@@ -104,6 +106,7 @@ def estimate_light(
     return solve([problem], progress)[0]
 
 
+@without_autocast
 def estimate_each(
     observations: Sequence[Observation],
     light: LightName = DEFAULT_LIGHT,

@@ -37,7 +37,6 @@ tuned by hand on development faces: ``sun_gain``, ``wide_rad`` and the ``..._spr
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -48,12 +47,13 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from torch import Tensor
 
+from skylight._modes import constant
 from skylight.inverse._scale import SPECULAR_SPREAD
 from skylight.inverse._scan import FaceScan, scan_faces
 from skylight.inverse._sun_prior import FLOOR, SunPrior
 from skylight.models._base import Prior
 from skylight.sphere._envmap import luminance
-from skylight.sphere._frame import DirectionGrid
+from skylight.sphere._frame import DirectionGrid, squared_chords
 from skylight.transport._observation import Observation
 
 Verdict = Literal[
@@ -277,7 +277,7 @@ def credible(evidence: SunEvidence, sun_prior: SunPrior | None) -> SunPrior | No
     return sun_prior
 
 
-@lru_cache(maxsize=2)
+@constant(2)
 def _kernel(spread_rad: float, sphere: bool) -> Float[Tensor, "n k"]:
     """Lobes about the scan's cells at the density's directions."""
     if sphere:
@@ -290,8 +290,7 @@ def _lobes(
     grid: DirectionGrid, centres: Float[Tensor, "k 3"], spread_rad: float
 ) -> Float[Tensor, "n k"]:
     """Von Mises-Fisher lobes of height 1, of a spread per axis that is small."""
-    cosine = grid.directions @ centres.double().T
-    return torch.exp((cosine.clamp(max=1) - 1) / spread_rad**2)
+    return torch.exp(-0.5 * squared_chords(grid.directions, centres.double()) / spread_rad**2)
 
 
 def smallest_region(

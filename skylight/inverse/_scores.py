@@ -32,7 +32,6 @@ Lamps less than 30 degrees apart may count as one, and a wide window as several.
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache, lru_cache
 from itertools import islice, takewhile
 from typing import Literal, get_args
 
@@ -40,6 +39,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from skylight._modes import constant
 from skylight.errors import InputError
 from skylight.imaging._metrics import (
     lighting_metrics,
@@ -51,7 +51,7 @@ from skylight.imaging._metrics import (
 )
 from skylight.skies._sun import find_sun
 from skylight.sphere._envmap import EnvironmentMap, luminance
-from skylight.sphere._frame import DirectionGrid
+from skylight.sphere._frame import DirectionGrid, cosines
 from skylight.sphere._projections import from_latlong
 from skylight.transport._matrix import TransportMatrix
 from skylight.transport._reflection import specular_transport
@@ -99,7 +99,7 @@ def render_spheres(environment: EnvironmentMap) -> dict[SphereMaterial, Float[Te
     }
 
 
-@cache
+@constant()
 def sphere_transport() -> SphereTransport:
     """Built once: 2 matrices of 3,228 x 8,192 float32, 210 MB."""
     edge = (torch.arange(PIXELS, dtype=torch.float64) + 0.5) / PIXELS * 2 - 1
@@ -108,7 +108,7 @@ def sphere_transport() -> SphereTransport:
     inside = x**2 + y**2 < 1
     normals = torch.stack([x, y, height], -1)[inside]
     grid = DirectionGrid.latlong(LIGHT_ROWS)
-    cosine = (normals.float() @ grid.directions.T.float()).clamp(min=0)
+    cosine = cosines(normals.float(), grid.directions.float()).clamp(min=0)
     diffuse = TransportMatrix(matrix=cosine * (grid.solid_angles / math.pi).float(), grid=grid)
     towards_camera = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64).expand_as(normals)
     silver = specular_transport(diffuse, normals, towards_camera, SILVER)
@@ -296,10 +296,10 @@ def _centres() -> DirectionGrid:
     return DirectionGrid.latlong(_CENTRE_ROWS)
 
 
-@lru_cache(maxsize=1)
+@constant(1)
 def _caps() -> Float[Tensor, "c n"]:
     """1 where a pixel lies within the cap about a centre: 2048 x 8192 float32, 67 MB."""
-    cosine = _centres().directions.float() @ DirectionGrid.latlong(ROWS).directions.float().T
+    cosine = cosines(_centres().directions.float(), DirectionGrid.latlong(ROWS).directions.float())
     return (cosine > math.cos(CAP_RAD)).float()
 
 

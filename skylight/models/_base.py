@@ -22,9 +22,9 @@ class LightModel(Protocol):
     Radiance is on the n directions of ``grid`` and differentiable in the parameters. ``grid`` is
     the upper hemisphere for models of the sky (the ground is added by
     :class:`skylight.models._ground.LambertianGround`), the whole sphere for others.
-    ``bounds`` are two ``(p,)`` tensors (infinite where there is none). ``to_free`` maps
-    parameters within the bounds to all of R^p, ``from_free`` back; both are smooth, so that an
-    unconstrained optimiser works on the free side and never leaves the bounds.
+    ``bounds`` are two ``(p,)`` tensors on the model's device (infinite where there is none).
+    ``to_free`` maps parameters within the bounds to all of R^p, ``from_free`` back; both are
+    smooth, so that an unconstrained optimiser works on the free side and never leaves the bounds.
     ``azimuth_index`` is the parameter that turns the light about the vertical, or None; priors
     leave it out (see :func:`without_azimuth`), since no azimuth is likelier than another.
     ``starts`` gives parameters ``(s, p)`` to start an optimisation from, and
@@ -72,7 +72,8 @@ class UnboundedLight(nn.Module):
 
     @property
     def bounds(self) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
-        high = torch.full((self.parameter_count,), math.inf, dtype=torch.float64)
+        like = next(self.buffers())
+        high = like.new_full((self.parameter_count,), math.inf, dtype=torch.float64)
         return -high, high
 
     def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:

@@ -18,7 +18,7 @@ file alone (:func:`save_network`).
 import copy
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import TypeVar
@@ -28,6 +28,7 @@ from jaxtyping import UInt8
 from numpy import ndarray
 from torch import Tensor
 
+from skylight._modes import constant
 from skylight.errors import AssetError, InputError
 from skylight.io._bounded import write_json
 from skylight.io._files import write_png
@@ -192,7 +193,7 @@ def load_bundle(folder: Path | None = None) -> LightBundle:
         raise AssetError(f"{reason}; reinstall skylight") from error
 
 
-@cache
+@constant()
 def _shipped(folder: Path) -> LightBundle:
     return _read(folder)
 

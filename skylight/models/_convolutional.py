@@ -11,10 +11,11 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
+from skylight._modes import Derived, full_precision, single
+from skylight.errors import check_shape
 from skylight.models._network import CENTRE_AZIMUTH_RAD, CODE_LIMIT, HEIGHT, Coding, SkyNetwork
 from skylight.models._sun_head import COORDINATES
 from skylight.sphere._envmap import shift_columns
-from skylight.work._derived import Derived
 
 LATENT = 64
 
@@ -57,7 +58,8 @@ class UpConv(nn.Module):
         weight = self.reference.conv.weight
         fold = self.get_buffer("fold").to(weight)
         phases = torch.einsum("ptk,qul,oikl->opqitu", fold, fold, weight)
-        return phases.reshape(-1, *phases.shape[3:])
+        phases = phases.reshape(-1, *phases.shape[3:])
+        return phases.contiguous(memory_format=torch.channels_last)
 
     def forward(self, x: Float[Tensor, "b c h w"]) -> Float[Tensor, "b d h2 w2"]:
         x = functional.pad(x, (self.reach, self.reach, 0, 0), mode="circular")
@@ -114,13 +116,10 @@ class ConvolutionalAutoencoder(SkyNetwork):
         return torch.cat([self.to_latent(self.encoder(coded)), sun], 1)
 
     def decode_coded(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
-        x = self.from_latent(z).reshape(-1, 64, 2, 8)
-        x = self.decoder(x.contiguous(memory_format=torch.channels_last))
-        if torch.is_autocast_enabled(x.device.type):
-            # bfloat16's eight bits would round the brightness of the sky itself
-            with torch.autocast(x.device.type, enabled=False):
-                return self.output(x.float())
-        return self.output(x)
+        check_shape("latents", z.shape, self.latents)
+        x = self.decoder(self.from_latent(z).reshape(-1, 64, 2, 8))
+        with full_precision(x):  # eight bits would round the brightness of the sky itself
+            return self.output(single(x))
 
     def decode_at_azimuth(
         self,
@@ -136,6 +135,7 @@ class ConvolutionalAutoencoder(SkyNetwork):
         sun much sharper than a pixel jumps from one to the next, and a turn by part of a pixel
         blurs it.
         """
+        check_shape("latents", z.shape, self.latents)
         decoder = self._folded.of(
             [*self.parameters(), *self.buffers()], lambda: FoldedDecoder.of(self)
         )
@@ -177,8 +177,7 @@ class FoldedDecoder:
         layers = [(linear.weight * scale[:, None], linear.bias * scale + shift)]
         for up, norm, _ in network.decoder:  # pyright: ignore[reportGeneralTypeIssues]
             scale, shift = (x.repeat_interleave(4) for x in _affine(norm))
-            kernel = up.phases() * scale[:, None, None, None]
-            layers.append((kernel.contiguous(memory_format=torch.channels_last), shift))
+            layers.append((up.phases() * scale[:, None, None, None], shift))
         assert network.output.bias is not None
         return FoldedDecoder((*layers, (network.output.weight, network.output.bias)))
 
@@ -190,7 +189,8 @@ class FoldedDecoder:
             x = functional.pad(x, (reach, reach, 0, 0), mode="circular")
             x = functional.relu(functional.conv2d(x, kernel, bias, padding=(reach, 0)))
             x = functional.pixel_shuffle(x, 2)
-        return functional.conv2d(x, *output)
+        with full_precision(x):
+            return functional.conv2d(single(x), *output)
 
 
 def _affine(norm: nn.Module) -> tuple[Tensor, Tensor]:

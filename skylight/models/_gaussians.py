@@ -5,13 +5,19 @@
 """
 
 import math
-from functools import cache
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from skylight.sphere._frame import DirectionGrid, angles_from_direction, direction_from_angles
+from skylight._modes import constant, full_precision, single
+from skylight.errors import check_shape
+from skylight.sphere._frame import (
+    DirectionGrid,
+    angles_from_direction,
+    direction_from_angles,
+    squared_chords,
+)
 
 LOBE_PARAMETERS, CONSTANT_PARAMETERS = 6, 3
 # e^(-1/2) of the peak at 1 / sqrt(kappa): 81 deg .. 1.3 deg, half a pixel of 32 rows, so that no
@@ -46,9 +52,10 @@ class GaussianLobes(nn.Module):
         self.register_buffer("directions", self.grid.directions, persistent=False)
 
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
-        amplitude, azimuth, zenith, sharpness, constant = self._split(params)
+        amplitude, azimuth, zenith, sharpness, constant = self._split(single(params))
         lobe = _lobe(direction_from_angles(azimuth, zenith), sharpness, self.directions)
-        return torch.einsum("...kn,...kc->...nc", lobe, amplitude) + constant[..., None, :]
+        with full_precision(lobe):
+            return torch.einsum("...kn,...kc->...nc", lobe, amplitude) + constant[..., None, :]
 
     def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """log of the colours, angles as they are, logit of log sharpness within its bounds.
@@ -89,9 +96,8 @@ class GaussianLobes(nn.Module):
         colour lifts l to L in the lobe's mean of log(1 + radiance). The constant starts as the
         darkest tenth of the sky.
         """
-        directions, sharpness, table = _table(self.grid.layout)
+        directions, sharpness, table = (each.to(sky) for each in _table(self.grid.layout))
         weight = self.grid.solid_angles.to(sky)
-        table = table.to(sky)
         norm = (table**2 @ weight).sqrt()
         constant = sky.quantile(0.1, dim=1)
         fit = constant[:, None].expand_as(sky)
@@ -105,8 +111,8 @@ class GaussianLobes(nn.Module):
             present = torch.einsum("bn,bnc->bc", share, torch.log1p(fit)).expm1()
             amplitude = (level - present).clamp(min=1e-3)
             fit = fit + lobe[..., None] * amplitude[:, None]
-            azimuth, zenith = angles_from_direction(directions[best].to(sky))
-            chosen.append((amplitude, azimuth, zenith, sharpness[best].to(sky)))
+            azimuth, zenith = angles_from_direction(directions[best])
+            chosen.append((amplitude, azimuth, zenith, sharpness[best]))
         parts = [torch.stack(part, 1) for part in zip(*chosen, strict=True)]
         return self._join(parts[0], parts[1], parts[2], parts[3], constant)
 
@@ -119,6 +125,7 @@ class GaussianLobes(nn.Module):
         Float[Tensor, "*batch k"],
         Float[Tensor, "*batch 3"],
     ]:
+        check_shape("parameters", params.shape, self.parameter_count)
         lobes = params[..., :-CONSTANT_PARAMETERS].unflatten(-1, (self.lobes, LOBE_PARAMETERS))
         azimuth, zenith, sharpness = lobes[..., 3:].unbind(-1)
         return lobes[..., :3], azimuth, zenith, sharpness, params[..., -CONSTANT_PARAMETERS:]
@@ -139,11 +146,10 @@ def _lobe(
     direction: Float[Tensor, "*k 3"], sharpness: Float[Tensor, "*k"], at: Float[Tensor, "n 3"]
 ) -> Float[Tensor, "*k n"]:
     """``exp(kappa (<d, w> - 1))`` of unit vectors w: 1 at d."""
-    cosine = direction @ at.T.to(direction)
-    return torch.exp(sharpness[..., None] * (cosine - 1))
+    return torch.exp(-0.5 * sharpness[..., None] * squared_chords(direction, at.to(direction)))
 
 
-@cache
+@constant()
 def _table(
     layout: tuple[int, int] | None,
 ) -> tuple[Float[Tensor, "t 3"], Float[Tensor, " t"], Float[Tensor, "t n"]]:

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from skylight._names import SKY_LIGHTS, LightName
-from skylight.errors import InputError
+from skylight.errors import InputError, check_shape
 from skylight.io._bounded import read_number, read_object, require_keys, write_json
 from skylight.models._prior import GaussianMixture
 from skylight.sphere._frame import row_edges_cos
@@ -58,6 +58,7 @@ class LambertianGround(nn.Module):
         self, sky: Float[Tensor, "*batch n 3"], albedo: Float[Tensor, "*#batch 3"]
     ) -> Float[Tensor, "*batch 3"]:
         """Radiance of the ground, the same in all directions."""
+        check_shape("the sky", sky.shape, len(self.transfer), 3)
         irradiance = torch.einsum("n,...nc->...c", self.transfer.to(sky), sky)
         return albedo / math.pi * irradiance
 

@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skylight._modes import full_precision, single
+from skylight.errors import check_shape
 from skylight.models._base import UnboundedLight
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._frame import DirectionGrid
@@ -32,7 +34,10 @@ class HarmonicLight(UnboundedLight):
 
     def linear_radiance(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
         """``sum_k Y_k(w) c_k``, negative where it rings."""
-        return self.basis.to(params) @ params.unflatten(-1, (-1, 3))
+        check_shape("parameters", params.shape, self.parameter_count)
+        params = single(params)
+        with full_precision(params):  # terms of either sign are cut at zero
+            return self.basis.to(params) @ params.unflatten(-1, (-1, 3))
 
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
         """``max(0, sum_k Y_k(w) c_k)``."""
@@ -44,28 +49,27 @@ class HarmonicLight(UnboundedLight):
 
     def starts(self) -> Float[Tensor, "s p"]:
         """Light of mean luminance 1 above: from everywhere, and from above only."""
-        up = torch.tensor([[0.0, 1.0, 0.0]], dtype=torch.float64)
-        return self._lobes(up, torch.tensor([0.0, 0.5], dtype=torch.float64))[0]
+        return self._lobes(torch.tensor([[0.0, 1.0, 0.0]]), (0.0, 0.5))[0]
 
     def starts_towards(self, directions: Float[Tensor, "d 3"]) -> Float[Tensor, "d k p"]:
         """A weak and a strong cosine lobe on top of constant light."""
-        return self._lobes(directions, torch.tensor([0.3, 0.7], dtype=torch.float64))
+        return self._lobes(directions, (0.3, 0.7))
 
     def _lobes(
-        self, directions: Float[Tensor, "d 3"], shares: Float[Tensor, " k"]
+        self, directions: Float[Tensor, "d 3"], shares: tuple[float, float]
     ) -> Float[Tensor, "d k p"]:
         """Grey ``1 - share + share * 4 <s, w>+``, cut at the model's degree; mean 1 each."""
-        direction = harmonics.evaluate(directions.to(torch.float64), self.degree)
+        basis = self.basis.double()
+        share = basis.new_tensor(shares)[:, None]
+        direction = harmonics.evaluate(directions.to(basis), self.degree)
         # 4 <s, w>+ has a mean of 1 over the sphere
         lobe = 4 * harmonics.convolve_zonal(direction.T, harmonics.cosine_coefficients(self.degree))
         constant = torch.zeros_like(lobe)
         constant[0] = math.sqrt(4 * math.pi)
-        grey = (1 - shares)[None, :, None] * constant.T[:, None] + (
-            shares[None, :, None] * lobe.T[:, None]
-        )
+        grey = (1 - share) * constant.T[:, None] + share * lobe.T[:, None]
         upper = self.grid.solid_angles * (self.grid.directions[:, 1] > 0) / (2 * math.pi)
-        grey = grey / (grey @ self.basis.cpu().double().T @ upper)[..., None]
-        return grey.repeat_interleave(3, dim=-1).to(self.basis.device, torch.get_default_dtype())
+        grey = grey / (grey @ basis.T @ upper.to(basis))[..., None]
+        return grey.repeat_interleave(3, dim=-1).to(torch.get_default_dtype())
 
 
 def solve_linear(

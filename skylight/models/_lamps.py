@@ -17,10 +17,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from skylight._modes import full_precision, single
+from skylight.errors import check_shape
 from skylight.models._base import UnboundedLight
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import luminance
-from skylight.sphere._frame import DirectionGrid
+from skylight.sphere._frame import DirectionGrid, squared_chords
 
 AMBIENT_PARAMETERS, LAMP_PARAMETERS = 16, 7
 # Standard deviations over the sphere of the fields of log luminance of degree 1 and 2, and by how
@@ -91,12 +93,15 @@ class LampsLight(UnboundedLight):
         return LampsLight(self.count, height).to(self.basis)
 
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
-        radiance = self.ambient(params)
-        if self.count == 0:
-            return radiance
-        lamps = self.lamps(params)
-        energy = 4 * math.pi * lamps.energies[..., None] * lamps.colours
-        return radiance + torch.einsum("...kn,...kc->...nc", self.lobes(lamps), energy)
+        check_shape("parameters", params.shape, self.parameter_count)
+        params = single(params)
+        with full_precision(params):
+            radiance = self.ambient(params)
+            if self.count == 0:
+                return radiance
+            lamps = self.lamps(params)
+            energy = 4 * math.pi * lamps.energies[..., None] * lamps.colours
+            return radiance + torch.einsum("...kn,...kc->...nc", self.lobes(lamps), energy)
 
     def ambient(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
         """A of the module's text."""
@@ -137,8 +142,8 @@ class LampsLight(UnboundedLight):
 
     def lobes(self, lamps: Lamps) -> Float[Tensor, "*batch k n"]:
         """g of each lamp, with an energy of exactly 1 over the grid's cells."""
-        cosine = lamps.directions @ self.directions.to(lamps.directions).T
-        exponent = (cosine - 1) / lamps.widths_rad[..., None] ** 2
+        chords = squared_chords(lamps.directions, self.directions.to(lamps.directions))
+        exponent = -0.5 * chords / lamps.widths_rad[..., None] ** 2
         total = torch.logsumexp(exponent + self.log_solid_angle.to(exponent), -1, keepdim=True)
         return torch.exp(exponent - total)
 
@@ -179,6 +184,8 @@ class LampsPrior(nn.Module):
         self.count = count
 
     def log_prob(self, x: Float[Tensor, "b p"]) -> Float[Tensor, " b"]:
+        check_shape("parameters", x.shape, AMBIENT_PARAMETERS + LAMP_PARAMETERS * self.count)
+        x = single(x)
         ambient = x[:, :AMBIENT_PARAMETERS]
         each = x[:, AMBIENT_PARAMETERS:].unflatten(1, (self.count, LAMP_PARAMETERS))
         length = each[..., :3].norm(dim=-1)

@@ -20,7 +20,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from skylight.models._sun_head import COORDINATES, SunHead
+from skylight._modes import kept, transformed
+from skylight.errors import InputError, check_shape
+from skylight.models._sun_head import COORDINATES, NEAR_RAD, SunHead
+from skylight.sphere._envmap import luminance
+from skylight.sphere._frame import DirectionGrid, cosines
 
 HEIGHT, WIDTH = 32, 128
 COARSE_HEIGHTS = (4, 8, 16)  # on which skies can be had as well
@@ -31,6 +35,7 @@ CODE_LIMIT = 13.0
 
 
 @lru_cache(maxsize=4)
+@kept()
 def _sun_on_rows(height: int, device: torch.device) -> SunHead:
     return SunHead(height, CENTRE_AZIMUTH_RAD).to(device)
 
@@ -102,7 +107,15 @@ class SkyNetwork(nn.Module, ABC):
         return self.sun_head.split(radiance)
 
     def encode(self, radiance: Float[Tensor, "b h w 3"]) -> Float[Tensor, "b z"]:
-        """Latents of skies with the sun in the centre column and mean luminance 1."""
+        """Latents of skies with the sun in the centre column and mean luminance 1.
+
+        Raises
+        ------
+        InputError
+            Skies of another size, or a sun elsewhere: networks know it in the centre only, and
+            take it for a bright cloud. A light model turns skies back by its azimuth.
+        """
+        _check_centred(radiance)
         sun, rest = self.split(radiance)
         return self.encode_coded(sun, self.code(rest))
 
@@ -112,3 +125,32 @@ class SkyNetwork(nn.Module, ABC):
         if self.sun_head is None:
             return sky
         return sky + self.sun_head.lobe(z[:, -COORDINATES:])
+
+
+_SUN_SHARE = 0.1  # of all light, within six degrees: a bright cloud has a third of that
+_ASIDE_RAD = math.radians(7.0)  # two columns and a half at the horizon
+
+
+def _check_centred(skies: Float[Tensor, "b h w 3"]) -> None:
+    """:class:`InputError` for skies of another size, or whose sun is not in the centre column."""
+    check_shape("skies", skies.shape, HEIGHT, WIDTH, 3)
+    if torch.compiler.is_compiling() or transformed() or skies.is_meta or len(skies) == 0:
+        return  # values cannot be looked at
+    grid = DirectionGrid.sky(HEIGHT)
+    directions = grid.directions.to(skies.device)
+    radiance = luminance(skies.detach().flatten(1, 2).double())
+    light = radiance * grid.solid_angles.to(radiance)
+    peak = radiance.argmax(1)
+    near = cosines(directions[peak], directions) > math.cos(NEAR_RAD)
+    is_sun = (light * near).sum(1) > _SUN_SHARE * light.sum(1)
+    columns = peak % WIDTH - WIDTH // 2
+    # from the half circle from the zenith through the centre, near which all columns are near
+    turn = (2 * math.pi / WIDTH * columns.double()).clamp(-math.pi / 2, math.pi / 2)
+    aside = (1 - directions[peak, 1].square()).sqrt() * turn.sin().abs()
+    for sky in torch.nonzero(is_sun & (aside > math.sin(_ASIDE_RAD)))[:1, 0].tolist():
+        off = int(columns[sky])
+        raise InputError(
+            f"the sun of sky {sky} stands {abs(off)} columns {'right' if off > 0 else 'left'} of "
+            f"the centre: turn the sky by {-off * 2 * math.pi / WIDTH:.3f} rad first "
+            "(skylight.sphere.shift_columns)"
+        )

@@ -9,7 +9,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from skylight.errors import AssetError, InputError
+from skylight._modes import full_precision, single
+from skylight.errors import AssetError, InputError, check_shape
 from skylight.io._tensors import read_tensors, write_tensors
 
 _STARTS, _KMEANS_ITERATIONS = 3, 50
@@ -52,7 +53,10 @@ class GaussianMixture(nn.Module):
 
     def log_prob(self, x: Float[Tensor, "b p"]) -> Float[Tensor, " b"]:
         """Natural logarithm of the density, differentiable in x."""
-        return torch.logsumexp(self._log_weighted(x), dim=1)
+        check_shape("parameters", x.shape, self.means.shape[1])
+        x = single(x)
+        with full_precision(x):
+            return torch.logsumexp(self._log_weighted(x), dim=1)
 
     def _log_weighted(self, x: Float[Tensor, "b p"]) -> Float[Tensor, "b k"]:
         """``log w_k + log N(x; mu_k, (B_k B_k^T)^-1)``."""

@@ -10,7 +10,7 @@ decoder multiplies a hundredth as often as convolutions do that paint 4,096 pixe
 an MLP of the sky's own control points on a coarser lattice, those of least squares.
 """
 
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -18,6 +18,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
+from skylight._modes import constant, full_precision, kept, single
+from skylight.errors import check_shape
 from skylight.models._network import CENTRE_AZIMUTH_RAD, CODE_LIMIT, HEIGHT, WIDTH, SkyNetwork
 from skylight.models._sun_head import COORDINATES
 from skylight.sphere._frame import DirectionGrid
@@ -54,18 +56,19 @@ class SplineAutoencoder(SkyNetwork):
 
     def control(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b k 3"]:
         """The control points c(z)."""
-        return (self.linear(z) + self.decoder(z)).unflatten(1, (self.splines.count, 3))
+        check_shape("latents", z.shape, self.latents)
+        values = single(self.linear(z)) + self.decoder(z)
+        return values.unflatten(1, (self.splines.count, 3))
 
     def encode_coded(
         self, sun: Float[Tensor, "b s"], coded: Float[Tensor, "b 3 h w"]
     ) -> Float[Tensor, "b z"]:
-        seen = torch.einsum("kn,bcn->bkc", self.seen, coded.flatten(2))
+        with full_precision(coded):  # least squares: large terms of either sign
+            seen = torch.einsum("kn,bcn->bkc", self.seen, coded.flatten(2))
         return torch.cat([self.encoder(seen.flatten(1)), sun], 1)
 
     def decode_coded(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
-        control = self.control(z).float().permute(1, 2, 0).flatten(1)
-        with torch.autocast(z.device.type, enabled=False):
-            values = self._evaluation(control)
+        values = self._evaluation(self.control(z).permute(1, 2, 0).flatten(1))
         return values.unflatten(1, (3, z.shape[0])).permute(2, 1, 0).unflatten(2, (HEIGHT, WIDTH))
 
     def decode_at_azimuth(
@@ -91,7 +94,7 @@ class SplineAutoencoder(SkyNetwork):
 
 
 @lru_cache(maxsize=8)
-@torch.inference_mode(False)  # whoever asks first may not want gradients, others may
+@kept()
 def _on_rows(height: int, device: torch.device) -> DiskSplines:
     """Those of maps of so many rows."""
     return DiskSplines(ACROSS, DirectionGrid.sky(height)).to(device)
@@ -109,7 +112,7 @@ class _Products(nn.Module):
             self.register_buffer(name, table, persistent=False)
 
     def forward(self, x: Float[Tensor, "k c"]) -> Float[Tensor, "n c"]:
-        return _Product.apply(x, self._matrix("forth"), self._matrix("back"))
+        return _Product.apply(x, *self._matrix("forth"), *self._matrix("back"))
 
     def _matrix(self, name: str) -> tuple[Tensor, Tensor, Tensor]:
         columns, first, values = (
@@ -119,8 +122,7 @@ class _Products(nn.Module):
 
 
 # Tables that all networks share; to make them takes ten times as long as the rest of one.
-@cache
-@torch.inference_mode(False)
+@constant()
 def _tables(across: int) -> dict[str, Tensor]:
     """Of :class:`_Products`: the values of splines at the pixels of a network's skies."""
     matrix = DiskSplines(across, DirectionGrid.sky(HEIGHT)).matrix()
@@ -135,18 +137,34 @@ def _tables(across: int) -> dict[str, Tensor]:
 
 
 class _Product(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, forth: tuple[Tensor, ...], back: tuple[Tensor, ...]) -> Tensor:
-        ctx.save_for_backward(*back)
-        return _sums(x, *forth)
+    """Of x (k,c) with a matrix as three tensors, and with its transpose in the way back."""
 
     @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None]:
-        return _sums(grads[0].contiguous(), *ctx.saved_tensors), None, None
+    def forward(x: Tensor, *matrices: Tensor) -> Tensor:
+        columns, first, values = matrices[:3]
+        return functional.embedding_bag(columns, x, first, mode="sum", per_sample_weights=values)
 
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Tensor, ...], output: Tensor) -> None:
+        ctx.save_for_backward(*inputs[1:])
+        ctx.save_for_forward(*inputs[1:])
 
-def _sums(x: Tensor, columns: Tensor, first: Tensor, values: Tensor) -> Tensor:
-    return functional.embedding_bag(columns, x, first, mode="sum", per_sample_weights=values)
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        forth, back = ctx.saved_tensors[:3], ctx.saved_tensors[3:]
+        return _Product.apply(grads[0].contiguous(), *back, *forth), *[None] * 6
+
+    @staticmethod
+    def jvp(ctx: Any, *tangents: Tensor | None) -> Tensor:
+        assert tangents[0] is not None
+        return _Product.apply(tangents[0].contiguous(), *ctx.saved_tensors)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple[int | None, ...], *args: Tensor) -> tuple[Tensor, int]:
+        """More columns."""
+        assert in_dims[0] is not None
+        x = args[0].movedim(in_dims[0], -1)
+        return _Product.apply(x.flatten(1), *args[1:]).unflatten(1, x.shape[1:]), 2
 
 
 def _radiance(coded: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
@@ -174,8 +192,7 @@ def _mlp(size_in: int, size_out: int, *, bias: bool = True) -> nn.Sequential:
     )
 
 
-@cache
-@torch.inference_mode(False)
+@constant()
 def _least_squares(across: int) -> Float[Tensor, "k n"]:
     """The linear map from the values of a network's skies to the control points that are nearest
     to them in the mean square over solid angle."""

@@ -20,8 +20,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from skylight._modes import single
 from skylight.sphere._envmap import luminance
-from skylight.sphere._frame import DirectionGrid, direction_from_angles
+from skylight.sphere._frame import DirectionGrid, direction_from_angles, squared_chords
 
 COORDINATES = 5
 KAPPA_BOUNDS = (200.0, 30000.0)
@@ -65,10 +66,7 @@ class SunHead(nn.Module):
             azimuth_rad = torch.full_like(zenith, self.azimuth_rad)
         azimuth_rad = azimuth_rad.expand_as(zenith)  # of one for all
         sun = direction_from_angles(azimuth_rad, zenith)
-        # cos - 1 as half a squared chord: float32's cosine is too coarse for kappa times it
-        along = zip(sun.T, self.directions.to(sun).T.contiguous(), strict=True)
-        chord = torch.stack([(s[:, None] - w).square() for s, w in along]).sum(0)
-        exponent = -0.5 * kappa[:, None] * chord
+        exponent = -0.5 * kappa[:, None] * squared_chords(sun, self.directions.to(sun))
         total = torch.logsumexp(exponent + self.solid_angles.log().to(sun), 1, keepdim=True)
         radiance = (exponent - total).exp()[:, None] * energy[..., None]
         return radiance.unflatten(2, (self.height, 4 * self.height)).permute(0, 2, 3, 1)
@@ -144,6 +142,7 @@ _SHARPNESSES = 61  # log kappa, in steps of 0.08
 def _parameters(
     coordinates: Float[Tensor, "b 5"],
 ) -> tuple[Float[Tensor, " b"], Float[Tensor, "b 3"], Float[Tensor, " b"]]:
+    coordinates = single(coordinates)
     zenith = math.pi / 2 * torch.sigmoid(1.5 * coordinates[:, 0])
     # a line search may try anything: e^12 is absurd but finite
     energy = torch.exp((2 * coordinates[:, 1:4] - 1).clamp(max=12))

@@ -7,6 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from skylight._modes import full_precision, single
+from skylight.errors import check_shape
 from skylight.models._network import COARSE_HEIGHTS, HEIGHT, SkyNetwork
 from skylight.models._sun_head import COORDINATES
 from skylight.sphere._frame import DirectionGrid, angles_from_direction
@@ -78,7 +80,7 @@ class AutoencoderLight(nn.Module):
 
     @property
     def bounds(self) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
-        limit = torch.full((self.parameter_count,), math.inf)
+        limit = self.latent_mean.new_full((self.parameter_count,), math.inf)
         return -limit, limit
 
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
@@ -110,19 +112,23 @@ class AutoencoderLight(nn.Module):
     def _parts(
         self, params: Float[Tensor, "*batch p"]
     ) -> tuple[Float[Tensor, "b z"], Float[Tensor, " b"]]:
-        flat = params.reshape(-1, self.parameter_count)
+        check_shape("parameters", params.shape, self.parameter_count)
+        flat = single(params).reshape(-1, self.parameter_count)
         return flat[:, :-1], flat[:, -1]
 
     def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """Whitened latents; the azimuth as it is."""
         latents, azimuth = params[..., :-1], params[..., -1:]
+        check_shape("parameters", params.shape, self.parameter_count)
         centred = (latents - self.latent_mean).reshape(-1, self.latents)
         white = torch.linalg.solve_triangular(self.latent_scale, centred.T, upper=False).T
         return torch.cat([white.reshape(latents.shape), azimuth], -1)
 
     def from_free(self, free: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """Inverse of :meth:`to_free`."""
-        latents = free[..., :-1] @ self.latent_scale.T + self.latent_mean
+        check_shape("parameters", free.shape, self.parameter_count)
+        with full_precision(free):
+            latents = single(free[..., :-1]) @ self.latent_scale.T + self.latent_mean
         return torch.cat([latents, free[..., -1:]], -1)
 
     def starts(self) -> Float[Tensor, "s p"]:

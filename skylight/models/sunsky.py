@@ -16,8 +16,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from skylight._modes import full_precision, single
+from skylight.errors import check_shape
 from skylight.sphere._envmap import EnvironmentMap, luminance
-from skylight.sphere._frame import DirectionGrid, angles_from_direction, direction_from_angles
+from skylight.sphere._frame import (
+    DirectionGrid,
+    angles_from_direction,
+    direction_from_angles,
+    squared_chords,
+)
 
 TURBIDITY_BOUNDS = (1.7, 35.0)  # thesis, 5.3.3.3
 KAPPA_BOUNDS = (8.0, 8192.0)  # thesis, 5.3.3.3
@@ -83,14 +90,20 @@ class SunSky(nn.Module):
     def bounds(self) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
         low = [0.0] * 6 + [-math.inf, ZENITH_BOUNDS[0], TURBIDITY_BOUNDS[0], KAPPA_BOUNDS[0]]
         high = [math.inf] * 7 + [ZENITH_BOUNDS[1], TURBIDITY_BOUNDS[1], KAPPA_BOUNDS[1]]
-        return torch.tensor(low, dtype=torch.float64), torch.tensor(high, dtype=torch.float64)
+        double = self.sphere.new_empty(0, dtype=torch.float64)
+        return double.new_tensor(low), double.new_tensor(high)
 
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
+        params = self._checked(params)
         w_sky, w_sun = params[..., None, 0:3], params[..., None, 3:6]
         azimuth, zenith, turbidity, kappa = params[..., 6:].unbind(-1)
         sun = direction_from_angles(azimuth, zenith)
         sky, lobe = self.sky_distribution(sun, turbidity), self.sun_lobe(sun, kappa)
         return sky[..., None] * w_sky + lobe[..., None] * w_sun
+
+    def _checked(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
+        check_shape("parameters", params.shape, self.parameter_count)
+        return single(params)
 
     def sky_distribution(
         self, sun: Float[Tensor, "*batch 3"], turbidity: Float[Tensor, "*batch"]
@@ -101,16 +114,14 @@ class SunSky(nn.Module):
         t = 1.7, where its weight would grow without bound.
         """
         upper = self.sphere[: len(self.grid)].to(sun)
-        cosine = sun @ upper.T
         # Half-angle form of gamma: acos has infinite gradients at 0 and pi. The 1e-8 rounds off
         # the tip of e^(D gamma) at the sun, an error of 1e-4 rad there.
         gamma = 2 * torch.atan2(
-            ((2 - 2 * cosine).clamp(min=0) + 1e-8).sqrt(),
-            ((2 + 2 * cosine).clamp(min=0) + 1e-8).sqrt(),
+            (squared_chords(sun, upper) + 1e-8).sqrt(), (squared_chords(sun, -upper) + 1e-8).sqrt()
         )
         value = perez(upper[:, 1], gamma, turbidity[..., None])
         solid_angle = self.log_solid_angle[: len(self.grid)].exp().to(sun)
-        return value / ((value @ solid_angle) / (2 * math.pi))[..., None]
+        return value / ((value * solid_angle).sum(-1, keepdim=True) / (2 * math.pi))
 
     def sun_lobe(
         self, sun: Float[Tensor, "*batch 3"], kappa: Float[Tensor, "*batch"]
@@ -121,7 +132,7 @@ class SunSky(nn.Module):
         the same where pixels resolve it, but above kappa of about 1000 a lobe falls between the
         centres of pixels and its energy would depend on where the sun stands.
         """
-        exponent = kappa[..., None] * (sun @ self.sphere.to(sun).T - 1)
+        exponent = -0.5 * kappa[..., None] * squared_chords(sun, self.sphere.to(sun))
         total = torch.logsumexp(exponent + self.log_solid_angle.to(sun), dim=-1, keepdim=True)
         return torch.exp(exponent[..., : len(self.grid)] - total)
 
@@ -139,6 +150,7 @@ class SunSky(nn.Module):
 
         Colours below 1e-6, and the rest within 1e-6 of the range from a bound, move to there.
         """
+        params = self._checked(params)
         return torch.cat(
             [
                 params[..., :6].clamp(min=_MIN_WEIGHT).log(),
@@ -152,6 +164,7 @@ class SunSky(nn.Module):
 
     def from_free(self, free: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """Inverse of :meth:`to_free`."""
+        free = self._checked(free)
         turbidity = _sigmoid(free[..., 8:9], *_log(TURBIDITY_BOUNDS)).exp()
         kappa = _sigmoid(free[..., 9:10], *_log(KAPPA_BOUNDS)).exp()
         return torch.cat(
@@ -213,7 +226,8 @@ def fit_sunsky(
     Colours are at least 1e-4 of the mean luminance, so that their logarithms stay moderate.
     """
     model = SunSky() if model is None else model
-    parts = [_fit_batch(part, model) for part in sky.detach().to(model.sphere).split(batch)]
+    with full_precision(model.sphere):
+        parts = [_fit_batch(part, model) for part in sky.detach().to(model.sphere).split(batch)]
     return torch.cat(parts).to(sky.dtype)
 
 

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from scipy.optimize import nnls
 from torch import Tensor
 
+from skylight._modes import without_autocast
 from skylight._names import OBJECT_LIGHTS, ObjectLightName
 from skylight.csc._code import CodeTensors, SparseCode
 from skylight.csc._coder import SphericalSparseCoder
@@ -76,6 +77,7 @@ class ObjectLight:
     log_evidence: float | None = None
 
 
+@without_autocast
 def estimate_object_light(
     observations: Observation | Sequence[Observation],
     light: ObjectLightName | FilterBank,

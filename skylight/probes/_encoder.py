@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from skylight.errors import InputError
+from skylight.errors import InputError, check_shape
 from skylight.probes.partitions._cells import Cells
 from skylight.probes.partitions._optimise import named_design
 from skylight.probes.partitions.relight._atlas import Receivers
@@ -319,6 +319,7 @@ class ObjectEncoder(nn.Module):
 
     def forward(self, radiance: Float[Tensor, "*b d 3"]) -> Float[Tensor, "*b k 3"]:
         """What the points show under lights on the encoder's grid; linear, differentiable."""
+        check_shape("radiance", radiance.shape, len(self.grid), 3)
         power = radiance.to(self.basis.dtype) * self.solid_angles[:, None]
         return torch.einsum("ckd,...dc->...kc", self.basis, power).to(radiance.dtype)
 
@@ -330,6 +331,7 @@ class ObjectEncoder(nn.Module):
 
     def decode(self, shading: Float[Tensor, "*b k 3"]) -> Float[Tensor, "*b d 3"]:
         """The light ``sum_i s_i b*_i`` on the grid; it may be negative in places."""
+        check_shape("shading", shading.shape, self.basis.shape[1], 3)
         light = torch.einsum("...kc,ckd->...dc", shading.to(self.basis.dtype), self.dual)
         return light.to(shading.dtype)
 

@@ -35,12 +35,12 @@ the incident flux, 0.05 for suns above 30 degrees (see the tests).
 
 import math
 from dataclasses import dataclass
-from functools import cache
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from skylight._modes import constant
 from skylight.skies._atmosphere import EARTH_RADIUS_KM
 from skylight.skies._scattering import henyey_greenstein
 
@@ -115,7 +115,7 @@ def fractal_noise(points: Float[Tensor, "*s 3"]) -> Float[Tensor, "*s"]:
     return value.reshape(points.shape[:-1])
 
 
-@cache
+@constant()
 def _tile(device: str) -> Float[Tensor, "1 1 n n n"]:
     """The table, (z, y, x) as grid_sample wants it, its first nodes repeated at the end."""
     axis = torch.arange(_SIZE, dtype=torch.float64) * (CELLS / _SIZE)

@@ -15,7 +15,6 @@ What lies outside the inscribed circle, or below the horizon, is dropped.
 """
 
 import math
-from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -24,6 +23,7 @@ from jaxtyping import Float
 from scipy.sparse import csr_array
 from torch import Tensor
 
+from skylight._modes import constant
 from skylight.errors import InputError
 from skylight.io._hdr import read_linear
 from skylight.sphere._envmap import EnvironmentMap
@@ -105,7 +105,7 @@ def sky_of(
     return EnvironmentMap(radiance=(light / solid).float())
 
 
-@lru_cache(maxsize=4)
+@constant(4)
 def pixel_solid_angles(size: int, field_deg: float) -> Float[Tensor, "n n"]:
     """Solid angle of each pixel of a square map that is sky: sum 2 pi, 0 outside, float64.
 
@@ -122,7 +122,7 @@ def pixel_solid_angles(size: int, field_deg: float) -> Float[Tensor, "n n"]:
     return solid * (2 * math.pi / solid.sum())
 
 
-@lru_cache(maxsize=2)
+@constant(2)
 def _spread(size: int, field_deg: float, height: int) -> csr_array:
     """Sparse (sky pixels, square's pixels): the share of a pixel's energy that goes where.
 

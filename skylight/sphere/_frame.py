@@ -14,13 +14,13 @@ angles, for sums over the sphere.
 
 import math
 from dataclasses import dataclass
-from functools import cache
 from typing import get_args
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skylight._modes import constant
 from skylight._names import Convention
 from skylight.errors import InputError
 
@@ -139,6 +139,28 @@ def convert_latlong(
     return torch.roll(image, round(shift), dims=-2)
 
 
+def cosines(one: Float[Tensor, "*s 3"], other: Float[Tensor, "n 3"]) -> Float[Tensor, "*s n"]:
+    """``<a, b>`` of all pairs, for what is cut or sharpened afterwards.
+
+    As sums: a matrix product may have eight bits (autocast) or eleven (TF32).
+    """
+    x, y, z = one[..., None].unbind(-2)
+    a, b, c = other.T.contiguous()
+    return torch.addcmul(torch.addcmul(x * a, y, b), z, c)
+
+
+def squared_chords(
+    one: Float[Tensor, "*s 3"], other: Float[Tensor, "n 3"]
+) -> Float[Tensor, "*s n"]:
+    """``|a - b|^2`` of all pairs: of unit vectors ``2 - 2 cos``, to every digit where it is small.
+
+    A lobe is ``exp(-kappa |a - b|^2 / 2)``. Its ``kappa (cos - 1)`` from a matrix product is off
+    by kappa times the product's rounding, 2^-8 under autocast, 2^-11 with TF32.
+    """
+    along = zip(one[..., None].unbind(-2), other.T.contiguous(), strict=True)
+    return torch.stack([(a - b).square() for a, b in along]).sum(0)
+
+
 @dataclass(frozen=True, kw_only=True)
 class DirectionGrid:
     """Directions (n,3), float64, unit; solid angles (n,) in sr; lat-long ``layout`` or None.
@@ -203,7 +225,7 @@ def row_edges_cos(height: int, width: int) -> Float[Tensor, " edges"]:
     return torch.cos(torch.linspace(0, span, height + 1, dtype=torch.float64))
 
 
-@cache
+@constant()
 def _latlong(height: int, width: int) -> DirectionGrid:
     span = zenith_span(height, width)
     zenith = (torch.arange(height, dtype=torch.float64) + 0.5) * span / height

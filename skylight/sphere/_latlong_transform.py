@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from skylight.errors import check_shape
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._frame import DirectionGrid
 
@@ -55,6 +56,7 @@ class LatLongTransform(nn.Module):
 
     def synthesise(self, coefficients: Float[Tensor, "*c k"]) -> Float[Tensor, "*c h w"]:
         """``sum_lm c_lm Y_lm`` at the pixels' centres."""
+        check_shape("coefficients", coefficients.shape, (self.degree + 1) ** 2)
         legendre = self.legendre.to(coefficients)
         cosine, sine = coefficients[..., self.order].unbind(-3)  # (*c, m, l)
         cosine = torch.einsum("mhl,...ml->...hm", legendre, cosine)
@@ -63,6 +65,7 @@ class LatLongTransform(nn.Module):
 
     def analyse(self, maps: Float[Tensor, "*c h w"]) -> Float[Tensor, "*c k"]:
         """``sum_w x(w) Y_lm(w) dw`` over the pixels."""
+        check_shape("maps", maps.shape, *self.solid_angles.shape[:1], self.cosines.shape[1])
         legendre = self.legendre.to(maps)
         weighted = maps * self.solid_angles.to(maps)
         cosine = torch.einsum("mhl,...hm->...ml", legendre, weighted @ self.cosines.to(maps).T)

@@ -24,6 +24,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn.functional import grid_sample, pad
 
+from skylight.errors import InputError, check_shape
 from skylight.sphere._frame import DirectionGrid, angles_from_direction
 
 
@@ -122,6 +123,9 @@ class DiskSplines(nn.Module):
     ) -> Float[Tensor, "b n c"]:
         """Values on the grid, differentiable in both; one turn of all, or as many as functions."""
         count, channels = len(control), control.shape[2]
+        check_shape("control points", control.shape, self.count, channels)
+        if len(turn_rad) not in (1, count):
+            raise InputError(f"{len(turn_rad)} turns of {count} functions: give 1 or {count}")
         images = pad(control.transpose(1, 2), (0, 1)).index_select(2, self.lattice)
         of_a_turn = channels if len(turn_rad) == count else count * channels
         images = images.reshape(len(turn_rad), of_a_turn, self.across, self.across)
@@ -153,10 +157,28 @@ class _Splines(torch.autograd.Function):
     Its gradients are written out: torch's own of ``grid_sample`` has the weights' as well.
     """
 
+    generate_vmap_rule = True
+
     @staticmethod
-    def forward(ctx: Any, images: Tensor, across: Tensor, along: Tensor) -> Tensor:
-        ctx.save_for_backward(images, across, along)
+    def forward(images: Tensor, across: Tensor, along: Tensor) -> Tensor:
         return _sampled(images, _pairs(across), _pairs(along))
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Tensor, ...], output: Tensor) -> None:
+        ctx.save_for_backward(*inputs)
+        ctx.save_for_forward(*inputs)
+
+    @staticmethod
+    def jvp(ctx: Any, *tangents: Tensor | None) -> Tensor:
+        images, across, along = ctx.saved_tensors
+        by_images, *by_places = tangents
+        total = torch.zeros_like(_sampled(images, _pairs(across), _pairs(along)))
+        if by_images is not None:
+            total = total + _sampled(by_images, _pairs(across), _pairs(along))
+        for slope, moved in zip(_slopes(images, across, along), by_places, strict=True):
+            if moved is not None:
+                total = total + slope * moved[:, None]
+        return total
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:

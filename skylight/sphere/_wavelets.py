@@ -12,13 +12,13 @@ faces are seen from outside, mirrored.) Texels are even on the plane of their fa
 
 import math
 from collections.abc import Sequence
-from functools import cache
 from typing import Literal, get_args
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from skylight._modes import constant
 from skylight.sphere._frame import DirectionGrid, direction_from_angles, row_edges_cos
 
 Selection = Literal["magnitude", "area", "weighted"]
@@ -178,7 +178,7 @@ def _quarters(
     return torch.cat([top, bottom], dim=1)
 
 
-@cache
+@constant()
 def _overlaps(
     height: int, size: int
 ) -> tuple[Int[Tensor, " k"], Int[Tensor, " k"], Float[Tensor, " k"]]:
@@ -237,7 +237,7 @@ def _average(
     return (sums / total).to(values.dtype)
 
 
-@cache
+@constant()
 def _face_axes() -> tuple[Float[Tensor, "6 3"], Float[Tensor, "6 3"], Float[Tensor, "6 3"]]:
     forward, right, down = torch.tensor([_FORWARD, _RIGHT, _DOWN], dtype=torch.float64)
     return forward, right, down

@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from skylight.sphere._frame import DirectionGrid
+from skylight.sphere._frame import DirectionGrid, cosines
 from skylight.transport._matrix import TransportMatrix
 from skylight.transport._reflection import shade_scenes
 
@@ -53,7 +53,7 @@ class NormalModes:
         blocks = []
         for begin in range(0, len(normals), _BLOCK_POINTS):
             points = slice(begin, begin + _BLOCK_POINTS)
-            cosine = normals[points].to(directions) @ directions.T
+            cosine = cosines(normals[points].to(directions), directions)
             inverse = torch.where(cosine > _LEAST_COSINE, 1 / cosine, 0.0)
             fine = TransportMatrix(matrix=transport.matrix[points] * inverse, grid=transport.grid)
             blocks.append(fine.on_rows(rows).matrix)

@@ -12,10 +12,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.functional import normalize
 
-from skylight.sphere._frame import DirectionGrid
+from skylight._modes import Derived
+from skylight.errors import check_shape
+from skylight.sphere._frame import DirectionGrid, cosines
 from skylight.transport._matrix import TransportMatrix
 from skylight.transport._render import Specular, ggx
-from skylight.work._derived import Derived
 
 _FEWEST_ROWS = 6
 
@@ -80,7 +81,7 @@ class DiffuseTransport(nn.Module):
 
     def _compute(self) -> Float[Tensor, "m n"]:
         normals = functional.normalize(self.normals, dim=1)
-        cosine = (normals @ self.directions.to(normals).T).clamp(min=0)
+        cosine = cosines(normals, self.directions.to(normals)).clamp(min=0)
         return cosine * self.visible * (self.solid_angles / math.pi).to(normals)
 
     def transport_matrix(self) -> TransportMatrix:
@@ -100,6 +101,7 @@ class DiffuseTransport(nn.Module):
         ValueError
             An albedo of another shape, such as (m,).
         """
+        check_shape("radiance", radiance.shape, len(self.grid), 3)
         shading = shade(self.matrix, radiance)
         if isinstance(albedo, Tensor) and not _broadcasts(albedo.shape, shading.shape):
             raise ValueError(
@@ -151,6 +153,7 @@ class SkyTransport(nn.Module):
         scene: Int[Tensor, " b"] | None = None,
     ) -> Float[Tensor, "b m 3"]:
         """T l: the same for an albedo of 1."""
+        check_shape("the sky", sky.shape, self.folded.shape[2] - 1, 3)
         return shade_scenes(self.folded, torch.cat([sky, ground[:, None]], dim=1), scene)
 
 
@@ -278,4 +281,4 @@ def specular_lobe(
 ) -> Float[Tensor, "m n"]:
     """f_s(n_p, w, v_p) in 1/sr; all three are unit vectors, ``views`` towards the camera."""
     n_v = (normals * views).sum(1).clamp(min=1e-2)
-    return ggx((light @ normals.T).clamp(min=0), n_v, light @ views.T, specular).T
+    return ggx(cosines(light, normals).clamp(min=0), n_v, cosines(light, views), specular).T

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from skylight.sphere._envmap import EnvironmentMap, luminance
-from skylight.sphere._frame import DirectionGrid
+from skylight.sphere._frame import DirectionGrid, cosines
 from skylight.transport._cameras import Camera
 from skylight.transport._matrix import BLOCK_DIRECTIONS, SurfaceRays
 from skylight.transport._rays import Raycaster
@@ -183,7 +183,7 @@ def render_diffuse(
         diffuse += cosine.T @ power / math.pi
         if specular is not None:
             n_v = (normals * view).sum(1).clamp(min=1e-3)
-            reflected += (cosine * ggx(cosine, n_v, light @ view.T, specular)).T @ power
+            reflected += (cosine * ggx(cosine, n_v, cosines(light, view), specular)).T @ power
     return albedo * diffuse + reflected
 
 
@@ -260,7 +260,7 @@ def reflection_weights(
     The usual prefilter, which takes normal and view along r (Karis 2013, "Real shading in
     Unreal Engine 4"), so <n,h>^2 = (1 + <r,w>) / 2.
     """
-    cosine = (reflected @ grid.directions.to(reflected).T).float()
+    cosine = cosines(reflected, grid.directions.to(reflected)).float()
     weight = ggx_density((1 + cosine) / 2, alpha) * cosine.clamp(min=0)
     weight = weight * grid.solid_angles.float()
     return weight / weight.sum(1, keepdim=True)

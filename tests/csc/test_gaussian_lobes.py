@@ -1,8 +1,10 @@
 import math
+import pickle
 
 import pytest
 import torch
 from scipy.special import exp1
+from torch.func import grad
 
 from skylight.csc import _dictionary as dictionary
 from skylight.csc._dictionary import FilterBank
@@ -111,3 +113,19 @@ def test_lobes_turn_with_their_axes() -> None:
     moved = GaussianLobes(axes=still.axes @ turn.T, precisions=still.precisions)
     directions = DirectionGrid.latlong(8).directions
     torch.testing.assert_close(moved.density(directions @ turn.T), still.density(directions))
+
+
+def test_who_asks_first_leaves_nothing_that_others_cannot_use() -> None:
+    """Inference mode and transforms may come before gradients and pickles."""
+    drawn, directions = (
+        at_the_zenith([[1.0, 4.0], [9.0, 25.0]]),
+        DirectionGrid.latlong(4).directions,
+    )
+    expected = at_the_zenith([[1.0, 4.0], [9.0, 25.0]]).density(directions)
+    with torch.inference_mode():
+        drawn.density(directions)
+    grad(lambda at: drawn.density(at).sum())(directions)
+    pickle.dumps(drawn)
+    moved = directions.clone().requires_grad_()
+    assert torch.autograd.grad(drawn.density(moved).sum(), moved)[0].isfinite().all()
+    assert torch.equal(drawn.density(directions), expected)

@@ -39,6 +39,13 @@ def on_cpu(request: pytest.FixtureRequest) -> Estimate:
     return estimated(request.param, torch.device("cpu"))
 
 
+def test_an_estimate_passes_autocast_by() -> None:
+    expected = estimated("sh9", torch.device("cpu"))
+    with torch.autocast("cpu", torch.bfloat16):
+        found = estimated("sh9", torch.device("cpu"))
+    assert torch.equal(found.environment.radiance, expected.environment.radiance)
+
+
 @pytest.mark.slow
 def test_no_operation_mixes_devices(on_cpu: Estimate, monkeypatch: pytest.MonkeyPatch) -> None:
     """The whole solver, with tensors that refuse to meet those of the CPU: the same to the bit."""

@@ -1,15 +1,17 @@
 import math
+import re
 
 import pytest
 import torch
 
+from skylight.errors import InputError
 from skylight.models._bundle import load_bundle
 from skylight.models._convolutional import LATENT, ConvolutionalAutoencoder
 from skylight.models._network import CENTRE_AZIMUTH_RAD, HEIGHT, WIDTH, SkyNetwork
 from skylight.models._splines import SplineAutoencoder
 from skylight.models._sun_head import COORDINATES
 from skylight.models.autoencoder import AutoencoderLight
-from skylight.sphere._envmap import luminance
+from skylight.sphere._envmap import luminance, shift_columns
 from skylight.sphere._frame import DirectionGrid, direction_from_angles
 
 F64 = torch.float64
@@ -126,3 +128,22 @@ def sun_angles(params: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """(azimuth, zenith angle) of the sun of one set of parameters."""
     zenith = math.pi / 2 * torch.sigmoid(1.5 * params[0, LATENT - COORDINATES].double())
     return params[0, LATENT].double(), zenith
+
+
+@pytest.mark.parametrize("column", [10, 75, 120])
+def test_a_sun_beside_the_centre_is_refused_and_how_to_turn_it_said(column: int) -> None:
+    network = load_bundle().light().network
+    sky = torch.full((2, HEIGHT, WIDTH, 3), 0.4)
+    sky[0, 12, 64] = sky[1, 12, column] = 800.0
+    side = "right" if column > 64 else "left"
+    with pytest.raises(InputError, match=f"sky 1 stands {abs(column - 64)} columns {side}") as told:
+        network.encode(sky)
+    turn = re.search(r"turn the sky by (-?[\d.]+) rad", str(told.value))
+    assert turn is not None
+    network.encode(shift_columns(sky[1:], torch.tensor([float(turn[1])])))
+
+
+def test_a_sky_without_a_sun_may_be_brightest_anywhere() -> None:
+    sky = 1 + torch.rand(2, HEIGHT, WIDTH, 3, generator=torch.Generator().manual_seed(0))
+    sky[0, 20:23, 10:16] = 6.0  # a bright cloud
+    load_bundle().light().network.encode(sky)

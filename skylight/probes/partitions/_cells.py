@@ -9,7 +9,6 @@ the arcs are cut too, and the horizon's own arc, whose pole is n, closes what is
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 import torch
@@ -19,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree, SphericalVoronoi
 from torch import Tensor
 
+from skylight._modes import constant
 from skylight.errors import InputError
 from skylight.probes.partitions._seeds import ProbeDesign
 from skylight.sphere._frame import angle_between
@@ -182,7 +182,7 @@ class Cells:
     normals: Float[Tensor, "n 3"]
 
     @staticmethod
-    @lru_cache(maxsize=16)
+    @constant(16)
     def of(design: ProbeDesign) -> "Cells":
         """The cells of a design, the same object for the same design.
 

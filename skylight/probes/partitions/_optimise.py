@@ -32,7 +32,7 @@ from skylight.probes.partitions._cells import Cells
 from skylight.probes.partitions._seeds import ProbeDesign
 from skylight.probes.partitions._sun_path import MAP_HEIGHT, Lights, path_design, path_through
 from skylight.sphere._envmap import luminance, shift_columns
-from skylight.sphere._frame import DirectionGrid, direction_from_angles
+from skylight.sphere._frame import DirectionGrid, cosines, direction_from_angles
 from skylight.transport._scene import evaluation_scene
 from skylight.work._progress import Progress, StageProgress
 
@@ -73,7 +73,7 @@ class RelightingError:
     def of_seeds(self, seeds: Float[Tensor, "n 3"]) -> float:
         """Of a design in which each unit seed is a cell; infinite where one holds no direction."""
         seeds = seeds.float()
-        return self._of(seeds, (self._directions @ seeds.T).argmax(1))
+        return self._of(seeds, cosines(self._directions, seeds).argmax(1))
 
     def of_cells(self, cells: Cells) -> float:
         """Of any design."""
@@ -88,7 +88,7 @@ class RelightingError:
         to the closest seed x_i as the sharpness grows.
         """
         seeds = seeds.float()
-        near = self._directions @ seeds.T
+        near = cosines(self._directions, seeds)
         member = torch.softmax(sharpness * near, dim=1)
         cosine = member * near.clamp(min=0) * self._solid_angles[:, None]
         mean = (cosine / cosine.sum(0)).T @ self._lights

@@ -6,7 +6,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from skylight.errors import InputError
+from skylight._modes import Derived
+from skylight.errors import InputError, check_shape
 from skylight.probes.partitions._cells import Cells
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid
@@ -58,7 +59,7 @@ class PartitionProbe(nn.Module):
         self.albedo = nn.Parameter(_albedo(albedo, cells.count))
         self.register_buffer("facing", cells.facing, persistent=False)
         self.register_buffer("response", response, persistent=measured)
-        self._latest: tuple[DirectionGrid, tuple[Tensor, Tensor]] | None = None
+        self._latest: Derived[tuple[Tensor, Tensor]] = Derived()
 
     @property
     def inverse(self) -> Float[Tensor, "n n"]:
@@ -82,6 +83,7 @@ class PartitionProbe(nn.Module):
 
         Light from other cells that ``response`` lets in counts as their own faces average it.
         """
+        check_shape("radiance", radiance.shape, len(grid), 3)
         cell, share = self._shares(grid)
         cell, share = cell.to(radiance.device), share.to(radiance.device)
         # float64 sums: a sun is 1e5 times brighter than the pixels it is added to
@@ -102,6 +104,7 @@ class PartitionProbe(nn.Module):
 
     def light(self, shading: Float[Tensor, "*b n 3"]) -> Float[Tensor, "*b n 3"]:
         """Each cell's constant radiance, ``A^-1 (pi s / rho)``: s_i w_i if ideal (Eq. 4.6)."""
+        check_shape("shading", shading.shape, self.cells.count, 3)
         return (self.inverse @ (math.pi * shading.double() / self.albedo)).to(shading)
 
     def decode(
@@ -131,6 +134,7 @@ class PartitionProbe(nn.Module):
 
         Times :attr:`correction` it is s''_i (Eq. 4.25).
         """
+        check_shape("radiance", radiance.shape, len(grid), 3)
         _check_whole(grid)
         cosine = (self.cells.normals @ grid.directions.T).clamp(min=0) * grid.solid_angles
         share = (cosine / cosine.sum(1, keepdim=True)).to(radiance.device)
@@ -139,9 +143,8 @@ class PartitionProbe(nn.Module):
     def _shares(self, grid: DirectionGrid) -> tuple[Int[Tensor, " d"], Float[Tensor, " d"]]:
         """Each direction's cell, and its part of what that cell's face gathers; sums are 1."""
         # many maps of one size come after each other, and lat-long grids are kept
-        if self._latest is None or self._latest[0] is not grid:
-            self._latest = (grid, self._find_shares(grid))
-        return self._latest[1]
+        sources = [grid.directions, grid.solid_angles]
+        return self._latest.of(sources, lambda: self._find_shares(grid))
 
     def _find_shares(self, grid: DirectionGrid) -> tuple[Int[Tensor, " d"], Float[Tensor, " d"]]:
         _check_whole(grid)

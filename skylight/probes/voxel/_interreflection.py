@@ -15,13 +15,13 @@ face itself, side i + 1 is where occluder i of :data:`~skylight.probes.voxel._mo
 """
 
 import math
-from functools import cache, lru_cache
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from skylight._modes import constant
 from skylight.errors import InputError
 from skylight.probes.voxel._model import CONFIGURATIONS, FORWARD, NORMALS, ORIENTATIONS, RIGHT
 from skylight.probes.voxel._reconstruct import SlotReconstruction, combinations_of
@@ -89,7 +89,7 @@ def _solved(
     return dict(zip(closed, radiance.split(direct.shape[2]), strict=True))
 
 
-@cache
+@constant()
 def _between_sides(degree: int) -> tuple[Float[Tensor, "6 6 p k"], Float[Tensor, "6 p 6 p"]]:
     """(light through side t to the nodes of side s: [t, s], what they see of each other [s, t])."""
     ticks = torch.from_numpy((np.polynomial.legendre.leggauss(TERMS)[0] + 1) / 2)
@@ -190,12 +190,12 @@ def slot_transfer(
     return _cached_transfer(float(albedo), size, degree).clone()
 
 
-@lru_cache(maxsize=8)
+@constant(8)
 def _cached_transfer(albedo: float, size: int, degree: int) -> Tensor:
     return _cell_transfer(size, degree).at(albedo).unflatten(1, (size, size))
 
 
-@lru_cache(maxsize=4)
+@constant(4)
 def _cell_transfer(size: int, degree: int) -> CellTransfer:
     along = (torch.arange(size, dtype=torch.float64) + 0.5) / size
     # row 0 lies forward, column 0 left

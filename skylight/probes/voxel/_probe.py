@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from skylight.errors import InputError
+from skylight.errors import InputError, check_shape
 from skylight.probes.voxel._interreflection import DEGREE, SIZE, face_frame, slot_transfer
 from skylight.probes.voxel._model import ORIENTATIONS, VoxelModel, exposed_faces
 from skylight.sphere import _harmonics as harmonics
@@ -61,11 +61,7 @@ class VoxelProbe(nn.Module):
         self, radiance: Float[Tensor, "*b d 3"], grid: DirectionGrid
     ) -> Float[Tensor, "*b 6 32 n n 3"]:
         """The lightmap under radiance on a grid; linear in it, differentiable."""
-        if radiance.shape[-2:] != (len(grid), 3):
-            raise InputError(
-                f"radiance {tuple(radiance.shape)} on a grid of {len(grid)} directions: give "
-                f"(..., {len(grid)}, 3)"
-            )
+        check_shape("radiance", radiance.shape, len(grid), 3)
         # float64 sums: a sun is 1e5 times brighter than the pixels it is added to
         basis = harmonics.evaluate(grid.directions, self.degree) * grid.solid_angles[:, None]
         light = torch.einsum("dk,...dc->...ck", basis.to(radiance.device), radiance.double())

@@ -18,6 +18,7 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor, nn
 
+from skylight.errors import check_shape
 from skylight.probes.cameras._drawing import (
     NOWHERE,
     UNSEEN,
@@ -191,6 +192,7 @@ class Relighting(nn.Module):
 
         A view whose colours lie apart in memory.
         """
+        check_shape("light", light.shape, self.transfer.shape[1], 3)
         lights = light.to(self.transfer.dtype).reshape(-1, *light.shape[-2:])
         radiance = torch.bmm(lights.permute(2, 0, 1), self.transfer)  # (3, b, m)
         return radiance.permute(1, 2, 0).reshape(*light.shape[:-2], -1, 3).to(light.dtype)
@@ -234,6 +236,7 @@ class TurningRelighting(nn.Module):
 
         Between the angles it may be below 0, by as much as the spline is off.
         """
+        check_shape("light", light.shape, self.spline.shape[2], 3)
         count = len(self.spline)
         place = torch.as_tensor(angle_rad, dtype=torch.float64) / (2 * math.pi) * count
         below = place.detach().floor()

@@ -1,0 +1,117 @@
+"""Whatever mode of torch's the caller is in: what lasts longer, and what needs every digit.
+
+Autocast, inference mode, transforms of :mod:`torch.func` and a default device hold for whoever set
+them. What is kept for others is computed without, and so is what eight bits would ruin.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import lru_cache, update_wrapper, wraps
+from typing import Any, Generic, ParamSpec, TypeVar
+
+import torch
+from torch import Tensor
+from torch.autograd.forward_ad import unpack_dual
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def full_precision(like: Tensor) -> torch.autocast:
+    """A context without autocast on a tensor's device: for what is exponentiated or compared."""
+    kind = like.device.type
+    return torch.autocast(kind if torch.amp.is_autocast_available(kind) else "cpu", enabled=False)
+
+
+def without_autocast(function: Callable[P, T]) -> Callable[P, T]:
+    """The function without autocast: a search compares what is nearly equal."""
+
+    @wraps(function)
+    def inner(*args: P.args, **kwargs: P.kwargs) -> T:
+        with torch.autocast("cpu", enabled=False), torch.autocast("cuda", enabled=False):
+            return function(*args, **kwargs)
+
+    return inner
+
+
+def single(x: Tensor) -> Tensor:
+    """In float32 at least: what autocast made may have eight bits."""
+    return x.to(torch.promote_types(x.dtype, torch.float32))
+
+
+def transformed() -> bool:
+    """Whether a transform of :mod:`torch.func` asks, in which values cannot be looked at."""
+    stack = torch._C._functorch  # pyright: ignore[reportAttributeAccessIssue]
+    return stack.peek_interpreter_stack() is not None
+
+
+@contextmanager
+def kept() -> Iterator[None]:
+    """A context for what stays: tensors of inference mode or of a transform could be no part of a
+    later graph."""
+    with torch.inference_mode(False), torch.no_grad(), torch._C._DisableFuncTorch():
+        yield
+
+
+def constant(maxsize: int | None = None) -> Callable[[Callable[..., T]], Callable[..., T]]:
+    """:func:`functools.lru_cache` of a table that depends on its arguments alone.
+
+    It is made in a thread of its own, for modes belong to threads: a table that someone in
+    inference mode asked for first could otherwise be no part of anyone's graph.
+    """
+
+    def decorate(function: Callable[..., T]) -> Callable[..., T]:
+        @lru_cache(maxsize)
+        def once(*args: Any) -> T:
+            with ThreadPoolExecutor(1) as thread:
+                return thread.submit(function, *args).result()
+
+        return update_wrapper(once, function)
+
+    return decorate
+
+
+class Derived(Generic[T]):
+    """Holds what was last computed from tensors, such as a module's parameters and buffers.
+
+    :meth:`of` computes anew after an optimiser's step, ``load_state_dict``, ``.to``, ``.double``
+    and any other change that autograd's version counters see, which writes through ``.data`` are
+    not. While a source requires a gradient or has a tangent the value is part of the graph, and
+    nothing is kept; nor is it for tensors without storage or version, as in
+    :func:`torch.func.vmap` and in inference mode. Copies and pickles hold nothing.
+    """
+
+    def __init__(self) -> None:
+        self._states: list[tuple[object, ...]] | None = None
+        self._storages: list[Tensor] = []  # kept, so that no other tensor gets their addresses
+        self._value: T | None = None
+
+    def __reduce__(self) -> tuple[type["Derived[T]"], tuple[()]]:
+        return Derived, ()
+
+    def of(self, sources: Iterable[Tensor], compute: Callable[[], T]) -> T:
+        """``compute()`` without autocast, or what it last returned if no source has changed."""
+        sources = list(sources)
+        with full_precision(sources[0]):
+            now = _states(sources)
+            if now is None:
+                return compute()
+            if now != self._states:
+                with kept():
+                    self._value = compute()
+                    self._storages = [source.detach() for source in sources]
+                self._states = now
+        return self._value  # type: ignore[return-value]
+
+
+def _states(sources: list[Tensor]) -> list[tuple[object, ...]] | None:
+    """What changes with the values; None where that cannot be told, or they are to be followed."""
+    if torch.is_grad_enabled() and any(source.requires_grad for source in sources):
+        return None
+    try:
+        if any(unpack_dual(source).tangent is not None for source in sources):
+            return None
+        return [(s.data_ptr(), s._version, s.dtype, s.device, s.shape, s.stride()) for s in sources]
+    except RuntimeError:
+        return None
