@@ -5,6 +5,7 @@ The command line prints the message of a :class:`SkylightError` as one line and 
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 
 class SkylightError(Exception):
@@ -89,8 +90,8 @@ def explain(error: BaseException, *, more: str = "rerun with --debug") -> tuple[
     return f"internal error ({type(error).__name__}: {first}); {more}", 1
 
 
-def check_shape(what: str, shape: Sequence[int], *last: int) -> None:
-    """:class:`InputError` unless the last sizes of a tensor are these."""
+def check_shape(what: str, shape: Sequence[Any], *last: int) -> None:
+    """:class:`InputError` unless the last sizes of a tensor are these; an export has symbols."""
     if tuple(shape[-len(last) :]) != last:
         sizes = ", ".join(str(size) for size in last)
         raise InputError(f"{what} of shape {tuple(shape)}: give (..., {sizes})")
