@@ -21,6 +21,7 @@ from torch.func import grad, jacfwd, jacrev, vmap
 from torch.nn.functional import normalize
 
 import skylight
+from skylight.csc import SphericalSparseCoder
 from skylight.errors import InputError
 from skylight.models import GaussianLobes, LampsLight, LightModel, SunSky
 from tests.modules import CASES, F32, F64, NOT_HERE, TF32, Case, coder as coder_of_few, error
@@ -220,3 +221,16 @@ def test_parameters_that_autocast_made_are_not_rounded_again() -> None:
         with torch.autocast("cpu", torch.bfloat16):
             found = model(eight_bits)
         assert torch.equal(found, model(eight_bits.float()))
+
+
+def test_a_search_with_tf32_finds_as_good_a_code() -> None:
+    """Of filters whose correlations differ by less than 2^-10 it may take another."""
+    coder = SphericalSparseCoder("ani", height=16, activations=12)
+    generator = torch.Generator().manual_seed(4)
+    maps = torch.rand(6, 16, 32, 3, generator=generator) ** 6
+    with torch.no_grad():
+        exact = coder.relative_error(maps, coder(maps))
+        with TF32():
+            codes = coder(maps)
+        rounded = coder.relative_error(maps, codes)
+    assert float((rounded / exact).log().abs().max()) < 0.01

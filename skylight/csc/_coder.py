@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from skylight._modes import full_precision, transformed
+from skylight._modes import full_precision, single, transformed
 from skylight.csc._code import CodeTensors, SparseCode
 from skylight.csc._dictionary import FilterBank, load_dictionary
 from skylight.csc._greedy import Pursuit, PursuitOptions, Support, pursue, pursue_together
@@ -67,7 +67,8 @@ class SphericalSparseCoder(nn.Module):
         (:func:`~skylight.csc._sub_dictionaries.multiresolution`).
     dtype
         Of the search; ``.double()`` and ``.float()`` change it too. Weights are fitted in double
-        precision in any case.
+        precision in any case. Where TF32 is allowed, the search may take another of filters whose
+        correlations differ by .1 %; the code's error stays within 1 %.
 
     Memory, mostly of the search: 90 MB for ``ani`` at 32 rows, 300 MB at 128.
     """
@@ -236,7 +237,16 @@ class SphericalSparseCoder(nn.Module):
         support of a non-negative code the derivative is that of its non-negative least squares.
         """
         check_shape("maps", maps.shape, self.height, 2 * self.height, 3)
-        atoms = self._sampled_atoms(codes).flatten(-2)
+        atoms = single(self._sampled_atoms(codes).flatten(-2))
+        with full_precision(atoms):  # a Gramian of eight bits may have no inverse
+            return self._refitted(maps, codes, atoms)
+
+    def _refitted(
+        self,
+        maps: Float[Tensor, "*batch h w 3"],
+        codes: CodeTensors,
+        atoms: Float[Tensor, "*batch k n"],
+    ) -> CodeTensors:
         weighted = atoms * self.transform.grid.solid_angles.to(atoms)
         target = maps.to(atoms).flatten(-3, -2)
         right = (weighted @ target).mT[..., None]  # (*batch, 3, k, 1)

@@ -23,6 +23,7 @@ from scipy.ndimage import map_coordinates
 from scipy.optimize import nnls
 from torch import Tensor, nn
 
+from skylight._modes import full_precision
 from skylight.csc._dictionary import (
     DEGREE,
     FilterBank,
@@ -289,7 +290,9 @@ class CapFilterBank(FilterBank):
     @property
     def coefficients(self) -> Float[Tensor, "m k"]:
         """Real SH coefficients of all filters, of unit norm."""
-        return unit_rows(self.unnormalised.index_copy(0, self.learned, self.amounts @ self.lobes))
+        with full_precision(self.amounts):
+            learned = self.amounts @ self.lobes
+            return unit_rows(self.unnormalised.index_copy(0, self.learned, learned))
 
     @torch.no_grad()
     def project_(self) -> None:

@@ -27,7 +27,7 @@ import torch
 from jaxtyping import Complex, Float, Int
 from torch import Tensor, nn
 
-from skylight._modes import full_precision
+from skylight._modes import full_precision, single
 from skylight.csc._correlation import FilterGroup, signed_orders, spans_of
 from skylight.csc._positions import Chunk, Positions, by_signal
 from skylight.errors import check_shape
@@ -325,6 +325,13 @@ def rotated_filters(
     beta, gamma) of ``rotations``. Differentiable in filters and angles. Wigner's functions are
     evaluated once for each beta that differs: grids have few.
     """
+    with full_precision(filters):  # complex numbers have no eight bits
+        return _rotated(single(filters), rotations)
+
+
+def _rotated(
+    filters: Float[Tensor, "s k"], rotations: Float[Tensor, "s 3"]
+) -> Float[Tensor, "s k"]:
     degree = harmonics.degree_of(filters.shape[1])
     alpha, beta, gamma = rotations.to(filters).unbind(1)
     spectrum = complex_coefficients(filters)  # (s, l, m >= 0)

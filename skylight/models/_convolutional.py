@@ -53,9 +53,9 @@ class UpConv(nn.Module):
         self.register_buffer("fold", fold, persistent=False)
         self.reach = reach
 
-    def phases(self) -> Float[Tensor, "d4 c t u"]:
+    def phases(self, dtype: torch.dtype | None = None) -> Float[Tensor, "d4 c t u"]:
         """The four small kernels of each output channel, in pixel_shuffle's order."""
-        weight = self.reference.conv.weight
+        weight = self.reference.conv.weight.to(dtype or self.reference.conv.weight.dtype)
         fold = self.get_buffer("fold").to(weight)
         phases = torch.einsum("ptk,qul,oikl->opqitu", fold, fold, weight)
         phases = phases.reshape(-1, *phases.shape[3:])
@@ -177,7 +177,9 @@ class FoldedDecoder:
         layers = [(linear.weight * scale[:, None], linear.bias * scale + shift)]
         for up, norm, _ in network.decoder:  # pyright: ignore[reportGeneralTypeIssues]
             scale, shift = (x.repeat_interleave(4) for x in _affine(norm))
-            layers.append((up.phases() * scale[:, None, None, None], shift))
+            # float64, for TF32 would stay in what is kept
+            kernel = up.phases(torch.float64) * scale[:, None, None, None]
+            layers.append((kernel.to(shift), shift))
         assert network.output.bias is not None
         return FoldedDecoder((*layers, (network.output.weight, network.output.bias)))
 
