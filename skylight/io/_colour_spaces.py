@@ -137,6 +137,24 @@ class ColourSpace:
         return linear
 
 
+def converted(
+    values: Float[np.ndarray, "h w 3"], space: ColourSpace | None
+) -> tuple[Float[np.ndarray, "h w 3"], list[str]]:
+    """(linear Rec.709, what was done in words) of values in a space, None for linear Rec.709.
+
+    What becomes negative by the conversion, colours outside Rec.709, is cut at 0.
+    """
+    if space is None or space.is_linear_rec709:
+        return values, []
+    linear = space.linear_rec709(values)
+    outside = (linear < 0) & (values >= 0).all(-1, keepdims=True)
+    # what rounds to less than a hundredth of its pixel is no colour of its own
+    seen = int((np.where(outside, linear, 0).min(-1) < -0.01 * linear.max(-1)).sum())
+    linear[outside] = 0
+    cut = f"; {seen} pixel(s) more saturated than Rec.709 are cut at 0" if seen else ""
+    return linear, [f"its colours, {space}, are converted to linear Rec.709{cut}"]
+
+
 def colour_space_of_cicp(primaries: int, transfer: int) -> ColourSpace | None:
     """The space of two code points of ITU-T H.273; None where 2 leaves both open.
 
@@ -196,16 +214,15 @@ def to_rec709(primaries: Primaries | Chromaticities) -> Float[np.ndarray, "3 3"]
     ValueError
         Chromaticities that are no triangle, or no number; a name that is not known.
     """
-    inverse = np.linalg.inv(_to_xyz(CHROMATICITIES["rec709"]))
+    inverse = np.linalg.inv(to_xyz("rec709"))
     named = _named(primaries)
     if named == "rec709":
         matrix = np.eye(3)
     elif named == "xyz-d65":
         matrix = inverse
     else:
-        xy = primaries if named is None else CHROMATICITIES[named]
-        assert not isinstance(xy, str)
-        matrix = inverse @ _bradford(xy[6:], _D65) @ _to_xyz(xy)
+        own = to_xyz(primaries)  # refuses what are no chromaticities
+        matrix = inverse @ _bradford(_xy(primaries)[6:], _D65) @ own
     matrix.flags.writeable = False
     return matrix
 
@@ -273,16 +290,26 @@ def _named(primaries: Primaries | Chromaticities) -> Primaries | None:
     return None
 
 
-def _to_xyz(xy: Chromaticities) -> Float[np.ndarray, "3 3"]:
-    """RGB to XYZ, the white's luminance 1 (SMPTE RP 177)."""
-    corners = np.array(xy, np.float64).reshape(4, 2)
+def to_xyz(primaries: Primaries | Chromaticities) -> Float[np.ndarray, "3 3"]:
+    """RGB to XYZ, the white's luminance 1 (SMPTE RP 177), float64; raises as :func:`to_rec709`."""
+    if primaries == "xyz-d65":
+        return np.eye(3)
+    corners = np.array(_xy(primaries), np.float64).reshape(4, 2)
     lengths = np.column_stack([corners, 1 - corners.sum(1)]).T  # x, y, z of each
-    red_green_blue, white = lengths[:, :3], lengths[:, 3] / lengths[1, 3]
     if not np.isfinite(lengths).all() or corners[3].min() <= 0:
         raise ValueError("its chromaticities are no colours")
+    red_green_blue, white = lengths[:, :3], lengths[:, 3] / lengths[1, 3]
     if abs(np.linalg.det(red_green_blue)) < 1e-4:
         raise ValueError("its chromaticities are no triangle")
     return red_green_blue * np.linalg.solve(red_green_blue, white)
+
+
+def _xy(primaries: Primaries | Chromaticities) -> Chromaticities:
+    named = _named(primaries)
+    if named is not None:
+        return CHROMATICITIES[named]
+    assert not isinstance(primaries, str)
+    return primaries
 
 
 def _bradford(source: tuple[float, ...], target: tuple[float, ...]) -> Float[np.ndarray, "3 3"]:

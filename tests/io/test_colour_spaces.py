@@ -68,10 +68,10 @@ def test_points_of_the_curves() -> None:
     hlg = linear_light(np.array([0.0, 0.5, 0.75, 1.0]), "hlg")
     np.testing.assert_allclose(hlg, [0, 1 / 12 / 0.26496, 1, 1 / 0.26496], rtol=1e-4)
     # BT.709: 18 % of light is 40.9 % of the signal; sRGB: 46.1 %
-    assert linear_light(np.array(0.4090), "rec709") == pytest.approx(0.18, abs=2e-4)
-    assert linear_light(np.array(0.4613), "srgb") == pytest.approx(0.18, abs=2e-4)
-    assert linear_light(np.array(0.5), 2.2) == pytest.approx(0.5**2.2)
-    assert linear_light(np.array(-0.5), 2.2) == pytest.approx(-(0.5**2.2))
+    assert linear_light(np.array([0.4090]), "rec709") == pytest.approx(0.18, abs=2e-4)
+    assert linear_light(np.array([0.4613]), "srgb") == pytest.approx(0.18, abs=2e-4)
+    assert linear_light(np.array([0.5]), 2.2) == pytest.approx(0.5**2.2)
+    assert linear_light(np.array([-0.5]), 2.2) == pytest.approx(-(0.5**2.2))
 
 
 @pytest.mark.parametrize(
