@@ -21,7 +21,9 @@ from skylight.imaging._colour import Decode, decode_values, linear_to_srgb, tone
 from skylight.imaging._exif import CameraFacts, camera_facts
 from skylight.io._bounded import file_bytes, require_bytes, require_pixels
 from skylight.io._files import opened_picture
-from skylight.io._hdr import SUFFIXES as HDR_SUFFIXES, muted, read_linear
+from skylight.io._hdr import SUFFIXES as HDR_SUFFIXES
+from skylight.io._light import read_linear
+from skylight.io._muted import muted
 from skylight.sphere._envmap import luminance
 
 RAW_SUFFIXES = (

@@ -22,7 +22,8 @@ from skylight.io._files import (
     write_environment_map,
     write_png,
 )
-from skylight.io._hdr import HALF_MAX, read_linear, write_exr
+from skylight.io._hdr import HALF_MAX, write_exr
+from skylight.io._light import read_linear
 from skylight.people._independent_render import mitsuba_variant
 from skylight.people._light import RenderOptions, TurnedMap
 from skylight.people._render import RenderedFace, render
