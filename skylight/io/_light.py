@@ -106,12 +106,17 @@ def read_latlong(
     """:func:`read_radiances` of a lat-long map: of the sphere (w = 2 h) or the sky (w = 4 h)."""
     pixels = read_radiances(path, layer=layer, repair=repair)
     height, width = pixels.shape[:2]
-    if width not in (2 * height, 4 * height):
-        raise InputError(
-            f"{path}: {width}x{height} (width x height) is no lat-long map: expected a width of "
-            "2 heights (whole sphere) or 4 heights (upper half); crop or resize it"
-        )
-    return pixels
+    if width in (2 * height, 4 * height):
+        return pixels
+    mend = "crop or resize it"
+    if width == height:
+        mend = "a square is read by skylight convert --from angular (mirrorball, octahedral)"
+    elif 3 * width == 4 * height or 4 * width == 3 * height:
+        mend = "a cross of a cube's faces is read by skylight convert --from cube"
+    raise InputError(
+        f"{path}: {width}x{height} (width x height) is no lat-long map: expected a width of "
+        f"2 heights (whole sphere) or 4 heights (upper half); {mend}"
+    )
 
 
 def fault(pixels: Float[np.ndarray, "h w 3"]) -> str | None:
