@@ -121,15 +121,17 @@ class ColourSpace:
         words = {"srgb": "sRGB's curve", "rec709": "Rec.709's curve", "pq": "PQ", "hlg": "HLG"}
         return f"{told}, {words[curve] if isinstance(curve, str) else f'gamma {curve:g}'}"
 
-    def linear_rec709(self, values: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
-        """Linear Rec.709 of such values, computed in float64; float32.
+    def linear_rec709(
+        self, values: Float[np.ndarray, "h w 3"], *, adapt: bool = True
+    ) -> Float[np.ndarray, "h w 3"]:
+        """Linear Rec.709 of such values, computed in float64; float32; ``adapt``: the white.
 
         Colours outside Rec.709 have negative components. Where nothing is to be converted, the
         values are returned as they are.
         """
         if self.is_linear_rec709:
             return np.asarray(values, np.float32)
-        matrix = to_rec709(self.primaries)
+        matrix = to_rec709(self.primaries, adapt)
         linear = np.empty(values.shape, np.float32)
         for start in range(0, len(values), _BLOCK_ROWS):
             rows = slice(start, start + _BLOCK_ROWS)
@@ -140,19 +142,21 @@ class ColourSpace:
 def converted(
     values: Float[np.ndarray, "h w 3"], space: ColourSpace | None
 ) -> tuple[Float[np.ndarray, "h w 3"], list[str]]:
-    """(linear Rec.709, what was done in words) of values in a space, None for linear Rec.709.
+    """(linear Rec.709, what was done in words) of light in a space, None for linear Rec.709.
 
-    What becomes negative by the conversion, colours outside Rec.709, is cut at 0.
+    Light is what was measured, so its XYZ is kept: a white other than D65 is not adapted. What
+    becomes negative by the conversion, colours outside Rec.709, is cut at 0.
     """
     if space is None or space.is_linear_rec709:
         return values, []
-    linear = space.linear_rec709(values)
+    linear = space.linear_rec709(values, adapt=False)
     outside = (linear < 0) & (values >= 0).all(-1, keepdims=True)
     # what rounds to less than a hundredth of its pixel is no colour of its own
     seen = int((np.where(outside, linear, 0).min(-1) < -0.01 * linear.max(-1)).sum())
     linear[outside] = 0
     cut = f"; {seen} pixel(s) more saturated than Rec.709 are cut at 0" if seen else ""
-    return linear, [f"its colours, {space}, are converted to linear Rec.709{cut}"]
+    kept = "" if _has_d65(space.primaries) else "; their white, not D65, is kept as measured"
+    return linear, [f"its colours, {space}, are converted to linear Rec.709{kept}{cut}"]
 
 
 def colour_space_of_cicp(primaries: int, transfer: int) -> ColourSpace | None:
@@ -203,11 +207,14 @@ def colour_space_named(name: str) -> ColourSpace | None:
 
 
 @cache
-def to_rec709(primaries: Primaries | Chromaticities) -> Float[np.ndarray, "3 3"]:
+def to_rec709(
+    primaries: Primaries | Chromaticities, adapt: bool = True
+) -> Float[np.ndarray, "3 3"]:
     """The matrix to linear Rec.709: ``M709^-1 A M``, float64; read-only.
 
-    ``M`` takes RGB to XYZ and ``A`` is Bradford's adaptation of the white (ICC.1:2022, annex E).
-    XYZ ("xyz-d65") is taken as measured, not adapted.
+    ``M`` takes RGB to XYZ and ``A`` is Bradford's adaptation of the white (ICC.1:2022, annex E),
+    for pictures, whose white looks white; without ``adapt`` it is 1, for light, whose XYZ is kept.
+    XYZ ("xyz-d65") is never adapted.
 
     Raises
     ------
@@ -222,7 +229,8 @@ def to_rec709(primaries: Primaries | Chromaticities) -> Float[np.ndarray, "3 3"]
         matrix = inverse
     else:
         own = to_xyz(primaries)  # refuses what are no chromaticities
-        matrix = inverse @ _bradford(_xy(primaries)[6:], _D65) @ own
+        white = _xy(primaries)[6:] if adapt else _D65
+        matrix = inverse @ _bradford(white, _D65) @ own
     matrix.flags.writeable = False
     return matrix
 
@@ -302,6 +310,10 @@ def to_xyz(primaries: Primaries | Chromaticities) -> Float[np.ndarray, "3 3"]:
     if abs(np.linalg.det(red_green_blue)) < 1e-4:
         raise ValueError("its chromaticities are no triangle")
     return red_green_blue * np.linalg.solve(red_green_blue, white)
+
+
+def _has_d65(primaries: Primaries | Chromaticities) -> bool:
+    return primaries == "xyz-d65" or np.allclose(_xy(primaries)[6:], _D65, atol=TOLERANCE)
 
 
 def _xy(primaries: Primaries | Chromaticities) -> Chromaticities:

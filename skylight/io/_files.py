@@ -19,22 +19,20 @@ from torch import Tensor
 from skylight.errors import InputError, OutputError
 from skylight.io._atomic import atomic_path
 from skylight.io._bounded import file_text
-from skylight.io._hdr import (
-    HALF_MAX,
-    RGBE_MAX,
-    check_suffix,
-    read_linear,
-    write_exr,
-    write_radiance,
-)
+from skylight.io._hdr import HALF_MAX, RGBE_MAX, check_suffix, write_exr, write_radiance
+from skylight.io._light import fault, read_latlong, read_radiances
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import Convention, convert_latlong
 
 
 def read_environment_map(
-    path: str | Path, *, convention: Convention = "skylight"
+    path: str | Path,
+    *,
+    convention: Convention = "skylight",
+    layer: str | None = None,
+    repair: bool = False,
 ) -> EnvironmentMap:
-    """Light from an .exr or .hdr lat-long file, turned into skylight's frame.
+    """Light from an .exr, Radiance (.hdr, .pic) or float .tif lat-long file, in skylight's frame.
 
     Parameters
     ----------
@@ -42,33 +40,26 @@ def read_environment_map(
         A full map (width = 2 height) or an upper-hemisphere sky (width = 4 height).
     convention
         Where the file's columns look: see :data:`skylight.sphere._frame.Convention`.
+    layer
+        Of an .exr file with several layers or parts, the name of one.
+    repair
+        Replace a few values that are infinite, NaN or a little below 0: see
+        :func:`skylight.io._light.read_radiances`.
 
     Raises
     ------
     InputError
         A missing or damaged file, another shape, or values that are NaN, negative or infinite.
     """
-    path = Path(path)
-    pixels = read_linear(path)
-    height, width = pixels.shape[:2]
-    if width not in (2 * height, 4 * height):
-        raise InputError(
-            f"{path}: {width}x{height} (width x height) is no lat-long map: expected a width of "
-            "2 heights (whole sphere) or 4 heights (upper half); crop or resize it"
-        )
-    radiance = convert_latlong(_checked(path, pixels), convention, "skylight")
-    return EnvironmentMap(radiance=radiance)
+    pixels = torch.from_numpy(read_latlong(Path(path), layer=layer, repair=repair))
+    return EnvironmentMap(radiance=convert_latlong(pixels, convention, "skylight"))
 
 
-def read_light(path: Path) -> Float[Tensor, "h w 3"]:
-    """Linear radiance from an .exr or .hdr file of any shape.
-
-    Raises
-    ------
-    InputError
-        A missing or damaged file, or values that are NaN, negative or infinite.
-    """
-    return _checked(path, read_linear(path))
+def read_light(
+    path: Path, *, layer: str | None = None, repair: bool = False
+) -> Float[Tensor, "h w 3"]:
+    """Linear radiance from a file of any shape; otherwise as :func:`read_environment_map`."""
+    return torch.from_numpy(read_radiances(path, layer=layer, repair=repair))
 
 
 def write_probe(folder: Path, environment: EnvironmentMap) -> None:
@@ -123,9 +114,9 @@ def write_light(
     if half and not is_exr:
         raise InputError(f"{path}: half precision is a choice for .exr; RGBE has one precision")
     pixels = _float_pixels(picture)
-    fault = _fault(pixels)
-    if fault:
-        raise OutputError(f"{path} was not written: {fault}")
+    told = fault(pixels)
+    if told:
+        raise OutputError(f"{path} was not written: {told}")
     limit = (HALF_MAX if half else np.inf) if is_exr else RGBE_MAX
     if pixels.max() > limit:
         raise OutputError(
@@ -145,27 +136,8 @@ def write_png(path: str | Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
         Image.fromarray(np.ascontiguousarray(rgb)).save(temporary, format="PNG")
 
 
-def _checked(path: Path, pixels: Float[np.ndarray, "h w 3"]) -> Float[Tensor, "h w 3"]:
-    fault = _fault(pixels)
-    if fault:
-        raise InputError(f"{path}: {fault}; repair or replace these pixels")
-    return torch.from_numpy(pixels)
-
-
 def _float_pixels(radiance: Float[Tensor, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
     return np.ascontiguousarray(radiance.detach().to("cpu", torch.float32).numpy())
-
-
-def _fault(pixels: Float[np.ndarray, "h w 3"]) -> str | None:
-    """What is wrong with these as radiances, in words: counts of pixels and the first place."""
-    kinds = {"NaN": np.isnan(pixels), "infinite": np.isinf(pixels), "negative": pixels < 0}
-    counts = {name: int(bad.any(-1).sum()) for name, bad in kinds.items()}
-    if not any(counts.values()):
-        return None
-    row, column = np.argwhere(np.any(list(kinds.values()), axis=(0, 3)))[0]
-    listed = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-    where = f"the first at row {row}, column {column}"
-    return f"radiance must be finite and >= 0, got {listed} pixel(s), {where}"
 
 
 def visible_files(

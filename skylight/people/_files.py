@@ -18,7 +18,8 @@ from skylight.imaging._photo import read_codes
 from skylight.io._atomic import PARTIAL, atomic_path
 from skylight.io._bounded import json_content, load_arrays, write_json
 from skylight.io._files import read_environment_map, write_environment_map, write_png
-from skylight.io._hdr import HALF_MAX, read_linear, write_exr
+from skylight.io._hdr import HALF_MAX, write_exr
+from skylight.io._light import read_linear
 from skylight.people._independent_render import mitsuba_variant
 from skylight.people._light import RenderOptions, TurnedMap
 from skylight.people._render import RenderedFace, render

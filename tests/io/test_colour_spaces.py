@@ -8,8 +8,10 @@ from skylight.io._colour_spaces import (
     ColourSpace,
     colour_space_named,
     colour_space_of_cicp,
+    converted,
     linear_light,
     to_rec709,
+    to_xyz,
 )
 
 # BT.2087-0, 2020 to 709 (table 4's M2 inverted, 4 digits); ACES CTL AP1 and AP0 to Rec.709
@@ -49,6 +51,29 @@ def test_white_stays_white_and_chromaticities_say_the_same(name) -> None:
     np.testing.assert_allclose(to_rec709(name).sum(1), 1, atol=1e-12)
     told = tuple(float(np.float32(each)) for each in CHROMATICITIES[name])  # as files store them
     np.testing.assert_allclose(to_rec709(told), to_rec709(name), atol=1e-12)
+
+
+def test_light_keeps_its_xyz_where_pictures_keep_their_white() -> None:
+    """Equal AP1 values are the colour of D60: 0.32168, 0.33767 (S-2014-004)."""
+    grey = np.full((1, 1, 3), 0.5, np.float32)
+    light, said = converted(grey, ColourSpace(primaries="ap1"))
+    x, y, z = to_xyz("rec709") @ light[0, 0].astype(np.float64)
+    assert (x / (x + y + z), y / (x + y + z)) == pytest.approx((0.32168, 0.33767), abs=1e-6)
+    assert y == pytest.approx(0.5, rel=1e-6)
+    assert "white" in said[0]
+
+
+def test_what_becomes_negative_is_cut_and_counted() -> None:
+    values = np.zeros((2, 2, 3), np.float32)
+    values[0, 0, 1] = 1  # a green that Rec.709 has not
+    values[1, 1] = [0.2, -0.1, 0.3]  # no colour before either
+    light, (said,) = converted(values, ColourSpace(primaries="rec2020"))
+    assert light[0, 0].min() == 0
+    assert light[1, 1].min() < 0
+    assert "Rec.2020" in said
+    assert "1 pixel(s)" in said
+    white, said = converted(np.ones((1, 1, 3), np.float32), None)
+    assert (said, white.max()) == ([], 1)
 
 
 def test_own_primaries() -> None:

@@ -19,7 +19,8 @@ from skylight.imaging._colour import Decode
 from skylight.imaging._exif import focal_length_px
 from skylight.imaging._photo import RAW_SUFFIXES, read_codes, read_exif, read_light
 from skylight.imaging._pictures import stored_picture
-from skylight.io._hdr import SUFFIXES as HDR_SUFFIXES, read_linear
+from skylight.io._hdr import SUFFIXES as HDR_SUFFIXES
+from skylight.io._light import read_linear
 from skylight.probes.cameras._exposures import (
     Choice,
     Exposure,

@@ -19,7 +19,9 @@ from skylight.imaging._photo import Photo, read_photo
 from skylight.imaging._pictures import picture_size
 from skylight.io._atomic import atomic_path
 from skylight.io._files import read_environment_map
-from skylight.io._hdr import muted, radiance_sizes
+from skylight.io._hdr import RADIANCE_SUFFIXES
+from skylight.io._muted import muted
+from skylight.io._radiance import radiance_size
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.work._progress import StageProgress
 
@@ -124,9 +126,11 @@ def pixel_count(path: Path) -> int | None:
     suffix = path.suffix.lower()
     if suffix == ".exr":
         return _of_exr(path)
-    if suffix == ".hdr":
-        sizes = radiance_sizes(path.read_bytes())
-        return max((abs(height * width) for height, width in sizes), default=None)
+    if suffix in RADIANCE_SUFFIXES:
+        try:
+            return math.prod(radiance_size(path.read_bytes()))
+        except ValueError:
+            return None
     try:
         width, height = picture_size(path)
         return width * height
