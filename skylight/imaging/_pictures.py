@@ -46,6 +46,7 @@ _RGB_MODES = ("RGB", "RGBA", "RGBX", "P", "PA")
 _COLOURS = {5: "CMYK", 8: "LAB", 9: "LAB", 10: "LAB", 32803: "RAW", 32844: "LogL", 32845: "LogLuv"}
 # compressions of TIFF that OpenImageIO's wheels cannot undo; Pillow can, but of 8 bits alone
 _PILLOWS = {34887: "LERC", 34925: "LZMA", 50000: "zstd", 50001: "WebP"}
+_PALETTE = 3
 _REDUCED, _MASK = 1, 4  # bits of TIFF's NewSubfileType
 _PAGES_MOST = 200
 # our own limit on the size is the one that counts, and has a clearer message
@@ -196,7 +197,8 @@ def _tiff(path: Path) -> StoredPicture:
         )
 
     def codes() -> np.ndarray:
-        if compression in _PILLOWS:
+        # colour maps hold 8-bit values times 256 or 257; OpenImageIO divides all by 257
+        if compression in _PILLOWS or (colours == _PALETTE and bits <= 8):
             with Image.open(path, formats=("TIFF",)) as image:
                 image.seek(page)
                 stored = np.array(image.convert("RGB"))
@@ -248,8 +250,16 @@ def _opened(path: Path) -> Any:
     as_stored.attribute("oiio:UnassociatedAlpha", 1)  # straight alpha is not multiplied in
     opened = library.ImageInput.open(str(path), as_stored)
     if opened is None:
-        raise ValueError(library.geterror())
+        raise _refusal(path, library.geterror())
     return opened
+
+
+def _refusal(path: Path, reason: str) -> Exception:
+    """What is valid, but beyond the library, is not called damaged."""
+    if "support" in reason.lower() or "can not handle" in reason:
+        told = " ".join(reason.split())
+        return InputError(f"{path}: a kind of TIFF that is not read ({told}); export it as RGB")
+    return ValueError(reason)
 
 
 def _page(path: Path, file: Any) -> tuple[int, Any]:
@@ -282,7 +292,7 @@ def _by_openimageio(path: Path, page: int = 0) -> np.ndarray:
     channels = min(count, 4)
     values = file.read_image(page, 0, 0, channels, library.DOUBLE if wide else kind)
     if values is None:
-        raise ValueError(file.geterror())
+        raise _refusal(path, file.geterror())
     if wide:
         values = np.rint(65535 * values).astype(np.uint16)
     values = values.reshape(spec.height, spec.width, channels)

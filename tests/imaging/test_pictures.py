@@ -204,6 +204,15 @@ def test_floating_point_is_linear_light(tmp_path: Path, kind: type, planar: bool
     torch.testing.assert_close(encoded, read_photo(write_png(tmp_path / "a.png", SCENE)).pixels)
 
 
+@pytest.mark.parametrize("factor", [256, 257])
+def test_colour_maps_hold_8_bits_times_either_factor(tmp_path: Path, factor: int) -> None:
+    colours = np.random.default_rng(0).integers(0, 256, (3, 256)).astype(np.uint16)
+    numbers = SCENE[..., 0]
+    tifffile.imwrite(tmp_path / "a.tif", numbers, photometric="palette", colormap=factor * colours)
+    expected = np.moveaxis(colours[:, numbers], 0, -1)
+    np.testing.assert_array_equal(read_photo(tmp_path / "a.tif").encoded, expected)
+
+
 def test_integers_of_32_bits_are_codes(tmp_path: Path) -> None:
     _tiff()(tmp_path / "a.tif", SCENE.astype(np.uint32) * 16843009)
     np.testing.assert_array_equal(read_photo(tmp_path / "a.tif").encoded, SCENE)
@@ -245,6 +254,11 @@ REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
     "separated": (lambda p: Image.fromarray(SCENE).convert("CMYK").save(p), "are CMYK"),
     "lab": (lambda p: Image.fromarray(SCENE).convert("LAB").save(p), "are LAB"),
     "bitmap": (lambda p: Image.fromarray(SCENE).convert("1").save(p), "one bit a pixel"),
+    "iccLab": (lambda p: _tiff(photometric="icclab")(p, SCENE), "a kind of TIFF that is not read"),
+    "deep YCbCr": (
+        lambda p: _tiff(photometric="ycbcr")(p, as_depth(SCENE, 16)),
+        "a kind of TIFF that is not read",
+    ),
     "cut": (_cut, "damaged or cut short"),
     "header": (lambda p: p.write_bytes(b"II*\0\x08\0\0\0"), "damaged or cut short"),
     "pipe": (os.mkfifo, "it is a device or a pipe, not a file"),
