@@ -3,6 +3,7 @@
 They stand by themselves so that parsing a command imports no torch.
 """
 
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 from skylight.errors import InputError
@@ -11,6 +12,20 @@ from skylight.errors import InputError
 Projection = Literal["latlong", "cube", "octahedral", "angular", "mirrorball"]
 # Where the columns of a lat-long map look: skylight.sphere._frame
 Convention = Literal["skylight", "openexr", "mitsuba", "threejs", "blender", "unity"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapReading:
+    """How the files of maps are read: the options of :func:`skylight.io.read_environment_map`."""
+
+    layer: str | None = None
+    """Layer of the .exr files that have several, as ViewLayer.Combined."""
+    repair: bool = False
+    """Replace infinite and NaN pixels, and small negative values, if they are few."""
+
+
+PLAIN_READING = MapReading()
+
 # Signs, order and scale of nine spherical harmonics: skylight.sphere._harmonics
 HarmonicConvention = Literal["skylight", "threejs", "arcore", "arkit", "gltf"]
 

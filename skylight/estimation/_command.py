@@ -76,7 +76,8 @@ def estimate(
     posterior.exr, mesh.obj, film.json and report.png. The same command again goes on.
 
     Args:
-        photo: Picture of a face: JPEG, PNG, TIFF, EXR, Radiance HDR or RAW; or a folder of such.
+        photo: Picture of a face: JPEG, PNG, TIFF, HEIC, EXR, Radiance HDR or RAW; or a folder of
+            such.
             Of a grey one the colour of the light is only what is usual.
         more: Further pictures in the same light; only with --shared-light.
         shared_light: All pictures were taken in one light by cameras that looked the same way.
@@ -266,8 +267,10 @@ def _estimate_folder(
     progress: ProgressForm,
 ) -> None:
     from skylight.estimation._folder import estimate_folder
-    from skylight.estimation._manifest import MANIFEST
+    from skylight.estimation._manifest import MANIFEST, left_out
 
+    if others := left_out(photos, out):
+        take_care(f"{photos}: left out, as no pictures known here: {others}")
     who = who_works(workers, cluster, out)
     try:
         with stage_bar(progress) as tell:

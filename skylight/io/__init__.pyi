@@ -8,9 +8,11 @@ from ._files import (
     write_png as write_png,
 )
 from ._hdr import (
-    read_linear as read_linear,
     write_exr as write_exr,
     write_radiance as write_radiance,
+)
+from ._light import (
+    read_linear as read_linear,
 )
 from ._tensors import (
     read_tensors as read_tensors,

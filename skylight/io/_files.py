@@ -5,9 +5,7 @@ A file that cannot be used is refused in one line that names it. A folder of map
 """
 
 import csv
-import warnings
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Collection
 from io import StringIO
 from pathlib import Path
 
@@ -15,29 +13,26 @@ import numpy as np
 import OpenEXR
 import torch
 from jaxtyping import Float, UInt8
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 from torch import Tensor
 
-from skylight.errors import InputError, OutputError, SkylightError
+from skylight.errors import InputError, OutputError
 from skylight.io._atomic import atomic_path
-from skylight.io._bounded import file_text, require_bytes, require_pixels
-from skylight.io._hdr import (
-    HALF_MAX,
-    RGBE_MAX,
-    check_suffix,
-    muted,
-    read_linear,
-    write_exr,
-    write_radiance,
-)
+from skylight.io._bounded import file_text
+from skylight.io._hdr import HALF_MAX, RGBE_MAX, check_suffix, write_exr, write_radiance
+from skylight.io._light import fault, read_latlong, read_radiances
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import Convention, convert_latlong
 
 
 def read_environment_map(
-    path: str | Path, *, convention: Convention = "skylight"
+    path: str | Path,
+    *,
+    convention: Convention = "skylight",
+    layer: str | None = None,
+    repair: bool = False,
 ) -> EnvironmentMap:
-    """Light from an .exr or .hdr lat-long file, turned into skylight's frame.
+    """Light from an .exr, Radiance (.hdr, .pic) or float .tif lat-long file, in skylight's frame.
 
     Parameters
     ----------
@@ -45,33 +40,26 @@ def read_environment_map(
         A full map (width = 2 height) or an upper-hemisphere sky (width = 4 height).
     convention
         Where the file's columns look: see :data:`skylight.sphere._frame.Convention`.
+    layer
+        Of an .exr file with several layers or parts, the name of one.
+    repair
+        Replace a few values that are infinite, NaN or a little below 0: see
+        :func:`skylight.io._light.read_radiances`.
 
     Raises
     ------
     InputError
         A missing or damaged file, another shape, or values that are NaN, negative or infinite.
     """
-    path = Path(path)
-    pixels = read_linear(path)
-    height, width = pixels.shape[:2]
-    if width not in (2 * height, 4 * height):
-        raise InputError(
-            f"{path}: {width}x{height} (width x height) is no lat-long map: expected a width of "
-            "2 heights (whole sphere) or 4 heights (upper half); crop or resize it"
-        )
-    radiance = convert_latlong(_checked(path, pixels), convention, "skylight")
-    return EnvironmentMap(radiance=radiance)
+    pixels = torch.from_numpy(read_latlong(Path(path), layer=layer, repair=repair))
+    return EnvironmentMap(radiance=convert_latlong(pixels, convention, "skylight"))
 
 
-def read_light(path: Path) -> Float[Tensor, "h w 3"]:
-    """Linear radiance from an .exr or .hdr file of any shape.
-
-    Raises
-    ------
-    InputError
-        A missing or damaged file, or values that are NaN, negative or infinite.
-    """
-    return _checked(path, read_linear(path))
+def read_light(
+    path: Path, *, layer: str | None = None, repair: bool = False
+) -> Float[Tensor, "h w 3"]:
+    """Linear radiance from a file of any shape; otherwise as :func:`read_environment_map`."""
+    return torch.from_numpy(read_radiances(path, layer=layer, repair=repair))
 
 
 def write_probe(folder: Path, environment: EnvironmentMap) -> None:
@@ -126,9 +114,9 @@ def write_light(
     if half and not is_exr:
         raise InputError(f"{path}: half precision is a choice for .exr; RGBE has one precision")
     pixels = _float_pixels(picture)
-    fault = _fault(pixels)
-    if fault:
-        raise OutputError(f"{path} was not written: {fault}")
+    told = fault(pixels)
+    if told:
+        raise OutputError(f"{path} was not written: {told}")
     limit = (HALF_MAX if half else np.inf) if is_exr else RGBE_MAX
     if pixels.max() > limit:
         raise OutputError(
@@ -148,74 +136,16 @@ def write_png(path: str | Path, rgb: UInt8[np.ndarray, "h w 3"]) -> None:
         Image.fromarray(np.ascontiguousarray(rgb)).save(temporary, format="PNG")
 
 
-def _checked(path: Path, pixels: Float[np.ndarray, "h w 3"]) -> Float[Tensor, "h w 3"]:
-    fault = _fault(pixels)
-    if fault:
-        raise InputError(f"{path}: {fault}; repair or replace these pixels")
-    return torch.from_numpy(pixels)
-
-
 def _float_pixels(radiance: Float[Tensor, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
     return np.ascontiguousarray(radiance.detach().to("cpu", torch.float32).numpy())
 
 
-def _fault(pixels: Float[np.ndarray, "h w 3"]) -> str | None:
-    """What is wrong with these as radiances, in words: counts of pixels and the first place."""
-    kinds = {"NaN": np.isnan(pixels), "infinite": np.isinf(pixels), "negative": pixels < 0}
-    counts = {name: int(bad.any(-1).sum()) for name, bad in kinds.items()}
-    if not any(counts.values()):
-        return None
-    row, column = np.argwhere(np.any(list(kinds.values()), axis=(0, 3)))[0]
-    listed = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-    where = f"the first at row {row}, column {column}"
-    return f"radiance must be finite and >= 0, got {listed} pixel(s), {where}"
-
-
-# what cameras and programs write, decoded within the process; Pillow knows some that start others
-FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "BMP", "GIF")
-# our own limit on the size is the one that counts, and has a clearer message
-warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)
-# so has what cannot be in EXIF data
-warnings.filterwarnings("ignore", module=r"PIL\.TiffImagePlugin")
-
-
-@contextmanager
-def opened_picture(path: Path) -> Iterator[Image.Image]:
-    """A picture whose header was read and whose size is bounded; decode it within the block.
-
-    Raises
-    ------
-    InputError
-        The file is missing, damaged (which may show within the block), of another kind, or too
-        large: more than ``PIXELS_MAX`` pixels or ``FILE_BYTES_MAX`` bytes.
-    """
-    try:
-        require_bytes(path)
-        with Image.open(path, formats=FORMATS) as image:
-            try:
-                require_pixels(*image.size)
-            except ValueError as error:
-                raise InputError(f"{path}: {error}; scale it down") from error
-            with muted() if image.format == "TIFF" else nullcontext():
-                yield image  # libtiff prints what it dislikes
-    except SkylightError:
-        raise
-    except UnidentifiedImageError as error:
-        raise InputError(f"{path}: no picture known here; give a JPEG, PNG or TIFF") from error
-    except Image.DecompressionBombError as error:
-        raise InputError(f"{path}: the picture is too large; scale it down") from error
-    # Pillow's decoders raise whatever their parsing stumbles over
-    except Exception as error:
-        if reason := getattr(error, "strerror", None):
-            raise InputError(f"cannot read {path}: {reason}; give a JPEG, PNG or TIFF") from error
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: damaged or cut short ({reason}); export it again") from error
-
-
 def visible_files(
-    folder: Path, suffixes: Collection[str], *, recursive: bool = False
+    folder: Path, suffixes: Collection[str] | None, *, recursive: bool = False
 ) -> list[Path]:
     """Files in ``folder``, or below it, whose suffix in lower case is one of ``suffixes``; sorted.
+
+    None stands for all suffixes.
 
     Hidden ones and those in hidden folders are left out: so are called what a run that was killed
     left half written (:func:`skylight.io._atomic.atomic_path`), and what systems put beside
@@ -224,7 +154,7 @@ def visible_files(
     return sorted(
         path
         for path in (folder.rglob("*") if recursive else folder.iterdir())
-        if path.suffix.lower() in suffixes
+        if (suffixes is None or path.suffix.lower() in suffixes)
         and not any(part.startswith(".") for part in path.relative_to(folder).parts)
         and path.is_file()
     )

@@ -1,64 +1,34 @@
-"""OpenEXR and Radiance RGBE files as linear Rec.709 float32 pixels, and RGBD codes of such pixels.
+"""Linear Rec.709 pixels written as OpenEXR and Radiance RGBE files, and as RGBD codes.
 
-What the pixels mean, and whether they make sense, is for :mod:`skylight.io._files` (light)
-and :mod:`skylight.imaging._photo` (photographs).
+They are read by :mod:`skylight.io._light`.
 
 RGBD is high dynamic range in 8-bit RGBA: colours times D, with D as alpha, as Babylon.js reads it
 (helperFunctions, fromRGBD): ``rgb = (code / 255)^2.2 / D``, ``D = alpha``. EXT_lights_image_based
 calls it RGBD and leaves the curve open.
 """
 
-import math
-import os
-import re
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import Path
 
-import cv2
 import numpy as np
 import OpenEXR
 from jaxtyping import Float, UInt8
 
 from skylight.errors import InputError
-from skylight.io._bounded import PICTURE_BYTES_MAX, file_bytes, require_bytes, require_pixels
+from skylight.io._colour_spaces import CHROMATICITIES
+from skylight.io._muted import muted
 
-# CIE xy of red, green, blue and white: ITU-R BT.709-6, table 1.3 and 1.4 (white is D65).
-REC709_CHROMATICITIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 HALF_MAX = 65504.0  # the largest finite IEEE 754 binary16
 RGBE_MAX = 2.0**127 * (255 / 256)  # the largest mantissa at the largest exponent byte
 
-SUFFIXES = (".exr", ".hdr")
-_FLAT_PARTS = (OpenEXR.scanlineimage, OpenEXR.tiledimage)  # not deep: as many samples as they like
-_RESOLUTION = re.compile(rb"-Y\s*([+-]?\d{1,12})\s*\+X\s*([+-]?\d{1,12})")
-
-_native_output = threading.Lock()
-
-
-def read_linear(path: Path) -> Float[np.ndarray, "h w 3"]:
-    """Linear RGB of an .exr or .hdr file; values are not checked.
-
-    Raises :class:`InputError` for a file that is missing, damaged, too large, not in Rec.709, or
-    whose channels are neither R, G, B nor Y.
-    """
-    if not path.is_file():
-        kind = "is a folder, not a file" if path.is_dir() else "there is no such file"
-        raise InputError(f"{path}: {kind}; give the path of an .exr or .hdr file")
-    check_suffix(path)
-    try:
-        pixels = _read_exr(path) if path.suffix.lower() == ".exr" else _read_radiance(path)
-    # the attributes of an OpenEXR header may be of any type
-    except (OSError, ValueError, TypeError, KeyError, MemoryError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); give another file") from error
-    return np.ascontiguousarray(pixels, dtype=np.float32)
+RADIANCE_SUFFIXES = (".hdr", ".pic")
+SUFFIXES = (".exr", *RADIANCE_SUFFIXES)
 
 
 def check_suffix(path: Path) -> None:
-    """Raise :class:`InputError` unless the name ends in .exr or .hdr."""
-    if path.suffix.lower() not in SUFFIXES:
+    """Raise :class:`InputError` unless a map can be written under that name."""
+    if path.suffix.lower() not in (".exr", ".hdr"):
         raise InputError(
-            f"{path}: '{path.suffix}' is no HDR format known here: use .exr or .hdr (Radiance)"
+            f"{path}: '{path.suffix}' is no HDR format that is written: use .exr or .hdr (Radiance)"
         )
 
 
@@ -74,7 +44,7 @@ def write_exr(
     complete = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
-        "chromaticities": REC709_CHROMATICITIES,
+        "chromaticities": CHROMATICITIES["rec709"],
         **header,
     }
     try:
@@ -105,92 +75,6 @@ def rgbe_codes(rgb: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 4"]:
     mantissa = np.rint(np.ldexp(rgb.astype(np.float64), 8 - exponent[..., None]))
     rgbe = np.concatenate([mantissa, exponent[..., None] + 128], -1) * visible[..., None]
     return rgbe.astype(np.uint8)
-
-
-def _read_exr(path: Path) -> Float[np.ndarray, "h w 3"]:
-    require_bytes(path)
-    try:
-        with muted():
-            _require_flat(OpenEXR.File(str(path), header_only=True))
-            file = OpenEXR.File(str(path), separate_channels=True)
-    except RuntimeError:
-        file = None
-    # a part whose pixels are damaged is left out without an exception
-    if file is None or not file.parts:
-        raise InputError(f"{path}: damaged, cut short or no OpenEXR file: fetch or export it again")
-    header, channels = file.header(), file.channels()
-    if not np.array_equal(header["dataWindow"], header["displayWindow"]):
-        raise InputError(f"{path}: only a part of the picture is stored: export it uncropped")
-    chromaticities = header.get("chromaticities", REC709_CHROMATICITIES)
-    if not np.allclose(chromaticities, REC709_CHROMATICITIES, atol=2e-3):
-        raise InputError(
-            f"{path}: its chromaticities are not Rec.709 with a D65 white: convert it to linear "
-            "Rec.709 (linear sRGB)"
-        )
-    names = ("Y", "Y", "Y") if set(channels) in ({"Y"}, {"Y", "A"}) else ("R", "G", "B")
-    if not set(names) <= set(channels):
-        raise InputError(
-            f"{path}: expected the channels R, G, B or Y, got {', '.join(sorted(channels))}: "
-            "export a plain RGB file"
-        )
-    pixels = [channels[name].pixels for name in names]
-    if any(p.dtype not in (np.float16, np.float32) for p in pixels):
-        raise InputError(f"{path}: expected half or float pixels, got {pixels[0].dtype}")
-    return np.stack(pixels, axis=-1)
-
-
-def _require_flat(file: OpenEXR.File) -> None:
-    """ValueError for more pixels than are read; the library takes their memory first."""
-    together = 0
-    for part in file.parts:
-        if part.header.get("type", OpenEXR.scanlineimage) not in _FLAT_PARTS:
-            raise ValueError("deep pixels are not read, flatten them")
-        low, high = (np.array(corner, dtype=np.int64) for corner in part.header["dataWindow"])
-        width, height = (high - low + 1).tolist()
-        require_pixels(width, height)
-        together += 4 * width * height * len(part.header["channels"])
-    if together > PICTURE_BYTES_MAX:
-        raise ValueError(f"its channels of {together} bytes exceed the {PICTURE_BYTES_MAX} read")
-
-
-def radiance_sizes(data: bytes) -> list[tuple[int, int]]:
-    """(height, width) wherever a Radiance file tells one; OpenCV takes one of them."""
-    return [(int(height), int(width)) for height, width in _RESOLUTION.findall(data)]
-
-
-def _read_radiance(path: Path) -> Float[np.ndarray, "h w 3"]:
-    data = file_bytes(path)
-    sizes = radiance_sizes(data)
-    for height, width in sizes:
-        require_pixels(width, height)
-    # a row takes 4 bytes a pixel, or a mark of 4 bytes and 2 for each run of 127 in each channel
-    least = min((h * min(4 * w, 4 + 8 * math.ceil(w / 127)) for h, w in sizes), default=0)
-    bgr = None
-    if data.startswith(b"#?") and sizes and len(data) >= least:
-        # OpenCV raises for more than 2^20 pixels a side
-        with muted(), suppress(cv2.error):
-            bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if bgr is None or bgr.dtype != np.float32 or bgr.ndim != 3:
-        raise InputError(f"{path}: damaged, cut short or no Radiance RGBE file: export it again")
-    return bgr[..., ::-1]
-
-
-@contextmanager
-def muted() -> Iterator[None]:
-    """Drop what the libraries print: the exception says it in one line.
-
-    OpenEXR reports a damaged file through Python's ``print``, where it would spoil a command's
-    result, and on the process's standard error; OpenCV on the latter. Both belong to the whole
-    process, hence the lock.
-    """
-    with _native_output, open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
-        kept = os.dup(2)
-        try:
-            os.dup2(nowhere.fileno(), 2)
-            yield
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
 
 
 LARGEST = 255.0  # what the smallest D, 1 / 255, can stand for

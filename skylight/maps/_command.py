@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import tyro
 from tyro.conf import Positional
 
-from skylight._names import Convention, Projection, Sign
+from skylight._names import PLAIN_READING, Convention, MapReading, Projection, Sign
 from skylight.errors import InputError
 from skylight.work._device import Device
 
@@ -21,15 +21,17 @@ def convert(
     from_convention: Convention = "skylight",
     height: int | None = None,
     half: bool = False,
+    reading: Annotated[MapReading, tyro.conf.OmitArgPrefixes] = PLAIN_READING,
 ) -> None:
     """Write a map of light in another projection, or the way another program turns it.
 
-    Projections: latlong; cube (a horizontal cross of six faces); octahedral (the zenith in the
-    centre); angular (Debevec's, forwards in the centre); mirrorball (what such a ball shows a
-    camera far away). Conventions say where the columns of a lat-long map look.
+    Projections: latlong; cube (a cross of six faces: written 4:3, read 4:3 or 3:4); octahedral
+    (the zenith in the centre); angular (Debevec's, forwards in the centre); mirrorball (what such
+    a ball shows a camera far away). Conventions say where the columns of a lat-long map look.
 
     Args:
-        source: The map to read: .exr or .hdr, linear Rec.709.
+        source: The map to read: .exr, .hdr, .pic, or a .tif of float samples. Colours that it
+            declares are converted to linear Rec.709.
         out: The file to write: .exr or .hdr.
         to: Projection of the file to write.
         convention: Which program's way of turning lat-long maps to write.
@@ -37,6 +39,7 @@ def convert(
         from_convention: Which program's way of turning lat-long maps it has.
         height: Rows to write; by default about as many as keep the detail.
         half: Write an .exr in half precision.
+        reading: How the map is read.
     """
     from skylight.maps._convert import convert_file
 
@@ -49,6 +52,7 @@ def convert(
         source_convention=from_convention,
         height=height,
         half=half,
+        reading=reading,
     )
     print(f"{out}: {to}, {columns} x {rows} pixels")
 
@@ -60,6 +64,7 @@ def score(
     predicted_convention: Convention = "skylight",
     true_convention: Convention = "skylight",
     height: int | None = None,
+    reading: Annotated[MapReading, tyro.conf.OmitArgPrefixes] = PLAIN_READING,
 ) -> None:
     """Score predicted light against the truth: each metric unaligned and with its scale aligned.
 
@@ -75,6 +80,7 @@ def score(
         predicted_convention: Which program's way of turning lat-long maps the prediction has.
         true_convention: The same for the truth.
         height: Rows at which maps are compared; by default the truth's, 64 at most.
+        reading: How the maps are read.
     """
     from skylight.io._atomic import require_place
     from skylight.maps._score import (
@@ -102,6 +108,7 @@ def score(
             predicted_convention=predicted_convention,
             true_convention=true_convention,
             height=height,
+            reading=reading,
         )
         if result.upper_only:
             print("skylight: upper halves compared: one map has no other", file=sys.stderr)
@@ -116,6 +123,7 @@ def score(
             predicted_convention=predicted_convention,
             true_convention=true_convention,
             height=height,
+            reading=reading,
             progress=lambda share: progress("scoring", share),
         )
     if alone:
@@ -134,6 +142,7 @@ def code_probe(
     weights: Sign = "l1",
     height: Literal[32, 64, 128] | None = None,
     device: Device = "auto",
+    reading: Annotated[MapReading, tyro.conf.OmitArgPrefixes] = PLAIN_READING,
 ) -> None:
     """Write a map of light as a sparse code: a few lobes, their directions and colours.
 
@@ -148,6 +157,7 @@ def code_probe(
         weights: Of either sign with a weak L1 norm, none below 0, or plain least squares.
         height: Rows to average the map down to; by default its own, 128 at most.
         device: Where the search runs; auto is CUDA where there is one.
+        reading: How the map is read.
     """
     from skylight.maps._sparse_codes import check_code_name, code_map, summarise_code, write_code
     from skylight.work._progress import stage_bar
@@ -162,6 +172,7 @@ def code_probe(
             weights=weights,
             height=height,
             device=device,
+            reading=reading,
             progress=progress,
         )
         progress("writing the results", 0.0)

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import torch
 
-from skylight._names import Convention, Projection
+from skylight._names import PLAIN_READING, Convention, MapReading, Projection
 from skylight.errors import InputError
 from skylight.io._files import read_environment_map, read_light, write_environment_map, write_light
-from skylight.sphere._projections import from_latlong, to_latlong
+from skylight.sphere._projections import from_latlong, horizontal_cross, to_latlong
 
 # rows of each picture over those of a lat-long map with as much detail at the horizon
 _ROWS: dict[Projection, float] = {
@@ -29,6 +29,7 @@ def convert_file(
     source_convention: Convention = "skylight",
     height: int | None = None,
     half: bool = False,
+    reading: MapReading = PLAIN_READING,
 ) -> tuple[int, int]:
     """Convert and return the (rows, columns) that were written.
 
@@ -47,9 +48,11 @@ def convert_file(
                 f"the convention {turned} is one of lat-long maps; leave it out for {kind}"
             )
     if source_projection == "latlong":
-        light = read_environment_map(source, convention=source_convention)
+        light = read_environment_map(source, convention=source_convention, **vars(reading))
     else:
-        picture = read_light(source)
+        picture = read_light(source, **vars(reading))
+        if source_projection == "cube":
+            picture = horizontal_cross(picture)
         rows = 2 * max(1, round(picture.shape[0] / _ROWS[source_projection] / 2))
         light = to_latlong(picture, source_projection, rows)
     if projection == "latlong":

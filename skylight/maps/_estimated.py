@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from skylight._names import Convention
+from skylight._names import PLAIN_READING, Convention, MapReading
 from skylight.errors import InputError
 from skylight.inverse._result import Lamp
 from skylight.io._bounded import json_content
@@ -24,13 +24,16 @@ _IN_WORDS = {str: "text", bool: "true or false", int: "whole number", float: "nu
 SPREADS_DEG = 0.01, 42.0
 
 
-def read_light(path: Path, convention: Convention) -> tuple[EnvironmentMap, tuple[Lamp, ...]]:
+def read_light(
+    path: Path, convention: Convention, reading: MapReading = PLAIN_READING
+) -> tuple[EnvironmentMap, tuple[Lamp, ...]]:
     """A map's light without lamps; that of an estimate's folder or estimate.json with its lamps.
 
     A sky alone gets a black lower half.
     """
     if not path.is_dir() and path.suffix.lower() != ".json":
-        return whole_sphere(read_environment_map(path, convention=convention)), ()
+        light = read_environment_map(path, convention=convention, **vars(reading))
+        return whole_sphere(light), ()
     if convention != "skylight":
         raise InputError(
             f"{path}: an estimate's map is in skylight's convention, not {convention}'s: leave "

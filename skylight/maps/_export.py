@@ -12,7 +12,13 @@ from typing import Any
 
 import torch
 
-from skylight._names import Convention, HarmonicConvention, LightTarget
+from skylight._names import (
+    PLAIN_READING,
+    Convention,
+    HarmonicConvention,
+    LightTarget,
+    MapReading,
+)
 from skylight.errors import InputError
 from skylight.faces._observe import SKIN_SPECULAR
 from skylight.imaging._colour import tone_map
@@ -57,6 +63,7 @@ def export_light(
     convention: Convention = "skylight",
     harmonics: HarmonicConvention = "skylight",
     face: int | None = None,
+    reading: MapReading = PLAIN_READING,
 ) -> ExportedLight:
     """Write the files of each target into the folder ``out``.
 
@@ -79,7 +86,7 @@ def export_light(
             f"a cube map's faces are a power of two from {2 * LAST_SIZE} to {LARGEST_FACE} pixels "
             f"wide, not {face}"
         )
-    light, lamps = read_light(probe, convention)
+    light, lamps = read_light(probe, convention, reading)
     separate = lamps if set(targets) - WHOLE else ()
     rest = without_lamps(light, separate)
     size = face or default_face(light)

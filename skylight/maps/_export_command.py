@@ -8,7 +8,13 @@ from typing import Annotated, Literal
 import tyro
 from tyro.conf import Positional
 
-from skylight._names import Convention, HarmonicConvention, LightTarget
+from skylight._names import (
+    PLAIN_READING,
+    Convention,
+    HarmonicConvention,
+    LightTarget,
+    MapReading,
+)
 
 export = tyro.extras.SubcommandApp()
 
@@ -125,6 +131,7 @@ def export_light(
     from_convention: Convention = "skylight",
     sh_convention: HarmonicConvention = "skylight",
     face: int | None = None,
+    reading: Annotated[MapReading, tyro.conf.OmitArgPrefixes] = PLAIN_READING,
 ) -> None:
     """Write a map of light the way other programs load it; docs/interchange.md tells how.
 
@@ -145,11 +152,18 @@ def export_light(
         from_convention: Which program's way of turning lat-long maps the probe has.
         sh_convention: Of sh27.json: signs, order and what the numbers stand for.
         face: Pixels of a cube map's side, a power of two; by default as the map's detail asks.
+        reading: How the map is read.
     """
     from skylight.maps._export import export_light
 
     exported = export_light(
-        probe, out, as_, convention=from_convention, harmonics=sh_convention, face=face
+        probe,
+        out,
+        as_,
+        convention=from_convention,
+        harmonics=sh_convention,
+        face=face,
+        reading=reading,
     )
     print(f"written into {out}: {', '.join(exported.files)}")
     if exported.lamps:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from skylight._names import Convention
+from skylight._names import PLAIN_READING, Convention, MapReading
 from skylight.errors import InputError
 from skylight.inverse._scores import SCALE_FREE, Scores, score_maps
 from skylight.io._atomic import atomic_path
@@ -39,6 +39,7 @@ def score_files(
     predicted_convention: Convention = "skylight",
     true_convention: Convention = "skylight",
     height: int | None = None,
+    reading: MapReading = PLAIN_READING,
     name: str | None = None,
 ) -> ScoredMap:
     """Scores of one map, compared at ``height`` rows of the whole sphere.
@@ -53,8 +54,8 @@ def score_files(
     """
     if height is not None and (height < 4 or height % 2):
         raise InputError(f"maps are compared at an even number of rows, 4 or more, not {height}")
-    guess = read_environment_map(predicted, convention=predicted_convention)
-    truth = read_environment_map(true, convention=true_convention)
+    guess = read_environment_map(predicted, convention=predicted_convention, **vars(reading))
+    truth = read_environment_map(true, convention=true_convention, **vars(reading))
     upper_only = guess.is_sky or truth.is_sky
     if upper_only:
         guess, truth = (m.with_ground(torch.zeros(3)) for m in (guess, truth))
@@ -96,6 +97,7 @@ def score_folders(
     predicted_convention: Convention = "skylight",
     true_convention: Convention = "skylight",
     height: int | None = None,
+    reading: MapReading = PLAIN_READING,
     progress: Progress = lambda share: None,
 ) -> list[ScoredMap]:
     """:func:`score_files` of every pair."""
@@ -109,6 +111,7 @@ def score_folders(
                 predicted_convention=predicted_convention,
                 true_convention=true_convention,
                 height=height,
+                reading=reading,
                 name=name,
             )
         )

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from skylight._figures import STYLE, save, show, white_of, write_numbers
-from skylight._names import BuiltinName, Sign
+from skylight._names import PLAIN_READING, BuiltinName, MapReading, Sign
 from skylight.csc._code import SparseCode
 from skylight.csc._coder import SphericalSparseCoder, coder_for
 from skylight.csc._greedy import PursuitOptions
@@ -71,6 +71,7 @@ def code_map(
     weights: Sign = "l1",
     height: int | None = None,
     device: Device = "cpu",
+    reading: MapReading = PLAIN_READING,
     progress: StageProgress | None = None,
 ) -> CodedMap:
     """The sparse code of a lat-long file, of ``height`` rows (its own, 128 at most).
@@ -82,7 +83,7 @@ def code_map(
         dictionary.
     """
     tell = progress or (lambda _stage, _share: None)
-    environment = read_environment_map(probe)
+    environment = read_environment_map(probe, **vars(reading))
     rows = environment.layout[0]
     if environment.is_sky:
         raise InputError(

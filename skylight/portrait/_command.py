@@ -7,7 +7,7 @@ from typing import Annotated
 import tyro
 from tyro.conf import Positional
 
-from skylight._names import LightName
+from skylight._names import PLAIN_READING, LightName, MapReading
 from skylight._options import take_care
 from skylight.errors import InputError
 from skylight.io._atomic import require_place
@@ -32,6 +32,7 @@ def relight_portrait(
     out: Path | None = None,
     gamma: Annotated[float | None, Decoding] = None,
     linear: Annotated[bool, Decoding] = False,
+    reading: Annotated[MapReading, tyro.conf.OmitArgPrefixes] = PLAIN_READING,
 ) -> None:
     """Show a photographed person in another light: a map's, or the one found, turned or moved.
 
@@ -42,7 +43,7 @@ def relight_portrait(
     below itself.
 
     Args:
-        photo: Picture of a face: JPEG, PNG, TIFF, EXR, Radiance HDR or RAW.
+        photo: Picture of a face: JPEG, PNG, TIFF, HEIC, EXR, Radiance HDR or RAW.
         under: Lat-long map of the new light (.exr, .hdr), whose centre is where the camera looks.
             Its units do not matter: the face stays as bright as it was.
         turn: Turn the light that was found about the vertical by so many degrees; positive ones
@@ -60,6 +61,7 @@ def relight_portrait(
             PHOTO's name with _relit.png, in the current folder.
         gamma: The picture's values are light to the power of 1/GAMMA, instead of sRGB.
         linear: The picture's values are proportional to light, instead of sRGB.
+        reading: How the map of --under is read.
     """
     out = out or Path(f"{photo.resolve().stem}_relit.png")
     if out.suffix.lower() not in (".png", ".exr"):
@@ -78,7 +80,7 @@ def relight_portrait(
     from skylight.portrait._files import relit_portrait, write_relit
     from skylight.portrait._lights import light_of_map, light_with_sun_at, rotated_light
 
-    given = None if under is None else light_of_map(under)
+    given = None if under is None else light_of_map(under, reading)
     with stage_bar() as progress:
         result = estimate_photo(
             photo,

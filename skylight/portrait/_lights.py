@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skylight._names import PLAIN_READING, MapReading
 from skylight.errors import InputError
 from skylight.inverse._lamp_relighting import LampLight, lamps_radiance
 from skylight.inverse._result import Estimate, Lamp
@@ -32,7 +33,7 @@ class NewLight:
     notes: tuple[str, ...] = ()
 
 
-def light_of_map(path: Path) -> NewLight:
+def light_of_map(path: Path, reading: MapReading = PLAIN_READING) -> NewLight:
     """A full lat-long map, in whatever units.
 
     Raises
@@ -40,7 +41,7 @@ def light_of_map(path: Path) -> NewLight:
     InputError
         No map can be read, or it is a sky alone, too small, or black.
     """
-    environment = read_environment_map(path)
+    environment = read_environment_map(path, **vars(reading))
     if environment.is_sky:
         raise InputError(
             f"{path}: a sky without its lower half; give a full lat-long map, twice as wide as high"

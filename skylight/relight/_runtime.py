@@ -19,7 +19,8 @@ from PIL import Image
 from skylight.errors import InputError
 from skylight.io._atomic import atomic_path
 from skylight.io._bounded import load_arrays, require_pixels
-from skylight.io._hdr import read_linear, write_exr
+from skylight.io._hdr import write_exr
+from skylight.io._light import read_latlong
 from skylight.relight._decoder import SkyDecoder, read_latent
 
 SCENE_FORMAT = "skylight scene 1"
@@ -238,23 +239,14 @@ def relight_files(
             Image.fromarray(tone_map(picture, white=white)).save(temporary, format="PNG")
 
 
-def read_probe(path: str | Path) -> Float32[np.ndarray, "h w 3"]:
-    """Light from an .exr or .hdr lat-long map of the sphere (w = 2 h) or the sky (w = 4 h)."""
-    pixels = read_linear(Path(path))
-    height, width = pixels.shape[:2]
-    if width not in (2 * height, 4 * height):
-        raise InputError(
-            f"{path}: {width}x{height} (width x height) is no lat-long map: expected a width of "
-            "2 heights (whole sphere) or 4 heights (upper half); crop or resize it"
-        )
-    bad = ~(np.isfinite(pixels) & (pixels >= 0)).all(-1)
-    if bad.any():
-        row, column = np.argwhere(bad)[0]
-        raise InputError(
-            f"{path}: {bad.sum()} pixel(s) are NaN, infinite or negative, the first at row {row}, "
-            f"column {column}; repair or replace them"
-        )
-    return pixels
+def read_probe(
+    path: str | Path, *, layer: str | None = None, repair: bool = False
+) -> Float32[np.ndarray, "h w 3"]:
+    """Light from a lat-long map of the sphere (w = 2 h) or the sky (w = 4 h).
+
+    The files and options of :func:`skylight.io.read_environment_map`, without torch.
+    """
+    return read_latlong(Path(path), layer=layer, repair=repair)
 
 
 def rotate_columns(

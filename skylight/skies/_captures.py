@@ -19,7 +19,9 @@ import torch
 from skylight.errors import InputError
 from skylight.io._bounded import file_text
 from skylight.io._files import names_categories, read_categories, visible_files
-from skylight.io._hdr import SUFFIXES, muted, read_linear
+from skylight.io._hdr import SUFFIXES
+from skylight.io._light import read_linear
+from skylight.io._muted import muted
 from skylight.skies._index import INDEX_NAME, SkyRecord, divide, is_index, read_rows, write_rows
 from skylight.skies._layouts import FIELD_DEG, SQUARE, Layout, read_pixels, sky_of
 from skylight.skies._sun import NO_SKY, PLATEAU_PIXELS, find_sun, plateau_size, why_no_sky

@@ -25,7 +25,7 @@ from torch import Tensor
 
 from skylight._modes import constant
 from skylight.errors import InputError
-from skylight.io._hdr import read_linear
+from skylight.io._light import read_linear
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid
 

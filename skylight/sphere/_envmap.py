@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from skylight.errors import InputError
 from skylight.sphere._frame import (
     DirectionGrid,
     angle_between,
@@ -154,7 +155,13 @@ class EnvironmentMap:
         """The sky half of a full map."""
         if self.is_sky:
             return self
-        return EnvironmentMap(radiance=self.radiance[: self.layout[0] // 2])
+        height = self.layout[0]
+        if height % 2:
+            raise InputError(
+                f"the horizon of a map of {height} rows lies within a row: make their number even, "
+                f"as by skylight convert IN OUT --height {height - 1}"
+            )
+        return EnvironmentMap(radiance=self.radiance[: height // 2])
 
     def with_ground(self, ground: Float[Tensor, "3"]) -> "EnvironmentMap":
         """A full map from a sky and one radiance for all directions below the horizon."""

@@ -6,6 +6,7 @@ torch: a command asks for it before it knows what it has to do.
 
 import ctypes
 import gc
+import sys
 from collections.abc import Callable
 from functools import cache
 
@@ -22,8 +23,12 @@ def collect_seldom() -> None:
 
 
 def collect_no_more() -> None:
-    """What there is now is not searched when the process ends, which takes 0.5 s with torch."""
-    gc.freeze()
+    """What there is now is not searched when the process ends, which takes 0.5 s with torch.
+
+    But OpenImageIO's binding, nanobind, then prints that all its objects were lost.
+    """
+    if "OpenImageIO" not in sys.modules:
+        gc.freeze()
 
 
 def release_memory() -> None:

@@ -47,7 +47,7 @@ def locked(folder: Path, *inner: Path) -> Iterator[None]:
         lock = (folder / ".lock").open("w")
     except OSError as error:
         raise OutputError(
-            f"cannot write into {folder}: {error.strerror}; choose another folder with --out"
+            f"cannot write into {folder}: {error.strerror}; choose another folder for the results"
         ) from error
     with lock:
         is_locked = _is_locked(lock, folder)
@@ -256,7 +256,7 @@ def results_folder(out: Path, replaced: re.Pattern[str] | None = None) -> Iterat
         partial = Path(tempfile.mkdtemp(prefix=PARTIAL, dir=out))
     except OSError as error:
         raise OutputError(
-            f"cannot write into {out}: {error.strerror}; choose another folder with --out"
+            f"cannot write into {out}: {error.strerror}; choose another folder for the results"
         ) from error
     try:
         yield partial

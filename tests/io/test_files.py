@@ -203,26 +203,11 @@ def test_corrupt_exr(tmp_path: Path) -> None:
         read_environment_map(path)
 
 
-def test_a_radiance_file_wider_than_opencv_reads(tmp_path: Path) -> None:
-    """OpenCV raises for it, where it answers with nothing for other damage."""
-    path, width = tmp_path / "wide.hdr", 1_100_000
-    head = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2 +X %d\n" % width
-    path.write_bytes(head + bytes(2 * 4 * width))
-    with pytest.raises(InputError, match="damaged, cut short or no Radiance") as error:
-        read_environment_map(path)
-    one_line(error, path)
-
-
 def test_files_that_are_no_environment_maps(tmp_path: Path) -> None:
     cases = {
         "square.exr": ({"RGB": np.ones((8, 8, 3), np.float32)}, {}, "8x8"),
         "depth.exr": ({"Z": np.ones(FULL, np.float32)}, {}, "channels"),
         "whole.exr": ({"RGB": np.ones((*FULL, 3), np.uint32)}, {}, "half or float"),
-        "acescg.exr": (
-            {"RGB": np.ones((*FULL, 3), np.float32)},
-            {"chromaticities": (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)},
-            "Rec.709",
-        ),
         "crop.exr": (
             {"RGB": np.ones((*FULL, 3), np.float32)},
             {"displayWindow": (np.array([0, 0], np.int32), np.array([63, 31], np.int32))},
@@ -242,7 +227,7 @@ def test_paths_that_are_no_files(tmp_path: Path) -> None:
     for name, what in {
         "none.exr": "no such file",
         "folder.exr": "folder",
-        "light.png": r"\.exr or \.hdr",
+        "light.png": r"\.exr or \.hdr.*float",
     }.items():
         with pytest.raises(InputError, match=what):
             read_environment_map(tmp_path / name)

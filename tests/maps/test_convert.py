@@ -3,13 +3,21 @@
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
+import OpenEXR
 import pytest
 import torch
 
 from skylight._names import Convention
 from skylight.cli import main
-from skylight.io._files import read_environment_map, read_light, write_environment_map
+from skylight.io._files import (
+    read_environment_map,
+    read_light,
+    write_environment_map,
+    write_light,
+)
 from skylight.sphere._envmap import EnvironmentMap
+from skylight.sphere._projections import looks
 
 
 @pytest.mark.parametrize("convention", get_args(Convention))
@@ -56,7 +64,7 @@ def test_a_sky_gets_a_dark_half_and_a_size_can_be_chosen(tmp_path: Path) -> None
     [
         (["--to", "cube", "--convention", "unity"], "leave it out for cube"),
         (["--to", "cube", "--height", "64"], "cube cannot have 64 rows"),
-        (["--from", "cube"], "cannot have 16 rows"),
+        (["--from", "cube"], "32x16 (width x height) is no cross"),
         (["--from", "angular"], "has 16 columns, not 32"),
         (["--height", "7"], "even number of rows"),
     ],
@@ -68,3 +76,64 @@ def test_what_cannot_be_is_told_and_nothing_written(
     assert main(["convert", str(probe), str(out), *options]) == 2
     assert message in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_cross_that_stands_is_the_one_that_lies(probe: Path, tmp_path: Path) -> None:
+    lying, standing, back = (tmp_path / f"{name}.exr" for name in ("lying", "standing", "back"))
+    assert main(["convert", str(probe), str(lying), "--to", "cube", "--height", "24"]) == 0
+    cross = read_light(lying)
+    below = cross[8:16, 24:].flip(0, 1)  # +Z, which continues -Y, upside down
+    dark = torch.zeros(8, 8, 3)
+    tall = torch.cat([cross[:, :24], torch.cat([dark, below, dark], 1)])
+    write_light(standing, tall, header={})
+    for source in (lying, standing):
+        assert main(["convert", str(source), str(back), "--from", "cube"]) == 0
+        if source == lying:
+            wanted = read_light(back)
+    assert torch.equal(read_light(back), wanted)
+    # what lies on the two sides of the edge between -Y and +Z is near on the sphere too
+    directions = looks("cube", torch.tensor([0.375]), torch.tensor([1.0])).directions
+    behind = looks("cube", torch.tensor([0.875]), torch.tensor([2 / 3 - 1e-6])).directions
+    torch.testing.assert_close(directions, behind, atol=1e-4, rtol=0)
+
+
+def test_layers_and_repair_reach_the_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    light = np.ones((8, 16, 3), np.float32)
+    bad = light.copy()
+    bad[2, 3] = np.inf
+    layers = {"a.R": light, "b.R": bad}
+    channels = {
+        key.replace("R", c): value[..., 0].copy() for key, value in layers.items() for c in "RGB"
+    }
+    source, out = tmp_path / "in.exr", tmp_path / "out.exr"
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, channels).write(str(source))
+    command = ["convert", str(source), str(out)]
+    assert main(command) == 2
+    assert "several layers, a, b" in capsys.readouterr().err
+    assert main([*command, "--layer", "b"]) == 2
+    assert "--repair" in capsys.readouterr().err
+    assert main([*command, "--layer", "b", "--repair"]) == 0
+    assert float(read_light(out).max()) == 65504
+    assert main([*command, "--layer", "a"]) == 0
+    assert float(read_light(out).max()) == 1
+
+
+def test_maps_of_odd_sizes_are_told_what_to_do(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """750 x 375 is a lat-long map, but has no row at the horizon and no quarter of its columns."""
+    odd, even = tmp_path / "odd.exr", tmp_path / "even.exr"
+    write_environment_map(odd, EnvironmentMap(radiance=torch.rand(15, 30, 3)))
+    export = ["export", "light", str(odd), str(tmp_path / "ar"), "--as", "ar"]
+    for command in (export, ["convert", str(odd), str(even), "--convention", "blender"]):
+        assert main(command) == 2
+        assert "skylight convert IN OUT --height 14" in capsys.readouterr().err
+    assert main(["convert", str(odd), str(even), "--height", "14", "--convention", "blender"]) == 0
+    export[2] = str(even)
+    assert main(export) == 0
+    (tmp_path / "file").touch()
+    export[3] = str(tmp_path / "file")
+    assert main(export) != 0
+    assert "--out" not in capsys.readouterr().err

@@ -13,7 +13,7 @@ from skylight.cli import main
 from skylight.estimation._summary import PhotoEstimate
 from skylight.imaging._colour import linear_to_srgb
 from skylight.io._files import write_png
-from skylight.io._hdr import read_linear
+from skylight.io._light import read_linear
 from skylight.portrait._files import (
     KNEE,
     RelitPortrait,

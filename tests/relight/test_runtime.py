@@ -13,7 +13,7 @@ from PIL import Image
 from skylight.errors import AssetError, InputError, OutputError
 from skylight.imaging._colour import tone_map as torch_tone_map
 from skylight.io._files import write_environment_map
-from skylight.io._hdr import read_linear
+from skylight.io._light import read_linear
 from skylight.models._ground import LambertianGround
 from skylight.relight import _runtime as runtime
 from skylight.relight._decoder import SkyDecoder, read_latent
@@ -273,7 +273,7 @@ def test_probes_are_checked(tmp_path):
     bad = np.ones((16, 32, 3), np.float32)
     bad[3, 4, 1] = np.nan
     write_exr(tmp_path / "nan.exr", bad, half=False, header={})
-    with pytest.raises(InputError, match=r"1 pixel.*row 3, column 4"):
+    with pytest.raises(InputError, match=r"1 NaN pixel\(s\), the first at row 3, column 4"):
         read_probe(tmp_path / "nan.exr")
     write_exr(tmp_path / "square.exr", np.ones((16, 16, 3), np.float32), half=False, header={})
     with pytest.raises(InputError, match="16x16"):

@@ -11,7 +11,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.io._hdr import read_linear, write_exr, write_radiance
+from skylight.io._hdr import write_exr, write_radiance
+from skylight.io._light import read_linear
 from skylight.skies._captures import Capture, index_captures, index_folder, parse_date, read_days
 from skylight.skies._index import folder_hash, load_skies, read_index
 from skylight.skies._layouts import read_pixels

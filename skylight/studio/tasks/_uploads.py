@@ -12,13 +12,16 @@ from typing import Any, TypedDict
 import OpenEXR
 from PIL import Image
 
-from skylight.errors import InputError
+from skylight.errors import DependencyError, InputError
 from skylight.faces._landmarkers import choose_landmarker
 from skylight.faces._landmarks import DetectedFace
 from skylight.imaging._photo import Photo, read_photo
+from skylight.imaging._pictures import picture_size
 from skylight.io._atomic import atomic_path
-from skylight.io._files import opened_picture, read_environment_map
-from skylight.io._hdr import muted, radiance_sizes
+from skylight.io._files import read_environment_map
+from skylight.io._hdr import RADIANCE_SUFFIXES
+from skylight.io._muted import muted
+from skylight.io._radiance import radiance_size
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.work._progress import StageProgress
 
@@ -123,13 +126,15 @@ def pixel_count(path: Path) -> int | None:
     suffix = path.suffix.lower()
     if suffix == ".exr":
         return _of_exr(path)
-    if suffix == ".hdr":
-        sizes = radiance_sizes(path.read_bytes())
-        return max((abs(height * width) for height, width in sizes), default=None)
+    if suffix in RADIANCE_SUFFIXES:
+        try:
+            return math.prod(radiance_size(path.read_bytes()))
+        except ValueError:
+            return None
     try:
-        with opened_picture(path) as image:
-            return image.width * image.height
-    except InputError:
+        width, height = picture_size(path)
+        return width * height
+    except (InputError, DependencyError):
         return None
 
 

@@ -18,7 +18,7 @@ from PIL import Image
 
 from skylight.imaging._colour import linear_to_srgb
 from skylight.io._files import write_environment_map
-from skylight.io._hdr import read_linear
+from skylight.io._light import read_linear
 from skylight.models._bundle import load_bundle
 from skylight.models._ground import LambertianGround
 from skylight.relight._decoder import read_latent

@@ -230,6 +230,19 @@ def test_places_in_a_texture_are_pairs_of_numbers(tmp_path, corners, uv):
         torch.testing.assert_close(found.uv, torch.tensor(uv, dtype=torch.float64))
 
 
+@pytest.mark.parametrize("depth", [8, 16])
+def test_grey_textures_of_both_depths(tmp_path, depth):
+    codes = np.full((4, 4), 100, np.uint8)
+    deep = codes if depth == 8 else codes.astype(np.uint16) * 257
+    Image.fromarray(deep).save(tmp_path / "a.png")
+    (tmp_path / "a.mtl").write_text("newmtl a\nmap_Kd a.png\n")
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
+    (tmp_path / "a.obj").write_text(f"mtllib a.mtl\n{corners}usemtl a\nf 1/1 2/2 3/3\n")
+    texture = read_scene(tmp_path / "a.obj").texture
+    light = ((100 / 255 + 0.055) / 1.055) ** 2.4
+    torch.testing.assert_close(texture, torch.full((4, 4, 3), light))
+
+
 def test_files_that_cannot_be_used(tmp_path):
     with pytest.raises(InputError, match="no such mesh"):
         read_scene(tmp_path / "none.ply")
