@@ -46,6 +46,7 @@ EXTRAS = {  # optional packages, by the names that they are imported by
     "mitsuba": "render",
     "onnx": "export",
     "onnxscript": "export",
+    "pillow_heif": "heif",
     "rawpy": "raw",
     "starlette": "studio",
     "tensorboard": "train",

@@ -266,8 +266,10 @@ def _estimate_folder(
     progress: ProgressForm,
 ) -> None:
     from skylight.estimation._folder import estimate_folder
-    from skylight.estimation._manifest import MANIFEST
+    from skylight.estimation._manifest import MANIFEST, left_out
 
+    if others := left_out(photos, out):
+        take_care(f"{photos}: left out, as no pictures known here: {others}")
     who = who_works(workers, cluster, out)
     try:
         with stage_bar(progress) as tell:

@@ -6,7 +6,8 @@ The manifest has a line of JSON for each photograph.
 import hashlib
 import json
 import os
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Collection, Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -101,20 +102,33 @@ def list_photos(photos: Path, out: Path) -> list[str]:
     """
     if not photos.is_dir():
         raise InputError(f"{photos}: there is no such folder; give one with pictures")
-    root, results = photos.resolve(), out.resolve()
-    if root == results:
+    if photos.resolve() == out.resolve():
         raise InputError(f"{out}: results go to another folder than the pictures; choose one")
+    found = _given(photos, out, PHOTO_SUFFIXES)
+    if not found:
+        raise InputError(
+            f"{photos}: no pictures ({', '.join(sorted(PHOTO_SUFFIXES))}) in this folder"
+        )
+    return found
+
+
+def left_out(photos: Path, out: Path) -> str:
+    """What :func:`list_photos` passes over by its suffix, such as "2 .txt, 1 .psd"; or nothing."""
+    suffixes = [Path(source).suffix.lower() for source in _given(photos, out, None)]
+    counts = Counter(suffix for suffix in suffixes if suffix not in PHOTO_SUFFIXES)
+    return ", ".join(f"{count} {suffix or 'without a suffix'}" for suffix, count in counts.items())
+
+
+def _given(photos: Path, out: Path, suffixes: Collection[str] | None) -> list[str]:
+    """Files below ``photos`` that are no results of estimates, from there on, sorted."""
+    root, results = photos.resolve(), out.resolve()
     found = []
-    for path in visible_files(root, PHOTO_SUFFIXES, recursive=True):
+    for path in visible_files(root, suffixes, recursive=True):
         is_result = root in results.parents and results in path.parents
         # reports of earlier estimates show the faces too
         is_result = is_result or (path.parent / "estimate.json").exists()
         if not is_result:
             found.append(path.relative_to(root).as_posix())
-    if not found:
-        raise InputError(
-            f"{photos}: no pictures ({', '.join(sorted(PHOTO_SUFFIXES))}) in this folder"
-        )
     return sorted(found)
 
 

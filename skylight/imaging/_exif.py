@@ -5,11 +5,13 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta, timezone
+from pathlib import Path
 
 from PIL import ExifTags, Image
 
 from skylight.errors import InputError
 from skylight.imaging._capture_metadata import CaptureMetadata
+from skylight.io._bounded import file_bytes
 
 FULL_FRAME_DIAGONAL_MM = math.hypot(36.0, 24.0)
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # EXIF 2.32, FocalPlaneResolutionUnit
@@ -17,6 +19,7 @@ _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}  # EXIF 2.32, FocalPlaneResol
 # one differs by up to about 20 degrees where most people live.
 TRUE_HEADING_ERROR_DEG, MAGNETIC_HEADING_ERROR_DEG = 15.0, 20.0
 EXPOSURE_VALUES = -6.0, 20.0  # from starlight to sunlit snow, and beyond by some stops
+_TIFF = (b"II*\0", b"MM\0*")
 _OFFSET = re.compile(r"([+-])(\d{2}):(\d{2})")
 _FARTHEST_OFFSET = timedelta(hours=14)  # of all zones in use
 
@@ -109,7 +112,7 @@ def taken_from(exif: Image.Exif) -> CaptureMetadata:
     time = _satellite_time(gps, notes) or _clock_time(tags, notes)
     latitude_deg, longitude_deg = _place(gps, notes) or (None, None)
     heading_deg = _heading(gps, notes)
-    reference = _text(gps.get(ExifTags.GPS.GPSImgDirectionRef))
+    reference = exif_text(gps.get(ExifTags.GPS.GPSImgDirectionRef))
     return CaptureMetadata(
         time=time,
         latitude_deg=latitude_deg,
@@ -123,7 +126,7 @@ def taken_from(exif: Image.Exif) -> CaptureMetadata:
 
 
 def _satellite_time(gps: Mapping[int, object], notes: list[str]) -> datetime | None:
-    day = _text(gps.get(ExifTags.GPS.GPSDateStamp))
+    day = exif_text(gps.get(ExifTags.GPS.GPSDateStamp))
     clock = _numbers(gps.get(ExifTags.GPS.GPSTimeStamp))
     if not day or clock is None:
         return None
@@ -140,7 +143,7 @@ def _satellite_time(gps: Mapping[int, object], notes: list[str]) -> datetime | N
 
 
 def _clock_time(tags: Mapping[int, object], notes: list[str]) -> datetime | None:
-    text = _text(tags.get(ExifTags.Base.DateTimeOriginal))
+    text = exif_text(tags.get(ExifTags.Base.DateTimeOriginal))
     if not text.strip(" :"):  # blanks stand for an unknown time (EXIF 2.32)
         return None
     try:
@@ -148,7 +151,7 @@ def _clock_time(tags: Mapping[int, object], notes: list[str]) -> datetime | None
     except (ValueError, InputError):
         notes.append("the time in its EXIF data is impossible and was ignored")
         return None
-    zone = _text(tags.get(ExifTags.Base.OffsetTimeOriginal))
+    zone = exif_text(tags.get(ExifTags.Base.OffsetTimeOriginal))
     if zone == "Z":
         return time.replace(tzinfo=UTC)
     if not zone.strip(" :"):
@@ -179,7 +182,7 @@ def _place(gps: Mapping[int, object], notes: list[str]) -> tuple[float, float] |
         if not parts:
             return None
         degrees = sum(part / unit for part, unit in zip(parts, (1, 60, 3600), strict=False))
-        angles.append(-degrees if _text(gps.get(reference)).upper() == negative else degrees)
+        angles.append(-degrees if exif_text(gps.get(reference)).upper() == negative else degrees)
     if angles == [0, 0]:
         notes.append("the place 0, 0 in its EXIF data means that none was known: it was ignored")
         return None
@@ -202,6 +205,14 @@ def _heading(gps: Mapping[int, object], notes: list[str]) -> float | None:
         return None
 
 
+def tiff_exif(path: Path) -> Image.Exif:
+    """The EXIF data of a TIFF file, or of a RAW file that is built as one; none of others."""
+    exif, content = Image.Exif(), file_bytes(path)
+    if content.startswith(_TIFF):
+        exif.load(b"Exif\0\0" + content)
+    return exif
+
+
 def _numbers(value: object) -> list[float] | None:
     """The number or numbers of a tag, NaN for what is no number; None where it is missing."""
     if value is None:
@@ -217,7 +228,7 @@ def _number(value: object) -> float:
         return math.nan
 
 
-def _text(value: object) -> str:
+def exif_text(value: object) -> str:
     """A tag's text; none for a tag that is missing or of another kind."""
     if isinstance(value, bytes):
         value = value.decode("ascii", "replace")

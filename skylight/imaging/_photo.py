@@ -1,26 +1,26 @@
 """Photographs: strict reading, linear Rec.709 pixels, and camera metadata.
 
-Pictures are opened by Pillow, OpenEXR and Radiance files by :mod:`skylight.io._hdr`, and cameras'
-RAW files developed by LibRaw (the extra ``raw``).
+Pictures are opened by :mod:`skylight.imaging._pictures`, OpenEXR and Radiance files by
+:mod:`skylight.io._hdr`, and cameras' RAW files developed by LibRaw (the extra ``raw``).
 """
 
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8, UInt16
-from PIL import Image, ImageCms, ImageOps
+from PIL import Image
 from torch import Tensor
 
 from skylight.errors import InputError, not_installed
 from skylight.imaging._capture_metadata import CaptureMetadata
 from skylight.imaging._colour import Decode, decode_values, linear_to_srgb, tone_map
-from skylight.imaging._exif import CameraFacts, camera_facts
-from skylight.io._bounded import file_bytes, require_bytes, require_pixels
-from skylight.io._files import opened_picture
+from skylight.imaging._encoding import Encoding, ProfileTables
+from skylight.imaging._exif import CameraFacts, camera_facts, tiff_exif
+from skylight.imaging._pictures import PICTURE_SUFFIXES, StoredPicture, stored_picture
+from skylight.io._bounded import require_bytes, require_pixels
 from skylight.io._hdr import SUFFIXES as HDR_SUFFIXES
 from skylight.io._light import read_linear
 from skylight.io._muted import muted
@@ -29,7 +29,7 @@ from skylight.sphere._envmap import luminance
 RAW_SUFFIXES = (
     ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw",
 )  # fmt: skip
-_TIFF = (b"II*\0", b"MM\0*")
+PHOTO_SUFFIXES = frozenset({*PICTURE_SUFFIXES, *HDR_SUFFIXES, *RAW_SUFFIXES})
 _QUARTER_TURNS = {0: 0, 3: 2, 5: 1, 6: 3}  # LibRaw's flips, as counter-clockwise turns
 
 
@@ -76,18 +76,9 @@ def develop(path: Path) -> tuple[UInt16[np.ndarray, "h w 3"], Bool[np.ndarray, "
     return upright, np.ascontiguousarray(np.rot90(spread > 0, turns))
 
 
-def raw_exif(path: Path) -> Image.Exif:
-    """The EXIF data of a RAW file that is built as a TIFF file is; none of others."""
-    exif, content = Image.Exif(), file_bytes(path)
-    if content.startswith(_TIFF):
-        exif.load(b"Exif\0\0" + content)
-    return exif
-
-
 SIDE_MIN = 32
 SIDE_MAX = 16_384
 GREY_CODES = 2  # channels closer than this everywhere carry no colour (JPEG rounds by 1)
-GREY_MODES = ("L", "LA", "La", "I;16", "I;16B", "I;16L")  # Pillow's, of 8 and 16 bits
 _BLOCK_ROWS = 64
 
 
@@ -95,7 +86,9 @@ _BLOCK_ROWS = 64
 class Photo:
     """A photograph, upright as its EXIF orientation asks.
 
-    ``pixels``   linear Rec.709; 1 is the largest code value (.exr and .hdr: as stored).
+    ``pixels``   linear Rec.709; 1 is the white of the file's encoding, in sRGB the largest code
+                 value. HDR pictures and colours outside Rec.709 exceed it (.exr, .hdr and TIFF in
+                 floating point: as stored).
     ``encoded``  the same picture as 8-bit sRGB, for detectors and for looking at.
     ``clipped``  where a channel reached its largest code value, so more light may have fallen.
     ``grey``     without colour: the three channels of ``pixels`` are equal.
@@ -118,24 +111,28 @@ class Photo:
 def read_photo(
     path: str | Path, *, decode: Decode | None = None, require_colour: bool = False
 ) -> Photo:
-    """A JPEG, PNG, TIFF (8 or 16 bit a channel), .exr, .hdr or RAW (.dng, ...) photograph.
+    """A JPEG, PNG, TIFF, WebP, BMP, AVIF, HEIC, .exr, .hdr or RAW (.dng, ...) photograph.
 
     Parameters
     ----------
     decode
-        How values encode light: "srgb" (default), "linear" (default for .exr and .hdr) or the
-        exponent of a power law. An embedded colour profile other than sRGB is converted to sRGB
-        where ``decode`` is left out or "srgb"; an explicit "linear" or exponent overrules it.
+        How values encode light: "srgb" (default), "linear" (default for .exr, .hdr and TIFF in
+        floating point) or the exponent of a power law. What a file declares instead of sRGB (see
+        :mod:`skylight.imaging._encoding`) is followed where ``decode`` is left out or "srgb"; an
+        explicit "linear" or exponent overrules it. PQ's and HLG's 1 is HDR reference white
+        (203 cd/m2, BT.2408); HLG's light is the scene's.
     require_colour
         Refuse grey pictures, for what colour is essential to.
 
-    Transparency is ignored: hidden pixels keep the colour that the file stores for them. Of a
-    phone's multi-picture JPEG (MPO) the first picture counts.
+    Transparency is ignored: hidden pixels keep the colour that the file stores for them, and
+    premultiplied ones are divided by alpha. Of a phone's multi-picture JPEG (MPO) or HEIC the
+    first picture counts, of a TIFF the one that is no thumbnail.
 
     Raises
     ------
     DependencyError
-        A RAW file without rawpy, which the extra ``raw`` installs.
+        A RAW file without rawpy, which the extra ``raw`` installs, or HEIC without pillow-heif,
+        which ``heif`` does.
     InputError
         No readable still picture from 32 to 16384 pixels a side and up to 134 megapixels:
         missing, damaged, animated, CMYK, black, of one bit a pixel, or grey against the wish.
@@ -146,7 +143,7 @@ def read_photo(
     elif path.suffix.lower() in HDR_SUFFIXES:
         photo = _from_linear_file(path, "linear" if decode is None else decode)
     else:
-        photo = _from_picture(path, "srgb" if decode is None else decode)
+        photo = _from_picture(path, decode)
     if photo.encoded.max() <= GREY_CODES:
         raise InputError(f"{path}: the picture is black; give a photo that shows a lit face")
     if require_colour and photo.grey:
@@ -176,7 +173,7 @@ def photo_from_codes(codes: UInt8[np.ndarray, "h w 3"], *, decode: Decode | None
 
 
 def read_light(
-    path: Path, decode: Decode
+    path: Path, decode: Decode | None
 ) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
     """(linear light, where it is saturated) of a picture, or of a RAW file, whatever ``decode``.
 
@@ -186,34 +183,29 @@ def read_light(
     if path.suffix.lower() in RAW_SUFFIXES:
         codes, clipped = develop(path)
         return codes.astype(np.float32) / np.float32(65535), clipped
-    with opened_picture(path) as image:
-        _check_kind(path, image)
-        codes, clipped, _ = _decode_picture(path, image, decode)
-    share = codes.astype(np.float32) / np.float32(np.iinfo(codes.dtype).max)
-    return decode_values(torch.from_numpy(share), decode).numpy(), clipped
-
-
-def is_deep(image: Image.Image) -> bool:
-    """Whether a picture that is not decoded yet has 16 bits a channel.
-
-    Pillow cuts 16-bit colour down to 8; its plan of decoding, empty once done, tells.
-    """
-    return ";16" in str(getattr(image, "tile", ""))
+    with stored_picture(path) as picture:
+        pixels, _, clipped = _decoded(path, picture, decode)
+    return pixels, clipped
 
 
 def read_exif(path: Path) -> Image.Exif:
     """The EXIF data of a picture or RAW file; empty where it has none."""
     if path.suffix.lower() in RAW_SUFFIXES:
-        return raw_exif(path)
-    with opened_picture(path) as image:
-        return image.getexif()
+        return tiff_exif(path)
+    with stored_picture(path) as picture:
+        return picture.exif
+
+
+def read_codes(path: Path) -> UInt8[np.ndarray, "h w 3"]:
+    """A picture as 8-bit sRGB, upright, whatever its size, colour and brightness."""
+    with stored_picture(path) as picture:
+        return _decoded(path, picture, None)[1]
 
 
 def _from_linear_file(path: Path, decode: Decode) -> Photo:
     stored = read_linear(path)
     _check_size(path, stored.shape[1], stored.shape[0])
-    if not np.isfinite(stored).all():
-        raise InputError(f"{path}: it holds NaN or infinite pixels; repair or replace them")
+    _require_finite(path, stored)
     # cameras' colour conversion leaves small negative values: colours outside Rec.709
     pixels = decode_values(torch.from_numpy(stored).clamp(min=0), decode)
     clipped = torch.zeros(pixels.shape[:2], dtype=torch.bool)
@@ -227,33 +219,94 @@ def _from_raw(path: Path, decode: Decode | None) -> Photo:
     height, width = codes.shape[:2]
     _check_size(path, width, height)
     pixels = torch.from_numpy(codes.astype(np.float32) / np.float32(65535))
-    facts = camera_facts(raw_exif(path), width, height)
+    facts = camera_facts(tiff_exif(path), width, height)
     # a RAW file is exposed for its highlights, so what detectors see is brightened
     return _with_facts(pixels, tone_map(pixels), torch.from_numpy(clipped), facts)
 
 
-def _from_picture(path: Path, decode: Decode) -> Photo:
-    with opened_picture(path) as image:
-        _check_size(path, *image.size)
-        _check_kind(path, image)
-        codes, clipped, facts = _decode_picture(path, image, decode)
-    return _photo(codes, decode, clipped, facts)
+def _from_picture(path: Path, decode: Decode | None) -> Photo:
+    with stored_picture(path) as picture:
+        _check_size(path, picture.width, picture.height)
+        if picture.depth == 1:
+            raise InputError(
+                f"{path}: it has one bit a pixel, black or white, and no shades; give a photo"
+            )
+        facts = camera_facts(picture.exif, picture.width, picture.height)
+        pixels, encoded, clipped = _decoded(path, picture, decode)
+    return _with_facts(torch.from_numpy(pixels), encoded, torch.from_numpy(clipped), facts)
+
+
+def _decoded(
+    path: Path, picture: StoredPicture, decode: Decode | None
+) -> tuple[Float[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
+    """(linear light, the same as 8-bit sRGB, where a code is the largest), as declared."""
+    encoding = picture.encoding() if decode in (None, "srgb") else None
+    codes = picture.codes()
+    if codes.dtype == np.float32:
+        _require_finite(path, codes)
+        if isinstance(encoding, ProfileTables):
+            raise InputError(f"{path}: {_NO_TABLES}")
+        if encoding is None:
+            light = decode_values(torch.from_numpy(codes), decode or "linear").numpy()
+        else:
+            light = encoding.linear(codes).astype(np.float32)
+        light = light.clip(min=0)
+        return light, tone_map(torch.from_numpy(light)), np.zeros(codes.shape[:2], bool)
+    clipped = _at_maximum(codes)
+    if isinstance(encoding, ProfileTables):
+        if codes.dtype != np.uint8:
+            raise InputError(f"{path}: {_NO_TABLES}")
+        try:
+            codes = encoding.to_srgb(codes)
+        except ValueError as error:
+            raise InputError(f"{path}: {error}") from error
+        clipped |= _at_maximum(codes)  # colours too saturated for sRGB are cut there
+        encoding = None
+    light, encoded = _light(codes, decode or "srgb", encoding)
+    return light, encoded, clipped
+
+
+_NO_TABLES = (
+    "its colour profile tells colours by tables, which are applied to 8 bits alone; convert it to "
+    "sRGB, or say how it is encoded (linear, or a gamma)"
+)
 
 
 def _photo(
     codes: np.ndarray, decode: Decode, clipped: Bool[np.ndarray, "h w"], facts: CameraFacts
 ) -> Photo:
-    """The picture that uint8 or uint16 codes (h,w,3) stand for, by a table of all codes."""
+    pixels, encoded = _light(codes, decode, None)
+    return _with_facts(torch.from_numpy(pixels), encoded, torch.from_numpy(clipped), facts)
+
+
+def _light(
+    codes: np.ndarray, decode: Decode, encoding: Encoding | None
+) -> tuple[Float[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]]:
+    """(light, 8-bit sRGB) of uint8 or uint16 codes (h,w,3), by a table of all codes.
+
+    ``encoding``, where there is one, in place of ``decode``. Below 0 are colours outside Rec.709,
+    which are cut; what is brighter than white is kept in the light.
+    """
     largest = np.iinfo(codes.dtype).max
-    levels = torch.arange(largest + 1, dtype=torch.float32) / largest
-    linear = decode_values(levels, decode)
-    srgb = (255 * linear_to_srgb(linear)).round().to(torch.uint8).numpy()
     pixels, encoded = np.empty(codes.shape, np.float32), np.empty(codes.shape, np.uint8)
+    if encoding is None:
+        levels = torch.arange(largest + 1, dtype=torch.float32) / largest
+        linear = decode_values(levels, decode)
+        srgb = (255 * linear_to_srgb(linear)).round().to(torch.uint8).numpy()
+    else:
+        shares = np.arange(largest + 1) / largest
+        curves = encoding.curve(np.stack([shares] * 3, -1))
     for start in range(0, len(codes), _BLOCK_ROWS):  # numpy makes 8 bytes of each index
         rows = slice(start, start + _BLOCK_ROWS)
-        np.take(linear.numpy(), codes[rows], out=pixels[rows], mode="clip")
-        np.take(srgb, codes[rows], out=encoded[rows], mode="clip")
-    return _with_facts(torch.from_numpy(pixels), encoded, torch.from_numpy(clipped), facts)
+        if encoding is None:
+            np.take(linear.numpy(), codes[rows], out=pixels[rows], mode="clip")
+            np.take(srgb, codes[rows], out=encoded[rows], mode="clip")
+        else:
+            native = np.stack([curves[codes[rows, :, k], k] for k in range(3)], -1)
+            pixels[rows] = (native @ encoding.to_rec709.T).clip(min=0)
+            shown = linear_to_srgb(torch.from_numpy(pixels[rows]).clamp(max=1))
+            encoded[rows] = (255 * shown).round().to(torch.uint8).numpy()
+    return pixels, encoded
 
 
 def _with_facts(
@@ -282,46 +335,9 @@ def _check_size(path: Path, width: int, height: int) -> None:
         )
 
 
-def _check_kind(path: Path, image: Image.Image) -> None:
-    """Refuse, before decoding, what is no single RGB or grey picture."""
-    if getattr(image, "n_frames", 1) > 1 and image.format != "MPO":
-        raise InputError(f"{path}: it holds several pictures; save one of them as JPEG or PNG")
-    if image.mode == "1":
-        raise InputError(
-            f"{path}: it has one bit a pixel, black or white, and no shades; give a photo"
-        )
-    if image.mode not in ("RGB", "RGBA", "RGBa", "RGBX", "P", "PA", *GREY_MODES):
-        raise InputError(f"{path}: its colours are {image.mode}; convert it to RGB (sRGB)")
-
-
-def _decode_picture(
-    path: Path, image: Image.Image, decode: Decode
-) -> tuple[np.ndarray, Bool[np.ndarray, "h w"], CameraFacts]:
-    """(codes (h,w,3) uint8 or uint16, clipped, the camera's), upright and in sRGB's primaries."""
-    deep = is_deep(image)
-    facts = camera_facts(image.getexif(), *image.size)
-    to_srgb = _profile_to_srgb(path, image) if decode == "srgb" else None
-    if deep:
-        if to_srgb is not None:
-            raise InputError(
-                f"{path}: 16-bit pictures are read in sRGB only, and its colour profile is "
-                "another; convert it to sRGB, or say how it is encoded (linear, or a gamma)"
-            )
-        # these flags make OpenCV turn the picture upright; only from memory is it reliable
-        data = np.frombuffer(file_bytes(path), np.uint8)
-        bgr = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
-        if bgr is None:
-            raise InputError(f"{path}: damaged or cut short; export it again")
-        codes = np.ascontiguousarray(bgr[..., ::-1])
-        return codes, _at_maximum(codes), facts
-    upright = ImageOps.exif_transpose(image)
-    upright = upright.convert("RGB" if to_srgb is None else to_srgb.input_mode)
-    codes = np.array(upright.convert("RGB"))
-    clipped = _at_maximum(codes)
-    if to_srgb is not None:
-        codes = np.array(ImageCms.applyTransform(upright, to_srgb))
-        clipped |= _at_maximum(codes)  # colours too saturated for sRGB are cut there
-    return codes, clipped, facts
+def _require_finite(path: Path, pixels: np.ndarray) -> None:
+    if not np.isfinite(pixels).all():
+        raise InputError(f"{path}: it holds NaN or infinite pixels; repair or replace them")
 
 
 def _is_grey(codes: UInt8[np.ndarray, "h w 3"]) -> bool:
@@ -334,30 +350,3 @@ def _is_grey(codes: UInt8[np.ndarray, "h w 3"]) -> bool:
 def _at_maximum(codes: np.ndarray) -> Bool[np.ndarray, "h w"]:
     red, green, blue = np.moveaxis(codes == np.iinfo(codes.dtype).max, -1, 0)
     return red | green | blue
-
-
-def _profile_to_srgb(path: Path, image: Image.Image) -> ImageCms.ImageCmsTransform | None:
-    """The conversion that an embedded profile asks for; None without one or where it is sRGB.
-
-    Whether a profile is sRGB shows in what it does to a lattice of colours, not in its name.
-    """
-    profile = image.info.get("icc_profile")
-    if not profile:
-        return None
-    # bytes 16 to 19 of a profile name its colour space (ICC.1:2022, 7.2.8)
-    mode = "L" if image.mode in GREY_MODES and profile[16:20] == b"GRAY" else "RGB"
-    try:
-        transform = ImageCms.buildTransform(
-            BytesIO(profile), ImageCms.createProfile("sRGB"), mode, "RGB"
-        )
-    except (ImageCms.PyCMSError, OSError) as error:
-        raise InputError(f"{path}: its colour profile cannot be read; save as sRGB") from error
-    steps = np.linspace(0, 255, 9).astype(np.uint8)
-    codes = np.stack(np.meshgrid(steps, steps, steps), -1).reshape(9, 81, 3)
-    lattice = Image.fromarray(codes).convert(mode)
-    converted = np.asarray(ImageCms.applyTransform(lattice, transform), dtype=int)
-    change = np.abs(converted - np.asarray(lattice.convert("RGB"), dtype=int)).max()
-    return transform if change > 3 else None
-
-
-PHOTO_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", *HDR_SUFFIXES, *RAW_SUFFIXES})

@@ -5,9 +5,7 @@ A file that cannot be used is refused in one line that names it. A folder of map
 """
 
 import csv
-import warnings
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Collection
 from io import StringIO
 from pathlib import Path
 
@@ -15,15 +13,14 @@ import numpy as np
 import OpenEXR
 import torch
 from jaxtyping import Float, UInt8
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 from torch import Tensor
 
-from skylight.errors import InputError, OutputError, SkylightError
+from skylight.errors import InputError, OutputError
 from skylight.io._atomic import atomic_path
-from skylight.io._bounded import file_text, require_bytes, require_pixels
+from skylight.io._bounded import file_text
 from skylight.io._hdr import HALF_MAX, RGBE_MAX, check_suffix, write_exr, write_radiance
 from skylight.io._light import fault, read_latlong, read_radiances
-from skylight.io._muted import muted
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import Convention, convert_latlong
 
@@ -143,51 +140,12 @@ def _float_pixels(radiance: Float[Tensor, "h w 3"]) -> Float[np.ndarray, "h w 3"
     return np.ascontiguousarray(radiance.detach().to("cpu", torch.float32).numpy())
 
 
-# what cameras and programs write, decoded within the process; Pillow knows some that start others
-FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "BMP", "GIF")
-# our own limit on the size is the one that counts, and has a clearer message
-warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)
-# so has what cannot be in EXIF data
-warnings.filterwarnings("ignore", module=r"PIL\.TiffImagePlugin")
-
-
-@contextmanager
-def opened_picture(path: Path) -> Iterator[Image.Image]:
-    """A picture whose header was read and whose size is bounded; decode it within the block.
-
-    Raises
-    ------
-    InputError
-        The file is missing, damaged (which may show within the block), of another kind, or too
-        large: more than ``PIXELS_MAX`` pixels or ``FILE_BYTES_MAX`` bytes.
-    """
-    try:
-        require_bytes(path)
-        with Image.open(path, formats=FORMATS) as image:
-            try:
-                require_pixels(*image.size)
-            except ValueError as error:
-                raise InputError(f"{path}: {error}; scale it down") from error
-            with muted() if image.format == "TIFF" else nullcontext():
-                yield image  # libtiff prints what it dislikes
-    except SkylightError:
-        raise
-    except UnidentifiedImageError as error:
-        raise InputError(f"{path}: no picture known here; give a JPEG, PNG or TIFF") from error
-    except Image.DecompressionBombError as error:
-        raise InputError(f"{path}: the picture is too large; scale it down") from error
-    # Pillow's decoders raise whatever their parsing stumbles over
-    except Exception as error:
-        if reason := getattr(error, "strerror", None):
-            raise InputError(f"cannot read {path}: {reason}; give a JPEG, PNG or TIFF") from error
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: damaged or cut short ({reason}); export it again") from error
-
-
 def visible_files(
-    folder: Path, suffixes: Collection[str], *, recursive: bool = False
+    folder: Path, suffixes: Collection[str] | None, *, recursive: bool = False
 ) -> list[Path]:
     """Files in ``folder``, or below it, whose suffix in lower case is one of ``suffixes``; sorted.
+
+    None stands for all suffixes.
 
     Hidden ones and those in hidden folders are left out: so are called what a run that was killed
     left half written (:func:`skylight.io._atomic.atomic_path`), and what systems put beside
@@ -196,7 +154,7 @@ def visible_files(
     return sorted(
         path
         for path in (folder.rglob("*") if recursive else folder.iterdir())
-        if path.suffix.lower() in suffixes
+        if (suffixes is None or path.suffix.lower() in suffixes)
         and not any(part.startswith(".") for part in path.relative_to(folder).parts)
         and path.is_file()
     )

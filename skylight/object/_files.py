@@ -29,8 +29,9 @@ from skylight.csc._positions import Positions
 from skylight.errors import InputError
 from skylight.imaging._colour import tone_map
 from skylight.imaging._photo import Photo
+from skylight.imaging._pictures import stored_picture
 from skylight.io._bounded import write_json
-from skylight.io._files import opened_picture, write_probe
+from skylight.io._files import write_probe
 from skylight.object._problem import ObjectLight, estimate_object_light
 from skylight.object._view import ObjectMaterial, ObjectView, observe_object
 from skylight.sphere._envmap import EnvironmentMap, luminance
@@ -138,9 +139,11 @@ def material_of(
 
 
 def read_mask(path: Path) -> Bool[Tensor, "h w"]:
-    """True where a picture is brighter than half."""
-    with opened_picture(path) as image:
-        return torch.from_numpy(np.array(image.convert("L")) >= 128)
+    """True where a picture's codes, upright, are brighter than half of the largest (Rec.601)."""
+    with stored_picture(path) as picture:
+        codes = picture.codes()
+    largest = 1.0 if codes.dtype == np.float32 else np.iinfo(codes.dtype).max
+    return torch.from_numpy(codes @ np.array([0.299, 0.587, 0.114]) >= largest / 2)
 
 
 def write_object_results(

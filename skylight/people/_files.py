@@ -14,14 +14,10 @@ from torch import Tensor
 from skylight.errors import InputError, OutputError
 from skylight.faces._fit import FaceFit
 from skylight.imaging._colour import srgb_to_linear
+from skylight.imaging._photo import read_codes
 from skylight.io._atomic import PARTIAL, atomic_path
 from skylight.io._bounded import json_content, load_arrays, write_json
-from skylight.io._files import (
-    opened_picture,
-    read_environment_map,
-    write_environment_map,
-    write_png,
-)
+from skylight.io._files import read_environment_map, write_environment_map, write_png
 from skylight.io._hdr import HALF_MAX, write_exr
 from skylight.io._light import read_linear
 from skylight.people._independent_render import mitsuba_variant
@@ -91,10 +87,8 @@ def read_rendered_face(folder: Path) -> RenderedFace:
     """
     try:
         facts = json_content(folder / "face.json")
-        with opened_picture(folder / "picture.png") as image:
-            encoded = np.array(image.convert("RGB"))
-        with opened_picture(folder / "hair.png") as image:
-            hair = np.array(image.convert("RGB"))[..., 0] > 0
+        encoded = read_codes(folder / "picture.png")
+        hair = read_codes(folder / "hair.png")[..., 0] > 0
         arrays = load_arrays(folder / "mesh.npz", (*_ARRAYS, "landmarks"))
         height, width = encoded.shape[:2]
         camera = Camera(

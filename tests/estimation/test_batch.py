@@ -20,6 +20,7 @@ from skylight.estimation._manifest import (
     MANIFEST,
     Entry,
     folder_name,
+    left_out,
     list_photos,
     read_manifest,
 )
@@ -331,6 +332,10 @@ class TestPhotos:
         (tmp_path / "folder.png").mkdir()
         assert list_photos(tmp_path, tmp_path / "light") == ["B.tiff", "a/c.exr", "b.JPG"]
         assert list_photos(tmp_path / "a", tmp_path) == ["c.exr"]
+        (tmp_path / "d.PSD").touch()
+        (tmp_path / "README").touch()
+        assert left_out(tmp_path, tmp_path / "light") == "1 without a suffix, 1 .txt, 1 .psd"
+        assert left_out(tmp_path / "a", tmp_path) == "1 .txt"
 
     def test_no_pictures_is_an_error(self, tmp_path: Path) -> None:
         with pytest.raises(InputError, match="no pictures"):

@@ -354,7 +354,6 @@ BAD = {
     "thin.png": (lambda p: saved(p, colours(8, 64)), "64x8"),
     "long.png": (lambda p: saved(p, colours(32, 16_385)), "16385x32"),
     "huge.png": (_huge, "too large|60000x60000"),
-    "float.tif": (lambda p: Image.fromarray(GREY.astype(np.float32)).save(p), "colours are F"),
     "bitmap.png": (lambda p: Image.fromarray(GREY).convert("1").save(p), "one bit a pixel"),
     "dark.png": (lambda p: saved(p, np.zeros((48, 64), np.uint8)), "black"),
     "black.jpg": (lambda p: saved(p, np.zeros((48, 64, 3), np.uint8)), "black"),

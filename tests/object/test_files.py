@@ -14,12 +14,14 @@ from skylight.cli import main
 from skylight.imaging._colour import linear_to_srgb
 from skylight.io._files import read_environment_map
 from skylight.io._hdr import write_exr
+from skylight.object._files import read_mask
 from skylight.object._view import observe_object
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid
 from skylight.transport._cameras import object_camera
 from tests.cli.test_cli import one_line
+from tests.imaging.picture_files import camera_exif
 
 CAMERA = {"fov_deg": 36, "position": [3, 1.2, -2.6], "look_at": [0, 0, 0]}
 RESULTS = {"probe.exr", "probe.hdr", "estimate.json", "comparison.png"}
@@ -66,6 +68,22 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     Image.fromarray(codes).save(folder / "photo.png")
     Image.fromarray(np.full((SIZE, SIZE), 255, np.uint8)).save(folder / "mask.png")
     return folder
+
+
+@pytest.mark.parametrize("depth", [8, 16])
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
+def test_a_mask_is_what_is_brighter_than_half_of_its_range(
+    tmp_path: Path, suffix: str, depth: int
+) -> None:
+    """Upright, as the photograph is: held upside down here."""
+    codes = np.full((30, 40), 0.3)  # grey is no object
+    codes[:10, :15] = 0.7
+    codes[0, :3] = 127 / 255, 128 / 255, 1
+    stored = np.rint(codes * (2**depth - 1)).astype(np.uint8 if depth == 8 else np.uint16)
+    path = tmp_path / f"mask{suffix}"
+    exif = camera_exif(orientation=3)
+    Image.fromarray(stored).save(path, exif=exif)
+    np.testing.assert_array_equal(read_mask(path), (codes > 0.5)[::-1, ::-1])
 
 
 def arguments(folder: Path, out: Path, *more: str, photo: str = "photo.exr") -> list[str]:

@@ -17,8 +17,8 @@ from PIL import ExifTags
 from skylight.errors import InputError
 from skylight.imaging._colour import Decode
 from skylight.imaging._exif import focal_length_px
-from skylight.imaging._photo import RAW_SUFFIXES, is_deep, read_exif, read_light
-from skylight.io._files import opened_picture
+from skylight.imaging._photo import RAW_SUFFIXES, read_codes, read_exif, read_light
+from skylight.imaging._pictures import stored_picture
 from skylight.io._hdr import SUFFIXES as HDR_SUFFIXES
 from skylight.io._light import read_linear
 from skylight.probes.cameras._exposures import (
@@ -29,7 +29,6 @@ from skylight.probes.cameras._exposures import (
     linearised,
     merge,
 )
-from skylight.probes.cameras._live import read_picture
 from skylight.probes.cameras._response import Response, load_response
 
 _FIXED = (ExifTags.Base.FNumber, ExifTags.Base.ISOSpeedRatings)
@@ -146,18 +145,20 @@ def read_exposure(path: Path, response: Response | Choice) -> np.ndarray:
     if suffix in HDR_SUFFIXES:
         return _read_linear(path)
     if suffix in RAW_SUFFIXES:
-        return _light_of(path, "linear")
-    with opened_picture(path) as image:
-        deep = is_deep(image)
-    if not deep:
-        return read_picture(path).image
+        return _light_of(path, None)
     curve = response if isinstance(response, Response) else Response()
+    with stored_picture(path) as picture:
+        deep = picture.depth > 8
+        if not deep and (response == "recover" or curve != Response()):
+            return picture.codes()  # a curve of one's own is of the codes as they are
+    if not deep:
+        return read_codes(path)
     if curve.curve is not None or response == "recover":
         raise InputError(f"{path}: a recovered response is for 8 bits; export it with these")
-    return _light_of(path, "srgb" if curve.gamma is None else curve.gamma)
+    return _light_of(path, curve.gamma)
 
 
-def _light_of(path: Path, decode: Decode) -> np.ndarray:
+def _light_of(path: Path, decode: Decode | None) -> np.ndarray:
     """Linear light, 1 where a channel is saturated."""
     light, burnt = read_light(path, decode)
     largest = np.argmax(light, -1)[burnt]

@@ -10,12 +10,13 @@ from time import perf_counter
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
-from PIL import ExifTags, ImageOps
+from PIL import ExifTags
 
 from skylight.errors import InputError, OutputError
 from skylight.imaging._film import as_rgb, film_frames, film_rate, opened_film, require_film
+from skylight.imaging._photo import read_codes
+from skylight.imaging._pictures import stored_picture
 from skylight.io._atomic import atomic_path, require_place
-from skylight.io._files import opened_picture
 
 FRAMES_MOST = 40
 WEBCAM_SECONDS = 20.0  # for which one is watched
@@ -56,13 +57,10 @@ def read_frames(source: Path | Sequence[Path] | int, *, most: int = FRAMES_MOST)
 
 
 def read_picture(path: Path) -> Frame:
-    """A photograph as 8-bit RGB, upright as its EXIF orientation asks; grey is welcome."""
-    with opened_picture(path) as image:
-        orientation = int(image.getexif().get(ExifTags.Base.Orientation, 1))
-        if image.mode in ("I", "F") or image.mode.startswith("I;"):
-            raise InputError(f"{path}: its values have more than 8 bits; export it with 8")
-        upright = np.array(ImageOps.exif_transpose(image).convert("RGB"))
-    return Frame(name=str(path), image=upright, orientation=orientation)
+    """A photograph as 8-bit sRGB, upright as its EXIF orientation asks; grey is welcome."""
+    with stored_picture(path) as picture:
+        orientation = picture.exif.get(ExifTags.Base.Orientation, 1)
+    return Frame(name=str(path), image=read_codes(path), orientation=orientation)
 
 
 def sharp_and_different(frames: Iterable[Frame], *, most: int) -> Iterator[Frame]:

@@ -12,12 +12,13 @@ from typing import Any, TypedDict
 import OpenEXR
 from PIL import Image
 
-from skylight.errors import InputError
+from skylight.errors import DependencyError, InputError
 from skylight.faces._landmarkers import choose_landmarker
 from skylight.faces._landmarks import DetectedFace
 from skylight.imaging._photo import Photo, read_photo
+from skylight.imaging._pictures import picture_size
 from skylight.io._atomic import atomic_path
-from skylight.io._files import opened_picture, read_environment_map
+from skylight.io._files import read_environment_map
 from skylight.io._hdr import RADIANCE_SUFFIXES
 from skylight.io._muted import muted
 from skylight.io._radiance import radiance_size
@@ -131,9 +132,9 @@ def pixel_count(path: Path) -> int | None:
         except ValueError:
             return None
     try:
-        with opened_picture(path) as image:
-            return image.width * image.height
-    except InputError:
+        width, height = picture_size(path)
+        return width * height
+    except (InputError, DependencyError):
         return None
 
 

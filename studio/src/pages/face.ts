@@ -64,7 +64,7 @@ function build(): HTMLElement {
   const drop = fileDrop({
     prompt: "Drop a photo here, paste one, or",
     button: "Choose a photo",
-    accept: "image/jpeg,image/png,image/tiff,image/webp,image/bmp,.exr,.hdr",
+    accept: "image/jpeg,image/png,image/tiff,image/webp,image/bmp,image/avif,.heic,.heif,.hif,.exr,.hdr",
     paste: true,
     chosen: (file) => void take(file),
   });

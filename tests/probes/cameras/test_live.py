@@ -53,15 +53,18 @@ class TestPhotographs:
         with pytest.raises(InputError, match="held another way"):
             list(read_frames([tmp_path / "a.jpg", tmp_path / "b.jpg"]))
 
+    def test_16_bits_are_seen_as_8(self, tmp_path: Path) -> None:
+        grey = scene(0)[..., 0]
+        Image.fromarray(grey.astype(np.uint16) * 257).save(tmp_path / "deep.png")
+        expected = np.repeat(grey[..., None], 3, -1)
+        np.testing.assert_array_equal(read_picture(tmp_path / "deep.png").image, expected)
+
     def test_what_is_no_picture(self, tmp_path: Path) -> None:
         (tmp_path / "a.jpg").write_bytes(b"nothing")
         with pytest.raises(InputError, match="no picture known here"):
             read_picture(tmp_path / "a.jpg")
         with pytest.raises(InputError, match="cannot read"):
             read_picture(tmp_path / "none.jpg")
-        Image.fromarray(scene(0)[..., 0].astype(np.uint16)).save(tmp_path / "deep.png")
-        with pytest.raises(InputError, match="more than 8 bits"):
-            read_picture(tmp_path / "deep.png")
         Image.fromarray(scene(3)).save(tmp_path / "whole.png")
         (tmp_path / "cut.png").write_bytes((tmp_path / "whole.png").read_bytes()[:120])
         with pytest.raises(InputError, match=r"cut.png"):

@@ -339,6 +339,8 @@ def _codes(picture: Image.Image) -> Float[np.ndarray, "h w 3"]:
     """From 0 to 1; ValueError for a texture that is too large or damaged."""
     require_pixels(*picture.size)
     try:
+        if picture.mode.startswith("I"):  # grey of 16 bits, which Pillow would cut at 255
+            return np.repeat(np.array(picture, np.float32)[..., None], 3, -1) / 65535
         return np.array(picture.convert("RGB"), np.float32) / 255
     except (OSError, SyntaxError, EOFError) as error:
         raise ValueError(f"its texture is damaged ({error})") from error
