@@ -133,9 +133,10 @@ class ColourSpace:
             return np.asarray(values, np.float32)
         matrix = to_rec709(self.primaries, adapt)
         linear = np.empty(values.shape, np.float32)
-        for start in range(0, len(values), _BLOCK_ROWS):
-            rows = slice(start, start + _BLOCK_ROWS)
-            linear[rows] = linear_light(values[rows], self.transfer) @ matrix.T
+        with np.errstate(invalid="ignore", over="ignore"):  # NaN and infinity stay or become NaN
+            for start in range(0, len(values), _BLOCK_ROWS):
+                rows = slice(start, start + _BLOCK_ROWS)
+                linear[rows] = linear_light(values[rows], self.transfer) @ matrix.T
         return linear
 
 
