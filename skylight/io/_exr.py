@@ -232,7 +232,7 @@ def _chosen(
             return choice[0]
     raise InputError(
         f"{path}: it has several layers, {_listed(layers)}: export one of them alone, or name it "
-        "(skylight convert --layer)"
+        "where a command has --layer, as skylight convert"
     )
 
 
