@@ -118,8 +118,10 @@ def _parts(path: Path) -> list[OpenEXR.Part]:
             header = OpenEXR.File(str(path), header_only=True)
             _require_flat(header)
     except RuntimeError as error:
-        reason = " ".join(str(error).rpartition('". ')[2].split())
-        raise ValueError(f"its header is damaged, cut short or of a new kind ({reason})") from error
+        raise ValueError(
+            "its header is damaged or cut short, or newer than this version of OpenEXR: fetch or "
+            "export it again"
+        ) from error
     try:
         with muted():
             parts = OpenEXR.File(str(path), separate_channels=True).parts
