@@ -30,6 +30,8 @@ from skylight.io._colour_spaces import (
 )
 
 SRGB_GAMMA = 45455  # the gAMA that stands for sRGB's curve where no sRGB chunk does (PNG, 11.3.2.5)
+_BAD_PROFILE = "its colour profile cannot be read; save as sRGB"
+_BRIGHTEST = 1e4  # times white: PQ's largest code is 49
 _SAME = 3  # codes of 255: an encoding that changes a colour by no more is sRGB
 _PCS_WHITE = np.array([0.9642, 1.0, 0.8249])  # ICC.1:2022, 7.2.16
 _ENOUGH = 2**20  # bytes of what is looked through for a declaration
@@ -56,11 +58,17 @@ class Encoding:
 
     @property
     def is_srgb(self) -> bool:
-        """Whether it is sRGB: shown by what it does to a lattice of colours, not by its name."""
+        """Whether it is sRGB: shown by what it does to a lattice of colours, not by its name.
+
+        ValueError for what makes no light of colours.
+        """
         steps = np.linspace(0, 1, 9)
         lattice = np.stack(np.meshgrid(steps, steps, steps), -1).reshape(-1, 3)
-        linear = torch.from_numpy(self.linear(lattice)).clamp(0, 1)
-        change = 255 * (linear_to_srgb(linear).numpy() - lattice)
+        with np.errstate(all="ignore"):
+            linear = self.linear(lattice)
+        if not (np.abs(linear) < _BRIGHTEST).all():  # false for NaN too
+            raise ValueError(_BAD_PROFILE)
+        change = 255 * (linear_to_srgb(torch.from_numpy(linear).clamp(0, 1)).numpy() - lattice)
         return bool(np.abs(change).max() <= _SAME)
 
 
@@ -78,7 +86,7 @@ class ProfileTables:
             )
             return np.array(ImageCms.applyTransform(Image.fromarray(codes), transform))
         except (ImageCms.PyCMSError, OSError) as error:
-            raise ValueError("its colour profile cannot be read; save as sRGB") from error
+            raise ValueError(_BAD_PROFILE) from error
 
 
 def encoding_of(
@@ -99,11 +107,10 @@ def encoding_of(
 
 def _of_profile(profile: bytes) -> Encoding | ProfileTables:
     """Curves and a matrix where a profile has them (ICC.1:2022, F.3), else its tables."""
-    bad = "its colour profile cannot be read; save as sRGB"
     # bytes 16 to 19 of a profile name its colour space, 20 to 23 that of its results (7.2)
     kind, results = profile[16:20], profile[20:24]
     if profile[36:40] != b"acsp":
-        raise ValueError(bad)
+        raise ValueError(_BAD_PROFILE)
     if kind not in (b"RGB ", b"GRAY"):
         name = kind.decode("ascii", "replace").strip()
         raise ValueError(f"its colour profile is for {name} colours; save it as RGB (sRGB)")
@@ -120,7 +127,7 @@ def _of_profile(profile: bytes) -> Encoding | ProfileTables:
         else:
             return ProfileTables(profile)
     except (struct.error, IndexError, KeyError) as error:
-        raise ValueError(bad) from error
+        raise ValueError(_BAD_PROFILE) from error
     red, green, blue = curves
     return Encoding(
         curve=lambda rgb: np.stack([red(rgb[..., 0]), green(rgb[..., 1]), blue(rgb[..., 2])], -1),
@@ -155,6 +162,8 @@ def _tone_curve(tag: bytes) -> Callable[[np.ndarray], np.ndarray]:
         (count,) = struct.unpack_from(">I", tag, 8)
         if count == 0:
             return lambda x: x
+        if len(tag) < 12 + 2 * count:
+            raise IndexError("cut short")
         entries = np.frombuffer(tag, ">u2", count, 12).astype(np.float64)
         if count == 1:
             return lambda x: np.maximum(x, 0) ** (entries[0] / 256)

@@ -193,7 +193,7 @@ def read_exif(path: Path) -> Image.Exif:
     if path.suffix.lower() in RAW_SUFFIXES:
         return tiff_exif(path)
     with stored_picture(path) as picture:
-        return picture.exif
+        return picture.exif()
 
 
 def read_codes(path: Path) -> UInt8[np.ndarray, "h w 3"]:
@@ -231,7 +231,7 @@ def _from_picture(path: Path, decode: Decode | None) -> Photo:
             raise InputError(
                 f"{path}: it has one bit a pixel, black or white, and no shades; give a photo"
             )
-        facts = camera_facts(picture.exif, picture.width, picture.height)
+        facts = camera_facts(picture.exif(), picture.width, picture.height)
         pixels, encoded, clipped = _decoded(path, picture, decode)
     return _with_facts(torch.from_numpy(pixels), encoded, torch.from_numpy(clipped), facts)
 

@@ -60,7 +60,7 @@ class StoredPicture:
 
     ``width``, ``height``  as stored, before the orientation is followed.
     ``depth``     bits of a code, 32 for floating point; 1 for black and white.
-    ``exif``      what the camera told, or nothing.
+    ``exif``      what the camera told, or nothing; of a PNG without any it decodes.
     ``codes``     decodes: uint8, uint16 or float32 (h, w, 3), upright, transparency left out.
     ``encoding``  looks up how the codes encode light; None for sRGB.
     """
@@ -68,7 +68,7 @@ class StoredPicture:
     width: int
     height: int
     depth: int
-    exif: Image.Exif
+    exif: Callable[[], Image.Exif]
     codes: Callable[[], np.ndarray]
     encoding: Callable[[], Encoding | ProfileTables | None]
 
@@ -144,14 +144,14 @@ def _plain(path: Path, image: Image.Image, *, deep: bool) -> StoredPicture:
         raise InputError(f"{path}: it holds several pictures; save one of them as JPEG or PNG")
     if image.mode not in (*_GREY_MODES, *_RGB_MODES):
         raise InputError(f"{path}: its colours are {image.mode}; convert it to RGB (sRGB)")
-    exif = image.getexif()
+    exif = cache(image.getexif)
 
     def codes() -> np.ndarray:
         stored = _by_openimageio(path) if deep else np.array(image.convert("RGB"))
-        return _upright(stored, exif.get(ExifTags.Base.Orientation, 1))
+        return _upright(stored, exif().get(ExifTags.Base.Orientation, 1))
 
     def encoding() -> Encoding | ProfileTables | None:
-        profile, space = image.info.get("icc_profile"), exif_space(exif)
+        profile, space = image.info.get("icc_profile"), exif_space(exif())
         with _reasons(path), path.open("rb") as stream:
             if image.format == "PNG":
                 told, is_first = png_space(stream)
@@ -176,6 +176,8 @@ def _tiff(path: Path) -> StoredPicture:
     """The page of a TIFF that is no thumbnail, decoded by OpenImageIO where that can."""
     page, spec = _page(path, _opened(path))
     _require_size(path, spec.width, spec.height)
+    if spec.image_bytes() > PICTURE_BYTES_MAX:
+        raise InputError(f"{path}: its {spec.nchannels} channels are too large; scale it down")
     colours = spec.get_int_attribute("tiff:PhotometricInterpretation", 2)
     compression = spec.get_int_attribute("tiff:Compression", 1)
     bits = spec.get_int_attribute("oiio:BitsPerSample", 8 * spec.format.size())
@@ -206,10 +208,10 @@ def _tiff(path: Path) -> StoredPicture:
         with _reasons(path):
             return encoding_of(
                 None if profile is None else bytes(profile),
-                transfer_tables(exif) or exif_space(exif),
+                transfer_tables(exif()) or exif_space(exif()),
             )
 
-    exif = tiff_exif(path)
+    exif = cache(lambda: tiff_exif(path))
     depth = 32 if spec.format.basetype in _floats() else min(bits, 16)
     return StoredPicture(
         width=spec.width,
@@ -223,11 +225,11 @@ def _tiff(path: Path) -> StoredPicture:
 
 @cache
 def _openimageio() -> Any:
-    """The library, with one thread and our limits (slow to import)."""
+    """The library, with one thread; on sizes our own limits count (slow to import)."""
     import OpenImageIO
 
     OpenImageIO.attribute("threads", 1)
-    OpenImageIO.attribute("limits:imagesize_MB", PICTURE_BYTES_MAX >> 20)
+    OpenImageIO.attribute("limits:imagesize_MB", 0)
     return OpenImageIO
 
 

@@ -59,7 +59,7 @@ def read_frames(source: Path | Sequence[Path] | int, *, most: int = FRAMES_MOST)
 def read_picture(path: Path) -> Frame:
     """A photograph as 8-bit sRGB, upright as its EXIF orientation asks; grey is welcome."""
     with stored_picture(path) as picture:
-        orientation = picture.exif.get(ExifTags.Base.Orientation, 1)
+        orientation = picture.exif().get(ExifTags.Base.Orientation, 1)
     return Frame(name=str(path), image=read_codes(path), orientation=orientation)
 
 
