@@ -19,7 +19,7 @@ from skylight.io._bounded import file_bytes, require_pixels
 from skylight.io._colour_spaces import ColourSpace, converted
 from skylight.io._muted import muted
 
-_AXES = re.compile(rb"([+-])([XY])\s*(\d{1,12})\s*([+-])([XY])\s*(\d{1,12})\s*")
+_AXES = re.compile(rb"([+-])([XY])\s*\+?(\d{1,12})\s*([+-])([XY])\s*\+?(\d{1,12})\s*")
 _FORMATS = {"32-bit_rle_rgbe": "rec709", "32-bit_rle_xyze": "xyz-d65"}
 _ROW_MAX = 0x7FFF  # pixels of a row with new run lengths
 _HEADER_MOST = 2**20  # bytes
