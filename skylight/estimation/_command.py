@@ -76,7 +76,8 @@ def estimate(
     posterior.exr, mesh.obj, film.json and report.png. The same command again goes on.
 
     Args:
-        photo: Picture of a face: JPEG, PNG, TIFF, EXR, Radiance HDR or RAW; or a folder of such.
+        photo: Picture of a face: JPEG, PNG, TIFF, HEIC, EXR, Radiance HDR or RAW; or a folder of
+            such.
             Of a grey one the colour of the light is only what is usual.
         more: Further pictures in the same light; only with --shared-light.
         shared_light: All pictures were taken in one light by cameras that looked the same way.

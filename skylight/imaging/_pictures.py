@@ -147,7 +147,11 @@ def _plain(path: Path, image: Image.Image, *, deep: bool) -> StoredPicture:
     exif = cache(image.getexif)
 
     def codes() -> np.ndarray:
-        stored = _by_openimageio(path) if deep else np.array(image.convert("RGB"))
+        if deep:
+            with muted():
+                stored = _by_openimageio(path)
+        else:
+            stored = np.array(image.convert("RGB"))
         return _upright(stored, exif().get(ExifTags.Base.Orientation, 1))
 
     def encoding() -> Encoding | ProfileTables | None:

@@ -43,7 +43,7 @@ def relight_portrait(
     below itself.
 
     Args:
-        photo: Picture of a face: JPEG, PNG, TIFF, EXR, Radiance HDR or RAW.
+        photo: Picture of a face: JPEG, PNG, TIFF, HEIC, EXR, Radiance HDR or RAW.
         under: Lat-long map of the new light (.exr, .hdr), whose centre is where the camera looks.
             Its units do not matter: the face stays as bright as it was.
         turn: Turn the light that was found about the vertical by so many degrees; positive ones

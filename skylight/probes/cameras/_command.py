@@ -66,7 +66,7 @@ def camera_calibrate(
     that are measured later.
 
     Args:
-        photos: Pictures of the board: JPEG, PNG or TIFF, all of one size.
+        photos: Pictures of the board: JPEG, PNG, TIFF or HEIC, all of one size.
         video: Instead of photos, a video; its sharp and different frames are used.
         webcam: Instead of photos, the number of a webcam, watched for 20 seconds.
         board: The board's measures, as `skylight camera board` wrote them.

@@ -1,16 +1,18 @@
-"""Photographs, boards and masks: JPEG, PNG, TIFF of 8 and 16 bit, with EXIF data."""
+"""Photographs, boards and masks of 8 and 16 bits, with EXIF data and declared colours."""
 
 import struct
 import zlib
 
 import cv2
 import numpy as np
+import tifffile
 from PIL import ExifTags, Image
 
 from skylight.imaging._photo import read_photo
 from skylight.object._files import read_mask
 from skylight.probes.cameras._live import read_picture
 from tests.fuzz.files import as_file, is_refused, written
+from tests.imaging.picture_files import icc_profile, write_png
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -24,6 +26,8 @@ def seeds() -> list[bytes]:
     tags[ExifTags.Base.FocalLengthIn35mmFilm] = 50
     tags[ExifTags.Base.ExposureTime] = 0.01
     deep = codes.astype(np.uint16) * 257
+    planar = {"photometric": "rgb", "planarconfig": "separate"}
+    profile = b"p\0\0" + zlib.compress(icc_profile(np.eye(3), 2.2))
     return [
         written("a.jpg", lambda path: picture.save(path, quality=60, exif=exif)),
         written("b.jpg", lambda path: picture.save(path, progressive=True)),
@@ -34,6 +38,12 @@ def seeds() -> list[bytes]:
         written("g.tif", lambda path: picture.save(path, compression="tiff_lzw")),
         written("h.tif", lambda path: cv2.imwrite(str(path), deep)),
         written("i.webp", lambda path: picture.save(path)),
+        written("j.avif", lambda path: picture.save(path)),
+        written("k.tif", lambda path: tifffile.imwrite(path, np.moveaxis(deep, -1, 0), **planar)),
+        written(
+            "l.png", lambda path: write_png(path, deep, chunks={b"cICP": b"\x09\x10\0\1"})
+        ),
+        written("m.png", lambda path: write_png(path, codes, chunks={b"iCCP": profile})),
     ]
 
 

@@ -10,8 +10,10 @@ import torch
 
 from skylight.errors import DependencyError, InputError
 from skylight.imaging._colour import linear_to_srgb
-from skylight.probes.cameras._exposure_files import read_series, response_of
+from skylight.imaging._photo import read_photo
+from skylight.probes.cameras._exposure_files import read_exposure, read_series, response_of
 from skylight.probes.cameras._response import Response, save_response
+from tests.imaging.picture_files import as_depth, scene, write_png
 from tests.imaging.test_raw import COLOUR, WHITE, mosaic, write_dng
 
 RATES = (100, 400, 1600, 100_000)
@@ -91,3 +93,22 @@ class TestSixteenBits:
         files = [save_deep(tmp_path / f"{k}.png", self.LIGHT * (k + 1) / 9) for k in range(2)]
         with pytest.raises(InputError, match="is for 8 bits"):
             read_series(files, [1.0, 2.0], "recover")
+
+
+@pytest.mark.parametrize("depth", [8, 16])
+def test_declared_colours_are_converted_but_for_a_curve_of_ones_own(
+    tmp_path: Path, depth: int
+) -> None:
+    """Codes of Display P3, told by a PNG's code points; a curve is of the codes as they are."""
+    codes = as_depth(scene(), depth)
+    path = write_png(tmp_path / "a.png", codes, chunks={b"cICP": bytes([12, 13, 0, 1])})
+    photo = read_photo(path)
+    assert np.abs(photo.encoded.astype(int) - scene()).max() > 10
+    seen = read_exposure(path, "srgb")
+    np.testing.assert_array_equal(seen, photo.encoded if depth == 8 else photo.pixels)
+    own = read_exposure(path, Response(kind="gamma", gamma=2.0))
+    if depth == 8:
+        np.testing.assert_array_equal(own, codes)
+        np.testing.assert_array_equal(read_exposure(path, "recover"), codes)
+    else:
+        np.testing.assert_allclose(own, (codes / 65535) ** 2, rtol=1e-5)
