@@ -133,9 +133,10 @@ class ColourSpace:
             return np.asarray(values, np.float32)
         matrix = to_rec709(self.primaries, adapt)
         linear = np.empty(values.shape, np.float32)
-        for start in range(0, len(values), _BLOCK_ROWS):
-            rows = slice(start, start + _BLOCK_ROWS)
-            linear[rows] = linear_light(values[rows], self.transfer) @ matrix.T
+        with np.errstate(invalid="ignore", over="ignore"):  # NaN and infinity stay or become NaN
+            for start in range(0, len(values), _BLOCK_ROWS):
+                rows = slice(start, start + _BLOCK_ROWS)
+                linear[rows] = linear_light(values[rows], self.transfer) @ matrix.T
         return linear
 
 
@@ -194,7 +195,9 @@ def colour_space_named(name: str) -> ColourSpace | None:
     parts = _ID.fullmatch(_ALIASES.get(plain, plain))
     primaries = _ID_PRIMARIES.get(parts[2]) if parts else None
     if parts is None or primaries is None:
-        raise ValueError(f"its colour space {name!r} is not known here")
+        raise ValueError(
+            f"its colour space {name[:80]!r} is not known here: export it as linear Rec.709"
+        )
     curve = parts[1]
     curves: dict[str, Transfer] = {"lin": "linear", "itu709": "rec709", "pq": "pq", "hlg": "hlg"}
     if curve.startswith("srgb"):

@@ -118,8 +118,10 @@ def _parts(path: Path) -> list[OpenEXR.Part]:
             header = OpenEXR.File(str(path), header_only=True)
             _require_flat(header)
     except RuntimeError as error:
-        reason = " ".join(str(error).rpartition('". ')[2].split())
-        raise ValueError(f"its header is damaged, cut short or of a new kind ({reason})") from error
+        raise ValueError(
+            "its header is damaged or cut short, or newer than this version of OpenEXR: fetch or "
+            "export it again"
+        ) from error
     try:
         with muted():
             parts = OpenEXR.File(str(path), separate_channels=True).parts
@@ -232,7 +234,7 @@ def _chosen(
             return choice[0]
     raise InputError(
         f"{path}: it has several layers, {_listed(layers)}: export one of them alone, or name it "
-        "(skylight convert --layer)"
+        "where a command has --layer, as skylight convert"
     )
 
 
@@ -292,21 +294,21 @@ def _of_luminance_chroma(
     samplings = {(channel.xSampling, channel.ySampling) for channel in (red, blue)}
     if (luminance.xSampling, luminance.ySampling) != (1, 1) or len(samplings) != 1:
         raise ValueError("its luminance is subsampled, which is not read: export RGB")
-    y = luminance.pixels.astype(np.float32)
     ((across, down),) = samplings
     if (across, down) not in ((1, 1), (2, 2)):
         raise ValueError(f"its chroma is sampled {across} x {down}, expected 2 x 2: export RGB")
+    y = luminance.pixels.astype(np.float32)
     chroma = np.stack([red.pixels, blue.pixels], -1).astype(np.float32)
-    if across == 2:
-        chroma = _upsampled(_upsampled(chroma, y.shape[1], 1), y.shape[0], 0)
     primaries = "rec709" if space is None else space.primaries
     weights = to_xyz(primaries)[1].astype(np.float32)  # OpenEXR's computeYw
-    with np.errstate(invalid="ignore", over="ignore"):  # of what is no radiance, which is refused
+    with np.errstate(all="ignore"):  # of NaN and infinity, which are refused where light is read
+        if across == 2:
+            chroma = _upsampled(_upsampled(chroma, y.shape[1], 1), y.shape[0], 0)
         r, b = (chroma[..., 0] + 1) * y, (chroma[..., 1] + 1) * y
         g = (y - weights[0] * r - weights[2] * b) / weights[1]
-    pixels = np.stack([r, g, b], -1)
-    pixels[(chroma == 0).all(-1)] = y[(chroma == 0).all(-1), None]  # greys are exact
-    return _desaturated(pixels, weights)
+        pixels = np.stack([r, g, b], -1)
+        pixels[(chroma == 0).all(-1)] = y[(chroma == 0).all(-1), None]  # greys are exact
+        return _desaturated(pixels, weights)
 
 
 def _upsampled(samples: np.ndarray, size: int, axis: int) -> np.ndarray:
@@ -329,13 +331,12 @@ def _desaturated(
 ) -> Float[np.ndarray, "h w 3"]:
     """OpenEXR's fixSaturation: by the saturations of the four diagonal neighbours."""
     peak, least = pixels.max(-1), pixels.min(-1)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        saturation = np.where(peak > 0, 1 - least / peak, 0)
-        near = np.pad(saturation, 1, mode="edge")
-        mean = (near[:-2, :-2] + near[:-2, 2:] + near[2:, :-2] + near[2:, 2:]) / 4
-        most = np.minimum(1, 1 - (1 - np.minimum(mean, 1)) / 4)
-        factor = np.where(saturation > most, most / saturation, 1)[..., None]
-        less = np.maximum(peak[..., None] - (peak[..., None] - pixels) * factor, 0)
-        before, after = pixels @ weights, less @ weights
-        less *= np.where(after > 0, before / after, 1)[..., None]
+    saturation = np.where(peak > 0, 1 - least / peak, 0)
+    near = np.pad(saturation, 1, mode="edge")
+    mean = (near[:-2, :-2] + near[:-2, 2:] + near[2:, :-2] + near[2:, 2:]) / 4
+    most = np.minimum(1, 1 - (1 - np.minimum(mean, 1)) / 4)
+    factor = np.where(saturation > most, most / saturation, 1)[..., None]
+    less = np.maximum(peak[..., None] - (peak[..., None] - pixels) * factor, 0)
+    before, after = pixels @ weights, less @ weights
+    less *= np.where(after > 0, before / after, 1)[..., None]
     return np.where(factor < 1, less, pixels)

@@ -64,7 +64,10 @@ def read_linear(path: Path, *, layer: str | None = None) -> Float[np.ndarray, "h
 
 def say(path: Path, note: str) -> None:
     """Log what a reader should know of a file; without a handler it goes to standard error."""
-    logging.getLogger(__name__).warning("skylight: %s: %s", path, note)
+    line = f"skylight: {path}: {note}"
+    # it may quote a file, and goes to a terminal
+    shown = "".join(each if each.isprintable() else " " for each in line)
+    logging.getLogger(__name__).warning("%s", shown)
 
 
 def read_radiances(

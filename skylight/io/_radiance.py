@@ -19,9 +19,10 @@ from skylight.io._bounded import file_bytes, require_pixels
 from skylight.io._colour_spaces import ColourSpace, converted
 from skylight.io._muted import muted
 
-_AXES = re.compile(rb"([+-])([XY])\s*(\d{1,12})\s*([+-])([XY])\s*(\d{1,12})\s*")
+_AXES = re.compile(rb"([+-])([XY])\s*\+?(\d{1,12})\s*([+-])([XY])\s*\+?(\d{1,12})\s*")
 _FORMATS = {"32-bit_rle_rgbe": "rec709", "32-bit_rle_xyze": "xyz-d65"}
 _ROW_MAX = 0x7FFF  # pixels of a row with new run lengths
+_HEADER_MOST = 2**20  # bytes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +81,7 @@ def _header(data: bytes) -> _Header:
         raise ValueError(f"{reason}; fetch or export it again")
     declared: list[tuple[str, str]] = []
     start = 0
-    while (end := data.find(b"\n", start)) >= 0:
+    while (end := data.find(b"\n", start, _HEADER_MOST)) >= 0:
         line, start = data[start:end], end + 1
         if axes := _AXES.fullmatch(line.rstrip()):
             (first, axis, lines, second, other, length) = axes.groups()
@@ -127,7 +128,7 @@ def _old_runs(codes: UInt8[np.ndarray, "n 4"], count: int) -> UInt8[np.ndarray, 
     """
     short = ValueError(f"damaged or cut short: it holds fewer than its {count} pixels")
     is_run = (codes[:, :3] == 1).all(1)
-    if not is_run.any():
+    if len(codes) == count or not is_run.any():  # of that length it was not packed
         if len(codes) < count:
             raise short
         return codes[:count]
@@ -169,7 +170,8 @@ def _as_declared(
     for name, count in (("EXPOSURE", 1), ("COLORCORR", 3)):
         factor = np.prod([np.ones(count), *_numbers(declared, name, count)], axis=0)
         if (factor != 1).any():
-            pixels = (pixels / factor).astype(np.float32)
+            with np.errstate(over="ignore"):
+                pixels = (pixels / factor).astype(np.float32)
             told = " ".join(f"{each:g}" for each in factor)
             notes.append(f"its values are divided by {name} {told}, which other readers ignore")
     space = None

@@ -28,7 +28,9 @@ def read_tiff(path: Path) -> tuple[Float[np.ndarray, "h w 3"], list[str]]:
     import OpenImageIO  # takes long to load, and few maps are TIFF files
 
     require_bytes(path)
-    source = OpenImageIO.ImageInput.open(str(path))
+    asked = OpenImageIO.ImageSpec()
+    asked.attribute("oiio:UnassociatedAlpha", 1)  # else colours would be multiplied by it
+    source = OpenImageIO.ImageInput.open(str(path), asked)
     if source is None:
         raise ValueError(f"no TIFF file that is known here: {_words(OpenImageIO.geterror())}")
     try:

@@ -23,12 +23,8 @@ def collect_seldom() -> None:
 
 
 def collect_no_more() -> None:
-    """What there is now is not searched when the process ends, which takes 0.5 s with torch.
-
-    But OpenImageIO's binding, nanobind, then prints that all its objects were lost.
-    """
-    if "OpenImageIO" not in sys.modules:
-        gc.freeze()
+    """What there is now is not searched when the process ends, which takes 0.5 s with torch."""
+    _freeze()
 
 
 def release_memory() -> None:
@@ -40,10 +36,16 @@ def release_memory() -> None:
     """
     gc.collect()
     if not gc.get_freeze_count():
-        gc.freeze()
+        _freeze()
     trim = _malloc_trim()
     if trim is not None:
         trim(0)
+
+
+def _freeze() -> None:
+    """Not with OpenImageIO, whose binding prints every object that is kept as lost at the end."""
+    if "OpenImageIO" not in sys.modules:
+        gc.freeze()
 
 
 @cache

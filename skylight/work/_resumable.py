@@ -255,8 +255,9 @@ def results_folder(out: Path, replaced: re.Pattern[str] | None = None) -> Iterat
         # within, not beside: ``out`` may be writable, or another disk, where its parent is not
         partial = Path(tempfile.mkdtemp(prefix=PARTIAL, dir=out))
     except OSError as error:
+        reason = "it is a file, not a folder" if out.is_file() else error.strerror
         raise OutputError(
-            f"cannot write into {out}: {error.strerror}; choose another folder for the results"
+            f"cannot write into {out}: {reason}; choose another folder for the results"
         ) from error
     try:
         yield partial

@@ -174,6 +174,12 @@ def test_what_is_linear_rec709_stays_bit_for_bit(tmp_path: Path) -> None:
         assert notes == []
 
 
+def test_an_aces_container_has_aces_primaries(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.exr", {"RGB": some_light()}, acesImageContainerFlag=1)
+    told = write(tmp_path / "b.exr", {"RGB": some_light()}, chromaticities=ACES)
+    np.testing.assert_array_equal(read_exr(path, None)[0], read_exr(told, None)[0])
+
+
 def test_colours_that_are_not_known_or_contradict_each_other(tmp_path: Path) -> None:
     light = some_light()
     path = write(tmp_path / "a.exr", {"RGB": light}, colorInteropID="lin_awg3_scene")

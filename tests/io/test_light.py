@@ -100,6 +100,35 @@ def test_orientations_of_tiff(tmp_path: Path, orientation: int) -> None:
     np.testing.assert_array_equal(read_linear(path), light)
 
 
+@pytest.mark.parametrize("kind", [0, 1])
+def test_alpha_of_tiff_is_said_and_darkens_nothing(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, kind: int
+) -> None:
+    light = some_map()
+    stored = np.concatenate([light, np.full((16, 32, 1), 0.5, np.float32)], -1)
+    path = write_tiff(tmp_path / "a.tif", stored, "float", oiio_UnassociatedAlpha=kind)
+    with caplog.at_level(logging.WARNING):
+        np.testing.assert_array_equal(read_linear(path), light)
+    assert "512 pixel(s) are half transparent" in caplog.text
+
+
+def test_grey_tiff(tmp_path: Path) -> None:
+    grey = some_map()[..., :1].copy()
+    path = write_tiff(tmp_path / "a.tif", grey, "float")
+    np.testing.assert_array_equal(read_linear(path), np.repeat(grey, 3, -1))
+
+
+def test_what_is_said_can_be_printed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    channels = {
+        f"{name}.{c}": some_map()[..., 0].copy() for name in ("\x1b[31m", "rgb") for c in "RGB"
+    }
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, channels).write(str(tmp_path / "a.exr"))
+    with caplog.at_level(logging.WARNING):
+        read_linear(tmp_path / "a.exr")
+    assert "its layer rgb is read" in caplog.text
+    assert "\x1b" not in caplog.text
+
+
 def test_codes_in_a_tiff_are_no_light(tmp_path: Path) -> None:
     codes = (some_map() * 100).astype(np.uint8)
     with pytest.raises(InputError, match="uint8 codes, not of light") as error:

@@ -101,6 +101,13 @@ def test_old_runs(tmp_path: Path) -> None:
             read_linear(path)
 
 
+def test_marks_in_a_file_that_is_not_packed_are_pixels(tmp_path: Path) -> None:
+    codes = some_codes()
+    codes[3, 3] = [1, 1, 1, 9]
+    path = write(tmp_path / "a.hdr", codes)
+    np.testing.assert_array_equal(read_linear(path), rgbe_values(codes))
+
+
 def test_exposures_and_corrections_multiply_and_are_said(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

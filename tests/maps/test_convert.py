@@ -136,4 +136,6 @@ def test_maps_of_odd_sizes_are_told_what_to_do(
     (tmp_path / "file").touch()
     export[3] = str(tmp_path / "file")
     assert main(export) != 0
-    assert "--out" not in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "it is a file" in told
+    assert "--out" not in told

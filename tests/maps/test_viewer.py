@@ -488,7 +488,7 @@ def with_nan(folder: Path) -> None:
         (without("probe.exr"), "there is no such file"),
         (holding("estimate.json", b"{"), "not JSON"),
         (holding("estimate.json", b"[]"), '"light" is missing'),
-        (holding("probe.exr", b"nothing"), "damaged"),
+        (holding("probe.exr", b"nothing"), "no OpenEXR file"),
         (of_an_object, '"faces" is empty'),
         (with_face(picture_px=None), '"picture_px" is missing; the page shows estimates of faces'),
         (with_face(forward=None), '"forward" is missing; the page shows estimates of faces'),

@@ -122,7 +122,7 @@ def test_what_cannot_light_anybody_is_refused_before_anything_is_rendered(
         (folder / name).unlink()
     (folder / "b.exr").write_bytes((folder / "b.exr").read_bytes()[:200])
     message = refused(folder)
-    assert "b.exr: damaged" in message
+    assert "b.exr: cannot be read: its header is damaged" in message
     assert len(message.strip().splitlines()) == 1
     with pytest.raises(InputError, match=r"b\.exr"):
         MapFolder.read(folder)

@@ -91,3 +91,10 @@ def test_memory_of_cycles_goes_back_to_the_system() -> None:
         assert full > 190
         assert kept > 190
         assert released < 10
+
+
+@pytest.mark.parametrize("call", ["collect_no_more", "release_memory"])
+def test_openimageio_says_nothing_when_a_process_ends(call: str) -> None:
+    script = f"import OpenImageIO\nfrom skylight.work import _memory\n_memory.{call}()"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

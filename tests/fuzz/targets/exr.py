@@ -23,12 +23,16 @@ def seeds() -> list[bytes]:
         header = {"compression": compression, "type": OpenEXR.scanlineimage}
         file = OpenEXR.File(header, {"RGB": np.ascontiguousarray(pixels)})
         made.append(written("c.exr", lambda path, file=file: file.write(str(path))))
+    header = {"type": OpenEXR.scanlineimage, "colorInteropID": "srgb_ap1_scene"}
+    layers = {f"a.b.{c}": pixels[..., k].copy() for k, c in enumerate("RGB")}
+    layered = OpenEXR.File(header, {**layers, "N.X": pixels[..., 0].copy()})
+    made.append(written("d.exr", lambda path: layered.write(str(path))))
     return made
 
 
 def read(content: bytes) -> None:
     path = as_file(content, "light.exr")
     header_date(path)
-    light = read_environment_map(path).radiance
+    light = read_environment_map(path, repair=True).radiance
     assert bool(light.isfinite().all())
     assert bool((light >= 0).all())

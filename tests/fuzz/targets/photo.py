@@ -40,9 +40,7 @@ def seeds() -> list[bytes]:
         written("i.webp", lambda path: picture.save(path)),
         written("j.avif", lambda path: picture.save(path)),
         written("k.tif", lambda path: tifffile.imwrite(path, np.moveaxis(deep, -1, 0), **planar)),
-        written(
-            "l.png", lambda path: write_png(path, deep, chunks={b"cICP": b"\x09\x10\0\1"})
-        ),
+        written("l.png", lambda path: write_png(path, deep, chunks={b"cICP": b"\x09\x10\0\1"})),
         written("m.png", lambda path: write_png(path, codes, chunks={b"iCCP": profile})),
     ]
 
