@@ -70,7 +70,10 @@ def print_voxel(
     for problem in result.report.problems:
         take_care(problem)
     print(summarise_print(result))
-    print(f"written into {out}: parts.stl, parts.3mf, assembly.png and others")
+    print(
+        f"written into {out}: parts.stl, parts.3mf, assembly.png and others; the STL files, read "
+        "back, are closed"
+    )
 
 
 @voxel.command(name="inspect")
