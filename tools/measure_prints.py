@@ -3,7 +3,7 @@
     python -m tools.measure_prints
 
 Every named design of the partitions probe and three voxel probes, each with sizes that are chosen
-by themselves; and their mounts for other poles. Takes ten minutes. The numbers are those of each
+by themselves; and their mounts for other poles. Takes minutes. The numbers are those of each
 print's report.json; none is written by hand.
 """
 

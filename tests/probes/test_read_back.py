@@ -19,7 +19,8 @@ from skylight.probes.partitions._optimise import design_names, named_design
 from skylight.probes.partitions.printed._assembly import AskedSizes, fitted_sizes
 from skylight.probes.partitions.printed._halves import probe_parts, standing_rotation
 from skylight.probes.partitions.printed._printing import lying_parts
-from skylight.probes.voxel._model import star_probe
+from skylight.probes.voxel._model import VoxelModel, star_probe
+from skylight.probes.voxel._parts import voxel_parts
 from skylight.probes.voxel._printing import print_voxel_probe
 
 QUICK = ("6d", "14d")
@@ -111,6 +112,17 @@ def test_partition_probes_of_other_sizes(
 def test_voxel_probes(size: int, face_mm: float, tmp_path: Path) -> None:
     result = print_voxel_probe(star_probe(size), PrintSizes(face_mm=face_mm), title="")
     _files.write_printed_parts(tmp_path, result.bed, result.base)
+    require_all_closed(tmp_path)
+
+
+def test_a_crooked_chain_of_the_smallest_faces(tmp_path: Path) -> None:
+    """Collars beside each other leave vertices that float32 cannot tell apart."""
+    occupied = np.zeros((3, 3, 3), bool)
+    occupied[(1, 1, 1, 2), (1, 1, 2, 1), (1, 2, 1, 2)] = True
+    sizes = PrintSizes(face_mm=10.2)
+    assert sizes.face_mm == pytest.approx(6 * sizes.wall_mm + 4 * sizes.clearance_mm)
+    parts = voxel_parts(VoxelModel(occupied=occupied), sizes).parts
+    _files.write_printed_parts(tmp_path, lay_out(parts), BASE)
     require_all_closed(tmp_path)
 
 
