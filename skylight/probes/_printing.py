@@ -73,10 +73,13 @@ def write_print(
     assembly: Mapping[str, object],
     report: Mapping[str, object],
 ) -> None:
-    """STL and 3MF files of parts and marker base, assembly.json and report.json."""
-    write_printed_parts(folder, result.bed, result.base)
+    """STL and 3MF files of parts and marker base, assembly.json and report.json.
+
+    report.json has the STL files' figures as well, as they were read back from ``folder``.
+    """
+    files = write_printed_parts(folder, result.bed, result.base)
     write_json(folder / "assembly.json", assembly)
-    write_json(folder / "report.json", report)
+    write_json(folder / "report.json", {**report, "files": [asdict(file) for file in files]})
 
 
 def write_print_figure(

@@ -18,6 +18,7 @@ from skylight.probes.fabrication._report import (
     PartFigures,
     PrintReport,
 )
+from skylight.probes.fabrication._watertight import broken_edges
 from skylight.transport._rays import Raycaster
 
 _SAMPLE_PITCH_MM = 0.8
@@ -87,14 +88,17 @@ def check_print(
 
 
 def part_figures(part: PrintedPart, *, opposed_cos: float = 0.0) -> PartFigures:
-    """Whether a part is one closed, rightly turned surface, its thinnest wall and overhang."""
+    """Whether a part is one closed, rightly turned surface, its thinnest wall and overhang.
+
+    Closed as a file's readers find it, in float32 and with vertices told apart by their place.
+    """
     from trimesh import Trimesh  # slow to import
 
     mesh = Trimesh(part.vertices, part.faces, process=False)
     area, bridge = overhang(part)
     return PartFigures(
         name=part.name,
-        watertight=bool(mesh.is_watertight),
+        watertight=not len(broken_edges(part.corners)),
         consistent=bool(mesh.is_winding_consistent),
         pieces=int(mesh.body_count),
         volume_mm3=part.volume_mm3,

@@ -1,4 +1,4 @@
-"""Files of printed parts: STL and 3MF, byte for byte reproducible, and ray-traced pictures.
+"""Files of printed parts: STL and 3MF, byte for byte reproducible, read back, and pictures.
 
 The pictures show ambient occlusion, a lamp, and feature lines.
 """
@@ -17,6 +17,8 @@ from skylight.errors import InputError
 from skylight.imaging._colour import linear_to_srgb
 from skylight.io._atomic import atomic_path
 from skylight.probes.fabrication._parts import BedLayout, PrintedPart, lay_out, merged
+from skylight.probes.fabrication._report import FileFigures
+from skylight.probes.fabrication._watertight import broken_edges, by_place
 from skylight.transport._rays import Raycaster
 
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -50,7 +52,8 @@ def write_stl(path: Path, parts: Sequence[PrintedPart]) -> None:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     records = np.zeros(len(faces), _TRIANGLE)
-    records["normal"], records["corners"] = normals, corners
+    # + 0.0 turns -0 into 0, which readers that compare bytes tell apart
+    records["normal"], records["corners"] = normals, corners + 0.0
     header = b"binary STL, millimetres".ljust(80)  # must not begin with "solid"
     with atomic_path(path) as temporary:
         temporary.write_bytes(header + np.uint32(len(faces)).tobytes() + records.tobytes())
@@ -76,13 +79,44 @@ def write_3mf(path: Path, parts: Sequence[PrintedPart]) -> None:
             archive.writestr(entry, text, compresslevel=9)
 
 
-def write_printed_parts(folder: Path, bed: BedLayout, base: PrintedPart) -> None:
-    """parts.stl and parts.3mf as on the bed, an .stl of each part alone, and the marker base."""
+def read_stl(path: Path) -> PrintedPart:
+    """A file of :func:`write_stl` as slicers read it, corners at one place taken for one vertex."""
+    vertices, faces = by_place(np.frombuffer(path.read_bytes()[84:], _TRIANGLE)["corners"])
+    return PrintedPart(name=path.name, vertices=vertices, faces=faces)
+
+
+def write_printed_parts(folder: Path, bed: BedLayout, base: PrintedPart) -> list[FileFigures]:
+    """parts.stl and parts.3mf as on the bed, an .stl of each part alone, and the marker base.
+
+    Returns what the STL files hold, read back.
+
+    Raises
+    ------
+    InputError
+        One is not closed as slicers read it.
+    """
     for name, parts in (("parts", bed.parts), ("marker_base", lay_out([base]).parts)):
         write_stl(folder / f"{name}.stl", parts)
         write_3mf(folder / f"{name}.3mf", parts)
     for part in bed.parts:
         write_stl(folder / f"{part.name}.stl", lay_out([part]).parts)
+    found = [_file_figures(read_stl(path)) for path in sorted(folder.glob("*.stl"))]
+    for file in found:
+        if not file.watertight:
+            raise InputError(
+                f"{file.name} would not be closed as slicers read it, so nothing is written: "
+                "choose sizes that differ a little, such as walls 0.05 mm thicker"
+            )
+    return found
+
+
+def _file_figures(part: PrintedPart) -> FileFigures:
+    return FileFigures(
+        name=part.name,
+        triangles=len(part.faces),
+        watertight=not len(broken_edges(part.corners)) and part.solid() is not None,
+        volume_mm3=part.volume_mm3,
+    )
 
 
 def _model(parts: Sequence[PrintedPart]) -> str:

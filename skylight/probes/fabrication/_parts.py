@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from skylight.errors import InputError
+from skylight.probes.fabrication._watertight import watertight_mesh
 from skylight.sphere._rotation import RigidTransform
 
 if TYPE_CHECKING:
@@ -71,10 +72,8 @@ class PrintedPart:
 
 
 def part_of(name: str, solid: "Manifold", up: tuple[int, int, int] = (0, 0, 1)) -> PrintedPart:
-    """The mesh of a solid."""
-    mesh = solid.to_mesh64()
-    vertices = np.array(mesh.vert_properties, np.float64)[:, :3]
-    faces = np.array(mesh.tri_verts, np.int64)
+    """The mesh of a solid, as a file can hold it."""
+    vertices, faces = watertight_mesh(solid)
     return PrintedPart(name=name, vertices=vertices, faces=faces, up=up)
 
 

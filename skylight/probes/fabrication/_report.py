@@ -39,6 +39,16 @@ class PartFigures:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FileFigures:
+    """An STL file, read back; ``watertight``: closed in float32, with vertices told by place."""
+
+    name: str
+    triangles: int
+    watertight: bool
+    volume_mm3: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class JointFigures:
     """How far a part moves on its collar: sideways, and further on (0: it is at its stop)."""
 
@@ -158,7 +168,7 @@ def part_problems(part: PartFigures, wall_mm: float) -> list[str]:
     """One line for each verdict on a single part that fails."""
     found = []
     if not part.watertight:
-        found.append("has a hole")
+        found.append("has a hole, or touches itself along an edge")
     if not part.consistent:
         found.append("has triangles that are turned the other way")
     if part.pieces != 1:

@@ -6,6 +6,7 @@ Where the probe really stands is found first, by its white faces against the bla
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from skylight.errors import InputError
+from skylight.errors import InputError, not_installed
 from skylight.io._bounded import write_json
 from skylight.probes._capture import CaptureResult, PosedFrames, place_found, write_capture
 from skylight.probes.cameras._alignment import Outline, OutlineAligner, OutlineFit
@@ -273,7 +274,11 @@ def capture_partition_probe(
     ------
     InputError
         No picture shows the board and the probe, or a file cannot be used; nothing is written.
+    DependencyError
+        manifold3d, by which the walls that hide faces are made, is not installed.
     """
+    if find_spec("manifold3d") is None:  # walls are made after pictures were read
+        raise not_installed("manifold3d")
     before = out / "shading.json"
     require_capture(before, more=more, most=most)
     printed = load_partition_assembly(assembly)

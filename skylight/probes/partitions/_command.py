@@ -130,7 +130,10 @@ def print_partitions(
     for problem in [*result.report.problems, *result.too_large(bed_mm), *result.warnings]:
         take_care(problem)
     print(summarise_partition_print(result))
-    print(f"written into {out}: parts.stl, parts.3mf, assembly.png and others")
+    print(
+        f"written into {out}: parts.stl, parts.3mf, assembly.png and others; the STL files, read "
+        "back, are closed"
+    )
 
 
 @partitions.command(name="albedo")

@@ -1,6 +1,7 @@
 """The files of a printed voxel probe: parts for the printer, assembly, report, figure."""
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,8 @@ from skylight.probes.fabrication._report import (
 )
 from skylight.probes.voxel._model import ORIENTATIONS
 from skylight.probes.voxel._printing import PrintedProbe, hidden_by_pole, voxel_assembly
+
+PART_FILES = re.compile(r"part_\d+\.stl")  # a smaller model has fewer than an earlier one
 
 # linear reflectances
 _VOXELS = np.array(

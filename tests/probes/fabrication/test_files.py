@@ -2,6 +2,7 @@
 
 import xml.etree.ElementTree as ElementTree
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,16 @@ def test_stl_is_read_back_closed_and_of_the_same_volume(cross: VoxelParts, tmp_p
     )
     cross_product = np.cross(data["c"][:, 1] - data["c"][:, 0], data["c"][:, 2] - data["c"][:, 0])
     assert ((cross_product * data["n"]).sum(1) > 0).all()
+
+
+def test_stl_has_no_negative_zero(tmp_path: Path) -> None:
+    """Readers that compare bytes take it for another place than zero."""
+    whole = part_of("whole", box(np.zeros(3), np.ones(3)))
+    write_stl(tmp_path / "part.stl", [replace(whole, vertices=-whole.vertices)])
+    layout = np.dtype([("n", "<f4", 3), ("c", "<f4", (3, 3)), ("a", "<u2")])
+    corners = np.frombuffer((tmp_path / "part.stl").read_bytes()[84:], layout)["c"]
+    assert (corners == 0).any()
+    assert not np.signbit(corners[corners == 0]).any()
 
 
 def test_3mf_has_units_names_and_every_triangle(cross: VoxelParts, tmp_path: Path) -> None:

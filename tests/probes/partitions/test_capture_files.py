@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import sys
 from contextlib import redirect_stdout
 from dataclasses import replace
 from functools import cache
@@ -257,6 +258,11 @@ class TestRefusals:
         assert "no probe where the assembly says, in any of 1 pictures" in told
         assert told.count("\n") == 1
         assert not (tmp_path / "c").exists()
+
+    def test_without_manifold3d_no_picture_is_read(self, folder, tmp_path, capsys, monkeypatch):
+        monkeypatch.setitem(sys.modules, "manifold3d", None)
+        assert capture(folder, tmp_path / "c", tmp_path / "none.png") == 1
+        assert "skylight-lighting[print]" in capsys.readouterr().err
 
     def test_over_exposure(self, folder, tmp_path, capsys):
         Image.fromarray(photograph(1.0, np.full((6, 3), 3.0))).save(tmp_path / "burnt.png")

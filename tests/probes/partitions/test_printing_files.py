@@ -61,6 +61,10 @@ def test_report(folder: Path) -> None:
         "shell_upper",
         "marker_base",
     ]
+    assert {file["name"] for file in report["files"]} == {p.name for p in folder.glob("*.stl")}
+    assert all(file["watertight"] for file in report["files"])
+    lower = next(file for file in report["files"] if file["name"] == "shell_lower.stl")
+    assert lower["volume_mm3"] == pytest.approx(report["parts"][0]["volume_mm3"], rel=1e-5)
     assert max(report["loss"]) < 0.01
     assert report["parts_mm3"]["kernel"] == pytest.approx(18**3)
 

@@ -112,8 +112,13 @@ class TestCommand:
         write_voxels(tmp_path / "a.npy", VoxelModel(occupied=np.ones((2, 1, 1), bool)))
         sizes = ["--face-mm", "15", "--wall-mm", "1.2", "--clearance-mm", "0.2"]
         out = tmp_path / "out"
+        out.mkdir()
+        for name in ("part_03.stl", "part_2_of_mine.stl"):  # of a larger model, and the user's
+            (out / name).touch()
         arguments = ["--voxels", str(tmp_path / "a.npy"), *sizes, "--out", str(out)]
         assert main(["probe", "voxel", "print", *arguments]) == 0
+        left = sorted(path.name for path in out.glob("part_*"))
+        assert left == ["part_01.stl", "part_02.stl", "part_2_of_mine.stl"]
         report = json.loads((out / "report.json").read_text())
         assert report["sizes"] == {"face_mm": 15, "wall_mm": 1.2, "clearance_mm": 0.2}
         assert report["thinnest_wall_mm"] == pytest.approx(1.2, abs=1e-6)

@@ -337,7 +337,7 @@ def print_partition_probe(
         pole=pole,
         board=board,
         base=base,
-        bed=lay_out(_lying(printed)),
+        bed=lay_out(lying_parts(printed)),
         report=report,
         visibility=visibility,
         assembly=PartitionAssembly(
@@ -376,7 +376,7 @@ def _good_pole_mm(sizes: ProbeSizes, board: MarkerBoard) -> float:
     return base_stop_mm(board, sizes.wall_mm) + _HANGING * sizes.outer_mm
 
 
-def _lying(printed: ProbeParts) -> list[PrintedPart]:
+def lying_parts(printed: ProbeParts) -> list[PrintedPart]:
     """Parts as they are printed: half shells on their cut, the kernel on its largest face."""
     way, normals = printed.split.way_in, printed.net.normals
     corners = printed.kernel.corners
