@@ -98,6 +98,14 @@ def test_a_record_whose_code_changed_is_older(clone: tuple[Path, dict], changed:
     assert (found.commits, found.changed, found.mark) == (0, (changed,), records.OLDER)
 
 
+def test_what_starts_commands_uses_all_of_the_package(clone: tuple[Path, dict]) -> None:
+    folder, record = clone
+    now = commit(folder, {"tools/measure.py": "import subprocess\n"})
+    commit(folder, {"skylight/other.py": "y = 1\n"})
+    found = records.age(record | {"commit": now}, folder)
+    assert found == records.Age(commits=1, changed=("skylight/other.py",))
+
+
 def test_a_commit_from_elsewhere_is_lost(clone: tuple[Path, dict]) -> None:
     folder, record = clone
     assert records.age(record | {"commit": "0123456"}, folder).mark == records.LOST

@@ -104,7 +104,10 @@ def started_by(record: Record, root: Path = ROOT) -> tuple[str, ...]:
 
 
 def sources(started: tuple[str, ...], root: Path = ROOT) -> list[str]:
-    """These files, all that they import of this repository, and the data files beside those."""
+    """These files, all that they import of this repository, and the data files beside those.
+
+    Of a tool that starts commands, all of the package.
+    """
     found: set[Path] = set()
     left = [root / path for path in started]
     while left:
@@ -113,16 +116,23 @@ def sources(started: tuple[str, ...], root: Path = ROOT) -> list[str]:
             found.add(path)
             left += _imported(path, root)
     data = {path.parent / "data" for path in found}
-    return sorted(str(p.relative_to(root)) for p in found | {d for d in data if d.is_dir()})
+    runs = any(_STARTS.search(_text(root / path)) for path in started)
+    whole = {root / "skylight"} if runs else set()
+    return sorted(str(p.relative_to(root)) for p in found | whole | {d for d in data if d.is_dir()})
 
 
 _IMPORT = re.compile(r"^\s*(?:from ([\w.]+) import (\([^)]*\)|.+)|import ([\w., ]+))", re.MULTILINE)
+_STARTS = re.compile(r"\bsubprocess\b|\bimport_module\b")
 
 
 @cache
 def _imported(path: Path, root: Path) -> list[Path]:
-    text = path.read_text(encoding="utf-8") if path.is_file() else ""
-    return [file for name in _modules(text) for file in _files(name, root)]
+    return [file for name in _modules(_text(path)) for file in _files(name, root)]
+
+
+@cache
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8") if path.is_file() else ""
 
 
 def _modules(text: str) -> Iterator[str]:
