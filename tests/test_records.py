@@ -114,10 +114,13 @@ def test_a_commit_from_elsewhere_is_lost(clone: tuple[Path, dict]) -> None:
     assert records.age(record, folder).mark == records.LOST  # here, but no ancestor
 
 
-def test_a_changed_checkout_counts_as_its_commit(clone: tuple[Path, dict]) -> None:
-    _, record = clone
-    assert records.commit_of(record | {"commit": f"{record['commit']}+"}) == record["commit"]
-    assert records.commit_of({"commit_info": {"id": "75c0a0597e17cf0"}}) == "75c0a05"
+def test_a_record_of_a_changed_checkout_is_of_no_commit(clone: tuple[Path, dict]) -> None:
+    folder, record = clone
+    dirty = record | {"commit": f"{record['commit']}+"}
+    assert records.commit_of(dirty) == f"{record['commit']}+"
+    assert records.age(dirty, folder) == records.Age(commits=0, changed=(records.UNCOMMITTED,))
+    bench = {"commit_info": {"id": "75c0a0597e17cf0", "dirty": True}}
+    assert records.commit_of(bench) == "75c0a05+"
 
 
 def test_archives_and_shallow_clones_have_no_history(clone: tuple[Path, dict]) -> None:

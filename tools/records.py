@@ -9,7 +9,7 @@ import json
 import re
 import subprocess
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ RESULTS = ROOT / "benchmarks" / "results"
 Record = dict[str, Any]
 OLDER = "older than its code"
 LOST = "its commit is not in this history: to be measured again"
+UNCOMMITTED = "changes that it was made with and that were not committed"
 # What starts, keeps and shows runs: no number depends on it.
 _AROUND = (
     "skylight/evaluation/_main.py",
@@ -64,9 +65,11 @@ def every(folder: Path = RESULTS) -> dict[str, Record]:
 
 
 def commit_of(record: Record) -> str:
-    """Short; pytest-benchmark has a place of its own for it."""
-    found = record["commit"] if "commit" in record else record["commit_info"]["id"]
-    return found.removesuffix("+")[:7]
+    """Short, with the ``+`` of a changed checkout; pytest-benchmark has its own place for it."""
+    if "commit" in record:
+        return record["commit"]
+    found = record["commit_info"]
+    return found["id"][:7] + ("+" if found["dirty"] else "")
 
 
 def has_history(root: Path = ROOT) -> bool:
@@ -87,7 +90,11 @@ def _age(commit: str, started: tuple[str, ...], root: Path) -> Age:
 
 def age(record: Record, root: Path = ROOT) -> Age:
     """Of a record, in a clone that :func:`has_history`."""
-    return _age(commit_of(record), started_by(record, root), root)
+    commit = commit_of(record)
+    found = _age(commit.removesuffix("+"), started_by(record, root), root)
+    if commit.endswith("+") and found.commits is not None:
+        return replace(found, changed=(*found.changed, UNCOMMITTED))
+    return found
 
 
 def started_by(record: Record, root: Path = ROOT) -> tuple[str, ...]:
