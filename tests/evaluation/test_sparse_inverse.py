@@ -9,10 +9,8 @@ import torch
 from skylight.csc._dictionary import DEGREE, builtin
 from skylight.csc._positions import Positions
 from skylight.csc._sub_dictionaries import SubDictionary
-from skylight.evaluation._run import Item
 from skylight.evaluation._sparse_inverse import (
     HEIGHT,
-    RIDGES,
     ObservedScene,
     SparseInverse,
     map_error,
@@ -101,18 +99,3 @@ def test_maps_are_told_apart(tmp_path: Path):
     (tmp_path / "meshes" / "ball.obj").touch()
     assert SparseInverse(data=tmp_path, every=1).items() == ["0", "1", "2", "3", "9"]
     assert SparseInverse(data=tmp_path, every=2).items() == ["0", "2", "3"]
-
-
-@pytest.mark.parametrize("worse", ["iso_nnls", "vmf_nnls", "sh, best ridge"])
-def test_anisotropic_codes_are_asked_to_be_the_closest_of_all(tmp_path: Path, worse: str):
-    (tmp_path / "meshes").mkdir()
-    (tmp_path / "meshes" / "any.ply").touch()
-    (tmp_path / "index.csv").write_text("file,category\na.exr,indoor\n")
-    errors = {"ani_nnls": 0.5, "iso_nnls": 0.6, "vmf_nnls": 0.7, "sh, best ridge": 0.8, worse: 0.4}
-    rows = {name: {"l2_16": {"mean": error}} for name, error in errors.items()}
-    by_ridge = {f"{ridge:g}": {"l2_16": errors["sh, best ridge"]} for ridge in RIDGES}
-    facts: dict[str, object] = {"category": "indoor", "sh_by_ridge": by_ridge}
-    items = [Item(name="a", metrics={}, facts=facts)]
-    checks = SparseInverse(data=tmp_path, counts=(4, 16)).checks(rows, items)
-    assert len(checks) == 3
-    assert [check.goal for check in checks.values() if not check.ok] == [f"< 0.4 ({worse})"]
