@@ -19,9 +19,9 @@ from skylight.errors import InputError
 from skylight.evaluation._pictures import write_sheet
 from skylight.evaluation._tables import markdown
 from skylight.io._atomic import atomic_path
+from tools import records
+from tools.records import RESULTS, ROOT, Age
 
-ROOT = Path(__file__).parents[1]
-RESULTS = ROOT / "benchmarks" / "results"
 # sunny to overcast: categories of real maps, regimes of simulated ones
 KINDS = ("outdoor-sun", "outdoor-lowsun", "outdoor-nosun", "clear", "broken", "overcast")
 _MOST_NUMBERS = 24
@@ -75,14 +75,37 @@ def _of_kind(items: dict[str, dict], kind: str) -> list[str]:
 
 def page(results: Path) -> str:
     """All evaluations, then all benchmarks, in the order of their files' names."""
-    contents = [
-        json.loads(path.read_text(encoding="utf-8")) for path in sorted(results.glob("*.json"))
-    ]
-    parts = [HEAD]
+    every = records.every(results)
+    contents = list(every.values())
+    parts = [HEAD, _ages(every)]
     parts += ["#" + markdown(content) for content in contents if "rows" in content]
     parts += [_facts(content) for content in contents if "what" in content]
     parts += [_benchmarks(content) for content in contents if "benchmarks" in content]
     return "\n".join(parts)
+
+
+def _ages(every: dict[str, records.Record]) -> str:
+    """How old each record is, and which packages that it uses are different now."""
+    lines = ["## How old they are", ""]
+    if not records.has_history():
+        lines.append("This site was built without the history, which tells what changed since.")
+        return "\n".join(lines) + "\n"
+    lines += [
+        "A record is marked where a file that its command runs or imports, or a data file beside "
+        "one, is different now from what it was at its commit; a file that was moved is too.",
+        "",
+        "| record | measured at | commits since | changed since |",
+        "|---|---|---|---|",
+        *(_age(name, records.commit_of(one), records.age(one)) for name, one in every.items()),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _age(name: str, commit: str, age: Age) -> str:
+    packages = sorted({"/".join(path.split("/")[:2]) for path in age.changed})
+    changed = ", ".join(f"`{package}`" for package in packages)
+    since = ("", age.mark) if age.commits is None else (str(age.commits), changed or "nothing")
+    return f"| {name} | {commit} | {' | '.join(since)} |"
 
 
 def _facts(content: dict) -> str:

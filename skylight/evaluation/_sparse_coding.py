@@ -287,7 +287,7 @@ class SparseCoding(ProbeEvaluation):
             coder = {(d, s): _row(d, s, banded=banded or d == "vmf") for d in CODERS for s in SIGNS}
             for count in (c for c in (SHOWN, 100) if c in self.counts):
                 l2 = f"l2_{count}"
-                order = [coder["ani", "l1"], coder["iso", "l1"], "haar", "sh"]
+                order = [*(coder[d, "l1"] for d in ("ani", "kmeans", "iso")), "haar", "sh"]
                 for better, worse in pairwise(order):
                     checks[f"{l2}: {better} < {worse}"] = Check.below(
                         mean(better, l2), mean(worse, l2), worse

@@ -1,0 +1,1 @@
+"""The thesis' tables and figures beside what was measured here, row by row."""
