@@ -1,5 +1,6 @@
 """The light in a photograph of an object of known shape: files in, files out."""
 
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -141,6 +142,9 @@ def read_mask(path: Path) -> Bool[Tensor, "h w"]:
     """True where a picture is brighter than half."""
     with opened_picture(path) as image:
         return torch.from_numpy(np.array(image.convert("L")) >= 128)
+
+
+CODES = re.compile(r"code\.json")  # what not every run writes
 
 
 def write_object_results(

@@ -210,7 +210,7 @@ class _Plain:
         made = {"POSITION": vertices}
         if "NORMAL" in given and joints is None:
             made["NORMAL"] = self._values(given["NORMAL"])
-        material = dict(enumerate(self._tree.get("materials", []))).get(part.get("material"), {})
+        material = self._tree["materials"][part["material"]] if "material" in part else {}
         base = material.get("pbrMetallicRoughness", {})
         picture = base.get("baseColorTexture")
         if picture is not None and (uv := self._uv(given, picture)) is not None:

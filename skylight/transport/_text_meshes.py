@@ -7,6 +7,7 @@ import re
 import struct
 from collections.abc import Iterator
 from io import BytesIO
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -168,9 +169,9 @@ def _turns(flat: Float[np.ndarray, "n 2"], left: list[int]) -> Float[np.ndarray,
     return before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
 
 
-def _inside(ear: Float[np.ndarray, "3 2"], points: Float[np.ndarray, "k 2"]) -> np.ndarray:
+def _inside(ear: Float[np.ndarray, "3 2"], points: Float[np.ndarray, "k 2"]) -> Any:
     edges, to = np.roll(ear, -1, 0) - ear, points[:, None] - ear
-    return (edges[:, 0] * to[..., 1] - edges[:, 1] * to[..., 0] >= 0).all(1)
+    return np.all(edges[:, 0] * to[..., 1] - edges[:, 1] * to[..., 0] >= 0, axis=1)
 
 
 _STL_HEAD, _STL_FACE = 84, 50

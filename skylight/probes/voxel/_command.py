@@ -53,7 +53,7 @@ def print_voxel(
     from skylight.probes.fabrication._parts import PrintSizes
     from skylight.probes.voxel._model import probe_model
     from skylight.probes.voxel._printing import print_voxel_probe
-    from skylight.probes.voxel._printing_files import summarise_print, write_printed_probe
+    from skylight.probes.voxel._printing_files import PARTS, summarise_print, write_printed_probe
     from skylight.work._progress import stage_bar
     from skylight.work._resumable import results_folder
 
@@ -61,7 +61,7 @@ def print_voxel(
     pole = Pole(diameter_mm=pole_mm, length_mm=pole_length_mm)
     board = MarkerBoard(width_mm=board_width_mm, height_mm=board_height_mm)
     model, title = probe_model(probe, voxels, resolution)
-    with stage_bar() as progress, results_folder(out) as folder:
+    with stage_bar() as progress, results_folder(out, PARTS) as folder:
         result = print_voxel_probe(
             model, sizes, title=title, pole=pole, board=board, progress=progress
         )

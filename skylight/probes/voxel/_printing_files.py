@@ -1,6 +1,7 @@
 """The files of a printed voxel probe: parts for the printer, assembly, report, figure."""
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -134,6 +135,9 @@ def _rows(result: PrintedProbe) -> list[tuple[str, str]]:
         ("faces off the model's plane", f"{report.face_deviation_mm:.1g} mm"),
         ("longest bridge to print", f"{max(p.bridge_mm for p in report.parts):.1f} mm"),
     ]
+
+
+PARTS = re.compile(r"part_[0-9]{2,}\.stl")  # as many as the model has
 
 
 def write_printed_probe(folder: Path, result: PrintedProbe, *, panel_px: int = PANEL_PX) -> None:
