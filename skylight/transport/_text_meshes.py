@@ -10,7 +10,7 @@ from io import BytesIO
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from skylight.errors import InputError
 
@@ -108,22 +108,38 @@ def _cut(lines: list[bytes], fans: bool) -> list[bytes]:
     rows = [line.split()[1:4] for line in lines if line.startswith(b"v ")]
     if any(len(row) < 3 for row in rows):
         raise ValueError("a vertex has fewer than three coordinates")
-    places = np.array(rows, dtype=np.float64)
-    out = []
-    for line in lines:
-        corners = line.split()[1:] if line.startswith(b"f ") else []
-        if len(corners) > 3:
+    places = np.array(rows, dtype=np.float64).reshape(-1, 3)
+    sizes: dict[int, dict[int, list[int]]] = {}  # corners -> line -> their vertices
+    for number, line in enumerate(lines):
+        if line.startswith(b"f ") and line.count(b" ") > 3:
+            corners = line.split()[1:]
             index = [int(corner.partition(b"/")[0]) - 1 for corner in corners]
-            if max(index) >= len(places):
-                raise ValueError(f"a face names vertex {max(index) + 1} of {len(places)}")
-            cut = triangulated(places[index])
+            sizes.setdefault(len(corners), {})[number] = index
+    out = list(lines)
+    for size, found in sizes.items():
+        index = np.array(list(found.values()))
+        if size < 4:
+            continue
+        if index.max() >= len(places):
+            raise ValueError(f"a face names vertex {index.max() + 1} of {len(places)}")
+        concave = _concave(places[index])
+        for number in np.array(list(found))[concave | fans].tolist():
+            corners = lines[number].split()[1:]
+            cut = triangulated(places[found[number]])
             if cut is None and fans:
-                cut = np.array([(0, k, k + 1) for k in range(1, len(corners) - 1)])
+                cut = np.array([(0, k, k + 1) for k in range(1, size - 1)])
             if cut is not None:
-                out += [b"f " + b" ".join(corners[k] for k in face) for face in cut]
-                continue
-        out.append(line)
+                faces = (b"f " + b" ".join(corners[k] for k in face) for face in cut)
+                out[number] = b"\n".join(faces)
     return out
+
+
+def _concave(corners: Float[np.ndarray, "m n 3"]) -> Bool[np.ndarray, " m"]:
+    """Which polygons turn back somewhere, seen along their mean normals."""
+    after = np.roll(corners, -1, 1) - corners
+    turns = np.cross(np.roll(after, 1, 1), after)
+    normals = np.cross(corners - corners[:, :1], np.roll(corners, -1, 1) - corners[:, :1]).sum(1)
+    return ((turns * normals[:, None]).sum(2) < 0).any(1)
 
 
 def triangulated(corners: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "f 3"] | None:
@@ -188,6 +204,8 @@ def plain_stl(content: bytes) -> bytes:
     text = _unmarked(content)
     is_text = text.lstrip()[:5].lower() == b"solid" and _VERTEX.search(text)
     if len(content) != whole and is_text:
+        if not re.search(rb"\bendsolid\b", text, re.I):
+            raise ValueError("cut short: it has no endsolid")
         body = re.sub(rb"^\s*(?:end)?solid\b[^\n]*?(?=\bfacet\b|$)", b"", text, flags=re.I | re.M)
         loops = re.split(rb"\bouter\s+loop\b", body, flags=re.I)[1:]
         corners = [_VERTEX.findall(loop) for loop in loops]

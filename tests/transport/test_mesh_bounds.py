@@ -14,6 +14,7 @@ PLY = (
     "property float y\nproperty float z\nelement face 1\nproperty list uchar int vertex_indices\n"
     "end_header\n"
 )
+LOOP = "facet\nouter loop\nvertex 0 0 0\nvertex 1 0 0\n{}\nendloop\nendfacet\n"
 OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 
 
@@ -51,6 +52,8 @@ def test_good_files_pass(tmp_path: Path, name: str, text: str) -> None:
         ("a.obj", f"{OBJ}f 0/1/1 2/1/1 3/1/1\n", "vertex 0"),
         ("a.obj", f"{OBJ}cstype bezier\ndeg 1 1\nsurf 0 1 0 1 1 2 3 3\nend\n", "free-form"),
         ("a.obj", f"{OBJ}f 1 1 2\nf 2 2 2\n", "none of its 2 triangles has an area"),
+        ("a.stl", f"solid a\n{LOOP.format('vertex 0 1 0')}", "no endsolid"),
+        ("a.stl", f"solid a\n{LOOP.format('')}endsolid a\n", "no triangle"),
         ("a.stl", "solid a\nfacet\nouter loop\nvertex 0 0 0\nvertex 1 0 0\n", "cut short"),
     ],
 )

@@ -194,7 +194,6 @@ def text_stl(name: str, faces: list) -> str:
         text_stl("cube", TRIANGLES).replace("\n", "\r").encode(),
         text_stl("cube", TRIANGLES).replace("\n", " ").encode(),
         b"\xef\xbb\xbf\n  " + text_stl("cube", TRIANGLES).encode(),
-        text_stl("cube", TRIANGLES).replace("endsolid cube\n", "").encode(),
         (text_stl("a", TRIANGLES[:7]) + text_stl("b", TRIANGLES[7:])).encode(),
     ],
 )
