@@ -1,11 +1,29 @@
 """The ``skylight`` command: all of it, or ``relight`` alone where only that is installed."""
 
+import os
+import sys
+
+_PIPE_CLOSED = 141  # what a shell says of programs that SIGPIPE ended
+
 
 def main() -> int:
-    """Run one command and return its exit code."""
+    """Run one command and return its exit code; quietly, where nobody reads on (``| head``)."""
     from skylight.work._threads import prefer_one_thread
 
     prefer_one_thread()
+    try:
+        try:
+            return _run()
+        finally:
+            if sys.stdout is not None:  # it may be closed from the start
+                sys.stdout.flush()
+    except BrokenPipeError:
+        # Python writes what is left when it ends
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return _PIPE_CLOSED
+
+
+def _run() -> int:
     try:
         from skylight.cli import main
     except ModuleNotFoundError as error:

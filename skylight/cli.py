@@ -64,6 +64,8 @@ def main(arguments: list[str] | None = None) -> int:
                     tyro.conf.DisallowNone,
                 ),
             )
+    except BrokenPipeError:  # of standard output, which is told where the program ends
+        raise
     except (Exception, KeyboardInterrupt) as error:
         if debug:
             traceback.print_exc()

@@ -200,7 +200,7 @@ def _estimate_photos(
     progress: ProgressForm,
 ) -> None:
     from skylight.estimation._photos import Pictures
-    from skylight.estimation._report import MESHES, mesh_names, write_results
+    from skylight.estimation._report import SOME_FILES, mesh_names, write_results
     from skylight.estimation._summary import summary
     from skylight.imaging._film import FILM_SUFFIXES
     from skylight.work._resumable import results_folder
@@ -211,7 +211,7 @@ def _estimate_photos(
     with stage_bar(progress) as tell:
         pictures = Pictures.of(paths, settings, taken=taken, progress=tell)
         _ = settings.landmarker  # refuses what cannot be used
-        with results_folder(out, MESHES) as folder:
+        with results_folder(out, SOME_FILES) as folder:
             result = pictures.estimate()
             tell("writing the results", 0.0)
             write_results(folder, result, keep_place=keep_place)
@@ -231,8 +231,9 @@ def _estimate_film(
     rate: float,
     progress: ProgressForm,
 ) -> None:
+    from skylight.estimation._report import SOME_FILES
     from skylight.estimation.film._estimate import FOLLOWING, FilmSettings, estimate_film
-    from skylight.estimation.film._results import FILM_FILES, film_summary, write_film_results
+    from skylight.estimation.film._results import film_summary, write_film_results
     from skylight.work._resumable import SETTINGS, keep_settings, locked, results_folder
 
     out = out or Path(f"{film.resolve().stem}_light")
@@ -242,7 +243,7 @@ def _estimate_film(
         with stage_bar(progress) as tell, locked(out, out / FOLLOWING):
             keep_settings(out / SETTINGS, facts)
             result = estimate_film(film, out, chosen, tell)
-            with results_folder(out, FILM_FILES) as folder:
+            with results_folder(out, SOME_FILES) as folder:
                 write_film_results(folder, result, source=str(film))
     except KeyboardInterrupt:
         raise SkylightError(f"interrupted; the same command goes on with {out}") from None

@@ -32,7 +32,7 @@ from skylight.estimation._manifest import (
     write_manifest,
 )
 from skylight.estimation._photos import STAGES, Pictures
-from skylight.estimation._report import MESHES, write_results
+from skylight.estimation._report import SOME_FILES, write_results
 from skylight.estimation._settings import EstimateSettings
 from skylight.estimation._summary import PhotoEstimate, SeenFace
 from skylight.inverse._problem import solve
@@ -214,7 +214,7 @@ class Piece:
 
     def write(self, result: Callable[[], PhotoEstimate]) -> dict[str, Any]:
         """Claim the folder, write what comes of the photo; what its estimate.json says."""
-        with results_folder(self.folder, MESHES) as folder:
+        with results_folder(self.folder, SOME_FILES) as folder:
             write_results(folder, result(), keep_place=self.keep_place)
             return json.loads((folder / "estimate.json").read_text(encoding="utf-8"))
 

@@ -369,7 +369,8 @@ def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
     ]
 
 
-MESHES = re.compile(r"mesh(_[1-9][0-9]*)?\.obj")  # the files of :func:`mesh_names`
+# what `skylight estimate` writes of some photographs or films, and not of all
+SOME_FILES = re.compile(r"mesh(_[1-9][0-9]*)?\.obj|probe_[0-9]{3}\.exr|(film|estimate)\.json")
 
 
 def write_results(folder: Path, result: PhotoEstimate, *, keep_place: bool = False) -> None:

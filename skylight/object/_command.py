@@ -57,6 +57,7 @@ def estimate_object(
     """
     from skylight.imaging._photo import read_photo
     from skylight.object._files import (
+        CODES,
         estimate_known_object,
         material_of,
         summarise_object,
@@ -69,7 +70,7 @@ def estimate_object(
     material = material_of(albedo, roughness, reflectance, bounces)
     picture = read_photo(photo, decode="linear" if linear else gamma, require_colour=True)
     choose_device(device)
-    with stage_bar() as progress, results_folder(out) as folder:
+    with stage_bar() as progress, results_folder(out, CODES) as folder:
         result = estimate_known_object(
             mesh,
             picture,
@@ -86,4 +87,5 @@ def estimate_object(
     for advice in result.light.advice:
         take_care(advice)
     print(summarise_object(result))
-    print(f"written into {out}: probe.exr, probe.hdr, estimate.json, comparison.png")
+    code = "" if result.light.code is None else ", code.json"
+    print(f"written into {out}: probe.exr, probe.hdr, estimate.json, comparison.png{code}")

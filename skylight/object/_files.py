@@ -1,5 +1,6 @@
 """The light in a photograph of an object of known shape: files in, files out."""
 
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -144,6 +145,9 @@ def read_mask(path: Path) -> Bool[Tensor, "h w"]:
         codes = picture.codes()
     largest = 1.0 if codes.dtype == np.float32 else np.iinfo(codes.dtype).max
     return torch.from_numpy(codes @ np.array([0.299, 0.587, 0.114]) >= largest / 2)
+
+
+CODES = re.compile(r"code\.json")  # what not every run writes
 
 
 def write_object_results(

@@ -69,6 +69,8 @@ def main(arguments: list[str] | None = None) -> int:
     scene = options.pop("scene")
     try:
         relight(scene, **options)
+    except BrokenPipeError:  # of standard output, which is told where the program ends
+        raise
     except (Exception, KeyboardInterrupt) as error:
         if debug:
             traceback.print_exc()

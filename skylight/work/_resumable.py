@@ -43,6 +43,7 @@ def locked(folder: Path, *inner: Path) -> Iterator[None]:
     there runs are not kept apart, and nothing is swept.
     """
     try:
+        _require_folder(folder)
         folder.mkdir(parents=True, exist_ok=True)
         lock = (folder / ".lock").open("w")
     except OSError as error:
@@ -241,6 +242,11 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
+def _require_folder(out: Path) -> None:
+    if out.exists() and not out.is_dir():
+        raise OutputError(f"cannot write into {out}: it is a file; give a folder")
+
+
 @contextmanager
 def results_folder(out: Path, replaced: re.Pattern[str] | None = None) -> Iterator[Path]:
     """A temporary folder in ``out``; its files move to ``out`` when the block ends well.
@@ -251,13 +257,13 @@ def results_folder(out: Path, replaced: re.Pattern[str] | None = None) -> Iterat
     """
     is_new = not out.exists()
     try:
+        _require_folder(out)
         out.mkdir(parents=True, exist_ok=True)
         # within, not beside: ``out`` may be writable, or another disk, where its parent is not
         partial = Path(tempfile.mkdtemp(prefix=PARTIAL, dir=out))
     except OSError as error:
-        reason = "it is a file, not a folder" if out.is_file() else error.strerror
         raise OutputError(
-            f"cannot write into {out}: {reason}; choose another folder for the results"
+            f"cannot write into {out}: {error.strerror}; choose another folder for the results"
         ) from error
     try:
         yield partial

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from skylight.errors import InputError
-from skylight.imaging._film import film_frames, transfer_characteristic
+from skylight.imaging._film import film_frames
+from skylight.imaging._film_headers import FilmHeader, film_header
 from tests.films import (
     box,
     ticks_a_second,
@@ -84,9 +85,9 @@ def test_high_dynamic_range_is_refused_by_name(
 
 def test_sdr_named_in_the_file_is_read(tmp_path: Path) -> None:
     film = write_film(tmp_path / "film.mp4", counting(2))
-    assert transfer_characteristic(film) in (None, 1)
+    assert film_header(film).transfer in (None, 1)
     with_in_description(film, box(b"colr", b"nclx" + bytes([0, 1, 0, 1, 0, 1, 0])))
-    assert transfer_characteristic(film) == 1
+    assert film_header(film).transfer == 1
     assert shades(film) == [0, 1]
 
 
@@ -161,18 +162,18 @@ def test_without_a_colour_box_the_coded_video_tells(
     units = sequence_parameters(transfer, layers=layers, lists=lists)
     array = bytes([33, 0, 1]) + len(units).to_bytes(2, "big") + units
     with_in_description(film, box(b"hvcC", bytes(22) + b"\1" + array))
-    assert transfer_characteristic(film) == transfer
+    assert film_header(film).transfer == transfer
     whole = film.read_bytes()
     place = whole.rindex(units)
     film.write_bytes(whole[: place + 30])  # cut within it: passed over
-    assert transfer_characteristic(film) is None
+    assert film_header(film).transfer is None
 
 
 def test_a_box_whose_header_ends_outside_its_parent_is_passed_over(tmp_path: Path) -> None:
     film = tmp_path / "film.mp4"
     longer = (1).to_bytes(4, "big") + b"stsd"  # of a length that follows, in eight bytes
     film.write_bytes(box(b"moov", longer) + (16).to_bytes(8, "big") + bytes(64))
-    assert transfer_characteristic(film) is None
+    assert film_header(film).transfer is None
 
 
 def test_what_is_no_film(tmp_path: Path) -> None:
@@ -236,5 +237,125 @@ def test_boxes_that_lie_are_passed_over(tmp_path: Path) -> None:
         for place in rng.integers(start, len(whole), rng.integers(1, 6)):
             changed[place] = rng.choice([0, 1, 127, 255, int(rng.integers(256))])
         film.write_bytes(bytes(changed[: rng.integers(start, len(whole) + 1)]))
-        told = transfer_characteristic(film)
+        told = film_header(film).transfer
         assert told is None or told >= 0
+
+
+def avc_configuration(transfer: int, *, fields: bool, high: bool) -> bytes:
+    """An avcC box of a sequence parameter set with every optional part before the transfer."""
+    bits = Bits().u(8, 100 if high else 77).u(8, 0).u(8, 31).ue(0)
+    if high:
+        bits.ue(1, 0, 0).u(1, 0).u(1, 1)
+        for size in (16, 16, 16, 16, 16, 16, 64, 64):
+            # the first list as told, the second ends at once: -8 leaves what is left alike
+            bits.u(1, 1)
+            bits.ue(2, 2, 2, 10) if size == 64 else bits.ue(*([1] + [0] * (size - 1)))
+    bits.ue(0, 1).u(1, 0).ue(2, 1, 2, 4, 4)  # pictures ordered by a cycle of two
+    bits.ue(1).u(1, 0).ue(3, 2).u(1, not fields)
+    if fields:
+        bits.u(1, 1)
+    bits.u(1, 1).u(1, 1).ue(0, 0, 0, 1).u(1, 1)
+    bits.u(1, 1).u(8, 255).u(16, 4).u(16, 3).u(1, 1).u(1, 0)
+    bits.u(1, 1).u(3, 5).u(1, 0).u(1, 1).u(8, 9).u(8, transfer).u(8, 9)
+    unit = b"\x67" + bits.payload()
+    return box(b"avcC", b"\1d\0\x1f\xff\xe1" + len(unit).to_bytes(2, "big") + unit)
+
+
+@pytest.mark.parametrize("transfer", [1, 18])
+@pytest.mark.parametrize("fields", [False, True])
+@pytest.mark.parametrize("high", [False, True])
+def test_what_avc_tells(tmp_path: Path, transfer: int, fields: bool, high: bool) -> None:
+    film = write_film(tmp_path / "film.mp4", counting(1))
+    with_in_description(film, avc_configuration(transfer, fields=fields, high=high))
+    assert film_header(film) == FilmHeader(transfer=transfer, interlaced=fields)
+
+
+@pytest.mark.parametrize(
+    "told", [box(b"fiel", b"\2\6"), avc_configuration(1, fields=True, high=True)]
+)
+def test_interlaced_films_that_the_decoder_leaves_alone_are_refused(
+    tmp_path: Path, told: bytes
+) -> None:
+    """It says that they are good, and gives the memory of before; moving ones it has converted."""
+    for frames in ([counting(1)[0]] * 3, [counting(1)[0]] * 20):
+        film = write_film(tmp_path / "film.mp4", frames)
+        with_in_description(film, told)
+        with pytest.raises(InputError, match=r"interlaced.*progressive"):
+            list(film_frames(film))
+    film = write_film(tmp_path / "film.mp4", counting(4))
+    with_in_description(film, told)
+    assert shades(film) == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize(("wide", "high", "shape"), [(8, 5, (48, 102)), (1, 2, (48, 32))])
+def test_pixels_that_are_not_square_are_shown_as_wide_as_they_are(
+    tmp_path: Path, turned: bool, wide: int, high: int, shape: tuple[int, int]
+) -> None:
+    film = write_film(tmp_path / "film.mp4", counting(2))
+    data = film.read_bytes()
+    place = data.find(b"pasp")
+    told = wide.to_bytes(4, "big") + high.to_bytes(4, "big")
+    if place < 0:
+        with_in_description(film, box(b"pasp", told))
+    else:
+        film.write_bytes(data[: place + 4] + told + data[place + 12 :])
+    if turned:
+        with_quarter_turn(film)
+    (first, second) = film_frames(film)
+    assert first.codes.shape[:2] == (shape[::-1] if turned else shape)
+    assert round((second.codes.mean() - 20) / STEP) == 1
+    assert max(next(film_frames(film, most_side=24)).codes.shape) == 24
+
+
+def element(name: int, content: bytes) -> bytes:
+    """An identifier, a length of eight bytes and a content."""
+    length = (len(content) | 1 << 56).to_bytes(8, "big")
+    return name.to_bytes((name.bit_length() + 7) // 8, "big") + length + content
+
+
+@pytest.mark.parametrize(("number", "name"), [(16, "PQ"), (18, "HLG")])
+def test_high_dynamic_range_in_matroska(tmp_path: Path, number: int, name: str) -> None:
+    """By its element, or by the coded video's parameters; sound may come first."""
+    units = sequence_parameters(number, layers=0, lists=False)
+    array = bytes([33, 0, 1]) + len(units).to_bytes(2, "big") + units
+    codec = element(0x86, b"V_MPEGH/ISO/HEVC")
+    private = element(0x63A2, bytes(22) + b"\1" + array)
+    colour = element(0x55B0, element(0x55BA, bytes([number])))
+    for inside in (element(0xE0, colour), codec + private):
+        sound = element(0xAE, element(0x86, b"A_OPUS") + element(0x83, b"\2"))
+        track = element(0xAE, inside + element(0x83, b"\1"))
+        tracks = element(0x1654AE6B, sound + track)
+        void = element(0xEC, bytes(300))
+        content = element(0x1A45DFA3, b"") + element(0x18538067, void + tracks)
+        (tmp_path / "film.mkv").write_bytes(content)
+        with pytest.raises(InputError, match=rf"film.mkv: .*{name}.*export it as SDR"):
+            next(film_frames(tmp_path / "film.mkv"))
+
+
+def test_a_matroska_file_as_it_is_written(tmp_path: Path) -> None:
+    film = write_film(tmp_path / "film.mkv", counting(3))
+    assert film_header(film).transfer in (None, 1)
+    assert shades(film) == [0, 1, 2]
+    fields = element(0xAE, element(0x83, b"\1") + element(0xE0, element(0x9A, b"\1")))
+    (tmp_path / "fields.mkv").write_bytes(
+        element(0x1A45DFA3, b"") + element(0x18538067, element(0x1654AE6B, fields))
+    )
+    assert film_header(tmp_path / "fields.mkv").interlaced
+    for cut in range(0, 600, 7):
+        (tmp_path / "cut.mkv").write_bytes(film.read_bytes()[:cut])
+        film_header(tmp_path / "cut.mkv")
+
+
+def test_films_of_other_programs(shared_data: Path) -> None:
+    """What phones and encoders write: see the README there."""
+    folder = shared_data / "awkward"
+    with pytest.raises(InputError, match="interlaced"):
+        list(film_frames(folder / "face_interlaced.mp4"))
+    with pytest.raises(InputError, match="codec AV01"):
+        list(film_frames(folder / "face_av1.mp4"))
+    with pytest.raises(InputError, match="HLG"):
+        list(film_frames(folder / "hlg_iphone.mov"))
+    square, wide = (next(film_frames(folder / f"face{n}.mp4")).codes for n in ("", "_sar"))
+    assert square.shape == wide.shape == (320, 256, 3)
+    assert np.abs(square.astype(float) - wide).mean() < 6

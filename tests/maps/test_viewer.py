@@ -496,7 +496,7 @@ def with_nan(folder: Path) -> None:
         (with_face(exposure=1e-300), '"exposure" is not above 0'),
         (with_face(focal_length_px=1e308), '"focal_length_px" is too large'),
         (without("mesh.obj"), "mesh.obj: there is no such file; estimate the photograph again"),
-        (holding("mesh.obj", b"v 0 0 nothing"), "mesh.obj: damaged"),
+        (holding("mesh.obj", b"v 0 0 nothing"), "mesh.obj: not read as .obj"),
         (of_many_vertices, "mesh.obj: 65537 vertices are more than the 65536 of a head"),
         (of_a_gigabyte, "smaller by skylight convert --height 128"),
         (with_nan, "NaN is no number"),

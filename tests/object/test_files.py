@@ -94,6 +94,13 @@ def arguments(folder: Path, out: Path, *more: str, photo: str = "photo.exr") -> 
 
 
 class TestResults:
+    def test_of_an_earlier_code_nothing_stays(self, folder: Path, tmp_path: Path) -> None:
+        few = ["--light", "vmf", "--activations", "2"]
+        assert main(arguments(folder, tmp_path, *few)) == 0
+        assert {path.name for path in tmp_path.iterdir()} == {*RESULTS, "code.json"}
+        assert main(arguments(folder, tmp_path, "--light", "sh9")) == 0
+        assert {path.name for path in tmp_path.iterdir()} == RESULTS
+
     def test_harmonics(
         self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:

@@ -136,9 +136,9 @@ def test_a_turn_adds_to_the_azimuth(tmp_path):
         ("none.obj", None, "there is no such mesh"),
         ("mesh.txt", b"v 0 0 0", "no mesh known"),
         ("bad.obj", b"nothing", "no faces"),
-        ("bad.ply", b"nothing", "damaged"),
-        ("bad.glb", b"", "damaged"),
-        ("point.obj", b"v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n", "no extent|no faces"),
+        ("bad.ply", b"nothing", "does not begin"),
+        ("bad.glb", b"", "not read as .glb"),
+        ("point.obj", b"v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n", "no extent|no faces|has an area"),
         ("nan.obj", b"v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "NaN|no faces"),
     ],
 )

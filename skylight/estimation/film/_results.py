@@ -1,6 +1,5 @@
 """The files of a film's light: probes, numbers, and a figure over time."""
 
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,7 +33,6 @@ from skylight.io._files import write_environment_map, write_probe
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FILM_FILES = re.compile(r"probe_[0-9]{3}\.exr")  # the files of :func:`probe_name`
 ABREAST = 6
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from skylight.imaging._film import transfer_characteristic
+from skylight.imaging._film_headers import film_header
 from tests.films import box, with_in_description, write_film
 from tests.fuzz.files import PLACE, as_file
 from tests.imaging.test_film import sequence_parameters
@@ -25,5 +25,5 @@ def seeds() -> list[bytes]:
 
 
 def read(content: bytes) -> None:
-    told = transfer_characteristic(as_file(content, "film.mp4"))
+    told = film_header(as_file(content, "film.mp4")).transfer
     assert told is None or told >= 0

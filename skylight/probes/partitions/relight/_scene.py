@@ -19,7 +19,7 @@ from torch.nn.functional import normalize
 from skylight.errors import InputError
 from skylight.imaging._colour import srgb_to_linear
 from skylight.io._bounded import require_pixels
-from skylight.transport._mesh import CREASE_RAD, FARTHEST, loaded_mesh, require_coordinates
+from skylight.transport._mesh import CREASE_RAD, FARTHEST, loaded_parts, require_coordinates
 from skylight.transport._rays import Raycaster
 from skylight.transport._render import vertex_normals
 
@@ -276,10 +276,8 @@ def read_scene(path: str | Path, albedo: tuple[float, float, float] = DEFAULT_AL
         A missing or damaged file, another format, no faces, or vertices or
         texture coordinates that are not finite.
     """
-    import trimesh  # slow to import
-
     path = Path(path)
-    meshes = loaded_mesh(path, lambda file: trimesh.load_scene(file, process=False).dump())
+    meshes = loaded_parts(path)
     try:
         return scene_of(meshes, albedo, linear=path.suffix.lower() in _LINEAR_SUFFIXES)
     except (InputError, ValueError) as error:

@@ -250,7 +250,7 @@ def test_files_that_cannot_be_used(tmp_path):
     with pytest.raises(InputError, match="no mesh known"):
         read_scene(tmp_path / "mesh.txt")
     (tmp_path / "mesh.ply").write_text("ply nonsense")
-    with pytest.raises(InputError, match=r"mesh\.ply: damaged"):
+    with pytest.raises(InputError, match=r"mesh\.ply: not read as"):
         read_scene(tmp_path / "mesh.ply")
     trimesh.PointCloud(np.eye(3)).export(tmp_path / "points.ply")
     with pytest.raises(InputError, match="no faces"):
