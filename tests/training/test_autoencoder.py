@@ -18,6 +18,7 @@ from skylight.errors import InputError
 from skylight.io._tensors import read_tensors, write_tensors
 from skylight.models._bundle import load_network, save_network
 from skylight.models._convolutional import ConvolutionalAutoencoder
+from skylight.models._network import SkyNetwork
 from skylight.models._splines import SplineAutoencoder
 from skylight.skies._index import read_index
 from skylight.training import _autoencoder as training
@@ -257,16 +258,22 @@ def test_early_stopping(
     config: AutoencoderConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """After ``patience`` epochs without a better score; the best network is kept."""
-    scores = iter([3.0, 2.0, 2.5, 2.5, 1.0])
+    scores, judged = iter([3.0, 2.0, 2.5, 2.5, 1.0]), []
 
-    def validate(*_: object, corrupted: bool = False) -> float:
-        return 0.5 if corrupted else next(scores)
+    def validate(network: SkyNetwork, *_: object, corrupted: bool = False) -> float:
+        if corrupted:
+            return 0.5
+        save_network(network, tmp_path / "judged.safetensors")
+        judged.append((tmp_path / "judged.safetensors").read_bytes())
+        return next(scores)
 
     monkeypatch.setattr(training, "validate", validate)
     config = replace(config, out=tmp_path, epochs=5, patience=2, batch=12)
     train(config, report=lambda _: None)
     assert [c["validation"] for c in curves(tmp_path)] == [3.0, 2.0, 2.5, 2.5]
     assert next(scores) == 1.0
+    kept = (tmp_path / "model.safetensors").read_bytes()
+    assert [kept == one for one in judged] == [False, True, False, False]
 
 
 def test_divergence_is_said(config: AutoencoderConfig, tmp_path: Path) -> None:
