@@ -1,6 +1,7 @@
 """Perturbations by exactly what was asked, and the curves made of them."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -76,8 +77,11 @@ def test_another_size_shows_the_same_head(face):
     assert points[1] == pytest.approx(points[0] / 2)
     assert face_height_px(small.truth) == pytest.approx(face_height_px(face.truth) / 2, abs=1)
     # a pixel counts as over-exposed where any part of it is
-    blocks = face.clipped.reshape(32, 2, 32, 2).any(3).any(1)
-    assert torch.equal(small.clipped, blocks)
+    clipped = torch.zeros(64, 64, dtype=torch.bool)
+    clipped[10, 21] = clipped[30:34, 40:44] = True
+    small = resampled(replace(face, clipped=clipped), 32)
+    assert torch.equal(small.clipped, clipped.reshape(32, 2, 32, 2).any(3).any(1))
+    assert int(small.clipped.sum()) == 1 + 4
 
 
 def test_only_sizes_that_a_picture_has():

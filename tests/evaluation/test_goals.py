@@ -119,6 +119,7 @@ def test_goals_are_those_that_the_pages_state() -> None:
     assert (lamps.POSE_SCATTER_DEG, lamps.POSE_MEDIAN_DEG, lamps.POSE_WORST_DEG) == (1.5, 2, 8)
     assert relit_portraits.RMSE_RATIO == 0.5
     assert shared_light.BETTER == 0.6
+    assert (shared_light.COUNTS, shared_light.TOGETHER) == ((1, 2, 4), 4)
     assert sky_models.SIMULATED_GOALS == {
         "mae": 0.25,
         "rmse": 0.22,
