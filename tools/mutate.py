@@ -42,12 +42,11 @@ TESTS = (
     *("tests/evaluation", "tests/imaging/test_metrics.py", "tests/work", "tests/training"),
     "tests/test_pages.py",
 )
-# imported before forking, so that no mutant waits for them; nothing of skylight's own
-HEAVY = (
-    *("torch", "kornia.metrics", "scipy.spatial", "scipy.optimize", "matplotlib.figure", "cv2"),
-    *("trimesh", "skimage", "hypothesis", "beartype", "jaxtyping", "onnxruntime", "safetensors"),
-)
-PYTEST = ("-q", "-x", "-p", "no:cacheprovider", "-m", "not slow")
+# imported before forking, so that no mutant waits for them; and so are skylight's own modules,
+# under the hook by which tests check annotations
+HEAVY = ("scipy.optimize", "trimesh", "skimage.metrics", "hypothesis", "onnxruntime")
+OPTIONS = "addopts=-ra --strict-markers --import-mode=importlib"  # without that hook
+PYTEST = ("-q", "-x", "-p", "no:cacheprovider", "-m", "not slow", "-o", OPTIONS)
 MOST_SECONDS = 30.0  # of the tests of one mutant, as they take without it
 GOAL = 0.95
 
@@ -109,8 +108,52 @@ def copied(folder: Path) -> None:
                 target.symlink_to(source)
 
 
-def forked(folder: Path, work: list[str], log: Path, record: Path | None = None) -> int:
-    """Process id of a child that runs these tests in ``folder``."""
+def imported(folder: Path) -> None:
+    """What the tests will need, of the copy in ``folder``."""
+    from jaxtyping import install_import_hook
+
+    sys.path[:] = [str(folder), *(p for p in sys.path if Path(p or ".").resolve() != ROOT)]
+    os.environ["PYTHONPATH"] = str(folder)
+    for name in HEAVY:
+        importlib.import_module(name)
+    install_import_hook(["skylight"], "beartype.beartype")
+    importlib.import_module("tests.annotations")
+    for path in sorted((folder / "skylight").rglob("_*.py")):
+        if path.name != "__main__.py" and "studio" not in path.parts:
+            importlib.import_module(_module(path.relative_to(folder).as_posix()))
+
+
+def _module(file: str) -> str:
+    return file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+
+
+def forget(file: str, folder: Path) -> None:
+    """A module and all that import it, so that they are imported again."""
+    from beartype._cache.cacheclear import clear_caches
+
+    waiting, gone = [_module(file)], set()
+    while waiting:
+        module = waiting.pop()
+        if module in gone:
+            continue
+        gone.add(module)
+        package, _, name = module.rpartition(".")
+        imports = re.compile(rf"from {package}(\.{name}\b| import [^#]*\b{name}\b)")
+        for other, loaded in list(sys.modules.items()):
+            path = getattr(loaded, "__file__", None) or ""
+            if path.startswith(str(folder)) and imports.search(Path(path).read_text()):
+                waiting.append(other)
+    clear_caches()  # which know classes by their names
+    for module in gone:
+        sys.modules.pop(module, None)
+        package, _, name = module.rpartition(".")
+        vars(sys.modules.get(package, sys)).pop(name, None)
+
+
+def forked(
+    folder: Path, work: list[str], log: Path, record: Path | None = None, changed: str = ""
+) -> int:
+    """Process id of a child that runs these tests in ``folder``, whose file ``changed`` did."""
     child = os.fork()
     if child:
         return child
@@ -121,10 +164,11 @@ def forked(folder: Path, work: list[str], log: Path, record: Path | None = None)
             os.dup2(stream.fileno(), 1)
             os.dup2(stream.fileno(), 2)
         os.chdir(folder)
-        os.environ["PYTHONPATH"] = str(folder)
-        sys.path[:] = [str(folder), *(p for p in sys.path if Path(p or ".").resolve() != ROOT)]
         import pytest
 
+        for file in [changed] if record is None else sources():
+            if file.startswith("skylight/"):
+                forget(file, folder)
         if record is None:
             status = int(pytest.main([*PYTEST, *work]))
         else:
@@ -236,7 +280,7 @@ def judged(mutant: Mutant, tests: Tests, folder: Path, log: Path, stamp: int) ->
     os.utime(target, (stamp, stamp))  # bytecode is told apart by the second
     start = time.monotonic()
     limit = 30 + 5 * sum(tests.seconds[test] for test in chosen)
-    status = finished(forked(folder, chosen, log), limit)
+    status = finished(forked(folder, chosen, log, changed=mutant.file), limit)
     shutil.copy2(source, target)
     outcome = {0: "survived", None: "killed (no end)"}.get(status, "killed")
     found |= {"outcome": outcome, "seconds": round(time.monotonic() - start, 1)}
@@ -268,11 +312,10 @@ def main() -> int:
     out.parent.mkdir(parents=True, exist_ok=True)
     record = json.loads(out.read_text()) if out.is_file() else {}
     log, lines = out.with_suffix(".log"), out.with_suffix(".tests.json")
-    for name in HEAVY:
-        importlib.import_module(name)
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "copy"
         copied(folder)
+        imported(folder)
         known = json.loads(lines.read_text()) if lines.is_file() else None
         if known is None or options.changed:
             work = list(TESTS) if known is None else options.changed

@@ -180,6 +180,8 @@ def test_what_is_measured_is_as_the_thesis_has_it_or_the_pages_say() -> None:
     assert sparse_coding.CODERS == ("iso", "ani", "kmeans", "vmf")
     assert sparse_coding.SIGNS == {"nnls": "nonnegative", "l1": "l1"}
     assert sparse_coding.BANDS == {"vmf": (True,), "box": (False,)}
+    assert (sparse_coding.RATE, sparse_coding.SHARPEST) == (0.03, 4096)
+    assert sparse_coding.FLOATS == {"sh": 3, "sh_windowed": 3, "haar": 4, "sg": 6}
     assert (sparse_coding.SHOWN, sparse_coding.CUBE, sparse_coding.STEPS) == (64, 64, 80)
     assert (sparse_inverse.HEIGHT, sparse_inverse.FINE_HEIGHT) == (32, 64)
     assert (sparse_inverse.NOISE, sparse_inverse.RIDGE) == (1e-3, 1e-3)

@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -34,8 +34,12 @@ from skylight.evaluation._known_faces import (
 from skylight.evaluation._run import Item
 from skylight.faces._captures import write_azimuths
 from skylight.faces._fit import FaceFit
+from skylight.faces._observe import FaceView
+from skylight.faces._synthetic import SyntheticFace
+from skylight.imaging._photo import Photo
 from skylight.inverse._result import Estimate
 from skylight.inverse._sky import THESIS
+from skylight.people._render import RenderedFace
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import angle_between
 from skylight.transport._observation import Observation
@@ -63,6 +67,14 @@ def made(kind: type, **fields: object):
     for name, value in fields.items():
         object.__setattr__(one, name, value)
     return one
+
+
+def changed(one, **fields: object):
+    """``replace``, of what may lack fields too."""
+    other = type(one).__new__(type(one))
+    for name, value in (vars(one) | fields).items():
+        object.__setattr__(other, name, value)
+    return other
 
 
 def no_picture(*_: object, **__: object) -> np.ndarray:
@@ -314,10 +326,17 @@ def test_grounds_differ_from_face_to_face(monkeypatch: pytest.MonkeyPatch) -> No
 
     face_of = synthetic_face(20_000_000, 64)
     monkeypatch.setattr(known_faces, "render_face", render)
-    monkeypatch.setattr(known_faces, "simulated_skies", lambda *_, **__: [(None, None)])
+    firsts = []
+
+    def simulated(count, *, first_seed, lowest_transmittance):
+        assert (count, lowest_transmittance) == (1, known_faces.LOWEST_TRANSMITTANCE)
+        firsts.append(first_seed)
+        return [(None, None)]
+
+    monkeypatch.setattr(known_faces, "simulated_skies", simulated)
     for seed in range(12):
         known_faces.synthetic_face(seed, 32)
-    assert [seed for seed, _ in grounds] == list(range(12))
+    assert [seed for seed, _ in grounds] == firsts == list(range(12))
     assert 4 < len({ground for _, ground in grounds}) <= 9
 
 
@@ -345,6 +364,85 @@ def test_auto_chooses_of_its_rivals_and_takes_what_they_take(
     assert asked == [("sh9", False)]
     with pytest.raises(InputError, match="name them first"):
         light_by_method(seen, ("auto",), {}, EstimateOptions())
+
+
+@pytest.mark.parametrize(
+    ("through", "seen"), [(None, False), (0.0, False), (1.0, True), ("least", True)]
+)
+def test_a_sun_is_visible_that_comes_through(face: KnownFace, through, seen: bool) -> None:
+    least = known_faces.LOWEST_TRANSMITTANCE
+    own = {each.name: getattr(face, each.name) for each in fields(SyntheticFace)}
+    rendered = made(
+        RenderedFace,
+        **own,
+        cluster=3,
+        sun_transmittance=least if through == "least" else through,
+    )
+    found = known_faces.known_face(rendered)
+    assert (found.sun_visible, found.tone) == (seen, 3)
+    assert found.picture is face.picture
+
+
+def test_the_true_albedo_and_light_are_what_a_problem_is_given(
+    face: KnownFace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = []
+
+    class Problem:
+        def __init__(self, model, light_prior, albedo_prior, modes) -> None:
+            given.append((model, light_prior, albedo_prior, modes, []))
+
+        def add(self, observation) -> None:
+            given[-1][-1].append(observation)
+
+    monkeypatch.setattr(synthetic_faces, "SkyProblem", Problem)
+    monkeypatch.setattr(synthetic_faces, "solve", lambda problems: [made(Estimate, grey=1)])
+    monkeypatch.setattr(synthetic_faces, "true_parameters", lambda environment: torch.zeros(1, 65))
+    seen = made(Observation)
+    synthetic_faces.with_true_albedo(seen, face)
+    synthetic_faces.from_true_light(seen, face)
+    (_, _, known, modes, added), (model, _, prior, _, again) = given
+    assert added == again == [seen]
+    torch.testing.assert_close(known.means, face.albedo.log()[None])
+    torch.testing.assert_close(known.precision_factors, 100 * torch.eye(3)[None])
+    assert torch.equal(modes, face.albedo[None])
+    assert torch.equal(model.starts(), torch.zeros(1, 65))
+    assert len(prior.means) >= 1
+
+
+def test_an_ablation_of_lamps_leaves_one_part_out_in_each_row(
+    monkeypatch: pytest.MonkeyPatch, lamp_folder: Path
+) -> None:
+    asked = []
+
+    def estimate(self, observation, light):
+        asked.append((self.solver.weights, observation))
+        return made(Estimate, light=light)
+
+    seen = made(Observation, normal_modes=torch.ones(1))
+    other = made(Observation, normal_modes=torch.ones(2))
+    fitted = []
+    monkeypatch.setattr(EstimateOptions, "estimate", estimate)
+    monkeypatch.setattr(lamps, "replace", changed)
+    face = SimpleNamespace(readings=7)
+    found = SimpleNamespace(detect=lambda encoded: [face])
+    monkeypatch.setattr(lamps, "choose_landmarker", lambda *_: found)
+    monkeypatch.setattr(lamps, "find_spec", lambda name: name)
+    monkeypatch.setattr(
+        lamps, "fit_visible", lambda model, photo, head, name: fitted.append((name, head.readings))
+    )
+    monkeypatch.setattr(lamps, "observe_face", lambda *_: made(FaceView, observation=other))
+    photo = made(Photo, encoded=None, pixels=None, clipped=None)
+    rows = lamps.Lamps(data=lamp_folder)._ablation(photo, made(FaceView, observation=seen))
+    names = ("_balanced", "_varying_skin", "_trusted_normals", "_68_points", "_dlib")
+    assert list(rows) == [f"autoencoder{name}" for name in names]
+    usual = EstimateOptions().solver.weights
+    assert asked[0][0] == replace(usual, white_balance_spread=0.0)
+    assert asked[1][0] == replace(usual, pigment_spread=1.0)
+    assert all(weights == usual for weights, _ in asked[2:])
+    assert asked[2][1].normal_modes is None
+    assert asked[3][1] is asked[4][1] is other
+    assert fitted == [("_68_points", None), ("_dlib", 7)]
 
 
 def test_what_auto_chose_is_a_fact() -> None:
@@ -383,7 +481,12 @@ def test_a_photograph_with_a_note_is_told_by_its_side(
     fit = SimpleNamespace(landmark_error=0.02, facing_angle_rad=math.radians(30))
     view = SimpleNamespace(observation=None)
     monkeypatch.setattr(real_faces, "read_photo", lambda path, require_colour: require_colour)
-    monkeypatch.setattr(real_faces, "observe_largest", lambda photo, name, seconds: (fit, view))
+
+    def observe_largest(photo, name, seconds):
+        assert photo  # of which colour is required
+        return fit, view
+
+    monkeypatch.setattr(real_faces, "observe_largest", observe_largest)
     monkeypatch.setattr(real_faces, "light_by_method", by_method)
     for name in ("seen_and_rendered", "strip", "beside"):
         monkeypatch.setattr(real_faces, name, no_picture)
@@ -451,7 +554,10 @@ def test_a_photograph_with_a_probe_is_scored_by_it(
         asked.append(method)
         return an_estimate(lights[method])
 
-    monkeypatch.setattr(real_faces, "observe_largest", lambda photo, name: (fit, view))
+    monkeypatch.setattr(real_faces, "read_photo", lambda path, require_colour: require_colour)
+    monkeypatch.setattr(
+        real_faces, "observe_largest", lambda photo, name: (fit, view) if photo else None
+    )
     monkeypatch.setattr(real_faces, "figure_columns", no_picture)
     monkeypatch.setattr(real_faces, "beside", no_picture)
     monkeypatch.setattr(EstimateOptions, "estimate", estimate)

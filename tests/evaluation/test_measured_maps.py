@@ -78,9 +78,7 @@ def recovered(data: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
     monkeypatch.setattr(
         sparse_inverse, "recovered_by_lamps", lambda scene, shading: (truth["light"] * 1.25, 33)
     )
-    monkeypatch.setattr(
-        sparse_inverse, "_picture", lambda *_: np.zeros((4, 4, 3), np.uint8)
-    )
+    monkeypatch.setattr(sparse_inverse, "_picture", lambda *_: np.zeros((4, 4, 3), np.uint8))
     return seen
 
 
@@ -185,7 +183,9 @@ def test_every_representation_is_fitted_and_scored(
 
 def test_gaussians_and_harmonics_have_the_floats_that_their_names_say() -> None:
     light = sky_representations.trained_light(None)
-    found = {name: floats for name, (floats, _) in sky_representations.representations(light).items()}
+    found = {
+        name: floats for name, (floats, _) in sky_representations.representations(light).items()
+    }
     assert found == {
         **{f"sh_{n}": n for n in (27, 48, 75, 108, 147, 300)},
         **{f"gaussians_{n}": n for n in (27, 45, 75, 105, 147, 297)},
@@ -204,9 +204,7 @@ def test_every_sky_stands_over_one_of_nine_grounds_and_is_fitted_by_all(
         return sky_models.over_ground(sky, ground)
 
     monkeypatch.setattr(sky_models, "fits", lambda light: {"sh9": fit, "autoencoder": fit})
-    monkeypatch.setattr(
-        sky_models, "panorama_rows", lambda *_: np.zeros((4, 4, 3), np.uint8)
-    )
+    monkeypatch.setattr(sky_models, "panorama_rows", lambda *_: np.zeros((4, 4, 3), np.uint8))
     evaluation = sky_models.SkyModels(count=12)
     for name in evaluation.items()[:6]:
         item = evaluation.measure(name, tmp_path / "a.png")
@@ -341,8 +339,9 @@ def test_the_best_sets_and_all_sets_of_five_are_told(
     """Residuals that count their lit slots: 26 others of each set of five."""
     monkeypatch.setattr(voxel_probe, "transfer_error", lambda found, albedo: SimpleNamespace(
         mean=found, std=found / 10))  # fmt: skip
-    monkeypatch.setattr(voxel_probe, "reconstruction", lambda size, kind: (
-        size + 1.0 * (kind == "direct")))
+    monkeypatch.setattr(
+        voxel_probe, "reconstruction", lambda size, kind: size + 1.0 * (kind == "direct")
+    )
     monkeypatch.setattr(voxel_probe, "residuals_by_occluders", lambda albedo: {
         1: torch.tensor([2.0, 4.0])})  # fmt: skip
     asked = []

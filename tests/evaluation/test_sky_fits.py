@@ -11,7 +11,9 @@ from skylight.evaluation._sky_fits import (
     autoencoder_start,
     descend,
     fit_harmonic,
+    fit_sun_and_sky,
     over_ground,
+    sun_and_sky_start,
 )
 from skylight.models._bundle import load_bundle
 from skylight.models.sunsky import SunSky
@@ -98,6 +100,22 @@ def test_the_encoder_starts_with_the_sun_ahead(sky):
     brightest = EnvironmentMap(radiance=decoded).brightest_direction()
     truth = EnvironmentMap(radiance=sky).brightest_direction()
     assert float(angle_between(brightest, truth).rad2deg()) < 2
+
+
+def test_the_closed_form_is_near_a_sky_of_the_model_itself(sky):
+    start = sun_and_sky_start(sky)
+    assert start.shape == (1, SunSky.parameter_count)
+    assert start.dtype == torch.float32
+    with torch.no_grad():
+        found = EnvironmentMap(radiance=SunSky()(start)[0].reshape(32, 128, 3))
+    apart = angle_between(
+        found.brightest_direction(), EnvironmentMap(radiance=sky).brightest_direction()
+    )
+    assert float(apart.rad2deg()) < 2
+    fitted = fit_sun_and_sky(sky, torch.full((3,), 0.2))
+    assert fitted.layout == (64, 128)
+    off = (fitted.radiance[:32] - sky).abs().mean() / sky.mean()
+    assert float(off) < 0.1
 
 
 def test_descent_comes_close_to_a_sky_of_the_model_itself(sky):

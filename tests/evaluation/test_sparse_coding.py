@@ -336,6 +336,19 @@ def test_gaussians_descend_to_those_that_made_the_map() -> None:
     assert relative_error(found, true.reshape(32, 64, 3), scale) < 0.02
 
 
+def test_two_gaussians_that_are_one_are_still_solved() -> None:
+    """The colours' normal equations are singular then but for a ridge."""
+    start = Lobes(
+        directions=torch.tensor([[0.0, 1.0, 0.0]]).double().repeat(3, 1),
+        sharpness=torch.full((3,), 10.0).double(),
+        colours=torch.ones(3, 3).double(),
+    )
+    y = DirectionGrid.latlong(16).directions[:, 1].reshape(16, 32, 1)
+    true = (10 * (y - 1)).exp().expand(-1, -1, 3)
+    scale = DirectionGrid.latlong(16).solid_angles.reshape(16, 32, 1)
+    assert relative_error(fit_gaussians(true, start), true, scale) < 1e-3
+
+
 def test_errors_are_weighted_by_solid_angle() -> None:
     """Off by a tenth of it on the upper half of the sphere: 0.1 / sqrt(2) of a constant map."""
     truth = torch.ones(HEIGHT, 2 * HEIGHT, 3, dtype=torch.float64)
