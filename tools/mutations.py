@@ -1,4 +1,4 @@
-"""The ways in which :mod:`mutate` breaks a file, one place at a time."""
+"""The ways in which :mod:`tools.mutate` breaks a file, one place at a time."""
 
 import ast
 import copy

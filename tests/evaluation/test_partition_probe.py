@@ -249,7 +249,7 @@ def test_the_thesis_measures(data: Path) -> None:
 def test_a_ball_in_the_sun_is_lit_by_its_cosine(data: Path) -> None:
     made = partition_scene(small(data).meshes, 32)
     light = uniform()
-    lit = scene.lit_sphere(light)
+    lit = made.lit_sphere(light)
     expected = ALBEDO * torch.tensor([1.0, 0.8, 0.6]).double()
     assert torch.allclose(lit, expected.expand_as(lit), rtol=0.02)
 
