@@ -64,3 +64,14 @@ def test_orderings_are_compared_best_first() -> None:
 def test_a_fall_is_one_at_every_step() -> None:
     assert build_figures.falls([3.0, 2.0, 1.0])
     assert not build_figures.falls([3.0, 1.0, 1.0])
+
+
+def test_numbers_of_a_result_stand_under_their_names() -> None:
+    found = {"photos": 3, "machine": {"cores": 2, "name": "x"}, "seconds": 1.23456, "each": [1]}
+    assert build_measurements._numbers("run", found) == [
+        ("run photos", "3"),
+        ("run machine cores", "2"),
+        ("run machine name", "x"),
+        ("run seconds", "1.235"),
+    ]
+    assert build_measurements._numbers("run", {str(i): i for i in range(99)}) == []

@@ -163,6 +163,13 @@ def test_lights_are_from_all_over_the_index_each_of_mean_one(data: Path) -> None
     torch.testing.assert_close(lights, torch.ones(len(GRID), 12).double(), rtol=1e-3, atol=0)
 
 
+def test_of_few_maps_all_are_lights(data: Path, tmp_path: Path) -> None:
+    (tmp_path / "index.csv").write_text("file,category\n1.exr,indoor\n7.exr,indoor\n8.exr,night")
+    for number in (1, 7, 8):
+        (tmp_path / f"{number}.exr").symlink_to(data / "hdr" / f"{number}.exr")
+    assert compression._lights(tmp_path).shape == (len(GRID), 9)
+
+
 def test_relighting_costs_what_it_keeps(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of as many rows as the thesis has, repeated from few."""
     part = SubDictionary(builtin("iso", 8), Positions(rows=8, twists=1))

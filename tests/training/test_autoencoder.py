@@ -22,7 +22,7 @@ from skylight.models._network import SkyNetwork
 from skylight.models._splines import SplineAutoencoder
 from skylight.skies._index import read_index
 from skylight.training import _autoencoder as training
-from skylight.training._autoencoder import reconstruction_loss, schedule, train
+from skylight.training._autoencoder import RunState, reconstruction_loss, schedule, train
 from skylight.training._checkpoint import (
     NEWEST,
     PREVIOUS,
@@ -93,7 +93,9 @@ def same_run(ours: Path, theirs: Path) -> None:
 
 def test_one_epoch_after_another_learns(uninterrupted: Path, sky_folder: Path) -> None:
     whole = json.loads((uninterrupted / "curves.json").read_text())
-    assert whole["data_sha256"] == load_data(sky_folder).hash
+    data = load_data(sky_folder)
+    facts = {name: whole[name] for name in ("data_sha256", "skies", "processes")}
+    assert facts == {"data_sha256": data.hash, "skies": len(data.train), "processes": 1}
     assert [c["step"] for c in whole["curves"]] == [3, 6]
     first, second = (c["train"] for c in whole["curves"])
     assert second < first
@@ -252,6 +254,21 @@ def test_the_written_configuration_repeats_the_run(
     uninterrupted: Path, config: AutoencoderConfig
 ) -> None:
     assert read_config(uninterrupted / "config.yaml") == replace(config, out=uninterrupted)
+
+
+def test_an_epoch_that_is_no_better_is_counted() -> None:
+    now = RunState(step=3, losses=[1.0, 3.0])
+    assert (now.since_best, now.curves) == (0, [])
+    assert now.end_epoch(validation=2.0)
+    assert (now.best, now.since_best, now.losses) == (2, 0, [])
+    assert now.curves == [{"step": 3, "train": 2, "validation": 2}]
+    for count in (1, 2):
+        now.losses = [1.0]
+        assert not now.end_epoch(validation=2.0)
+        assert (now.best, now.since_best) == (2, count)
+    now.losses = [1.0]
+    assert now.end_epoch(validation=1.5)
+    assert (now.best, now.since_best, len(now.curves)) == (1.5, 0, 4)
 
 
 def test_early_stopping(
