@@ -277,6 +277,9 @@ def test_rows_are_named_by_coder_sign_and_kind_of_map(
         assert rows["sg"]["floats_per_activation"] == 6
     for name in ("sh", "sh_windowed"):
         assert rows[name + end]["floats_per_activation"] == 3
+    for count in (4, 16, 64):  # a window costs error: what is cut is the best of its degree
+        cut, windowed = (rows[name + end][f"l2_{count}"] for name in ("sh", "sh_windowed"))
+        assert cut < windowed < 1
     errors = [rows["haar" + end][f"l2_{count}"] for count in (4, 16, 64)]
     assert errors == sorted(errors, reverse=True)
 
