@@ -1,7 +1,7 @@
 # Every target sets itself up: a fresh clone needs only make and Python 3.11 or newer (with venv).
 #   make demo     a rendered face with its true light, and two photographs; results in out/demo
 #   make test     the tests that take minutes together; tells how many it leaves out
-#   make night    what a release needs: all tests, walk-throughs, fuzzing and kills; takes hours
+#   make night    what a release needs: all tests, walk-throughs, fuzzing, kills and mutants; hours
 #   make lint     style, types, and which module may import which
 #   make format   rewrite the code in the project's style
 #   make bench    timings
@@ -43,6 +43,7 @@ night: test-all docs
 	rm -rf out/night && mkdir -p out/night
 	$(BIN)/python tools/kill_runs.py --out out/night/kill-runs.json
 	$(BIN)/python tools/fuzz.py --seconds $(SECONDS_EACH) --findings out/night --out out/night/fuzz.json
+	OMP_NUM_THREADS=1 $(BIN)/python tools/mutate.py --minutes 60 --out out/night/mutants.json
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -264,3 +264,14 @@ def test_table_5_3_says_what_its_number_is() -> None:
     assert row.met is None
     for words in ("not the same test", "in the median", "one lamp", "grey", "tinted", "settings"):
         assert words in row.ours
+
+
+def test_numbers_of_a_result_stand_under_their_names() -> None:
+    found = {"photos": 3, "machine": {"cores": 2, "name": "x"}, "seconds": 1.23456, "each": [1]}
+    assert build_measurements._numbers("run", found) == [
+        ("run photos", "3"),
+        ("run machine cores", "2"),
+        ("run machine name", "x"),
+        ("run seconds", "1.235"),
+    ]
+    assert build_measurements._numbers("run", {str(i): i for i in range(99)}) == []

@@ -36,10 +36,9 @@ PROBES_AND_MESHES = "a folder hdr of light probes with an index.csv, and a folde
 _UNMEASURED = (
     "cli.py",
     "maps/",
-    "relight/",
     "studio/",
     "training/",
-    "work/",
+    *(f"work/_{name}.py" for name in ("cluster", "memory", "processes", "progress", "resumable")),
     "evaluation/_main.py",
     "evaluation/_tables.py",
 )

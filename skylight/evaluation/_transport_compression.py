@@ -285,7 +285,7 @@ def _haar_relighting(
     repeat: Int[Tensor, " m"],
     light: Float[Tensor, "n c"],
     truth: Float[Tensor, "m c"],
-) -> dict[str, float]:
+) -> dict[str, object]:
     """Rows' largest wavelets times the light's, both on the cube map."""
     root = texel_solid_angles(CUBE)[..., None].sqrt()
     wavelets = torch.stack(

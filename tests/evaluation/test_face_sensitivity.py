@@ -1,6 +1,7 @@
 """Perturbations by exactly what was asked, and the curves made of them."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -57,10 +58,15 @@ def test_noise_of_the_shape_grows_along_one_direction(face):
     assert steps[0.0].vertices == pytest.approx(face.truth.vertices)
     half, whole = (steps[s].identity - face.truth.identity for s in (0.5, 1.0))
     assert whole == pytest.approx(2 * half)
-    error = np.concatenate(
-        [whole, steps[1.0].expression - face.truth.expression]
-    )  # standard normal, so of length sqrt(n) within five deviations of 1 / sqrt(2)
-    assert np.linalg.norm(error) == pytest.approx(math.sqrt(len(error)), abs=5 / math.sqrt(2))
+    # standard normal, so of mean square 1 within five deviations of sqrt(2 / n)
+    seeds = [misshapen(face.truth, 1.0, seed) for seed in range(8)]
+    for errors in (
+        np.concatenate([fit.identity - face.truth.identity for fit in seeds]),
+        np.concatenate([fit.expression - face.truth.expression for fit in seeds]),
+    ):
+        deviation = math.sqrt(2 / len(errors))
+        assert np.square(errors).mean() == pytest.approx(1, abs=5 * deviation)
+        assert 5 * deviation < 0.5  # that of half the noise would be 1/4
 
 
 def test_another_size_shows_the_same_head(face):
@@ -71,8 +77,11 @@ def test_another_size_shows_the_same_head(face):
     assert points[1] == pytest.approx(points[0] / 2)
     assert face_height_px(small.truth) == pytest.approx(face_height_px(face.truth) / 2, abs=1)
     # a pixel counts as over-exposed where any part of it is
-    blocks = face.clipped.reshape(32, 2, 32, 2).any(3).any(1)
-    assert torch.equal(small.clipped, blocks)
+    clipped = torch.zeros(64, 64, dtype=torch.bool)
+    clipped[10, 21] = clipped[30:34, 40:44] = True
+    small = resampled(replace(face, clipped=clipped), 32)
+    assert torch.equal(small.clipped, clipped.reshape(32, 2, 32, 2).any(3).any(1))
+    assert int(small.clipped.sum()) == 1 + 4
 
 
 def test_only_sizes_that_a_picture_has():

@@ -4,19 +4,26 @@ import math
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
 import trimesh
 
-from skylight.errors import DependencyError
+from skylight.errors import DependencyError, InputError
+from skylight.evaluation import _partition_probe as partition_probe, _partition_scene as scene
 from skylight.evaluation._partition_probe import (
     THESIS_MEAN,
     PartitionProbeTable,
     scored,
     with_sun_in_the_east,
 )
-from skylight.evaluation._partition_scene import ALBEDO, MODELS, partition_scene
+from skylight.evaluation._partition_scene import (
+    ALBEDO,
+    MODELS,
+    PartitionScene,
+    partition_scene,
+)
 from skylight.evaluation._run import Item
 from skylight.io._files import write_environment_map
 from skylight.probes.partitions._cells import Cells
@@ -95,7 +102,7 @@ def test_errors_are_means_over_azimuths_of_the_probe(
     once = small(data)
     twice = replace(once, turns=2).measure("day.exr", tmp_path / "c.png")
     first, mean = (item.metrics["6d"]["mae_sunny"] for item in (by_day, twice))
-    scene = partition_scene(once.meshes, once.width)
+    made = partition_scene(once.meshes, once.width)
     light = with_sun_in_the_east(sunny().resize(128))
     angle = math.radians(180 + 45)
     around = torch.tensor(
@@ -108,9 +115,9 @@ def test_errors_are_means_over_azimuths_of_the_probe(
     )
     design = ProbeDesign.of("turned", named_design("6d").seeds @ around.T)
     probe = PartitionProbe(Cells.of(design))
-    lit = scene.relighting(design, once.rays, 0)(probe.light(probe.encode_map(light)))
-    truth, _ = scene.traced(light, once.samples, once.seed)
-    second = scored(scene, lit.detach(), truth)["mae"]
+    lit = made.relighting(design, once.rays, 0)(probe.light(probe.encode_map(light)))
+    truth, _ = made.traced(light, once.samples, once.seed)
+    second = scored(made, lit.detach(), truth)["mae"]
     assert abs(second / first - 1) > 0.05
     assert mean == pytest.approx((first + second) / 2, rel=1e-4)
 
@@ -167,19 +174,82 @@ def test_the_sun_is_turned_to_the_east() -> None:
         assert float(angle_between(level / level.norm(), east)) < math.radians(6)
 
 
+def test_azimuths_are_spread_over_the_circle_and_over_a_quarter_of_it() -> None:
+    """Four turns about +Y: by 0, 90 + 22.5, 180 + 45 and 270 + 67.5 degrees."""
+    design = named_design("6d")
+    turned = partition_probe._turns(design, 4)
+    assert turned[0] is design
+    for k, one in enumerate(turned):
+        angle = math.radians(90 * k + 22.5 * k)
+        c, s = math.cos(angle), math.sin(angle)
+        about = torch.tensor([[c, 0, s], [0, 1, 0], [-s, 0, c]], dtype=torch.float64)
+        torch.testing.assert_close(one.seeds, design.seeds @ about.T)
+    oriented = named_design("14d-outdoor")
+    assert partition_probe._turns(oriented, 4) == (oriented,)
+
+
+def test_models_stand_on_the_ground_beside_each_other(data: Path, tmp_path: Path) -> None:
+    box = trimesh.creation.box((2.0, 4.0, 1.0))
+    box.apply_translation((5.0, 7.0, -3.0))
+    box.export(tmp_path / "box.ply")
+    vertices, faces = scene._standing(tmp_path / "box.ply")
+    low, high = vertices.amin(0), vertices.amax(0)
+    torch.testing.assert_close(low, torch.tensor([-0.25, 0.0, -0.125]).double())
+    torch.testing.assert_close(high, torch.tensor([0.25, 1.0, 0.125]).double())
+    assert len(faces) == 12
+    ground = scene._ground(torch.full((3,), 0.8).double())
+    assert (ground.vertices[:, 1] == 0).all()
+    corners = ground.vertices[ground.faces]
+    normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (normals[:, 1] > 0).all()  # it is seen from above
+    assert float(normals[:, 1].sum() / 2) == pytest.approx(12 * 12)
+    edges = (corners - corners.roll(1, 1)).norm(dim=2)
+    assert float(edges.max()) <= 0.2 + 1e-9
+    both = partition_scene((tmp_path / "box.ply", tmp_path / "box.ply"), 48)
+    models = both.scene.vertices[len(ground.vertices) :]
+    first, second = models.chunk(2)
+    shift = torch.tensor([1.0, 0.0, 0.0]).double()
+    torch.testing.assert_close(second - first, shift.expand_as(first))
+    torch.testing.assert_close(first.mean(0), torch.tensor([-0.5, 0.5, 0.0]).double())
+    assert both.picture(torch.ones(len(both.points), 3)).shape == (28, 48, 3)
+
+
+def test_light_without_shadows_is_a_balls() -> None:
+    """Under even light of L every point sends back albedo L; under harmonics too."""
+    lit = PartitionScene.lit_sphere
+    points = SimpleNamespace(points=SimpleNamespace(normals=torch.eye(3).double().repeat(900, 1)))
+    shade = lit(points, EnvironmentMap(radiance=torch.full((32, 64, 3), 2.0)))
+    torch.testing.assert_close(shade, torch.full((2700, 3), 2 * ALBEDO).double(), rtol=1e-2, atol=0)
+    coefficients = scene.harmonic_light(EnvironmentMap(radiance=torch.ones(32, 64, 3)))
+    assert coefficients.shape == (25, 3)
+    torch.testing.assert_close(
+        coefficients[0], torch.full((3,), math.sqrt(4 * math.pi)).double(), rtol=1e-3, atol=0
+    )
+    assert float(coefficients[1:].abs().max()) < 1e-2
+
+
+def test_a_probe_needs_an_azimuth_and_maps(data: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="1 azimuth or more, got turns=0"):
+        replace(small(data), turns=0)
+    (tmp_path / "meshes").symlink_to(data / "meshes")
+    (tmp_path / "index.csv").write_text("file,category\na.exr,night\n")
+    with pytest.raises(InputError, match="no map of the category indoor or outdoor-sun"):
+        replace(small(data), data=tmp_path)
+
+
 def test_the_thesis_measures(data: Path) -> None:
-    scene = partition_scene(small(data).meshes, 32)
-    truth = torch.full((len(scene.points), 3), 2.0)
-    found = scored(scene, truth * torch.tensor([1.1, 1.0, 0.7]), truth)
+    made = partition_scene(small(data).meshes, 32)
+    truth = torch.full((len(made.points), 3), 2.0)
+    found = scored(made, truth * torch.tensor([1.1, 1.0, 0.7]), truth)
     assert found["mae"] == pytest.approx(0.4 / 3, rel=1e-5)
     assert found["mae_thesis"] == pytest.approx(0.4 * THESIS_MEAN, rel=1e-5)
     assert found["rmse_thesis"] == pytest.approx(math.hypot(0.1, 0.3) * THESIS_MEAN, rel=1e-5)
 
 
 def test_a_ball_in_the_sun_is_lit_by_its_cosine(data: Path) -> None:
-    scene = partition_scene(small(data).meshes, 32)
+    made = partition_scene(small(data).meshes, 32)
     light = uniform()
-    lit = scene.lit_sphere(light)
+    lit = made.lit_sphere(light)
     expected = ALBEDO * torch.tensor([1.0, 0.8, 0.6]).double()
     assert torch.allclose(lit, expected.expand_as(lit), rtol=0.02)
 

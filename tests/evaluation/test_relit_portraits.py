@@ -50,6 +50,12 @@ def test_the_exposure_of_a_picture_that_is_another_times_a_factor() -> None:
     assert nearest_exposure(0.3 * linear, truth, MASK) == pytest.approx(1 / 0.3, rel=0.03)
 
 
+def test_what_is_shown_lies_between_black_and_white() -> None:
+    shown = relit_portraits._encoded(np.array([-1.0, 0.0, 0.5, 1.0, 2.0]))
+    middle = float(linear_to_srgb(torch.tensor(0.5)))
+    np.testing.assert_allclose(shown, [0, 0, middle, 1, 1], atol=1e-6)
+
+
 def test_scores_are_of_the_mask_alone() -> None:
     truth = picture(3)
     other = truth.copy()

@@ -11,6 +11,9 @@ from skylight.evaluation._sky_fits import (
     autoencoder_start,
     descend,
     fit_harmonic,
+    fit_sun_and_sky,
+    over_ground,
+    sun_and_sky_start,
 )
 from skylight.models._bundle import load_bundle
 from skylight.models.sunsky import SunSky
@@ -34,6 +37,24 @@ def test_harmonics_fit_constant_light_exactly():
     # over a white ground a sky of 1 is a sphere of 1
     fit = fit_harmonic(torch.ones(32, 128, 3), torch.ones(3), degree=2)
     torch.testing.assert_close(fit.radiance, torch.ones(64, 128, 3), atol=1e-4, rtol=0)
+
+
+def test_harmonics_are_cut_at_zero():
+    """One bright pixel rings below zero, which light cannot be."""
+    sky = torch.full((32, 128, 3), 0.1)
+    sky[5, 64] = 1000.0
+    fit = fit_harmonic(sky, torch.zeros(3), degree=4).radiance
+    assert float(fit.min()) == 0
+    assert float((fit == 0).double().mean()) > 0.2
+    assert EnvironmentMap(radiance=fit).layout == (64, 128)
+
+
+def test_ground_is_what_it_sends_back_of_an_even_sky():
+    """E = pi L under a sky of L: the ground's radiance is its albedo times L."""
+    albedo = torch.tensor([0.1, 0.4, 0.9])
+    full = over_ground(torch.full((32, 128, 3), 2.0), albedo).radiance
+    assert torch.equal(full[:32], torch.full((32, 128, 3), 2.0))
+    torch.testing.assert_close(full[32:], (2 * albedo).expand(32, 128, 3), rtol=1e-4, atol=0)
 
 
 def test_the_loss_is_least_at_the_sky_itself():
@@ -79,6 +100,22 @@ def test_the_encoder_starts_with_the_sun_ahead(sky):
     brightest = EnvironmentMap(radiance=decoded).brightest_direction()
     truth = EnvironmentMap(radiance=sky).brightest_direction()
     assert float(angle_between(brightest, truth).rad2deg()) < 2
+
+
+def test_the_closed_form_is_near_a_sky_of_the_model_itself(sky):
+    start = sun_and_sky_start(sky)
+    assert start.shape == (1, SunSky.parameter_count)
+    assert start.dtype == torch.float32
+    with torch.no_grad():
+        found = EnvironmentMap(radiance=SunSky()(start)[0].reshape(32, 128, 3))
+    apart = angle_between(
+        found.brightest_direction(), EnvironmentMap(radiance=sky).brightest_direction()
+    )
+    assert float(apart.rad2deg()) < 2
+    fitted = fit_sun_and_sky(sky, torch.full((3,), 0.2))
+    assert fitted.layout == (64, 128)
+    off = (fitted.radiance[:32] - sky).abs().mean() / sky.mean()
+    assert float(off) < 0.1
 
 
 def test_descent_comes_close_to_a_sky_of_the_model_itself(sky):

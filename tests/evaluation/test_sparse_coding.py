@@ -1,14 +1,26 @@
 """What is measured of one map, which maps are measured, and what is asked of the rows."""
 
+import itertools
 import math
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
 import torch
 
+from skylight.csc._dictionary import FilterBank, builtin
+from skylight.csc._greedy import PursuitOptions
 from skylight.errors import InputError
+from skylight.evaluation import _sparse_coding as sparse_coding
 from skylight.evaluation._run import Item
-from skylight.evaluation._sparse_coding import SparseCoding, relative_error
+from skylight.evaluation._sparse_coding import (
+    CODERS,
+    Lobes,
+    SparseCoding,
+    fit_gaussians,
+    relative_error,
+)
 from skylight.imaging._metrics import ssim
 from skylight.io._files import read_environment_map, write_environment_map
 from skylight.sphere import _harmonics as harmonics
@@ -194,6 +206,156 @@ def test_the_whites_are_the_mean_luminance_and_the_norm(
     for metric, white in (("ssim_mean", float(luminance(truth).mean())), ("ssim_unit", norm)):
         assert found[f"{metric}_64"] == pytest.approx(ssim(fit, truth, white=white))
         assert found[f"{metric}_64"] != pytest.approx(ssim(fit, truth, white=1.1 * white), rel=1e-3)
+
+
+class Coder:
+    """Draws the truth with an error that is told by its dictionary, sign and count."""
+
+    def __init__(self, dictionary: str, height: int, banded: bool) -> None:
+        self.number = 1 + 2 * [*CODERS, "box"].index(dictionary) + banded
+        self.height, self.options = height, PursuitOptions()
+
+    def path(self, truth: torch.Tensor, counts: list[int]) -> list[tuple[torch.Tensor, int, str]]:
+        return [(truth, count, self.options.weights) for count in counts]
+
+    def decode(self, code: tuple[torch.Tensor, int, str]) -> torch.Tensor:
+        truth, count, weights = code
+        return truth * (1 - error_of(self.number, count, weights))
+
+
+def error_of(number: int, count: int, weights: str) -> float:
+    return (number / 100 + (weights == "l1") / 30) / math.sqrt(count)
+
+
+@pytest.fixture
+def drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SparseCoding:
+    """An indoor map and one by night; the coders know the answer but for their error."""
+    data = indexed(tmp_path, {"a.exr": "indoor-studio", "b.exr": "night"})
+    for number, name in enumerate(("a.exr", "b.exr")):
+        radiance = room(number).resize(16).radiance
+        write_environment_map(data / name, EnvironmentMap(radiance=radiance))
+    coders = cache(Coder)
+
+    def coder(self: SparseCoding, dictionary: str, item: str, *, banded: bool) -> Coder:
+        return coders(dictionary, self.height, banded)
+
+    monkeypatch.setattr(SparseCoding, "_coder", coder)
+    monkeypatch.setattr(sparse_coding, "lobes_of", lambda code, coder: code)
+    monkeypatch.setattr(sparse_coding, "fit_gaussians", lambda truth, code: truth / (2 + code[1]))
+    return SparseCoding(data=data, height=16, counts=(4, 16, 64))
+
+
+@pytest.mark.parametrize(("name", "end"), [("a.exr", ""), ("b.exr", "_outdoor")])
+def test_rows_are_named_by_coder_sign_and_kind_of_map(
+    drawn: SparseCoding, name: str, end: str
+) -> None:
+    truth = read_environment_map(drawn.data / name).radiance.double()
+    item = drawn.measure(name, drawn.data / "picture.png")
+    rows = dict(item.metrics)
+    assert item.name == name
+    assert item.facts == {"category": "outdoor" if end else "indoor"}
+    limits = rows.pop("band_limit" + end)
+    assert set(limits) == {"l2_degree40", "l2_degree60", "l2_degree15"}
+    assert 0.01 < limits["l2_degree15"] < 0.5
+    methods = {"sh", "sh_windowed", "haar", *CODED, *([] if end else ["sg"])}
+    assert set(rows) == {method + end for method in methods}
+    whites = {"ssim": None, "ssim_mean": float(luminance(truth).mean())}
+    scale = DirectionGrid.latlong(16).solid_angles
+    whites["ssim_unit"] = math.sqrt(float(scale @ truth.flatten(0, 1).square().sum(1)))
+    for dictionary, banded in itertools.product(CODERS, (True, False)):
+        number = Coder(dictionary, 16, banded).number
+        for sign, weights in (("nnls", "nonnegative"), ("l1", "l1")):
+            row = rows.get(f"{dictionary}{'_k40' if banded else ''}_{sign}{end}")
+            if row is None:
+                assert (dictionary, banded) in (("vmf", False), ("box", True))
+                continue
+            assert row["floats_per_activation"] == 4
+            for count in (4, 16, 64):
+                error = error_of(number, count, weights)
+                assert row[f"l2_{count}"] == pytest.approx(error, rel=1e-4)
+                assert row[f"ssim_{count}"] == pytest.approx(ssim((1 - error) * truth, truth))
+            for tones in ("ssim_mean", "ssim_unit"):
+                expected = ssim((1 - error) * truth, truth, white=whites[tones])
+                assert row[f"{tones}_64"] == pytest.approx(expected)
+            assert len(row) == 1 + 2 * 3 + 2
+    if not end:
+        assert rows["sg"]["l2_16"] == pytest.approx(1 - 1 / 18)
+        assert rows["sg"]["floats_per_activation"] == 6
+    for name in ("sh", "sh_windowed"):
+        assert rows[name + end]["floats_per_activation"] == 3
+    for count in (4, 16, 64):  # a window costs error: what is cut is the best of its degree
+        cut, windowed = (rows[name + end][f"l2_{count}"] for name in ("sh", "sh_windowed"))
+        assert cut < windowed < 1
+    errors = [rows["haar" + end][f"l2_{count}"] for count in (4, 16, 64)]
+    assert errors == sorted(errors, reverse=True)
+
+
+def test_windowed_harmonics_have_hanns_factors_in_each_band(drawn: SparseCoding) -> None:
+    """Of light 1 + y: the mean stays, and band 1 is halved at degree 1 = sqrt(4) - 1."""
+    y = DirectionGrid.latlong(64).directions[:, 1].reshape(64, 128, 1).expand(-1, -1, 3)
+    finer = replace(drawn, height=64)
+    cut, windowed = (finer._harmonics(1 + y, windowed=w) for w in (False, True))
+    for fit in cut:
+        torch.testing.assert_close(fit, 1 + y, rtol=0, atol=1e-2)
+    for degree, fit in zip((1, 3, 7), windowed, strict=True):
+        factor = (1 + math.cos(math.pi / (degree + 1))) / 2
+        torch.testing.assert_close(fit, 1 + factor * y, rtol=0, atol=1e-2)
+
+
+def test_kmeans_learns_from_the_half_that_is_not_tested(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Maps of one value each, which tells them."""
+    seen: list[tuple[int, int, list[int]]] = []
+
+    def learn(maps: list[torch.Tensor], *, count: int, seed: int) -> FilterBank:
+        assert {tuple(each.shape) for each in maps} == {(128, 256, 3)}
+        seen.append((count, seed, [round(float(each.mean())) for each in maps]))
+        return builtin("iso", 4)
+
+    data = indexed(tmp_path, {f"{n}.exr": "indoor" for n in range(5)})
+    for n in range(5):
+        light = torch.full((16, 32, 3), float(n))
+        write_environment_map(data / f"{n}.exr", EnvironmentMap(radiance=light))
+    monkeypatch.setattr(sparse_coding, "learn_patches", learn)
+    coding = SparseCoding(data=data, height=32, learned=7, seed=3)
+    tried = [coding._coder("kmeans", f"{n}.exr", banded=True) for n in range(3)]
+    assert seen == [(7, 3, [1, 3]), (7, 3, [0, 2, 4])]
+    assert tried[0] is tried[2] is not tried[1]
+    few = SparseCoding(data=data, height=32, learned_from=1)
+    few._coder("kmeans", "1.exr", banded=True)
+    assert seen[-1] == (100, 0, [0])
+    other = few._coder("iso", "1.exr", banded=True)
+    assert other is few._coder("iso", "0.exr", banded=True)
+    assert other is not few._coder("iso", "0.exr", banded=False)
+
+
+def test_gaussians_descend_to_those_that_made_the_map() -> None:
+    start = Lobes(
+        directions=torch.tensor([[0.1, 1.0, 0.1], [1.0, 0.2, 0.0]]).double(),
+        sharpness=torch.tensor([8.0, 20.0]).double(),
+        colours=torch.ones(2, 3).double(),
+    )
+    grid = DirectionGrid.latlong(32)
+    axes = torch.tensor([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]).double()
+    colours = torch.tensor([[3.0, 2.0, 1.0], [0.5, 1.0, 2.0]]).double()
+    true = (12 * (grid.directions @ axes.T - 1)).exp() @ colours
+    found = fit_gaussians(true.reshape(32, 64, 3), start)
+    scale = grid.solid_angles.reshape(32, 64, 1)
+    assert relative_error(found, true.reshape(32, 64, 3), scale) < 0.02
+
+
+def test_two_gaussians_that_are_one_are_still_solved() -> None:
+    """The colours' normal equations are singular then but for a ridge."""
+    start = Lobes(
+        directions=torch.tensor([[0.0, 1.0, 0.0]]).double().repeat(3, 1),
+        sharpness=torch.full((3,), 10.0).double(),
+        colours=torch.ones(3, 3).double(),
+    )
+    y = DirectionGrid.latlong(16).directions[:, 1].reshape(16, 32, 1)
+    true = (10 * (y - 1)).exp().expand(-1, -1, 3)
+    scale = DirectionGrid.latlong(16).solid_angles.reshape(16, 32, 1)
+    assert relative_error(fit_gaussians(true, start), true, scale) < 1e-3
 
 
 def test_errors_are_weighted_by_solid_angle() -> None:

@@ -85,6 +85,11 @@ def test_error_is_weighted_by_solid_angle():
     found = true.clone()
     found[: len(true) // 2] += 1
     assert map_error(found, true) == pytest.approx(math.sqrt(0.5))
+    # the row round each pole holds 1 - cos(pi / rows) of a half: less than a row's share
+    found = true.clone()
+    found[: 2 * HEIGHT] += 1
+    share = (1 - math.cos(math.pi / HEIGHT)) / 2
+    assert map_error(found, true) == pytest.approx(math.sqrt(share), rel=1e-3)
 
 
 def test_the_basis_is_that_of_the_filters(scene: ObservedScene):

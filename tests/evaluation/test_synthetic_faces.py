@@ -173,6 +173,9 @@ def test_pose_error_is_the_angle_of_the_relative_rotation(face):
 
     turn = Rotation.from_rotvec(np.radians(7.0) * np.array([0.6, 0.0, 0.8])).as_matrix()
     assert pose_error_deg(face.truth, face.truth) == pytest.approx(0, abs=1e-5)
+    # rounding may take the cosine of no angle beyond 1
+    beyond = replace(face.truth, rotation=face.truth.rotation * (1 + 1e-12))
+    assert pose_error_deg(beyond, beyond) == 0
     turned = replace(face.truth, rotation=turn @ face.truth.rotation)
     assert pose_error_deg(turned, face.truth) == pytest.approx(7.0)
 

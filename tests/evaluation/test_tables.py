@@ -6,7 +6,13 @@ import pytest
 
 from skylight.evaluation._run import Item
 from skylight.evaluation._sky_models import REAL_GOALS, SIMULATED_GOALS, SkyModels
-from skylight.evaluation._tables import markdown, summarise, summarise_groups
+from skylight.evaluation._tables import (
+    curves_of,
+    markdown,
+    summarise,
+    summarise_groups,
+    write_curves,
+)
 
 METHODS = ("sh9", "sh25", "sunsky", "autoencoder_feedforward", "autoencoder")
 
@@ -143,6 +149,17 @@ def test_a_run_without_any_sun_is_checked_for_the_rest():
     checks = SkyModels(count=1).checks(values, [])
     assert not any("sun_" in name for name in checks)
     assert checks["autoencoder mae"].value == pytest.approx(0.05)
+
+
+def test_curves_are_of_metrics_at_two_counts_or_more(tmp_path):
+    counted = {
+        "ani": {"l2_16": 0.5, "l2_4": 0.9, "ssim_4": 0.3, "floats": 4.0},
+        "sh": {"l2_4": 1.0},
+    }
+    found = summarise([Item(name="0", metrics=counted)])
+    assert curves_of(found) == {"l2": {"ani": [(4, 0.9), (16, 0.5)]}, "ssim": {}}
+    assert write_curves(tmp_path, found) == [tmp_path / "l2.png"]
+    assert (tmp_path / "l2.png").read_bytes()[:4] == b"\x89PNG"
 
 
 def test_groups_without_quoted_metrics_are_left_out():

@@ -202,6 +202,31 @@ def test_a_missing_sun_shows_in_the_sun_score_alone() -> None:
     assert sky_dw_mae(pred, true, align_scale=False) == pytest.approx(0, abs=1e-7)
 
 
+def test_the_ground_is_no_sky() -> None:
+    """Half of all light moved to below the horizon, where the truth has none."""
+    true = sun_and_sky(40, 35)
+    radiance = true.radiance.clone()
+    radiance[64:] = 3.0
+    pred = EnvironmentMap(radiance=radiance)
+    assert full_dw_mae(pred, true, align_scale=False) > 0.5
+    assert sky_dw_mae(pred, true, align_scale=False) == pytest.approx(0, abs=1e-9)
+    assert sun_dw_mae_fixed(pred, true, align_scale=False) == pytest.approx(0, abs=1e-9)
+
+
+def test_the_white_is_the_quantile_and_not_the_brightest() -> None:
+    """A lamp in one pixel of a hundred changes what is shown of no other."""
+    true = torch.full((40, 50, 3), 0.5)
+    true[:, ::2] = 1.0
+    pred = true.clone()
+    pred[:, 1::2] = 0.4
+    plain = ssim(pred, true)
+    for picture_ in (pred, true):
+        picture_[::10, ::10] = 1e4
+    assert ssim(pred, true) == pytest.approx(plain)
+    assert plain < 0.98
+    assert ssim(pred, true, white=1e4) > 0.99  # all but the lamps is black in both
+
+
 @pytest.mark.parametrize("elevation_deg", [20.0, 35.0, 50.0])
 def test_a_sun_elsewhere_is_the_same_sun(elevation_deg: float) -> None:
     true = sun_and_sky(40, elevation_deg)

@@ -53,6 +53,21 @@ def test_several_faces_and_what_is_clipped_count() -> None:
     torch.testing.assert_close(linear_direction([spoilt]), linear_direction([without]))
 
 
+def test_each_level_halves_the_picture_and_the_light() -> None:
+    """B.1: four levels for face and light, one start, L-BFGS on each."""
+    assert THESIS.start == "mean"
+    assert [(s.level.pixels, s.level.light) for s in THESIS.stages] == [
+        (k, k) for k in (3, 2, 1, 0)
+    ]
+    assert {(stage.starts, stage.iterations) for stage in THESIS.stages} == {(1, 100)}
+    seen, _ = watched(140.0, 40.0)
+    (problem,) = light_problems("autoencoder", options=THESIS)
+    problem.add(seen)
+    (face,) = problem.faces
+    columns = [face.pyramid[s.level].transport.folded.shape[-1] - 1 for s in THESIS.stages]
+    assert [columns[-1] // c for c in columns] == [64, 16, 4, 1]
+
+
 def test_it_has_one_start_towards_the_light() -> None:
     seen, _ = watched(140.0, 40.0)
     (problem,) = light_problems("autoencoder", options=THESIS)

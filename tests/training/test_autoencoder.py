@@ -18,10 +18,11 @@ from skylight.errors import InputError
 from skylight.io._tensors import read_tensors, write_tensors
 from skylight.models._bundle import load_network, save_network
 from skylight.models._convolutional import ConvolutionalAutoencoder
+from skylight.models._network import SkyNetwork
 from skylight.models._splines import SplineAutoencoder
 from skylight.skies._index import read_index
 from skylight.training import _autoencoder as training
-from skylight.training._autoencoder import reconstruction_loss, schedule, train
+from skylight.training._autoencoder import RunState, reconstruction_loss, schedule, train
 from skylight.training._checkpoint import (
     NEWEST,
     PREVIOUS,
@@ -92,7 +93,9 @@ def same_run(ours: Path, theirs: Path) -> None:
 
 def test_one_epoch_after_another_learns(uninterrupted: Path, sky_folder: Path) -> None:
     whole = json.loads((uninterrupted / "curves.json").read_text())
-    assert whole["data_sha256"] == load_data(sky_folder).hash
+    data = load_data(sky_folder)
+    facts = {name: whole[name] for name in ("data_sha256", "skies", "processes")}
+    assert facts == {"data_sha256": data.hash, "skies": len(data.train), "processes": 1}
     assert [c["step"] for c in whole["curves"]] == [3, 6]
     first, second = (c["train"] for c in whole["curves"])
     assert second < first
@@ -253,20 +256,41 @@ def test_the_written_configuration_repeats_the_run(
     assert read_config(uninterrupted / "config.yaml") == replace(config, out=uninterrupted)
 
 
+def test_an_epoch_that_is_no_better_is_counted() -> None:
+    now = RunState(step=3, losses=[1.0, 3.0])
+    assert (now.since_best, now.curves) == (0, [])
+    assert now.end_epoch(validation=2.0)
+    assert (now.best, now.since_best, now.losses) == (2, 0, [])
+    assert now.curves == [{"step": 3, "train": 2, "validation": 2}]
+    for count in (1, 2):
+        now.losses = [1.0]
+        assert not now.end_epoch(validation=2.0)
+        assert (now.best, now.since_best) == (2, count)
+    now.losses = [1.0]
+    assert now.end_epoch(validation=1.5)
+    assert (now.best, now.since_best, len(now.curves)) == (1.5, 0, 4)
+
+
 def test_early_stopping(
     config: AutoencoderConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """After ``patience`` epochs without a better score; the best network is kept."""
-    scores = iter([3.0, 2.0, 2.5, 2.5, 1.0])
+    scores, judged = iter([3.0, 2.0, 2.5, 2.5, 1.0]), []
 
-    def validate(*_: object, corrupted: bool = False) -> float:
-        return 0.5 if corrupted else next(scores)
+    def validate(network: SkyNetwork, *_: object, corrupted: bool = False) -> float:
+        if corrupted:
+            return 0.5
+        save_network(network, tmp_path / "judged.safetensors")
+        judged.append((tmp_path / "judged.safetensors").read_bytes())
+        return next(scores)
 
     monkeypatch.setattr(training, "validate", validate)
     config = replace(config, out=tmp_path, epochs=5, patience=2, batch=12)
     train(config, report=lambda _: None)
     assert [c["validation"] for c in curves(tmp_path)] == [3.0, 2.0, 2.5, 2.5]
     assert next(scores) == 1.0
+    kept = (tmp_path / "model.safetensors").read_bytes()
+    assert [kept == one for one in judged] == [False, True, False, False]
 
 
 def test_divergence_is_said(config: AutoencoderConfig, tmp_path: Path) -> None:
