@@ -298,6 +298,7 @@ def test_people_without_a_folder_are_150() -> None:
     assert len(synthetic_faces.SyntheticFaces().items()) == 150
     assert synthetic_faces.SyntheticFaces(count=2).items() == ["face0000", "face0001"]
     assert synthetic_faces.SyntheticFaces().name == "synthetic-faces"
+    assert synthetic_faces.SyntheticFaces(data=Path("faces")).name == "rendered-faces"
 
 
 def test_every_face_has_a_seed_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
