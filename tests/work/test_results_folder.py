@@ -7,7 +7,7 @@ import pytest
 
 from skylight.errors import OutputError
 from skylight.estimation._report import SOME_FILES
-from skylight.probes.voxel._printing_files import PARTS
+from skylight.probes.voxel._printing_files import PART_FILES
 from skylight.work._resumable import locked, results_folder
 from tests.cli.test_cli import contents
 
@@ -64,7 +64,7 @@ def test_parts_of_a_larger_probe_go(tmp_path: Path) -> None:
     for count in (120, 7):
         names = {f"part_{n + 1:0{len(str(count))}d}.stl" for n in range(count)} | {"parts.stl"}
         names = {name if count > 9 else name.replace("part_", "part_0") for name in names}
-        with results_folder(tmp_path, PARTS) as partial:
+        with results_folder(tmp_path, PART_FILES) as partial:
             for name in names:
                 (partial / name).write_text("new")
         assert {*contents(tmp_path)} == names
