@@ -229,7 +229,10 @@ def exif_space(exif: Image.Exif) -> ColourSpace | None:
     """
     tags = exif.get_ifd(ExifTags.IFD.Exif)
     space = tags.get(ExifTags.Base.ColorSpace)
-    index = exif_text(exif.get_ifd(ExifTags.IFD.Interop).get(1))
+    try:
+        index = exif_text(exif.get_ifd(ExifTags.IFD.Interop).get(1))
+    except KeyError:  # Pillow before 13, where a file has none
+        index = ""
     if space == 1:
         return None
     if space == 2 or index == "R03":
