@@ -239,7 +239,9 @@ def test_each_row_of_the_thesis_counts_once(table_: str, rows_of_the_thesis: int
     ("name", "reason"),
     [
         ("Fig. 3.6", "it cannot rise"),
+        ("Fig. 3.7, 3.4.5", "were chosen by these numbers"),
         ("Fig. 3.9", "were chosen by these numbers"),
+        ("Fig. 3.9, order", "were chosen by these numbers"),
         ("Fig. 3.13", "is ours"),
         ("Fig. 4.5", "is ours"),
         ("Fig. 5.8a, B.5", "is ours"),

@@ -227,7 +227,8 @@ def _l2_of(suffix: str, vmf: str) -> Statement:
     """What is said of Fig. 6.8, of codes whose weights have either sign."""
     ani, kmeans, iso = (f"{d}{suffix}_l1" for d in ("ani", "kmeans", "iso"))
     return Statement(
-        words="ani before kmeans before iso before vmf; codes before haar before sh",
+        words="of the l1 codes ani before kmeans before iso before vmf, and those three before "
+        "haar; haar before sh",
         pairs=(
             *each_before([ani], [kmeans]),
             *each_before([kmeans], [iso]),
