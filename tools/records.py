@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from skylight.evaluation._main import EVALUATIONS
+from skylight.evaluation._run import UNMEASURED
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -22,13 +23,9 @@ Record = dict[str, Any]
 OLDER = "older than its code"
 LOST = "its commit is not in this history: to be measured again"
 UNCOMMITTED = "changes that it was made with and that were not committed"
-# What starts, keeps and shows runs: no number depends on it.
-_AROUND = (
-    "skylight/evaluation/_main.py",
-    "skylight/evaluation/_pictures.py",
-    "skylight/evaluation/_run.py",
-    "skylight/evaluation/_tables.py",
-    "skylight/work/",
+# What starts, keeps and shows runs. Tools measure other parts of the package than evaluations do.
+_AROUND = tuple(
+    f"skylight/{part}" for part in UNMEASURED if part.startswith(("evaluation/", "work/"))
 )
 
 
