@@ -29,7 +29,6 @@ from skylight.evaluation._known_faces import (
     lamps_chosen,
     light_by_method,
     rendered_here,
-    synthetic_face,
 )
 from skylight.evaluation._run import Item
 from skylight.faces._captures import write_azimuths
@@ -208,6 +207,7 @@ def lit(face: KnownFace, monkeypatch: pytest.MonkeyPatch) -> list[EstimateOption
     turned = face.environment.rotate_azimuth(math.radians(10))
     grid = posterior_at(0).grid
     cell = int((grid.directions @ face.environment.brightest_direction()).argmax())
+    scores = face_score(turned, face)
 
     def lit(self, face, methods):
         estimates = {m: an_estimate(turned, cell=cell, name=m) for m in methods}
@@ -216,7 +216,7 @@ def lit(face: KnownFace, monkeypatch: pytest.MonkeyPatch) -> list[EstimateOption
             fit=face.truth,
             view=SimpleNamespace(observation=7, blocks=torch.arange(3)),
             estimates=estimates,
-            metrics={m: face_score(turned, face) for m in methods},
+            metrics={m: dict(scores) for m in methods},
             seconds={"head": 0.5},
         )
 
@@ -301,14 +301,13 @@ def test_people_without_a_folder_are_150() -> None:
     assert synthetic_faces.SyntheticFaces(data=Path("faces")).name == "rendered-faces"
 
 
-def test_every_face_has_a_seed_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_face_has_a_seed_of_its_own(face: KnownFace, monkeypatch: pytest.MonkeyPatch) -> None:
     seeds: list[tuple[int, int]] = []
 
     def rendered(seed: int, size: int) -> KnownFace:
         seeds.append((seed, size))
-        return face_of
+        return face
 
-    face_of = rendered_here(20_000_000, 64)
     monkeypatch.setattr(known_faces, "rendered_here", rendered)
     source = FaceSource(data=None, count=3, size=64, seed=5)
     for name in source.names():
@@ -317,15 +316,14 @@ def test_every_face_has_a_seed_of_its_own(monkeypatch: pytest.MonkeyPatch) -> No
     assert source.config() == {"size": 64, "seed": 5}
 
 
-def test_grounds_differ_from_face_to_face(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_grounds_differ_from_face_to_face(face: KnownFace, monkeypatch: pytest.MonkeyPatch) -> None:
     grounds = []
 
     def render(sky, ground, *, seed, size):
         assert size == 32
         grounds.append((seed, tuple(ground.tolist())))
-        return face_of
+        return face
 
-    face_of = synthetic_face(20_000_000, 64)
     monkeypatch.setattr(known_faces, "render_face", render)
     firsts = []
 
