@@ -42,7 +42,7 @@ SCOPE = (
 LOOKS = ("skylight/evaluation/_pictures.py",)
 TESTS = (
     *("tests/evaluation", "tests/imaging/test_metrics.py", "tests/work", "tests/training"),
-    "tests/test_pages.py",
+    *("tests/test_pages.py", "tests/test_records.py"),
 )
 # imported before forking, so that no mutant waits for them; and so are skylight's own modules,
 # under the hook by which tests check annotations
