@@ -86,16 +86,16 @@ _BLOCK_ROWS = 64
 class Photo:
     """A photograph, upright as its EXIF orientation asks.
 
-    ``pixels``   linear Rec.709; 1 is the white of the file's encoding, in sRGB the largest code
-                 value. HDR pictures and colours outside Rec.709 exceed it (.exr, .hdr and TIFF in
-                 floating point: as stored).
-    ``encoded``  the same picture as 8-bit sRGB, for detectors and for looking at.
-    ``clipped``  where a channel reached its largest code value, so more light may have fallen.
-    ``grey``     without colour: the three channels of ``pixels`` are equal.
-    ``focal_px`` focal length in pixels of this picture, None where the file does not tell.
-    ``flash``    whether it fired, None where the file does not tell.
-    ``exposure_value``  that of the scene at ISO 100, None where the file does not tell.
-    ``taken``    where and when, as far as the file tells.
+    * ``pixels``: linear Rec.709; 1 is the white of the file's encoding, in sRGB the largest code
+      value. HDR pictures and colours outside Rec.709 exceed it (.exr, .hdr and TIFF in floating
+      point: as stored).
+    * ``encoded``: the same picture as 8-bit sRGB, for detectors and for looking at.
+    * ``clipped``: where a channel reached its largest code value, so more light may have fallen.
+    * ``grey``: without colour: the three channels of ``pixels`` are equal.
+    * ``focal_px``: focal length in pixels of this picture, None where the file does not tell.
+    * ``flash``: whether it fired, None where the file does not tell.
+    * ``exposure_value``: that of the scene at ISO 100, None where the file does not tell.
+    * ``taken``: where and when, as far as the file tells.
     """
 
     pixels: Float[Tensor, "h w 3"]
