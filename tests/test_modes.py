@@ -2,7 +2,8 @@
 
 import copy
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import pytest
 import torch
@@ -10,6 +11,7 @@ from torch import Tensor, nn
 from torch.autograd import forward_ad
 from torch.func import functional_call, grad, jvp, vmap
 
+from skylight import _modes
 from skylight._modes import Derived, constant
 
 
@@ -81,7 +83,7 @@ def test_after_a_transform_there_are_gradients_copies_and_pickles() -> None:
     torch.autograd.grad((scale * module()).sum(), scale)
     derived = module._doubled
     for again in (copy.deepcopy(derived), pickle.loads(pickle.dumps(derived))):
-        assert again._value is None
+        assert again._latest is None
 
 
 def test_a_copy_does_not_take_another_tensor_for_its_own() -> None:
@@ -112,6 +114,19 @@ def test_another_view_of_the_same_numbers_is_another() -> None:
     derived, square = Derived[Tensor](), torch.rand(3, 3)
     for view in (square, square.T):
         assert torch.equal(derived.of([view], lambda view=view: 2 * view), 2 * view)
+
+
+def test_another_thread_asks_for_another_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    derived, mine, others = Derived[Tensor](), torch.zeros(3), torch.ones(3)
+
+    @contextmanager
+    def interrupted(like: Tensor) -> Iterator[None]:
+        yield
+        if like is mine:
+            derived.of([others], lambda: others + 0)
+
+    monkeypatch.setattr(_modes, "full_precision", interrupted)
+    assert torch.equal(derived.of([mine], lambda: mine + 0), mine)
 
 
 def _in_inference(make: Callable[[], Tensor]) -> None:
@@ -146,6 +161,20 @@ def test_a_constant_is_made_as_if_nobody_asked(mode: Callable[..., None]) -> Non
     (slope,) = torch.autograd.grad((scale * table()).sum(), scale)
     assert torch.equal(slope, table().sum())
     copy.deepcopy(table())
+
+
+def test_a_constant_of_another_default_precision_is_another() -> None:
+    @constant()
+    def table() -> Tensor:
+        return torch.ones(3)
+
+    torch.set_default_dtype(torch.float64)
+    try:
+        assert table().dtype == torch.float64
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert table().dtype == torch.float32
+    assert table() is table()
 
 
 def test_a_constant_fails_as_its_function_does() -> None:
