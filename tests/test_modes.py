@@ -36,6 +36,17 @@ def test_nothing_is_computed_twice() -> None:
     assert module.computed == 1
 
 
+def test_writes_are_seen_and_evaluation_keeps_no_graph() -> None:
+    module = Doubled().requires_grad_()
+    for count in (1, 2):
+        with torch.no_grad():
+            assert torch.equal(module(), 2 * module.x)
+            assert not module().requires_grad
+            assert module.computed == count
+            module.x.mul_(3)
+    assert module().requires_grad
+
+
 def test_tensors_at_the_address_of_earlier_ones_are_others() -> None:
     module = Doubled()
     for _ in range(50):
@@ -79,6 +90,7 @@ def test_after_a_transform_there_are_gradients_copies_and_pickles() -> None:
     scale = torch.ones(())
     assert torch.equal(grad(lambda s: (s * module()).sum())(scale), module().sum())
     assert module.computed == 1
+    pickle.dumps(module())
     scale.requires_grad_()
     torch.autograd.grad((scale * module()).sum(), scale)
     derived = module._doubled
