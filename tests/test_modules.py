@@ -25,7 +25,8 @@ from skylight.csc import SphericalSparseCoder
 from skylight.errors import InputError
 from skylight.models import GaussianLobes, LampsLight, LightModel, SunSky
 from skylight.models.sunsky import fit_sunsky
-from tests.modules import CASES, F32, F64, NOT_HERE, TF32, Case, coder as coder_of_few, error
+from skylight.transport._render import reflection_weights
+from tests.modules import CASES, F32, F64, GRID, NOT_HERE, TF32, Case, coder as coder_of_few, error
 
 PACKAGE = Path(skylight.__file__).parent
 
@@ -232,6 +233,7 @@ def test_what_is_not_forward_is_the_same_under_autocast() -> None:
         lambda: GaussianLobes(3, 8).matching_start(sky),
         lambda: mixture.covariances,
         lambda: mixture.widened(torch.eye(64)).precision_factors,
+        lambda: reflection_weights(GRID.directions[:9].float(), GRID, 0.16),
     ):
         expected = value()
         with torch.autocast("cpu", torch.bfloat16):
