@@ -7,7 +7,7 @@ them. What is kept for others is computed without, and so is what eight bits wou
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import lru_cache, update_wrapper, wraps
+from functools import lru_cache, wraps
 from typing import Any, Generic, ParamSpec, TypeVar
 
 import torch
@@ -57,17 +57,22 @@ def kept() -> Iterator[None]:
 def constant(maxsize: int | None = None) -> Callable[[Callable[..., T]], Callable[..., T]]:
     """:func:`functools.lru_cache` of a table that depends on its arguments alone.
 
-    It is made in a thread of its own, for modes belong to threads: a table that someone in
-    inference mode asked for first could otherwise be no part of anyone's graph.
+    There is one for each default dtype, which is the process'. It is made in a thread of its own,
+    for the other modes belong to threads: a table that someone in inference mode asked for first
+    could otherwise be no part of anyone's graph.
     """
 
     def decorate(function: Callable[..., T]) -> Callable[..., T]:
         @lru_cache(maxsize)
-        def once(*args: Any) -> T:
+        def once(dtype: torch.dtype, *args: Any) -> T:
             with ThreadPoolExecutor(1) as thread:
                 return thread.submit(function, *args).result()
 
-        return update_wrapper(once, function)
+        @wraps(function)
+        def inner(*args: Any) -> T:
+            return once(torch.get_default_dtype(), *args)
+
+        return inner
 
     return decorate
 
@@ -83,9 +88,9 @@ class Derived(Generic[T]):
     """
 
     def __init__(self) -> None:
-        self._states: list[tuple[object, ...]] | None = None
-        self._storages: list[Tensor] = []  # kept, so that no other tensor gets their addresses
-        self._value: T | None = None
+        # One tuple, for threads: (state of the sources, value, their storages, which are kept so
+        # that no other tensor gets their addresses)
+        self._latest: tuple[list[tuple[object, ...]], T, list[Tensor]] | None = None
 
     def __reduce__(self) -> tuple[type["Derived[T]"], tuple[()]]:
         return Derived, ()
@@ -97,12 +102,12 @@ class Derived(Generic[T]):
             now = _states(sources)
             if now is None:
                 return compute()
-            if now != self._states:
+            latest = self._latest
+            if latest is None or latest[0] != now:
                 with kept():
-                    self._value = compute()
-                    self._storages = [source.detach() for source in sources]
-                self._states = now
-        return self._value  # type: ignore[return-value]
+                    latest = now, compute(), [source.detach() for source in sources]
+                self._latest = latest
+        return latest[1]
 
 
 def _states(sources: list[Tensor]) -> list[tuple[object, ...]] | None:

@@ -1,6 +1,6 @@
 """Every public module with an input: what the contract of all modules is tried on.
 
-A line of :data:`CASES` for each; what is tried stands in ``tests/test_contract.py``. Nothing here
+A line of :data:`CASES` for each; what is tried stands in ``tests/test_modules.py``. Nothing here
 asks for pytest, so that a machine with an accelerator can run the same.
 """
 

@@ -2,7 +2,8 @@
 
 import copy
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import pytest
 import torch
@@ -10,6 +11,7 @@ from torch import Tensor, nn
 from torch.autograd import forward_ad
 from torch.func import functional_call, grad, jvp, vmap
 
+from skylight import _modes
 from skylight._modes import Derived, constant
 
 
@@ -32,6 +34,17 @@ def test_nothing_is_computed_twice() -> None:
     module = Doubled()
     assert torch.equal(module(), module())
     assert module.computed == 1
+
+
+def test_writes_are_seen_and_evaluation_keeps_no_graph() -> None:
+    module = Doubled().requires_grad_()
+    for count in (1, 2):
+        with torch.no_grad():
+            assert torch.equal(module(), 2 * module.x)
+            assert not module().requires_grad
+            assert module.computed == count
+            module.x.mul_(3)
+    assert module().requires_grad
 
 
 def test_tensors_at_the_address_of_earlier_ones_are_others() -> None:
@@ -77,11 +90,12 @@ def test_after_a_transform_there_are_gradients_copies_and_pickles() -> None:
     scale = torch.ones(())
     assert torch.equal(grad(lambda s: (s * module()).sum())(scale), module().sum())
     assert module.computed == 1
+    pickle.dumps(module())
     scale.requires_grad_()
     torch.autograd.grad((scale * module()).sum(), scale)
     derived = module._doubled
     for again in (copy.deepcopy(derived), pickle.loads(pickle.dumps(derived))):
-        assert again._value is None
+        assert again._latest is None
 
 
 def test_a_copy_does_not_take_another_tensor_for_its_own() -> None:
@@ -112,6 +126,19 @@ def test_another_view_of_the_same_numbers_is_another() -> None:
     derived, square = Derived[Tensor](), torch.rand(3, 3)
     for view in (square, square.T):
         assert torch.equal(derived.of([view], lambda view=view: 2 * view), 2 * view)
+
+
+def test_another_thread_asks_for_another_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    derived, mine, others = Derived[Tensor](), torch.zeros(3), torch.ones(3)
+
+    @contextmanager
+    def interrupted(like: Tensor) -> Iterator[None]:
+        yield
+        if like is mine:
+            derived.of([others], lambda: others + 0)
+
+    monkeypatch.setattr(_modes, "full_precision", interrupted)
+    assert torch.equal(derived.of([mine], lambda: mine + 0), mine)
 
 
 def _in_inference(make: Callable[[], Tensor]) -> None:
@@ -146,6 +173,20 @@ def test_a_constant_is_made_as_if_nobody_asked(mode: Callable[..., None]) -> Non
     (slope,) = torch.autograd.grad((scale * table()).sum(), scale)
     assert torch.equal(slope, table().sum())
     copy.deepcopy(table())
+
+
+def test_a_constant_of_another_default_precision_is_another() -> None:
+    @constant()
+    def table() -> Tensor:
+        return torch.ones(3)
+
+    torch.set_default_dtype(torch.float64)
+    try:
+        assert table().dtype == torch.float64
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert table().dtype == torch.float32
+    assert table() is table()
 
 
 def test_a_constant_fails_as_its_function_does() -> None:

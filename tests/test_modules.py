@@ -24,7 +24,9 @@ import skylight
 from skylight.csc import SphericalSparseCoder
 from skylight.errors import InputError
 from skylight.models import GaussianLobes, LampsLight, LightModel, SunSky
-from tests.modules import CASES, F32, F64, NOT_HERE, TF32, Case, coder as coder_of_few, error
+from skylight.models.sunsky import fit_sunsky
+from skylight.transport._render import reflection_weights
+from tests.modules import CASES, F32, F64, GRID, NOT_HERE, TF32, Case, coder as coder_of_few, error
 
 PACKAGE = Path(skylight.__file__).parent
 
@@ -221,6 +223,21 @@ def test_parameters_that_autocast_made_are_not_rounded_again() -> None:
         with torch.autocast("cpu", torch.bfloat16):
             found = model(eight_bits)
         assert torch.equal(found, model(eight_bits.float()))
+
+
+def test_what_is_not_forward_is_the_same_under_autocast() -> None:
+    sky = CASES["ground"].given(F32)[0] ** 6
+    mixture = CASES["mixture"].single()
+    for value in (
+        lambda: fit_sunsky(sky, SunSky(8)),
+        lambda: GaussianLobes(3, 8).matching_start(sky),
+        lambda: mixture.covariances,
+        lambda: mixture.widened(torch.eye(64)).precision_factors,
+        lambda: reflection_weights(GRID.directions[:9].float(), GRID, 0.16),
+    ):
+        expected = value()
+        with torch.autocast("cpu", torch.bfloat16):
+            assert torch.equal(value(), expected)
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from jaxtyping import UInt8
 
+from skylight._modes import without_autocast
 from skylight.errors import InputError
 from skylight.estimation._settings import EstimateSettings, SettingKeywords
 from skylight.estimation._summary import PhotoEstimate, SeenFace
@@ -82,6 +83,7 @@ def estimate(
     return estimate_photo(image, *more, taken=taken, progress=progress, **settings).estimate
 
 
+@without_autocast
 def estimate_photo(
     image: Image,
     *more: Image,

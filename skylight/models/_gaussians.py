@@ -96,6 +96,10 @@ class GaussianLobes(nn.Module):
         colour lifts l to L in the lobe's mean of log(1 + radiance). The constant starts as the
         darkest tenth of the sky.
         """
+        with full_precision(sky):  # the next lobe is the largest of many that are alike
+            return self._matched(single(sky))
+
+    def _matched(self, sky: Float[Tensor, "b n 3"]) -> Float[Tensor, "b p"]:
         directions, sharpness, table = (each.to(sky) for each in _table(self.grid.layout))
         weight = self.grid.solid_angles.to(sky)
         norm = (table**2 @ weight).sqrt()

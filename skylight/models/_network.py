@@ -13,14 +13,13 @@ that a sun may have in training.
 
 import math
 from abc import ABC, abstractmethod
-from functools import lru_cache
 from typing import Literal
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from skylight._modes import kept, transformed
+from skylight._modes import constant, transformed
 from skylight.errors import InputError, check_shape
 from skylight.models._sun_head import COORDINATES, NEAR_RAD, SunHead
 from skylight.sphere._envmap import luminance
@@ -34,8 +33,7 @@ CENTRE_AZIMUTH_RAD = math.pi / WIDTH
 CODE_LIMIT = 13.0
 
 
-@lru_cache(maxsize=4)
-@kept()
+@constant(4)
 def _sun_on_rows(height: int, device: torch.device) -> SunHead:
     return SunHead(height, CENTRE_AZIMUTH_RAD).to(device)
 

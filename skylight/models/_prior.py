@@ -81,7 +81,8 @@ class GaussianMixture(nn.Module):
     @property
     def covariances(self) -> Float[Tensor, "k p p"]:
         """Of the components: (B_k B_k^T)^-1."""
-        return torch.linalg.inv(self.precision_factors @ self.precision_factors.mT)
+        with full_precision(self.means):
+            return torch.linalg.inv(self.precision_factors @ self.precision_factors.mT)
 
     def widened(self, covariance: Float[Tensor, "p p"]) -> "GaussianMixture":
         """The density of x + e with e from N(0, ``covariance``), which may be semi-definite."""

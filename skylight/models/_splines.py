@@ -10,7 +10,6 @@ decoder multiplies a hundredth as often as convolutions do that paint 4,096 pixe
 an MLP of the sky's own control points on a coarser lattice, those of least squares.
 """
 
-from functools import lru_cache
 from typing import Any
 
 import torch
@@ -18,7 +17,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from skylight._modes import constant, full_precision, kept, single
+from skylight._modes import constant, full_precision, single
 from skylight.errors import check_shape
 from skylight.models._network import CENTRE_AZIMUTH_RAD, CODE_LIMIT, HEIGHT, WIDTH, SkyNetwork
 from skylight.models._sun_head import COORDINATES
@@ -93,8 +92,7 @@ class SplineAutoencoder(SkyNetwork):
         return sky + self.sun_head.lobe(z[:, -COORDINATES:])
 
 
-@lru_cache(maxsize=8)
-@kept()
+@constant(8)
 def _on_rows(height: int, device: torch.device) -> DiskSplines:
     """Those of maps of so many rows."""
     return DiskSplines(ACROSS, DirectionGrid.sky(height)).to(device)

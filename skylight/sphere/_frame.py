@@ -135,7 +135,7 @@ def convert_latlong(
     turns = (centre_azimuth_rad(source) - centre_azimuth_rad(target)) / (2 * math.pi)
     shift = turns * width
     if shift != round(shift):
-        height = 2 * (width // 4)
+        height = 2 * max(1, width // 4)
         raise InputError(
             f"a map {width} columns wide cannot be turned by a quarter exactly: make it a multiple "
             f"of 4 wide, as by skylight convert IN OUT --height {height}"

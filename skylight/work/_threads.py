@@ -7,17 +7,26 @@ other (``docs/speed.md``). What is large enough is shared among processes of one
 Nothing here imports torch: the environment counts when a library is loaded.
 """
 
+import math
 import os
+from pathlib import Path
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+_LIMIT = Path("/sys/fs/cgroup/cpu.max")  # microseconds of cores' time in a period, or "max"
 _chosen_here = False
 
 
 def cores() -> int:
     """Those that this process may use: a batch system or a container gives it some of them."""
     if hasattr(os, "sched_getaffinity"):  # Linux
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+        count = len(os.sched_getaffinity(0))
+    else:
+        count = os.cpu_count() or 1
+    try:
+        time, period = map(int, _LIMIT.read_text().split())
+    except (OSError, ValueError):  # no container, or one without a limit
+        return count
+    return max(1, min(count, math.ceil(time / period)))
 
 
 def prefer_one_thread() -> None:

@@ -1,11 +1,19 @@
 """Estimates on every device: those there are, and one that PyTorch's rules are checked on."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
 
 import pytest
 import torch
 
 from skylight._names import ObjectLightName
+from skylight.errors import InputError
+from skylight.estimation import _photos as of_photos
+from skylight.estimation._photos import estimate_photo
+from skylight.estimation.film import _estimate as of_film
+from skylight.estimation.film._estimate import FilmSettings, estimate_film
 from skylight.inverse import _estimate as entry
 from skylight.inverse._descent import Stage
 from skylight.inverse._estimate import estimate_each, estimate_light, light_problems
@@ -39,11 +47,29 @@ def on_cpu(request: pytest.FixtureRequest) -> Estimate:
     return estimated(request.param, torch.device("cpu"))
 
 
-def test_an_estimate_passes_autocast_by() -> None:
-    expected = estimated("sh9", torch.device("cpu"))
-    with torch.autocast("cpu", torch.bfloat16):
-        found = estimated("sh9", torch.device("cpu"))
-    assert torch.equal(found.environment.radiance, expected.environment.radiance)
+@pytest.mark.parametrize(
+    ("module", "estimate", "given", "first"),
+    [
+        (entry, estimate_light, [()], "light_problems"),
+        (entry, estimate_each, [()], "choose_device"),
+        (of_object, estimate_object_light, [(), "sh9"], "choose_device"),
+        (of_photos, estimate_photo, ["a.jpg"], "EstimateSettings"),
+        (of_film, estimate_film, [Path("a.mp4"), Path("out"), FilmSettings()], "followed_film"),
+    ],
+)
+def test_estimates_pass_autocast_by(
+    module: ModuleType,
+    estimate: Callable[..., object],
+    given: Sequence[object],
+    first: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def look(*_: object, **__: object) -> None:
+        raise InputError(f"autocast: {torch.is_autocast_enabled('cpu')}")
+
+    monkeypatch.setattr(module, first, look)
+    with torch.autocast("cpu", torch.bfloat16), pytest.raises(InputError, match="autocast: False"):
+        estimate(*given)
 
 
 @pytest.mark.slow

@@ -176,8 +176,9 @@ def test_conversions_compose() -> None:
 
 
 def test_an_inexact_roll_is_refused() -> None:
-    with pytest.raises(InputError, match="6 columns"):
-        frame.convert_latlong(torch.zeros(3, 6, 3), "threejs", "skylight")
+    for height, advised in ((1, 2), (3, 2), (5, 4)):
+        with pytest.raises(InputError, match=f"{2 * height} columns .* --height {advised}$"):
+            frame.convert_latlong(torch.zeros(height, 2 * height, 3), "threejs", "skylight")
 
 
 def test_an_unknown_convention_is_refused() -> None:

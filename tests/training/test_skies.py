@@ -114,7 +114,7 @@ def test_several_processes_keep_the_order(
     for path in (folder / ".cache").iterdir():
         path.unlink()
     monkeypatch.setattr(module, "CHUNK", 5)
-    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    monkeypatch.setattr(module, "cores", lambda: 2)
     assert np.array_equal(load_data(folder, silent).train, alone)
 
 

@@ -3,9 +3,11 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+from skylight.work import _threads
 from skylight.work._threads import ONE_THREAD, cores
 
 # as the command does, without a command: what torch and the environment say then and for training
@@ -33,6 +35,19 @@ def test_one_thread_unless_the_user_or_training_asks_for_more(
         [sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True, check=True
     )
     assert told.stdout.strip() == expected
+
+
+@pytest.mark.parametrize(
+    ("limit", "expected"),
+    [("150000 100000", 2), ("20000 100000", 1), ("max 100000", 3), ("900000 100000", 3)],
+)
+def test_a_container_may_have_fewer_cores_than_it_sees(
+    limit: str, expected: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "cpu.max").write_text(f"{limit}\n")
+    monkeypatch.setattr(_threads, "_LIMIT", tmp_path / "cpu.max")
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2}, raising=False)
+    assert cores() == expected
 
 
 def test_cores_are_those_that_the_process_may_use() -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from skylight._modes import without_autocast
 from skylight.errors import InputError
 from skylight.estimation._manifest import file_hash
 from skylight.estimation._settings import EstimateSettings
@@ -113,6 +114,7 @@ class FilmEstimate:
     advice: tuple[str, ...]
 
 
+@without_autocast
 def estimate_film(
     source: Path, out: Path, settings: FilmSettings, progress: StageProgress | None = None
 ) -> FilmEstimate:
