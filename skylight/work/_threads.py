@@ -33,7 +33,8 @@ def prefer_one_thread() -> None:
     """For libraries that are loaded from now on, unless OMP_NUM_THREADS says otherwise."""
     global _chosen_here
     if "OMP_NUM_THREADS" not in os.environ:  # MKL and OpenBLAS go by it where it is alone
-        os.environ.update(ONE_THREAD)
+        for name, value in ONE_THREAD.items():
+            os.environ.setdefault(name, value)
         _chosen_here = True
 
 
