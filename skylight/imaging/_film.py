@@ -145,21 +145,23 @@ def film_frames(
             raise InputError(
                 f"{source}: no picture of it can be decoded (codec {code}); export it as H.264"
             )
-        still.end()
+        still.end(number)
 
 
-_ALIKE = 12  # so many frames alike of a film with fields are the decoder's failure
+_ALIKE = 12  # so many frames alike of a film that may have fields are the decoder's failure
 
 
 class _Still:
     """Tells a decoder that gives the same memory again and again, since it converts no fields.
 
-    OpenCV reports such frames as good.
+    OpenCV reports such frames as good. Not every codec's header tells of fields (DV, ProRes, MPEG-2
+    and MPEG-4 do not here); of these a film that stands still to its end is refused as well.
     """
 
     def __init__(self, source: Path) -> None:
         self._source = source
-        self._wanted = film_header(source).interlaced
+        self._interlaced = film_header(source).interlaced
+        self._wanted = self._interlaced is not False
         self._first: np.ndarray | None = None
         self._alike = 0
 
@@ -170,15 +172,18 @@ class _Still:
             self._first = bgr.copy()
         self._wanted = np.array_equal(self._first, bgr)
         self._alike += 1
-        if self._wanted and self._alike == _ALIKE:
-            self.end()
+        if self._interlaced and self._alike == _ALIKE:
+            self.end(_ALIKE)
 
-    def end(self) -> None:
-        if self._wanted:
-            raise InputError(
-                f"{self._source}: it is interlaced, which is not decoded here; export it "
-                "deinterlaced (progressive)"
-            )
+    def end(self, frames: int) -> None:
+        """After so many frames of the film, of which some were seen."""
+        if not self._wanted or (self._interlaced is None and frames < _ALIKE):
+            return
+        if self._interlaced:
+            reason = "it is interlaced, which is not decoded here"
+        else:
+            reason = "its frames are all alike, as those of interlaced films are decoded here"
+        raise InputError(f"{self._source}: {reason}; export it deinterlaced (progressive H.264)")
 
 
 def _pixel_shape(capture: cv2.VideoCapture, source: Path) -> tuple[float, float]:

@@ -32,11 +32,11 @@ _HIGH_PROFILES = {44, 83, 86, 100, 110, 118, 122, 128, 134, 135, 138, 139, 244}
 class FilmHeader:
     """``transfer`` is H.273's number of the transfer characteristic; None where none is told.
 
-    ``interlaced``: frames may be of two fields, taken one after the other.
+    ``interlaced``: frames may be of two fields, taken one after the other; None: not told.
     """
 
     transfer: int | None = None
-    interlaced: bool = False
+    interlaced: bool | None = None
 
 
 def film_header(path: Path) -> FilmHeader:
@@ -57,13 +57,14 @@ def film_header(path: Path) -> FilmHeader:
                 elif b"avcC" in inner:
                     codec = _avc_header(inner[b"avcC"])
                 elif len(inner.get(b"vpcC", b"")) > 8:
-                    codec = FilmHeader(transfer=inner[b"vpcC"][8])
-                fields = inner.get(b"fiel", b"")[:1] == b"\2"
+                    codec = FilmHeader(transfer=inner[b"vpcC"][8], interlaced=False)
+                fields = {b"\1": False, b"\2": True}.get(inner.get(b"fiel", b"")[:1])
                 told = codec.transfer
                 if colour[:4] in (b"nclx", b"nclc") and len(colour) >= 8:
                     told = int.from_bytes(colour[6:8], "big")
-                if told is not None or fields or codec.interlaced:
-                    return FilmHeader(transfer=told, interlaced=fields or codec.interlaced)
+                interlaced = fields or codec.interlaced if codec.interlaced is not None else fields
+                if told is not None or interlaced is not None:
+                    return FilmHeader(transfer=told, interlaced=interlaced)
     return FilmHeader()
 
 
@@ -80,10 +81,12 @@ def _matroska_header(file: BinaryIO, size: int) -> FilmHeader:
         told = _hevc_header(track.get(_PRIVATE, b""))
     elif track.get(_CODEC) == b"V_MPEG4/ISO/AVC":
         told = _avc_header(track.get(_PRIVATE, b""))
+    elif track.get(_CODEC) in (b"V_VP8", b"V_VP9", b"V_AV1"):
+        told = FilmHeader(interlaced=False)
     transfer = int.from_bytes(track.get(_TRANSFER, b"\2"), "big")
     return FilmHeader(
         transfer=told.transfer if transfer == 2 else transfer,  # 2: not specified
-        interlaced=told.interlaced or track.get(_FIELDS) == b"\1",
+        interlaced=track.get(_FIELDS) == b"\1" or told.interlaced,
     )
 
 

@@ -109,7 +109,7 @@ class _Plain:
     def __init__(self, path: Path, tree: Any, packed: bytes | None) -> None:
         self._path, self._tree = path, tree
         self._buffers = [
-            packed if number == 0 and "uri" not in buffer else self._named(buffer["uri"])
+            self._named(buffer["uri"]) if "uri" in buffer else packed if number == 0 else None
             for number, buffer in enumerate(tree.get("buffers", []))
         ]
         self._bytes = bytearray()
@@ -139,7 +139,9 @@ class _Plain:
             "buffers": [{"byteLength": len(self._bytes)}],
             "images": images,
             "textures": tree.get("textures", []),
-            "materials": tree.get("materials", []),
+            "materials": [
+                {**m, "pbrMetallicRoughness": _base(m)} for m in tree.get("materials", [])
+            ],
         }
         text = json.dumps(plain, allow_nan=False).encode()
         text += b" " * (-len(text) % 4)
@@ -211,7 +213,7 @@ class _Plain:
         if "NORMAL" in given and joints is None:
             made["NORMAL"] = self._values(given["NORMAL"])
         material = self._tree["materials"][part["material"]] if "material" in part else {}
-        base = material.get("pbrMetallicRoughness", {})
+        base = _base(material)
         picture = base.get("baseColorTexture")
         if picture is not None and (uv := self._uv(given, picture)) is not None:
             made["TEXCOORD_0"] = uv
@@ -292,9 +294,12 @@ class _Plain:
     def _view(self, view: dict) -> bytes:
         content = self._buffers[view["buffer"]]
         start, length = view.get("byteOffset", 0), view["byteLength"]
-        if content is None or min(start, length) < 0 or start + length > len(content):
-            have = 0 if content is None else len(content)
-            raise ValueError(f"cut short: {have} bytes of {start + length}")
+        if content is None:
+            raise ValueError(
+                f"its buffer {view['buffer']} has no bytes: an extension may hold them"
+            )
+        if min(start, length) < 0 or start + length > len(content):
+            raise ValueError(f"cut short: {len(content)} bytes of {start + length}")
         return content[start : start + length]
 
     def _named(self, uri: str) -> bytes:
@@ -330,6 +335,18 @@ class _Plain:
             }
         )
         return len(self._accessors) - 1
+
+
+def _base(material: dict) -> dict:
+    """Its pbrMetallicRoughness; of KHR_materials_pbrSpecularGlossiness what is diffuse."""
+    older = material.get("extensions", {}).pop("KHR_materials_pbrSpecularGlossiness", None)
+    if older is not None:
+        material["pbrMetallicRoughness"] = {
+            "baseColorFactor": older.get("diffuseFactor", [1] * 4),
+            **({"baseColorTexture": older["diffuseTexture"]} if "diffuseTexture" in older else {}),
+            "metallicFactor": 0,
+        }
+    return material.get("pbrMetallicRoughness", {})
 
 
 def _matrix(node: dict) -> np.ndarray:

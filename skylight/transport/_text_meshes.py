@@ -6,7 +6,6 @@ What these would misread, or take for nothing, is mended or refused here.
 import re
 import struct
 from collections.abc import Iterator
-from io import BytesIO
 from typing import Any
 
 import numpy as np
@@ -19,12 +18,7 @@ _WORDS = (*_CORNER_MARKS, b"f", b"o", b"g", b"s", b"usemtl", b"mtllib")
 # vertices count from 1, from -1 backwards; readers take 0 for the last
 _NO_VERTEX = re.compile(rb"^f[^\n]* 0+(?:[/\s]|\Z)", re.M)
 _BLANKS = bytes.maketrans(b"\t\f\v", b"   ")
-_POLYGON = re.compile(rb"^f(?: [^ \n]+){4}", re.M)
-_OPEN_CORNER = re.compile(rb"/(?=[ \n]|\Z)")
-_CORNER_KINDS = [
-    re.compile(kind + rb"(?=[ \n]|\Z)")
-    for kind in (rb" -?\d+", rb" -?\d+/-?\d+", rb"//-?\d+", rb"/-?\d+/-?\d+")
-]
+_COMMENT = re.compile(rb"^( *(?:(?:v|vt|vn|f|fo) [^\n#]*)?)#[^\n]*", re.M)
 _FREE_FORM = re.compile(rb"^(?:surf|curv2?|cstype) ", re.M)
 
 
@@ -35,28 +29,35 @@ def plain_obj(content: bytes) -> bytes:
     surfaces alone.
     """
     text = b"\n" + _unmarked(content).translate(_BLANKS)
-    text = re.sub(rb"\\ *\n", b" ", text)
+    if b"\\" in text:  # a folder's name at the end of a comment continues nothing
+        text = re.sub(rb"\\ *\n", b" ", _COMMENT.sub(rb"\1", text))
+    if b"#" in text:
+        text = _COMMENT.sub(rb"\1", text)
     while b"  " in text:
         text = text.replace(b"  ", b" ")
-    text = text.replace(b"\n ", b"\n").replace(b"\nfo ", b"\nf ")  # older writers' faces
-    text = re.sub(rb"^#[^\n]*\n", b"", text, flags=re.M)
-    if b"#" in text:
-        text = re.sub(rb"^((?:v|vt|vn|f) [^\n#]*)#[^\n]*", rb"\1", text, flags=re.M)
-    faces = b"\n".join(re.findall(rb"^f [^\n]*", text, re.M))
-    if _NO_VERTEX.search(faces):
+    text = text.replace(b"\n ", b"\n").replace(b" \n", b"\n").rstrip(b" ")
+    text = text.replace(b"\nfo ", b"\nf ")  # older writers' faces
+    faces = b"".join(re.findall(rb"\nf [^\n]*", text))[1:]
+    if b" 0" in faces and _NO_VERTEX.search(faces):
         raise ValueError("a face names vertex 0, they count from 1")
     if not faces and _FREE_FORM.search(text):
         raise InputError("its surfaces are free-form (curv, surf): export it as triangles")
     # the reader tells kinds of corners by how many numbers a line has
-    mixed = _OPEN_CORNER.search(faces) or sum(bool(k.search(faces)) for k in _CORNER_KINDS) > 1
-    if not (mixed or b"-" in faces or _POLYGON.search(faces)):
+    marks = faces.translate(None, b"0123456789+-")
+    shapes = [line.split(b" ")[1:] for line in set(marks.split(b"\n"))]
+    mixed = (
+        len({corner for shape in shapes for corner in shape}) > 1
+        or 0 < faces.count(b"//") < marks.count(b"//")
+        or any(end in faces + b"\n" for end in (b"/ ", b"/\n"))
+    )
+    if not (mixed or b"-" in faces or any(len(shape) > 3 for shape in shapes)):
         return text
     lines = [line for line in text.split(b"\n") if line.partition(b" ")[0] in _WORDS]
     if b"-" in faces:
         lines = _absolute(lines)
     if mixed:
         lines = [_alike(line) if line.startswith(b"f ") else line for line in lines]
-    return b"\n".join(_cut(lines, fans=bool(mixed)))
+    return b"\n".join(_cut(lines, fans=mixed))
 
 
 def _unmarked(content: bytes) -> bytes:
@@ -105,33 +106,41 @@ def _alike(line: bytes) -> bytes:
 
 def _cut(lines: list[bytes], fans: bool) -> list[bytes]:
     """Polygons as triangles where they are no fan about their first corner; ``fans``: all."""
-    rows = [line.split()[1:4] for line in lines if line.startswith(b"v ")]
-    if any(len(row) < 3 for row in rows):
+    rows = [line for line in lines if line.startswith(b"v ")]
+    if any(line.count(b" ") < 3 for line in rows):
         raise ValueError("a vertex has fewer than three coordinates")
-    places = np.array(rows, dtype=np.float64).reshape(-1, 3)
-    sizes: dict[int, dict[int, list[int]]] = {}  # corners -> line -> their vertices
+    kinds: dict[tuple[int, int], list[int]] = {}  # corners, what is told of them -> lines
     for number, line in enumerate(lines):
         if line.startswith(b"f ") and line.count(b" ") > 3:
-            corners = line.split()[1:]
-            index = [int(corner.partition(b"/")[0]) - 1 for corner in corners]
-            sizes.setdefault(len(corners), {})[number] = index
+            kinds.setdefault((line.count(b" "), line.count(b"/")), []).append(number)
+    if not kinds:
+        return lines
+    places = np.loadtxt(rows, comments=None, usecols=(1, 2, 3), ndmin=2)
     out = list(lines)
-    for size, found in sizes.items():
-        index = np.array(list(found.values()))
-        if size < 4:
-            continue
-        if index.max() >= len(places):
-            raise ValueError(f"a face names vertex {index.max() + 1} of {len(places)}")
-        concave = _concave(places[index])
-        for number in np.array(list(found))[concave | fans].tolist():
-            corners = lines[number].split()[1:]
-            cut = triangulated(places[found[number]])
-            if cut is None and fans:
-                cut = np.array([(0, k, k + 1) for k in range(1, size - 1)])
-            if cut is not None:
-                faces = (b"f " + b" ".join(corners[k] for k in face) for face in cut)
-                out[number] = b"\n".join(faces)
+    for (size, _), found in kinds.items():
+        plain = b"\n".join(lines[k][2:] for k in found).replace(b"/", b" ").split(b"\n")
+        numbers = np.loadtxt(plain, np.int64, comments=None, ndmin=2)
+        index = numbers.reshape(len(found), size, -1)[..., 0] - 1
+        for row, cut in _cut_polygons(places, index, fans).items():
+            words = lines[found[row]].split()[1:]
+            faces = (b"f " + b" ".join(words[k] for k in face) for face in cut.tolist())
+            out[found[row]] = b"\n".join(faces)
     return out
+
+
+def _cut_polygons(
+    places: Float[np.ndarray, "n 3"], index: Int[np.ndarray, "m k"], fans: bool
+) -> dict[int, Int[np.ndarray, "f 3"]]:
+    """Of polygons of k corners, by row, the triangles of concave ones; ``fans``: of all."""
+    if index.size and not 0 <= index.min() <= index.max() < len(places):
+        raise ValueError(f"a face names vertex {index.max() + 1} of {len(places)}")
+    fan = np.array([(0, k, k + 1) for k in range(1, index.shape[1] - 1)])
+    cuts = {}
+    for row in np.flatnonzero(_concave(places[index]) | fans).tolist():
+        cut = triangulated(places[index[row]])
+        if cut is not None or fans:
+            cuts[row] = fan if cut is None else cut
+    return cuts
 
 
 def _concave(corners: Float[np.ndarray, "m n 3"]) -> Bool[np.ndarray, " m"]:
@@ -145,7 +154,7 @@ def _concave(corners: Float[np.ndarray, "m n 3"]) -> Bool[np.ndarray, " m"]:
 def triangulated(corners: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "f 3"] | None:
     """A polygon's triangles where it is concave, by clipping ears; None of a convex one.
 
-    What crosses itself has no ears, and is None too.
+    A hole may hang on its outline by two edges at one place. What crosses itself is None too.
     """
     flat = _flattened(corners)
     if flat is None:
@@ -156,16 +165,20 @@ def triangulated(corners: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "f 3"] | 
         return None
     while len(left) > 3:
         turns = _turns(flat, left)
-        for k in range(len(left)):
+        for k in np.argsort(turns <= 0, kind="stable").tolist():
             ear = [left[k - 1], left[k], left[(k + 1) % len(left)]]
-            others = flat[[place for place in left if place not in ear]]
+            if turns[k] == 0:  # the end of a hole's bridge, or a corner that is none
+                del left[k]
+                break
+            others = flat[left]
+            others = others[(others[:, None] != flat[ear]).any(2).all(1)]
             if turns[k] > 0 and not _inside(flat[ear], others).any():
                 faces.append(ear)
                 del left[k]
                 break
         else:
             return None
-    return np.array([*faces, left])
+    return np.array([*faces, left]) if (_turns(flat, left) >= 0).all() else None
 
 
 def _flattened(corners: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"] | None:
@@ -229,7 +242,7 @@ _PLY_KINDS = {
 
 
 def plain_ply(content: bytes) -> bytes:
-    """PLY without what follows its last row; in text, where lists of a binary one differ in length.
+    """PLY without what follows its last row; in text, where polygons are concave or of many sizes.
 
     ValueError for fewer rows than its header says; InputError for triangle strips.
     """
@@ -246,28 +259,99 @@ def plain_ply(content: bytes) -> bytes:
     if any(name == "tristrips" for name, _, _ in elements):
         raise InputError("its triangles are strips, which are not read; export them one by one")
     if ["format", "ascii", "1.0"] in words:
-        _require_rows(BytesIO(body), sum(count for _, count, _ in elements))
-        return content
-    order = ">" if ["format", "binary_big_endian", "1.0"] in words else "<"
-    body = body.removeprefix(b"\r").removeprefix(b"\n")
-    try:
-        length = _length(body, elements, order)
-        if length is not None:
-            return content[: len(content) - len(body) + length]
-        rows = list(_unpacked(body, elements, order))
-    except struct.error as error:
-        raise ValueError(f"cut short: {len(body)} bytes of rows") from error
-    head = re.sub(rb"format\s+binary_\w+", b"format ascii", head.replace(b"\r", b""))
+        rows = [row for row in _unmarked(body).split(b"\n") if row.strip()]
+        wanted = sum(count for _, count, _ in elements)
+        if len(rows) < wanted:
+            raise ValueError(f"cut short: {len(rows)} rows of {wanted}")
+    else:
+        order = ">" if ["format", "binary_big_endian", "1.0"] in words else "<"
+        body = body.removeprefix(b"\r").removeprefix(b"\n")
+        try:
+            length, corners = _length(body, elements, order)
+            if length is not None and corners <= 3:
+                return content[: len(content) - len(body) + length]
+            rows = list(_unpacked(body, elements, order))
+        except struct.error as error:
+            raise ValueError(f"cut short: {len(body)} bytes of rows") from error
+    head = re.sub(rb"format\s+binary_\w+", b"format ascii", _unmarked(head))
+    head, rows = _with_triangles(head, rows, elements)
     return head + b"end_header\n" + b"\n".join(rows) + b"\n"
+
+
+def _with_triangles(
+    head: bytes, rows: list[bytes], elements: list["_Element"]
+) -> tuple[bytes, list[bytes]]:
+    """Header and rows of a PLY in text, its polygons cut where trimesh would not read them so."""
+    tables, start = {}, 0
+    for name, count, told in elements:
+        tables[name] = (start, count, told)
+        start += count
+    if not {"vertex", "face"} <= set(tables):
+        return head, rows
+    start, count, told = tables["face"]
+    names = [words[-1] for words in told]
+    lists = [words[0] == "list" for words in told]
+    at = next((k for k, name in enumerate(names) if name.startswith("vertex_ind")), None)
+    if at is None:
+        return head, rows
+    fields = [_fields(row.split(), lists) for row in rows[start : start + count]]
+    sizes: dict[int, list[int]] = {}  # corners -> faces
+    for number, row in enumerate(fields):
+        sizes.setdefault(len(row[at]), []).append(number)
+    if set(sizes) <= {3}:
+        return head, rows
+    first, vertices, columns = tables["vertex"]
+    x = [[words[-1] for words in columns].index(axis) for axis in "xyz"]
+    shape = [words[0] == "list" for words in columns]
+    places = np.array(
+        [
+            [float(row[k][0]) for k in x]
+            for row in (_fields(row.split(), shape) for row in rows[first : first + vertices])
+        ]
+    ).reshape(-1, 3)
+    fans, out = len(sizes) > 1 and len(told) > 1, [[row] for row in rows[start : start + count]]
+    for size, found in sizes.items():
+        if size < 3:
+            continue
+        index = np.array([[int(word) for word in fields[number][at]] for number in found])
+        for row, cut in _cut_polygons(places, index, fans).items():
+            out[found[row]] = [
+                _face_row(fields[found[row]], lists, face, size) for face in cut.tolist()
+            ]
+    made = [row for face in out for row in face]
+    head = re.sub(rb"(element\s+face\s+)\d+", rb"\g<1>%d" % len(made), head)
+    return head, [*rows[:start], *made, *rows[start + count :]]
+
+
+def _fields(words: list[bytes], lists: list[bool]) -> list[list[bytes]]:
+    """The values of each property in a row."""
+    fields, at = [], 0
+    for is_list in lists:
+        length = int(words[at]) if is_list else 1
+        at += is_list
+        fields.append(words[at : at + length])
+        at += length
+    return fields
+
+
+def _face_row(fields: list[list[bytes]], lists: list[bool], face: list[int], size: int) -> bytes:
+    """One triangle of a polygon; lists of so many values a corner are cut with it."""
+    words = []
+    for values, is_list in zip(fields, lists, strict=True):
+        each, rest = divmod(len(values), size)
+        if is_list and each and not rest:
+            values = [value for k in face for value in values[each * k : each * (k + 1)]]
+        words += [b"%d" % len(values), *values] if is_list else values
+    return b" ".join(words)
 
 
 _Element = tuple[str, int, list[list[str]]]  # its name, how many, the words of each property
 
 
-def _length(body: bytes, elements: list[_Element], order: str) -> int | None:
-    """The bytes of all rows; None where the rows of an element are not of one length."""
-    at = 0
-    for _, count, properties in elements:
+def _length(body: bytes, elements: list[_Element], order: str) -> tuple[int | None, int]:
+    """The bytes of all rows, and the most corners of a face; None where rows differ in length."""
+    at = most = 0
+    for name, count, properties in elements:
         if not count:
             continue
         fields, end = [], at
@@ -280,18 +364,20 @@ def _length(body: bytes, elements: list[_Element], order: str) -> int | None:
                 end += kind.itemsize
                 kind = np.dtype(order + _PLY_KINDS[more[1]])
                 fields.append((f"v{number}", kind, (length,)))
+                if name == "face" and more[2].startswith("vertex_ind"):
+                    most = length
             end += kind.itemsize * length
         row = np.dtype(fields)
         if at + count * row.itemsize > len(body):
             if all(first != "list" for first, *_ in properties):
                 raise ValueError(f"cut short: {len(body)} bytes of rows")
-            return None
+            return None, most
         rows = np.frombuffer(body, row, count, at)
         for number, (first, *_) in enumerate(properties):
             if first == "list" and (rows[f"n{number}"] != rows[f"n{number}"][0]).any():
-                return None
+                return None, most
         at += count * row.itemsize
-    return at
+    return at, most
 
 
 def _unpacked(body: bytes, elements: list[_Element], order: str) -> Iterator[bytes]:
@@ -325,18 +411,30 @@ def plain_off(content: bytes) -> bytes:
     if b"BINARY" in content[:20]:
         raise InputError("it is binary, which is not read; export it as text")
     text = re.sub(rb"#[^\n]*", b"", _unmarked(content)).lstrip()
-    lines = BytesIO(text)
-    first = lines.readline().split() or [b""]
-    if not first[0].endswith(b"OFF"):
+    rows = [row for row in text.split(b"\n") if row.strip()]
+    name, *counts = rows.pop(0).split() if rows else [b""]
+    if not name.endswith(b"OFF"):
         raise ValueError("it does not begin with OFF")
-    counts = first[1:]  # they may stand beside the name
-    while not counts and (line := lines.readline()):
-        counts = line.split()
-    _require_rows(lines, sum(int(word) for word in counts[:2]))
-    return text
-
-
-def _require_rows(lines: BytesIO, wanted: int) -> None:
-    found = sum(1 for line in lines if line.split())
-    if found < wanted:
-        raise ValueError(f"cut short: {found} rows of {wanted}")
+    counts = counts or (rows.pop(0).split() if rows else [])  # they may stand beside the name
+    if len(counts) < 2:
+        raise ValueError("it does not tell how many vertices and faces it has")
+    vertices, faces = (int(word) for word in counts[:2])
+    if len(rows) < vertices + faces:
+        raise ValueError(f"cut short: {len(rows)} rows of {vertices + faces}")
+    places = np.array([[float(word) for word in row.split()[:3]] for row in rows[:vertices]])
+    made = []
+    for row in rows[vertices : vertices + faces]:
+        size, *words = row.split()
+        size = int(size)
+        index = np.array([[int(word) for word in words[:size]]])
+        cuts = _cut_polygons(places, index, fans=False) if size > 3 else {}
+        made += (
+            [
+                b" ".join([b"3", *(words[k] for k in face), *words[size:]])
+                for face in cuts[0].tolist()
+            ]
+            if cuts
+            else [row]
+        )
+    head = [name, b"%d %d 0" % (vertices, len(made))]
+    return b"\n".join([*head, *rows[:vertices], *made]) + b"\n"

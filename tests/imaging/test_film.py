@@ -287,6 +287,19 @@ def test_interlaced_films_that_the_decoder_leaves_alone_are_refused(
     assert shades(film) == [0, 1, 2, 3]
 
 
+def test_of_codecs_that_do_not_tell_of_fields_long_still_films_are_refused(tmp_path: Path) -> None:
+    """MPEG-4, MPEG-2, DV and ProRes: the decoder leaves fields alone there too."""
+    film = write_film(tmp_path / "film.mp4", [counting(1)[0]] * 12)
+    assert film_header(film).interlaced is None
+    for rate in (2.0, 1000.0):
+        with pytest.raises(InputError, match=r"all alike.*interlaced.*progressive"):
+            list(film_frames(film, most_a_second=rate))
+    with_in_description(film, avc_configuration(1, fields=False, high=True))
+    assert shades(film) == [0] * 12
+    assert shades(write_film(film, [counting(1)[0]] * 11)) == [0] * 11
+    assert shades(write_film(film, [*[counting(1)[0]] * 19, *counting(3)])) == [0] * 20 + [1, 2]
+
+
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize(("wide", "high", "shape"), [(8, 5, (48, 102)), (1, 2, (48, 32))])
 def test_pixels_that_are_not_square_are_shown_as_wide_as_they_are(

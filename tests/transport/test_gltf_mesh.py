@@ -238,6 +238,22 @@ def test_base_colour_and_places_in_its_picture(tmp_path: Path, kind: str) -> Non
     torch.testing.assert_close(scene.albedo, torch.ones_like(scene.albedo))
 
 
+def test_base_colour_of_the_older_materials(tmp_path: Path) -> None:
+    """KHR_materials_pbrSpecularGlossiness has picture and colour of its own."""
+    made = Gltf()
+    attributes = {
+        "POSITION": made.add(PLACES),
+        "TEXCOORD_0": made.add(np.full((8, 2), 0.5, "<f4")),
+    }
+    part = {"attributes": attributes, "indices": made.add(INDEX), "material": 0}
+    Image.new("RGB", (4, 4), (255, 0, 0)).save(tmp_path / "red.png")
+    made.tree |= {"images": [{"uri": "red.png"}], "textures": [{"source": 0}]}
+    older = {"diffuseTexture": {"index": 0}, "diffuseFactor": [1, 1, 1, 1]}
+    made.tree["materials"] = [{"extensions": {"KHR_materials_pbrSpecularGlossiness": older}}]
+    albedo = read_scene(made.mesh(part).glb(tmp_path / "a.glb")).albedo
+    torch.testing.assert_close(albedo, torch.tensor([1.0, 0, 0]).double().expand_as(albedo))
+
+
 def required(name: str) -> Gltf:
     made = cube()
     made.tree["extensionsRequired"] = ["KHR_materials_unlit", name]
@@ -298,4 +314,12 @@ def test_files_beside_it_that_are_not(tmp_path: Path, uri: str, reason: str) -> 
     tree = {**made.tree, "buffers": [{"uri": uri, "byteLength": len(made.bytes)}]}
     (tmp_path / "a.gltf").write_text(json.dumps(tree))
     with pytest.raises(InputError, match=reason):
+        read_mesh(tmp_path / "a.gltf")
+
+
+def test_a_buffer_that_an_extension_alone_fills(tmp_path: Path) -> None:
+    made = cube()
+    tree = {**made.tree, "buffers": [{"byteLength": len(made.bytes)}]}
+    (tmp_path / "a.gltf").write_text(json.dumps(tree))
+    with pytest.raises(InputError, match="its buffer 0 has no bytes"):
         read_mesh(tmp_path / "a.gltf")

@@ -76,6 +76,9 @@ def relative(each_corner: str = "{0}") -> str:
         relative(),
         relative("{0}/-1/-1"),
         relative("{0}//-1"),
+        "# C:\\models\\\n" + OBJ,
+        OBJ.replace("\n", " # C:\\\n", 8),
+        OBJ.replace("\n", " \n"),
     ],
 )  # fmt: skip
 def test_wavefront(tmp_path: Path, text: str) -> None:
@@ -96,16 +99,27 @@ def test_wavefront_in_two_bytes_a_character(tmp_path: Path) -> None:
         ([(0, 4), (2, 1), (4, 4), (4, 0), (0, 0)], 10),
         ([(0, 0), (3, 0), (3, 1), (1, 1), (1, 2), (3, 2), (3, 3), (0, 3)], 7),
         ([(0, 0), (2, 0), (4, 0), (4, 4), (0, 4)], 16),
+        ([(0, 0), (2, 0), (4, 0), (4, 4), (2, 1), (0, 4), (0, 2)], 10),
+        # a hole on a bridge, as programs write faces with holes
+        ([(0, 0), (4, 0), (4, 4), (0, 4), (0, 0), (1, 1), (1, 3), (3, 3), (3, 1), (1, 1)], 12),
     ],
 )
-def test_a_polygon_keeps_its_area(tmp_path: Path, corners: list, area: float) -> None:
+@pytest.mark.parametrize("kind", ["obj", "ply", "off"])
+def test_a_polygon_keeps_its_area(tmp_path: Path, corners: list, area: float, kind: str) -> None:
     """By the shoelace formula; a fan about the first corner covers what is outside of it."""
-    path = tmp_path / "polygon.obj"
+    path, count = tmp_path / f"polygon.{kind}", len(corners)
+    heads = {
+        "ply": f"ply\nformat ascii 1.0\nelement vertex {count}\n{FLOATS}element face 1\n{LIST}"
+        "end_header\n",
+        "off": f"OFF\n{count} 1 0\n",
+    }
     for axes in ([0, 1, 2], [2, 0, 1], [1, 2, 0]):
         places = np.array([(*corner, 0) for corner in corners])[:, axes]
-        path.write_text(
-            rows(places.tolist(), "v {}") + rows(from_one([range(len(places))]), "f {}")
-        )
+        if kind == "obj":
+            text = rows(places.tolist(), "v {}") + rows(from_one([range(count)]), "f {}")
+        else:
+            text = heads[kind] + rows(places.tolist()) + rows([(count, *range(count))])
+        path.write_text(text)
         vertices, faces = read_mesh(path)
         a, b, c = vertices[faces].unbind(1)
         found = (b - a).cross(c - a, dim=1).norm(dim=1).sum() / 2
@@ -154,6 +168,23 @@ def test_polygon_files_in_binary(tmp_path: Path, faces: list, form: str, order: 
     for content in (head.encode() + body, head.encode() + body + b"\n"):
         (tmp_path / "cube.ply").write_bytes(content)
         require_cube(tmp_path / "cube.ply")
+
+
+@pytest.mark.parametrize("kind", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_lists_of_each_corner_are_cut_with_their_face(tmp_path: Path, kind: str) -> None:
+    """Places in a texture, of which a polygon has two numbers a corner."""
+    head = ply(kind, MIXED, face_more="property list uchar float texcoord\nproperty uchar flag\n")
+    told = [(len(face), *face, 2 * len(face), *[0] * (2 * len(face)), 1) for face in MIXED]
+    if kind == "ascii":
+        body = (rows(CORNERS) + "\n" + rows(told)).encode()
+    else:
+        order = "<" if "little" in kind else ">"
+        body = b"".join(struct.pack(f"{order}3f", *corner) for corner in CORNERS)
+        for row in told:
+            form = f"{order}B{row[0]}iB{2 * row[0]}fB"
+            body += struct.pack(form, *row)
+    (tmp_path / "cube.ply").write_bytes(head.encode() + body)
+    require_cube(tmp_path / "cube.ply")
 
 
 def test_rows_whose_lengths_cancel(tmp_path: Path) -> None:
