@@ -168,3 +168,9 @@ def test_every_face_has_noise_of_its_own(face, tmp_path, monkeypatch):
     for name in evaluation.items():
         evaluation.measure(name, tmp_path / "face.png")
     assert len(seeds) == len(set(seeds)) == 24
+
+
+def test_curves_go_from_the_least_change_to_the_largest() -> None:
+    rows = {f"a, yaw {deg}": {"mae": {"mean": deg}} for deg in (9.0, -3.0, 6.0)}
+    found = face_sensitivity.curves(rows)["yaw"]["mae"]["a"]
+    assert found == [(-3.0, -3.0), (6.0, 6.0), (9.0, 9.0)]

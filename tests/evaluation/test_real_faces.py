@@ -10,8 +10,10 @@ import torch
 from skylight.errors import InputError
 from skylight.evaluation._main import EVALUATIONS, run_evaluation
 from skylight.evaluation._real_faces import (
+    INDEX,
     CapturedFaces,
     RealFaces,
+    _read_index,
     aligned_scores,
     side_of_light,
 )
@@ -137,3 +139,10 @@ def test_a_mirrored_note_names_the_other_side():
     note = "sun from viewer's left: lit left cheek, right side darker"
     swapped = note.replace("left", "LEFT").replace("right", "left").replace("LEFT", "right")
     assert (side_of_light(note), side_of_light(swapped)) == ("left", "right")
+
+
+@pytest.mark.parametrize("index", ["[1]", '{"a.jpg": "front"}'])
+def test_an_index_of_another_form_is_refused(tmp_path, index):
+    (tmp_path / INDEX).write_text(index)
+    with pytest.raises(InputError, match=r"expected \{\"photo.jpg\""):
+        _read_index(tmp_path)

@@ -18,6 +18,8 @@ from skylight.evaluation._run import (
     mesh_files,
     probes_folder,
 )
+from skylight.io._atomic import PARTIAL
+from skylight.work._resumable import locked
 
 USUAL = ("bunny.ply", "dragon.ply")
 
@@ -189,3 +191,21 @@ def test_without_any_result_it_is_refused(tmp_path, told):
     (tmp_path / "data").mkdir()
     with pytest.raises(InputError, match=r"nothing could be evaluated; .*results\.md"):
         evaluate_all(quick=True, data=tmp_path / "data", out=tmp_path / "out", workers=0)
+
+
+def test_a_folder_is_for_one_run_at_a_time(tmp_path, marks):
+    """And what a killed run has left half written among its pictures goes."""
+    out = tmp_path / "out"
+    half = out / "pictures" / f"{PARTIAL}1.png"
+    half.parent.mkdir(parents=True)
+    half.touch()
+    with locked(out), pytest.raises(InputError, match="another run"):
+        measure_all(Counting(count=1, marks=marks), out)
+    measure_all(Counting(count=1, marks=marks), out)
+    assert not half.exists()
+
+
+def test_titles_of_a_page_within_another_go_one_deeper(tmp_path):
+    (tmp_path / "one").mkdir()
+    (tmp_path / "one" / main.PAGE).write_text("# One\n# Rows\n## Of a kind\ntext #1\n")
+    assert main._section(tmp_path, "one") == ["## one", "## Rows\n### Of a kind\ntext #1"]

@@ -7,6 +7,7 @@ import pytest
 from skylight.evaluation._run import Item
 from skylight.evaluation._sky_models import REAL_GOALS, SIMULATED_GOALS, SkyModels
 from skylight.evaluation._tables import (
+    _table,
     curves_of,
     markdown,
     summarise,
@@ -169,3 +170,11 @@ def test_groups_without_quoted_metrics_are_left_out():
     assert {name: row.popitem()[1] for name, row in only.items()} == pytest.approx(
         {name: metrics["l2_4"] for name, metrics in methods.items()}
     )
+
+
+def test_a_table_has_a_column_for_names_and_one_for_each_other() -> None:
+    assert _table(["a", "b"], [("x", ["1", "2"])]) == [
+        "| | a | b |",
+        "|---|---|---|",
+        "| x | 1 | 2 |",
+    ]
