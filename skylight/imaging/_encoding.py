@@ -106,7 +106,7 @@ def encoding_of(
 
 
 def _of_profile(profile: bytes) -> Encoding | ProfileTables:
-    """Curves and a matrix where a profile has them (ICC.1:2022, F.3), else its tables."""
+    """Its tables where a profile has them, else curves and a matrix (ICC.1:2022, 8.10 and F)."""
     # bytes 16 to 19 of a profile name its colour space, 20 to 23 that of its results (7.2)
     kind, results = profile[16:20], profile[20:24]
     if profile[36:40] != b"acsp":
@@ -119,8 +119,10 @@ def _of_profile(profile: bytes) -> Encoding | ProfileTables:
         if b"cicp" in tags and (space := colour_space_of_cicp(*tags[b"cicp"][8:10])) is not None:
             return Encoding.of(space)
         if kind == b"GRAY" and b"kTRC" in tags:
-            curves, matrix = [_tone_curve(tags[b"kTRC"])] * 3, np.eye(3)
-        elif results == b"XYZ " and {b"rXYZ", b"gXYZ", b"bXYZ", b"rTRC"} <= tags.keys():
+            tone = _tone_curve(tags[b"kTRC"])
+            curve = (lambda grey: _of_lightness(tone(grey))) if results == b"Lab " else tone
+            curves, matrix = [curve] * 3, np.eye(3)
+        elif b"A2B0" not in tags and {b"rXYZ", b"gXYZ", b"bXYZ", b"rTRC"} <= tags.keys():
             curves = [_tone_curve(tags[name]) for name in (b"rTRC", b"gTRC", b"bTRC")]
             colorants = [_xyz(tags[name]) for name in (b"rXYZ", b"gXYZ", b"bXYZ")]
             matrix = _from_pcs() @ np.column_stack(colorants)
@@ -154,6 +156,11 @@ def _from_pcs() -> Float[np.ndarray, "3 3"]:
     x, y, z = _PCS_WHITE
     axes = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, x / (x + y + z), y / (x + y + z))
     return to_rec709(axes) / _PCS_WHITE
+
+
+def _of_lightness(share: np.ndarray) -> np.ndarray:
+    """Light of L* / 100, which grey profiles over Lab tell (CIE 15:2018, 8.2.1)."""
+    return np.where(share > 0.08, ((share + 0.16) / 1.16) ** 3, share * 2700 / 24389)
 
 
 def _tone_curve(tag: bytes) -> Callable[[np.ndarray], np.ndarray]:

@@ -295,15 +295,16 @@ def _light(
         srgb = (255 * linear_to_srgb(linear)).round().to(torch.uint8).numpy()
     else:
         shares = np.arange(largest + 1) / largest
-        curves = encoding.curve(np.stack([shares] * 3, -1))
+        curves = encoding.curve(np.stack([shares] * 3, -1)).T.astype(np.float32)
+        matrix = encoding.to_rec709.astype(np.float32)
     for start in range(0, len(codes), _BLOCK_ROWS):  # numpy makes 8 bytes of each index
         rows = slice(start, start + _BLOCK_ROWS)
         if encoding is None:
             np.take(linear.numpy(), codes[rows], out=pixels[rows], mode="clip")
             np.take(srgb, codes[rows], out=encoded[rows], mode="clip")
         else:
-            native = np.stack([curves[codes[rows, :, k], k] for k in range(3)], -1)
-            pixels[rows] = (native @ encoding.to_rec709.T).clip(min=0)
+            native = [curves[k].take(codes[rows, :, k], mode="clip") for k in range(3)]
+            np.maximum(cv2.transform(np.stack(native, -1), matrix), 0, out=pixels[rows])
             shown = linear_to_srgb(torch.from_numpy(pixels[rows]).clamp(max=1))
             encoded[rows] = (255 * shown).round().to(torch.uint8).numpy()
     return pixels, encoded

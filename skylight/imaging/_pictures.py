@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import ExifTags, Image, UnidentifiedImageError
@@ -27,8 +26,9 @@ from skylight.imaging._encoding import (
     transfer_tables,
 )
 from skylight.imaging._exif import tiff_exif
-from skylight.io._bounded import PICTURE_BYTES_MAX, require_bytes, require_pixels
+from skylight.io._bounded import require_bytes, require_size
 from skylight.io._muted import muted
+from skylight.io._tiff import is_floating, photometric, stored_samples, tiff_page, upright
 
 # what folders of photographs are looked through for, besides RAW and HDR files
 PICTURE_SUFFIXES = (
@@ -47,8 +47,6 @@ _COLOURS = {5: "CMYK", 8: "LAB", 9: "LAB", 10: "LAB", 32803: "RAW", 32844: "LogL
 # compressions of TIFF that OpenImageIO's wheels cannot undo; Pillow can, but of 8 bits alone
 _PILLOWS = {34887: "LERC", 34925: "LZMA", 50000: "zstd", 50001: "WebP"}
 _PALETTE = 3
-_REDUCED, _MASK = 1, 4  # bits of TIFF's NewSubfileType
-_PAGES_MOST = 200
 # our own limit on the size is the one that counts, and has a clearer message
 warnings.filterwarnings("ignore", category=Image.DecompressionBombWarning)
 # so has what cannot be in EXIF data
@@ -99,7 +97,7 @@ def stored_picture(path: Path) -> Iterator[StoredPicture]:
                 yield _tiff(path)
         else:
             with Image.open(path, formats=_formats(path, head)) as image:
-                _require_size(path, *image.size)
+                require_size(path, *image.size)
                 yield _plain(path, image, deep=image.format == "PNG" and head[24] == 16)
     except SkylightError:
         raise
@@ -132,13 +130,6 @@ def _formats(path: Path, head: bytes) -> tuple[str, ...]:
     return ("HEIF",)
 
 
-def _require_size(path: Path, width: int, height: int) -> None:
-    try:
-        require_pixels(width, height)
-    except ValueError as error:
-        raise InputError(f"{path}: {error}; scale it down") from error
-
-
 def _plain(path: Path, image: Image.Image, *, deep: bool) -> StoredPicture:
     """What Pillow opened; of 16 bits a channel OpenImageIO decodes it."""
     if getattr(image, "n_frames", 1) > 1 and image.format not in ("MPO", "HEIF"):
@@ -153,7 +144,7 @@ def _plain(path: Path, image: Image.Image, *, deep: bool) -> StoredPicture:
                 stored = _by_openimageio(path)
         else:
             stored = np.array(image.convert("RGB"))
-        return _upright(stored, exif().get(ExifTags.Base.Orientation, 1))
+        return upright(stored, exif().get(ExifTags.Base.Orientation, 1))
 
     def encoding() -> Encoding | ProfileTables | None:
         profile, space = image.info.get("icc_profile"), exif_space(exif())
@@ -179,11 +170,8 @@ def _plain(path: Path, image: Image.Image, *, deep: bool) -> StoredPicture:
 
 def _tiff(path: Path) -> StoredPicture:
     """The page of a TIFF that is no thumbnail, decoded by OpenImageIO where that can."""
-    page, spec = _page(path, _opened(path))
-    _require_size(path, spec.width, spec.height)
-    if spec.image_bytes() > PICTURE_BYTES_MAX:
-        raise InputError(f"{path}: its {spec.nchannels} channels are too large; scale it down")
-    colours = spec.get_int_attribute("tiff:PhotometricInterpretation", 2)
+    page, spec = tiff_page(path)
+    colours = photometric(spec)
     compression = spec.get_int_attribute("tiff:Compression", 1)
     bits = spec.get_int_attribute("oiio:BitsPerSample", 8 * spec.format.size())
     if colours in _COLOURS:
@@ -207,7 +195,7 @@ def _tiff(path: Path) -> StoredPicture:
             # OpenImageIO turns negatives of 8 bits and fewer into positives, and no others
             if colours == 0 and stored.dtype == np.uint16:
                 stored = 65535 - stored
-        return _upright(stored, spec.get_int_attribute("Orientation", 1))
+        return upright(stored, spec.get_int_attribute("Orientation", 1))
 
     def encoding() -> Encoding | ProfileTables | None:
         profile = spec.getattribute("ICCProfile")
@@ -218,7 +206,7 @@ def _tiff(path: Path) -> StoredPicture:
             )
 
     exif = cache(lambda: tiff_exif(path))
-    depth = 32 if spec.format.basetype in _floats() else min(bits, 16)
+    depth = 32 if is_floating(spec) else min(bits, 16)
     return StoredPicture(
         width=spec.width,
         height=spec.height,
@@ -229,78 +217,12 @@ def _tiff(path: Path) -> StoredPicture:
     )
 
 
-@cache
-def _openimageio() -> Any:
-    """The library, with one thread; on sizes our own limits count (slow to import)."""
-    import OpenImageIO
-
-    OpenImageIO.attribute("threads", 1)
-    OpenImageIO.attribute("limits:imagesize_MB", 0)
-    return OpenImageIO
-
-
-def _floats() -> tuple[Any, ...]:
-    library = _openimageio()
-    return library.HALF, library.FLOAT, library.DOUBLE
-
-
-def _opened(path: Path) -> Any:
-    library = _openimageio()
-    as_stored = library.ImageSpec()
-    as_stored.attribute("oiio:UnassociatedAlpha", 1)  # straight alpha is not multiplied in
-    opened = library.ImageInput.open(str(path), as_stored)
-    if opened is None:
-        raise _refusal(path, library.geterror())
-    return opened
-
-
-def _refusal(path: Path, reason: str) -> Exception:
-    """What is valid, but beyond the library, is not called damaged."""
-    if "support" in reason.lower() or "can not handle" in reason:
-        told = " ".join(reason.split())
-        return InputError(f"{path}: a kind of TIFF that is not read ({told}); export it as RGB")
-    return ValueError(reason)
-
-
-def _page(path: Path, file: Any) -> tuple[int, Any]:
-    """(number, header) of the one page that is neither a thumbnail nor a mask."""
-    pages = []
-    while len(pages) < _PAGES_MOST and file.seek_subimage(len(pages), 0):
-        pages.append(file.spec())
-    file.geterror()  # that there is none after the last
-    pictures = [
-        (number, spec)
-        for number, spec in enumerate(pages)
-        if not spec.get_int_attribute("tiff:subfiletype", 0) & (_REDUCED | _MASK)
-    ]
-    if len(pictures) != 1:
-        raise InputError(f"{path}: it holds several pictures; save one of them as JPEG or PNG")
-    return pictures[0]
-
-
 def _by_openimageio(path: Path, page: int = 0) -> np.ndarray:
-    """Codes (h,w,3) as stored: uint8, uint16 or float32."""
-    file = _opened(path)
-    file.seek_subimage(page, 0)
-    spec = file.spec()
-    library = _openimageio()
-    kinds = {library.UINT8: library.UINT8, library.UINT16: library.UINT16}
-    # of 32-bit integers OpenImageIO gives the share of the largest, in double precision
-    kind = kinds.get(spec.format.basetype, library.FLOAT)
-    wide = spec.format.basetype == library.UINT
-    alpha, count = spec.alpha_channel, spec.nchannels
-    channels = min(count, 4)
-    values = file.read_image(page, 0, 0, channels, library.DOUBLE if wide else kind)
-    if values is None:
-        raise _refusal(path, file.geterror())
-    if wide:
-        values = np.rint(65535 * values).astype(np.uint16)
-    values = values.reshape(spec.height, spec.width, channels)
-    is_grey = channels - (0 <= alpha < channels) < 3
-    colours = values[..., :1] if is_grey else values[..., :3]
-    if 0 < alpha < channels and not spec.get_int_attribute("oiio:UnassociatedAlpha", 0):
-        colours = _straight(colours, values[..., alpha, None])
-    return np.repeat(colours, 3, -1) if is_grey else np.ascontiguousarray(colours)
+    """Codes (h,w,3), not turned: uint8, uint16 or float32."""
+    colours, alpha, is_premultiplied = stored_samples(path, page)
+    if alpha is not None and is_premultiplied:
+        colours = _straight(colours, alpha)
+    return np.repeat(colours, 3, -1) if colours.shape[-1] == 1 else np.ascontiguousarray(colours)
 
 
 def _straight(colours: np.ndarray, alpha: np.ndarray) -> np.ndarray:
@@ -311,14 +233,6 @@ def _straight(colours: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     over = colours.astype(np.float32) * (largest / np.maximum(alpha, 1).astype(np.float32))
     straight = np.rint(np.minimum(over, largest)).astype(colours.dtype)
     return np.where(alpha > 0, straight, colours)
-
-
-def _upright(codes: np.ndarray, orientation: object) -> np.ndarray:
-    """Turned and mirrored as the EXIF tag asks (EXIF 2.32, Orientation)."""
-    turns = {3: 2, 4: 2, 5: 3, 6: 3, 7: 1, 8: 1}.get(orientation, 0)  # type: ignore[call-overload]
-    turned = np.rot90(codes, turns)
-    mirrored = turned[:, ::-1] if orientation in (2, 4, 5, 7) else turned
-    return np.ascontiguousarray(mirrored)
 
 
 @contextmanager

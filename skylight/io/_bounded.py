@@ -163,6 +163,14 @@ def require_pixels(width: int, height: int, most: int = PIXELS_MAX) -> None:
         raise ValueError(f"{width}x{height} are more than {most} pixels, the picture is too large")
 
 
+def require_size(path: Path, width: int, height: int) -> None:
+    """InputError for a picture of more pixels than are read, or of none."""
+    try:
+        require_pixels(width, height)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}; scale it down") from error
+
+
 def _whole(text: str) -> int | float:
     value = _finite(text)  # refuses more digits than int would take long for
     number = int(text)

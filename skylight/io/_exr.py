@@ -76,8 +76,9 @@ def read_exr(path: Path, layer: str | None) -> tuple[Float[np.ndarray, "h w 3"],
                 f"{', '.join(chosen.colours)} are subsampled, stored at some of the pixels only: "
                 "export them at full resolution"
             )
-        pixels = np.stack([stored[name].pixels for name in chosen.colours], axis=-1)
-        pixels = np.repeat(pixels, 3, -1) if len(chosen.colours) == 1 else pixels
+        pixels = np.empty((*stored[names[0]].pixels.shape, 3), np.float32)
+        for index in range(3):
+            pixels[..., index] = stored[chosen.colours[index % len(chosen.colours)]].pixels
     window = _shown(header)
     pixels, said = converted(pixels[window], space)
     several = f"its layer {chosen.name} is read, of {_listed(layers)}"
@@ -99,7 +100,9 @@ def transparency(alpha: Float[np.ndarray, "h w"], pixels: Float[np.ndarray, "h w
     Colours are stored premultiplied, so light is what they say; alpha tells where behind them
     nothing was. Alpha 0 with colours is no hole: some programs leave alpha empty.
     """
-    holes = int(((alpha <= 0) & (pixels <= 0).all(-1)).sum())
+    if alpha.min() >= 0.999:
+        return []
+    holes = int((pixels[alpha <= 0] <= 0).all(-1).sum())
     half = int(((alpha > 0) & (alpha < 0.999)).sum())
     counts = [f"{holes} pixel(s) are transparent and black"] if holes else []
     counts += [f"{half} pixel(s) are half transparent"] if half else []
@@ -259,8 +262,6 @@ def _colour_space(header: dict) -> ColourSpace | None:
         if xy is None:
             return other
         return ColourSpace(primaries=xy, transfer=other.transfer if other else "linear")
-    if xy is not None and not isinstance(named.primaries, str):
-        return named
     told = CHROMATICITIES.get(named.primaries) if isinstance(named.primaries, str) else None
     if xy is not None and told is not None and not np.allclose(xy, told, atol=TOLERANCE):
         raise ValueError(

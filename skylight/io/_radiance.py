@@ -16,11 +16,13 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from skylight.io._bounded import file_bytes, require_pixels
-from skylight.io._colour_spaces import ColourSpace, converted
+from skylight.io._colour_spaces import TOLERANCE, ColourSpace, converted
 from skylight.io._muted import muted
 
 _AXES = re.compile(rb"([+-])([XY])\s*\+?(\d{1,12})\s*([+-])([XY])\s*\+?(\d{1,12})\s*")
 _FORMATS = {"32-bit_rle_rgbe": "rec709", "32-bit_rle_xyze": "xyz-d65"}
+# Radiance's STDPRIMS, which no reader converts where the line is left out
+_DEFAULT = (0.640, 0.330, 0.290, 0.600, 0.150, 0.060, 1 / 3, 1 / 3)
 _ROW_MAX = 0x7FFF  # pixels of a row with new run lengths
 _HEADER_MOST = 2**20  # bytes
 
@@ -115,7 +117,7 @@ def _pixels(body: bytes, lines: int, length: int) -> Float[np.ndarray, "h w 3"]:
                 bgr = cv2.imdecode(np.frombuffer(plain + body, np.uint8), cv2.IMREAD_UNCHANGED)
         if bgr is None or bgr.dtype != np.float32 or bgr.shape != (lines, length, 3):
             raise ValueError("damaged or cut short: its run lengths do not fill the picture")
-        return bgr[..., ::-1]
+        return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB, dst=bgr)
     codes = np.frombuffer(body[: len(body) // 4 * 4], np.uint8).reshape(-1, 4)
     codes = _old_runs(codes, lines * length)
     return rgbe_values(codes.reshape(lines, length, 4))
@@ -179,7 +181,8 @@ def _as_declared(
         space = ColourSpace(primaries="xyz-d65")
     else:
         for primaries in _numbers(declared, "PRIMARIES", 8, positive=False):
-            if primaries.any():  # some writers put zeros for what they do not know
+            # some writers put zeros for what they do not know, others what a file without has too
+            if primaries.any() and not np.allclose(primaries, _DEFAULT, rtol=0, atol=TOLERANCE):
                 x = [float(each) for each in primaries]
                 space = ColourSpace(primaries=(x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7]))
     pixels, said = converted(pixels, space)

@@ -13,6 +13,7 @@ from PIL import Image
 from skylight.errors import InputError
 from skylight.imaging._photo import read_photo
 from tests.imaging.picture_files import (
+    as_depth,
     camera_exif,
     icc_profile,
     profile_of,
@@ -223,6 +224,32 @@ def test_a_profiles_table_is_interpolated(tmp_path: Path, depth: int) -> None:
     # straight lines lie above a parabola by h^2 / 4 at most
     path = write_png(tmp_path / "a.png", codes, chunks=_iccp(profile))
     assert_light(path, bound, more=2 * (1 / 32) ** 2 / 4 + 1e-4)
+
+
+@DEPTHS
+def test_a_grey_profile_over_lab_tells_lightness(tmp_path: Path, depth: int) -> None:
+    """L* of a straight curve is 100 times the code; its light from CIE 15's formula."""
+    identity = b"curv" + bytes(4) + struct.pack(">I", 0)
+    profile = bytearray(profile_of(b"GRAY", {b"kTRC": identity}))
+    profile[20:24] = b"Lab "
+    codes = as_depth(np.tile(np.arange(0, 256, 4, dtype=np.uint8), (32, 1)), depth)
+    path = write_png(tmp_path / "a.png", codes, chunks=_iccp(bytes(profile)))
+    lightness = 100.0 * codes / np.iinfo(codes.dtype).max
+    light = np.where(lightness > 8, ((lightness + 16) / 116) ** 3, lightness * 27 / 24389)
+    np.testing.assert_allclose(read_photo(path).pixels[..., 0], light, atol=1e-6)
+
+
+def test_a_profiles_tables_precede_its_matrix(tmp_path: Path) -> None:
+    """ICC.1:2022, 8.10; tables are told apart by what is said of 16 bits."""
+    profile = icc_profile(P3_COLORANTS, 2.2)
+    (count,) = struct.unpack_from(">I", profile, 128)
+    entries = [struct.unpack_from(">4sII", profile, 132 + 12 * i) for i in range(count)]
+    tags = {name: profile[at : at + size] for name, at, size in entries}
+    deep = as_depth(scene(), 16)
+    read_photo(write_png(tmp_path / "a.png", deep, chunks=_iccp(profile)))
+    both = profile_of(b"RGB ", {**tags, b"A2B0": b"mft2" + bytes(60)})
+    with pytest.raises(InputError, match="by tables"):
+        read_photo(write_png(tmp_path / "a.png", deep, chunks=_iccp(both)))
 
 
 def test_profiles_that_are_not_applied_are_named(tmp_path: Path) -> None:

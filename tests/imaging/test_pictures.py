@@ -76,6 +76,12 @@ def _with_thumbnail(first: bool) -> Writer:
     return write
 
 
+def _five_channels(path: Path, codes: np.ndarray) -> None:
+    *colours, alpha = np.moveaxis(_alpha(codes, premultiplied=True), -1, 0)
+    channels = np.stack([*colours, codes[..., 0] // 3, alpha], -1)
+    tifffile.imwrite(path, channels, photometric="rgb", extrasamples=[0, 1])
+
+
 LAYOUTS: dict[str, tuple[str, Writer]] = {
     "chunky": (".tif", _tiff()),
     "big-endian": (".tif", _tiff(big_endian=True)),
@@ -91,6 +97,7 @@ LAYOUTS: dict[str, tuple[str, Writer]] = {
     "premultiplied": (".tif", _tiff(alpha="assocalpha")),
     "premultiplied planar": (".tif", _tiff(alpha="assocalpha", planar=True)),
     "a fourth channel of no meaning": (".tif", _tiff(alpha="unspecified")),
+    "premultiplied behind a channel of no meaning": (".tif", _five_channels),
     "lzw": (".tif", _by_openimageio(compression="lzw")),
     "packbits": (".tif", _by_openimageio(compression="packbits")),
     "deflate": (".tif", _by_openimageio(compression="zip")),
@@ -248,11 +255,23 @@ def _cut(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-9000])
 
 
+def _grey_and_more(path: Path, depth: int) -> None:
+    extra = {"photometric": "minisblack", "extrasamples": [0, 0]}
+    tifffile.imwrite(path, as_depth(SCENE, depth), **extra)
+
+
 REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
     "pages": (_two_pages, "several pictures"),
     "signed": (lambda p: _tiff()(p, SCENE.astype(np.int16)), "its values are int16"),
     "separated": (lambda p: Image.fromarray(SCENE).convert("CMYK").save(p), "are CMYK"),
     "lab": (lambda p: Image.fromarray(SCENE).convert("LAB").save(p), "are LAB"),
+    "64 bits": (lambda p: _tiff()(p, SCENE.astype(np.uint64)), "a kind of TIFF that is not read"),
+    "grey and more": (lambda p: _grey_and_more(p, 8), "it is grey and has further channels"),
+    "grey and more, 16": (lambda p: _grey_and_more(p, 16), "it is grey and has further channels"),
+    "negative light": (
+        lambda p: _tiff(photometric="miniswhite")(p, SCENE[..., 0] / np.float32(255)),
+        "white as 0 is not read",
+    ),
     "bitmap": (lambda p: Image.fromarray(SCENE).convert("1").save(p), "one bit a pixel"),
     "iccLab": (lambda p: _tiff(photometric="icclab")(p, SCENE), "a kind of TIFF that is not read"),
     "deep YCbCr": (

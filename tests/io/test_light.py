@@ -8,6 +8,7 @@ import numpy as np
 import OpenEXR
 import OpenImageIO
 import pytest
+import tifffile
 
 from skylight.errors import InputError
 from skylight.io._files import read_environment_map
@@ -116,6 +117,22 @@ def test_grey_tiff(tmp_path: Path) -> None:
     grey = some_map()[..., :1].copy()
     path = write_tiff(tmp_path / "a.tif", grey, "float")
     np.testing.assert_array_equal(read_linear(path), np.repeat(grey, 3, -1))
+
+
+def test_the_picture_of_a_tiff_is_read_not_its_thumbnail(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    light, profile = some_map(), b"a profile without a name".ljust(128, b"\0")
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        file.write(light[::4, ::4], photometric="rgb", subfiletype=1)
+        file.write(light, photometric="rgb", iccprofile=profile)
+    with caplog.at_level(logging.WARNING):
+        np.testing.assert_array_equal(read_linear(tmp_path / "a.tif"), light)
+    assert "its colour profile is not used" in caplog.text
+    with tifffile.TiffWriter(tmp_path / "a.tif", append=True) as file:
+        file.write(light, photometric="rgb")
+    with pytest.raises(InputError, match="several pictures"):
+        read_linear(tmp_path / "a.tif")
 
 
 def test_what_is_said_can_be_printed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -138,6 +138,13 @@ def test_xyze_and_primaries_keep_the_xyz(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_linear(path), light, atol=2.4 / 256)
 
 
+def test_the_default_primaries_say_no_more_than_none(tmp_path: Path) -> None:
+    codes = some_codes()
+    line = "PRIMARIES=0.640 0.330 0.290 0.600 0.150 0.060 0.333 0.333"
+    got = read_linear(write(tmp_path / "a.hdr", codes, line))
+    np.testing.assert_array_equal(got, rgbe_values(codes))
+
+
 @pytest.mark.parametrize("gamma", ["2.2", "0.454545"])
 def test_gamma_is_undone_whichever_way_it_is_told(tmp_path: Path, gamma: str) -> None:
     codes = some_codes()
