@@ -21,6 +21,10 @@ def main() -> int:
         # Python writes what is left when it ends
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         return _PIPE_CLOSED
+    except OSError as error:  # what a command says goes to a full disk
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        print(f"skylight: cannot write to standard output: {error.strerror}", file=sys.stderr)
+        return 1
 
 
 def _run() -> int:

@@ -200,8 +200,8 @@ def test_a_folder_is_for_one_run_at_a_time(tmp_path, marks):
     half.parent.mkdir(parents=True)
     half.touch()
     with locked(out), pytest.raises(InputError, match="another run"):
-        measure_all(Counting(count=1, marks=marks), out)
-    measure_all(Counting(count=1, marks=marks), out)
+        measure_all(Counting(count=1, marks=marks), out, workers=1)
+    measure_all(Counting(count=1, marks=marks), out, workers=1)
     assert not half.exists()
 
 
