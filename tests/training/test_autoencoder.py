@@ -9,6 +9,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -303,6 +304,16 @@ def test_divergence_is_said(config: AutoencoderConfig, tmp_path: Path) -> None:
 def test_too_few_skies(config: AutoencoderConfig, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="batch of 1000"):
         train(replace(config, out=tmp_path, batch=1000))
+
+
+@pytest.mark.parametrize(("name", "kind"), [("adamw", torch.optim.AdamW), ("sgd", torch.optim.SGD)])
+def test_the_optimiser_is_the_configuration_s(
+    config: AutoencoderConfig, name: Literal["adamw", "sgd"], kind: type
+) -> None:
+    chosen = replace(config, optimiser=name, learning_rate=0.25, weight_decay=0.5)
+    found = training._optimiser(SplineAutoencoder(8), chosen)
+    assert isinstance(found, kind)
+    assert (found.defaults["lr"], found.defaults["weight_decay"]) == (0.25, 0.5)
 
 
 def test_schedule() -> None:

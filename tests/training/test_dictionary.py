@@ -1,3 +1,4 @@
+import hashlib
 import json
 import math
 import runpy
@@ -20,6 +21,7 @@ from skylight.sphere._envmap import EnvironmentMap
 from skylight.training._config import DictionaryConfig
 from skylight.training._dictionary import (
     RATE,
+    _probes,
     filter_sheet,
     learn_dictionary,
     learning_epoch,
@@ -109,6 +111,19 @@ def test_one_configuration_gives_one_dictionary(config: DictionaryConfig, tmp_pa
         for name in ("one", "other")
     )
     assert torch.equal(one.coefficients, other.coefficients)
+
+
+def test_what_was_learned_from_is_known_by_names_and_bytes(
+    config: DictionaryConfig, probes: Path
+) -> None:
+    maps = replace(config, maps=("a.exr", "b.hdr"))
+    found = _probes(maps, lambda _: None)
+    expected = hashlib.sha256()
+    for name in found.names:
+        expected.update(
+            name.encode() + b"\0" + hashlib.sha256((probes / name).read_bytes()).digest()
+        )
+    assert found.sha256 == expected.hexdigest()
 
 
 def test_which_maps(config: DictionaryConfig) -> None:

@@ -121,6 +121,8 @@ def test_few_skies_get_small_batches_and_many_epochs(skies: int, batch: int, epo
     found = fitting(base, Path("a"), Path("b"), skies, None, said.append)
     assert (found.batch, found.epochs) == (batch, epochs)
     assert (found.starts_from == SHIPPED / NETWORK) == (skies < 2000)
+    assert found.learning_rate == base.learning_rate / (3 if skies < 2000 else 1)
+    assert found.warmup_steps == min(base.warmup_steps, max(1, skies // batch) * epochs // 10)
     assert bool(said) == (found.batch != 16 or found.epochs != 9 or skies < 2000)
     thesis = AutoencoderConfig(network="convolutions", sun=False)
     scratch = fitting(thesis, Path("a"), Path("b"), skies, None, said.append)

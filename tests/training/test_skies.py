@@ -194,6 +194,7 @@ def test_white_balance_goes_part_of_the_way_to_a_grey_mean(most: float) -> None:
     torch.testing.assert_close(share[:, 0], share[:, 1], rtol=1e-3, atol=1e-3)
     assert 1 - most - 1e-4 <= float(share.min()) < 1 - 0.8 * most
     assert 0.9 < float(share.max()) < 1 + 1e-4
+    assert torch.equal(augment(skies, torch.Generator().manual_seed(1), config), varied)
 
 
 def test_the_share_of_skies_with_surroundings_is_kept() -> None:
