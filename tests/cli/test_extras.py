@@ -17,6 +17,7 @@ DISTRIBUTIONS = {
     "dlib": "dlib-bin",
     "igl": "libigl",
     "starlette": "fastapi",
+    "pillow_heif": "pillow-heif",
     "yaml": "PyYAML",
 }
 COMMANDS = {

@@ -86,8 +86,13 @@ def uploads() -> Iterator[Refusal]:
         ("a.jpg", b"", 400, "nothing came in"),
         ("a.jpg", b"no picture", 422, "a.jpg: no picture known here"),
         ("a.png", b"\x89PNG\r\n\x1a\nno", 422, "a.png: "),
-        ("a.exr", b"\x76\x2f\x31\x01" + b"x" * 50, 422, "a.exr: damaged"),
-        ("..\\..\\x\n.hdr", b"#?RADIANCE\n", 422, "x.hdr: damaged"),
+        (
+            "a.exr",
+            b"\x76\x2f\x31\x01" + b"x" * 50,
+            422,
+            "a.exr: cannot be read: its header is damaged",
+        ),
+        ("..\\..\\x\n.hdr", b"#?RADIANCE\n", 422, "x.hdr: cannot be read: damaged"),
     ):
         yield "POST", f"/api/photos?name={quote(name)}", {"content": content}, status, words
 
