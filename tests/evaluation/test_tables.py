@@ -90,6 +90,11 @@ def tables(page: str) -> list[dict[str, dict[str, float]]]:
     return found
 
 
+def test_a_page_begins_with_its_title_and_what_made_it():
+    first, blank, second, *_ = markdown(results("sky-models-real", items())).split("\n")
+    assert (first, blank, second[0]) == ("# sky-models-real", "", "`")
+
+
 def test_real_skies_stand_beside_the_thesis_too():
     ours, thesis, *groups = tables(markdown(results("sky-models-real", items())))
     assert ours["MAE (s)"] == {name: m + 1 for m, name in enumerate(METHODS)}
