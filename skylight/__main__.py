@@ -8,9 +8,6 @@ _PIPE_CLOSED = 141  # what a shell says of programs that SIGPIPE ended
 
 def main() -> int:
     """Run one command and return its exit code; quietly, where nobody reads on (``| head``)."""
-    from skylight.work._threads import prefer_one_thread
-
-    prefer_one_thread()
     try:
         try:
             return _run()
@@ -29,9 +26,12 @@ def main() -> int:
 
 def _run() -> int:
     try:
+        from skylight.work._threads import prefer_one_thread
+
+        prefer_one_thread()
         from skylight.cli import main
     except ModuleNotFoundError as error:
-        if error.name not in ("skylight.cli", "tyro"):
+        if error.name not in ("skylight.work", "skylight.cli", "tyro"):
             raise
         from skylight.relight._command import main
 

@@ -280,9 +280,9 @@ def test_points_of_an_object_are_spread_over_what_is_seen(data: Path) -> None:
     torch.testing.assert_close(every.sum(1), torch.ones(count), rtol=0.1, atol=0)
     assert ball.buffer.image(torch.ones(count, 1)).shape == (24, 32, 1)
     rows, columns = ball.buffer.pixels.T
-    assert 0 < int(rows.min())  # all of it is seen, and nothing at the border
+    assert int(rows.min()) > 0  # all of it is seen, and nothing at the border
     assert int(rows.max()) < 23
-    assert 0 < int(columns.min())
+    assert int(columns.min()) > 0
     assert int(columns.max()) < 31
     with pytest.raises(InputError, match="fewer than the 5000"):
         lit_object.lit_object(data, pixels=5000, height=24)
