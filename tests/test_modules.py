@@ -252,3 +252,22 @@ def test_a_search_with_tf32_finds_as_good_a_code() -> None:
             codes = coder(maps)
         rounded = coder.relative_error(maps, codes)
     assert float((rounded / exact).log().abs().max()) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "said"),
+    [
+        ("sky transport", {1: (2, 4)}, r"the ground of shape \(2, 4\): give"),
+        ("sky transport", {2: (2, 4)}, r"albedo of shape \(2, 4\): give"),
+        ("slots", {0: (31, 6, 2, 2, 3)}, r"slots of shape \(31, 6, 2, 2, 3\): give"),
+        ("splines on a disk", {0: (5,)}, r"control points of shape \(5,\): give"),
+    ],
+)
+def test_wrong_sizes_of_other_inputs_are_named(
+    name: str, wrong: dict[int, tuple[int, ...]], said: str
+) -> None:
+    given = list(CASES[name].given(F32))
+    for place, shape in wrong.items():
+        given[place] = torch.ones(shape)
+    with pytest.raises(InputError, match=said):
+        CASES[name].call(CASES[name].single(), *given)

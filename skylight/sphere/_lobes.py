@@ -122,6 +122,8 @@ class DiskSplines(nn.Module):
         self, control: Float[Tensor, "b k c"], turn_rad: Float[Tensor, " t"]
     ) -> Float[Tensor, "b n c"]:
         """Values on the grid, differentiable in both; one turn of all, or as many as functions."""
+        if control.dim() != 3:
+            raise InputError(f"control points of shape {tuple(control.shape)}: give (b, k, c)")
         count, channels = len(control), control.shape[2]
         check_shape("control points", control.shape, self.count, channels)
         if len(turn_rad) not in (1, count):

@@ -143,6 +143,7 @@ class SkyTransport(nn.Module):
         ``scene`` is the one that each light falls on, in ascending order; None where there is
         but one.
         """
+        check_shape("albedo", albedo.shape, 3)
         per_point = albedo if albedo.dim() == 3 else albedo[:, None]
         return per_point * self.white(sky, ground, scene)
 
@@ -154,6 +155,7 @@ class SkyTransport(nn.Module):
     ) -> Float[Tensor, "b m 3"]:
         """T l: the same for an albedo of 1."""
         check_shape("the sky", sky.shape, self.folded.shape[2] - 1, 3)
+        check_shape("the ground", ground.shape, len(sky), 3)
         return shade_scenes(self.folded, torch.cat([sky, ground[:, None]], dim=1), scene)
 
 

@@ -102,6 +102,8 @@ class SlotReconstruction(nn.Module):
 
     def forward(self, radiance: Float[Tensor, "*b 6 32 n n c"]) -> Float[Tensor, "*b 6 32 n n c"]:
         """All slots from the known; what unknown ones hold does not matter if it is finite."""
+        if radiance.shape[-5:-3] != self.known.shape:
+            raise InputError(f"slots of shape {tuple(radiance.shape)}: give (..., 6, 32, n, n, c)")
         slots = radiance.flatten(-3)
         return (self.weights.to(slots.dtype) @ slots).reshape(radiance.shape)
 
