@@ -268,6 +268,11 @@ def test_table_5_3_says_what_its_number_is() -> None:
         assert words in row.ours
 
 
+def test_ages_without_a_history_are_a_whole_paragraph(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(records, "has_history", lambda: False)
+    assert build_measurements._ages({}).endswith("tells what changed since.\n")
+
+
 def test_numbers_of_a_result_stand_under_their_names() -> None:
     found = {"photos": 3, "machine": {"cores": 2, "name": "x"}, "seconds": 1.23456, "each": [1]}
     assert build_measurements._numbers("run", found) == [

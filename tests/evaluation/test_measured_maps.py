@@ -279,11 +279,11 @@ def test_points_of_an_object_are_spread_over_what_is_seen(data: Path) -> None:
     # a ball has no shadows: under even light of 1 every point shows 1 / pi of its irradiance
     torch.testing.assert_close(every.sum(1), torch.ones(count), rtol=0.1, atol=0)
     assert ball.buffer.image(torch.ones(count, 1)).shape == (24, 32, 1)
-    rows, columns = ball.buffer.pixels.T
-    assert int(rows.min()) > 0  # all of it is seen, and nothing at the border
-    assert int(rows.max()) < 23
-    assert int(columns.min()) > 0
-    assert int(columns.max()) < 31
+    # a ball of radius 0.5 whose front, 0.5 / 0.55 / 0.92 away, takes 92 % of the picture's height
+    distance = 0.5 / 0.55 / 0.92 + 0.5
+    diameter = 2 * 0.5 / (distance**2 - 0.25) ** 0.5 * 24 / (2 * 0.55)
+    rows = ball.buffer.pixels[:, 0]
+    assert int(rows.max() - rows.min()) + 1 == pytest.approx(diameter, abs=1)
     with pytest.raises(InputError, match="fewer than the 5000"):
         lit_object.lit_object(data, pixels=5000, height=24)
     assert lit_object.lit_object(data, pixels=50, height=24) is ball
