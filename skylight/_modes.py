@@ -4,9 +4,8 @@ Autocast, inference mode, transforms of :mod:`torch.func` and a default device h
 them. What is kept for others is computed without, and so is what eight bits would ruin.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from functools import lru_cache, wraps
 from typing import Any, Generic, ParamSpec, TypeVar
 
@@ -44,14 +43,6 @@ def transformed() -> bool:
     """Whether a transform of :mod:`torch.func` asks, in which values cannot be looked at."""
     stack = torch._C._functorch  # pyright: ignore[reportAttributeAccessIssue]
     return stack.peek_interpreter_stack() is not None
-
-
-@contextmanager
-def kept() -> Iterator[None]:
-    """A context for what stays: tensors of inference mode or of a transform could be no part of a
-    later graph."""
-    with torch.inference_mode(False), torch.no_grad(), torch._C._DisableFuncTorch():
-        yield
 
 
 def constant(maxsize: int | None = None) -> Callable[[Callable[..., T]], Callable[..., T]]:
@@ -104,7 +95,8 @@ class Derived(Generic[T]):
                 return compute()
             latest = self._latest
             if latest is None or latest[0] != now:
-                with kept():
+                # tensors of inference mode or of a transform could be no part of a later graph
+                with torch.inference_mode(False), torch.no_grad(), torch._C._DisableFuncTorch():
                     latest = now, compute(), [source.detach() for source in sources]
                 self._latest = latest
         return latest[1]

@@ -30,12 +30,14 @@ def pytest_collection() -> Generator[None, object, object]:
 
     Tests import more, and make few cycles: searching seldom saves a tenth of their time.
     """
+    from skylight.work._memory import collect_seldom  # not before tests.annotations
+
     gc.disable()
     try:
         return (yield)
     finally:
         gc.freeze()
-        gc.set_threshold(20_000, 10, 10)
+        collect_seldom()
         gc.enable()
 
 

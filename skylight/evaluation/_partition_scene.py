@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -23,7 +22,7 @@ from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import rotation_about
 from skylight.transport._cameras import Camera
-from skylight.transport._mesh import loaded_parts
+from skylight.transport._mesh import joined_mesh
 from skylight.transport._path_tracer import DiffuseScene, Sampling, radiosity_transfer, shade
 from skylight.transport._render import GBuffer, rasterize
 
@@ -141,12 +140,7 @@ def harmonic_light(light: EnvironmentMap) -> Float[Tensor, "k 3"]:
 
 def _standing(path: Path) -> tuple[Float[Tensor, "v 3"], Tensor]:
     """A mesh of fewer triangles, 1 high, its foot on the ground and its middle over the origin."""
-    from trimesh.util import concatenate  # slow to import
-
-    parts = loaded_parts(path)
-    for part in parts:
-        part.process()
-    mesh: Any = concatenate(parts)
+    mesh = joined_mesh(path)
     places, triangles = np.asfortranarray(mesh.vertices), np.asfortranarray(mesh.faces)
     if len(triangles) > _FACES:
         try:

@@ -42,14 +42,21 @@ def read_mesh(path: str | Path) -> tuple[Float[Tensor, "n 3"], Int[Tensor, "f 3"
         A missing or damaged file, another format, what is not read, no faces or none with an
         area, or vertices that are not finite.
     """
-    import trimesh  # slow to import
+    return creased(joined_mesh(Path(path)))
 
-    path = Path(path)
+
+def joined_mesh(path: Path) -> "Trimesh":
+    """The parts of a file as one mesh, vertices at the same place made one within each part.
+
+    InputError as :func:`read_mesh`.
+    """
+    from trimesh.util import concatenate  # slow to import
+
     parts = loaded_parts(path)
     for mesh in parts:
         mesh.process()
-    whole: Any = trimesh.util.concatenate(parts)
-    return creased(whole)
+    whole: Any = concatenate(parts)
+    return whole
 
 
 def loaded_parts(path: Path) -> list["Trimesh"]:
