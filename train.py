@@ -1,4 +1,4 @@
-"""python train.py configs/NAME.yaml [--key value ...]: run one of the configurations."""
+"""python train.py CONFIG [KEY=VALUE ...]: run one of the configurations; --help lists them."""
 
 from skylight.training._run import main
 

@@ -3,12 +3,12 @@
 An interrupted run is resumed bit for bit: what a step draws depends on the seed and its number.
 """
 
-import hashlib
 import math
 import shutil
 import time
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -26,6 +26,7 @@ from skylight.training._checkpoint import (
     drop_damaged,
     initial_network,
     read_state,
+    sha256_of,
     write_state,
 )
 from skylight.training._config import AutoencoderConfig, config_yaml
@@ -51,6 +52,7 @@ class RunState:
     """Where a run stands, beside its weights; ``losses`` are those of the epoch so far."""
 
     step: int = 0
+    epochs: int = 0  # to be done in all
     best: float = math.inf
     since_best: int = 0
     curves: list[dict[str, int | float]] = field(default_factory=list)
@@ -76,6 +78,10 @@ def train(config: AutoencoderConfig, report: Tell = print) -> Path:
     step n depend on the seed and n alone, so a resumed run computes what the uninterrupted one
     would have, bit by bit on the same machine; started by ``torchrun`` with several processes,
     what one process would have, but for rounding.
+
+    A run with more ``epochs`` than before goes on too, also where it had ended. Its learning rate
+    is from then on that of the new number: with a cosine it rises again, and the result is not that
+    of a run that had them from the start; with a constant one it is.
 
     Raises
     ------
@@ -116,8 +122,12 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell) -> Path:
         optimiser.load_state_dict(state["optimiser"])
         now = RunState(**state["progress"])
         report(f"resuming at step {now.step} of {total}")
+        if change := _other_epochs(now, steps_per_epoch, config):
+            report(change)
+    now.epochs = config.epochs
     best = config.out / "model.safetensors"
     if now.step >= total or now.since_best >= config.patience:
+        _tell_early_end(now, total, report)
         if here.first:
             shutil.rmtree(config.out / FOLDER, ignore_errors=True)
         return best
@@ -179,10 +189,34 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell) -> Path:
         if here.first and (epoch_ends or now.step % config.checkpoint_steps == 0):
             weights = {"network": network.state_dict(), "optimiser": optimiser.state_dict()}
             write_state(config.out, {"identity": identity, "progress": asdict(now), **weights})
+    _tell_early_end(now, total, report)
     if logs:
         logs.close()
         shutil.rmtree(config.out / FOLDER)
     return best
+
+
+def _other_epochs(now: RunState, steps_per_epoch: int, config: AutoencoderConfig) -> str:
+    """What another number of epochs does to a run that goes on; nothing where it is the same."""
+    changed = f"`epochs` was {now.epochs} and is {config.epochs}"
+    if now.epochs == config.epochs:
+        return ""
+    if now.step > steps_per_epoch * config.epochs:
+        done = now.step // steps_per_epoch
+        return f"{changed}: {done} are done already, and none is taken back"
+    before, after = (
+        config.learning_rate * schedule(now.step, steps_per_epoch * epochs, config)
+        for epochs in (now.epochs, config.epochs)
+    )
+    return f"{changed}: the learning rate is {after:.3g} here, {before:.3g} before"
+
+
+def _tell_early_end(now: RunState, total: int, report: Tell) -> None:
+    if now.step < total:
+        report(
+            f"ended early: no better validation loss for {now.since_best} epochs; a higher "
+            "`patience` goes on"
+        )
 
 
 class Objective(nn.Module):
@@ -304,9 +338,9 @@ def _optimiser(network: SkyNetwork, config: AutoencoderConfig) -> torch.optim.Op
 def schedule(step: int, total: int, config: AutoencoderConfig) -> float:
     """The learning rate of a step as a part of its height.
 
-    A linear warm-up, then half a cosine down to 1 % or constant.
+    A linear warm-up of at most a tenth of all steps, then half a cosine down to 1 % or constant.
     """
-    warmup = config.warmup_steps
+    warmup = min(config.warmup_steps, total // 10)
     if step < warmup:
         return (step + 1) / warmup
     if config.schedule == "constant":
@@ -342,15 +376,16 @@ def _prepared(
     return train, open_prepared(data.paths["validation"], config, folder, 0)
 
 
-def run_identity(config: AutoencoderConfig, data_hash: str) -> str:
+def run_identity(config: AutoencoderConfig, data_hash: str) -> dict[str, Any]:
     """What a run must have in common with the one that it goes on from.
 
-    What changes no step may differ, the folders' names included; the checkpoint that it starts
-    from counts by its content.
+    What changes no step may differ, the folders' names included, and when it ends; the data and the
+    checkpoint that it starts from count by their content.
     """
-    free = {"data": Path(), "out": Path(), "starts_from": None, "checkpoint_steps": 1}
-    anywhere = replace(config, **free, threads=0, device="cpu", compile=False)
-    start = ""
-    if config.starts_from and config.starts_from.is_file():
-        start = hashlib.sha256(config.starts_from.read_bytes()).hexdigest()
-    return f"{data_hash}\n{start}\n{config_yaml(anywhere)}"
+    free = ("out", "checkpoint_steps", "threads", "device", "compile", "epochs", "patience")
+    start = config.starts_from
+    facts = {name: value for name, value in asdict(config).items() if name not in free}
+    return facts | {
+        "data": f"SHA-256 {data_hash[:16]}",
+        "starts_from": sha256_of(start) if start else None,
+    }

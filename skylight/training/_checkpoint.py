@@ -5,8 +5,10 @@ kept, so that one of the two is whole whenever the run is killed. Logs are the c
 reconstructions as PNG, and both for TensorBoard where it is installed.
 """
 
+import hashlib
 import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -66,8 +68,14 @@ def write_state(folder: Path, state: dict[str, Any]) -> None:
     write_tensors(newest, tensors, {"state": plain})
 
 
-def read_state(folder: Path, identity: str, report: Tell = print) -> dict[str, Any] | None:
-    """The newest whole state of a run, or None where there is none yet."""
+def read_state(
+    folder: Path, identity: Mapping[str, Any], report: Tell = print
+) -> dict[str, Any] | None:
+    """The newest whole state of a run, or None where there is none yet.
+
+    ``identity`` has all settings that the state's own must equal; where they do not, the
+    :class:`InputError` names them.
+    """
     present = [p for p in (folder / NEWEST, folder / PREVIOUS) if p.exists()]
     if not present:
         return None
@@ -75,15 +83,33 @@ def read_state(folder: Path, identity: str, report: Tell = print) -> dict[str, A
         state = _read(path)
         if state is None:
             report(f"{path}: damaged (its checksum differs)")
-        elif state["identity"] != identity:
+        elif different := _differences(state["identity"], identity):
             raise InputError(
-                f"{path}: belongs to a run with other data or another configuration; "
-                "choose another `out`, or delete it to start anew"
+                f"{path}: belongs to a run of another configuration: {different}; go on with those "
+                f"of before, choose another `out`, or delete {folder / '*state*.safetensors'} to "
+                "start anew"
             )
         else:
             return state
     names = " and ".join(str(p) for p in present)
     raise InputError(f"{names}: damaged, nothing to go on from; delete to start the run anew")
+
+
+def _differences(before: Mapping[str, Any] | str, now: Mapping[str, Any]) -> str:
+    """The settings that differ, with both values, or nothing."""
+    if isinstance(before, str):
+        return "its settings are kept in the form of an earlier version of skylight"
+    names = [*now, *(name for name in before if name not in now)]
+    return ", ".join(
+        f"`{name}` was {before.get(name, 'not there')} and is {now.get(name, 'not there')}"
+        for name in names
+        if (name in before, before.get(name)) != (name in now, now.get(name))
+    )
+
+
+def sha256_of(path: Path) -> str:
+    """How a setting that is a file is told from others: by what is in it, not where it is."""
+    return f"SHA-256 {hashlib.sha256(path.read_bytes()).hexdigest()[:16]}"
 
 
 def drop_damaged(folder: Path) -> None:

@@ -1,9 +1,10 @@
-"""``skylight train``: a light model from a folder of skies."""
+"""``skylight train``: a light model from a folder of skies, or a run of a configuration."""
 
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Annotated, Any
 
-from tyro.conf import Positional
+from tyro.conf import Positional, arg
 
 from skylight.errors import InputError
 from skylight.work._device import Device
@@ -11,55 +12,73 @@ from skylight.work._device import Device
 
 def train(
     folder: Positional[Path | None] = None,
+    overrides: Annotated[Positional[tuple[str, ...]], arg(metavar="[KEY=VALUE ...]")] = (),
     out: Path | None = None,
     config: str = "sky_autoencoder",
     epochs: int | None = None,
     device: Device | None = None,
+    keys: bool = False,
 ) -> None:
     """Train a light model on a folder of skies: one command to a folder that --model takes.
 
     Indexes FOLDER as `skylight skies index` does (unless it has an index already), trains the sky
     autoencoder, fits the priors, and writes network, priors and model card into OUT. The same
-    command goes on with a run that was interrupted.
+    command goes on with a run that was interrupted, or that has ended and gets more epochs.
 
     Without FOLDER, runs a configuration as `python train.py` does: see docs/commands.md.
 
     Args:
         folder: Folder of .exr or .hdr maps of skies, or one that `skylight skies simulate` wrote.
+        overrides: Keys of the configuration, as batch=16 learning_rate=3e-4; --keys lists them.
         out: Folder for the model.
         config: Name of a configuration that comes with skylight (sky_autoencoder,
             sky_autoencoder_thesis, sky_prior, csc_dictionary), or a .yaml file.
         epochs: Passes over the training skies, if not those of the configuration.
         device: auto (CUDA where it is), cpu or cuda, if not that of the configuration.
+        keys: List the keys of the configuration with their values and meanings, and do no more.
     """
     from skylight.training._config import AutoencoderConfig, find_config, read_config
+    from skylight.training._overrides import keys_page, read_overrides
     from skylight.training._run import run, train_folder
     from skylight.work._progress import stage_bar, with_time_left
 
     settings = read_config(find_config(config))
+    if keys:
+        print(*keys_page(settings), sep="\n")
+        return
+    texts = list(overrides)
+    if folder is not None and "=" in str(folder) and not folder.is_dir():
+        texts, folder = [str(folder), *texts], None
+    options = {"out": out, "epochs": epochs, "device": device}
+    changes: dict[str, Any] = {name: each for name, each in options.items() if each is not None}
+    if unknown := changes.keys() - {field.name for field in fields(settings)}:
+        raise InputError(
+            f"--config {config}: a configuration of kind {settings.kind} has no "
+            f"{' and no '.join(sorted(unknown))}; leave --{' and --'.join(sorted(unknown))} out"
+        )
+    given = read_overrides(type(settings), texts)
+    if twice := sorted(changes.keys() & given):
+        raise InputError(f"{twice[0]}= and --{twice[0]} are both given; leave one of them out")
+    changes |= given
     if folder is None:
-        options = {"out": out, "epochs": epochs, "device": device}
-        changes = {name: value for name, value in options.items() if value is not None}
-        if unknown := changes.keys() - {field.name for field in fields(settings)}:
-            raise InputError(
-                f"--config {config}: a configuration of kind {settings.kind} has no "
-                f"{' and no '.join(sorted(unknown))}; leave --{' and --'.join(sorted(unknown))} out"
-            )
         run(replace(settings, **changes))
         return
-    if out is None:
-        raise InputError("--out is missing: name the folder for the model")
     if not isinstance(settings, AutoencoderConfig):
         raise InputError(
             f"--config {config}: a configuration of kind {settings.kind} trains no light model; "
             "leave FOLDER out to run it, or choose sky_autoencoder"
         )
+    if "data" in changes:
+        raise InputError(f"data= and FOLDER {folder} are both given; leave one of them out")
+    if "out" not in changes:
+        raise InputError("--out is missing: name the folder for the model")
+    model = changes.pop("out")
     with stage_bar() as progress:
         train_folder(
             folder,
-            out,
-            replace(settings, device=device or settings.device),
-            epochs=epochs,
+            model,
+            settings,
+            changes,
             progress=with_time_left("map", progress),
         )
-    print(f"{out}: a light model; its card is {out / 'card.md'}")
+    print(f"{model}: a light model; its card is {model / 'card.md'}")

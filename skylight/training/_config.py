@@ -1,12 +1,14 @@
-"""Configurations of training runs: YAML with overrides from the command line.
+"""Configurations of training runs, as they are read from YAML.
 
-An option's type, default, bounds and meaning stand in one place, its field: files are checked
-against it, and ``train.py --help`` shows it.
+An option's type, default, bounds and meaning stand in one place, its field: files and what the
+command line overrides are checked against it, and ``train.py --help`` shows it.
 """
 
+import difflib
 import math
 import reprlib  # which stays short: YAML makes much of little
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Iterable
+from dataclasses import Field, asdict, dataclass, field, fields
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
@@ -31,8 +33,13 @@ class _Checked:
                 continue
             value, least, most = getattr(self, each.name), *each.metadata.values()
             if not least <= value <= most:
-                allowed = f"at least {least}" if most == math.inf else f"from {least} to {most}"
-                raise InputError(f"`{each.name}` must be {allowed}, got {value}")
+                raise InputError(f"`{each.name}` must be {bounds(each)}, got {reprlib.repr(value)}")
+
+
+def bounds(key: Field[Any]) -> str:
+    """The values that a bounded field may have."""
+    least, most = key.metadata["least"], key.metadata["most"]
+    return f"at least {least}" if most == math.inf else f"from {least} to {most}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,18 +93,23 @@ class AutoencoderConfig(_Checked):
     """Variants of every sky, shown in turn, one an epoch."""
 
     epochs: int = _bounded(60, least=1)
+    """Passes over the training skies; with more of them, a run that has ended goes on."""
     batch: int = _bounded(32, least=1)
     """Skies of a step, of all processes together."""
     optimiser: Literal["adamw", "sgd"] = "adamw"
-    learning_rate: float = 0.001
+    """AdamW, or stochastic gradient descent."""
+    learning_rate: float = _bounded(0.001, least=0)
+    """Its height, which the schedule goes down from."""
     schedule: Literal["cosine", "constant"] = "cosine"
     """Of the learning rate, after the warm-up."""
     warmup_steps: int = _bounded(200, least=0)
+    """Over which the learning rate rises, at most a tenth of all steps."""
     momentum: float = _bounded(0.9, least=0)
     """Of sgd."""
     nesterov: bool = True
     """Of sgd."""
     weight_decay: float = _bounded(1e-5, least=0)
+    """Of the optimiser."""
     gradient_clip: float = _bounded(1.0, least=0)
     """Largest norm of the gradients; 0 clips nothing."""
     patience: int = _bounded(12, least=1)
@@ -111,7 +123,9 @@ class AutoencoderConfig(_Checked):
     threads: int = _bounded(0, least=0)
     """Of a process; 0 leaves their number to torch."""
     device: str = "auto"
+    """auto (CUDA where it is), cpu or cuda."""
     seed: int = _bounded(0, least=0, most=9_999_999)  # steps' seeds are made of it, in 64 bits
+    """Of the first weights, the order of the skies and the noise."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -143,6 +157,7 @@ class PriorConfig(_Checked):
     bank: int = _bounded(480, least=24)
     """Training skies that estimates may start from."""
     seed: int = 0
+    """Of the mixtures' first means, and of which skies of the bank are taken."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,6 +170,7 @@ class DictionaryConfig(_Checked):
     out: Path = Path("runs/dictionary")
     """Folder for the dictionary."""
     method: Literal["kmeans", "gradient"] = "gradient"
+    """Means of patches, or those improved by Adam."""
     filters: int = _bounded(100, least=1)
     """Learned ones."""
     category: str = ""
@@ -164,12 +180,14 @@ class DictionaryConfig(_Checked):
     degree: int = _bounded(40, least=3)
     """Of the filters' spherical harmonics."""
     seed: int = _bounded(0, least=0, most=2**32 - 1)  # NumPy's
+    """Of the first means."""
 
     rows: int = 32
     """Of the maps, for the method gradient, as what follows is."""
     activations: int = _bounded(36, least=1)
     """Filters that code a map."""
     epochs: int = _bounded(1, least=1)
+    """Passes over the maps; with more of them, a run that has ended goes on."""
     radius_deg: float = 30.0
     """Of a filter."""
     signed: bool = False
@@ -204,12 +222,19 @@ def find_config(name: str) -> Path:
     """
     if name.endswith((".yaml", ".yml")) or Path(name).parent != Path():
         return Path(name)
+    shipped = shipped_configs()
+    if name not in shipped:
+        raise InputError(
+            f"no configuration {name!r}: choose one of {', '.join(shipped)}, or give a .yaml file"
+        )
+    return shipped[name]
+
+
+def shipped_configs() -> dict[str, Path]:
+    """The configurations that come with skylight, by name."""
     packed = Path(str(files("skylight.training") / "configs"))  # in a wheel; see setup.py
     folder = packed if packed.is_dir() else Path(__file__).parents[2] / "configs"
-    if not (folder / f"{name}.yaml").is_file():
-        known = ", ".join(sorted(path.stem for path in folder.glob("*.yaml")))
-        raise InputError(f"no configuration {name!r}: choose one of {known}, or give a .yaml file")
-    return folder / f"{name}.yaml"
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
 def read_config(path: Path) -> Config:
@@ -222,29 +247,38 @@ def read_config(path: Path) -> Config:
     if not isinstance(name, str) or name not in _KINDS:
         raise InputError(f"{path}: `kind` must be one of {', '.join(_KINDS)}")
     kind = _KINDS[name]
-    known = {f.name: f.type for f in fields(kind)}
-    if unknown := sorted(" ".join(str(key).split()) for key in set(raw) - set(known)):
-        raise InputError(
-            f"{path}: unknown keys {', '.join(unknown)}; known are {', '.join(sorted(known))}"
-        )
+    known = keys_of(kind, str(path), raw)
     try:
-        return kind(**{key: _typed(path, key, known[key], value) for key, value in raw.items()})
+        return kind(**{key: typed(str(path), known[key], each) for key, each in raw.items()})
     # numbers beyond float64, and of so many digits that Python does not print them
     except (OverflowError, ValueError) as error:
         raise InputError(f"{path}: a number is out of all bounds ({error})") from error
 
 
-def _typed(path: Path, key: str, kind: Any, value: Any) -> Any:
-    """``value`` as the type of its field."""
+def keys_of(kind: type[Config], where: str, names: Iterable[object]) -> dict[str, Field[Any]]:
+    """The fields of a kind by name, among which are all ``names``; ``where`` they are given."""
+    known = {each.name: each for each in fields(kind)}
+    if unknown := sorted(" ".join(str(name).split()) for name in set(names) - set(known)):
+        near = [near for name in unknown for near in difflib.get_close_matches(name, known, 1)]
+        meant = f"did you mean {', '.join(near)}? " if near else ""
+        raise InputError(
+            f"{where}: unknown keys {', '.join(unknown)}; {meant}known are "
+            f"{', '.join(sorted(known))}"
+        )
+    return known
+
+
+def typed(where: str, key: Field[Any], value: Any) -> Any:
+    """``value`` as the type of its field; ``where`` it is given."""
+    kind: Any = key.type
     if get_origin(kind) is Literal:
         if value in get_args(kind):
             return value
-        raise InputError(f"{path}: `{key}` must be one of {', '.join(get_args(kind))}")
-    if kind in (Path, Path | None) and isinstance(value, str):
+    elif kind in (Path, Path | None) and isinstance(value, str):
         return Path(value)
-    if kind == Path | None and value is None:
+    elif kind == Path | None and value is None:
         return None
-    if kind == tuple[str, ...] and isinstance(value, list):
+    elif kind == tuple[str, ...] and isinstance(value, list):
         if all(isinstance(each, str) for each in value):
             return tuple(value)
     elif kind is float and not isinstance(value, bool):
@@ -254,10 +288,17 @@ def _typed(path: Path, key: str, kind: Any, value: Any) -> Any:
             pass
     elif type(value) is kind:
         return value
-    raise InputError(
-        f"{path}: `{key}` must be of type {getattr(kind, '__name__', kind)}, "
-        f"got {reprlib.repr(value)}"
-    )
+    raise InputError(f"{where}: `{key.name}` must be {allowed(key)}, got {reprlib.repr(value)}")
+
+
+def allowed(key: Field[Any]) -> str:
+    """The values that a field may have, in words."""
+    kind: Any = key.type
+    if get_origin(kind) is Literal:
+        return f"one of {', '.join(get_args(kind))}"
+    words = {bool: "true or false", Path: "a path", Path | None: "a path or none", str: "a text"}
+    words |= {int: "a whole number", float: "a number", tuple[str, ...]: "a list of texts"}
+    return f"{words[kind]} {bounds(key)}" if "least" in key.metadata else words[kind]
 
 
 def config_yaml(config: Config) -> str:

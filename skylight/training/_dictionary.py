@@ -1,11 +1,11 @@
 """Learning of a dictionary of filters from a folder of light probes."""
 
 import hashlib
-import json
 import math
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -177,6 +177,10 @@ def _learned(
         optimiser.load_state_dict(state["optimiser"])
         codes, errors = CodeTensors(*state["codes"]), state["errors"]
         report(f"goes on after epoch {len(errors)}")
+        if len(errors) > config.epochs:
+            report(
+                f"`epochs` is {config.epochs}: {len(errors)} are done already, none is taken back"
+            )
     for epoch in range(len(errors) + 1, config.epochs + 1):
         codes = learning_epoch(coder, optimiser, maps, codes)
         errors.append(mean_squared_error(coder, maps, codes))
@@ -242,14 +246,12 @@ def mean_squared_error(
     return float(coder.relative_error(maps, codes).square().mean())
 
 
-def _identity(config: DictionaryConfig, probes: _Probes) -> str:
-    """Names the run that a state belongs to: all settings but the epochs and the folders."""
-    facts = {
-        k: v
-        for k, v in asdict(config).items()
-        if k not in ("data", "out", "epochs", "maps", "category")
-    }
-    return hashlib.sha256(f"{json.dumps(facts)} {probes.sha256}".encode()).hexdigest()
+def _identity(config: DictionaryConfig, probes: _Probes) -> dict[str, Any]:
+    """What a run must have in common with the one that it goes on from: all but epochs and folder,
+    and the maps by their content."""
+    free = ("out", "epochs", "maps", "category")
+    facts = {name: value for name, value in asdict(config).items() if name not in free}
+    return facts | {"data": f"SHA-256 {probes.sha256[:16]}"}
 
 
 def filter_sheet(bank: FilterBank, count: int) -> UInt8[np.ndarray, "_ _ 3"]:

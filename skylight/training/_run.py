@@ -3,10 +3,10 @@
 import math
 import os
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-
-import tyro
+from typing import Any
 
 from skylight.errors import InputError, SkylightError
 from skylight.models._bundle import NETWORK, SHIPPED, load_bundle
@@ -22,6 +22,7 @@ from skylight.training._config import (
     read_config,
 )
 from skylight.training._dictionary import learn_dictionary
+from skylight.training._overrides import keys_page, read_overrides, usage, without_dashes
 from skylight.training._prior import fit_priors, splits_for_priors
 from skylight.work._progress import CountProgress, Tell
 from skylight.work._resumable import locked
@@ -33,7 +34,7 @@ LEAST_STEPS = 300
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """``train.py CONFIG [--key value ...]``: overrides are checked against the configuration.
+    """``train.py CONFIG [KEY=VALUE ...]``: overrides are checked against the configuration.
 
     ``torchrun --nproc-per-node N train.py CONFIG`` trains in N processes on one machine.
     """
@@ -41,11 +42,20 @@ def main(arguments: list[str] | None = None) -> None:
     rank = int(os.environ.get("RANK", "0"))
     name = f"train.py, process {rank}" if rank else "train.py"
     try:
+        wants_help = not {"-h", "--help"}.isdisjoint(arguments)
+        if wants_help and arguments[0].startswith("-"):
+            print(usage())
+            return
         if not arguments or arguments[0].startswith("-"):
-            raise InputError("usage: python train.py configs/NAME.yaml [--key value ...]")
+            raise InputError(
+                "usage: python train.py CONFIG [KEY=VALUE ...]; --help lists what there is"
+            )
         config = read_config(find_config(arguments[0]))
-        config = tyro.cli(type(config), default=config, args=arguments[1:], prog="train.py")
-        run(config)
+        if wants_help:
+            print(*keys_page(config), sep="\n")
+            return
+        texts = without_dashes(type(config), arguments[1:])
+        run(replace(config, **read_overrides(type(config), texts)))
     except SkylightError as error:
         print(f"{name}: {error}", file=sys.stderr)
         raise SystemExit(error.exit_code) from None
@@ -78,8 +88,8 @@ def train_folder(
     folder: Path,
     out: Path,
     config: AutoencoderConfig,
+    changes: Mapping[str, Any] | None = None,
     *,
-    epochs: int | None = None,
     report: Tell = print,
     progress: CountProgress | None = None,
 ) -> Path:
@@ -88,7 +98,8 @@ def train_folder(
     ``folder`` is one of .exr or .hdr maps, or has an index of skies already. ``config`` says how
     to train; what the number of skies does not allow is changed, and ``report`` told: a batch of
     at most a quarter of the training skies, at least 300 steps, and below 2,000 training skies
-    the weights of the shipped model to start from.
+    the weights of the shipped model to start from. ``changes`` are values by key that hold
+    whatever the number of skies is.
     A run that was killed goes on where it was, in ``out / "training"``.
     """
     run = out / RUN
@@ -103,13 +114,15 @@ def train_folder(
                 "validation and test days; add skies of other days, or name their days with: "
                 f"skylight skies index {folder} --days DAYS.csv"
             )
-        priors = PriorConfig(data=place, out=out, seed=config.seed)
+        seed = (changes or {}).get("seed", config.seed)
+        priors = PriorConfig(data=place, out=out, seed=seed)
         try:
             splits_for_priors(priors, records)  # refuses too few before hours of training
         except InputError as error:
             again = f"; then delete {place}" if place != folder else ""
             raise InputError(f"{folder}: {error}{again}") from error
-        best = train(fitting(config, place, run, skies, epochs, report), report)
+        fitted = fitting(config, changes or {}, skies, report)
+        best = train(replace(fitted, data=place, out=run), report)
         report("fitting the priors")
         fit_priors(replace(priors, checkpoint=best))
     load_bundle(out)
@@ -117,36 +130,27 @@ def train_folder(
 
 
 def fitting(
-    config: AutoencoderConfig,
-    place: Path,
-    run: Path,
-    skies: int,
-    epochs: int | None,
-    report: Tell,
+    config: AutoencoderConfig, changes: Mapping[str, Any], skies: int, report: Tell
 ) -> AutoencoderConfig:
-    """``config`` for so many training skies, as :func:`train_folder` says."""
-    batch = min(config.batch, max(1, skies // 4))
+    """``config`` for so many training skies with ``changes``, as :func:`train_folder` says."""
+    wanted = replace(config, **changes)
+    batch = changes.get("batch", min(config.batch, max(1, skies // 4)))
     steps = max(1, skies // batch)
-    wanted = max(config.epochs, math.ceil(LEAST_STEPS / steps)) if epochs is None else epochs
-    fitted = replace(
-        config,
-        data=place,
-        out=run,
-        batch=batch,
-        epochs=wanted,
-        patience=max(config.patience, wanted // 4),
-        warmup_steps=min(config.warmup_steps, steps * wanted // 10),
-    )
-    start = SHIPPED / NETWORK
-    like_shipped = (config.network, config.latents) == ("splines", SHIPPED_LATENTS)
-    if skies < FEW and config.starts_from is None and like_shipped:
-        fitted = replace(fitted, starts_from=start, learning_rate=config.learning_rate / 3)
+    epochs = changes.get("epochs", max(config.epochs, math.ceil(LEAST_STEPS / steps)))
+    fitted: dict[str, Any] = {
+        "batch": batch,
+        "epochs": epochs,
+        "patience": max(config.patience, epochs // 4),
+    }
+    like_shipped = (wanted.network, wanted.latents) == ("splines", SHIPPED_LATENTS)
+    if skies < FEW and wanted.starts_from is None and like_shipped and "starts_from" not in changes:
+        fitted |= {"starts_from": SHIPPED / NETWORK, "learning_rate": config.learning_rate / 3}
         report(f"{skies} training skies are few: the shipped model's weights are trained further")
-    if batch != config.batch:
-        report(f"batches of {batch} instead of {config.batch} skies")
-    if wanted != config.epochs:
-        report(f"{wanted} epochs instead of {config.epochs}")
-    return fitted
+    if batch != wanted.batch:
+        report(f"batches of {batch} instead of {wanted.batch} skies")
+    if epochs != wanted.epochs:
+        report(f"{epochs} epochs instead of {wanted.epochs}")
+    return replace(wanted, **{**fitted, **changes})
 
 
 def _indexed(folder: Path, run: Path, report: Tell, progress: CountProgress | None) -> Path:

@@ -203,13 +203,13 @@ def test_two_damaged_states_are_refused(
 def test_a_state_of_nothing_known_is_damaged(tmp_path: Path, state: str) -> None:
     write_tensors(tmp_path / NEWEST, {}, {"state": state})
     with pytest.raises(InputError, match="nothing to go on"):
-        read_state(tmp_path, "a run", lambda _: None)
+        read_state(tmp_path, {}, lambda _: None)
 
 
 def test_a_state_that_cannot_be_read_is_not_taken_for_damaged(tmp_path: Path) -> None:
     """Damaged ones are removed; this one may be whole behind a disk that fails."""
     (tmp_path / NEWEST).mkdir()
-    for ask in (lambda: read_state(tmp_path, "a run"), lambda: drop_damaged(tmp_path)):
+    for ask in (lambda: read_state(tmp_path, {}), lambda: drop_damaged(tmp_path)):
         with pytest.raises(InputError, match="cannot be read"):
             ask()
     assert (tmp_path / NEWEST).exists()
@@ -246,9 +246,51 @@ def test_a_finished_run_stays_finished(
     assert (out / name).read_bytes() == (uninterrupted / name).read_bytes()
 
 
+def test_more_epochs_are_those_of_a_longer_run(
+    config: AutoencoderConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a constant rate bit by bit, whether the shorter run had ended or not."""
+    config = replace(config, schedule="constant", epochs=3, batch=3 * config.batch)
+    train(replace(config, out=tmp_path / "whole"), report=lambda _: None)
+    short = replace(config, out=tmp_path / "short", epochs=1)
+    train(short, report=lambda _: None)
+    said: list[str] = []
+    with monkeypatch.context() as patched:
+        patched.setattr(training, "validate", lambda *_, **__: 1 / 0)
+        with pytest.raises(ZeroDivisionError):  # within the second epoch
+            train(replace(short, epochs=2), report=said.append)
+    assert said[:2] == [
+        "resuming at step 1 of 2",
+        "`epochs` was 1 and is 2: the learning rate is 0.001 here, 0.001 before",
+    ]
+    train(replace(short, epochs=3), report=said.append)
+    assert "`epochs` was 1 and is 3: the learning rate is 0.001 here, 0.001 before" in said
+    same_run(tmp_path / "short", tmp_path / "whole")
+    again: list[str] = []
+    train(replace(short, epochs=2), report=again.append)
+    assert again[1] == "`epochs` was 3 and is 2: 3 are done already, and none is taken back"
+    assert not any(line.startswith("epoch ") for line in again)
+
+
+def test_a_cosine_rises_again_with_more_epochs(
+    config: AutoencoderConfig, uninterrupted: Path, tmp_path: Path
+) -> None:
+    """Down at its end, and half way down where twice as many are to come."""
+    out = tmp_path / "run"
+    shutil.copytree(uninterrupted, out)
+    said: list[str] = []
+    train(replace(config, out=out, epochs=4), report=said.append)
+    here = 0.001 * (0.01 + 0.99 * (1 + np.cos(np.pi * 5 / 11)) / 2)  # the first of 12 warms up
+    assert said[1].endswith(f": the learning rate is {here:.3g} here, 1e-05 before")
+    rates = [entry["learning_rate"] for entry in curves(out)]
+    assert rates[2] == pytest.approx(0.001 * schedule(8, 12, config))
+    assert rates[2] > rates[1] > rates[3]
+
+
 def test_another_configuration_is_refused(config: AutoencoderConfig, uninterrupted: Path) -> None:
-    with pytest.raises(InputError, match="another configuration"):
-        train(replace(config, out=uninterrupted, seed=1))
+    other = replace(config, out=uninterrupted, seed=1, coding="log", tint=0.5, threads=1)
+    with pytest.raises(InputError, match=r"`tint` was 0\.0 and is 0\.5, `seed` was 0 and is 1; go"):
+        train(other, report=lambda _: None)
 
 
 def test_the_written_configuration_repeats_the_run(
@@ -287,11 +329,15 @@ def test_early_stopping(
 
     monkeypatch.setattr(training, "validate", validate)
     config = replace(config, out=tmp_path, epochs=5, patience=2, batch=12)
-    train(config, report=lambda _: None)
+    said: list[str] = []
+    train(config, report=said.append)
     assert [c["validation"] for c in curves(tmp_path)] == [3.0, 2.0, 2.5, 2.5]
-    assert next(scores) == 1.0
     kept = (tmp_path / "model.safetensors").read_bytes()
     assert [kept == one for one in judged] == [False, True, False, False]
+    train(config, report=said.append)
+    assert sum("no better validation loss for 2 epochs" in line for line in said) == 2
+    train(replace(config, patience=3), report=said.append)
+    assert [c["validation"] for c in curves(tmp_path)][4:] == [1.0]
 
 
 def test_divergence_is_said(config: AutoencoderConfig, tmp_path: Path) -> None:
@@ -326,7 +372,8 @@ def test_schedule() -> None:
     assert rates[-1] == pytest.approx(0.01, abs=1e-4)
     assert rates[10:] == sorted(rates[10:], reverse=True)
     constant = replace(cosine, schedule="constant", warmup_steps=2)
-    assert [schedule(step, 9, constant) for step in range(9)] == [0.5] + [1.0] * 8
+    assert [schedule(step, 29, constant) for step in range(9)] == [0.5] + [1.0] * 8
+    assert [schedule(step, 9, constant) for step in range(9)] == [1.0] * 9  # no tenth of nine
 
 
 def test_validation_is_the_mean_over_skies_whatever_the_batch(
@@ -358,7 +405,9 @@ def test_weights_to_start_from(
     assert messages[0] == "resuming at step 1 of 1"
     save_network(SplineAutoencoder(config.latents), tmp_path / "other.safetensors")
     for other in (config, replace(warm, starts_from=tmp_path / "other.safetensors")):
-        with pytest.raises(InputError, match="another configuration"):
+        with pytest.raises(
+            InputError, match=r"configuration: `starts_from` was SHA-256 \w+ and is"
+        ):
             train(other, report=lambda _: None)
 
 

@@ -158,8 +158,10 @@ def test_gradient_goes_on_where_it_stopped(config: DictionaryConfig) -> None:
     assert errors[0] == first["mean_squared_error_by_epoch"][0]
     assert len(errors) == 2
     assert errors[1] <= errors[0]
-    with pytest.raises(InputError, match="another `out`"):
+    with pytest.raises(InputError, match=r"`filters` was 3 and is 2; .*another `out`"):
         learn_dictionary(replace(config, filters=2), said.append)
+    learn_dictionary(replace(config, epochs=1), said.append)
+    assert "`epochs` is 1: 2 are done already, none is taken back" in said
 
 
 CAP_RAD = math.radians(50)

@@ -3,6 +3,7 @@
 import re
 import runpy
 import shutil
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,15 @@ from skylight.io._hdr import write_exr
 from skylight.models._bundle import NETWORK, SHIPPED, load_bundle
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.training import _autoencoder as autoencoder, _run as folder
-from skylight.training._config import AutoencoderConfig, find_config, read_config
+from skylight.training._config import (
+    AutoencoderConfig,
+    Config,
+    DictionaryConfig,
+    PriorConfig,
+    find_config,
+    read_config,
+)
+from skylight.training._overrides import _meanings, read_overrides, without_dashes
 from skylight.training._run import fitting, main, train_folder
 from tests.drawn_skies import draw_skies
 
@@ -40,7 +49,7 @@ def config(**changes: object) -> AutoencoderConfig:
 def model(exr_skies: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
     said: list[str] = []
     out = tmp_path_factory.mktemp("models") / "mine"
-    train_folder(exr_skies, out, config(), epochs=1, report=said.append)
+    train_folder(exr_skies, out, config(), {"epochs": 1}, report=said.append)
     return out, said
 
 
@@ -103,11 +112,13 @@ def test_a_run_that_was_killed_goes_on_to_the_same_model(
         else:
             patched.setattr("skylight.training._prior.model_card", kill)
         with pytest.raises(Killed):
-            train_folder(exr_skies, tmp_path / "mine", settings, epochs=1, report=lambda _: None)
+            train_folder(
+                exr_skies, tmp_path / "mine", settings, {"epochs": 1}, report=lambda _: None
+            )
     with pytest.raises(InputError, match=r"bundle\.json"):
         load_bundle(tmp_path / "mine")
     said: list[str] = []
-    train_folder(exr_skies, tmp_path / "mine", settings, epochs=1, report=said.append)
+    train_folder(exr_skies, tmp_path / "mine", settings, {"epochs": 1}, report=said.append)
     assert load_bundle(tmp_path / "mine").fingerprint == load_bundle(model[0]).fingerprint
     resumed = {"indexed": None, "within the epoch": "resuming at step 2 of 4"}
     wanted = resumed.get(moment, "resuming at step 4 of 4")
@@ -118,15 +129,16 @@ def test_a_run_that_was_killed_goes_on_to_the_same_model(
 def test_few_skies_get_small_batches_and_many_epochs(skies: int, batch: int, epochs: int) -> None:
     said: list[str] = []
     base = AutoencoderConfig(batch=16, epochs=9)
-    found = fitting(base, Path("a"), Path("b"), skies, None, said.append)
+    found = fitting(base, {}, skies, said.append)
     assert (found.batch, found.epochs) == (batch, epochs)
     assert (found.starts_from == SHIPPED / NETWORK) == (skies < 2000)
     assert found.learning_rate == base.learning_rate / (3 if skies < 2000 else 1)
-    assert found.warmup_steps == min(base.warmup_steps, max(1, skies // batch) * epochs // 10)
     assert bool(said) == (found.batch != 16 or found.epochs != 9 or skies < 2000)
     thesis = AutoencoderConfig(network="convolutions", sun=False)
-    scratch = fitting(thesis, Path("a"), Path("b"), skies, None, said.append)
+    scratch = fitting(thesis, {}, skies, said.append)
     assert scratch.starts_from is None  # the shipped weights are of another network
+    asked = {"batch": 2, "epochs": 5, "patience": 1, "learning_rate": 0.5, "starts_from": None}
+    assert fitting(base, asked, skies, said.append) == replace(base, **asked)
 
 
 def test_skies_of_one_day_are_refused(exr_skies: Path, tmp_path: Path) -> None:
@@ -159,7 +171,7 @@ def test_too_few_skies_for_the_priors_are_refused_before_training(
 def test_the_folders_own_index_is_used(sky_folder: Path, tmp_path: Path) -> None:
     """That of simulated skies knows more than their maps show; they need not be 32 rows high."""
     said: list[str] = []
-    train_folder(sky_folder, tmp_path / "out", config(), epochs=1, report=said.append)
+    train_folder(sky_folder, tmp_path / "out", config(), {"epochs": 1}, report=said.append)
     assert not (tmp_path / "out" / "training" / "index.csv").exists()
     assert load_bundle(tmp_path / "out").skies > 0
 
@@ -180,7 +192,7 @@ def test_a_run_is_of_one_folder(
     other.mkdir()
     shutil.copy(next(exr_skies.glob("2024*.exr")), other)
     with pytest.raises(InputError, match=f"than {re.escape(str(other))}"):
-        train_folder(other, model[0], config(), epochs=1)
+        train_folder(other, model[0], config(), {"epochs": 1})
 
 
 ROOT = Path(__file__).parents[2]
@@ -208,6 +220,84 @@ def test_usage(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]) -
     assert refused(capsys, *arguments).startswith("train.py: usage: python train.py")
 
 
+def test_help_lists_configurations_and_keys(
+    capsys: pytest.CaptureFixture[str], run_yaml: str, tmp_path: Path
+) -> None:
+    """With all defaults, or the values of a file; every key has a meaning."""
+    main(["--help"])
+    page = capsys.readouterr().out
+    assert page.startswith("usage: python train.py CONFIG [KEY=VALUE ...]")
+    for name in ("sky_autoencoder", "sky_autoencoder_thesis", "sky_prior", "csc_dictionary"):
+        assert re.search(rf"^  {name} +\w", page, re.MULTILINE)
+    for kind in (AutoencoderConfig, PriorConfig, DictionaryConfig):
+        meanings = _meanings(kind)
+        for field in fields(kind):
+            if field.name != "kind":
+                assert f"\n  {field.name}=" in page
+                assert " ".join(meanings[field.name].split()[:2]) in " ".join(page.split())
+    assert re.search(r"^  masked=0.0 +a number from 0 to 1\. Probability", page, re.MULTILINE)
+    main([run_yaml, "--help"])
+    assert f"  out={tmp_path}/out\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments", "changes"),
+    [
+        (AutoencoderConfig, "epochs=3 --batch 4", {"epochs": 3, "batch": 4}),
+        (AutoencoderConfig, "--learning-rate=3e-4", {"learning_rate": 3e-4}),
+        (
+            AutoencoderConfig,
+            "--no-mirror --sun --compile true",
+            {"mirror": False} | dict.fromkeys(["sun", "compile"], True),
+        ),
+        (
+            AutoencoderConfig,
+            "starts_from=a=b --data c",
+            {"starts_from": Path("a=b"), "data": Path("c")},
+        ),
+        (AutoencoderConfig, "mirror=off starts_from=none", {"mirror": False, "starts_from": None}),
+        (PriorConfig, "bank=48 seed=-1", {"bank": 48, "seed": -1}),
+        (
+            DictionaryConfig,
+            "maps=a.exr,b.exr category=",
+            {"maps": ("a.exr", "b.exr"), "category": ""},
+        ),
+        (
+            DictionaryConfig,
+            "--maps a.exr b.exr --signed",
+            {"maps": ("a.exr", "b.exr"), "signed": True},
+        ),
+    ],
+)
+def test_overrides(kind: type[Config], arguments: str, changes: dict[str, object]) -> None:
+    assert read_overrides(kind, without_dashes(kind, arguments.split())) == changes
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments", "said"),
+    [
+        (AutoencoderConfig, "epoch=3", "did you mean epochs? known are batch"),
+        (AutoencoderConfig, "--epoch 3", "did you mean epochs?"),
+        (AutoencoderConfig, "--no-epochs 3", "unknown keys no_epochs"),
+        (AutoencoderConfig, "kind=prior", "`kind` must be one of autoencoder, got 'prior'"),
+        (AutoencoderConfig, "epochs=2.5", "`epochs` must be a whole number at least 1, got '2.5'"),
+        (AutoencoderConfig, "masked=", "`masked` must be a number from 0 to 1, got ''"),
+        (AutoencoderConfig, "mirror=2", "`mirror` must be true or false, got '2'"),
+        (AutoencoderConfig, "schedule=step", "`schedule` must be one of cosine, constant"),
+        (AutoencoderConfig, "epochs=3 --epochs 4", "`epochs` is given twice"),
+        (AutoencoderConfig, "epochs", "'epochs' is no override"),
+        (AutoencoderConfig, "--batch", "--batch: its value is missing; it must be a whole number"),
+        (PriorConfig, "epochs=3", "unknown keys epochs"),
+        (DictionaryConfig, "method=mean", "one of kmeans, gradient"),
+    ],
+)
+def test_overrides_that_cannot_be(kind: type[Config], arguments: str, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read_overrides(kind, without_dashes(kind, arguments.split()))
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
 def test_one_line_for_what_cannot_be_read(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, run_yaml: str
 ) -> None:
@@ -219,7 +309,7 @@ def test_one_line_for_what_cannot_be_read(
 
 
 @pytest.mark.parametrize(
-    "override", [("--epoch", "3"), ("--epochs", "many"), ("--coding", "gamma"), ("--epochs",)]
+    "override", [("--epoch", "3"), ("epochs=many",), ("coding=gamma",), ("--epochs",)]
 )
 def test_overrides_are_checked(
     capsys: pytest.CaptureFixture[str], run_yaml: str, override: tuple[str, ...]
