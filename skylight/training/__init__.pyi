@@ -2,6 +2,12 @@ from ._autoencoder import (
     reconstruction_loss as reconstruction_loss,
     train as train,
 )
+from ._callbacks import (
+    Callback as Callback,
+    Epoch as Epoch,
+    Run as Run,
+    TensorBoard as TensorBoard,
+)
 from ._config import (
     AutoencoderConfig as AutoencoderConfig,
     DictionaryConfig as DictionaryConfig,

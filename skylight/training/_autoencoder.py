@@ -6,6 +6,7 @@ An interrupted run is resumed bit for bit: what a step draws depends on the seed
 import math
 import shutil
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,12 +22,15 @@ from skylight.models._bundle import save_network
 from skylight.models._network import SkyNetwork
 from skylight.models._sun_head import COORDINATES
 from skylight.sphere._frame import DirectionGrid
+from skylight.training._callbacks import Callback, Epoch, Run, Watch, watching
 from skylight.training._checkpoint import (
-    Logs,
     drop_damaged,
     initial_network,
     read_state,
+    reconstructions,
     sha256_of,
+    spread,
+    write_epoch,
     write_state,
 )
 from skylight.training._config import AutoencoderConfig, config_yaml
@@ -43,7 +47,7 @@ from skylight.training._skies import (
     open_prepared,
     prepare,
 )
-from skylight.work._progress import Tell
+from skylight.work._progress import StageProgress, Tell, silent
 from skylight.work._threads import use_all_cores
 
 
@@ -69,19 +73,27 @@ class RunState:
         return is_best
 
 
-def train(config: AutoencoderConfig, report: Tell = print) -> Path:
+def train(
+    config: AutoencoderConfig,
+    report: Tell = print,
+    *,
+    callbacks: Sequence[Callback] | None = None,
+    progress: StageProgress = silent,
+) -> Path:
     """Run to the end or to early stopping; returns the path of the best network.
 
-    Writes ``model.safetensors`` (best on validation), ``config.yaml`` (resolved), what
-    :class:`Logs` says, and ``state.safetensors`` (everything needed to go on; the one before it
-    in ``state.previous.safetensors``). The order of the skies, the noise and the augmentation of
-    step n depend on the seed and n alone, so a resumed run computes what the uninterrupted one
-    would have, bit by bit on the same machine; started by ``torchrun`` with several processes,
-    what one process would have, but for rounding.
+    Writes ``model.safetensors`` (best on validation), ``config.yaml`` (resolved), ``curves.json``
+    and ``reconstructions/*.png`` (of every epoch), and ``state.safetensors`` (everything needed to
+    go on; the one before it in ``state.previous.safetensors``). The order of the skies, the noise
+    and the augmentation of step n depend on the seed and n alone, so a resumed run computes what
+    the uninterrupted one would have, bit by bit on the same machine; started by ``torchrun`` with
+    several processes, what one process would have, but for rounding.
 
     A run with more ``epochs`` than before goes on too, also where it had ended. Its learning rate
     is from then on that of the new number: with a cosine it rises again, and the result is not that
     of a run that had them from the start; with a constant one it is.
+
+    ``callbacks`` are told of steps and epochs; :class:`TensorBoard` alone if none are given.
 
     Raises
     ------
@@ -89,16 +101,19 @@ def train(config: AutoencoderConfig, report: Tell = print) -> Path:
         Data, configuration or state that cannot be used, or a loss that is no number.
     """
     with processes(config.device) as here:
-        return _train(config, here, report if here.first else lambda _: None)
+        if not here.first:
+            callbacks, report, progress = [], lambda _: None, silent
+        with watching(callbacks, progress) as watch:
+            return _train(config, here, report, watch)
 
 
-def _train(config: AutoencoderConfig, here: Processes, report: Tell) -> Path:
+def _train(config: AutoencoderConfig, here: Processes, report: Tell, watch: Watch) -> Path:
     share = here.share(config.batch)
     if config.threads:
         torch.set_num_threads(config.threads)
     else:
         use_all_cores()
-    data = _load(config, here, report)
+    data = _load(config, here, report, watch.progress)
     config.out.mkdir(parents=True, exist_ok=True)
     steps_per_epoch = len(data.train) // config.batch
     if steps_per_epoch < 1:
@@ -132,19 +147,19 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell) -> Path:
             shutil.rmtree(config.out / FOLDER, ignore_errors=True)
         return best
 
-    copies, validation = _prepared(config, data, here, report)
+    copies, validation = _prepared(config, data, here, watch.progress)
     here.meet()  # the first writes the state that the others have read by now
-    logs = None
+    facts = {"data_sha256": data.hash, "skies": len(data.train), "processes": here.size}
+    shown = spread(data.validation)
     if here.first:
         drop_damaged(config.out)
         with atomic_path(config.out / "config.yaml") as path:
             path.write_text(config_yaml(config))
-        facts = {"data_sha256": data.hash, "skies": len(data.train), "processes": here.size}
-        logs = Logs(config.out, data.validation, facts=facts, step=now.step, report=report)
     objective = Objective(network, config)
     if config.compile:
         objective = torch.compile(objective)
 
+    watch.start(Run(config=config, module=network, step=now.step, steps=total, report=report))
     started, first_step = time.monotonic(), now.step
     while now.step < total and now.since_best < config.patience:
         epoch, within = divmod(now.step, steps_per_epoch)
@@ -162,11 +177,12 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell) -> Path:
         if config.gradient_clip:
             torch.nn.utils.clip_grad_norm_(network.parameters(), config.gradient_clip)
         optimiser.step()
-        now.losses.append(float(here.sum(loss.detach())) / here.size)
+        mean_loss = float(here.sum(loss.detach())) / here.size
+        now.losses.append(mean_loss)
         now.step += 1
 
         # after the last step of an epoch: its losses, and its network where it is the best
-        epoch_ends = now.step % steps_per_epoch == 0
+        epoch_ends, picture = now.step % steps_per_epoch == 0, None
         if epoch_ends:
             speed = (now.step - first_step) * config.batch / (time.monotonic() - started)
             score = validate(network, validation, config, here)
@@ -183,17 +199,31 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell) -> Path:
             )
             if is_best and here.first:
                 save_network(network, best)
-            if logs:
-                logs.epoch(network, now.curves, now.best)
+            if here.first:
+                picture = reconstructions(network, shown)
+                write_epoch(config.out, facts, now.curves, picture)
+                report(_epoch_line(now))
             started, first_step = time.monotonic(), now.step
         if here.first and (epoch_ends or now.step % config.checkpoint_steps == 0):
             weights = {"network": network.state_dict(), "optimiser": optimiser.state_dict()}
             write_state(config.out, {"identity": identity, "progress": asdict(now), **weights})
+        watch.step(now.step, mean_loss)
+        if picture is not None:  # in the first process, of an epoch that has ended
+            metrics = {name: value for name, value in now.curves[-1].items() if name != "step"}
+            watch.epoch(Epoch(number=epoch + 1, step=now.step, metrics=metrics, picture=picture))
     _tell_early_end(now, total, report)
-    if logs:
-        logs.close()
+    if here.first:
         shutil.rmtree(config.out / FOLDER)
     return best
+
+
+def _epoch_line(now: RunState) -> str:
+    last = now.curves[-1]
+    return (
+        f"epoch {len(now.curves)}  train {last['train']:.4f}  validation {last['validation']:.4f}  "
+        f"corrupted {last['denoising']:.4f}  best {now.best:.4f}  "
+        f"{last['images_per_s']:.0f} images/s"
+    )
 
 
 def _other_epochs(now: RunState, steps_per_epoch: int, config: AutoencoderConfig) -> str:
@@ -354,23 +384,25 @@ def has_bfloat16(device: torch.device) -> bool:
     return device.type != "cpu" or torch.backends.cpu.get_cpu_capability().startswith("AVX512")
 
 
-def _load(config: AutoencoderConfig, here: Processes, report: Tell) -> SkyData:
+def _load(
+    config: AutoencoderConfig, here: Processes, report: Tell, progress: StageProgress
+) -> SkyData:
     """The data, read and checked by the first process, then opened by the others."""
     if not here.first:
         return open_cache(config.data, here.from_first())
-    data = load_data(config.data, report)
+    data = load_data(config.data, report, progress)
     here.from_first(data.hash)
     return data
 
 
 def _prepared(
-    config: AutoencoderConfig, data: SkyData, here: Processes, report: Tell
+    config: AutoencoderConfig, data: SkyData, here: Processes, progress: StageProgress
 ) -> tuple[list[CodedSkies], CodedSkies]:
     """(the copies of the training skies, the validation skies), made by the first process."""
     folder, copies = config.out / FOLDER, range(config.copies)
     if here.first:
-        prepare(data.paths["train"], config, folder, copies, report)
-        prepare(data.paths["validation"], config, folder, [0], report)
+        prepare(data.paths["train"], config, folder, copies, progress)
+        prepare(data.paths["validation"], config, folder, [0], progress)
     here.meet()
     train = [open_prepared(data.paths["train"], config, folder, copy) for copy in copies]
     return train, open_prepared(data.paths["validation"], config, folder, 0)

@@ -1,8 +1,7 @@
-"""What a training run starts from, goes on from and shows: weights, states and logs.
+"""What a training run starts from, goes on from and leaves: weights, states, curves, pictures.
 
 A state is everything that a run needs to go on, in a file with a checksum; the one before it is
-kept, so that one of the two is whole whenever the run is killed. Logs are the curves as JSON,
-reconstructions as PNG, and both for TensorBoard where it is installed.
+kept, so that one of the two is whole whenever the run is killed.
 """
 
 import hashlib
@@ -17,7 +16,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from skylight.errors import InputError, not_installed
+from skylight.errors import InputError
 from skylight.imaging._colour import tone_map
 from skylight.io._bounded import write_json
 from skylight.io._files import write_png
@@ -156,49 +155,17 @@ def _with_tensors(value: Any, tensors: dict[str, Tensor]) -> Any:
     return {key: _with_tensors(each, tensors) for key, each in value["pairs"]}
 
 
-class Logs:
-    """Writes ``curves.json``, ``reconstructions/*.png`` and, where installed, TensorBoard's logs.
-
-    ``step`` is where the run goes on: TensorBoard hides what an earlier one logged beyond it.
-    """
-
-    def __init__(
-        self,
-        out: Path,
-        validation: Float[np.ndarray, "m h w 3"],
-        *,
-        facts: dict[str, Any],
-        step: int,
-        report: Tell,
-    ) -> None:
-        self.out, self.facts, self.report = out, facts, report
-        self.truth = spread(validation)
-        (out / "reconstructions").mkdir(exist_ok=True)
-        self.board = _tensorboard(out / "tensorboard", step, report)
-
-    def epoch(self, network: SkyNetwork, curves: list[dict[str, int | float]], best: float) -> None:
-        """Log the last of ``curves``, an entry per epoch."""
-        last = curves[-1]
-        step = int(last["step"])
-        write_json(self.out / "curves.json", {**self.facts, "curves": curves})
-        picture = reconstructions(network, self.truth)
-        write_png(self.out / "reconstructions" / f"epoch_{len(curves):04d}.png", picture)
-        if self.board:
-            for name in ("train", "validation", "denoising"):
-                self.board.add_scalar(f"loss/{name}", last[name], step)
-            for name in ("learning_rate", "images_per_s"):
-                self.board.add_scalar(name, last[name], step)
-            self.board.add_image("reconstructions", picture, step, dataformats="HWC")
-            self.board.flush()
-        self.report(
-            f"epoch {len(curves)}  train {last['train']:.4f}  validation "
-            f"{last['validation']:.4f}  corrupted {last['denoising']:.4f}  best {best:.4f}  "
-            f"{last['images_per_s']:.0f} images/s"
-        )
-
-    def close(self) -> None:
-        if self.board:
-            self.board.close()
+def write_epoch(
+    out: Path,
+    facts: Mapping[str, Any],
+    curves: list[dict[str, int | float]],
+    picture: UInt8[np.ndarray, "h w 3"],
+) -> None:
+    """``curves.json``, an entry per epoch, and the last one's picture."""
+    write_json(out / "curves.json", {**facts, "curves": curves})
+    folder = out / "reconstructions"
+    folder.mkdir(exist_ok=True)
+    write_png(folder / f"epoch_{len(curves):04d}.png", picture)
 
 
 def spread(
@@ -219,12 +186,3 @@ def reconstructions(
     again = network.decode(network.encode(truth.to(device))).cpu()
     rows = [torch.cat(list(skies), 1) for skies in (truth, again)]
     return tone_map(torch.cat(rows), white=WHITE)
-
-
-def _tensorboard(folder: Path, step: int, report: Tell) -> Any:
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError:
-        report(f"no TensorBoard logs: {not_installed('tensorboard', 'writing them')}")
-        return None
-    return SummaryWriter(str(folder), purge_step=step + 1)

@@ -39,16 +39,19 @@ def train(
     """
     from skylight.training._config import AutoencoderConfig, find_config, read_config
     from skylight.training._overrides import keys_page, read_overrides
-    from skylight.training._run import run, train_folder
-    from skylight.work._progress import stage_bar, with_time_left
+    from skylight.training._run import LOG_EVERY_S, run, train_folder
+    from skylight.work._progress import stage_bar
 
     settings = read_config(find_config(config))
     if keys:
         print(*keys_page(settings), sep="\n")
         return
-    texts = list(overrides)
-    if folder is not None and "=" in str(folder) and not folder.is_dir():
-        texts, folder = [str(folder), *texts], None
+    texts = [] if folder is None else [str(folder), *overrides]
+    folders = [Path(each) for each in texts if "=" not in each or Path(each).is_dir()]
+    if len(folders) > 1:
+        raise InputError(f"give one FOLDER, not {' and '.join(map(str, folders))}")
+    folder = folders[0] if folders else None
+    texts = [each for each in texts if Path(each) not in folders]
     options = {"out": out, "epochs": epochs, "device": device}
     changes: dict[str, Any] = {name: each for name, each in options.items() if each is not None}
     if unknown := changes.keys() - {field.name for field in fields(settings)}:
@@ -73,12 +76,12 @@ def train(
     if "out" not in changes:
         raise InputError("--out is missing: name the folder for the model")
     model = changes.pop("out")
-    with stage_bar() as progress:
+    with stage_bar(log_every_s=LOG_EVERY_S) as progress:
         train_folder(
             folder,
             model,
             settings,
             changes,
-            progress=with_time_left("map", progress),
+            progress=progress,
         )
     print(f"{model}: a light model; its card is {model / 'card.md'}")

@@ -2,8 +2,10 @@
 
 import hashlib
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +23,10 @@ from skylight.io._bounded import write_json
 from skylight.io._files import read_categories, read_environment_map, visible_files, write_png
 from skylight.io._hdr import SUFFIXES
 from skylight.sphere._envmap import EnvironmentMap
+from skylight.training._callbacks import Callback, Epoch, Run, Watch, watching
 from skylight.training._checkpoint import drop_damaged, read_state, write_state
 from skylight.training._config import DictionaryConfig
-from skylight.work._progress import Tell
+from skylight.work._progress import StageProgress, Tell, counted, silent
 from skylight.work._threads import use_all_cores
 
 FILE = "dictionary.safetensors"
@@ -44,26 +47,38 @@ class _Probes:
     sha256: str
 
 
-def learn_dictionary(config: DictionaryConfig, report: Tell = print) -> Path:
+def learn_dictionary(
+    config: DictionaryConfig,
+    report: Tell = print,
+    *,
+    callbacks: Sequence[Callback] | None = None,
+    progress: StageProgress = silent,
+) -> Path:
     """Write ``dictionary.safetensors``, ``.json`` and ``filters.png`` into ``config.out``.
 
     The dictionary is the constant, the learned filters, and ``ani``. "kmeans" takes mean patches
     (:func:`skylight.csc._learning.learn_patches`); "gradient" improves them by Adam
-    (:func:`learning_epoch`), and resumes an interrupted run from its last epoch.
+    (:func:`learning_epoch`), resumes an interrupted run from its last epoch, and tells steps and
+    epochs to ``callbacks``; :class:`TensorBoard` alone if none are given.
 
     Raises
     ------
     InputError
         No usable map, or too few for so many filters.
     """
+    with watching(callbacks, progress) as watch:
+        return _learn(config, report, watch)
+
+
+def _learn(config: DictionaryConfig, report: Tell, watch: Watch) -> Path:
     use_all_cores()
-    probes = _probes(config, report)
+    probes = _probes(config, report, watch.progress)
     config.out.mkdir(parents=True, exist_ok=True)
     errors: list[float] = []
     if config.method == "gradient":
-        bank, errors = _learned(config, probes, report)
+        bank, errors = _learned(config, probes, report, watch)
     else:
-        bank = _patches(config, probes, report)
+        bank = _patches(config, probes, watch.progress)
     ready = FilterBank(bank.coefficients, config.method)
     undershoot = ready.undershoot()[1 : config.filters + 1]
     write_png(config.out / "filters.png", filter_sheet(ready, config.filters))
@@ -91,11 +106,11 @@ def learn_dictionary(config: DictionaryConfig, report: Tell = print) -> Path:
     return config.out / FILE
 
 
-def _probes(config: DictionaryConfig, report: Tell) -> _Probes:
+def _probes(config: DictionaryConfig, report: Tell, progress: StageProgress = silent) -> _Probes:
     """The folder's usable maps in the order of their names; a line for each that is not."""
     names, maps, digest = [], [], hashlib.sha256()
     wanted = _wanted(config)
-    for name in wanted:
+    for name in counted(wanted, "reading map", progress):
         path = config.data / name
         try:
             one = _read(path)
@@ -145,13 +160,13 @@ def _read(path: Path) -> EnvironmentMap:
     return one
 
 
-def _patches(config: DictionaryConfig, probes: _Probes, report: Tell) -> FilterBank:
-    report(f"{config.filters} means of patches, half a second a map or so")
-    return learn_patches(probes.maps, config.degree, config.filters, seed=config.seed)
+def _patches(config: DictionaryConfig, probes: _Probes, progress: StageProgress) -> FilterBank:
+    maps = counted(probes.maps, "patches of map", progress)
+    return learn_patches(maps, config.degree, config.filters, seed=config.seed)
 
 
 def _learned(
-    config: DictionaryConfig, probes: _Probes, report: Tell
+    config: DictionaryConfig, probes: _Probes, report: Tell, watch: Watch
 ) -> tuple[FilterBank, list[float]]:
     """The bank after all epochs, one after the other left on disk, and the error after each."""
     maps = torch.stack(
@@ -161,7 +176,9 @@ def _learned(
     drop_damaged(config.out)
     state = read_state(config.out, identity, report)
     start = (
-        _patches(config, probes, report) if state is None else FilterBank(state["bank"], "kmeans")
+        _patches(config, probes, watch.progress)
+        if state is None
+        else FilterBank(state["bank"], "kmeans")
     )
     bank = CapFilterBank(
         start,
@@ -181,26 +198,34 @@ def _learned(
             report(
                 f"`epochs` is {config.epochs}: {len(errors)} are done already, none is taken back"
             )
+    done, steps = STEPS * len(errors), STEPS * config.epochs
+    if done >= steps:
+        return bank, errors
+    watch.start(Run(config=config, module=bank, step=done, steps=steps, report=report))
+    step = count(done + 1)
     for epoch in range(len(errors) + 1, config.epochs + 1):
-        codes = learning_epoch(coder, optimiser, maps, codes)
-        errors.append(mean_squared_error(coder, maps, codes))
-        write_state(
-            config.out,
-            {
-                "identity": identity,
-                "bank": start.coefficients.detach(),
-                "filters": bank.state_dict(),
-                "optimiser": optimiser.state_dict(),
-                "codes": list(codes),
-                "errors": errors,
-            },
+        codes = learning_epoch(
+            coder, optimiser, maps, codes, lambda loss: watch.step(next(step), loss), watch.progress
         )
+        errors.append(mean_squared_error(coder, maps, codes))
+        state = {
+            "identity": identity,
+            "bank": start.coefficients.detach(),
+            "filters": bank.state_dict(),
+            "optimiser": optimiser.state_dict(),
+            "codes": list(codes),
+            "errors": errors,
+        }
+        write_state(config.out, state)
         active = codes.filters[codes.used].unique()
         used = int(((active >= 1) & (active <= config.filters)).sum())
         report(
             f"epoch {epoch}  mean squared relative error {errors[-1]:.5f}  "
             f"{used} of {config.filters} filters in use"
         )
+        metrics = {"mean_squared_error": errors[-1], "used": used}
+        picture = filter_sheet(bank, config.filters)
+        watch.epoch(Epoch(number=epoch, step=STEPS * epoch, metrics=metrics, picture=picture))
     return bank, errors
 
 
@@ -209,13 +234,18 @@ def learning_epoch(
     optimiser: torch.optim.Optimizer,
     maps: Float[Tensor, "n h w 3"],
     codes: CodeTensors | None,
+    on_step: Callable[[float], None] = lambda loss: None,
+    progress: StageProgress = silent,
 ) -> CodeTensors:
     """A new support for each map that it suits better, then ``STEPS`` steps of the optimiser.
 
     The loss is the mean squared relative error of the maps under the best weights on those
-    supports; the greedy search for them has no gradient. Returned are the codes.
+    supports, which ``on_step`` is told; the greedy search for them has no gradient. Returned are
+    the codes.
     """
-    found = coder(maps)
+    chunks = torch.arange(len(maps)).split(MAPS_AT_ONCE)
+    parts = [coder(maps[some]) for some in counted(chunks, "searching the codes, part", progress)]
+    found = CodeTensors(*(torch.cat(columns) for columns in zip(*parts, strict=True)))
     if codes is not None:
         with torch.no_grad():
             new, old = (coder.relative_error(maps, coder.refit(maps, c)) for c in (found, codes))
@@ -227,13 +257,17 @@ def learning_epoch(
         )
     for _ in range(STEPS):
         optimiser.zero_grad()
-        for some in torch.arange(len(maps)).split(MAPS_AT_ONCE):
+        loss = 0.0
+        for some in chunks:
             part = CodeTensors(*(each[some] for each in found))
             errors = coder.relative_error(maps[some], coder.refit(maps[some], part))
-            (errors.square().sum() / len(maps)).backward()
+            share = errors.square().sum() / len(maps)
+            share.backward()
+            loss += float(share.detach())
         optimiser.step()
         if isinstance(coder.bank, CapFilterBank):
             coder.bank.project_()
+        on_step(loss)
     with torch.no_grad():
         return coder.refit(maps, found)
 

@@ -1,7 +1,7 @@
 """Priors over latents and Sun+Sky parameters, written with their network and a model card."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from skylight.models.sunsky import SunSky, fit_sunsky
 from skylight.skies._index import SUNNY, SkyRecord, folder_hash, load_skies, read_index
 from skylight.training._checkpoint import reconstructions, spread
 from skylight.training._config import PriorConfig, config_yaml
+from skylight.work._progress import StageProgress, counted, silent
 
 RECONSTRUCTIONS = "reconstructions.png"
 # Added to every variance, so that no component collapses on to a few like skies.
@@ -26,6 +27,7 @@ COVARIANCE_FLOOR = 1e-2
 HEIGHT_BINS = 24
 SKIES_PER_DIMENSION = 10
 PATIENCE = 2
+AT_ONCE = 64  # skies
 
 
 def model_card(
@@ -106,7 +108,7 @@ def _prior(name: str, scores: Mapping[str, Any]) -> str:
     return f"| {name} | {scores['components']} | {values} |"
 
 
-def fit_priors(config: PriorConfig) -> Path:
+def fit_priors(config: PriorConfig, progress: StageProgress = silent) -> Path:
     """Write network, priors and bank into ``config.out`` as a :class:`LightBundle`, with its card.
 
     Both priors are over the models' free parameters without the azimuth: for the autoencoder
@@ -125,12 +127,20 @@ def fit_priors(config: PriorConfig) -> Path:
     splits = splits_for_priors(config, records)
     network = load_network(config.checkpoint)
     config.out.mkdir(parents=True, exist_ok=True)
-    skies = {name: load_skies(config.data, rows) for name, rows in splits.items()}
-    with torch.no_grad():
-        latents = {
-            name: torch.cat([network.encode(part) for part in batch.split(64)]).double()
-            for name, batch in skies.items()
+    named = counted(list(splits.items()), "reading skies, set", progress)
+    skies = {name: load_skies(config.data, rows) for name, rows in named}
+
+    def of_all(make: Callable[[Tensor], Tensor], doing: str) -> dict[str, Tensor]:
+        """What is made of the skies of each set, some at a time."""
+        batches = {name: batch.split(AT_ONCE) for name, batch in skies.items()}
+        flat = counted([part for parts in batches.values() for part in parts], doing, progress)
+        return {
+            name: torch.cat([make(next(flat)) for _ in parts]).double()
+            for name, parts in batches.items()
         }
+
+    with torch.no_grad():
+        latents = of_all(network.encode, "encoding skies, part")
     mean = latents["train"].mean(0)
     scatter = shrunk_covariance(latents["train"]) + 1e-4 * torch.eye(len(mean), dtype=torch.float64)
     scale = torch.linalg.cholesky(scatter)
@@ -139,12 +149,12 @@ def fit_priors(config: PriorConfig) -> Path:
         for name, z in latents.items()
     }
     model = SunSky()
-    features = {
-        name: without_azimuth(model, model.to_free(fit_sunsky(batch.flatten(1, 2)))).double()
-        for name, batch in skies.items()
-    }
-    latent_prior, latent_scores = best_mixture(white, config)
-    sunsky_prior, sunsky_scores = best_mixture(features, config)
+    features = of_all(
+        lambda part: without_azimuth(model, model.to_free(fit_sunsky(part.flatten(1, 2)))),
+        "fitting suns and skies, part",
+    )
+    latent_prior, latent_scores = best_mixture(white, config, progress)
+    sunsky_prior, sunsky_scores = best_mixture(features, config, progress)
     bundle = LightBundle(
         name=config.out.resolve().name,
         skies=len(splits["train"]),
@@ -192,7 +202,9 @@ def splits_for_priors(config: PriorConfig, records: list[SkyRecord]) -> dict[str
 
 
 def best_mixture(
-    samples: dict[str, Float[Tensor, "n p"]], config: PriorConfig
+    samples: dict[str, Float[Tensor, "n p"]],
+    config: PriorConfig,
+    progress: StageProgress = silent,
 ) -> tuple[GaussianMixture, dict[str, object]]:
     """The mixture with the least BIC on the validation days; two larger ones that are worse end the
     search.
@@ -205,7 +217,7 @@ def best_mixture(
     best, least, chosen, tried = None, float("inf"), 0, {}
     count, size = samples["validation"].shape
     most = min(config.most_components, len(samples["train"]) // (SKIES_PER_DIMENSION * size))
-    for components in range(1, most + 1):
+    for components in counted(range(1, most + 1), "mixture", progress):
         mixture = GaussianMixture.fit(
             samples["train"], components, seed=config.seed, covariance_floor=COVARIANCE_FLOOR
         )

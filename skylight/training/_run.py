@@ -24,13 +24,14 @@ from skylight.training._config import (
 from skylight.training._dictionary import learn_dictionary
 from skylight.training._overrides import keys_page, read_overrides, usage, without_dashes
 from skylight.training._prior import fit_priors, splits_for_priors
-from skylight.work._progress import CountProgress, Tell
+from skylight.work._progress import StageProgress, Tell, silent, stage_bar, with_time_left
 from skylight.work._resumable import locked
 
 RUN = "training"  # in the model's folder: what training goes on from
 SHIPPED_LATENTS = 64
 FEW = 2000  # training skies; below, the shipped network is trained on instead of a new one
 LEAST_STEPS = 300
+LOG_EVERY_S = 60.0  # a line of progress, where standard error is no terminal
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -74,14 +75,18 @@ def main(arguments: list[str] | None = None) -> None:
 
 def run(config: Config) -> None:
     """Do what a configuration says, and print where the result is."""
-    if isinstance(config, AutoencoderConfig):
-        best = train(config)
-        if os.environ.get("RANK", "0") == "0":
-            print(f"best network: {best}")
-    elif isinstance(config, DictionaryConfig):
-        print(f"dictionary: {learn_dictionary(config)}")
-    else:
-        print(f"light model: {fit_priors(config)}")
+    if os.environ.get("RANK", "0") != "0":  # one of several, which the first speaks for
+        if isinstance(config, AutoencoderConfig):
+            train(config)
+        return
+    with stage_bar(log_every_s=LOG_EVERY_S) as progress:
+        if isinstance(config, AutoencoderConfig):
+            done = f"best network: {train(config, progress=progress)}"
+        elif isinstance(config, DictionaryConfig):
+            done = f"dictionary: {learn_dictionary(config, progress=progress)}"
+        else:
+            done = f"light model: {fit_priors(config, progress)}"
+    print(done)
 
 
 def train_folder(
@@ -91,7 +96,7 @@ def train_folder(
     changes: Mapping[str, Any] | None = None,
     *,
     report: Tell = print,
-    progress: CountProgress | None = None,
+    progress: StageProgress = silent,
 ) -> Path:
     """Index ``folder``, train the network, fit the priors; returns ``out``, a light model's folder.
 
@@ -122,9 +127,9 @@ def train_folder(
             again = f"; then delete {place}" if place != folder else ""
             raise InputError(f"{folder}: {error}{again}") from error
         fitted = fitting(config, changes or {}, skies, report)
-        best = train(replace(fitted, data=place, out=run), report)
+        best = train(replace(fitted, data=place, out=run), report, progress=progress)
         report("fitting the priors")
-        fit_priors(replace(priors, checkpoint=best))
+        fit_priors(replace(priors, checkpoint=best), progress)
     load_bundle(out)
     return out
 
@@ -153,7 +158,7 @@ def fitting(
     return replace(wanted, **{**fitted, **changes})
 
 
-def _indexed(folder: Path, run: Path, report: Tell, progress: CountProgress | None) -> Path:
+def _indexed(folder: Path, run: Path, report: Tell, progress: StageProgress) -> Path:
     """The place of an index of ``folder``: its own, that of an earlier run, or a new one."""
     if not folder.is_dir():
         raise InputError(f"{folder}: there is no such folder; give one with .exr or .hdr maps")
@@ -168,7 +173,7 @@ def _indexed(folder: Path, run: Path, report: Tell, progress: CountProgress | No
             )
         report(f"{index}: used again; delete it to index {folder} anew")
         return index
-    _, records, refusals = index_folder(folder, out=index, progress=progress)
+    _, records, refusals = index_folder(folder, out=index, progress=with_time_left("map", progress))
     report(f"{len(records)} skies indexed")
     for refusal in refusals:
         report(refusal.sentence())

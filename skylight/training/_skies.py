@@ -34,7 +34,7 @@ from skylight.skies.surroundings._scenes import surroundings
 from skylight.sphere._frame import DirectionGrid
 from skylight.training._checkpoint import initial_network
 from skylight.training._config import AutoencoderConfig
-from skylight.work._progress import Tell
+from skylight.work._progress import StageProgress, Tell, silent, with_time_left
 from skylight.work._threads import cores
 
 CHUNK = 32  # skies that one process converts at a time
@@ -59,7 +59,7 @@ class SkyData:
     hash: str
 
 
-def load_data(place: Path, report: Tell = print) -> SkyData:
+def load_data(place: Path, report: Tell = print, progress: StageProgress = silent) -> SkyData:
     """The training and validation days of an index (its file or folder), converted once.
 
     ``.cache`` beside the index keeps them as float32 arrays named by the hash of the data, each
@@ -85,7 +85,7 @@ def load_data(place: Path, report: Tell = print) -> SkyData:
         elif fault:
             report(f"{path}: damaged ({fault}); made anew")
         if fault:
-            _write_cache(path, place, rows, report)
+            _write_cache(path, place, rows, progress)
     return open_cache(place, digest)
 
 
@@ -117,19 +117,19 @@ def _fault(path: Path, count: int) -> str | None:
     return None if found == expected else "its checksum differs"
 
 
-def _write_cache(path: Path, place: Path, records: list[SkyRecord], report: Tell) -> None:
+def _write_cache(
+    path: Path, place: Path, records: list[SkyRecord], progress: StageProgress
+) -> None:
     path.parent.mkdir(exist_ok=True)
     with atomic_path(path) as temporary:
         shape = (len(records), HEIGHT, WIDTH, 3)
         skies = np.lib.format.open_memmap(temporary, mode="w+", dtype=np.float32, shape=shape)
-        done = told = 0
+        done, tell = 0, with_time_left("reading sky", progress)
         chunks = [(place, records[i : i + CHUNK]) for i in range(0, len(records), CHUNK)]
         for part in in_order(_convert, chunks):
             skies[done : done + len(part)] = part
             done += len(part)
-            if done - told >= len(records) / 10 and len(records) > 10 * CHUNK:
-                report(f"{done} of {len(records)} skies read")
-                told = done
+            tell(done, len(records))
         skies.flush()
         # before the array takes its place: an array without a checksum is a damaged one
         with temporary.open("rb") as file, atomic_path(path.with_suffix(".sha256")) as beside:
@@ -198,7 +198,11 @@ def coded_skies(network: SkyNetwork, skies: Float[Tensor, "n h w 3"]) -> CodedSk
 
 
 def prepare(
-    path: Path, config: AutoencoderConfig, out: Path, copies: Sequence[int], report: Tell
+    path: Path,
+    config: AutoencoderConfig,
+    out: Path,
+    copies: Sequence[int],
+    progress: StageProgress = silent,
 ) -> None:
     """Write the copies of the skies in ``path`` that are not there yet; see :func:`open_prepared`.
 
@@ -207,7 +211,8 @@ def prepare(
     """
     count = len(np.load(path, mmap_mode="r"))
     out.mkdir(parents=True, exist_ok=True)
-    for copy in copies:
+    tell = with_time_left("preparing sky", progress)
+    for turn, copy in enumerate(copies):
         place = _place(path, config, out, copy)
         if place.with_suffix(".sun.npy").exists():
             continue
@@ -221,10 +226,10 @@ def prepare(
             for part, skies in zip(parts, in_order(_vary, jobs), strict=True):
                 coded[part] = skies.coded
                 suns.append(skies.sun)
+                tell(turn * count + part.stop, len(copies) * count)
             coded.flush()
             with beside.open("wb") as file:
                 np.save(file, np.concatenate(suns))
-        report(f"{count} skies prepared, copy {copy + 1}")
 
 
 def open_prepared(path: Path, config: AutoencoderConfig, out: Path, copy: int) -> CodedSkies:

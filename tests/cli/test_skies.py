@@ -30,16 +30,17 @@ def test_simulate_then_index(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 def test_time_left(monkeypatch: pytest.MonkeyPatch) -> None:
     """By the pace of what was done since the start: 2 of 10 in 8 s leave 5 for 20 s."""
-    clock = iter([100.0, 108.0, 508.0])
+    clock = iter([100.0, 108.0, 508.0, 20_100.0])
     monkeypatch.setattr("skylight.work._progress.time.monotonic", lambda: next(clock))
     told: list[tuple[str, float]] = []
     progress = with_time_left("day", lambda stage, share: told.append((stage, share)))
-    for done in (3, 5, 7):
+    for done in (3, 5, 7, 8):
         progress(done, 10)
     assert told == [
         ("day 3 of 10", 0.3),
         ("day 5 of 10, 20 s left", 0.5),
         ("day 7 of 10, 5 min left", 0.7),
+        ("day 8 of 10, 2.2 h left", 0.8),
     ]
 
 

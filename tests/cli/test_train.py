@@ -27,6 +27,8 @@ from tests.cli.test_cli import one_line
         (["empty", "epochs=two", "--out", "out"], "a whole number at least 1, got 'two'"),
         (["empty", "data=other", "--out", "out"], "data= and FOLDER empty are both given"),
         (["empty", "out=out", "--epochs", "3"], "no .exr or .hdr maps"),
+        (["epochs=3", "empty", "--out", "out"], "no .exr or .hdr maps"),
+        (["empty", "other", "--out", "out"], "give one FOLDER, not empty and other"),
     ],
 )
 def test_refusals(

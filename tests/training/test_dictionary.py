@@ -28,6 +28,7 @@ from skylight.training._dictionary import (
     mean_squared_error,
 )
 from skylight.training._run import main
+from tests.training.test_callbacks import Recorder
 
 DEGREE = 8
 
@@ -151,8 +152,21 @@ def test_gradient_goes_on_where_it_stopped(config: DictionaryConfig) -> None:
     first = json.loads(path.with_suffix(".json").read_text())
     assert FilterBank.load(path).name == "gradient"
     said.clear()
-    learn_dictionary(config, said.append)
+    recorder, shown = Recorder(), []
+    learn_dictionary(
+        config, said.append, callbacks=[recorder], progress=lambda *each: shown.append(each)
+    )
     assert "goes on after epoch 1" in said
+    started, *steps, epoch, closed = recorder.told
+    assert (started, closed) == (("start", 6, 12), ("close",))
+    assert [step[:2] for step in steps] == [("step", n) for n in range(7, 13)]
+    assert epoch[1:3] == (2, 12)
+    assert epoch[3]["mean_squared_error"] < steps[0][2] * 1.5
+    assert {name.split(" 0 of")[0] for name, share in shown if share == 0} == {
+        "reading map",
+        "searching the codes, part",
+    }
+    assert shown[-1][1] == 1
     assert not any("epoch 1:" in line for line in said)
     errors = json.loads(path.with_suffix(".json").read_text())["mean_squared_error_by_epoch"]
     assert errors[0] == first["mean_squared_error_by_epoch"][0]
@@ -160,7 +174,8 @@ def test_gradient_goes_on_where_it_stopped(config: DictionaryConfig) -> None:
     assert errors[1] <= errors[0]
     with pytest.raises(InputError, match=r"`filters` was 3 and is 2; .*another `out`"):
         learn_dictionary(replace(config, filters=2), said.append)
-    learn_dictionary(replace(config, epochs=1), said.append)
+    learn_dictionary(replace(config, epochs=1), said.append, callbacks=[recorder])
+    assert recorder.told[-1] is closed
     assert "`epochs` is 1: 2 are done already, none is taken back" in said
 
 

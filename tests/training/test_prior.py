@@ -44,7 +44,11 @@ def network(config: PriorConfig) -> SkyNetwork:
 
 @pytest.fixture(scope="module")
 def fitted(config: PriorConfig) -> Path:
-    return fit_priors(config)
+    shown: list[tuple[str, float]] = []
+    out = fit_priors(config, lambda *each: shown.append(each))
+    for stage in ("reading skies, set", "encoding skies", "fitting suns and skies"):
+        assert any(name.startswith(stage) and share == 0 for name, share in shown)
+    return out
 
 
 def test_the_bundle_is_whole_and_says_where_it_comes_from(
@@ -74,7 +78,11 @@ def test_the_number_of_components_is_that_of_the_least_bic() -> None:
         x = torch.randn(count, 3, generator=generator).double()
         x[::2, 0] += 12
         samples[name] = x
-    kept, scores = best_mixture(samples, PriorConfig(most_components=4))
+    shown: list[str] = []
+    kept, scores = best_mixture(
+        samples, PriorConfig(most_components=4), lambda stage, share: shown.append(stage)
+    )
+    assert shown[0] == "mixture 0 of 4"
     assert len(kept.weights) == scores["components"] == 2
     tried = scores["validation_by_components"]
     assert set(tried) == {1, 2, 3, 4}

@@ -77,6 +77,7 @@ def test_two_processes_train_as_one(sky_folder: Path, tmp_path: Path) -> None:
     done = torchrun(2, ROOT / "train.py", recipe)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("best network") == done.stdout.count("epoch 2 ") == 1
+    assert len(list((two.out / "tensorboard").iterdir())) == 1  # of the first alone
     one_curves, two_curves = (
         json.loads((c.out / "curves.json").read_text()) for c in (config, two)
     )

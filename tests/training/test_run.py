@@ -320,7 +320,7 @@ def test_overrides_are_checked(
 def test_an_interrupted_run_says_how_to_go_on(
     capsys: pytest.CaptureFixture[str], run_yaml: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(_: object) -> None:
+    def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("skylight.training._run.train", interrupted)

@@ -120,10 +120,12 @@ def test_several_processes_keep_the_order(
 
 def test_progress_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "CHUNK", 1)
-    messages: list[str] = []
-    skies = len(load_data(folder, messages.append).train)
+    told: list[tuple[str, float]] = []
+    skies = len(load_data(folder, silent, lambda *each: told.append(each)).train)
     assert skies > 10
-    assert f"{skies} of {skies} skies read" in messages
+    name, share = told[skies - 1]
+    assert name.startswith(f"reading sky {skies} of {skies}")
+    assert share == 1
 
 
 def test_a_split_without_days(sky_folder: Path, tmp_path: Path) -> None:
@@ -218,7 +220,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_they_are_what_the_network_makes_of_varied_skies(path: Path, tmp_path: Path) -> None:
-    prepare(path, CONFIG, tmp_path / "out", [0, 2], silent)
+    prepare(path, CONFIG, tmp_path / "out", [0, 2])
     found = [open_prepared(path, CONFIG, tmp_path / "out", copy) for copy in (0, 2)]
     network = initial_network(CONFIG)
     for copy, skies in zip((0, 2), found, strict=True):
@@ -238,13 +240,12 @@ def test_they_are_what_the_network_makes_of_varied_skies(path: Path, tmp_path: P
 
 
 def test_they_are_made_once(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    said: list[str] = []
-    prepare(path, CONFIG, tmp_path / "out", [0], said.append)
-    assert said == ["9 skies prepared, copy 1"]
-    prepare(path, replace(CONFIG, seed=1), tmp_path / "out", [0], silent)
+    told: list[tuple[str, float]] = []
+    prepare(path, CONFIG, tmp_path / "out", [0], lambda *each: told.append(each))
+    assert told == [("preparing sky 9 of 9", 1.0)]
+    prepare(path, replace(CONFIG, seed=1), tmp_path / "out", [0])
     monkeypatch.setattr(module, "in_order", None)
-    prepare(path, CONFIG, tmp_path / "out", [0], said.append)
-    assert len(said) == 1
+    prepare(path, CONFIG, tmp_path / "out", [0])
     one, other = (
         open_prepared(path, config, tmp_path / "out", 0)
         for config in (CONFIG, replace(CONFIG, seed=1))
@@ -264,9 +265,9 @@ def test_what_was_interrupted_is_made_again(
     with monkeypatch.context() as patched:
         patched.setattr(module, "in_order", broken)
         with pytest.raises(KeyboardInterrupt):
-            prepare(path, CONFIG, tmp_path / "out", [0], silent)
+            prepare(path, CONFIG, tmp_path / "out", [0])
     assert not list((tmp_path / "out").iterdir())
-    prepare(path, CONFIG, tmp_path / "out", [0], silent)
+    prepare(path, CONFIG, tmp_path / "out", [0])
     assert len(open_prepared(path, CONFIG, tmp_path / "out", 0)) == 9
 
 

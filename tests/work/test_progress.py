@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from skylight.work._progress import LEAST_STEP, stage_bar
+from skylight.work._progress import LEAST_STEP, counted, stage_bar
 
 
 def test_programs_read_a_line_for_each_step(capsys: pytest.CaptureFixture[str]) -> None:
@@ -36,3 +36,25 @@ def test_nobody_watches_a_bar(capsys: pytest.CaptureFixture[str]) -> None:
     with stage_bar() as tell:
         tell("tracing light", 0.5)
     assert capsys.readouterr().err == ""
+
+
+def test_a_log_gets_a_line_now_and_then(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At 0, 9, ... 90 s: at most one in 20 s, and none at the start."""
+    clock = iter(range(0, 1000, 9))
+    monkeypatch.setattr("skylight.work._progress.time.monotonic", lambda: next(clock, 0))
+    with stage_bar(log_every_s=20.0) as tell:
+        for step in range(8):
+            tell(f"step {step}", step / 8)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["step 2", "step 5"]
+
+
+def test_items_are_counted() -> None:
+    told: list[tuple[str, float]] = []
+    seen = [len(told) for _ in counted("abcd", "map", lambda *each: told.append(each))]
+    assert seen == [1, 2, 3, 4]
+    assert [share for _, share in told] == [0, 0.25, 0.5, 0.75]
+    assert told[0][0] == "map 0 of 4"
+    assert list(counted([], "map", lambda *each: told.append(each))) == []
