@@ -136,7 +136,8 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell, watch: Watc
         network.load_state_dict(state["network"])
         optimiser.load_state_dict(state["optimiser"])
         now = RunState(**state["progress"])
-        report(f"resuming at step {now.step} of {total}")
+        if now.step <= total:
+            report(f"resuming at step {now.step} of {total}")
         if change := _other_epochs(now, steps_per_epoch, config):
             report(change)
     now.epochs = config.epochs
@@ -231,7 +232,7 @@ def _other_epochs(now: RunState, steps_per_epoch: int, config: AutoencoderConfig
     changed = f"`epochs` was {now.epochs} and is {config.epochs}"
     if now.epochs == config.epochs:
         return ""
-    if now.step > steps_per_epoch * config.epochs:
+    if now.step >= steps_per_epoch * config.epochs:
         done = now.step // steps_per_epoch
         return f"{changed}: {done} are done already, and none is taken back"
     before, after = (

@@ -25,14 +25,16 @@ def _bounded(default: int | float, *, least: int, most: int | float = math.inf) 
 
 
 class _Checked:
-    """A configuration whose bounded fields are checked when it is made."""
+    """A configuration whose choices and bounded fields are checked when it is made."""
 
     def __post_init__(self) -> None:
         for each in fields(self):  # pyright: ignore[reportArgumentType]: of dataclasses alone
+            value = getattr(self, each.name)
+            if get_origin(each.type) is Literal and value not in get_args(each.type):
+                raise InputError(f"`{each.name}` must be {allowed(each)}, got {value!r}")
             if "least" not in each.metadata:
                 continue
-            value, least, most = getattr(self, each.name), *each.metadata.values()
-            if not least <= value <= most:
+            if not each.metadata["least"] <= value <= each.metadata["most"]:
                 raise InputError(f"`{each.name}` must be {bounds(each)}, got {reprlib.repr(value)}")
 
 

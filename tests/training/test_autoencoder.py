@@ -268,7 +268,7 @@ def test_more_epochs_are_those_of_a_longer_run(
     same_run(tmp_path / "short", tmp_path / "whole")
     again: list[str] = []
     train(replace(short, epochs=2), report=again.append)
-    assert again[1] == "`epochs` was 3 and is 2: 3 are done already, and none is taken back"
+    assert again[0] == "`epochs` was 3 and is 2: 3 are done already, and none is taken back"
     assert not any(line.startswith("epoch ") for line in again)
 
 

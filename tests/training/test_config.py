@@ -4,7 +4,13 @@ from pathlib import Path
 import pytest
 
 from skylight.errors import InputError
-from skylight.training._config import AutoencoderConfig, PriorConfig, config_yaml, read_config
+from skylight.training._config import (
+    AutoencoderConfig,
+    DictionaryConfig,
+    PriorConfig,
+    config_yaml,
+    read_config,
+)
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -79,3 +85,15 @@ def test_unusable_configurations(tmp_path: Path, text: str, message: str) -> Non
 def test_a_configuration_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"none\.yaml"):
         read_config(tmp_path / "none.yaml")
+
+
+def test_a_choice_that_is_none_is_refused() -> None:
+    """Also where nothing checks annotations: "adam" would be SGD."""
+    for config, key in (
+        (AutoencoderConfig(), "optimiser"),
+        (AutoencoderConfig(), "schedule"),
+        (DictionaryConfig(), "method"),
+    ):
+        object.__setattr__(config, key, "adam")
+        with pytest.raises(InputError, match=f"`{key}` must be one of .*, got 'adam'"):
+            config.__post_init__()
