@@ -91,7 +91,8 @@ def train(
 
     A run with more ``epochs`` than before goes on too, also where it had ended. Its learning rate
     is from then on that of the new number: with a cosine it rises again, and the result is not that
-    of a run that had them from the start; with a constant one it is.
+    of a run that had them from the start. With a constant one it is, if the warm-up is at most a
+    tenth of the shorter run.
 
     ``callbacks`` are told of steps and epochs; :class:`TensorBoard` alone if none are given.
 

@@ -44,7 +44,7 @@ def stage_bar(
         TimeElapsedColumn,
     )
 
-    console = Console(stderr=True)
+    console = Console(stderr=True, soft_wrap=True)  # lines that are printed meanwhile stay whole
     if log_every_s is not None and not console.is_terminal:
         yield _lines(log_every_s)
         return

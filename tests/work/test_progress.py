@@ -1,6 +1,9 @@
 """Progress on standard error, for people and for programs."""
 
 import json
+import os
+import subprocess
+import sys
 
 import pytest
 
@@ -58,3 +61,29 @@ def test_items_are_counted() -> None:
     assert [share for _, share in told] == [0, 0.25, 0.5, 0.75]
     assert told[0][0] == "map 0 of 4"
     assert list(counted([], "map", lambda *each: told.append(each))) == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no terminals of this kind")
+def test_what_is_printed_under_a_bar_stays_whole_and_goes_to_its_file() -> None:
+    """The bar is on a terminal of 80 columns, standard output a pipe."""
+    line = "epoch 1  " + 12 * "validation "
+    program = f"""
+from skylight.work._progress import stage_bar
+with stage_bar() as tell:
+    tell("step 1 of 2", 0.5)
+    print({line!r})
+"""
+    ours, theirs = os.openpty()
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        stdout=subprocess.PIPE,
+        stderr=theirs,
+        text=True,
+        check=True,
+    )
+    os.close(theirs)
+    shown = os.read(ours, 100_000).decode()
+    os.close(ours)
+    assert done.stdout == line + "\n"
+    assert "step 1 of 2" in shown
+    assert "epoch 1" not in shown
