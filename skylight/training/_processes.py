@@ -84,6 +84,12 @@ class Processes:
         ):
             gradient.copy_(part.view_as(gradient))
 
+    def share_weights(self, module: nn.Module) -> None:
+        """Give the module the first process' weights and buffers in all."""
+        if self.size > 1:
+            for tensor in module.state_dict().values():
+                dist.broadcast(tensor, src=0)
+
     def meet(self) -> None:
         """Return when all processes are here."""
         if self.size > 1:
