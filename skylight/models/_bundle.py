@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 from jaxtyping import UInt8
@@ -175,6 +175,18 @@ class LightBundle:
     def prior(self) -> GaussianMixture:
         """A copy of the mixture over whitened latents."""
         return copy.deepcopy(self.latent_prior)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For other processes; of a user's network its weights, as not all layers are pickled."""
+        network = self.network
+        made = (type(network), network.latents, network.state_dict())
+        return {**self.__dict__, "network": made if own_name(network) else network}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        if isinstance(state["network"], tuple):
+            kind, latents, weights = state["network"]
+            state = {**state, "network": network_of(weights, kind, latents)}
+        self.__dict__.update(state)
 
     @property
     def fingerprint(self) -> str:

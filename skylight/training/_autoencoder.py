@@ -305,6 +305,7 @@ def reconstruction_loss(
 def _check_loss(network: SkyNetwork, config: AutoencoderConfig, loss: Loss) -> None:
     """:class:`InputError` unless a user's loss gives a number for each of two skies."""
     sun, rest = network.split(example_skies())
+    network.eval()  # so that no statistics change
     try:
         found = loss(network, sun, network.code(rest), config, None)
     except Exception as error:
