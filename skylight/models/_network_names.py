@@ -130,7 +130,10 @@ def class_of_file(
 def is_importable(network: type[SkyNetwork]) -> bool:
     """Whether other processes find it: not so what a notebook or a function defines."""
     found: object = sys.modules.get(network.__module__)
-    if network.__module__ == "__main__" and not hasattr(found, "__file__"):
+    if (
+        network.__module__ == "__main__"
+        and not Path(getattr(found, "__file__", None) or "").is_file()
+    ):
         return False
     for part in network.__qualname__.split("."):
         found = getattr(found, part, None)

@@ -346,5 +346,5 @@ def in_order(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Res
         except BrokenProcessPool as error:
             raise SkylightError(
                 "a process that worked on skies died; where memory is short, let the same command "
-                "run alone, and again"
+                'run alone, and again; a script begins below: if __name__ == "__main__":'
             ) from error

@@ -97,12 +97,19 @@ def test_a_script_goes_by_the_name_that_others_import_it_by(
     assert network_name(OtherNetwork) == "my_script:OtherNetwork"
 
 
-def test_what_a_function_defines_is_of_this_process_alone() -> None:
+def test_what_functions_and_notebooks_define_is_of_this_process_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     class Local(TinyNetwork):
         pass
 
     assert is_importable(TinyNetwork)
     assert not is_importable(Local)
+    monkeypatch.setattr(sys.modules["__main__"], "TinyNetwork", TinyNetwork, raising=False)
+    monkeypatch.setattr(TinyNetwork, "__module__", "__main__")
+    for file, is_script in ((__file__, True), ("<stdin>", False), (None, False)):
+        monkeypatch.setattr(sys.modules["__main__"], "__file__", file, raising=False)
+        assert is_importable(TinyNetwork) == is_script
     check_network_name(network_name(Local))
 
 
