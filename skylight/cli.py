@@ -109,6 +109,7 @@ def evaluate(
     quick: bool = False,
     data: Path | None = None,
     model: Path | None = None,
+    network: str | None = None,
     device: Device = "auto",
     workers: int = 2,
     cluster: str | None = None,
@@ -124,6 +125,7 @@ def evaluate(
             hdr, meshes, faces, lamps, scenes, indoor and relit, as far as they are there.
         model: Of faces and skies: folder of a trained model of your own instead of the one that
             comes with skylight.
+        network: Class of that model's network, where it is yours, as module:Class.
         device: Of faces: where their light is optimised.
         workers: Processes that work at the same time; 0 for one per core.
         cluster: A dask scheduler's address, whose workers do it instead.
@@ -131,9 +133,11 @@ def evaluate(
     who = who_works(workers, cluster, out)
     from skylight.evaluation._known_faces import EstimateOptions
     from skylight.evaluation._main import evaluate, evaluate_all
+    from skylight.models._bundle import own_model
 
-    is_default = model is None and device == "auto"
-    options = None if is_default else EstimateOptions(model=model, device=device)
+    chosen = own_model(model, network)
+    is_default = chosen is None and device == "auto"
+    options = None if is_default else EstimateOptions(model=chosen, device=device)
     if name == "all":
         evaluate_all(quick=quick, data=data, out=out, workers=who, options=options)
     else:

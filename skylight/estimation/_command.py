@@ -28,6 +28,7 @@ def estimate(
     shared_light: bool = False,
     light: LightName = "autoencoder",
     model: Path | None = None,
+    network: str | None = None,
     solver: SolverName = "scan",
     face: int | None = None,
     faces: Literal["one", "all"] = "one",
@@ -86,6 +87,7 @@ def estimate(
             likelier of learnt skies and lamps, for half as much time again as skies alone.
         model: Folder of a trained model of your own instead of the one that comes with skylight,
             for --light auto, autoencoder or sunsky.
+        network: Class of that model's network, where it is yours, as module:Class.
         solver: How --light autoencoder is searched for: from many starts where a scan finds the
             sun, or as in the thesis (B.1), from the mean sky on four levels.
         face: Which face of each picture, counted from 1, the largest; 1 unless said otherwise.
@@ -122,11 +124,12 @@ def estimate(
     if face is not None and faces == "all":
         raise InputError(f"--face {face} and --faces all contradict each other: leave one out")
     from skylight.estimation._settings import EstimateSettings
+    from skylight.models._bundle import own_model
     from skylight.models._ground import KnownGround
 
     settings = EstimateSettings(
         light=light,
-        model=model,
+        model=own_model(model, network),
         solver=solver,
         face="all" if faces == "all" else 1 if face is None else face,
         head=head,

@@ -91,6 +91,7 @@ def estimate_folder(
     sources = list_photos(photos, out)
     _ = settings.landmarker  # refuses what cannot be used
     together = _batch(settings, workers, batch)
+    settings = settings.with_model  # which workers may not be able to read: whose class is theirs?
     facts = settings.facts() | {"keep_place": keep_place}
     settings_hash = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
     with locked(out, *(out / folder_name(source) for source in sources)):

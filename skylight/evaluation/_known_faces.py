@@ -36,7 +36,7 @@ from skylight.faces._synthetic import SyntheticFace, render_face
 from skylight.imaging._colour import tone_map
 from skylight.imaging._photo import Photo
 from skylight.inverse._auto import RIVALS, choose
-from skylight.inverse._estimate import estimate_light
+from skylight.inverse._estimate import Model, estimate_light
 from skylight.inverse._posterior import SunPosterior
 from skylight.inverse._result import Estimate
 from skylight.inverse._scores import score
@@ -149,12 +149,12 @@ _DEFAULT = SolverOptions()
 
 @dataclass(frozen=True, kw_only=True)
 class EstimateOptions:
-    """``model`` is a trained model's folder, None for the one that comes with skylight.
+    """``model`` is a trained model or its folder, None for the one that comes with skylight.
 
     ``solver`` leaves parts of the objective out where its weights are 0, for ablations.
     """
 
-    model: Path | None = None
+    model: Model | None = None
     device: str = "auto"
     solver: SolverOptions = _DEFAULT
 
@@ -217,7 +217,7 @@ class FaceEvaluation(Evaluation):
         del own["options"]
         return own | self.options.config()
 
-    def with_model(self, model: Path | None, device: str) -> "FaceEvaluation":
+    def with_model(self, model: Model | None, device: str) -> "FaceEvaluation":
         choose_device(device)
         return replace(self, options=replace(self.options, model=model, device=device))
 

@@ -35,8 +35,10 @@ from skylight.evaluation._synthetic_faces import SyntheticFaces
 from skylight.evaluation._tables import markdown, summarise, summarise_groups, write_curves
 from skylight.evaluation._transport_compression import TransportCompression
 from skylight.evaluation._voxel_probe import VoxelProbe
+from skylight.inverse._estimate import Model
 from skylight.io._atomic import atomic_path
 from skylight.io._bounded import write_json
+from skylight.models._bundle import LightBundle, own_name
 from skylight.work._resumable import Workers, locked
 
 SHEET_STRIPS = 12
@@ -94,11 +96,18 @@ def evaluate(
         raise InputError(f"{workers} workers cannot work: use 1 or more")
     command = f"skylight evaluate {name}" + (" --quick" if quick else "")
     command += f" --data {data.name}" if data is not None else ""
-    command += f" --model {options.model.name}" if options and options.model else ""
+    command += f" --model {_named(options.model)}" if options and options.model else ""
     evaluation = EVALUATIONS[name].over(data, quick=quick)
     if options is not None:
         evaluation = evaluation.with_model(options.model, options.device)
     return run_evaluation(evaluation, out, command=command, quick=quick, workers=workers)
+
+
+def _named(model: Model) -> str:
+    if not isinstance(model, LightBundle):
+        return Path(model).name
+    own = own_name(model.network)
+    return model.name + (f" --network {own}" if own else "")
 
 
 def run_evaluation(

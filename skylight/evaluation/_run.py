@@ -11,16 +11,17 @@ import json
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, ClassVar
 
 import skylight
 from skylight.errors import InputError, SkylightError
+from skylight.inverse._estimate import Model
 from skylight.io._atomic import atomic_path
 from skylight.io._bounded import json_content
 from skylight.io._files import INDEX_NAME, visible_files
-from skylight.models._bundle import load_bundle
+from skylight.models._bundle import LightBundle, load_bundle
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.transport._mesh import MESH_SUFFIXES
 from skylight.work._progress import CountProgress
@@ -155,7 +156,7 @@ class Evaluation(ABC):
     def illustrate(self, out: Path, rows: Rows, items: list[Item]) -> None:  # noqa: B027
         """Writes figures of its own into ``out``, from results and the items' pictures."""
 
-    def with_model(self, model: Path | None, device: str) -> "Evaluation":
+    def with_model(self, model: Model | None, device: str) -> "Evaluation":
         """The same with a trained model of one's own, on a device.
 
         Raises
@@ -303,10 +304,17 @@ def read_index(path: Path) -> Any:
         raise InputError(f"{path}: not JSON ({error})") from error
 
 
-trained_model = cache(load_bundle)  # of a folder; None for the one that comes with skylight
+_of_folder = cache(load_bundle)
 
 
-@cache
-def trained_light(folder: Path | None) -> AutoencoderLight:
+def trained_model(model: Model | None) -> LightBundle:
+    """That of a folder, read once; None for the one that comes with skylight."""
+    if isinstance(model, LightBundle):
+        return model
+    return _of_folder(None if model is None else Path(model))
+
+
+@lru_cache(maxsize=4)
+def trained_light(model: Model | None) -> AutoencoderLight:
     """The light model of a trained model, shared: do not modify it."""
-    return trained_model(folder).light()
+    return trained_model(model).light()

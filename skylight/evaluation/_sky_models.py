@@ -33,6 +33,7 @@ from skylight.evaluation._run import (
     trained_model,
 )
 from skylight.evaluation._sky_fits import fits, over_ground
+from skylight.inverse._estimate import Model
 from skylight.inverse._scores import score
 from skylight.io._files import names_categories, read_categories, read_environment_map, write_png
 from skylight.models._ground import GROUND_ALBEDOS
@@ -122,7 +123,7 @@ class SkyEvaluation(Evaluation):
 
     The skies are simulated ones, or those of a folder of maps (``data``). Over a collection of
     real maps by category an evaluation goes by the name of its ``title`` with "-real" behind it.
-    ``model`` is a trained model's folder, None for the one that comes with skylight.
+    ``model`` is a trained model or its folder, None for the one that comes with skylight.
     """
 
     data_folder = None
@@ -130,7 +131,7 @@ class SkyEvaluation(Evaluation):
 
     count: int
     data: Path | None = None
-    model: Path | None = None
+    model: Model | None = None
     seed: int = 30_000_000
 
     def __post_init__(self) -> None:
@@ -151,7 +152,7 @@ class SkyEvaluation(Evaluation):
     def items(self) -> list[str]:
         return self.skies.names()
 
-    def with_model(self, model: Path | None, device: str) -> "SkyEvaluation":
+    def with_model(self, model: Model | None, device: str) -> "SkyEvaluation":
         if device != "auto":
             raise InputError(f"{self.title} fits skies on the CPU: leave --device out")
         return replace(self, model=model)

@@ -19,11 +19,14 @@ from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 
+from skylight.errors import InputError
 from skylight.estimation._manifest import MANIFEST, list_photos, read_manifest
 from skylight.estimation._photos import estimate_photo
 from skylight.estimation._report import write_results
 from skylight.evaluation._known_faces import FaceEvaluation, peak_mib, stage
 from skylight.evaluation._run import Item, Metrics
+from skylight.inverse._estimate import Model
+from skylight.models._bundle import LightBundle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,6 +85,8 @@ class Speed(FaceEvaluation):
                 shutil.copy(self.data / source, photos / source.replace("/", "_"))
             options: dict[str, object] = {"out": out, "workers": workers, "batch": batch}
             options["device"] = self.options.device
+            if isinstance(self.options.model, LightBundle):
+                raise InputError("speed times commands with skylight's networks: no --network")
             if self.options.model is not None:
                 options["model"] = self.options.model
             words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
@@ -109,7 +114,7 @@ def _named(workers: int, batch: int) -> str:
 
 
 @cache
-def _estimated_once(photo: Path, model: Path | None, device: str) -> None:
+def _estimated_once(photo: Path, model: Model | None, device: str) -> None:
     """Loads models and whatever else only a process' first estimate does."""
     estimate_photo(photo, model=model, device=device)
 

@@ -20,17 +20,21 @@ export = tyro.extras.SubcommandApp()
 
 
 @export.command(name="decoder")
-def export_decoder(out: Path = Path("sky_decoder.onnx"), model: Path | None = None) -> None:
+def export_decoder(
+    out: Path = Path("sky_decoder.onnx"), model: Path | None = None, network: str | None = None
+) -> None:
     """Write the sky decoder as an ONNX graph, checked against torch.
 
     Args:
         out: The .onnx file.
         model: Folder that `skylight train` wrote; by default the model that comes with skylight.
+        network: Class of that model's network, where it is yours, as module:Class.
     """
-    from skylight.models._bundle import load_bundle
+    from skylight.inverse._estimate import bundle_of
+    from skylight.models._bundle import own_model
     from skylight.relight._export import export_decoder
 
-    difference = export_decoder(load_bundle(model).light(), out)
+    difference = export_decoder(bundle_of(own_model(model, network)).light(), out)
     print(f"{out}: onnxruntime and torch differ by {difference:.1g} at most")
 
 

@@ -28,6 +28,9 @@ from ._lamps import (
 from ._network import (
     SkyNetwork as SkyNetwork,
 )
+from ._network_names import (
+    register_network as register_network,
+)
 from ._prior import (
     GaussianMixture as GaussianMixture,
 )

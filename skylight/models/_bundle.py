@@ -2,7 +2,8 @@
 
 =============================  ==================================================================
 ``bundle.json``                format version, name, number of training skies, SHA-256 of the
-                               training data and of all tensors together
+                               training data and of all tensors together; the name of the
+                               network's class where it is not skylight's
 ``network.safetensors``        weights of the :class:`SkyNetwork`
 ``latent_prior.safetensors``   :class:`GaussianMixture` over whitened latents
 ``bank.safetensors``           mean and scale of the latents, latents of training skies
@@ -12,7 +13,8 @@
 =============================  ==================================================================
 
 The model that comes with skylight is such a folder too. Checkpoints of training are the network's
-file alone (:func:`save_network`).
+file alone (:func:`save_network`). The class that a file names is only compared with those that the
+user has registered or gives.
 """
 
 import copy
@@ -21,7 +23,7 @@ from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 from jaxtyping import UInt8
@@ -36,6 +38,8 @@ from skylight.io._tensors import read_tensors, tensors_sha256, write_tensors
 from skylight.models._convolutional import LATENT, ConvolutionalAutoencoder
 from skylight.models._manifest import MAKE_ONE, MANIFEST, BundleManifest, read_manifest
 from skylight.models._network import Coding, SkyNetwork
+from skylight.models._network_check import made_network
+from skylight.models._network_names import class_of_file, is_builtin, network_name
 from skylight.models._prior import GaussianMixture
 from skylight.models._splines import SplineAutoencoder
 from skylight.models._sun_head import COORDINATES
@@ -57,6 +61,8 @@ def network_state(network: SkyNetwork) -> dict[str, Tensor]:
     0.5 %, and the file is half as large.
     """
     state = dict(network.state_dict())
+    if own_name(network):  # whose tensors may share memory, as those of a file must not
+        return {name: weight.clone() for name, weight in state.items()}
     if isinstance(network, SplineAutoencoder):
         return {name: weight.half() for name, weight in state.items()}
     if network.coding == "linear":
@@ -64,8 +70,21 @@ def network_state(network: SkyNetwork) -> dict[str, Tensor]:
     return state
 
 
-def network_of(state: dict[str, Tensor]) -> SkyNetwork:
-    """The network of these tensors; KeyError, RuntimeError or ValueError for those of no sky's."""
+def own_name(network: SkyNetwork) -> str | None:
+    """What files call the class of a network that is not skylight's."""
+    name = network_name(type(network))
+    return None if is_builtin(name) else name
+
+
+def network_of(
+    state: dict[str, Tensor], own: type[SkyNetwork] | None = None, latents: int = 0
+) -> SkyNetwork:
+    """The network of these tensors, ``own(latents)`` of a user's class.
+
+    KeyError, RuntimeError or ValueError for tensors of no sky's.
+    """
+    if own is not None:
+        return _own_network(state, own, latents)
     weights = {name: weight.float() for name, weight in state.items()}
     named = weights.get("linear.weight", weights.get("to_latent.bias", torch.zeros(LATENT)))
     if named.ndim == 0 or not COORDINATES < named.shape[-1] <= LATENTS_MAX:
@@ -77,17 +96,41 @@ def network_of(state: dict[str, Tensor]) -> SkyNetwork:
     else:
         coding: Coding = "linear" if weights.pop("coding_linear", None) is not None else "log"
         sun = len(weights["to_latent.bias"]) < LATENT
-        network = ConvolutionalAutoencoder(coding, sun=sun)
+        network = ConvolutionalAutoencoder(coding=coding, sun=sun)
     network.load_state_dict(weights)
     return network.eval()
 
 
-def load_network(path: Path) -> SkyNetwork:
-    """The autoencoder of a checkpoint that training wrote (safetensors)."""
+def _own_network(state: dict[str, Tensor], own: type[SkyNetwork], latents: int) -> SkyNetwork:
+    if not 0 < latents <= LATENTS_MAX:
+        raise ValueError(f"{latents} latents are no sky's")
+    network = made_network(own, latents)
+    wanted = {name: tuple(each.shape) for name, each in network.state_dict().items()}
+    found = {name: tuple(each.shape) for name, each in state.items()}
+    for name in sorted(wanted.keys() | found.keys()):
+        if wanted.get(name) != found.get(name):
+            raise ValueError(
+                f"{network_name(own)} has changed since: {name} of shape {found.get(name)} in the "
+                f"file, {wanted.get(name)} in the class"
+            )
+    if not all(bool(each.isfinite().all()) for each in state.values()):
+        raise ValueError("its weights are not finite")
+    network.load_state_dict(state)
+    return network.eval()
+
+
+def load_network(path: Path, network: type[SkyNetwork] | str | None = None) -> SkyNetwork:
+    """The autoencoder of a checkpoint that training wrote (safetensors).
+
+    ``network`` is the class, or its name, where that is not skylight's and not registered: see
+    :func:`load_bundle`.
+    """
     if not path.is_file():
         raise AssetError(f"{path}: no checkpoint there; train one with train.py CONFIG")
     try:
-        return network_of(read_tensors(path)[0])
+        state, told = read_tensors(path)
+        own = _class_of_file(path, told.get("network"), network)
+        return network_of(state, own, int(told.get("latents", 0)))
     except (ValueError, RuntimeError, OSError, KeyError) as error:
         first = str(error).splitlines()[0]
         raise AssetError(
@@ -98,7 +141,9 @@ def load_network(path: Path) -> SkyNetwork:
 
 def save_network(network: SkyNetwork, path: Path) -> None:
     """Write the weights as :func:`load_network` reads them."""
-    write_tensors(path, network_state(network))
+    name = own_name(network)
+    told = {} if name is None else {"network": name, "latents": str(network.latents)}
+    write_tensors(path, network_state(network), told)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -130,6 +175,18 @@ class LightBundle:
     def prior(self) -> GaussianMixture:
         """A copy of the mixture over whitened latents."""
         return copy.deepcopy(self.latent_prior)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For other processes; of a user's network its weights, as not all layers are pickled."""
+        network = self.network
+        made = (type(network), network.latents, network.state_dict())
+        return {**self.__dict__, "network": made if own_name(network) else network}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        if isinstance(state["network"], tuple):
+            kind, latents, weights = state["network"]
+            state = {**state, "network": network_of(weights, kind, latents)}
+        self.__dict__.update(state)
 
     @property
     def fingerprint(self) -> str:
@@ -169,22 +226,30 @@ class LightBundle:
                 skies=self.skies,
                 data_sha256=self.data_sha256,
                 fingerprint=self.fingerprint,
+                network=own_name(self.network),
             )
             write_json(unfinished / MANIFEST, manifest.entries())
 
 
-def load_bundle(folder: Path | None = None) -> LightBundle:
+def load_bundle(
+    folder: Path | None = None, network: type[SkyNetwork] | str | None = None
+) -> LightBundle:
     """The trained light model in ``folder``; by default the one that comes with skylight.
+
+    ``network`` is the class of its network, or ``"module:Class"``, where that is not skylight's
+    and not registered (:func:`~skylight.models._network_names.register_network`). The folder's
+    name of it is compared, never imported.
 
     Raises
     ------
     InputError
-        The folder is no such model, lacks a part, is damaged or of a newer version.
+        The folder is no such model, lacks a part, is damaged or of a newer version; its network
+        is of a class that was not given, or of another one.
     AssetError
         The same of the model that comes with skylight.
     """
     if folder is not None:
-        return _read(folder)
+        return _read(folder, network)
     try:
         # a copy: a network that is moved to a GPU or made trainable must not be another's
         return copy.deepcopy(_shipped(SHIPPED))
@@ -193,13 +258,23 @@ def load_bundle(folder: Path | None = None) -> LightBundle:
         raise AssetError(f"{reason}; reinstall skylight") from error
 
 
+def own_model(folder: Path | None, network: str | None) -> Path | LightBundle | None:
+    """What the options --model and --network of a command give."""
+    if network is None:
+        return folder
+    if folder is None:
+        raise InputError("--network names the class of a model of your own: give --model DIR too")
+    return load_bundle(folder, network)
+
+
 @constant()
 def _shipped(folder: Path) -> LightBundle:
     return _read(folder)
 
 
-def _read(folder: Path) -> LightBundle:
+def _read(folder: Path, network: type[SkyNetwork] | str | None = None) -> LightBundle:
     manifest = read_manifest(folder)
+    own = _class_of_file(folder, manifest.network, network)
     latents = _part(folder / BANK, _latents)
     count = len(latents["latent_mean"])
     bundle = LightBundle(
@@ -209,7 +284,8 @@ def _read(folder: Path) -> LightBundle:
         latents=latents,
         latent_prior=_part(folder / LATENT_PRIOR, partial(_latent_prior, count)),
         sunsky_prior=_part(folder / SUNSKY_PRIOR, GaussianMixture.of),
-        network=_part(folder / NETWORK, partial(_network, count)),  # last: it takes the longest
+        # last: it takes the longest
+        network=_part(folder / NETWORK, partial(_network, count, own)),
     )
     if bundle.fingerprint != manifest.fingerprint:
         raise InputError(
@@ -235,8 +311,17 @@ def _latent_prior(latents: int, tensors: dict[str, Tensor]) -> GaussianMixture:
     return mixture
 
 
-def _network(latents: int, tensors: dict[str, Tensor]) -> SkyNetwork:
-    network = network_of(tensors)
+def _class_of_file(
+    path: Path, told: str | None, given: type[SkyNetwork] | str | None
+) -> type[SkyNetwork] | None:
+    try:
+        return class_of_file(told, given)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _network(latents: int, own: type[SkyNetwork] | None, tensors: dict[str, Tensor]) -> SkyNetwork:
+    network = network_of(tensors, own, latents)
     if network.latents != latents:
         raise ValueError(f"it has {network.latents} latents, not {latents}")
     return network

@@ -13,9 +13,8 @@ from torch.nn import functional
 
 from skylight._modes import Derived, full_precision, single
 from skylight.errors import check_shape
-from skylight.models._network import CENTRE_AZIMUTH_RAD, CODE_LIMIT, HEIGHT, Coding, SkyNetwork
+from skylight.models._network import Coding, SkyNetwork
 from skylight.models._sun_head import COORDINATES
-from skylight.sphere._envmap import shift_columns
 
 LATENT = 64
 
@@ -68,12 +67,10 @@ class UpConv(nn.Module):
 
 
 class ConvolutionalAutoencoder(SkyNetwork):
-    """Fig. 5.2: four convolutions with pooling, 64 latents, and the mirror image of it."""
+    """Fig. 5.2: four convolutions with pooling, the latents (64 there), and the mirror image."""
 
-    kind = "convolutions"
-
-    def __init__(self, coding: Coding = "log", *, sun: bool = True) -> None:
-        super().__init__(LATENT, coding=coding, sun=sun)
+    def __init__(self, latents: int = LATENT, *, coding: Coding = "log", sun: bool = True) -> None:
+        super().__init__(latents, coding=coding, sun=sun)
         self._folded: Derived[FoldedDecoder] = Derived()
 
         def down(channels_in: int, channels_out: int, size: int) -> nn.Sequential:
@@ -92,23 +89,12 @@ class ConvolutionalAutoencoder(SkyNetwork):
         self.encoder = nn.Sequential(
             down(3, 64, 5), down(64, 96, 3), down(96, 96, 3), down(96, 64, 3), nn.Flatten()
         )
-        self.to_latent = nn.Linear(64 * 2 * 8, LATENT - COORDINATES if sun else LATENT)
+        self.to_latent = nn.Linear(64 * 2 * 8, latents - COORDINATES * sun)
         self.from_latent = nn.Sequential(
-            nn.Linear(LATENT, 64 * 2 * 8), nn.BatchNorm1d(64 * 2 * 8), nn.ReLU()
+            nn.Linear(latents, 64 * 2 * 8), nn.BatchNorm1d(64 * 2 * 8), nn.ReLU()
         )
         self.decoder = nn.Sequential(up(64, 64, 3), up(64, 96, 3), up(96, 96, 3), up(96, 64, 5))
         self.output = nn.Conv2d(64, 3, 1)
-
-    def code(self, radiance: Float[Tensor, "b h w 3"]) -> Float[Tensor, "b 3 h w"]:
-        """Radiance as the network sees it: log(1 + L), or L itself for ``coding="linear"``."""
-        planes = radiance.permute(0, 3, 1, 2)
-        return torch.log1p(planes) if self.coding == "log" else planes
-
-    def uncode(self, coded: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b h w 3"]:
-        planes = coded.clamp(min=0)
-        if self.coding == "log":
-            planes = torch.expm1(planes.clamp(max=CODE_LIMIT))
-        return planes.permute(0, 2, 3, 1)
 
     def encode_coded(
         self, sun: Float[Tensor, "b s"], coded: Float[Tensor, "b 3 h w"]
@@ -121,38 +107,11 @@ class ConvolutionalAutoencoder(SkyNetwork):
         with full_precision(x):  # eight bits would round the brightness of the sky itself
             return self.output(single(x))
 
-    def decode_at_azimuth(
-        self,
-        z: Float[Tensor, "b z"],
-        azimuth_rad: Float[Tensor, " t"],
-        sun_spread_rad: float,
-        height: int = HEIGHT,
-    ) -> Float[Tensor, "b h w 3"]:
-        """:meth:`decode` in evaluation mode, its columns resampled; on more rows pixels are
-        repeated, on fewer those of the mean.
-
-        With a spread the sun's lobe is evaluated at its azimuth and only the rest is resampled: a
-        sun much sharper than a pixel jumps from one to the next, and a turn by part of a pixel
-        blurs it.
-        """
-        check_shape("latents", z.shape, self.latents)
+    def _decode_in_evaluation(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
         decoder = self._folded.of(
             [*self.parameters(), *self.buffers()], lambda: FoldedDecoder.of(self)
         )
-        sky = self.uncode(decoder(z))
-        turn = (azimuth_rad - CENTRE_AZIMUTH_RAD).expand(len(z))
-        if self.sun_head is not None and sun_spread_rad == 0 and height == HEIGHT:
-            return shift_columns(sky + self.sun_head.lobe(z[:, -COORDINATES:]), turn)
-        sky = shift_columns(sky, turn)
-        if height < HEIGHT:
-            sky = sky.unflatten(1, (height, -1)).unflatten(3, (4 * height, -1)).mean((2, 4))
-        elif height > HEIGHT:
-            times = height // HEIGHT
-            sky = sky.repeat_interleave(times, 1).repeat_interleave(times, 2)
-        if self.sun_head is None:
-            return sky
-        head = self._sun_head(height, z.device)
-        return sky + head.lobe(z[:, -COORDINATES:], azimuth_rad, sun_spread_rad)
+        return decoder(z)
 
 
 @dataclass(frozen=True)

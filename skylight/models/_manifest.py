@@ -7,22 +7,29 @@ from skylight.errors import InputError
 from skylight.io._bounded import read_object, read_whole, require_keys
 
 MANIFEST = "bundle.json"
-KIND, VERSION = "light model", 1
+KIND, VERSION = "light model", 2
 MAKE_ONE = "make one with: skylight train FOLDER --out DIR"
 
 
 @dataclass(frozen=True, kw_only=True)
 class BundleManifest:
-    """What a :class:`~skylight.models._bundle.LightBundle` is, but for its tensors."""
+    """What a :class:`~skylight.models._bundle.LightBundle` is, but for its tensors.
+
+    ``network`` names the class of a network that is not skylight's; such a file is of version 2.
+    """
 
     name: str
     skies: int
     data_sha256: str
     fingerprint: str
+    network: str | None = None
 
     def entries(self) -> dict[str, object]:
         """The content of the file."""
-        return {"kind": KIND, "version": VERSION, **asdict(self)}
+        entries = asdict(self)
+        if self.network is None:
+            del entries["network"]
+        return {"kind": KIND, "version": VERSION if self.network else 1, **entries}
 
 
 def read_manifest(folder: Path) -> BundleManifest:
@@ -45,6 +52,9 @@ def read_manifest(folder: Path) -> BundleManifest:
     try:
         require_keys(path, entries, ["name", "skies", "data_sha256", "fingerprint"])
         skies = read_whole(entries, "skies")
+        network = entries.get("network")
+        if not (network is None or (isinstance(network, str) and network.isprintable())):
+            raise InputError(f"{path}: network names no class")
     except InputError as error:
         raise InputError(f"{folder}: {error}; {MAKE_ONE}") from error
     return BundleManifest(
@@ -52,4 +62,5 @@ def read_manifest(folder: Path) -> BundleManifest:
         skies=skies,
         data_sha256=str(entries["data_sha256"]),
         fingerprint=str(entries["fingerprint"]),
+        network=network,
     )

@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from skylight._modes import constant, transformed
 from skylight.errors import InputError, check_shape
 from skylight.models._sun_head import COORDINATES, NEAR_RAD, SunHead
-from skylight.sphere._envmap import luminance
+from skylight.sphere._envmap import luminance, shift_columns
 from skylight.sphere._frame import DirectionGrid, cosines
 
 HEIGHT, WIDTH = 32, 128
@@ -38,14 +38,36 @@ def _sun_on_rows(height: int, device: torch.device) -> SunHead:
     return SunHead(height, CENTRE_AZIMUTH_RAD).to(device)
 
 
-Kind = Literal["splines", "convolutions"]
 Coding = Literal["log", "linear"]
 
 
 class SkyNetwork(nn.Module, ABC):
-    """Latents (b, ``latents``) <-> radiance (b, 32, 128, 3)."""
+    """Latents (b, ``latents``) <-> radiance (b, 32, 128, 3): the base of networks, yours too.
 
-    kind: Kind
+    A class of your own is made by the number of latents alone, ``MyNetwork(latents)``, which it
+    hands on to this constructor, and has
+
+    ``encode_coded(sun, coded)``
+        latents (b, z) of coded skies (b, 3, 32, 128); the last five are ``sun`` (b, 5) as it was
+        given, the sun's own coordinates, which no layer learns (there are none with
+        ``sun=False``);
+    ``decode_coded(z)``
+        the coded skies (b, 3, 32, 128) of latents, without that sun; differentiable in them.
+
+    All else has a default here that it may replace: :meth:`code` and :meth:`uncode`, which are
+    fixed before training and depend on no weight, and :meth:`decode_at_azimuth`, which resamples
+    columns where a network of coordinates turns exactly. Training tries these members on two
+    skies and refuses in a line what does not fit.
+
+    Parameters
+    ----------
+    latents
+        Their number, the sun's five included.
+    coding
+        Of :meth:`code`: "log" radiance, or "linear".
+    sun
+        Whether the sun has coordinates of its own (:class:`SunHead`).
+    """
 
     def __init__(self, latents: int, *, coding: Coding = "log", sun: bool = True) -> None:
         super().__init__()
@@ -58,13 +80,17 @@ class SkyNetwork(nn.Module, ABC):
         """Whether the sun has coordinates of its own."""
         return self.sun_head is not None
 
-    @abstractmethod
     def code(self, radiance: Float[Tensor, "b h w 3"]) -> Float[Tensor, "b 3 h w"]:
-        """Radiance as the network sees it."""
+        """Radiance as the network sees it: log(1 + L), or L itself for ``coding="linear"``."""
+        planes = radiance.permute(0, 3, 1, 2)
+        return torch.log1p(planes) if self.coding == "log" else planes
 
-    @abstractmethod
     def uncode(self, coded: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b h w 3"]:
         """The inverse of :meth:`code`, negative radiance cut to zero."""
+        planes = coded.clamp(min=0)
+        if self.coding == "log":
+            planes = torch.expm1(planes.clamp(max=CODE_LIMIT))
+        return planes.permute(0, 2, 3, 1)
 
     @abstractmethod
     def encode_coded(
@@ -76,7 +102,6 @@ class SkyNetwork(nn.Module, ABC):
     def decode_coded(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
         """Coded radiance, without the sun where it has its own head."""
 
-    @abstractmethod
     def decode_at_azimuth(
         self,
         z: Float[Tensor, "b z"],
@@ -89,7 +114,31 @@ class SkyNetwork(nn.Module, ABC):
         Differentiable in both; one azimuth serves any number of skies. ``sun_spread_rad`` widens
         the sun's lobe: see :meth:`~skylight.models._sun_head.SunHead.lobe`. ``height`` is
         the number of rows, one of :data:`COARSE_HEIGHTS`, :data:`HEIGHT` or a multiple of it.
+
+        Here columns are resampled; on more rows pixels are repeated, on fewer those of the mean.
+        With a spread the sun's lobe is evaluated at its azimuth and only the rest is resampled: a
+        sun much sharper than a pixel jumps from one to the next, and a turn by part of a pixel
+        blurs it.
         """
+        check_shape("latents", z.shape, self.latents)
+        sky = self.uncode(self._decode_in_evaluation(z))
+        turn = (azimuth_rad - CENTRE_AZIMUTH_RAD).expand(len(z))
+        if self.sun_head is not None and sun_spread_rad == 0 and height == HEIGHT:
+            return shift_columns(sky + self.sun_head.lobe(z[:, -COORDINATES:]), turn)
+        sky = shift_columns(sky, turn)
+        if height < HEIGHT:
+            sky = sky.unflatten(1, (height, -1)).unflatten(3, (4 * height, -1)).mean((2, 4))
+        elif height > HEIGHT:
+            times = height // HEIGHT
+            sky = sky.repeat_interleave(times, 1).repeat_interleave(times, 2)
+        if self.sun_head is None:
+            return sky
+        head = self._sun_head(height, z.device)
+        return sky + head.lobe(z[:, -COORDINATES:], azimuth_rad, sun_spread_rad)
+
+    def _decode_in_evaluation(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
+        """:meth:`decode_coded` as :meth:`decode_at_azimuth` wants it."""
+        return self.decode_coded(z)
 
     def _sun_head(self, height: int, device: torch.device) -> SunHead:
         """That of maps of so many rows."""

@@ -34,7 +34,6 @@ _RIDGE = 1e-3  # of a mean control point's weight: those beyond the horizon are 
 class SplineAutoencoder(SkyNetwork):
     """See the module; ``latents`` counts the sun's five coordinates."""
 
-    kind = "splines"
     seen: Tensor
 
     def __init__(self, latents: int = 64) -> None:

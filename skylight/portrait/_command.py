@@ -27,6 +27,7 @@ def relight_portrait(
     ev: float = 0.0,
     light: LightName = "auto",
     model: Path | None = None,
+    network: str | None = None,
     face: int = 1,
     device: Device = "auto",
     out: Path | None = None,
@@ -55,6 +56,7 @@ def relight_portrait(
         ev: Exposure of the result in stops more.
         light: Light model of the estimate, as for `skylight estimate`.
         model: Folder of a trained model of your own, as for `skylight estimate`.
+        network: Class of that model's network, where it is yours, as module:Class.
         face: Whose: faces are counted from 1, the largest.
         device: Where light is traced and optimised.
         out: The picture: .png (8-bit sRGB) or .exr (linear, in the photograph's units); by default
@@ -77,6 +79,7 @@ def relight_portrait(
         raise InputError(f"--ev lies between -16 and 16 stops, got {ev:g}")
     place = None if sun is None else _place(sun)
     from skylight.estimation._photos import estimate_photo
+    from skylight.models._bundle import own_model
     from skylight.portrait._files import relit_portrait, write_relit
     from skylight.portrait._lights import light_of_map, light_with_sun_at, rotated_light
 
@@ -85,7 +88,7 @@ def relight_portrait(
         result = estimate_photo(
             photo,
             light=light,
-            model=model,
+            model=own_model(model, network),
             face=face,
             device=device,
             decode="linear" if linear else gamma,

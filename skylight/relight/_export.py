@@ -163,7 +163,8 @@ class _Decoder(nn.Module):
         self.network = network
 
     def forward(self, latent: Tensor) -> Tensor:
-        if isinstance(self.network, SplineAutoencoder):
+        if type(self.network).decode_coded is SplineAutoencoder.decode_coded:
+            assert isinstance(self.network, SplineAutoencoder)
             return self.network.exportable(latent)  # decode's sparse products are none of ONNX's
         return self.network.decode(latent)
 

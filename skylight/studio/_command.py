@@ -12,6 +12,7 @@ def studio(
     megapixels: float = 50.0,
     jobs: int = 4,
     model: Path | None = None,
+    network: str | None = None,
 ) -> None:
     """Open a page in the browser that finds light in photos and shows it; Ctrl-C ends it.
 
@@ -27,9 +28,10 @@ def studio(
         megapixels: Largest picture that it takes; reading it takes 32 MB of memory a megapixel.
         jobs: Most jobs that may wait or run.
         model: Folder of a trained model of your own to estimate with.
+        network: Class of that model's network, where it is yours, as module:Class.
     """
     from skylight.studio._guard import Limits
     from skylight.studio._server import serve
 
     limits = Limits(upload_mb=upload_mb, upload_s=upload_s, megapixels=megapixels, jobs=jobs)
-    serve(host=host, port=port, browser=not no_browser, limits=limits, model=model)
+    serve(host=host, port=port, browser=not no_browser, limits=limits, model=model, network=network)

@@ -42,7 +42,7 @@ async def begin(request: Request, wanted: JobRequest) -> JSONResponse:
         photo = studio.photos.get(wanted.photo)
         arguments |= {"path": str(photo.path), "name": photo.name, "pixels": studio.limits.pixels}
         if studio.model is not None and is_trained(wanted.light):
-            arguments |= {"model": str(studio.model)}
+            arguments |= {"model": str(studio.model), "network": studio.network}
         uses = (photo.id,)
     elif isinstance(wanted, PortraitRequest):
         photo, estimate = _estimated(studio, wanted.job)

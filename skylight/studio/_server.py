@@ -163,24 +163,32 @@ def serve(
     browser: bool = True,
     limits: Limits | None = None,
     model: Path | None = None,
+    network: str | None = None,
     tell: Tell = _say,
 ) -> None:
     """Serve the studio until Ctrl-C; uploads and results go with it.
 
-    ``model`` is the folder of a trained light model to estimate with. ``port`` 0 takes one that
+    ``model`` is the folder of a trained light model to estimate with, ``network`` the class of its
+    network where that is the user's, as module:Class. ``port`` 0 takes one that
     is free. ``tell`` gets the address.
 
     Raises
     ------
     InputError
-        The port is taken, the host is none of this machine's, or ``model`` has no readable
-        bundle.json.
+        The port is taken, the host is none of this machine's, ``model`` has no readable
+        bundle.json, or ``network`` is not its network's class.
     """
-    if model is not None:
-        read_manifest(model)  # its tensors need torch, and are read by the worker
+    manifest = None if model is None else read_manifest(model)
+    if network is not None or (manifest is not None and manifest.network is not None):
+        # else its tensors, which need torch, are read by the worker
+        from skylight.models._bundle import load_bundle, own_model
+
+        load_bundle(model) if network is None else own_model(model, network)
     listener = _listening(host, port)
     with listener, own_folder() as folder, _ended_by_signals():
-        studio = Studio(folder, limits or Limits(), model=model and model.resolve())
+        studio = Studio(
+            folder, limits or Limits(), model=model and model.resolve(), network=network
+        )
         config = uvicorn.Config(
             make_application(studio, host=host),
             log_config=None,

@@ -47,9 +47,12 @@ class Upload(Item):
 class Studio:
     """Everything is in ``folder``, which is its own."""
 
-    def __init__(self, folder: Path, limits: Limits, *, model: Path | None = None) -> None:
+    def __init__(
+        self, folder: Path, limits: Limits, *, model: Path | None = None, network: str | None = None
+    ) -> None:
         self.limits = limits
         self.model = model  # folder of a trained light model
+        self.network = network  # module:Class of its network, where that is the user's
 
         def kept(name: str, most: int) -> Kept:
             most_bytes = limits.kept_bytes

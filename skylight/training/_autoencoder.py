@@ -6,8 +6,8 @@ An interrupted run is resumed bit for bit: what a step draws depends on the seed
 import math
 import shutil
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,13 @@ from skylight.errors import InputError
 from skylight.io._atomic import atomic_path
 from skylight.models._bundle import save_network
 from skylight.models._network import SkyNetwork
+from skylight.models._network_check import check_network, example_skies
+from skylight.models._network_names import is_builtin, network_class, network_name
 from skylight.models._sun_head import COORDINATES
 from skylight.sphere._frame import DirectionGrid
 from skylight.training._callbacks import Callback, Epoch, Run, Watch, watching
 from skylight.training._checkpoint import (
+    Network,
     drop_damaged,
     initial_network,
     read_state,
@@ -49,6 +52,18 @@ from skylight.training._skies import (
 )
 from skylight.work._progress import StageProgress, Tell, silent
 from skylight.work._threads import use_all_cores
+
+# (network, sun, truth, config, corruption) -> (b,)
+Loss = Callable[
+    [
+        SkyNetwork,
+        Float[Tensor, "b s"],
+        Float[Tensor, "b 3 h w"],
+        AutoencoderConfig,
+        Corruption | None,
+    ],
+    Float[Tensor, " b"],
+]
 
 
 @dataclass(kw_only=True)
@@ -77,6 +92,8 @@ def train(
     config: AutoencoderConfig,
     report: Tell = print,
     *,
+    network: Network | None = None,
+    loss: Loss | None = None,
     callbacks: Sequence[Callback] | None = None,
     progress: StageProgress = silent,
 ) -> Path:
@@ -96,19 +113,44 @@ def train(
 
     ``callbacks`` are told of steps and epochs; :class:`TensorBoard` alone if none are given.
 
+    ``network`` is a class of yours (:class:`~skylight.models._network.SkyNetwork`), or a network
+    that it has made, in place of the one that ``config.network`` names; ``loss`` takes the place
+    of :func:`reconstruction_loss`: ``loss(network, sun, truth, config, corruption)`` is that of
+    each sky, (b,), with None for the corruption of clean validation skies. What they draw of
+    torch's generators is seeded for each step.
+
     Raises
     ------
     InputError
-        Data, configuration or state that cannot be used, or a loss that is no number.
+        Data, configuration or state that cannot be used, a loss that is no number, or a network
+        or loss that does not do what these ask of it.
     """
+    if network is not None:
+        kind = network_class(network if isinstance(network, type) else type(network))
+        config = replace(config, network=network_name(kind))
     with processes(config.device) as here:
         if not here.first:
             callbacks, report, progress = [], lambda _: None, silent
-        with watching(callbacks, progress) as watch:
-            return _train(config, here, report, watch)
+        on = [here.device] if here.device.type == "cuda" else []
+        with torch.random.fork_rng(devices=on), watching(callbacks, progress) as watch:
+            return _train(config, here, report, watch, network, loss)
 
 
-def _train(config: AutoencoderConfig, here: Processes, report: Tell, watch: Watch) -> Path:
+def _train(
+    config: AutoencoderConfig,
+    here: Processes,
+    report: Tell,
+    watch: Watch,
+    given: Network | None,
+    own_loss: Loss | None,
+) -> Path:
+    loss_of = own_loss or reconstruction_loss
+    # network: new, or as it is given
+    network = initial_network(config, given)
+    if not is_builtin(config.network):
+        check_network(network)
+    if own_loss is not None:
+        _check_loss(network, config, own_loss)
     share = here.share(config.batch)
     if config.threads:
         torch.set_num_threads(config.threads)
@@ -124,15 +166,16 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell, watch: Watc
         )
     total = steps_per_epoch * config.epochs
 
-    # network and optimiser: new, or where an earlier run left them
-    network = initial_network(config)
+    # network and optimiser: as they begin, or where an earlier run left them
     if here.size > 1:
         share_batch_statistics(network)
-    # torch's stubs leave memory_format out
-    network = network.to(here.device, memory_format=torch.channels_last)  # pyright: ignore
+    network = network.to(here.device)
+    if config.network == "convolutions":  # torch's stubs leave memory_format out
+        network = network.to(memory_format=torch.channels_last)  # pyright: ignore
+    here.share_weights(network)
     optimiser = _optimiser(network, config)
     now = RunState()
-    identity = run_identity(config, data.hash)
+    identity = run_identity(config, data.hash, own_loss)
     if state := read_state(config.out, identity, report):
         network.load_state_dict(state["network"])
         optimiser.load_state_dict(state["optimiser"])
@@ -149,7 +192,7 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell, watch: Watc
             shutil.rmtree(config.out / FOLDER, ignore_errors=True)
         return best
 
-    copies, validation = _prepared(config, data, here, watch.progress)
+    copies, validation = _prepared(config, data, here, watch.progress, type(network))
     here.meet()  # the first writes the state that the others have read by now
     facts = {"data_sha256": data.hash, "skies": len(data.train), "processes": here.size}
     shown = spread(data.validation)
@@ -157,7 +200,7 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell, watch: Watc
         drop_damaged(config.out)
         with atomic_path(config.out / "config.yaml") as path:
             path.write_text(config_yaml(config))
-    objective = Objective(network, config)
+    objective = Objective(network, config, loss_of)
     if config.compile:
         objective = torch.compile(objective)
 
@@ -172,6 +215,7 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell, watch: Watc
         # a step
         batch = draw_batch(copies, config, epoch, within, share)
         network.train()
+        torch.manual_seed((config.seed * 1_000_003 + now.step) * 1_000_003 + here.rank)
         loss = objective(*(x.to(here.device) for x in batch))
         optimiser.zero_grad()
         loss.backward()
@@ -187,7 +231,7 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell, watch: Watc
         epoch_ends, picture = now.step % steps_per_epoch == 0, None
         if epoch_ends:
             speed = (now.step - first_step) * config.batch / (time.monotonic() - started)
-            score = validate(network, validation, config, here)
+            score = validate(network, validation, config, here, loss_of)
             if not math.isfinite(score):
                 raise InputError(
                     f"training diverged in epoch {epoch + 1} (validation loss {score}): lower "
@@ -195,7 +239,7 @@ def _train(config: AutoencoderConfig, here: Processes, report: Tell, watch: Watc
                 )
             is_best = now.end_epoch(
                 validation=score,
-                denoising=validate(network, validation, config, here, corrupted=True),
+                denoising=validate(network, validation, config, here, loss_of, corrupted=True),
                 learning_rate=rate,
                 images_per_s=speed,
             )
@@ -254,16 +298,19 @@ def _tell_early_end(now: RunState, total: int, report: Tell) -> None:
 class Objective(nn.Module):
     """The mean loss of a batch, as one module: what is compiled."""
 
-    def __init__(self, network: SkyNetwork, config: AutoencoderConfig) -> None:
+    def __init__(
+        self, network: SkyNetwork, config: AutoencoderConfig, loss: Loss | None = None
+    ) -> None:
         super().__init__()
         self.network, self.config = network, config
+        self.loss = loss or reconstruction_loss
 
     def forward(
         self, sun: Float[Tensor, "b s"], coded: Float[Tensor, "b 3 h w"], corruption: Corruption
     ) -> Float[Tensor, ""]:
         mixed = self.config.bfloat16 and has_bfloat16(coded.device)
         with torch.autocast(coded.device.type, torch.bfloat16, enabled=mixed):
-            return reconstruction_loss(self.network, sun, coded, self.config, corruption).mean()
+            return self.loss(self.network, sun, coded, self.config, corruption).mean()
 
 
 def reconstruction_loss(
@@ -316,6 +363,22 @@ def reconstruction_loss(
     return loss + config.latent_penalty * penalty
 
 
+def _check_loss(network: SkyNetwork, config: AutoencoderConfig, loss: Loss) -> None:
+    """:class:`InputError` unless a user's loss gives a number for each of two skies."""
+    sun, rest = network.split(example_skies())
+    network.eval()  # so that no statistics change
+    try:
+        found = loss(network, sun, network.code(rest), config, None)
+    except Exception as error:
+        first = str(error).partition("\n")[0]
+        raise InputError(f"the loss fails ({type(error).__name__}: {first})") from error
+    if not isinstance(found, Tensor) or found.shape != (len(rest),):
+        got = tuple(found.shape) if isinstance(found, Tensor) else type(found).__name__
+        raise InputError(f"the loss must give one number for each sky, (b,), got {got} for b = 2")
+    if not found.requires_grad:
+        raise InputError("the loss has no gradient in the network's parameters")
+
+
 def _radiance(network: SkyNetwork, coded: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 3 h w"]:
     return network.uncode(coded).permute(0, 3, 1, 2)
 
@@ -326,6 +389,7 @@ def validate(
     skies: CodedSkies,
     config: AutoencoderConfig,
     here: Processes,
+    loss_of: Loss = reconstruction_loss,
     *,
     corrupted: bool = False,
 ) -> float:
@@ -349,7 +413,7 @@ def validate(
                 ]
             ).to(here.device)
         sun, coded = sun.to(here.device), coded.to(here.device)
-        loss = reconstruction_loss(network, sun, coded, config, corruption)
+        loss = loss_of(network, sun, coded, config, corruption)
         total += loss.double().sum()
     return float(here.sum(total)) / len(skies)
 
@@ -398,27 +462,35 @@ def _load(
 
 
 def _prepared(
-    config: AutoencoderConfig, data: SkyData, here: Processes, progress: StageProgress
+    config: AutoencoderConfig,
+    data: SkyData,
+    here: Processes,
+    progress: StageProgress,
+    network: type[SkyNetwork],
 ) -> tuple[list[CodedSkies], CodedSkies]:
     """(the copies of the training skies, the validation skies), made by the first process."""
     folder, copies = config.out / FOLDER, range(config.copies)
     if here.first:
-        prepare(data.paths["train"], config, folder, copies, progress)
-        prepare(data.paths["validation"], config, folder, [0], progress)
+        prepare(data.paths["train"], config, folder, copies, progress, network)
+        prepare(data.paths["validation"], config, folder, [0], progress, network)
     here.meet()
     train = [open_prepared(data.paths["train"], config, folder, copy) for copy in copies]
     return train, open_prepared(data.paths["validation"], config, folder, 0)
 
 
-def run_identity(config: AutoencoderConfig, data_hash: str) -> dict[str, Any]:
+def run_identity(
+    config: AutoencoderConfig, data_hash: str, loss: Loss | None = None
+) -> dict[str, Any]:
     """What a run must have in common with the one that it goes on from.
 
     What changes no step may differ, the folders' names included, and when it ends; the data and the
-    checkpoint that it starts from count by their content.
+    checkpoint that it starts from count by their content, a user's loss by its name.
     """
     free = ("out", "checkpoint_steps", "threads", "device", "compile", "epochs", "patience")
     start = config.starts_from
     facts = {name: value for name, value in asdict(config).items() if name not in free}
+    if loss is not None:
+        facts["loss"] = getattr(loss, "__qualname__", type(loss).__name__)
     return facts | {
         "data": f"SHA-256 {data_hash[:16]}",
         "starts_from": sha256_of(start) if start else None,

@@ -24,7 +24,8 @@ from skylight.io._tensors import read_tensors, write_tensors
 from skylight.models._bundle import load_network
 from skylight.models._convolutional import ConvolutionalAutoencoder
 from skylight.models._network import SkyNetwork
-from skylight.models._splines import SplineAutoencoder
+from skylight.models._network_check import made_network
+from skylight.models._network_names import is_builtin, network_class, network_name
 from skylight.training._config import AutoencoderConfig
 from skylight.work._progress import Tell
 
@@ -33,24 +34,54 @@ SHOWN = 8  # validation skies
 WHITE = 1.5  # shown as full white; skies have mean luminance 1, clear ones most of it in the sun
 
 
-def initial_network(config: AutoencoderConfig) -> SkyNetwork:
-    """A network with weights of ``config.seed``, or those of ``config.starts_from``."""
+Network = SkyNetwork | type[SkyNetwork]  # a class of the user's, or one that it has made
+
+
+def initial_network(config: AutoencoderConfig, own: Network | None = None) -> SkyNetwork:
+    """A network with weights of ``config.seed``, or those of ``config.starts_from``.
+
+    ``own`` stands for the class that ``config.network`` names; one that is made already starts
+    with the weights that it has.
+    """
+    if isinstance(own, SkyNetwork) and config.starts_from:
+        raise InputError("`starts_from` and a network that has weights: give one of them")
+    kind = own_class(own) or network_class(config.network)
+    is_own = not is_builtin(config.network)
     if config.starts_from:
-        network = load_network(config.starts_from)
-        found = (network.kind, network.latents, network.coding, network.sun)
-        wanted = (config.network, config.latents, config.coding, config.sun)
-        if found != wanted:
-            told = "network: {}, latents: {}, coding: {}, sun: {}"
-            raise InputError(
-                f"{config.starts_from}: made with {told.format(*found)}; the configuration says "
-                f"{told.format(*wanted)}"
+        network = load_network(config.starts_from, kind if is_own else None)
+    else:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.seed)
+            network = (
+                ConvolutionalAutoencoder(config.latents, coding=config.coding, sun=config.sun)
+                if config.network == "convolutions"
+                else made_network(kind, config.latents)
             )
-        return network
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(config.seed)
-        if config.network == "splines":
-            return SplineAutoencoder(config.latents)
-        return ConvolutionalAutoencoder(config.coding, sun=config.sun)
+        if isinstance(own, SkyNetwork):
+            if _shapes(own) != _shapes(network):
+                raise InputError(
+                    f"{config.network}({config.latents}) is another network than the one given, "
+                    "and files hold its class and latents alone: make it by its latents"
+                )
+            network = own.cpu()
+    found = (network_name(type(network)), network.latents, network.coding, network.sun)
+    wanted = (config.network, config.latents, config.coding, config.sun)
+    if found != wanted:
+        told = "network: {}, latents: {}, coding: {}, sun: {}"
+        made = f"{config.starts_from}: made with" if config.starts_from else "the network has"
+        raise InputError(
+            f"{made} {told.format(*found)}; the configuration says {told.format(*wanted)}"
+        )
+    return network
+
+
+def own_class(own: Network | None) -> type[SkyNetwork] | None:
+    """That of a network which the user gives."""
+    return own if own is None or isinstance(own, type) else type(own)
+
+
+def _shapes(network: SkyNetwork) -> dict[str, tuple[int, ...]]:
+    return {name: tuple(each.shape) for name, each in network.state_dict().items()}
 
 
 def write_state(folder: Path, state: dict[str, Any]) -> None:

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
+from skylight._options import take_care
 from skylight.errors import InputError
 from skylight.work._device import Device
 
@@ -15,6 +16,7 @@ def train(
     overrides: Annotated[Positional[tuple[str, ...]], arg(metavar="[KEY=VALUE ...]")] = (),
     out: Path | None = None,
     config: str = "sky_autoencoder",
+    network: str | None = None,
     epochs: int | None = None,
     device: Device | None = None,
     keys: bool = False,
@@ -25,7 +27,8 @@ def train(
     autoencoder, fits the priors, and writes network, priors and model card into OUT. The same
     command goes on with a run that was interrupted, or that has ended and gets more epochs.
 
-    Without FOLDER, runs a configuration as `python train.py` does: see docs/commands.md.
+    Without FOLDER, runs a configuration as `python train.py` does (see docs/commands.md), and then
+    fits the priors to its skies, so that a network of any kind ends as a folder for --model.
 
     Args:
         folder: Folder of .exr or .hdr maps of skies, or one that `skylight skies simulate` wrote.
@@ -33,13 +36,14 @@ def train(
         out: Folder for the model.
         config: Name of a configuration that comes with skylight (sky_autoencoder,
             sky_autoencoder_thesis, sky_prior, csc_dictionary), or a .yaml file.
+        network: A class of your own in place of the configuration's network: module:Class.
         epochs: Passes over the training skies, if not those of the configuration.
         device: auto (CUDA where it is), cpu or cuda, if not that of the configuration.
         keys: List the keys of the configuration with their values and meanings, and do no more.
     """
     from skylight.training._config import AutoencoderConfig, find_config, read_config
     from skylight.training._overrides import keys_page, read_overrides
-    from skylight.training._run import LOG_EVERY_S, run, train_folder
+    from skylight.training._run import LOG_EVERY_S, light_model, run, train_folder
     from skylight.work._progress import stage_bar
 
     settings = read_config(find_config(config))
@@ -52,7 +56,7 @@ def train(
         raise InputError(f"give one FOLDER, not {' and '.join(map(str, folders))}")
     folder = folders[0] if folders else None
     texts = [each for each in texts if Path(each) not in folders]
-    options = {"out": out, "epochs": epochs, "device": device}
+    options = {"out": out, "network": network, "epochs": epochs, "device": device}
     changes: dict[str, Any] = {name: each for name, each in options.items() if each is not None}
     if unknown := changes.keys() - {field.name for field in fields(settings)}:
         raise InputError(
@@ -64,7 +68,15 @@ def train(
         raise InputError(f"{twice[0]}= and --{twice[0]} are both given; leave one of them out")
     changes |= given
     if folder is None:
-        run(replace(settings, **changes))
+        settings = replace(settings, **changes)
+        run(settings)
+        if isinstance(settings, AutoencoderConfig):
+            try:
+                light_model(settings)
+            except InputError as error:  # skies that suffice for a network alone
+                take_care(f"no folder for --model was made of it: {error}")
+            else:
+                print(f"{settings.out}: a light model; its card is {settings.out / 'card.md'}")
         return
     if not isinstance(settings, AutoencoderConfig):
         raise InputError(

@@ -17,6 +17,9 @@ import yaml
 
 from skylight.errors import InputError
 from skylight.io._bounded import file_text
+from skylight.models._bundle import LATENTS_MAX
+from skylight.models._network_names import check_network_name
+from skylight.models._sun_head import COORDINATES
 
 
 def _bounded(default: int | float, *, least: int, most: int | float = math.inf) -> Any:
@@ -56,14 +59,15 @@ class AutoencoderConfig(_Checked):
     starts_from: Path | None = None
     """Checkpoint with the initial weights."""
 
-    network: Literal["splines", "convolutions"] = "splines"
-    """Kind of network: splines, or the thesis' convolutions."""
+    network: str = "splines"
+    """Network: splines, the thesis' convolutions, or a class of yours: registered, or
+    module:Class."""
     latents: int = 64
     """8 to 512 of splines; convolutions have 64."""
     coding: Literal["log", "linear"] = "log"
-    """Of radiance, a choice of convolutions alone."""
+    """Of radiance, a choice of convolutions; of your own network what that has."""
     sun: bool = True
-    """Whether the sun has coordinates of its own, a choice of convolutions alone."""
+    """Whether the sun has coordinates of its own; as coding."""
 
     noise_sigma: float = _bounded(0.01, least=0)
     """Standard deviation of the noise on the coded radiance that the encoder sees."""
@@ -135,7 +139,10 @@ class AutoencoderConfig(_Checked):
             raise InputError("`nesterov` needs a `momentum` above 0; give one, or nesterov: false")
         if self.network == "splines" and (self.coding, self.sun) != ("log", True):
             raise InputError("`coding` and `sun` are choices of network: convolutions alone")
-        least, most = (64, 64) if self.network == "convolutions" else (8, 512)
+        check_network_name(self.network)
+        least, most = {"convolutions": (64, 64), "splines": (8, 512)}.get(
+            self.network, (1 + COORDINATES * self.sun, LATENTS_MAX)
+        )
         if not least <= self.latents <= most:
             raise InputError(
                 f"`latents` of network: {self.network} must be from {least} to {most}, "
@@ -152,6 +159,8 @@ class PriorConfig(_Checked):
     """Folder of skies with an index, or the index."""
     checkpoint: Path = Path("runs/sky_autoencoder/model.safetensors")
     """The network whose latents have the prior."""
+    network: str = ""
+    """Its class, if that is yours: registered, or module:Class."""
     out: Path = Path("runs/sky_prior")
     """Folder for the light model."""
     most_components: int = _bounded(8, least=1)

@@ -12,7 +12,8 @@ from torch import Tensor
 from skylight.errors import InputError
 from skylight.io._bounded import json_content, write_json
 from skylight.models._base import without_azimuth
-from skylight.models._bundle import LightBundle, load_network
+from skylight.models._bundle import LightBundle, load_network, own_name
+from skylight.models._network import SkyNetwork
 from skylight.models._prior import GaussianMixture
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.sunsky import SunSky, fit_sunsky
@@ -44,6 +45,7 @@ def model_card(
     """
     records = [record for rows in splits.values() for record in rows]
     sunny = sum(record.sun_transmittance >= SUNNY for record in records)
+    own = own_name(bundle.network)
     days = {name: len({r.day for r in rows}) for name, rows in splits.items()}
     lines = [
         f"# {bundle.name}",
@@ -51,7 +53,7 @@ def model_card(
         f"A light model for inverse lighting outdoors: {bundle.network.latents} latents and an "
         "azimuth to the upper",
         "hemisphere of relative radiance (mean luminance 1), with priors over them. Use it with",
-        "`skylight estimate --model FOLDER`.",
+        f"`skylight estimate --model FOLDER{f' --network {own}' if own else ''}`.",
         "",
         "## Data",
         "| set | skies | days |",
@@ -108,8 +110,16 @@ def _prior(name: str, scores: Mapping[str, Any]) -> str:
     return f"| {name} | {scores['components']} | {values} |"
 
 
-def fit_priors(config: PriorConfig, progress: StageProgress = silent) -> Path:
+def fit_priors(
+    config: PriorConfig,
+    progress: StageProgress = silent,
+    *,
+    network: type[SkyNetwork] | None = None,
+) -> Path:
     """Write network, priors and bank into ``config.out`` as a :class:`LightBundle`, with its card.
+
+    ``network`` is the class of the checkpoint's network where that is yours, in place of
+    ``config.network``.
 
     Both priors are over the models' free parameters without the azimuth: for the autoencoder
     these are the latents whitened by the training skies' mean and covariance, the latter shrunk
@@ -125,7 +135,7 @@ def fit_priors(config: PriorConfig, progress: StageProgress = silent) -> Path:
     """
     records = read_index(config.data)
     splits = splits_for_priors(config, records)
-    network = load_network(config.checkpoint)
+    trained = load_network(config.checkpoint, network or config.network or None)
     config.out.mkdir(parents=True, exist_ok=True)
     named = counted(list(splits.items()), "reading skies, set", progress)
     skies = {name: load_skies(config.data, rows) for name, rows in named}
@@ -140,7 +150,7 @@ def fit_priors(config: PriorConfig, progress: StageProgress = silent) -> Path:
         }
 
     with torch.no_grad():
-        latents = of_all(network.encode, "encoding skies, part")
+        latents = of_all(trained.encode, "encoding skies, part")
     mean = latents["train"].mean(0)
     scatter = shrunk_covariance(latents["train"]) + 1e-4 * torch.eye(len(mean), dtype=torch.float64)
     scale = torch.linalg.cholesky(scatter)
@@ -159,7 +169,7 @@ def fit_priors(config: PriorConfig, progress: StageProgress = silent) -> Path:
         name=config.out.resolve().name,
         skies=len(splits["train"]),
         data_sha256=folder_hash(config.data, records),
-        network=network,
+        network=trained,
         latent_prior=latent_prior.float(),
         latents={
             "latent_mean": mean.float(),
@@ -175,7 +185,7 @@ def fit_priors(config: PriorConfig, progress: StageProgress = silent) -> Path:
     bundle.save(
         config.out,
         card=model_card(bundle, splits, scores, config.checkpoint.parent),
-        pictures={RECONSTRUCTIONS: reconstructions(network, shown)},
+        pictures={RECONSTRUCTIONS: reconstructions(trained, shown)},
     )
     return config.out
 

@@ -84,6 +84,12 @@ class Processes:
         ):
             gradient.copy_(part.view_as(gradient))
 
+    def share_weights(self, module: nn.Module) -> None:
+        """Give the module the first process' weights and buffers in all."""
+        if self.size > 1:
+            for tensor in module.state_dict().values():
+                dist.broadcast(tensor, src=0)
+
     def meet(self) -> None:
         """Return when all processes are here."""
         if self.size > 1:
@@ -143,7 +149,7 @@ class SharedBatchNorm(_BatchNorm):
     """
 
     def _check_input_dim(self, input: Tensor) -> None:
-        assert input.dim() in (2, 4)
+        assert input.dim() in (2, 3, 4)
 
     def forward(self, input: Float[Tensor, "b c *s"]) -> Float[Tensor, "b c *s"]:
         if not self.training:
@@ -165,7 +171,10 @@ class SharedBatchNorm(_BatchNorm):
             tracked += 1
             running_mean.lerp_(mean, momentum)
             running_variance.lerp_(variance * count / (count - 1), momentum)
-        scale = torch.rsqrt(variance + self.eps) * self.weight
+        scale = torch.rsqrt(variance + self.eps)
+        if not self.affine:
+            return (centred * scale.reshape(column)).to(input.dtype)
+        scale = scale * self.weight
         return (centred * scale.reshape(column) + self.bias.reshape(column)).to(input.dtype)
 
 
@@ -173,7 +182,14 @@ def share_batch_statistics(module: nn.Module) -> None:
     """Replace every batch normalisation inside ``module``, its parameters and buffers kept."""
     for name, child in module.named_children():
         if isinstance(child, nn.BatchNorm1d | nn.BatchNorm2d):
-            shared = SharedBatchNorm(child.num_features, eps=child.eps, momentum=child.momentum)
+            if child.momentum is None or not child.track_running_stats:
+                raise InputError(
+                    f"{name}: batch normalisation without running statistics of a fixed momentum "
+                    "does not train in several processes; run one, or give it those"
+                )
+            shared = SharedBatchNorm(
+                child.num_features, eps=child.eps, momentum=child.momentum, affine=child.affine
+            )
             shared.weight, shared.bias = child.weight, child.bias
             for buffer in ("running_mean", "running_var", "num_batches_tracked"):
                 setattr(shared, buffer, getattr(child, buffer))

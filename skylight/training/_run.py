@@ -10,6 +10,7 @@ from typing import Any
 
 from skylight.errors import InputError, SkylightError
 from skylight.models._bundle import NETWORK, SHIPPED, load_bundle
+from skylight.models._network_names import is_builtin
 from skylight.skies._captures import index_folder
 from skylight.skies._index import INDEX_NAME, is_index, map_path, read_index
 from skylight.training._autoencoder import train
@@ -119,8 +120,7 @@ def train_folder(
                 "validation and test days; add skies of other days, or name their days with: "
                 f"skylight skies index {folder} --days DAYS.csv"
             )
-        seed = (changes or {}).get("seed", config.seed)
-        priors = PriorConfig(data=place, out=out, seed=seed)
+        priors = _priors(replace(config, **(changes or {})), place, out)
         try:
             splits_for_priors(priors, records)  # refuses too few before hours of training
         except InputError as error:
@@ -130,8 +130,19 @@ def train_folder(
         best = train(replace(fitted, data=place, out=run), report, progress=progress)
         report("fitting the priors")
         fit_priors(replace(priors, checkpoint=best), progress)
-    load_bundle(out)
+    load_bundle(out, priors.network or None)
     return out
+
+
+def light_model(config: AutoencoderConfig) -> Path:
+    """The folder of a run of which the network is trained, with the priors fitted to its skies."""
+    best = config.out / "model.safetensors"
+    return fit_priors(replace(_priors(config, config.data, config.out), checkpoint=best))
+
+
+def _priors(config: AutoencoderConfig, data: Path, out: Path) -> PriorConfig:
+    own = "" if is_builtin(config.network) else config.network
+    return PriorConfig(data=data, out=out, seed=config.seed, network=own)
 
 
 def fitting(

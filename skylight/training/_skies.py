@@ -28,6 +28,7 @@ from torch import Tensor
 from skylight.errors import InputError, SkylightError
 from skylight.io._atomic import atomic_path
 from skylight.models._network import HEIGHT, WIDTH, SkyNetwork
+from skylight.models._network_names import is_importable
 from skylight.models._sun_head import COORDINATES
 from skylight.skies._index import SkyRecord, folder_hash, load_skies, normalise, read_index
 from skylight.skies.surroundings._scenes import surroundings
@@ -203,11 +204,13 @@ def prepare(
     out: Path,
     copies: Sequence[int],
     progress: StageProgress = silent,
+    network: type[SkyNetwork] | None = None,
 ) -> None:
     """Write the copies of the skies in ``path`` that are not there yet; see :func:`open_prepared`.
 
     Copy c of a sky is varied as ``augment`` says, by a generator that the seed, c and the sky's
     chunk of 64 decide. Different skies of ``path`` "train" and "validation" meet the same draws.
+    ``network`` is the user's class where the configuration's name does not lead to it.
     """
     count = len(np.load(path, mmap_mode="r"))
     out.mkdir(parents=True, exist_ok=True)
@@ -217,13 +220,16 @@ def prepare(
         if place.with_suffix(".sun.npy").exists():
             continue
         parts = [slice(i, min(i + _CHUNK, count)) for i in range(0, count, _CHUNK)]
-        jobs = [(path, config, copy, part) for part in parts]
+        jobs = [(path, config, network, copy, part) for part in parts]
+        varied = (
+            in_order(_vary, jobs) if network is None or is_importable(network) else map(_vary, jobs)
+        )
         # the suns take their place last: where they are, all is
         with atomic_path(place.with_suffix(".sun.npy")) as beside, atomic_path(place) as temporary:
             shape = (count, 3, HEIGHT, WIDTH)
             coded = np.lib.format.open_memmap(temporary, mode="w+", dtype=np.float16, shape=shape)
             suns = []
-            for part, skies in zip(parts, in_order(_vary, jobs), strict=True):
+            for part, skies in zip(parts, varied, strict=True):
                 coded[part] = skies.coded
                 suns.append(skies.sun)
                 tell(turn * count + part.stop, len(copies) * count)
@@ -244,13 +250,13 @@ def _place(path: Path, config: AutoencoderConfig, out: Path, copy: int) -> Path:
     return out / f"{hashlib.sha256(repr((what, how)).encode()).hexdigest()[:16]}.npy"
 
 
-def _vary(job: tuple[Path, AutoencoderConfig, int, slice]) -> CodedSkies:
-    path, config, copy, part = job
+def _vary(job: tuple[Path, AutoencoderConfig, type[SkyNetwork] | None, int, slice]) -> CodedSkies:
+    path, config, network, copy, part = job
     generator = torch.Generator().manual_seed(
         (config.seed * 1_000_003 + copy) * 1_000_003 + part.start
     )
     skies = torch.from_numpy(np.load(path, mmap_mode="r")[part].copy())
-    return coded_skies(_network(config), augment(skies, generator, config))
+    return coded_skies(_network(config, network), augment(skies, generator, config))
 
 
 _network = cache(initial_network)
@@ -341,5 +347,5 @@ def in_order(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Res
         except BrokenProcessPool as error:
             raise SkylightError(
                 "a process that worked on skies died; where memory is short, let the same command "
-                "run alone, and again"
+                'run alone, and again; a script begins below: if __name__ == "__main__":'
             ) from error

@@ -44,7 +44,7 @@ def bundle() -> LightBundle:
     generator = torch.Generator().manual_seed(1)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        network = ConvolutionalAutoencoder("linear", sun=False).eval()
+        network = ConvolutionalAutoencoder(coding="linear", sun=False).eval()
     return LightBundle(
         name="small",
         skies=12,
@@ -126,8 +126,8 @@ def other_bank(**entries: torch.Tensor) -> Callable[[Path], object]:
         (lambda folder: (folder / MANIFEST).unlink(), f"no {MANIFEST}"),
         (lambda folder: (folder / MANIFEST).write_text("{"), "no JSON"),
         (rewrite(kind="scene"), "kind"),
-        (rewrite(version=2), "upgrade"),
-        (lambda folder: (folder / MANIFEST).write_text('{"kind": "light model", "version": 2}'),
+        (rewrite(version=3), "upgrade"),
+        (lambda folder: (folder / MANIFEST).write_text('{"kind": "light model", "version": 3}'),
          "upgrade"),
         (rewrite(version="1"), "whole number"),
         (rewrite(skies="many"), "whole number"),
@@ -161,10 +161,10 @@ def test_what_does_not_fit_is_refused(
 @pytest.mark.parametrize("sun", [True, False])
 @pytest.mark.parametrize("coding", ["log", "linear"])
 def test_saved_and_loaded(tmp_path: Path, coding: str, sun: bool) -> None:
-    network = ConvolutionalAutoencoder(coding, sun=sun).eval()  # type: ignore[arg-type]
+    network = ConvolutionalAutoencoder(coding=coding, sun=sun).eval()  # type: ignore[arg-type]
     save_network(network, tmp_path / "model.safetensors")
     loaded = load_network(tmp_path / "model.safetensors")
-    assert (loaded.kind, loaded.coding, loaded.sun) == ("convolutions", coding, sun)
+    assert (type(loaded), loaded.coding, loaded.sun) == (ConvolutionalAutoencoder, coding, sun)
     assert not loaded.training
     z = torch.randn(2, 64)
     assert torch.equal(loaded.decode(z), network.decode(z))

@@ -20,7 +20,7 @@ F64 = torch.float64
 def random_network(coding: str = "log", *, sun: bool = True) -> ConvolutionalAutoencoder:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        return ConvolutionalAutoencoder(coding, sun=sun).eval()  # type: ignore[arg-type]
+        return ConvolutionalAutoencoder(coding=coding, sun=sun).eval()  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("size", [1, 3, 5, 7])

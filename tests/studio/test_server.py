@@ -125,7 +125,7 @@ def test_a_taken_port_is_one_line(served: Served) -> None:
     [
         (None, "it has no bundle.json; make one with: skylight train"),
         ("{", "no JSON"),
-        ('{"kind": "light model", "version": 2}', "upgrade skylight"),
+        ('{"kind": "light model", "version": 3}', "upgrade skylight"),
         ('{"kind": "light model", "version": 1, "name": "a"}', '"skies" is missing'),
     ],
 )

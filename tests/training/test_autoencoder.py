@@ -413,7 +413,7 @@ def test_weights_to_start_from(
 
 def test_weights_of_another_kind_are_refused(config: AutoencoderConfig, tmp_path: Path) -> None:
     start = tmp_path / "linear.safetensors"
-    save_network(ConvolutionalAutoencoder("linear"), start)
+    save_network(ConvolutionalAutoencoder(coding="linear"), start)
     for other in (config, thesis(config), replace(config, latents=32)):
         warm = replace(other, out=tmp_path / "out", starts_from=start)
         with pytest.raises(InputError, match=r"linear\.safetensors: .*linear"):

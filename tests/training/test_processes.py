@@ -13,6 +13,7 @@ from safetensors.torch import load_file
 from torch import nn
 
 from skylight.errors import InputError
+from skylight.models._bundle import load_network
 from skylight.models._convolutional import ConvolutionalAutoencoder
 from skylight.training._autoencoder import train
 from skylight.training._config import AutoencoderConfig, config_yaml
@@ -179,3 +180,31 @@ def test_every_batch_norm_of_the_network_is_shared() -> None:
     after = network.state_dict()
     assert after.keys() == before.keys()
     assert all(torch.equal(after[name], before[name]) for name in before)
+
+
+@pytest.mark.parametrize("affine", [True, False])
+@pytest.mark.parametrize("size", [(6, 3), (6, 3, 5)])
+def test_any_batch_normalisation_of_one_process_is_torchs(
+    group: None, affine: bool, size: tuple[int, ...]
+) -> None:
+    x = torch.randn(size, generator=torch.Generator().manual_seed(0))
+    holder = nn.Sequential(nn.BatchNorm1d(3, affine=affine))
+    expected = holder(x)
+    share_batch_statistics(holder)
+    torch.testing.assert_close(holder(x), expected)
+    for own in (nn.BatchNorm1d(3, momentum=None), nn.BatchNorm1d(3, track_running_stats=False)):
+        with pytest.raises(InputError, match="does not train in several processes"):
+            share_batch_statistics(nn.Sequential(own))
+
+
+@pytest.mark.slow
+def test_two_processes_train_a_network_of_ones_own(sky_folder: Path, tmp_path: Path) -> None:
+    place = "tests.own_network:TinyNetwork"
+    config = AutoencoderConfig(
+        data=sky_folder, out=tmp_path / "run", network=place, latents=8, batch=8, epochs=1
+    )
+    path = tmp_path / "run.yaml"
+    path.write_text(config_yaml(config))
+    run = torchrun(2, "train.py", path)
+    assert run.returncode == 0, run.stderr
+    load_network(config.out / "model.safetensors", place)

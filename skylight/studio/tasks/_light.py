@@ -29,6 +29,7 @@ from skylight.inverse._lamps import MAP_ROWS
 from skylight.inverse._result import Lamp
 from skylight.io._files import write_environment_map, write_png
 from skylight.io._tensors import read_tensors, write_tensors
+from skylight.models._bundle import own_model
 from skylight.relight._lamps import disc_diameter_rad
 from skylight.sphere._frame import direction_from_angles
 from skylight.studio.tasks._portrait import command_of, keep_person
@@ -48,6 +49,7 @@ def estimate_light(
     face: int | Literal["all"],
     light: LightName,
     model: str | None = None,
+    network: str | None = None,
     *,
     tell: StageProgress,
 ) -> dict[str, Any]:
@@ -57,11 +59,14 @@ def estimate_light(
     """
     tell("reading the picture", 0.0)
     photo = open_photo(Path(path), name, pixels)
-    result = estimate_photo(photo, names=[name], light=light, model=model, face=face, progress=tell)
+    chosen = own_model(None if model is None else Path(model), network)
+    result = estimate_photo(
+        photo, names=[name], light=light, model=chosen, face=face, progress=tell
+    )
     tell("writing the results", 0.0)
     write_results(Path(folder), result)
     # beside the folder, as the page offers all files in it
-    keep_person(Path(folder).parent, result, command_of(name, light, face, model))
+    keep_person(Path(folder).parent, result, command_of(name, light, face, model, network))
     described = json.loads((Path(folder) / "estimate.json").read_text(encoding="utf-8"))
     if result.estimate.lamps:
         described["lamp_facts"] = keep_lamps(Path(folder).parent, result)

@@ -79,12 +79,17 @@ class KeptPerson:
 
 
 def command_of(
-    name: str, light: LightName, face: int | Literal["all"], model: str | None
+    name: str,
+    light: LightName,
+    face: int | Literal["all"],
+    model: str | None,
+    network: str | None = None,
 ) -> dict[str, Any]:
     """``command`` and ``is_alone`` of :class:`KeptPerson`."""
     words = ["skylight", "relight-portrait", name, "--light", light]
     words += [] if face in (1, "all") else ["--face", str(face)]
     words += [] if model is None else ["--model", model]
+    words += [] if network is None else ["--network", network]
     return {"command": shlex.join(words), "is_alone": face != "all"}
 
 
