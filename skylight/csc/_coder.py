@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from skylight._modes import full_precision, single, transformed
+from skylight._module import Module
 from skylight.csc._code import CodeTensors, SparseCode
 from skylight.csc._dictionary import FilterBank, load_dictionary
 from skylight.csc._greedy import Pursuit, PursuitOptions, Support, pursue, pursue_together
@@ -38,7 +39,7 @@ _BOXES_AT_ONCE = 32  # as maps, of 0.8 MB at 128 rows in three colours
 _RIDGE = 1e-12  # of a Gram matrix: atoms that have become dependent leave it solvable
 
 
-class SphericalSparseCoder(nn.Module):
+class SphericalSparseCoder(Module):
     """Convolutional sparse coding on the sphere: ``codes = coder(maps)``, ``coder.decode(codes)``.
 
     The filters of ``dictionary`` are the only parameters. Which filters are active, and at which

@@ -10,8 +10,9 @@ from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
+from skylight._module import Module
 from skylight.sphere._frame import DirectionGrid
 
 
@@ -61,7 +62,7 @@ class LightModel(Protocol):
     def on_rows(self, height: int) -> "LightModel": ...
 
 
-class UnboundedLight(nn.Module):
+class UnboundedLight(Module):
     """The part of a :class:`LightModel` that is the same where any parameters are allowed.
 
     Free parameters are the parameters; there is neither an azimuth nor a sun.

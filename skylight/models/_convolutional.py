@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from skylight._modes import Derived, full_precision, single
+from skylight._module import Module
 from skylight.errors import check_shape
 from skylight.models._network import CENTRE_AZIMUTH_RAD, CODE_LIMIT, HEIGHT, Coding, SkyNetwork
 from skylight.models._sun_head import COORDINATES
@@ -20,7 +21,7 @@ from skylight.sphere._envmap import shift_columns
 LATENT = 64
 
 
-class WrapConv(nn.Module):
+class WrapConv(Module):
     """Convolution with wrapped columns (azimuth) and zero rows beyond zenith and horizon."""
 
     def __init__(self, channels_in: int, channels_out: int, size: int) -> None:
@@ -32,7 +33,7 @@ class WrapConv(nn.Module):
         return self.conv(functional.pad(x, (self.pad, self.pad, 0, 0), mode="circular"))
 
 
-class UpConv(nn.Module):
+class UpConv(Module):
     """2x nearest upsampling, then a wrapped convolution, without computing anything twice.
 
     After nearest upsampling several taps of the kernel read the same source pixel. Summing them

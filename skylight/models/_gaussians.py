@@ -8,9 +8,10 @@ import math
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from skylight._modes import constant, full_precision, single
+from skylight._module import Module
 from skylight.errors import check_shape
 from skylight.sphere._frame import (
     DirectionGrid,
@@ -30,7 +31,7 @@ _TABLE_ROWS = 8
 _TABLE_SHARPNESS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0)
 
 
-class GaussianLobes(nn.Module):
+class GaussianLobes(Module):
     """Parameters ``(..., 6 k + 3)`` to the radiance of (h, 4h) pixels of the upper hemisphere.
 
     Each of the ``lobes`` has six: amplitude (3), azimuth and zenith angle of its direction in

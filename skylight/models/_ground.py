@@ -10,8 +10,9 @@ from pathlib import Path
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
+from skylight._module import Module
 from skylight._names import SKY_LIGHTS, LightName
 from skylight.errors import InputError, check_shape
 from skylight.io._bounded import read_number, read_object, require_keys, write_json
@@ -38,7 +39,7 @@ GROUND_ALBEDOS = (
 GROUND_SPREAD = 1.5
 
 
-class LambertianGround(nn.Module):
+class LambertianGround(Module):
     """A horizontal plane of constant albedo under an unoccluded sky of ``height`` rows.
 
     Thesis, eq. 5.7: ``s = rho / pi sum_w l(w) <n, w>+ dw``. The weight of a pixel is the exact

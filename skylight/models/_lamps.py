@@ -18,6 +18,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from skylight._modes import full_precision, single
+from skylight._module import Module
 from skylight.errors import check_shape
 from skylight.models._base import UnboundedLight
 from skylight.sphere import _harmonics as harmonics
@@ -173,7 +174,7 @@ class LampsLight(UnboundedLight):
         return params.to(torch.get_default_dtype())
 
 
-class LampsPrior(nn.Module):
+class LampsPrior(Module):
     """Density of :class:`LampsLight`'s parameters: normal, and directions by their height.
 
     A direction's length, which means nothing, is 1 with a standard deviation of 0.1.

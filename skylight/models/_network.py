@@ -17,9 +17,10 @@ from typing import Literal
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from skylight._modes import constant, transformed
+from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.models._sun_head import COORDINATES, NEAR_RAD, SunHead
 from skylight.sphere._envmap import luminance
@@ -42,7 +43,7 @@ Kind = Literal["splines", "convolutions"]
 Coding = Literal["log", "linear"]
 
 
-class SkyNetwork(nn.Module, ABC):
+class SkyNetwork(Module, ABC):
     """Latents (b, ``latents``) <-> radiance (b, 32, 128, 3)."""
 
     kind: Kind

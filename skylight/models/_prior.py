@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from skylight._modes import full_precision, single
+from skylight._module import Module
 from skylight.errors import AssetError, InputError, check_shape
 from skylight.io._tensors import read_tensors, write_tensors
 
@@ -17,7 +18,7 @@ _STARTS, _KMEANS_ITERATIONS = 3, 50
 _ITERATIONS, _LEAST_GAIN = 500, 1e-5  # of expectation-maximisation
 
 
-class GaussianMixture(nn.Module):
+class GaussianMixture(Module):
     """``p(x) = sum_k w_k N(x; mu_k, (B_k B_k^T)^-1)``, normalised over R^p.
 
     Parameters

@@ -5,16 +5,17 @@ import math
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from skylight._modes import full_precision, single
+from skylight._module import Module
 from skylight.errors import check_shape
 from skylight.models._network import COARSE_HEIGHTS, HEIGHT, SkyNetwork
 from skylight.models._sun_head import COORDINATES
 from skylight.sphere._frame import DirectionGrid, angles_from_direction
 
 
-class AutoencoderLight(nn.Module):
+class AutoencoderLight(Module):
     """The light model ``L(w) = R(azimuth) f(z)``: z latents and the sun's azimuth, 65 parameters
     for the network's usual 64 latents.
 

@@ -14,9 +14,10 @@ import math
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from skylight._modes import full_precision, single
+from skylight._module import Module
 from skylight.errors import check_shape
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import (
@@ -58,7 +59,7 @@ def perez(
     return gradation * (1 + c * torch.exp(d * gamma) + e * torch.cos(gamma) ** 2)
 
 
-class SunSky(nn.Module):
+class SunSky(Module):
     """Parameters ``(..., 10)`` to the radiance of (h, 4h) pixels of the upper hemisphere.
 
     ===== =========================================================================

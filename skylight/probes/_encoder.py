@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.probes.partitions._cells import Cells
 from skylight.probes.partitions._optimise import named_design
@@ -249,7 +250,7 @@ def _trace(
     return float(torch.linalg.solve(gram[square], worth[square]).trace())
 
 
-class ObjectEncoder(nn.Module):
+class ObjectEncoder(Module):
     """Shading of k points as coefficients of the light in the dual of the points' basis.
 
     ``encoder(radiance)`` is the shading, :meth:`decode` the light that it tells of. The functions

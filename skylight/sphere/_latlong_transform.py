@@ -4,14 +4,15 @@ import math
 
 import torch
 from jaxtyping import Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 
+from skylight._module import Module
 from skylight.errors import check_shape
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._frame import DirectionGrid
 
 
-class LatLongTransform(nn.Module):
+class LatLongTransform(Module):
     """Real spherical harmonic transform of maps of (h, 2h) pixels, and its adjoint.
 
     Coefficients are those of ``harmonics.evaluate_about_zenith``. With B (n, k) that basis at the

@@ -21,9 +21,10 @@ from typing import Any, Literal
 
 import torch
 from jaxtyping import Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.functional import grid_sample, pad
 
+from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.sphere._frame import DirectionGrid, angles_from_direction
 
@@ -64,7 +65,7 @@ def anisotropic_gaussian(
 TAPS = 16
 
 
-class DiskSplines(nn.Module):
+class DiskSplines(Module):
     """Splines on ``across`` x ``across`` control points, of which those that reach the disk count.
 
     The ``count`` control points are numbered by rows. ``zenith_rad`` and ``azimuth_rad`` are

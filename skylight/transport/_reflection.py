@@ -13,6 +13,7 @@ from torch.nn import functional
 from torch.nn.functional import normalize
 
 from skylight._modes import Derived
+from skylight._module import Module
 from skylight.errors import check_shape
 from skylight.sphere._frame import DirectionGrid, cosines
 from skylight.transport._matrix import TransportMatrix
@@ -21,7 +22,7 @@ from skylight.transport._render import Specular, ggx
 _FEWEST_ROWS = 6
 
 
-class DiffuseTransport(nn.Module):
+class DiffuseTransport(Module):
     """Shading of m Lambertian points under distant light from n directions.
 
     ``s_p = rho_p / pi sum_w V(p, w) <n_p, w>+ L(w) dw`` (thesis, Eq. 5.2 and 5.3), differentiable
@@ -111,7 +112,7 @@ class DiffuseTransport(nn.Module):
         return albedo * shading
 
 
-class SkyTransport(nn.Module):
+class SkyTransport(Module):
     """Shading from skies above grounds of uniform radiance; differentiable in both and in albedo.
 
     Half as many columns as the full sphere: all directions below the horizon are one, the last.

@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from skylight._modes import Derived
+from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.probes.partitions._cells import Cells
 from skylight.sphere._envmap import EnvironmentMap
@@ -16,7 +17,7 @@ _FINE_ROWS = 512  # into which maps are divided at least, to share pixels betwee
 _WORST_CONDITION = 1e4
 
 
-class PartitionProbe(nn.Module):
+class PartitionProbe(Module):
     """A kernel of n Lambertian faces, each of which sees its own cell (thesis, 4.4).
 
     ``probe(radiance, grid)`` is the shading, radiance of the faces,

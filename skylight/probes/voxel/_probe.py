@@ -4,6 +4,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.probes.voxel._interreflection import DEGREE, SIZE, face_frame, slot_transfer
 from skylight.probes.voxel._model import ORIENTATIONS, VoxelModel, exposed_faces
@@ -12,7 +13,7 @@ from skylight.sphere._frame import DirectionGrid
 from skylight.sphere._rotation import rotate
 
 
-class VoxelProbe(nn.Module):
+class VoxelProbe(Module):
     """A voxel model of one Lambertian material as an encoder of light (thesis, 3.4.4).
 
     ``probe(radiance, grid)`` is the lightmap: of texel x of each slot

@@ -10,8 +10,9 @@ from math import comb
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 
+from skylight._module import Module
 from skylight.errors import InputError
 from skylight.probes.voxel._lightmap import Lightmap
 from skylight.probes.voxel._model import CONFIGURATIONS, OCCLUDERS, ORIENTATIONS, visibility_vectors
@@ -86,7 +87,7 @@ def _solve(
     return solved, torch.cholesky_solve(right[subsets[solved]], factors[solved])
 
 
-class SlotReconstruction(nn.Module):
+class SlotReconstruction(Module):
     """A missing slot as ``sum_j weights[o, i, j] slot[o, j]`` over the known of its orientation.
 
     ``weights`` (6,32,32), float64: rows of known slots are rows of the identity.

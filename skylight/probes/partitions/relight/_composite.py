@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
-from torch import Tensor, nn
+from torch import Tensor
 
+from skylight._module import Module
 from skylight.errors import check_shape
 from skylight.probes.cameras._drawing import (
     NOWHERE,
@@ -174,7 +175,7 @@ def _cast(
     return back.translation, back.directions(rays.reshape(-1, 3).float())
 
 
-class Relighting(nn.Module):
+class Relighting(Module):
     """L_c(x) = sum_i L_ic t_ic(x) (thesis, Eq. 4.16, with the probe's weights in the light).
 
     One product for each colour, linear in the light and so differentiable.
@@ -198,7 +199,7 @@ class Relighting(nn.Module):
         return radiance.permute(1, 2, 0).reshape(*light.shape[:-2], -1, 3).to(light.dtype)
 
 
-class TurningRelighting(nn.Module):
+class TurningRelighting(Module):
     """L_c(x, a) = sum_i L_ic t_ic(x, a) of what is turned by any angle a, rad.
 
     Coefficients between the K angles are those of a periodic cubic spline through them::
