@@ -237,7 +237,7 @@ class SphericalSparseCoder(Module):
         That is in the maps and in the dictionary's filters. Weights that are 0 stay 0, so on the
         support of a non-negative code the derivative is that of its non-negative least squares.
         """
-        check_shape("maps", maps.shape, self.height, 2 * self.height, 3)
+        check_shape("SphericalSparseCoder's maps", maps.shape, self.height, 2 * self.height, 3)
         atoms = single(self._sampled_atoms(codes).flatten(-2))
         with full_precision(atoms):  # a Gramian of eight bits may have no inverse
             return self._refitted(maps, codes, atoms)

@@ -124,7 +124,7 @@ class FilterBank(Module):
 
     def evaluate(self, directions: Float[Tensor, "n 3"]) -> Float[Tensor, "m n"]:
         """The filters' values in these directions, unrotated."""
-        check_shape("directions", directions.shape, 3)
+        check_shape(f"{type(self).__name__}'s directions", directions.shape, 3)
         basis = harmonics.evaluate_about_zenith(directions, self.degree)
         return self.coefficients.to(basis) @ basis.T
 

@@ -13,7 +13,6 @@ from torch.nn import functional
 
 from skylight._modes import Derived, full_precision, single
 from skylight._module import Module
-from skylight.errors import check_shape
 from skylight.models._network import CENTRE_AZIMUTH_RAD, CODE_LIMIT, HEIGHT, Coding, SkyNetwork
 from skylight.models._sun_head import COORDINATES
 from skylight.sphere._envmap import shift_columns
@@ -117,7 +116,7 @@ class ConvolutionalAutoencoder(SkyNetwork):
         return torch.cat([self.to_latent(self.encoder(coded)), sun], 1)
 
     def decode_coded(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
-        check_shape("latents", z.shape, self.latents)
+        self.check_latents(z)
         x = self.decoder(self.from_latent(z).reshape(-1, 64, 2, 8))
         with full_precision(x):  # eight bits would round the brightness of the sky itself
             return self.output(single(x))
@@ -136,7 +135,7 @@ class ConvolutionalAutoencoder(SkyNetwork):
         sun much sharper than a pixel jumps from one to the next, and a turn by part of a pixel
         blurs it.
         """
-        check_shape("latents", z.shape, self.latents)
+        self.check_latents(z)
         decoder = self._folded.of(
             [*self.parameters(), *self.buffers()], lambda: FoldedDecoder.of(self)
         )

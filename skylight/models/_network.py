@@ -19,7 +19,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight._modes import constant, transformed
+from skylight._modes import check_dtype, constant, transformed
 from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.models._sun_head import COORDINATES, NEAR_RAD, SunHead
@@ -92,6 +92,12 @@ class SkyNetwork(Module, ABC):
         the number of rows, one of :data:`COARSE_HEIGHTS`, :data:`HEIGHT` or a multiple of it.
         """
 
+    def check_latents(self, z: Float[Tensor, "b z"]) -> None:
+        """:class:`InputError` for latents of another number or dtype than the network's."""
+        name = type(self).__name__
+        check_shape(f"{name}'s latents", z.shape, self.latents)
+        check_dtype(f"{name}'s latents", z, next(self.parameters()))
+
     def _sun_head(self, height: int, device: torch.device) -> SunHead:
         """That of maps of so many rows."""
         assert self.sun_head is not None
@@ -114,6 +120,9 @@ class SkyNetwork(Module, ABC):
             Skies of another size, or a sun elsewhere: networks know it in the centre only, and
             take it for a bright cloud. A light model turns skies back by its azimuth.
         """
+        name = type(self).__name__
+        check_shape(f"{name}'s skies", radiance.shape, HEIGHT, WIDTH, 3)
+        check_dtype(f"{name}'s skies", radiance, next(self.parameters()))
         _check_centred(radiance)
         sun, rest = self.split(radiance)
         return self.encode_coded(sun, self.code(rest))
@@ -131,8 +140,7 @@ _ASIDE_RAD = math.radians(7.0)  # two columns and a half at the horizon
 
 
 def _check_centred(skies: Float[Tensor, "b h w 3"]) -> None:
-    """:class:`InputError` for skies of another size, or whose sun is not in the centre column."""
-    check_shape("skies", skies.shape, HEIGHT, WIDTH, 3)
+    """:class:`InputError` for skies whose sun is not in the centre column."""
     if torch.compiler.is_compiling() or transformed() or skies.is_meta or len(skies) == 0:
         return  # values cannot be looked at
     grid = DirectionGrid.sky(HEIGHT)

@@ -19,7 +19,6 @@ from torch.nn import functional
 
 from skylight._modes import constant, full_precision, single
 from skylight._module import Module
-from skylight.errors import check_shape
 from skylight.models._network import CENTRE_AZIMUTH_RAD, CODE_LIMIT, HEIGHT, WIDTH, SkyNetwork
 from skylight.models._sun_head import COORDINATES
 from skylight.sphere._frame import DirectionGrid
@@ -56,7 +55,7 @@ class SplineAutoencoder(SkyNetwork):
 
     def control(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b k 3"]:
         """The control points c(z)."""
-        check_shape("latents", z.shape, self.latents)
+        self.check_latents(z)
         values = single(self.linear(z)) + self.decoder(z)
         return values.unflatten(1, (self.splines.count, 3))
 

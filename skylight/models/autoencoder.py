@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight._modes import full_precision, single
+from skylight._modes import check_dtype, full_precision, single
 from skylight._module import Module
 from skylight.errors import check_shape
 from skylight.models._network import COARSE_HEIGHTS, HEIGHT, SkyNetwork
@@ -22,6 +22,14 @@ class AutoencoderLight(Module):
     ``forward`` maps parameters ``(..., z + 1)`` to radiance ``(..., n, 3)`` on the n pixels
     of ``grid``, as the network decodes in evaluation mode. The network's weights are frozen;
     ``requires_grad_(True)`` makes them trainable through the light.
+
+    Its prior is that of the :class:`~skylight.models.LightBundle` which it comes from,
+    ``bundle.prior()``, over free parameters without the azimuth::
+
+        bundle = skylight.models.load_bundle()
+        light, prior = bundle.light(), bundle.prior()
+        prior.log_prob(without_azimuth(light, light.to_free(params)))
+        light.from_free(torch.cat([prior.sample(8), azimuth], -1))  # azimuth (8, 1)
 
     Parameters
     ----------
@@ -85,6 +93,16 @@ class AutoencoderLight(Module):
         return -limit, limit
 
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
+        """``R(azimuth) f(z)``: radiance ``(..., n, 3)`` of latents and azimuth ``(..., z + 1)``.
+
+        Linear Rec.709, relative (mean luminance about 1), in the order of ``grid.directions``.
+        Differentiable.
+
+        Raises
+        ------
+        InputError
+            Another number of parameters, or float64 ones for a network in float32.
+        """
         z, azimuth = self._parts(params)
         sky = self.network.decode_at_azimuth(z, azimuth, self.sun_spread_rad, self.height)
         return sky.reshape(*params.shape[:-1], len(self.grid), 3)
@@ -113,23 +131,30 @@ class AutoencoderLight(Module):
     def _parts(
         self, params: Float[Tensor, "*batch p"]
     ) -> tuple[Float[Tensor, "b z"], Float[Tensor, " b"]]:
-        check_shape("parameters", params.shape, self.parameter_count)
-        flat = single(params).reshape(-1, self.parameter_count)
+        flat = self._checked(params).reshape(-1, self.parameter_count)
         return flat[:, :-1], flat[:, -1]
+
+    def _checked(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
+        what = "AutoencoderLight's parameters"
+        names = f"{self.latents} latents, azimuth in rad"
+        check_shape(what, params.shape, self.parameter_count, names=names)
+        params = single(params)
+        check_dtype(what, params, self.latent_mean)
+        return params
 
     def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """Whitened latents; the azimuth as it is."""
+        params = self._checked(params)
         latents, azimuth = params[..., :-1], params[..., -1:]
-        check_shape("parameters", params.shape, self.parameter_count)
         centred = (latents - self.latent_mean).reshape(-1, self.latents)
         white = torch.linalg.solve_triangular(self.latent_scale, centred.T, upper=False).T
         return torch.cat([white.reshape(latents.shape), azimuth], -1)
 
     def from_free(self, free: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """Inverse of :meth:`to_free`."""
-        check_shape("parameters", free.shape, self.parameter_count)
+        free = self._checked(free)
         with full_precision(free):
-            latents = single(free[..., :-1]) @ self.latent_scale.T + self.latent_mean
+            latents = free[..., :-1] @ self.latent_scale.T + self.latent_mean
         return torch.cat([latents, free[..., -1:]], -1)
 
     def starts(self) -> Float[Tensor, "s p"]:

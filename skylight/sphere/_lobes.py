@@ -124,9 +124,11 @@ class DiskSplines(Module):
     ) -> Float[Tensor, "b n c"]:
         """Values on the grid, differentiable in both; one turn of all, or as many as functions."""
         if control.dim() != 3:
-            raise InputError(f"control points of shape {tuple(control.shape)}: give (b, k, c)")
+            raise InputError(
+                f"DiskSplines' control points of shape {tuple(control.shape)}: give (b, k, c)"
+            )
         count, channels = len(control), control.shape[2]
-        check_shape("control points", control.shape, self.count, channels)
+        check_shape("DiskSplines' control points", control.shape, self.count, channels)
         if len(turn_rad) not in (1, count):
             raise InputError(f"{len(turn_rad)} turns of {count} functions: give 1 or {count}")
         images = pad(control.transpose(1, 2), (0, 1)).index_select(2, self.lattice)

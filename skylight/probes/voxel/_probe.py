@@ -61,8 +61,11 @@ class VoxelProbe(Module):
     def forward(
         self, radiance: Float[Tensor, "*b d 3"], grid: DirectionGrid
     ) -> Float[Tensor, "*b 6 32 n n 3"]:
-        """The lightmap under radiance on a grid; linear in it, differentiable."""
-        check_shape("radiance", radiance.shape, len(grid), 3)
+        """The lightmap, radiance of each slot's patches, under radiance ``(..., d, 3)`` on a grid.
+
+        ``sum_w t(w) L(w) dw`` with t of :attr:`degree` bands; linear, differentiable, in L's units.
+        """
+        check_shape("VoxelProbe's radiance", radiance.shape, len(grid), 3)
         # float64 sums: a sun is 1e5 times brighter than the pixels it is added to
         basis = harmonics.evaluate(grid.directions, self.degree) * grid.solid_angles[:, None]
         light = torch.einsum("dk,...dc->...ck", basis.to(radiance.device), radiance.double())

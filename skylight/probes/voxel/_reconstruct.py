@@ -104,7 +104,10 @@ class SlotReconstruction(Module):
     def forward(self, radiance: Float[Tensor, "*b 6 32 n n c"]) -> Float[Tensor, "*b 6 32 n n c"]:
         """All slots from the known; what unknown ones hold does not matter if it is finite."""
         if radiance.shape[-5:-3] != self.known.shape:
-            raise InputError(f"slots of shape {tuple(radiance.shape)}: give (..., 6, 32, n, n, c)")
+            raise InputError(
+                f"{type(self).__name__}'s slots of shape {tuple(radiance.shape)}: "
+                "give (..., 6, 32, n, n, c)"
+            )
         slots = radiance.flatten(-3)
         return (self.weights.to(slots.dtype) @ slots).reshape(radiance.shape)
 

@@ -193,7 +193,7 @@ class Relighting(Module):
 
         A view whose colours lie apart in memory.
         """
-        check_shape("light", light.shape, self.transfer.shape[1], 3)
+        check_shape("Relighting's light", light.shape, self.transfer.shape[1], 3)
         lights = light.to(self.transfer.dtype).reshape(-1, *light.shape[-2:])
         radiance = torch.bmm(lights.permute(2, 0, 1), self.transfer)  # (3, b, m)
         return radiance.permute(1, 2, 0).reshape(*light.shape[:-2], -1, 3).to(light.dtype)
@@ -237,7 +237,7 @@ class TurningRelighting(Module):
 
         Between the angles it may be below 0, by as much as the spline is off.
         """
-        check_shape("light", light.shape, self.spline.shape[2], 3)
+        check_shape("TurningRelighting's light", light.shape, self.spline.shape[2], 3)
         count = len(self.spline)
         place = torch.as_tensor(angle_rad, dtype=torch.float64) / (2 * math.pi) * count
         below = place.detach().floor()
