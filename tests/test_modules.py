@@ -211,7 +211,7 @@ def test_parameters_of_few_bits_are_float32_and_float64_is_named() -> None:
     for few in (params.half(), params.bfloat16()):
         assert torch.equal(light(few), light(params))
     for method in (light, light.to_free, light.from_free, light.sun_direction):
-        with pytest.raises(InputError, match="parameters of dtype torch.float64"):
+        with pytest.raises(InputError, match=r"parameters of dtype torch\.float64"):
             method(params.double())
 
 

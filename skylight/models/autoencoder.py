@@ -9,9 +9,11 @@ from torch import Tensor
 
 from skylight._modes import check_dtype, full_precision, single
 from skylight._module import Module
-from skylight.errors import check_shape
+from skylight.errors import InputError, check_shape
+from skylight.models._centring import centred
 from skylight.models._network import COARSE_HEIGHTS, HEIGHT, SkyNetwork
 from skylight.models._sun_head import COORDINATES
+from skylight.sphere._envmap import EnvironmentMap, shift_columns
 from skylight.sphere._frame import DirectionGrid, angles_from_direction
 
 
@@ -106,6 +108,47 @@ class AutoencoderLight(Module):
         z, azimuth = self._parts(params)
         sky = self.network.decode_at_azimuth(z, azimuth, self.sun_spread_rad, self.height)
         return sky.reshape(*params.shape[:-1], len(self.grid), 3)
+
+    def encode(
+        self, maps: EnvironmentMap | Float[Tensor, "*batch h w 3"]
+    ) -> tuple[Float[Tensor, "*batch p"], Float[Tensor, "*batch"]]:
+        """(params, scale) with ``scale * light(params)`` about the maps' skies: the reverse.
+
+        ``scale`` is the mean luminance of a map's upper half, in its units. The sun is where the
+        most light within 6 degrees exceeds that round it; the azimuth is its own, to a part of a
+        pixel, so that a map that is turned has another azimuth alone. On overcast skies it is
+        that of their brightest place. The network is given the sky turned to there.
+
+        Parameters
+        ----------
+        maps
+            Linear Rec.709, full lat-long maps (w = 2h), whose upper halves count, or skies
+            (w = 4h), of any height; on any device. Differentiable in their values, but for which
+            column of theirs is nearest to the sun.
+
+        Raises
+        ------
+        InputError
+            Tensors of another shape or of integers; negative, infinite or no light above the
+            horizon.
+        """
+        radiance = maps.radiance if isinstance(maps, EnvironmentMap) else maps
+        if radiance.dim() < 3 or not radiance.is_floating_point():
+            raise InputError(
+                f"maps of shape {tuple(radiance.shape)} and {radiance.dtype}: give linear radiance "
+                "(..., h, w, 3) in floating point"
+            )
+        batch = radiance.shape[:-3]
+        if batch.numel() == 0:
+            return self.bank.new_zeros(*batch, self.parameter_count), self.bank.new_zeros(batch)
+        found = centred(radiance.to(self.bank.device).reshape(-1, *radiance.shape[-3:]))
+        network = self.network
+        with full_precision(radiance):
+            sun, rest = network.split(found.skies.to(self.bank))
+            rest = shift_columns(rest, -found.beside_rad.to(rest))
+            latents = network.encode_coded(sun, network.code(rest))
+        params = torch.cat([latents, found.azimuth_rad.to(latents)[:, None]], 1)
+        return params.reshape(*batch, -1), found.scale.to(latents).reshape(batch)
 
     def sun_direction(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch 3"] | None:
         """That of the sun's lobe; None of a network without."""
