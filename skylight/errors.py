@@ -91,8 +91,12 @@ def explain(error: BaseException, *, more: str = "rerun with --debug") -> tuple[
     return f"internal error ({type(error).__name__}: {first}); {more}", 1
 
 
-def check_shape(what: str, shape: Sequence[Any], *last: int) -> None:
-    """:class:`InputError` unless the last sizes of a tensor are these; an export has symbols."""
+def check_shape(what: str, shape: Sequence[Any], *last: int, names: str = "") -> None:
+    """:class:`InputError` unless the last sizes of a tensor are these, which ``names`` explains.
+
+    An export has symbols for sizes.
+    """
     if tuple(shape[-len(last) :]) != last:
         sizes = ", ".join(str(size) for size in last)
-        raise InputError(f"{what} of shape {tuple(shape)}: give (..., {sizes})")
+        meant = f": {names}" if names else ""
+        raise InputError(f"{what} of shape {tuple(shape)}: give (..., {sizes}){meant}")

@@ -25,6 +25,7 @@ import skylight
 from skylight.csc import SphericalSparseCoder
 from skylight.errors import InputError
 from skylight.models import GaussianLobes, LampsLight, LightModel, SunSky
+from skylight.models._base import UnboundedLight
 from skylight.models.sunsky import fit_sunsky
 from skylight.transport._render import reflection_weights
 from tests.modules import CASES, F32, F64, GRID, NOT_HERE, TF32, Case, coder as coder_of_few, error
@@ -49,9 +50,8 @@ def transformable(case: Case) -> Case:
     return case
 
 
-@pytest.mark.slow
-def test_all_public_modules_are_here() -> None:
-    """Whatever a package's ``__init__.pyi`` names and is a module is called by a case."""
+def public_modules() -> set[type[nn.Module]]:
+    """Whatever a package's ``__init__.pyi`` names and is a module."""
     public = set()
     for stub in PACKAGE.rglob("__init__.pyi"):
         package = ".".join(("skylight", *stub.parent.relative_to(PACKAGE).parts))
@@ -59,6 +59,16 @@ def test_all_public_modules_are_here() -> None:
             kind = getattr(importlib.import_module(package), name)
             if inspect.isclass(kind) and issubclass(kind, nn.Module):
                 public.add(kind)
+    return public
+
+
+@pytest.mark.slow
+def test_all_public_modules_are_here() -> None:
+    """They are called by a case, and ``help`` tells what a call computes."""
+    public = public_modules()
+    called = {kind for kind in public if kind.forward is not nn.Module.forward}
+    silent = {kind.__name__ for kind in called if len(kind.forward.__doc__ or "") < 30}
+    assert (len(called) > 15, silent) == (True, set())
     tried = {type(part) for case in CASES.values() for part in case.make().modules()}
     assert {kind.__name__ for kind in public - tried} == NOT_HERE.keys()
 
@@ -155,6 +165,54 @@ def test_a_wrong_size_is_named(case: Case) -> None:
     for wrong in (x.narrow(case.axis, 1, x.shape[case.axis] - 1), torch.cat([x, x], case.axis)):
         with pytest.raises(InputError, match=re.escape(str(tuple(wrong.shape)))):
             case.call(case.single(), wrong, *rest)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("sunsky", "SunSky's parameters of shape (2, 9): give (..., 10): RGB of the sky, RGB"),
+        ("lamps", "LampsLight's parameters of shape (2, 9): give (..., 30): 16 of the ambient"),
+        ("harmonics", "HarmonicLight's parameters of shape (2, 9): give (..., 75): 25 coeff"),
+        ("gaussians", "GaussianLobes' parameters of shape (2, 9): give (..., 21): RGB, azimuth"),
+        (
+            "autoencoder light, coarse",
+            "AutoencoderLight's parameters of shape (2, 9): give (..., 6",
+        ),
+        ("splines, decode", "SplineAutoencoder's latents of shape (2, 9): give (..., 64)"),
+        ("mixture", "GaussianMixture's parameters of shape (2, 9): give (..., 64)"),
+        ("prior of lamps", "LampsPrior's parameters of shape (2, 9): give (..., 30): 16 of the"),
+    ],
+)
+def test_a_wrong_number_of_parameters_is_told_with_what_they_are(name: str, said: str) -> None:
+    module = CASES[name].single()
+    with pytest.raises(InputError, match=re.escape(said)):
+        CASES[name].call(module, torch.ones(2, 9))
+    for method in ("to_free", "from_free", "sun_direction"):
+        if hasattr(module, method) and not isinstance(module, UnboundedLight):
+            with pytest.raises(InputError, match=re.escape(said)):
+                getattr(module, method)(torch.ones(2, 9))
+
+
+@pytest.mark.parametrize("name", ["splines, decode", "splines, azimuth", "convolutions, azimuth"])
+@pytest.mark.parametrize("dtype", [torch.float16, torch.int64, F64])
+def test_latents_of_another_dtype_than_the_weights_are_named(name: str, dtype: torch.dtype) -> None:
+    module, z = CASES[name].single(), torch.zeros(2, 64, dtype=dtype)
+    jaxtyping.config.update("jaxtyping_disable", True)  # users have no checks of annotations
+    try:
+        with pytest.raises(InputError, match=f"latents of dtype {dtype}, weights of torch.float32"):
+            CASES[name].call(module, z, *CASES[name].given(F32)[1:])
+    finally:
+        jaxtyping.config.update("jaxtyping_disable", False)
+
+
+def test_parameters_of_few_bits_are_float32_and_float64_is_named() -> None:
+    light = CASES["autoencoder light, coarse"].single()
+    params = torch.randint(-1, 2, (2, 65)).float()
+    for few in (params.half(), params.bfloat16()):
+        assert torch.equal(light(few), light(params))
+    for method in (light, light.to_free, light.from_free, light.sun_direction):
+        with pytest.raises(InputError, match=r"parameters of dtype torch\.float64"):
+            method(params.double())
 
 
 def test_a_search_finds_the_same_under_autocast() -> None:
@@ -258,10 +316,14 @@ def test_a_search_with_tf32_finds_as_good_a_code() -> None:
 @pytest.mark.parametrize(
     ("name", "wrong", "said"),
     [
-        ("sky transport", {1: (2, 4)}, r"the ground of shape \(2, 4\): give"),
-        ("sky transport", {2: (2, 4)}, r"albedo of shape \(2, 4\): give"),
-        ("slots", {0: (31, 6, 2, 2, 3)}, r"slots of shape \(31, 6, 2, 2, 3\): give"),
-        ("splines on a disk", {0: (5,)}, r"control points of shape \(5,\): give"),
+        ("sky transport", {1: (2, 4)}, r"SkyTransport's ground of shape \(2, 4\): give"),
+        ("sky transport", {2: (2, 4)}, r"SkyTransport's albedo of shape \(2, 4\): give"),
+        (
+            "slots",
+            {0: (31, 6, 2, 2, 3)},
+            r"DirectReconstruction's slots of shape \(31, 6, 2, 2, 3\): give",
+        ),
+        ("splines on a disk", {0: (5,)}, r"DiskSplines' control points of shape \(5,\): give"),
     ],
 )
 def test_wrong_sizes_of_other_inputs_are_named(

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from skylight._modes import full_precision, single, transformed
+from skylight._module import Module
 from skylight.csc._code import CodeTensors, SparseCode
 from skylight.csc._dictionary import FilterBank, load_dictionary
 from skylight.csc._greedy import Pursuit, PursuitOptions, Support, pursue, pursue_together
@@ -38,7 +39,7 @@ _BOXES_AT_ONCE = 32  # as maps, of 0.8 MB at 128 rows in three colours
 _RIDGE = 1e-12  # of a Gram matrix: atoms that have become dependent leave it solvable
 
 
-class SphericalSparseCoder(nn.Module):
+class SphericalSparseCoder(Module):
     """Convolutional sparse coding on the sphere: ``codes = coder(maps)``, ``coder.decode(codes)``.
 
     The filters of ``dictionary`` are the only parameters. Which filters are active, and at which
@@ -236,7 +237,7 @@ class SphericalSparseCoder(nn.Module):
         That is in the maps and in the dictionary's filters. Weights that are 0 stay 0, so on the
         support of a non-negative code the derivative is that of its non-negative least squares.
         """
-        check_shape("maps", maps.shape, self.height, 2 * self.height, 3)
+        check_shape("SphericalSparseCoder's maps", maps.shape, self.height, 2 * self.height, 3)
         atoms = single(self._sampled_atoms(codes).flatten(-2))
         with full_precision(atoms):  # a Gramian of eight bits may have no inverse
             return self._refitted(maps, codes, atoms)

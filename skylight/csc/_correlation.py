@@ -4,8 +4,9 @@ from collections.abc import Iterator
 
 import torch
 from jaxtyping import Complex, Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 
+from skylight._module import Module
 from skylight.csc._positions import Positions
 from skylight.sphere._rotation import wigner_small
 
@@ -14,7 +15,7 @@ _CACHED = 2**18  # complex numbers, 2 MB: what one core's FFTs go through stays 
 _ON_DEVICE = 2**27  # the same where kernels should be few and long: 1 GB
 
 
-class FilterGroup(nn.Module):
+class FilterGroup(Module):
     """Filters that have coefficients at the orders ``orders`` only, all multiples of ``fold``.
 
     Twists repeat after ``t = twists / fold``, so order n counts as ``slot = n / fold mod t``; and

@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from skylight._modes import constant
+from skylight._module import Module
 from skylight._names import BuiltinName
 from skylight.errors import InputError, check_shape
 from skylight.io._tensors import read_tensors, write_tensors
@@ -33,7 +34,7 @@ SHARPEST_A = 14.33
 LONGEST_A = 0.5
 
 
-class FilterBank(nn.Module):
+class FilterBank(Module):
     """A dictionary: filters of unit norm, ``coefficients`` (m, (K+1)^2), and its ``name``.
 
     The one parameter, ``unnormalised``, is free; ``coefficients`` are its rows divided by their
@@ -123,7 +124,7 @@ class FilterBank(nn.Module):
 
     def evaluate(self, directions: Float[Tensor, "n 3"]) -> Float[Tensor, "m n"]:
         """The filters' values in these directions, unrotated."""
-        check_shape("directions", directions.shape, 3)
+        check_shape(f"{type(self).__name__}'s directions", directions.shape, 3)
         basis = harmonics.evaluate_about_zenith(directions, self.degree)
         return self.coefficients.to(basis) @ basis.T
 

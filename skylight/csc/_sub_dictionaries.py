@@ -11,9 +11,10 @@ from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.functional import pad
 
+from skylight._module import Module
 from skylight.csc._code import CodeTensors
 from skylight.csc._dictionary import FilterBank, finer_anisotropic, finer_isotropic
 from skylight.csc._positions import Chunk, Positions, by_signal
@@ -78,7 +79,7 @@ class SearchPlan:
         return kind(self.filters.cpu(), self.positions, dtype=self.dtype).to(self.filters.device)
 
 
-class SubDictionary(nn.Module):
+class SubDictionary(Module):
     """A bank of filters, ``first``, ``first + 1``, ... of a dictionary, and their rotations.
 
     ``dtype`` is that of the search; it follows ``.double()`` and ``.float()``.
@@ -145,7 +146,7 @@ class SubDictionary(nn.Module):
         return rotated_filters(chosen, rotations)
 
 
-class BoxCorrelation(nn.Module):
+class BoxCorrelation(Module):
     """``<p, r>`` for boxes p of a lat-long map's pixels, of unit norm: 1 / sqrt(solid angle).
 
     Filter i covers ``sizes[i]`` (rows, columns) of a map of ``rows``; 1 x 1 is the pixel, the
@@ -228,7 +229,7 @@ class BoxCorrelation(nn.Module):
         return (down[:, :, None] * (column < columns)[:, None]).flatten(1)
 
 
-class BoxDictionary(nn.Module):
+class BoxDictionary(Module):
     """Boxes of pixels; the pixel alone unless ``sizes`` says otherwise.
 
     Coordinates are the pixels' values, which come after the harmonics' of degree ``degree``.

@@ -28,6 +28,7 @@ from jaxtyping import Complex, Float, Int
 from torch import Tensor, nn
 
 from skylight._modes import full_precision, single
+from skylight._module import Module
 from skylight.csc._correlation import FilterGroup, signed_orders, spans_of
 from skylight.csc._positions import Chunk, Positions, by_signal
 from skylight.errors import check_shape
@@ -74,7 +75,7 @@ def fold(spectrum: Complex[Tensor, "l m"], twists: int) -> int:
     return math.gcd(twists, *present)
 
 
-class RotationCorrelation(nn.Module):
+class RotationCorrelation(Module):
     """``<R d_i, r>`` for all filters d_i and all rotations R of ``positions``.
 
     For one signal about ``rows K^3`` products per filter and ``N T log(N T)`` for the transforms;
@@ -260,7 +261,7 @@ def is_zonal(filters: Float[Tensor, "f k"]) -> bool:
     return bool((other <= allowed * squares.sum(1)).all())
 
 
-class ZonalCorrelation(nn.Module):
+class ZonalCorrelation(Module):
     """``<R d_i, r>`` for isotropic d_i at every direction of ``positions`` (thesis, 6.4.3).
 
     ``B diag(Pi d_i) r`` with ``Pi = sqrt(4 pi / (2 l + 1))`` (Eq. 6.8, C.2): each filter scales the

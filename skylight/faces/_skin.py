@@ -20,6 +20,7 @@ are much alike, hence c: a face that is darker on one side is likelier lit from 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import as_file, files
@@ -90,7 +91,7 @@ class SkinPrior:
         variances = mixture.covariances.diagonal(dim1=1, dim2=2)
         return mixture.weights @ (mixture.means + variances / 2).exp()
 
-    def log_prob(self, albedo: Float[Tensor, "b 3"]) -> Float[Tensor, " b"]:
+    def log_prob(self, albedo: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch"]:
         """ln p(a) = ln p_log(ln a) - sum_c ln a_c, normalised over all positive albedos.
 
         The sum is the change of variables from log-albedo. It makes dark skin, whose albedos crowd
@@ -98,11 +99,13 @@ class SkinPrior:
         tone. Below 1e-6, where p is practically 0, the value is that at 1e-6 and the gradient 0.
         """
         log_albedo = albedo.clamp(min=1e-6).log()
-        return self.log_albedo.log_prob(log_albedo) - log_albedo.sum(dim=1)
+        return self.log_albedo.log_prob(log_albedo) - log_albedo.sum(dim=-1)
 
-    def sample(self, count: int, generator: torch.Generator) -> Float[Tensor, "n 3"]:
-        """``count`` independent albedos; ``generator`` lives where the mixture does (the CPU)."""
-        return self.log_albedo.sample(count, generator).exp()
+    def sample(
+        self, shape: int | Sequence[int] = (), generator: torch.Generator | None = None
+    ) -> Float[Tensor, "*shape 3"]:
+        """Independent albedos; ``generator`` lives where the mixture does (the CPU)."""
+        return self.log_albedo.sample(shape, generator).exp()
 
 
 @cache

@@ -1,6 +1,7 @@
 from ._base import (
     LightModel as LightModel,
     Prior as Prior,
+    without_azimuth as without_azimuth,
 )
 from ._bundle import (
     LightBundle as LightBundle,
@@ -17,6 +18,7 @@ from ._gaussians import (
 from ._ground import (
     KnownGround as KnownGround,
     LambertianGround as LambertianGround,
+    ground_prior as ground_prior,
 )
 from ._harmonic import (
     HarmonicLight as HarmonicLight,

@@ -6,12 +6,14 @@ factor, which inverse lighting estimates beside the parameters.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
+from skylight._module import Module
 from skylight.sphere._frame import DirectionGrid
 
 
@@ -61,7 +63,7 @@ class LightModel(Protocol):
     def on_rows(self, height: int) -> "LightModel": ...
 
 
-class UnboundedLight(nn.Module):
+class UnboundedLight(Module):
     """The part of a :class:`LightModel` that is the same where any parameters are allowed.
 
     Free parameters are the parameters; there is neither an azimuth nor a sun.
@@ -88,16 +90,28 @@ class UnboundedLight(nn.Module):
 
 @runtime_checkable
 class Prior(Protocol):
-    """A normalised density over R^p."""
+    """A normalised density over R^p.
 
-    def log_prob(self, x: Float[Tensor, "b p"]) -> Float[Tensor, " b"]: ...
+    ``log_prob`` is its natural logarithm, differentiable in x; ``sample`` makes independent draws
+    ``(*shape, p)``, n of them for ``shape=n`` and one for none, as :mod:`torch.distributions` do.
+    """
 
-    def sample(self, count: int, generator: torch.Generator) -> Float[Tensor, "n p"]: ...
+    def log_prob(self, x: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch"]: ...
+
+    def sample(
+        self, shape: int | Sequence[int] = (), generator: torch.Generator | None = None
+    ) -> Float[Tensor, "*shape p"]: ...
 
 
-def without_azimuth(model: LightModel, free: Float[Tensor, "b p"]) -> Float[Tensor, "b q"]:
+def draws(shape: int | Sequence[int]) -> torch.Size:
+    """The leading sizes of what a prior's ``sample`` is asked for."""
+    return torch.Size((shape,) if isinstance(shape, int) else shape)
+
+
+def without_azimuth(
+    model: LightModel, free: Float[Tensor, "*batch p"]
+) -> Float[Tensor, "*batch q"]:
     """The free parameters that a prior speaks of: all but the azimuth."""
     if model.azimuth_index is None:
         return free
-    keep = [i for i in range(free.shape[1]) if i != model.azimuth_index]
-    return free[:, keep]
+    return free[..., [i for i in range(free.shape[-1]) if i != model.azimuth_index]]

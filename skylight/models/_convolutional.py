@@ -12,14 +12,14 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from skylight._modes import Derived, full_precision, single
-from skylight.errors import check_shape
+from skylight._module import Module
 from skylight.models._network import Coding, SkyNetwork
 from skylight.models._sun_head import COORDINATES
 
 LATENT = 64
 
 
-class WrapConv(nn.Module):
+class WrapConv(Module):
     """Convolution with wrapped columns (azimuth) and zero rows beyond zenith and horizon."""
 
     def __init__(self, channels_in: int, channels_out: int, size: int) -> None:
@@ -31,7 +31,7 @@ class WrapConv(nn.Module):
         return self.conv(functional.pad(x, (self.pad, self.pad, 0, 0), mode="circular"))
 
 
-class UpConv(nn.Module):
+class UpConv(Module):
     """2x nearest upsampling, then a wrapped convolution, without computing anything twice.
 
     After nearest upsampling several taps of the kernel read the same source pixel. Summing them
@@ -102,7 +102,7 @@ class ConvolutionalAutoencoder(SkyNetwork):
         return torch.cat([self.to_latent(self.encoder(coded)), sun], 1)
 
     def decode_coded(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
-        check_shape("latents", z.shape, self.latents)
+        self.check_latents(z)
         x = self.decoder(self.from_latent(z).reshape(-1, 64, 2, 8))
         with full_precision(x):  # eight bits would round the brightness of the sky itself
             return self.output(single(x))

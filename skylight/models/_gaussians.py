@@ -8,9 +8,10 @@ import math
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from skylight._modes import constant, full_precision, single
+from skylight._module import Module
 from skylight.errors import check_shape
 from skylight.sphere._frame import (
     DirectionGrid,
@@ -30,11 +31,11 @@ _TABLE_ROWS = 8
 _TABLE_SHARPNESS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0)
 
 
-class GaussianLobes(nn.Module):
+class GaussianLobes(Module):
     """Parameters ``(..., 6 k + 3)`` to the radiance of (h, 4h) pixels of the upper hemisphere.
 
     Each of the ``lobes`` has six: amplitude (3), azimuth and zenith angle of its direction in
-    rad (any real numbers), sharpness. The constant's colour comes last.
+    rad (any real numbers), sharpness. The constant's colour comes last. It has no prior.
     """
 
     azimuth_index: int | None = None  # each lobe has its own
@@ -52,6 +53,11 @@ class GaussianLobes(nn.Module):
         self.register_buffer("directions", self.grid.directions, persistent=False)
 
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
+        """``c + sum_k a_k exp(kappa_k (<d_k, w> - 1))``: radiance ``(..., n, 3)``.
+
+        Linear Rec.709, in the amplitudes' units, in the order of ``grid.directions``.
+        Differentiable.
+        """
         amplitude, azimuth, zenith, sharpness, constant = self._split(single(params))
         lobe = _lobe(direction_from_angles(azimuth, zenith), sharpness, self.directions)
         with full_precision(lobe):
@@ -96,6 +102,7 @@ class GaussianLobes(nn.Module):
         colour lifts l to L in the lobe's mean of log(1 + radiance). The constant starts as the
         darkest tenth of the sky.
         """
+        check_shape("GaussianLobes' skies", sky.shape, len(self.grid), 3)
         with full_precision(sky):  # the next lobe is the largest of many that are alike
             return self._matched(single(sky))
 
@@ -129,7 +136,8 @@ class GaussianLobes(nn.Module):
         Float[Tensor, "*batch k"],
         Float[Tensor, "*batch 3"],
     ]:
-        check_shape("parameters", params.shape, self.parameter_count)
+        names = f"RGB, azimuth, zenith angle, sharpness of {self.lobes} lobes, RGB of the constant"
+        check_shape("GaussianLobes' parameters", params.shape, self.parameter_count, names=names)
         lobes = params[..., :-CONSTANT_PARAMETERS].unflatten(-1, (self.lobes, LOBE_PARAMETERS))
         azimuth, zenith, sharpness = lobes[..., 3:].unbind(-1)
         return lobes[..., :3], azimuth, zenith, sharpness, params[..., -CONSTANT_PARAMETERS:]

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
+from skylight._module import Module
 from skylight._names import SKY_LIGHTS, LightName
 from skylight.errors import InputError, check_shape
 from skylight.io._bounded import read_number, read_object, require_keys, write_json
@@ -38,12 +39,13 @@ GROUND_ALBEDOS = (
 GROUND_SPREAD = 1.5
 
 
-class LambertianGround(nn.Module):
+class LambertianGround(Module):
     """A horizontal plane of constant albedo under an unoccluded sky of ``height`` rows.
 
     Thesis, eq. 5.7: ``s = rho / pi sum_w l(w) <n, w>+ dw``. The weight of a pixel is the exact
     integral of the cosine over it, ``dphi (cos^2 t_0 - cos^2 t_1) / 2``, so the weights sum to pi
-    to rounding and a constant sky of 1 gives exactly rho.
+    to rounding and a constant sky of 1 gives exactly rho. The prior of log albedos is
+    :func:`ground_prior`.
     """
 
     transfer: Tensor
@@ -57,8 +59,13 @@ class LambertianGround(nn.Module):
     def forward(
         self, sky: Float[Tensor, "*batch n 3"], albedo: Float[Tensor, "*#batch 3"]
     ) -> Float[Tensor, "*batch 3"]:
-        """Radiance of the ground, the same in all directions."""
-        check_shape("the sky", sky.shape, len(self.transfer), 3)
+        """``rho / pi sum_w l(w) <n, w>+ dw``: radiance ``(..., 3)`` of the ground.
+
+        It is the same in all directions, and in the units of ``sky`` (..., n, 3), radiance in the
+        order of :meth:`DirectionGrid.sky`. ``albedo`` rho is (..., 3), 0 to 1.
+        """
+        check_shape("LambertianGround's sky", sky.shape, len(self.transfer), 3)
+        check_shape("LambertianGround's albedo", albedo.shape, 3)
         irradiance = torch.einsum("n,...nc->...c", self.transfer.to(sky), sky)
         return albedo / math.pi * irradiance
 

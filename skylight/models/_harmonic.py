@@ -18,7 +18,8 @@ class HarmonicLight(UnboundedLight):
 
     Parameters ``(..., 3 k)`` are coefficients ``(..., k, 3)`` flattened, in the order of
     :mod:`skylight.sphere._harmonics`. ``forward`` is clamped at zero, as light must be;
-    ``linear_radiance`` is not, and is what a linear least-squares fit works with.
+    ``linear_radiance`` is not, and is what a linear least-squares fit works with. It has no prior:
+    any coefficients are as likely.
     """
 
     basis: Tensor
@@ -34,13 +35,17 @@ class HarmonicLight(UnboundedLight):
 
     def linear_radiance(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
         """``sum_k Y_k(w) c_k``, negative where it rings."""
-        check_shape("parameters", params.shape, self.parameter_count)
+        names = f"{(self.degree + 1) ** 2} coefficients, RGB of each"
+        check_shape("HarmonicLight's parameters", params.shape, self.parameter_count, names=names)
         params = single(params)
         with full_precision(params):  # terms of either sign are cut at zero
             return self.basis.to(params) @ params.unflatten(-1, (-1, 3))
 
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
-        """``max(0, sum_k Y_k(w) c_k)``."""
+        """``max(0, sum_k Y_k(w) c_k)``: radiance ``(..., n, 3)`` of coefficients ``(..., 3 k)``.
+
+        Linear Rec.709, in the coefficients' units, in the order of ``grid.directions``.
+        """
         return self.linear_radiance(params).clamp(min=0)
 
     def on_rows(self, height: int) -> "HarmonicLight":

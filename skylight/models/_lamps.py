@@ -11,6 +11,7 @@ The prior is made of what is sensible in rooms. Nothing of it is learnt from env
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -18,8 +19,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from skylight._modes import full_precision, single
+from skylight._module import Module
 from skylight.errors import check_shape
-from skylight.models._base import UnboundedLight
+from skylight.models._base import UnboundedLight, draws
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import luminance
 from skylight.sphere._frame import DirectionGrid, squared_chords
@@ -43,6 +45,7 @@ MOST_ENERGY = 10.0
 LAMP_WIDTH_RAD, LAMP_WIDTH_SPREAD = math.radians(8.0), 0.7
 WIDTH_BOUNDS_RAD = math.radians(3.0), math.radians(40.0)  # half a cell of 32 rows; a wall
 LAMP_HEIGHT = 1.0  # p(d) ~ e^(h d_y): lamps above are e^2 times as likely as below
+_NAMES = f"{AMBIENT_PARAMETERS} of the ambient light, {LAMP_PARAMETERS} of each lamp"
 LONGEST = 6.0  # standard deviations: a line search may try anything
 
 
@@ -69,6 +72,7 @@ class LampsLight(UnboundedLight):
         3, 4   log energy (of 1 / (1 / e - 1 / 10): e stays below 10), log width
         5, 6   log of its red and of its blue against green
 
+    Its prior is :class:`LampsPrior` of as many lamps, over the same numbers.
     """
 
     basis: Tensor
@@ -93,7 +97,12 @@ class LampsLight(UnboundedLight):
         return LampsLight(self.count, height).to(self.basis)
 
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
-        check_shape("parameters", params.shape, self.parameter_count)
+        """``A(w) + 4 pi sum_k e_k c_k g(w; d_k, s_k)``: radiance ``(..., n, 3)``.
+
+        Linear Rec.709, relative to ambient light of mean luminance 1, in the order of
+        ``grid.directions``. Differentiable.
+        """
+        check_shape("LampsLight's parameters", params.shape, self.parameter_count, names=_NAMES)
         params = single(params)
         with full_precision(params):
             radiance = self.ambient(params)
@@ -173,35 +182,45 @@ class LampsLight(UnboundedLight):
         return params.to(torch.get_default_dtype())
 
 
-class LampsPrior(nn.Module):
+class LampsPrior(Module):
     """Density of :class:`LampsLight`'s parameters: normal, and directions by their height.
 
     A direction's length, which means nothing, is 1 with a standard deviation of 0.1.
     """
 
+    like: Tensor
+
     def __init__(self, count: int) -> None:
         super().__init__()
         self.count = count
+        self.parameter_count = AMBIENT_PARAMETERS + LAMP_PARAMETERS * count
+        self.register_buffer("like", torch.empty(0), persistent=False)  # where samples are made
 
-    def log_prob(self, x: Float[Tensor, "b p"]) -> Float[Tensor, " b"]:
-        check_shape("parameters", x.shape, AMBIENT_PARAMETERS + LAMP_PARAMETERS * self.count)
+    def log_prob(self, x: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch"]:
+        """Natural logarithm of the density, differentiable in x."""
+        check_shape("LampsPrior's parameters", x.shape, self.parameter_count, names=_NAMES)
         x = single(x)
-        ambient = x[:, :AMBIENT_PARAMETERS]
-        each = x[:, AMBIENT_PARAMETERS:].unflatten(1, (self.count, LAMP_PARAMETERS))
+        ambient = x[..., :AMBIENT_PARAMETERS]
+        each = x[..., AMBIENT_PARAMETERS:].unflatten(-1, (self.count, LAMP_PARAMETERS))
         length = each[..., :3].norm(dim=-1)
         up = each[..., 1] / length.clamp(min=1e-12)
         sphere = 4 * math.pi * math.sinh(LAMP_HEIGHT) / LAMP_HEIGHT
         towards = LAMP_HEIGHT * up - math.log(sphere) + _log_normal((length - 1) / 0.1)
         towards = towards - math.log(0.1) - 2 * length.clamp(min=1e-12).log()
-        return _log_normal(ambient).sum(1) + _log_normal(each[..., 3:]).sum((1, 2)) + towards.sum(1)
+        rest = _log_normal(each[..., 3:]).sum((-2, -1))
+        return _log_normal(ambient).sum(-1) + rest + towards.sum(-1)
 
-    def sample(self, count: int, generator: torch.Generator) -> Float[Tensor, "n p"]:
-        """``count`` independent draws; ``generator`` lives on the CPU."""
-        x = torch.randn(
-            count, AMBIENT_PARAMETERS + LAMP_PARAMETERS * self.count, generator=generator
-        )
-        each = x[:, AMBIENT_PARAMETERS:].unflatten(1, (self.count, LAMP_PARAMETERS))
-        uniform = torch.rand(count, self.count, 2, generator=generator)
+    def sample(
+        self, shape: int | Sequence[int] = (), generator: torch.Generator | None = None
+    ) -> Float[Tensor, "*shape p"]:
+        """Independent draws ``(*shape, p)``, n of them for ``shape=n`` and one for none.
+
+        In the module's dtype and on its device (``.to``), where ``generator`` lives too.
+        """
+        shape, where = draws(shape), {"dtype": self.like.dtype, "device": self.like.device}
+        x = torch.randn(*shape, self.parameter_count, generator=generator, **where)
+        each = x[..., AMBIENT_PARAMETERS:].unflatten(-1, (self.count, LAMP_PARAMETERS))
+        uniform = torch.rand(*shape, self.count, 2, generator=generator, **where)
         # the height's distribution function is (e^(h y) - e^-h) / (e^h - e^-h)
         low, high = math.exp(-LAMP_HEIGHT), math.exp(LAMP_HEIGHT)
         up = (low + uniform[..., 0] * (high - low)).log() / LAMP_HEIGHT

@@ -17,9 +17,10 @@ from typing import Literal
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
-from skylight._modes import constant, transformed
+from skylight._modes import check_dtype, constant, transformed
+from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.models._sun_head import COORDINATES, NEAR_RAD, SunHead
 from skylight.sphere._envmap import luminance, shift_columns
@@ -41,7 +42,7 @@ def _sun_on_rows(height: int, device: torch.device) -> SunHead:
 Coding = Literal["log", "linear"]
 
 
-class SkyNetwork(nn.Module, ABC):
+class SkyNetwork(Module, ABC):
     """Latents (b, ``latents``) <-> radiance (b, 32, 128, 3): the base of networks, yours too.
 
     A class of your own is made by the number of latents alone, ``MyNetwork(latents)``, which it
@@ -120,7 +121,7 @@ class SkyNetwork(nn.Module, ABC):
         sun much sharper than a pixel jumps from one to the next, and a turn by part of a pixel
         blurs it.
         """
-        check_shape("latents", z.shape, self.latents)
+        self.check_latents(z)
         sky = self.uncode(self._decode_in_evaluation(z))
         turn = (azimuth_rad - CENTRE_AZIMUTH_RAD).expand(len(z))
         if self.sun_head is not None and sun_spread_rad == 0 and height == HEIGHT:
@@ -139,6 +140,12 @@ class SkyNetwork(nn.Module, ABC):
     def _decode_in_evaluation(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
         """:meth:`decode_coded` as :meth:`decode_at_azimuth` wants it."""
         return self.decode_coded(z)
+
+    def check_latents(self, z: Float[Tensor, "b z"]) -> None:
+        """:class:`InputError` for latents of another number or dtype than the network's."""
+        name = type(self).__name__
+        check_shape(f"{name}'s latents", z.shape, self.latents)
+        check_dtype(f"{name}'s latents", z, next(self.parameters()))
 
     def _sun_head(self, height: int, device: torch.device) -> SunHead:
         """That of maps of so many rows."""
@@ -162,6 +169,9 @@ class SkyNetwork(nn.Module, ABC):
             Skies of another size, or a sun elsewhere: networks know it in the centre only, and
             take it for a bright cloud. A light model turns skies back by its azimuth.
         """
+        name = type(self).__name__
+        check_shape(f"{name}'s skies", radiance.shape, HEIGHT, WIDTH, 3)
+        check_dtype(f"{name}'s skies", radiance, next(self.parameters()))
         _check_centred(radiance)
         sun, rest = self.split(radiance)
         return self.encode_coded(sun, self.code(rest))
@@ -179,8 +189,7 @@ _ASIDE_RAD = math.radians(7.0)  # two columns and a half at the horizon
 
 
 def _check_centred(skies: Float[Tensor, "b h w 3"]) -> None:
-    """:class:`InputError` for skies of another size, or whose sun is not in the centre column."""
-    check_shape("skies", skies.shape, HEIGHT, WIDTH, 3)
+    """:class:`InputError` for skies whose sun is not in the centre column."""
     if torch.compiler.is_compiling() or transformed() or skies.is_meta or len(skies) == 0:
         return  # values cannot be looked at
     grid = DirectionGrid.sky(HEIGHT)

@@ -1,7 +1,7 @@
 """Priors over parameters: Gaussian mixtures with full covariances."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +10,17 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from skylight._modes import full_precision, single
+from skylight._module import Module
 from skylight.errors import AssetError, InputError, check_shape
 from skylight.io._tensors import read_tensors, write_tensors
+from skylight.models._base import draws
 
 _STARTS, _KMEANS_ITERATIONS = 3, 50
+_ROWS_AT_ONCE = 2**14  # each takes k p numbers
 _ITERATIONS, _LEAST_GAIN = 500, 1e-5  # of expectation-maximisation
 
 
-class GaussianMixture(nn.Module):
+class GaussianMixture(Module):
     """``p(x) = sum_k w_k N(x; mu_k, (B_k B_k^T)^-1)``, normalised over R^p.
 
     Parameters
@@ -51,12 +54,16 @@ class GaussianMixture(nn.Module):
         self.register_buffer("means", means)
         self.register_buffer("precision_factors", precision_factors)
 
-    def log_prob(self, x: Float[Tensor, "b p"]) -> Float[Tensor, " b"]:
-        """Natural logarithm of the density, differentiable in x."""
-        check_shape("parameters", x.shape, self.means.shape[1])
+    def log_prob(self, x: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch"]:
+        """Natural logarithm of the density, differentiable in x and of its dtype."""
+        check_shape("GaussianMixture's parameters", x.shape, self.means.shape[1])
         x = single(x)
+        rows = x.reshape(-1, x.shape[-1])
+        # a compiled graph has one size, and keeps nothing between its steps
+        some = (rows,) if torch.compiler.is_compiling() else rows.split(_ROWS_AT_ONCE)
         with full_precision(x):
-            return torch.logsumexp(self._log_weighted(x), dim=1)
+            parts = [torch.logsumexp(self._log_weighted(each), dim=1) for each in some]
+        return torch.cat(parts).reshape(x.shape[:-1])
 
     def _log_weighted(self, x: Float[Tensor, "b p"]) -> Float[Tensor, "b k"]:
         """``log w_k + log N(x; mu_k, (B_k B_k^T)^-1)``."""
@@ -66,17 +73,27 @@ class GaussianMixture(nn.Module):
         constant = log_det - 0.5 * x.shape[1] * math.log(2 * math.pi)
         return self.weights.to(x).log() + constant - 0.5 * (white**2).sum(2)
 
-    def sample(self, count: int, generator: torch.Generator) -> Float[Tensor, "n p"]:
-        """``count`` independent draws; ``generator`` lives where the mixture does."""
-        which = torch.multinomial(self.weights, count, replacement=True, generator=generator)
-        means = self.means[which]
+    def sample(
+        self, shape: int | Sequence[int] = (), generator: torch.Generator | None = None
+    ) -> Float[Tensor, "*shape p"]:
+        """Independent draws ``(*shape, p)``, n of them for ``shape=n`` and one for none.
+
+        In the mixture's dtype and on its device, where ``generator`` lives too.
+        """
+        means, shape = self.means, draws(shape)
+        count = shape.numel()
+        which = torch.multinomial(  # refuses to draw none
+            self.weights, max(count, 1), replacement=True, generator=generator
+        )[:count, None]
         noise = torch.randn(
-            means.shape, generator=generator, dtype=means.dtype, device=means.device
+            count, means.shape[1], generator=generator, dtype=means.dtype, device=means.device
         )
-        # B^-T z has the covariance (B B^T)^-1
-        factors = self.precision_factors[which].mT
-        offset = torch.linalg.solve_triangular(factors, noise[..., None], upper=False)
-        return means + offset[..., 0]
+        x = noise
+        for k, factor in enumerate(self.precision_factors):  # a factor for each draw is p times x
+            # B^-T z has the covariance (B B^T)^-1
+            offset = torch.linalg.solve_triangular(factor.mT, noise.mT, upper=False).mT
+            x = torch.where(which == k, means[k] + offset, x)
+        return x.reshape(*shape, means.shape[1])
 
     @property
     def covariances(self) -> Float[Tensor, "k p p"]:

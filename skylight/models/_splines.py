@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from skylight._modes import constant, full_precision, single
-from skylight.errors import check_shape
+from skylight._module import Module
 from skylight.models._network import CENTRE_AZIMUTH_RAD, CODE_LIMIT, HEIGHT, WIDTH, SkyNetwork
 from skylight.models._sun_head import COORDINATES
 from skylight.sphere._frame import DirectionGrid
@@ -54,7 +54,7 @@ class SplineAutoencoder(SkyNetwork):
 
     def control(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b k 3"]:
         """The control points c(z)."""
-        check_shape("latents", z.shape, self.latents)
+        self.check_latents(z)
         values = single(self.linear(z)) + self.decoder(z)
         return values.unflatten(1, (self.splines.count, 3))
 
@@ -97,7 +97,7 @@ def _on_rows(height: int, device: torch.device) -> DiskSplines:
     return DiskSplines(ACROSS, DirectionGrid.sky(height)).to(device)
 
 
-class _Products(nn.Module):
+class _Products(Module):
     """Products of a sparse matrix (n,k) with many columns (k,c), differentiable in these.
 
     As weighted sums of rows both ways; torch's own gradient of such sums takes ten times as long.
@@ -168,7 +168,7 @@ def _radiance(coded: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
     return (coded.clamp(max=CODE_LIMIT).exp() - FLOOR).clamp(min=0)
 
 
-class _Residual(nn.Module):
+class _Residual(Module):
     """``x + SiLU(W x + b)``"""
 
     def __init__(self, size: int) -> None:

@@ -18,9 +18,10 @@ import math
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from skylight._modes import single
+from skylight._module import Module
 from skylight.sphere._envmap import luminance
 from skylight.sphere._frame import DirectionGrid, direction_from_angles, squared_chords
 
@@ -31,7 +32,7 @@ _LEAST_ENERGY = 1e-3  # of a sky of mean luminance 1: no sun
 _COLUMNS_ASIDE = 2  # the brightest pixel is looked for so near the centre column
 
 
-class SunHead(nn.Module):
+class SunHead(Module):
     """Suns on (height, 4 height) pixels of the upper hemisphere, all at one azimuth."""
 
     directions: Tensor

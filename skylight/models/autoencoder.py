@@ -5,22 +5,33 @@ import math
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
-from skylight._modes import full_precision, single
-from skylight.errors import check_shape
+from skylight._modes import check_dtype, full_precision, single
+from skylight._module import Module
+from skylight.errors import InputError, check_shape
+from skylight.models._centring import centred
 from skylight.models._network import COARSE_HEIGHTS, HEIGHT, SkyNetwork
 from skylight.models._sun_head import COORDINATES
+from skylight.sphere._envmap import EnvironmentMap, shift_columns
 from skylight.sphere._frame import DirectionGrid, angles_from_direction
 
 
-class AutoencoderLight(nn.Module):
+class AutoencoderLight(Module):
     """The light model ``L(w) = R(azimuth) f(z)``: z latents and the sun's azimuth, 65 parameters
     for the network's usual 64 latents.
 
     ``forward`` maps parameters ``(..., z + 1)`` to radiance ``(..., n, 3)`` on the n pixels
     of ``grid``, as the network decodes in evaluation mode. The network's weights are frozen;
     ``requires_grad_(True)`` makes them trainable through the light.
+
+    Its prior is that of the :class:`~skylight.models.LightBundle` which it comes from,
+    ``bundle.prior()``, over free parameters without the azimuth::
+
+        bundle = skylight.models.load_bundle()
+        light, prior = bundle.light(), bundle.prior()
+        prior.log_prob(without_azimuth(light, light.to_free(params)))
+        light.from_free(torch.cat([prior.sample(8), azimuth], -1))  # azimuth (8, 1)
 
     Parameters
     ----------
@@ -84,9 +95,60 @@ class AutoencoderLight(nn.Module):
         return -limit, limit
 
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
+        """``R(azimuth) f(z)``: radiance ``(..., n, 3)`` of latents and azimuth ``(..., z + 1)``.
+
+        Linear Rec.709, relative (mean luminance about 1), in the order of ``grid.directions``.
+        Differentiable.
+
+        Raises
+        ------
+        InputError
+            Another number of parameters, or float64 ones for a network in float32.
+        """
         z, azimuth = self._parts(params)
         sky = self.network.decode_at_azimuth(z, azimuth, self.sun_spread_rad, self.height)
         return sky.reshape(*params.shape[:-1], len(self.grid), 3)
+
+    def encode(
+        self, maps: EnvironmentMap | Float[Tensor, "*batch h w 3"]
+    ) -> tuple[Float[Tensor, "*batch p"], Float[Tensor, "*batch"]]:
+        """(params, scale) with ``scale * light(params)`` about the maps' skies: the reverse.
+
+        ``scale`` is the mean luminance of a map's upper half, in its units. The sun is where the
+        most light within 6 degrees exceeds that round it; the azimuth is its own, to a part of a
+        pixel, so that a map that is turned has another azimuth alone. On overcast skies it is
+        that of their brightest place. The network is given the sky turned to there.
+
+        Parameters
+        ----------
+        maps
+            Linear Rec.709, full lat-long maps (w = 2h), whose upper halves count, or skies
+            (w = 4h), of any height; on any device. Differentiable in their values, but for which
+            column of theirs is nearest to the sun.
+
+        Raises
+        ------
+        InputError
+            Tensors of another shape or of integers; negative, infinite or no light above the
+            horizon.
+        """
+        radiance = maps.radiance if isinstance(maps, EnvironmentMap) else maps
+        if radiance.dim() < 3 or not radiance.is_floating_point():
+            raise InputError(
+                f"maps of shape {tuple(radiance.shape)} and {radiance.dtype}: give linear radiance "
+                "(..., h, w, 3) in floating point"
+            )
+        batch = radiance.shape[:-3]
+        if batch.numel() == 0:
+            return self.bank.new_zeros(*batch, self.parameter_count), self.bank.new_zeros(batch)
+        found = centred(radiance.to(self.bank.device).reshape(-1, *radiance.shape[-3:]))
+        network = self.network
+        with full_precision(radiance):
+            sun, rest = network.split(found.skies.to(self.bank))
+            rest = shift_columns(rest, -found.beside_rad.to(rest))
+            latents = network.encode_coded(sun, network.code(rest))
+        params = torch.cat([latents, found.azimuth_rad.to(latents)[:, None]], 1)
+        return params.reshape(*batch, -1), found.scale.to(latents).reshape(batch)
 
     def sun_direction(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch 3"] | None:
         """That of the sun's lobe; None of a network without."""
@@ -112,23 +174,30 @@ class AutoencoderLight(nn.Module):
     def _parts(
         self, params: Float[Tensor, "*batch p"]
     ) -> tuple[Float[Tensor, "b z"], Float[Tensor, " b"]]:
-        check_shape("parameters", params.shape, self.parameter_count)
-        flat = single(params).reshape(-1, self.parameter_count)
+        flat = self._checked(params).reshape(-1, self.parameter_count)
         return flat[:, :-1], flat[:, -1]
+
+    def _checked(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
+        what = "AutoencoderLight's parameters"
+        names = f"{self.latents} latents, azimuth in rad"
+        check_shape(what, params.shape, self.parameter_count, names=names)
+        params = single(params)
+        check_dtype(what, params, self.latent_mean)
+        return params
 
     def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """Whitened latents; the azimuth as it is."""
+        params = self._checked(params)
         latents, azimuth = params[..., :-1], params[..., -1:]
-        check_shape("parameters", params.shape, self.parameter_count)
         centred = (latents - self.latent_mean).reshape(-1, self.latents)
         white = torch.linalg.solve_triangular(self.latent_scale, centred.T, upper=False).T
         return torch.cat([white.reshape(latents.shape), azimuth], -1)
 
     def from_free(self, free: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """Inverse of :meth:`to_free`."""
-        check_shape("parameters", free.shape, self.parameter_count)
+        free = self._checked(free)
         with full_precision(free):
-            latents = single(free[..., :-1]) @ self.latent_scale.T + self.latent_mean
+            latents = free[..., :-1] @ self.latent_scale.T + self.latent_mean
         return torch.cat([latents, free[..., -1:]], -1)
 
     def starts(self) -> Float[Tensor, "s p"]:

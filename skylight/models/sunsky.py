@@ -14,9 +14,10 @@ import math
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from skylight._modes import full_precision, single
+from skylight._module import Module
 from skylight.errors import check_shape
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import (
@@ -58,7 +59,10 @@ def perez(
     return gradation * (1 + c * torch.exp(d * gamma) + e * torch.cos(gamma) ** 2)
 
 
-class SunSky(nn.Module):
+_NAMES = "RGB of the sky, RGB of the sun, azimuth, zenith angle, turbidity, kappa"
+
+
+class SunSky(Module):
     """Parameters ``(..., 10)`` to the radiance of (h, 4h) pixels of the upper hemisphere.
 
     ===== =========================================================================
@@ -70,6 +74,10 @@ class SunSky(nn.Module):
     9     kappa, sharpness of the sun lobe, 8 .. 8192 (its standard deviation is
           1 / sqrt(kappa): 20 deg .. 0.6 deg)
     ===== =========================================================================
+
+    Its prior is :attr:`LightBundle.sunsky_prior <skylight.models.LightBundle>` of
+    :func:`~skylight.models.load_bundle`, over free parameters without the azimuth
+    (:func:`~skylight.models.without_azimuth`).
     """
 
     name = "sunsky"
@@ -94,6 +102,11 @@ class SunSky(nn.Module):
         return double.new_tensor(low), double.new_tensor(high)
 
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
+        """``f(w_sun, t) w_sky + g(w, kappa) w_sun``: radiance ``(..., n, 3)`` of ``(..., 10)``.
+
+        Linear Rec.709, in the units of the two colours, in the order of ``grid.directions``; f is
+        :meth:`sky_distribution`, g is :meth:`sun_lobe`. Differentiable.
+        """
         params = self._checked(params)
         w_sky, w_sun = params[..., None, 0:3], params[..., None, 3:6]
         azimuth, zenith, turbidity, kappa = params[..., 6:].unbind(-1)
@@ -102,7 +115,7 @@ class SunSky(nn.Module):
         return sky[..., None] * w_sky + lobe[..., None] * w_sun
 
     def _checked(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
-        check_shape("parameters", params.shape, self.parameter_count)
+        check_shape("SunSky's parameters", params.shape, self.parameter_count, names=_NAMES)
         return single(params)
 
     def sky_distribution(
@@ -137,6 +150,8 @@ class SunSky(nn.Module):
         return torch.exp(exponent[..., : len(self.grid)] - total)
 
     def sun_direction(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch 3"]:
+        """Unit vectors ``(..., 3)`` of azimuth and zenith angle."""
+        params = self._checked(params)
         return direction_from_angles(params[..., 6], params[..., 7])
 
     def on_rows(self, height: int) -> "SunSky":
@@ -226,6 +241,7 @@ def fit_sunsky(
     Colours are at least 1e-4 of the mean luminance, so that their logarithms stay moderate.
     """
     model = SunSky() if model is None else model
+    check_shape("SunSky's skies", sky.shape, len(model.grid), 3)
     with full_precision(model.sphere):
         parts = [_fit_batch(part, model) for part in sky.detach().to(model.sphere).split(batch)]
     return torch.cat(parts).to(sky.dtype)

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.probes.partitions._cells import Cells
 from skylight.probes.partitions._optimise import named_design
@@ -249,7 +250,7 @@ def _trace(
     return float(torch.linalg.solve(gram[square], worth[square]).trace())
 
 
-class ObjectEncoder(nn.Module):
+class ObjectEncoder(Module):
     """Shading of k points as coefficients of the light in the dual of the points' basis.
 
     ``encoder(radiance)`` is the shading, :meth:`decode` the light that it tells of. The functions
@@ -318,8 +319,11 @@ class ObjectEncoder(nn.Module):
         return self.basis * self.solid_angles.sqrt()
 
     def forward(self, radiance: Float[Tensor, "*b d 3"]) -> Float[Tensor, "*b k 3"]:
-        """What the points show under lights on the encoder's grid; linear, differentiable."""
-        check_shape("radiance", radiance.shape, len(self.grid), 3)
+        """``sum_w b_k(w) L(w) dw``: what the k points show, ``(..., k, 3)``, in L's units.
+
+        Of radiance ``(..., d, 3)`` on the encoder's grid; linear, differentiable.
+        """
+        check_shape("ObjectEncoder's radiance", radiance.shape, len(self.grid), 3)
         power = radiance.to(self.basis.dtype) * self.solid_angles[:, None]
         return torch.einsum("ckd,...dc->...kc", self.basis, power).to(radiance.dtype)
 
@@ -331,7 +335,7 @@ class ObjectEncoder(nn.Module):
 
     def decode(self, shading: Float[Tensor, "*b k 3"]) -> Float[Tensor, "*b d 3"]:
         """The light ``sum_i s_i b*_i`` on the grid; it may be negative in places."""
-        check_shape("shading", shading.shape, self.basis.shape[1], 3)
+        check_shape("ObjectEncoder's shading", shading.shape, self.basis.shape[1], 3)
         light = torch.einsum("...kc,ckd->...dc", shading.to(self.basis.dtype), self.dual)
         return light.to(shading.dtype)
 

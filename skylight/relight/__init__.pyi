@@ -3,6 +3,9 @@ from ._decoder import (
     SkyDecoder as SkyDecoder,
     read_latent as read_latent,
 )
+from ._export import (
+    export_decoder as export_decoder,
+)
 from ._runtime import (
     PrecomputedScene as PrecomputedScene,
     load_scene as load_scene,

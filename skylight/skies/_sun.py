@@ -59,7 +59,9 @@ def sun_midnight(place: Place, day: date) -> datetime:
     return datetime.combine(day, time(), UTC) - timedelta(hours=place.longitude_deg / 15)
 
 
-def sun_angles(place: Place, times: list[datetime]) -> tuple[NDArray, NDArray]:
+def sun_angles(
+    place: Place, times: list[datetime]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """True (refraction-free) sun azimuth (clockwise from north) and zenith angle, radians.
 
     Good to 0.0003 degrees. ``times`` must carry a time zone.

@@ -4,14 +4,15 @@ import math
 
 import torch
 from jaxtyping import Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 
+from skylight._module import Module
 from skylight.errors import check_shape
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._frame import DirectionGrid
 
 
-class LatLongTransform(nn.Module):
+class LatLongTransform(Module):
     """Real spherical harmonic transform of maps of (h, 2h) pixels, and its adjoint.
 
     Coefficients are those of ``harmonics.evaluate_about_zenith``. With B (n, k) that basis at the
@@ -51,12 +52,12 @@ class LatLongTransform(nn.Module):
         self.register_buffer("order", order, persistent=False)
 
     def forward(self, maps: Float[Tensor, "*c h w"]) -> Float[Tensor, "*c k"]:
-        """:meth:`analyse`."""
+        """``sum_w x(w) Y_lm(w) dw``: :meth:`analyse`, (degree + 1)^2 coefficients of each map."""
         return self.analyse(maps)
 
     def synthesise(self, coefficients: Float[Tensor, "*c k"]) -> Float[Tensor, "*c h w"]:
         """``sum_lm c_lm Y_lm`` at the pixels' centres."""
-        check_shape("coefficients", coefficients.shape, (self.degree + 1) ** 2)
+        check_shape("LatLongTransform's coefficients", coefficients.shape, (self.degree + 1) ** 2)
         legendre = self.legendre.to(coefficients)
         cosine, sine = coefficients[..., self.order].unbind(-3)  # (*c, m, l)
         cosine = torch.einsum("mhl,...ml->...hm", legendre, cosine)
@@ -65,7 +66,8 @@ class LatLongTransform(nn.Module):
 
     def analyse(self, maps: Float[Tensor, "*c h w"]) -> Float[Tensor, "*c k"]:
         """``sum_w x(w) Y_lm(w) dw`` over the pixels."""
-        check_shape("maps", maps.shape, *self.solid_angles.shape[:1], self.cosines.shape[1])
+        layout = len(self.solid_angles), self.cosines.shape[1]
+        check_shape("LatLongTransform's maps", maps.shape, *layout)
         legendre = self.legendre.to(maps)
         weighted = maps * self.solid_angles.to(maps)
         cosine = torch.einsum("mhl,...hm->...ml", legendre, weighted @ self.cosines.to(maps).T)

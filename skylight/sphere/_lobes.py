@@ -21,9 +21,10 @@ from typing import Any, Literal
 
 import torch
 from jaxtyping import Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.functional import grid_sample, pad
 
+from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.sphere._frame import DirectionGrid, angles_from_direction
 
@@ -64,7 +65,7 @@ def anisotropic_gaussian(
 TAPS = 16
 
 
-class DiskSplines(nn.Module):
+class DiskSplines(Module):
     """Splines on ``across`` x ``across`` control points, of which those that reach the disk count.
 
     The ``count`` control points are numbered by rows. ``zenith_rad`` and ``azimuth_rad`` are
@@ -123,9 +124,11 @@ class DiskSplines(nn.Module):
     ) -> Float[Tensor, "b n c"]:
         """Values on the grid, differentiable in both; one turn of all, or as many as functions."""
         if control.dim() != 3:
-            raise InputError(f"control points of shape {tuple(control.shape)}: give (b, k, c)")
+            raise InputError(
+                f"DiskSplines' control points of shape {tuple(control.shape)}: give (b, k, c)"
+            )
         count, channels = len(control), control.shape[2]
-        check_shape("control points", control.shape, self.count, channels)
+        check_shape("DiskSplines' control points", control.shape, self.count, channels)
         if len(turn_rad) not in (1, count):
             raise InputError(f"{len(turn_rad)} turns of {count} functions: give 1 or {count}")
         images = pad(control.transpose(1, 2), (0, 1)).index_select(2, self.lattice)

@@ -13,6 +13,7 @@ from torch.nn import functional
 from torch.nn.functional import normalize
 
 from skylight._modes import Derived
+from skylight._module import Module
 from skylight.errors import check_shape
 from skylight.sphere._frame import DirectionGrid, cosines
 from skylight.transport._matrix import TransportMatrix
@@ -21,7 +22,7 @@ from skylight.transport._render import Specular, ggx
 _FEWEST_ROWS = 6
 
 
-class DiffuseTransport(nn.Module):
+class DiffuseTransport(Module):
     """Shading of m Lambertian points under distant light from n directions.
 
     ``s_p = rho_p / pi sum_w V(p, w) <n_p, w>+ L(w) dw`` (thesis, Eq. 5.2 and 5.3), differentiable
@@ -91,7 +92,9 @@ class DiffuseTransport(nn.Module):
     def forward(
         self, radiance: Float[Tensor, "*batch n 3"], albedo: float | Float[Tensor, "..."] = 1.0
     ) -> Float[Tensor, "*batch m 3"]:
-        """Shading of lights with any leading dimensions.
+        """``rho (T l)``: shading ``(..., m, 3)`` of m points by radiance ``(..., n, 3)``.
+
+        In the units of the radiance, which is in the order of ``grid.directions``.
 
         ``albedo`` is a number, (3,) for one colour, (m, 3) for each point's own, or has the
         lights' leading dimensions too, (..., 1, 3) or (..., m, 3).
@@ -101,7 +104,7 @@ class DiffuseTransport(nn.Module):
         ValueError
             An albedo of another shape, such as (m,).
         """
-        check_shape("radiance", radiance.shape, len(self.grid), 3)
+        check_shape(f"{type(self).__name__}'s radiance", radiance.shape, len(self.grid), 3)
         shading = shade(self.matrix, radiance)
         if isinstance(albedo, Tensor) and not _broadcasts(albedo.shape, shading.shape):
             raise ValueError(
@@ -111,7 +114,7 @@ class DiffuseTransport(nn.Module):
         return albedo * shading
 
 
-class SkyTransport(nn.Module):
+class SkyTransport(Module):
     """Shading from skies above grounds of uniform radiance; differentiable in both and in albedo.
 
     Half as many columns as the full sphere: all directions below the horizon are one, the last.
@@ -143,7 +146,7 @@ class SkyTransport(nn.Module):
         ``scene`` is the one that each light falls on, in ascending order; None where there is
         but one.
         """
-        check_shape("albedo", albedo.shape, 3)
+        check_shape("SkyTransport's albedo", albedo.shape, 3)
         per_point = albedo if albedo.dim() == 3 else albedo[:, None]
         return per_point * self.white(sky, ground, scene)
 
@@ -154,8 +157,8 @@ class SkyTransport(nn.Module):
         scene: Int[Tensor, " b"] | None = None,
     ) -> Float[Tensor, "b m 3"]:
         """T l: the same for an albedo of 1."""
-        check_shape("the sky", sky.shape, self.folded.shape[2] - 1, 3)
-        check_shape("the ground", ground.shape, len(sky), 3)
+        check_shape("SkyTransport's sky", sky.shape, self.folded.shape[2] - 1, 3)
+        check_shape("SkyTransport's ground", ground.shape, len(sky), 3)
         return shade_scenes(self.folded, torch.cat([sky, ground[:, None]], dim=1), scene)
 
 

@@ -19,7 +19,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import wait as wait_for
 from pathlib import Path
-from typing import IO, TypeVar
+from typing import IO, Any, TypeVar
 
 from skylight.errors import InputError, OutputError, SkylightError
 from skylight.io._atomic import PARTIAL
@@ -104,7 +104,7 @@ def keep_settings(note: Path, settings: dict[str, object]) -> None:
 
 def share_work(
     work: Callable[..., Result],
-    arguments: Iterable[tuple],
+    arguments: Iterable[tuple[Any, ...]],
     *,
     workers: Workers,
     prepare: Callable[[], None] | None = None,

@@ -1,4 +1,7 @@
+import copy
 import math
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -6,9 +9,12 @@ import pytest
 import torch
 from scipy.stats import multivariate_normal
 from sklearn.mixture import GaussianMixture as SklearnMixture
+from torch import nn
 
 from skylight.errors import AssetError, InputError, OutputError
 from skylight.io._tensors import write_tensors
+from skylight.models._base import Prior
+from skylight.models._lamps import LampsPrior
 from skylight.models._prior import GaussianMixture
 
 F64 = torch.float64
@@ -185,3 +191,54 @@ def test_a_widened_mixture_is_the_density_of_noisy_samples() -> None:
     )
     torch.testing.assert_close(mixture.widened(0.5 * grey).log_prob(x), expected.log())
     torch.testing.assert_close(mixture.widened(0 * grey).log_prob(x), mixture.log_prob(x))
+
+
+def priors() -> list[tuple[Prior, int]]:
+    return [(mixture(7)[0].float(), 7), (LampsPrior(2), 30), (LampsPrior(0), 16)]
+
+
+@pytest.mark.parametrize(("prior", "size"), priors())
+def test_any_leading_dimensions_are_a_loop(prior: Prior, size: int) -> None:
+    generator = torch.Generator().manual_seed(3)
+    for shape in [(), (1,), (0,), (2, 3), (2, 0, 3), (2, 1, 2, 3)]:
+        x = prior.sample(shape, generator)
+        assert x.shape == (*shape, size)
+        density = prior.log_prob(x)
+        assert density.shape == shape
+        each = [prior.log_prob(one) for one in x.reshape(-1, size)]
+        torch.testing.assert_close(density.flatten(), torch.tensor(each))
+    assert prior.sample().shape == (size,)
+    same = [prior.sample(shape, torch.Generator().manual_seed(1)) for shape in (6, (6,), (2, 3))]
+    assert torch.equal(same[0], same[1])
+    assert torch.equal(same[0], same[2].flatten(0, 1))
+
+
+@pytest.mark.parametrize(("prior", "size"), priors())
+@pytest.mark.parametrize("to", [F64, torch.device("meta")])
+def test_samples_are_where_the_prior_is(
+    prior: nn.Module, size: int, to: torch.dtype | torch.device
+) -> None:
+    moved = copy.deepcopy(prior).to(to)
+    assert isinstance(moved, Prior)
+    x = moved.sample((2, 3))
+    assert to in (x.dtype, x.device)
+    assert moved.log_prob(x).shape == (2, 3)
+
+
+@pytest.mark.slow
+def test_many_samples_take_no_more_than_a_few_times_their_memory() -> None:
+    """A factor for each draw, or all components of all rows, would be 1.6 GB."""
+    script = """
+import torch
+from skylight.models import load_bundle
+from tests.peak_memory import peak_mb
+prior = load_bundle().prior()
+before = peak_mb()
+with torch.inference_mode():
+    prior.log_prob(prior.sample(100_000))
+print(peak_mb() - before)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert float(done.stdout) < 8 * 100_000 * 64 * 4 / 2**20

@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from skylight._modes import Derived
+from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.probes.partitions._cells import Cells
 from skylight.sphere._envmap import EnvironmentMap
@@ -16,7 +17,7 @@ _FINE_ROWS = 512  # into which maps are divided at least, to share pixels betwee
 _WORST_CONDITION = 1e4
 
 
-class PartitionProbe(nn.Module):
+class PartitionProbe(Module):
     """A kernel of n Lambertian faces, each of which sees its own cell (thesis, 4.4).
 
     ``probe(radiance, grid)`` is the shading, radiance of the faces,
@@ -79,11 +80,13 @@ class PartitionProbe(nn.Module):
     def forward(
         self, radiance: Float[Tensor, "*b d 3"], grid: DirectionGrid
     ) -> Float[Tensor, "*b n 3"]:
-        """Shading under radiance on a grid of the whole sphere; linear, differentiable.
+        """``rho / pi A L``: shading ``(..., n, 3)`` of the n faces, L_j the light of cell j.
 
+        That is the mean of radiance ``(..., d, 3)`` on a grid of the whole sphere over the cell, as
+        its face weighs it; in the radiance's units, linear, differentiable.
         Light from other cells that ``response`` lets in counts as their own faces average it.
         """
-        check_shape("radiance", radiance.shape, len(grid), 3)
+        check_shape("PartitionProbe's radiance", radiance.shape, len(grid), 3)
         cell, share = self._shares(grid)
         cell, share = cell.to(radiance.device), share.to(radiance.device)
         # float64 sums: a sun is 1e5 times brighter than the pixels it is added to
@@ -104,7 +107,7 @@ class PartitionProbe(nn.Module):
 
     def light(self, shading: Float[Tensor, "*b n 3"]) -> Float[Tensor, "*b n 3"]:
         """Each cell's constant radiance, ``A^-1 (pi s / rho)``: s_i w_i if ideal (Eq. 4.6)."""
-        check_shape("shading", shading.shape, self.cells.count, 3)
+        check_shape("PartitionProbe's shading", shading.shape, self.cells.count, 3)
         return (self.inverse @ (math.pi * shading.double() / self.albedo)).to(shading)
 
     def decode(
@@ -134,7 +137,7 @@ class PartitionProbe(nn.Module):
 
         Times :attr:`correction` it is s''_i (Eq. 4.25).
         """
-        check_shape("radiance", radiance.shape, len(grid), 3)
+        check_shape("PartitionProbe's radiance", radiance.shape, len(grid), 3)
         _check_whole(grid)
         cosine = (self.cells.normals @ grid.directions.T).clamp(min=0) * grid.solid_angles
         share = (cosine / cosine.sum(1, keepdim=True)).to(radiance.device)

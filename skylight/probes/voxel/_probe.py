@@ -4,6 +4,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.probes.voxel._interreflection import DEGREE, SIZE, face_frame, slot_transfer
 from skylight.probes.voxel._model import ORIENTATIONS, VoxelModel, exposed_faces
@@ -12,7 +13,7 @@ from skylight.sphere._frame import DirectionGrid
 from skylight.sphere._rotation import rotate
 
 
-class VoxelProbe(nn.Module):
+class VoxelProbe(Module):
     """A voxel model of one Lambertian material as an encoder of light (thesis, 3.4.4).
 
     ``probe(radiance, grid)`` is the lightmap: of texel x of each slot
@@ -60,8 +61,11 @@ class VoxelProbe(nn.Module):
     def forward(
         self, radiance: Float[Tensor, "*b d 3"], grid: DirectionGrid
     ) -> Float[Tensor, "*b 6 32 n n 3"]:
-        """The lightmap under radiance on a grid; linear in it, differentiable."""
-        check_shape("radiance", radiance.shape, len(grid), 3)
+        """The lightmap, radiance of each slot's patches, under radiance ``(..., d, 3)`` on a grid.
+
+        ``sum_w t(w) L(w) dw`` with t of :attr:`degree` bands; linear, differentiable, in L's units.
+        """
+        check_shape("VoxelProbe's radiance", radiance.shape, len(grid), 3)
         # float64 sums: a sun is 1e5 times brighter than the pixels it is added to
         basis = harmonics.evaluate(grid.directions, self.degree) * grid.solid_angles[:, None]
         light = torch.einsum("dk,...dc->...ck", basis.to(radiance.device), radiance.double())

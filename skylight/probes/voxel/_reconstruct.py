@@ -10,8 +10,9 @@ from math import comb
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 
+from skylight._module import Module
 from skylight.errors import InputError
 from skylight.probes.voxel._lightmap import Lightmap
 from skylight.probes.voxel._model import CONFIGURATIONS, OCCLUDERS, ORIENTATIONS, visibility_vectors
@@ -86,7 +87,7 @@ def _solve(
     return solved, torch.cholesky_solve(right[subsets[solved]], factors[solved])
 
 
-class SlotReconstruction(nn.Module):
+class SlotReconstruction(Module):
     """A missing slot as ``sum_j weights[o, i, j] slot[o, j]`` over the known of its orientation.
 
     ``weights`` (6,32,32), float64: rows of known slots are rows of the identity.
@@ -103,7 +104,10 @@ class SlotReconstruction(nn.Module):
     def forward(self, radiance: Float[Tensor, "*b 6 32 n n c"]) -> Float[Tensor, "*b 6 32 n n c"]:
         """All slots from the known; what unknown ones hold does not matter if it is finite."""
         if radiance.shape[-5:-3] != self.known.shape:
-            raise InputError(f"slots of shape {tuple(radiance.shape)}: give (..., 6, 32, n, n, c)")
+            raise InputError(
+                f"{type(self).__name__}'s slots of shape {tuple(radiance.shape)}: "
+                "give (..., 6, 32, n, n, c)"
+            )
         slots = radiance.flatten(-3)
         return (self.weights.to(slots.dtype) @ slots).reshape(radiance.shape)
 

@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
-from torch import Tensor, nn
+from torch import Tensor
 
+from skylight._module import Module
 from skylight.errors import check_shape
 from skylight.probes.cameras._drawing import (
     NOWHERE,
@@ -174,7 +175,7 @@ def _cast(
     return back.translation, back.directions(rays.reshape(-1, 3).float())
 
 
-class Relighting(nn.Module):
+class Relighting(Module):
     """L_c(x) = sum_i L_ic t_ic(x) (thesis, Eq. 4.16, with the probe's weights in the light).
 
     One product for each colour, linear in the light and so differentiable.
@@ -192,13 +193,13 @@ class Relighting(nn.Module):
 
         A view whose colours lie apart in memory.
         """
-        check_shape("light", light.shape, self.transfer.shape[1], 3)
+        check_shape("Relighting's light", light.shape, self.transfer.shape[1], 3)
         lights = light.to(self.transfer.dtype).reshape(-1, *light.shape[-2:])
         radiance = torch.bmm(lights.permute(2, 0, 1), self.transfer)  # (3, b, m)
         return radiance.permute(1, 2, 0).reshape(*light.shape[:-2], -1, 3).to(light.dtype)
 
 
-class TurningRelighting(nn.Module):
+class TurningRelighting(Module):
     """L_c(x, a) = sum_i L_ic t_ic(x, a) of what is turned by any angle a, rad.
 
     Coefficients between the K angles are those of a periodic cubic spline through them::
@@ -236,7 +237,7 @@ class TurningRelighting(nn.Module):
 
         Between the angles it may be below 0, by as much as the spline is off.
         """
-        check_shape("light", light.shape, self.spline.shape[2], 3)
+        check_shape("TurningRelighting's light", light.shape, self.spline.shape[2], 3)
         count = len(self.spline)
         place = torch.as_tensor(angle_rad, dtype=torch.float64) / (2 * math.pi) * count
         below = place.detach().floor()
