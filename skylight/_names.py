@@ -74,7 +74,7 @@ def check_light_name(name: str) -> LightName:
     return name  # type: ignore[return-value]
 
 
-def check_solver_name(name: str, light: LightName) -> SolverName:
+def check_solver_name(name: str, light: str) -> SolverName:
     """``name`` where it searches for that light; :class:`InputError` names those that do."""
     if name not in SOLVER_NAMES:
         raise InputError(f"unknown solver {name!r}: choose one of {', '.join(SOLVER_NAMES)}")

@@ -24,8 +24,7 @@ from torch.nn.functional import normalize
 import skylight
 from skylight.csc import SphericalSparseCoder
 from skylight.errors import InputError
-from skylight.models import GaussianLobes, LampsLight, LightModel, SunSky
-from skylight.models._base import UnboundedLight
+from skylight.models import GaussianLobes, LampsLight, LightModel, ParametricLight, SunSky
 from skylight.models.sunsky import fit_sunsky
 from skylight.transport._render import reflection_weights
 from tests.modules import CASES, F32, F64, GRID, NOT_HERE, TF32, Case, coder as coder_of_few, error
@@ -188,7 +187,7 @@ def test_a_wrong_number_of_parameters_is_told_with_what_they_are(name: str, said
     with pytest.raises(InputError, match=re.escape(said)):
         CASES[name].call(module, torch.ones(2, 9))
     for method in ("to_free", "from_free", "sun_direction"):
-        if hasattr(module, method) and not isinstance(module, UnboundedLight):
+        if hasattr(module, method) and not isinstance(module, ParametricLight):
             with pytest.raises(InputError, match=re.escape(said)):
                 getattr(module, method)(torch.ones(2, 9))
 

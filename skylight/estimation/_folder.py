@@ -35,9 +35,11 @@ from skylight.estimation._photos import STAGES, Pictures
 from skylight.estimation._report import SOME_FILES, write_results
 from skylight.estimation._settings import EstimateSettings
 from skylight.estimation._summary import PhotoEstimate, SeenFace
+from skylight.inverse._own_light import solved_together
 from skylight.inverse._problem import solve
 from skylight.inverse._result import Estimate
 from skylight.inverse._sun_prior import SunPrior
+from skylight.models._base import name_of
 from skylight.work._cluster import Cluster
 from skylight.work._device import choose_device
 from skylight.work._processes import send_tensors_by_value
@@ -127,15 +129,16 @@ def estimate_folder(
 
 def _batch(settings: EstimateSettings, workers: Workers, asked: int | None) -> int:
     """How many photos are solved together."""
-    can = settings.light in SKY_LIGHTS and not isinstance(workers, Cluster)
+    alike = solved_together(settings.light, settings.prior)
+    can = alike and not isinstance(workers, Cluster)
     if asked is None:
         return GPU_BATCH if can and choose_device(settings.device).type != "cpu" else 1
     if asked < 1:
         raise InputError(f"--batch must be 1 or more, got {asked}")
-    if asked > 1 and settings.light not in SKY_LIGHTS:
+    if asked > 1 and not alike:
         raise InputError(
-            f"--batch is for --light {', '.join(SKY_LIGHTS)}: {settings.light} is solved photo by "
-            "photo; leave it out"
+            f"--batch is for --light {', '.join(SKY_LIGHTS)}: {name_of(settings.light)} is solved "
+            "photo by photo; leave it out"
         )
     if asked > 1 and not can:
         raise InputError(

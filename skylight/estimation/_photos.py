@@ -26,9 +26,11 @@ from skylight.faces._observe import SKIN_SPECULAR, observe_face
 from skylight.imaging._capture_metadata import CaptureMetadata
 from skylight.imaging._colour import Decode
 from skylight.imaging._photo import Photo, photo_from_codes, read_photo
+from skylight.inverse._own_light import follows_clock
 from skylight.inverse._problem import solve
 from skylight.inverse._result import Estimate
 from skylight.inverse._sun_prior import SunPrior, sun_prior
+from skylight.models._base import name_of
 from skylight.work._progress import Progress, StageProgress
 from skylight.work._threads import cores
 
@@ -63,8 +65,8 @@ def estimate(
     progress
         Called with the name of a stage and the share of it that is done.
     settings
-        ``light=``, ``model=``, ``solver=``, ``face=``, ``head=``, ``decode=``, ``landmarks=``,
-        ``ignore_exif_sun=``, ``ground=`` and ``device=``, those of
+        ``light=``, ``prior=``, ``model=``, ``solver=``, ``face=``, ``head=``, ``decode=``,
+        ``landmarks=``, ``ignore_exif_sun=``, ``ground=`` and ``device=``, those of
         :class:`~skylight.estimation._settings.EstimateSettings`.
 
     Returns
@@ -145,8 +147,9 @@ class Pictures:
         names = tuple(names or (_name(one, k, len(images)) for k, one in enumerate(images, 1)))
         known = _known_of(photos[0], taken, ignore_exif_sun=settings.ignore_exif_sun)
         prior, of_sun = sun_prior(known)
-        if prior is not None and settings.light == "lamps":
-            prior, of_sun = None, ("lamps do not follow the clock: time and place were not used",)
+        if prior is not None and not follows_clock(settings.light, settings.prior):
+            name = name_of(settings.light)
+            prior, of_sun = None, (f"{name} do not follow the clock: time and place were not used",)
         notes = (*(f"{names[0]}: {note}" for note in known.notes), *of_sun, *_unused(taken, known))
         return Pictures(
             settings=settings,

@@ -70,6 +70,11 @@ LIGHTS = {
 }
 
 
+def light_in_words(name: str) -> str:
+    """Of a model of the user's its name; signs of formulas are none there."""
+    return LIGHTS.get(name, f"light model: {name}".replace("$", r"\$"))
+
+
 def frame_head(axes: "Axes", photo: Photo, face: DetectedFace) -> tuple[float, float]:
     """Draw a frame around a head of the picture shown; its upper left corner."""
     from matplotlib.patches import Rectangle
@@ -145,7 +150,9 @@ def write_report(path: Path, result: PhotoEstimate, *, title: str) -> None:
     with rc_context(STYLE):
         figure = Figure(figsize=(16, 10.2), dpi=120, facecolor="white")
         figure.text(0.02, 0.962, f"Light of {title}", fontsize=17, fontweight="bold")
-        figure.text(0.98, 0.965, LIGHTS[estimate.light], ha="right", color=MUTED, fontsize=11.5)
+        figure.text(
+            0.98, 0.965, light_in_words(estimate.light), ha="right", color=MUTED, fontsize=11.5
+        )
         if estimate.advice:
             care = _CARE.fill("Take care: " + "; ".join(estimate.advice))
             figure.text(0.02, 0.952, care, color=ACCENT, fontsize=10.5, va="top", linespacing=1.1)
@@ -239,7 +246,7 @@ def write_group_report(path: Path, result: PhotoEstimate, *, title: str) -> None
         figure = Figure(figsize=(WIDTH, height), dpi=120, facecolor="white")
         top = 1 - 0.42 / height
         figure.text(0.02, top, f"Light of {title}", fontsize=17, fontweight="bold")
-        light = LIGHTS[result.estimate.light]
+        light = light_in_words(result.estimate.light)
         figure.text(0.98, top, light, ha="right", color=MUTED, fontsize=11.5)
         for number, note in enumerate(notes, start=1):
             at = top - 0.24 * number / height

@@ -16,20 +16,19 @@ from skylight._names import (
     DEFAULT_SOLVER,
     HeadName,
     LandmarkerName,
-    LightName,
     SolverName,
     WhichFaces,
-    check_is_trained,
-    check_light_name,
     check_solver_name,
 )
 from skylight.faces._landmarkers import choose_landmarker
 from skylight.faces._landmarks import FaceLandmarker
 from skylight.imaging._colour import Decode
-from skylight.inverse._estimate import Model, bundle_of, light_problems
+from skylight.inverse._estimate import Model, bundle_of, check_goes_together, light_problems
+from skylight.inverse._own_light import own_light, told
 from skylight.inverse._problem import LightProblem
 from skylight.inverse._sky import SOLVERS
 from skylight.inverse._sun_prior import SunPrior
+from skylight.models._base import Light, LightPrior, name_of
 from skylight.models._ground import KnownGround, check_has_ground
 from skylight.work._device import choose_device
 
@@ -37,7 +36,8 @@ from skylight.work._device import choose_device
 class SettingKeywords(TypedDict, total=False):
     """The fields of :class:`EstimateSettings` as keyword arguments."""
 
-    light: LightName
+    light: Light
+    prior: LightPrior | None
     model: Model | None
     solver: SolverName
     face: WhichFaces
@@ -58,7 +58,11 @@ class EstimateSettings:
     light
         The light model: "auto" (the likelier of "autoencoder" and "lamps"), "autoencoder" (learnt
         skies), "sunsky" (Preetham's sky and a sun), "lamps" (up to three in ambient light), "sh9"
-        or "sh25" (spherical harmonics up to degree 2 or 4).
+        or "sh25" (spherical harmonics up to degree 2 or 4); or a
+        :class:`~skylight.models._base.LightModel` of your own.
+    prior
+        The density of such a model's free parameters, as for
+        :func:`~skylight.inverse._estimate.estimate_light`; by default all are alike.
     model
         A trained model of your own, or its folder, in place of the one that comes with skylight:
         the network of "autoencoder", or the prior of "sunsky". ``skylight train`` makes them.
@@ -82,7 +86,7 @@ class EstimateSettings:
         same, and for "auto" the exposure of the first picture.
     ground
         The albedo of the ground where it is known, for skies over a ground ("auto",
-        "autoencoder", "sunsky"); by default what is usual.
+        "autoencoder", "sunsky", your own); by default what is usual.
     device
         Where light is traced and optimised: "cpu", "cuda", or "auto" for CUDA where it is.
 
@@ -92,7 +96,8 @@ class EstimateSettings:
         An unknown name, or options that do not go together.
     """
 
-    light: LightName = DEFAULT_LIGHT
+    light: Light = DEFAULT_LIGHT
+    prior: LightPrior | None = None
     model: Model | None = None
     solver: SolverName = DEFAULT_SOLVER
     face: WhichFaces = 1
@@ -104,12 +109,12 @@ class EstimateSettings:
     device: str = "auto"
 
     def __post_init__(self) -> None:
-        check_light_name(self.light)
-        check_solver_name(self.solver, self.light)
+        check_goes_together(self.light, self.prior, self.model)
+        check_solver_name(self.solver, name_of(self.light))
         check_has_ground(self.light, self.ground)
-        if self.model is not None:
-            check_is_trained(self.light)
-        choose_device(self.device)
+        where = choose_device(self.device)
+        if not isinstance(self.light, str):
+            own_light(self.light, self.prior, where)
 
     @property
     def landmarker(self) -> FaceLandmarker:
@@ -138,6 +143,7 @@ class EstimateSettings:
         return light_problems(
             self.light,
             len(sun_priors),
+            prior=self.prior,
             model=self.model,
             options=replace(SOLVERS[self.solver], ground=self.ground),
             sun_priors=sun_priors,
@@ -148,7 +154,11 @@ class EstimateSettings:
     def facts(self) -> dict[str, object]:
         """For notes: the same for the same model files, wherever they lie, and on any device."""
         facts: dict[str, object] = {each.name: getattr(self, each.name) for each in fields(self)}
-        del facts["device"]
+        del facts["device"], facts["prior"]
+        if not isinstance(self.light, str):
+            facts["light"] = {"name": self.light.name, **told(self.light)}
+        if self.prior is not None:
+            facts["prior"] = told(self.prior)
         if self.model is not None:
             facts["model"] = bundle_of(self.model).fingerprint
         if self.solver == DEFAULT_SOLVER:  # notes of runs before there was another

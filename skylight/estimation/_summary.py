@@ -294,7 +294,7 @@ def summary(result: PhotoEstimate) -> str:
     """A few lines for the terminal."""
     estimate = result.estimate
     azimuth_deg, zenith_deg = angles_deg(estimate.sun_direction)
-    name = "lamp" if estimate.light == "lamps" else "sun"
+    name = "lamp" if estimate.posterior.grid.is_sphere else "sun"
     count = len(estimate.faces)
     labels = ["face"] if count == 1 else [f"face {n}" for n in range(1, count + 1)]
     return "\n".join(

@@ -10,7 +10,6 @@ from skylight._modes import without_autocast
 from skylight._names import (
     DEFAULT_LIGHT,
     SKY_LIGHTS,
-    LightName,
     check_is_trained,
     check_light_name,
 )
@@ -19,12 +18,22 @@ from skylight.faces._skin import SkinPrior
 from skylight.inverse._auto import AutoProblem
 from skylight.inverse._harmonic import HarmonicProblem
 from skylight.inverse._lamps import LampsOptions, LampsProblem
+from skylight.inverse._own_light import (
+    called,
+    check_light,
+    follows_clock,
+    is_linear,
+    own_light,
+    solved_together,
+)
 from skylight.inverse._problem import LightProblem, solve
 from skylight.inverse._result import Estimate
 from skylight.inverse._sky import SkyProblem, SolverOptions
 from skylight.inverse._sun_prior import SunPrior
+from skylight.models._base import Light, LightPrior, name_of
 from skylight.models._bundle import LightBundle, load_bundle
 from skylight.models._harmonic import HarmonicLight
+from skylight.models._lamps import LampsLight
 from skylight.models._prior import GaussianMixture
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.sunsky import SunSky
@@ -39,8 +48,9 @@ Model = str | Path | LightBundle
 @without_autocast
 def estimate_light(
     observations: Observation | Sequence[Observation],
-    light: LightName = DEFAULT_LIGHT,
+    light: Light = DEFAULT_LIGHT,
     *,
+    prior: LightPrior | None = None,
     model: Model | None = None,
     photos: Sequence[int] | None = None,
     options: SolverOptions | None = None,
@@ -59,7 +69,14 @@ def estimate_light(
     light
         "auto" (the likelier of "autoencoder" and "lamps"), "autoencoder" (learnt skies), "sunsky"
         (Preetham's sky and a sun), "lamps" (up to three in ambient light, on the whole sphere),
-        "sh9" or "sh25" (spherical harmonics up to degree 2 or 4).
+        "sh9" or "sh25" (spherical harmonics up to degree 2 or 4); or a
+        :class:`~skylight.models._base.LightModel`, of a sky or the whole sphere, for which
+        :class:`~skylight.models._base.ParametricLight` is a base.
+    prior
+        The density of that model's free parameters but the azimuth (``log_prob`` of it is asked,
+        as ``torch.distributions`` have it). None says nothing about them: all are alike. Of the
+        models that come with skylight, ``load_bundle().light()`` has ``load_bundle().prior()``,
+        ``SunSky()`` has ``load_bundle().sunsky_prior`` and ``LampsLight(k)`` ``LampsPrior(k)``.
     model
         A trained model of your own, or its folder, in place of the one that comes with skylight:
         the network of "autoencoder", or the prior of "sunsky".
@@ -83,7 +100,8 @@ def estimate_light(
     ------
     InputError
         No observation, or one without a usable pixel; ``photos`` that do not count them; an
-        unknown light model; lamps with a sun prior; no such device.
+        unknown light model, or one that is not what a light model is; lamps, or another light of
+        the whole sphere, with a sun prior; no such device.
     """
     if isinstance(observations, Observation):
         observations = (observations,)
@@ -95,6 +113,7 @@ def estimate_light(
         )
     (problem,) = light_problems(
         light,
+        prior=prior,
         model=model,
         options=options,
         sun_priors=[sun_prior],
@@ -109,8 +128,9 @@ def estimate_light(
 @without_autocast
 def estimate_each(
     observations: Sequence[Observation],
-    light: LightName = DEFAULT_LIGHT,
+    light: Light = DEFAULT_LIGHT,
     *,
+    prior: LightPrior | None = None,
     model: Model | None = None,
     options: SolverOptions | None = None,
     device: str = "auto",
@@ -119,24 +139,26 @@ def estimate_each(
     """The light of each observation, each face in a light of its own.
 
     As :func:`estimate_light` of each, but for rounding, without priors and exposures. On a GPU
-    skies (of "auto", "autoencoder" and "sunsky") are solved as one batch, which keeps it busy: give
-    it as many as its memory holds (:class:`~skylight.inverse._sky.SkyProblem`). A CPU is
-    busy with one, and takes an eighth longer for a batch: there, and for lamps and harmonics, they
-    are solved in turn.
+    skies (of "auto", "autoencoder" and "sunsky") and models of one's own are solved as one batch,
+    which keeps it busy: give it as many as its memory holds
+    (:class:`~skylight.inverse._sky.SkyProblem`). A CPU is busy with one, and takes an eighth longer
+    for a batch: there, and for lamps and harmonics, they are solved in turn.
 
     Raises
     ------
     InputError
         As :func:`estimate_light`, for all where it is wrong with one.
     """
-    if choose_device(device).type != "cpu" and light in SKY_LIGHTS:
-        many = light_problems(light, len(observations), model=model, options=options, device=device)
+    if choose_device(device).type != "cpu" and solved_together(light, prior):
+        many = light_problems(
+            light, len(observations), prior=prior, model=model, options=options, device=device
+        )
         for problem, observation in zip(many, observations, strict=True):
             problem.add(observation)
         return solve(many, progress)
     found: list[Estimate] = []
     for observation in observations:  # a problem at a time in memory
-        (problem,) = light_problems(light, model=model, options=options, device=device)
+        (problem,) = light_problems(light, prior=prior, model=model, options=options, device=device)
         problem.add(observation)
         found += solve([problem])
         if progress is not None:
@@ -145,9 +167,10 @@ def estimate_each(
 
 
 def light_problems(
-    light: LightName,
+    light: Light,
     count: int = 1,
     *,
+    prior: LightPrior | None = None,
     model: Model | None = None,
     options: SolverOptions | None = None,
     sun_priors: Sequence[SunPrior | None] | None = None,
@@ -161,20 +184,26 @@ def light_problems(
     """
     sun_priors = sun_priors or [None] * count
     exposures = exposures or [None] * count
-    check_light_name(light)
-    if model is not None:
-        check_is_trained(light)
-    where = choose_device(device)
-    modes, prior = SkinPrior.load().means.float().to(where), albedo_prior().to(where)
-    if light == "sh9" or light == "sh25":
-        harmonics = HarmonicLight(2 if light == "sh9" else 4).to(where)
-        return [HarmonicProblem(harmonics, prior, modes, one) for one in sun_priors]
-    options = options or SolverOptions()
+    check_goes_together(light, prior, model)
+    where, options = choose_device(device), options or SolverOptions()
+    if not follows_clock(light, prior) and any(one is not None for one in sun_priors):
+        raise InputError(
+            f"{name_of(light)} are not the sun: leave sun_prior out, or choose another light"
+        )
+    modes, skin = SkinPrior.load().means.float().to(where), albedo_prior().to(where)
     lamps = LampsOptions(weights=options.weights)
+    degree = _degree(light, prior)
+    if degree is not None:
+        harmonics = HarmonicLight(degree).to(where)
+        return [HarmonicProblem(harmonics, skin, modes, one) for one in sun_priors]
     if light == "lamps":
-        if any(one is not None for one in sun_priors):
-            raise InputError("lamps are not the sun: leave sun_prior out, or choose another light")
-        return [LampsProblem(prior, modes, lamps) for _ in sun_priors]
+        return [LampsProblem(skin, modes, lamps) for _ in sun_priors]
+    if not isinstance(light, str):
+        own, over = own_light(light, prior, where)
+        if type(light) is LampsLight:
+            return [LampsProblem(skin, modes, lamps, (light.count, over)) for _ in sun_priors]
+        first = SkyProblem(own, over, skin, modes, options)
+        return [first.another(one) for one in sun_priors]
     bundle = bundle_of(model)
     if light != "sunsky":
         sky, over = smooth_autoencoder(bundle), bundle.prior()
@@ -182,14 +211,39 @@ def light_problems(
         sky, over = SunSky(), copy.deepcopy(bundle.sunsky_prior)
     if light == "auto":
         options = replace(options, evidence=True)
-    first = SkyProblem(sky.to(where), over.to(where), prior, modes, options)
+    first = SkyProblem(sky.to(where), over.to(where), skin, modes, options)
     skies = [first.another(one) for one in sun_priors]
     if light == "auto":
         return [
-            AutoProblem(sky, LampsProblem(prior, modes, lamps), exposure)
+            AutoProblem(sky, LampsProblem(skin, modes, lamps), exposure)
             for sky, exposure in zip(skies, exposures, strict=True)
         ]
     return skies
+
+
+def _degree(light: Light, prior: LightPrior | None) -> int | None:
+    """Of harmonics that are a linear problem; None of other light."""
+    if isinstance(light, str):
+        return {"sh9": 2, "sh25": 4}.get(light)
+    return light.degree if is_linear(light, prior) else None
+
+
+def check_goes_together(light: Light, prior: LightPrior | None, model: Model | None) -> None:
+    """:class:`InputError` for what is no light, and a prior or a trained model that is not its."""
+    if isinstance(light, str):
+        check_light_name(light)
+        if prior is not None:
+            raise InputError(
+                f"prior is for a light model of your own: {light} has its own, leave prior out"
+            )
+        if model is not None:
+            check_is_trained(light)
+        return
+    check_light(light)
+    if model is not None:
+        raise InputError(
+            f"model is for {', '.join(SKY_LIGHTS)}: {called(light)} is a model itself, leave it out"
+        )
 
 
 def bundle_of(model: Model | None) -> LightBundle:

@@ -31,6 +31,7 @@ from skylight.inverse._problem import LightProblem
 from skylight.inverse._result import Estimate, Lamp
 from skylight.inverse._scan import SCAN_HEIGHT, SunScan, scan_faces
 from skylight.inverse._solution import Solutions, estimate_of, face_lights, log_evidence
+from skylight.models._base import Prior
 from skylight.models._lamps import LampsLight, LampsPrior
 from skylight.models._prior import GaussianMixture
 from skylight.sphere._envmap import EnvironmentMap, luminance
@@ -240,7 +241,8 @@ class LampsProblem(LightProblem):
 
     Light is on :data:`~skylight.inverse._scan.SCAN_HEIGHT` rows of the sphere: two thirds of the
     memory that a sky has, 130 MB for a face of 3,700 pixels with specular reflection. Everything is
-    computed on the device of ``albedo_modes``, where the prior has to be.
+    computed on the device of ``albedo_modes``, where the prior has to be. There are as many lamps
+    as pay, or as ``exactly`` says with their prior.
     """
 
     def __init__(
@@ -248,7 +250,9 @@ class LampsProblem(LightProblem):
         albedo_prior: GaussianMixture,
         albedo_modes: Float[Tensor, "k 3"],
         options: LampsOptions | None = None,
+        exactly: tuple[int, Prior | None] | None = None,
     ) -> None:
+        self.exactly = exactly
         self.albedo_prior, self.albedo_modes = albedo_prior, albedo_modes
         self.options = options or LampsOptions()
         self.faces = LitFaces()
@@ -294,7 +298,7 @@ class LampsProblem(LightProblem):
                 count=count, point=points, log_evidence=float(log_evidence(objective, end))
             )
 
-        best = as_many_as_pay(fitted)
+        best = as_many_as_pay(fitted) if self.exactly is None else fitted(self.exactly[0])
         objective, points = self._descend(best.count, best.point, options.fine, progress)
         solutions = Solutions.of(objective, [points], evidence=True)
         params = solutions.parts.light[0].cpu()
@@ -333,7 +337,7 @@ class LampsProblem(LightProblem):
         return LightObjective(
             self.faces.terms(stage.level),
             LampsLight(count).to(self.albedo_modes.device),
-            LampsPrior(count),
+            LampsPrior(count) if self.exactly is None else self.exactly[1],
             self.albedo_prior,
             replace(weights, pigment_spread=0.0) if stage.even_skin else weights,
         )

@@ -72,8 +72,9 @@ class LightObjective:
     :mod:`skylight.faces._normal_errors` has, by normal amounts. Trusted, flat cheeks of a fitted
     head turn the sun, and more than one direction looks certain.
 
-    ``albedo_prior`` is a density over *log* albedo: over albedo itself it would be the same
-    distribution, but its maximum would lean towards dark skin.
+    Without a ``light_prior`` all lights of the model are alike. ``albedo_prior`` is a density over
+    *log* albedo: over albedo itself it would be the same distribution, but its maximum would lean
+    towards dark skin.
 
     Free parameters of one problem: those of the light model, for each photograph a log exposure
     and its two log gains against green, for each face the log specular scale, the logits of skin
@@ -87,7 +88,7 @@ class LightObjective:
         self,
         faces: Sequence[FaceTerm],
         model: LightModel,
-        light_prior: Prior,
+        light_prior: Prior | None,
         albedo_prior: GaussianMixture,
         weights: ObjectiveWeights,
         sun_priors: Sequence[SunPrior | None] = (),
@@ -279,7 +280,7 @@ class LightObjective:
         skin = self.albedo_prior.log_prob(parts.albedo.log().flatten(0, 1))
         sun = self.sun_nll(parts.light, problem)
         return {
-            "light_prior": -w.light_prior * self.light_prior.log_prob(light),
+            **self._light_nll(light),
             "albedo_prior": -w.albedo_prior * skin.unflatten(0, (-1, len(self.faces))).sum(1),
             **self._ground_nll(parts),
             "gloss_prior": (0.5 * (parts.specular_scale.log() / SPECULAR_SPREAD) ** 2).sum(1),
@@ -317,6 +318,12 @@ class LightObjective:
                 own = -self.weights.sun_prior * prior.log_density(sun)
                 nll = own if problem is None else torch.where(problem == number, own, nll)
         return nll
+
+    def _light_nll(self, free: Float[Tensor, "b p"]) -> dict[str, Float[Tensor, " b"]]:
+        if self.light_prior is None:
+            return {}
+        nll = -self.light_prior.log_prob(free).to(free.dtype)
+        return {"light_prior": self.weights.light_prior * nll}
 
     def _ground_nll(self, parts: Unpacked) -> dict[str, Float[Tensor, " b"]]:
         if self.ground is None:

@@ -1,5 +1,8 @@
 """Observations under one sky -> that sky, of one light or of several as one batch.
 
+So are models of the whole sphere solved for, of the user's own; what differs is that they have no
+ground, and that suns are looked for all round.
+
 Eq. 5.8 is minimised coarse to fine, from many starts that a linear scan for the sun proposes, or,
 as in the thesis, from the mean sky turned to where light comes from in the mean
 (:func:`linear_direction`).
@@ -18,6 +21,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from skylight._names import SolverName
+from skylight.errors import InputError
 from skylight.inverse._descent import Iterates, Stage, choose_starts, descend
 from skylight.inverse._faces import FaceTerm, Level, LitFaces, ObjectiveWeights, ScannedFace
 from skylight.inverse._objective import LightObjective
@@ -39,6 +43,7 @@ from skylight.transport._observation import Observation
 from skylight.work._progress import Progress
 
 T = TypeVar("T")
+BELOW_ZERO = 1e-6  # of the largest radiance: less is rounding
 SKY_ROWS = 64  # of an estimate's sky; the objective works on those of the light model
 
 
@@ -89,11 +94,12 @@ SOLVERS: dict[SolverName, SolverOptions] = {"scan": SolverOptions(), "thesis": T
 class SkySolver:
     """A light model, its prior, those of skin and ground, and the effort to spend.
 
-    Everything is computed on the device of ``albedo_modes``.
+    Everything is computed on the device of ``albedo_modes``. Without a light prior all free
+    parameters of the model are alike.
     """
 
     model: LightModel
-    light_prior: Prior
+    light_prior: Prior | None
     albedo_prior: GaussianMixture
     albedo_modes: Float[Tensor, "k 3"]
     options: SolverOptions
@@ -114,9 +120,11 @@ class SkySolver:
         (:func:`~skylight.inverse._posterior.credible`): else a wrong clock would draw the sun.
         """
         stages, observed = self.options.stages, [face.scanned for one in problems for face in one]
-        every = scan_faces(observed)
+        sphere = self.model.grid.is_sphere
+        every = scan_faces(observed, sphere=sphere)
         evidence = [
-            sun_evidence(each) for each in _per_problem(face_evidence(observed, every), problems)
+            sun_evidence(each)
+            for each in _per_problem(face_evidence(observed, every, sphere=sphere), problems)
         ]
         priors = [
             credible(each, problem.sun_prior)
@@ -171,7 +179,7 @@ class SkySolver:
         if self.options.start == "mean":
             towards = self._mean(linear_direction([face.scanned for face in faces]))
         else:
-            towards = self.model.starts_towards(directions)
+            towards = self.model.starts_towards(directions.to(self.albedo_modes))
         found = choose_starts(
             objective, towards, self.albedo_modes, centroids=self.options.start != "mean"
         )
@@ -190,13 +198,34 @@ class SkySolver:
 def environment_of(
     model: LightModel,
     params: Float[Tensor, " p"],
-    ground_albedo: Float[Tensor, "3"],
+    ground_albedo: Float[Tensor, " g"],
     exposure: float,
 ) -> EnvironmentMap:
-    """A sky above its ground, on :data:`SKY_ROWS` rows each, in a picture's units, on the CPU."""
-    sky = model.on_rows(SKY_ROWS)(params[None])[0] * exposure
-    full = LambertianGround(SKY_ROWS).append(sky.cpu(), ground_albedo.cpu())
+    """A sky above its ground, on :data:`SKY_ROWS` rows each, in a picture's units, on the CPU.
+
+    A model of the whole sphere has as many rows in all. :class:`InputError` where that is no light.
+    """
+    light = model.on_rows(SKY_ROWS)(params[None])[0] * exposure
+    require_light(light, model.name, "the parameters found")
+    light = light.cpu().clamp(min=0)
+    if model.grid.is_sphere:
+        return EnvironmentMap(radiance=light.reshape(SKY_ROWS, 2 * SKY_ROWS, 3))
+    full = LambertianGround(SKY_ROWS).append(light, ground_albedo.cpu())
     return EnvironmentMap(radiance=full.reshape(2 * SKY_ROWS, 4 * SKY_ROWS, 3))
+
+
+def require_light(radiance: Float[Tensor, "*batch n 3"], name: str, at: str) -> None:
+    """:class:`InputError` where ``name`` radiates what no light does."""
+    if not bool(radiance.isfinite().all()):
+        raise InputError(
+            f"{name}: radiance at {at} is not finite: bound what is exponentiated or divided by"
+        )
+    least = float(radiance.min())
+    if least < -BELOW_ZERO * float(radiance.max()):
+        raise InputError(
+            f"{name}: radiance at {at} is negative ({least:.3g}): end forward with exp, softplus "
+            "or clamp(min=0)"
+        )
 
 
 def _estimate(
@@ -211,19 +240,32 @@ def _estimate(
     parts, model = solutions.parts, solutions.objective.model
     lights = face_lights(solutions, p, faces, level)
     environment = environment_of(model, parts.light[p], parts.ground_albedo[p], lights[0].exposure)
-    return estimate_of(
+    found = estimate_of(
         model.name,
         parts.light[p].cpu(),
         environment,
         lights,
         solutions.search(p, scan),
         evidence,
-        sun=environment.brightest_direction(),
+        sun=_sun(model, parts.light[p], environment),
         albedo_prior=solutions.objective.tone_prior,
         reflects=faces[0].scanned.specular is not None,
         sun_prior=faces.sun_prior,
-        ground_albedo=parts.ground_albedo[p].cpu(),
+        ground_albedo=None if model.grid.is_sphere else parts.ground_albedo[p].cpu(),
     )
+    if model.grid.is_sphere and model.sun_direction(parts.light[p]) is None:
+        return replace(found, sun_direction=environment.brightest_direction(below=True))
+    return found
+
+
+def _sun(
+    model: LightModel, params: Float[Tensor, " p"], environment: EnvironmentMap
+) -> Float[Tensor, "3"] | None:
+    """A sky's, to a pixel, or the one that a model of the whole sphere has."""
+    if not model.grid.is_sphere:
+        return environment.brightest_direction()
+    sun = model.sun_direction(params)
+    return None if sun is None else normalize(sun.double().cpu(), dim=0)
 
 
 def _per_problem(every: Sequence[T], problems: Sequence[LitFaces]) -> list[list[T]]:
@@ -281,7 +323,7 @@ class SkyProblem(LightProblem):
     def __init__(
         self,
         model: LightModel,
-        light_prior: Prior,
+        light_prior: Prior | None,
         albedo_prior: GaussianMixture,
         albedo_modes: Float[Tensor, "k 3"],
         options: SolverOptions | None = None,
@@ -307,22 +349,26 @@ class SkyProblem(LightProblem):
 
     @property
     def grid_height(self) -> int:
-        """The sky's rows and the ground's."""
-        layout = self.solver.model.grid.layout
-        assert layout is not None
-        return 2 * layout[0]
+        """The sky's rows and the ground's, or the sphere's."""
+        grid = self.solver.model.grid
+        assert grid.layout is not None
+        return grid.layout[0] if grid.is_sphere else 2 * grid.layout[0]
 
     @property
     def is_empty(self) -> bool:
         return not self.faces
 
     def add(self, observation: Observation, photo: int = 0) -> None:
-        layout = observation.transport.grid.layout
-        if layout is None or layout[0] != self.grid_height:
-            raise ValueError(f"a sky needs transport of {self.grid_height} rows, got {layout}")
+        layout, model = observation.transport.grid.layout, self.solver.model
+        if layout is None or layout[0] % self.grid_height:
+            raise InputError(
+                f"{model.name} needs transport of {self.grid_height} rows, or a multiple of them, "
+                f"got {layout}: observe_face(grid_height={self.grid_height}) makes it"
+            )
         levels = sorted({one.level for one in self.solver.options.stages})
-        device = self.solver.albedo_modes.device
-        self.faces.append(ScannedFace.of(observation, photo, levels, device))
+        coarse, device = observation.on_rows(self.grid_height), self.solver.albedo_modes.device
+        sphere = model.grid.is_sphere
+        self.faces.append(ScannedFace.of(coarse, photo, levels, device, sphere=sphere))
 
     def _solve(self, progress: Progress) -> Estimate:
         return self.solver.solve([self.faces], progress)[0]

@@ -1,5 +1,6 @@
 from ._base import (
     LightModel as LightModel,
+    ParametricLight as ParametricLight,
     Prior as Prior,
     without_azimuth as without_azimuth,
 )

@@ -5,16 +5,22 @@ luminance of 1 over the upper hemisphere (sun included). What a camera adds is o
 factor, which inverse lighting estimates beside the parameters.
 """
 
+import copy
 import math
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.distributions import Distribution
 
 from skylight._module import Module
-from skylight.sphere._frame import DirectionGrid
+from skylight._names import SKY_LIGHTS, LightName
+from skylight.errors import InputError
+from skylight.sphere._frame import DirectionGrid, angles_from_direction
+
+_NEAREST, _FARTHEST = 1e-6, 40.0  # to a bound, and from the only one in its logarithm
 
 
 @runtime_checkable
@@ -63,29 +69,131 @@ class LightModel(Protocol):
     def on_rows(self, height: int) -> "LightModel": ...
 
 
-class UnboundedLight(Module):
-    """The part of a :class:`LightModel` that is the same where any parameters are allowed.
+class ParametricLight(Module):
+    """A base for light models: all of :class:`LightModel` but ``forward``.
 
-    Free parameters are the parameters; there is neither an azimuth nor a sun.
+    A model of one's own says how many parameters it has, and maps ``(..., p)`` of them to radiance
+    ``(..., n, 3)``, 0 or more, in ``directions``::
+
+        class Gradient(ParametricLight):  # log radiance below and above
+            def __init__(self):
+                super().__init__(6, sphere=True)
+
+            def forward(self, params):
+                below, above = params[..., None, :3], params[..., None, 3:]
+                return torch.lerp(below, above, (1 + self.directions[:, 1:2]) / 2).exp()
+
+    Parameters
+    ----------
+    parameter_count
+        p.
+    height
+        Rows of ``grid``.
+    sphere
+        Whether it is the whole sphere, (h, 2h), or the sky alone, (h, 4h), to which solvers add the
+        ground that it lights.
+    low, high
+        Bounds: a number for all parameters or one for each; infinite where there is none.
+        ``from_free`` is ``low + (high - low) sigmoid(x)`` between two, ``low + e^x`` and
+        ``high - e^x`` beside one, and x where there is none.
+    azimuth_index
+        The parameter that turns the light about the vertical: of the sun's azimuth, in radians.
+
+    ``name`` is what results call the model, by default its class. There is one start, where free
+    parameters are 0; towards a direction it is turned there. A model with a sun tells
+    :meth:`sun_direction`, and does well to override :meth:`starts_towards` with a few candidates
+    whose sun has that height. :meth:`on_rows` is a copy with other ``directions``: a model that
+    keeps more for each direction overrides it.
     """
 
-    azimuth_index: int | None = None
-    parameter_count: int
+    name: str = ""
+    directions: Tensor
+    _low: Tensor
+    _high: Tensor
+
+    def __init__(
+        self,
+        parameter_count: int,
+        height: int = 32,
+        *,
+        sphere: bool = False,
+        low: float | Sequence[float] = -math.inf,
+        high: float | Sequence[float] = math.inf,
+        azimuth_index: int | None = None,
+    ) -> None:
+        super().__init__()
+        self.name = self.name or type(self).__name__
+        self.parameter_count = parameter_count
+        self.azimuth_index = azimuth_index
+        self.grid = DirectionGrid.latlong(height) if sphere else DirectionGrid.sky(height)
+        directions = self.grid.directions.to(torch.get_default_dtype())
+        self.register_buffer("directions", directions, persistent=False)
+        for name, bound in (("_low", low), ("_high", high)):
+            values = torch.tensor(bound, dtype=torch.float64)
+            if values.shape not in ((), (parameter_count,)):
+                raise InputError(
+                    f"{self.name}: give one bound, or one for each of {parameter_count} "
+                    f"parameters, not {tuple(values.shape)}"
+                )
+            self.register_buffer(name, values.expand(parameter_count).clone(), persistent=False)
+        if not bool((self._low < self._high).all()):
+            raise InputError(f"{self.name}: each bound in low must be below that in high")
+        self._is_bounded = bool(self._low.isfinite().any() | self._high.isfinite().any())
 
     @property
     def bounds(self) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
-        like = next(self.buffers())
-        high = like.new_full((self.parameter_count,), math.inf, dtype=torch.float64)
-        return -high, high
+        return self._low, self._high
 
     def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
-        return params
+        """Inverse of :meth:`from_free`; what is on a bound, or beyond, moves inside by 1e-6."""
+        if not self._is_bounded:
+            return params
+        low, high, above, below = self._limits(params)
+        span = torch.where(above & below, high - low, 1.0)
+        between = torch.logit(((params - low) / span).clamp(_NEAREST, 1 - _NEAREST))
+        beside = torch.where(above, params - low, high - params).clamp(min=_NEAREST).log()
+        return torch.where(above & below, between, torch.where(above | below, beside, params))
 
     def from_free(self, free: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
-        return free
+        """Parameters within the bounds, of any numbers."""
+        if not self._is_bounded:
+            return free
+        low, high, above, below = self._limits(free)
+        span = torch.where(above & below, high - low, 1.0)
+        # a line search may try anything; e^40 is as wrong as infinity but finite
+        away = free.clamp(max=_FARTHEST).exp()
+        beside = torch.where(above, low + away, high - away)
+        params = torch.where(above | below, beside, free)
+        params = torch.where(above & below, low + span * torch.sigmoid(free), params)
+        return torch.minimum(torch.maximum(params, low), high)
 
-    def sun_direction(self, params: Float[Tensor, "*batch p"]) -> None:
+    def _limits(self, like: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """The bounds, and where they are: parameters stay above some and below others."""
+        low, high = self._low.to(like), self._high.to(like)
+        return low, high, low.isfinite(), high.isfinite()
+
+    def starts(self) -> Float[Tensor, "s p"]:
+        return self.from_free(self.directions.new_zeros(1, self.parameter_count))
+
+    def starts_towards(self, directions: Float[Tensor, "d 3"]) -> Float[Tensor, "d k p"]:
+        """The :meth:`starts`, turned to each direction where there is an azimuth."""
+        starts = self.starts().repeat(len(directions), 1, 1)
+        if self.azimuth_index is not None:
+            azimuth, _ = angles_from_direction(directions.to(starts))
+            starts[:, :, self.azimuth_index] = azimuth[:, None]
+        return starts
+
+    def sun_direction(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch 3"] | None:
+        """None: there is no sun."""
         return None
+
+    def on_rows(self, height: int) -> "ParametricLight":
+        """A copy on ``height`` rows."""
+        light = copy.deepcopy(self)
+        sphere = self.grid.is_sphere
+        light.grid = DirectionGrid.latlong(height) if sphere else DirectionGrid.sky(height)
+        light.directions = light.grid.directions.to(self.directions)
+        return light
 
 
 @runtime_checkable
@@ -115,3 +223,23 @@ def without_azimuth(
     if model.azimuth_index is None:
         return free
     return free[..., [i for i in range(free.shape[-1]) if i != model.azimuth_index]]
+
+
+# Which light is looked for: by its name, or a model of the user's, with a density over its free
+# parameters. Not checked at run time: what is missing is said in a line (`inverse._own_light`).
+if TYPE_CHECKING:
+    Light = LightName | LightModel
+    LightPrior = Prior | Distribution
+else:
+    Light = LightName | LightModel | Any
+    LightPrior = Prior | Distribution | Any
+
+
+def name_of(light: Light) -> str:
+    """What results call it."""
+    return light if isinstance(light, str) else light.name
+
+
+def is_sky(light: Light) -> bool:
+    """Whether it is the upper hemisphere, above a ground that it lights ("auto" may choose one)."""
+    return light in SKY_LIGHTS if isinstance(light, str) else not light.grid.is_sphere

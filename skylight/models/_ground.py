@@ -13,9 +13,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight._module import Module
-from skylight._names import SKY_LIGHTS, LightName
 from skylight.errors import InputError, check_shape
 from skylight.io._bounded import read_number, read_object, require_keys, write_json
+from skylight.models._base import Light, is_sky, name_of
 from skylight.models._prior import GaussianMixture
 from skylight.sphere._frame import row_edges_cos
 
@@ -130,12 +130,12 @@ class KnownGround:
         return KnownGround(albedo=(red, green, blue), spread=(spread or [USUAL_SPREAD])[0])
 
 
-def check_has_ground(light: LightName, ground: KnownGround | None) -> None:
+def check_has_ground(light: Light, ground: KnownGround | None) -> None:
     """:class:`InputError` for a ground and a light without one."""
-    if ground is not None and light not in SKY_LIGHTS:
+    if ground is not None and not is_sky(light):
         raise InputError(
-            f"--ground-albedo is for skies over a ground, and {light} has none: leave it out, or "
-            "choose --light autoencoder or sunsky"
+            f"--ground-albedo is for skies over a ground, and {name_of(light)} has none: leave it "
+            "out, or choose --light autoencoder or sunsky"
         )
 
 

@@ -8,12 +8,11 @@ from torch import Tensor
 
 from skylight._modes import full_precision, single
 from skylight.errors import check_shape
-from skylight.models._base import UnboundedLight
+from skylight.models._base import ParametricLight
 from skylight.sphere import _harmonics as harmonics
-from skylight.sphere._frame import DirectionGrid
 
 
-class HarmonicLight(UnboundedLight):
+class HarmonicLight(ParametricLight):
     """Radiance over the whole sphere as (degree + 1)^2 coefficients per colour.
 
     Parameters ``(..., 3 k)`` are coefficients ``(..., k, 3)`` flattened, in the order of
@@ -25,11 +24,9 @@ class HarmonicLight(UnboundedLight):
     basis: Tensor
 
     def __init__(self, degree: int = 2, height: int = 64) -> None:
-        super().__init__()
+        super().__init__(3 * (degree + 1) ** 2, height, sphere=True)
         self.degree = degree
         self.name = f"sh{(degree + 1) ** 2}"
-        self.parameter_count = 3 * (degree + 1) ** 2
-        self.grid = DirectionGrid.latlong(height)
         basis = harmonics.evaluate(self.grid.directions, degree)
         self.register_buffer("basis", basis, persistent=False)
 

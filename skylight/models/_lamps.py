@@ -21,10 +21,10 @@ from torch import Tensor, nn
 from skylight._modes import full_precision, single
 from skylight._module import Module
 from skylight.errors import check_shape
-from skylight.models._base import UnboundedLight, draws
+from skylight.models._base import ParametricLight, draws
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import luminance
-from skylight.sphere._frame import DirectionGrid, squared_chords
+from skylight.sphere._frame import squared_chords
 
 AMBIENT_PARAMETERS, LAMP_PARAMETERS = 16, 7
 # Standard deviations over the sphere of the fields of log luminance of degree 1 and 2, and by how
@@ -60,7 +60,7 @@ class Lamps:
     colours: Float[Tensor, "*b k 3"]
 
 
-class LampsLight(UnboundedLight):
+class LampsLight(ParametricLight):
     """Parameters ``(..., 16 + 7 k)`` to radiance on ``height`` rows of the sphere, of k lamps.
 
     All are standard normal beforehand but for the directions::
@@ -80,13 +80,11 @@ class LampsLight(UnboundedLight):
     log_solid_angle: Tensor
 
     def __init__(self, count: int, height: int = 32) -> None:
-        super().__init__()
         if count < 0:
             raise ValueError(f"{count} lamps: give 0 or more")
+        super().__init__(AMBIENT_PARAMETERS + LAMP_PARAMETERS * count, height, sphere=True)
         self.count = count
         self.name = "lamps"
-        self.parameter_count = AMBIENT_PARAMETERS + LAMP_PARAMETERS * count
-        self.grid = DirectionGrid.latlong(height)
         basis = harmonics.evaluate(self.grid.directions, 2)
         self.register_buffer("basis", basis, persistent=False)
         self.register_buffer("directions", self.grid.directions, persistent=False)

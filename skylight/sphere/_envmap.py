@@ -82,8 +82,10 @@ class EnvironmentMap:
         total = weight @ grid.directions
         return total / total.norm().clamp(min=1e-300)
 
-    def brightest_direction(self) -> Float[Tensor, "3"]:
+    def brightest_direction(self, *, below: bool = False) -> Float[Tensor, "3"]:
         """Where the light is brightest in the upper half: the sun, where there is one.
+
+        With ``below``, a lamp's, in the whole sphere.
 
         Centroid of the luminance within 4 degrees of the brightest pixel, weighted by what
         exceeds the median of that pixel's 13-degree neighbourhood: better than a pixel for a
@@ -91,7 +93,7 @@ class EnvironmentMap:
         """
         grid = self.grid
         value = luminance(self.flat).to(torch.float64)
-        upper = grid.directions[:, 1] > 0
+        upper = (grid.directions[:, 1] > 0) | below
         peak = grid.directions[torch.where(upper, value, -math.inf).argmax()]
         angle = angle_between(grid.directions, peak.expand_as(grid.directions))
         background = value[(angle < SUN_REGION_RAD) & upper].median()

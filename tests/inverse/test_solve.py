@@ -375,7 +375,7 @@ def test_harmonic_light_that_would_ring_is_held():
 def test_a_sky_refuses_transport_on_other_rows():
     _, observation = harmonic_ball(2)
     problem = SkyProblem(SunSky(), SUNSKY_PRIOR, ALBEDO_PRIOR, MODES)
-    with pytest.raises(ValueError, match="needs transport of 64 rows"):
+    with pytest.raises(InputError, match="needs transport of 64 rows"):
         problem.add(observation)
 
 

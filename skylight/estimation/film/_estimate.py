@@ -37,6 +37,7 @@ from skylight.imaging._film import FilmFrame, film_frames, told_length_s
 from skylight.imaging._photo import PHOTO_SUFFIXES, Photo, read_photo
 from skylight.inverse._sky import SkyProblem
 from skylight.io._files import visible_files
+from skylight.models._base import is_sky, name_of
 from skylight.work._progress import StageProgress
 from skylight.work._resumable import results_folder
 from skylight.work._threads import cores
@@ -45,7 +46,7 @@ FOLLOWING = "following"  # the folder in that of the results
 
 
 FOLLOWED_A_SECOND = 10.0
-_OPTIONS = ("light", "model", "face", "decode", "ground")  # others are for photographs
+_OPTIONS = ("light", "prior", "model", "face", "decode", "ground")  # others are for photographs
 MOST_SIDE = 1920
 # Of a photograph's face: 0.4 of its height, a sixth of its pixels, of which films have many times
 # as many.
@@ -78,9 +79,10 @@ class FilmSettings:
                 raise InputError(
                     f"{option}: not for films, in which one face is followed by MediaPipe"
                 )
-        if self.estimate.light not in ("autoencoder", "sunsky"):
+        light = self.estimate.light
+        if light == "auto" or not is_sky(light):
             raise InputError(
-                f"--video is for the sky: --light autoencoder or sunsky, not {self.estimate.light}"
+                f"--video is for the sky: --light autoencoder or sunsky, not {name_of(light)}"
             )
         if self.keyframes < 1:
             raise InputError(f"--keyframes must be 1 or more, got {self.keyframes}")
