@@ -31,6 +31,7 @@ from skylight.sphere._envmap import averaged
 from skylight.sphere._frame import pixel_from_direction
 from skylight.sphere._latlong_transform import LatLongTransform
 from skylight.work._progress import Progress
+from skylight.work._threads import cores
 
 _TOGETHER = 32  # maps whose activations are searched for together, 3 MB each and more
 _RIDGE = 1e-12  # of a Gram matrix: atoms that have become dependent leave it solvable
@@ -144,8 +145,8 @@ class SphericalSparseCoder(nn.Module):
     def forward(self, maps: Float[Tensor, "*batch h w 3"]) -> CodeTensors:
         """The codes of maps, padded to ``activations``; no gradient flows through the search.
 
-        Weights have the maps' dtype. The maps of a batch are searched together, by as many workers
-        as torch has threads.
+        Weights have the maps' dtype. The maps of a batch are searched together, on a CPU by as many
+        workers as torch has threads, but no more than the process may use cores.
 
         Raises
         ------
@@ -167,7 +168,9 @@ class SphericalSparseCoder(nn.Module):
         if self.options.sweeps:
             self.norms()
 
-        workers = min(len(flat), torch.get_num_threads()) if maps.device.type == "cpu" else 1
+        workers = min(len(flat), torch.get_num_threads(), cores())
+        if self.bank.unnormalised.device.type != "cpu":
+            workers = 1
         if workers == 1:
             supports = self._search_together(flat)
         else:

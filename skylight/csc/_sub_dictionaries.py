@@ -74,7 +74,7 @@ class SearchPlan:
         """Made when it is first asked for: decoding needs none."""
         zonal = self.positions.twists == 1 and is_zonal(self.filters)
         kind = ZonalCorrelation if zonal else RotationCorrelation
-        return kind(self.filters.cpu(), self.positions, dtype=self.dtype).to(self.filters.device)
+        return kind(self.filters, self.positions, dtype=self.dtype)
 
 
 class SubDictionary(nn.Module):
@@ -184,8 +184,9 @@ class BoxCorrelation(nn.Module):
         }
         out = []
         for rows, columns in self.sizes:
-            column = torch.arange(-((columns - 1) // 2), values.shape[-1] + columns // 2)
-            round_ = tall[rows][..., (column % values.shape[-1]).to(values.device)]
+            left, right = -((columns - 1) // 2), values.shape[-1] + columns // 2
+            column = torch.arange(left, right, device=values.device)
+            round_ = tall[rows][..., column % values.shape[-1]]
             out.append(round_.unfold(-1, columns, 1).sum(-1))
         return torch.stack(out, -3)
 

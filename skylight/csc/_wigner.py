@@ -110,14 +110,13 @@ class RotationCorrelation(nn.Module):
             for place, filter_ in enumerate(each.members)
         }
         """Filter -> its group in :meth:`by_group`, and its place there."""
-        m = torch.arange(self.degree + 1, dtype=torch.float64)
+        m = torch.arange(self.degree + 1, dtype=torch.float64, device=filters.device)
         # longitudes start half a column before 0 and run backwards
         phase = torch.polar(torch.ones_like(m), -math.pi * m / positions.columns)
         phase = phase.to(torch.promote_types(dtype, torch.complex64))
         self.register_buffer("phase", phase, persistent=False)
-        self.register_buffer(
-            "signed", signed_orders(spans_of(self.degree, positions.columns)), persistent=False
-        )
+        signed = signed_orders(spans_of(self.degree, positions.columns)).to(filters.device)
+        self.register_buffer("signed", signed, persistent=False)
 
     @property
     def groups(self) -> list[FilterGroup]:
@@ -237,10 +236,11 @@ def atom_norms(
     0.99 to 1.09, according to how their centres lie between the pixels'. The columns of positions
     and map must be the same, so that the longitude does not matter.
     """
-    m = torch.arange(correlation.degree + 1, dtype=torch.float64)
+    device = correlation.phase.device
+    m = torch.arange(correlation.degree + 1, dtype=torch.float64, device=device)
     # the longitude of column 0
     phase = torch.polar(torch.ones_like(m), -float(correlation.positions.alpha[0]) * m)
-    phase = phase.to(correlation.phase.device, correlation.phase.dtype)
+    phase = phase.to(correlation.phase.dtype)
     norms = []
     for spectra in correlation.spectra():
         rows = []
@@ -255,7 +255,8 @@ def atom_norms(
 def is_zonal(filters: Float[Tensor, "f k"]) -> bool:
     """Whether all filters are isotropic: nothing but rounding at orders other than 0."""
     squares = filters.double().square()
-    other = squares[:, harmonics.orders(harmonics.degree_of(filters.shape[1])) != 0].sum(1)
+    orders = harmonics.orders(harmonics.degree_of(filters.shape[1])).to(filters.device)
+    other = squares[:, orders != 0].sum(1)
     allowed = max(1e-12, torch.finfo(filters.dtype).eps ** 2)
     return bool((other <= allowed * squares.sum(1)).all())
 
@@ -289,8 +290,9 @@ class ZonalCorrelation(nn.Module):
         self.register_buffer(
             "bands", harmonics.zonal_factors(filters.double()).to(dtype), persistent=False
         )
-        self.register_buffer("band_of", harmonics.bands(self.degree), persistent=False)
-        self.transform = LatLongTransform(self.degree, positions.rows).to(dtype)
+        bands = harmonics.bands(self.degree).to(filters.device)
+        self.register_buffer("band_of", bands, persistent=False)
+        self.transform = LatLongTransform(self.degree, positions.rows).to(filters.device, dtype)
 
     def members(self, group: int) -> tuple[int, ...]:
         return tuple(range(self.count))

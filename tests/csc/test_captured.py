@@ -2,7 +2,6 @@
 
 import io
 
-import jaxtyping
 import pytest
 import torch
 from torch.func import vmap
@@ -67,17 +66,13 @@ def test_a_program_takes_codes_of_any_batch_from_a_file() -> None:
 def test_coding_compiles_without_breaks() -> None:
     of = coder()
     given = codes(of)
-    jaxtyping.config.update("jaxtyping_disable", True)  # users have no checks of annotations
-    try:
-        for call in (
-            lambda: of.decode(given),
-            lambda: of.refit(MAPS, given).weights,
-            lambda: of.relative_error(MAPS, given),
-        ):
-            compiled = torch.compile(call, fullgraph=True, backend="aot_eager")
-            torch.testing.assert_close(compiled(), call(), atol=1e-9, rtol=0)
-    finally:
-        jaxtyping.config.update("jaxtyping_disable", False)
+    for call in (
+        lambda: of.decode(given),
+        lambda: of.refit(MAPS, given).weights,
+        lambda: of.relative_error(MAPS, given),
+    ):
+        compiled = torch.compile(call, fullgraph=True, backend="aot_eager")
+        torch.testing.assert_close(compiled(), call(), atol=1e-9, rtol=0)
 
 
 def test_torch_reads_tensor_codes_as_data() -> None:
