@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.utils._pytree import _register_namedtuple as register_named_tuple
 
 from skylight.errors import InputError
 from skylight.io._bounded import json_content, write_json
@@ -21,6 +22,9 @@ class CodeTensors(NamedTuple):
     ``rotations`` are the Euler angles (alpha, beta, gamma) of R = Rz(alpha) Ry(beta) Rz(gamma)
     about the zenith: longitude and zenith angle of the filter's centre, and its twist, in radians.
     The first ``count`` activations of each code are in use; the rest are zeros.
+
+    A pytree: arguments and results of :func:`torch.func.vmap`, :func:`torch.compile` and
+    :func:`torch.export.export`. ``torch.load(weights_only=True)`` reads what ``torch.save`` wrote.
     """
 
     filters: Int[Tensor, "*batch k"]
@@ -36,6 +40,11 @@ class CodeTensors(NamedTuple):
 
     def to(self, device: torch.device) -> "CodeTensors":
         return CodeTensors(*(each.to(device) for each in self))
+
+
+# a named tuple is a pytree already; these are for programs and codes in files
+register_named_tuple(CodeTensors, serialized_type_name="skylight.csc.CodeTensors")
+torch.serialization.add_safe_globals([CodeTensors])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,5 @@
 """Maps to sparse codes and back."""
 
-import math
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -33,9 +32,9 @@ from skylight.sphere._envmap import averaged
 from skylight.sphere._frame import pixel_from_direction
 from skylight.sphere._latlong_transform import LatLongTransform
 from skylight.work._progress import Progress
+from skylight.work._threads import cores
 
 _TOGETHER = 32  # maps whose activations are searched for together, 3 MB each and more
-_BOXES_AT_ONCE = 32  # as maps, of 0.8 MB at 128 rows in three colours
 _RIDGE = 1e-12  # of a Gram matrix: atoms that have become dependent leave it solvable
 
 
@@ -147,8 +146,8 @@ class SphericalSparseCoder(Module):
     def forward(self, maps: Float[Tensor, "*batch h w 3"]) -> CodeTensors:
         """The codes of maps, padded to ``activations``; no gradient flows through the search.
 
-        Weights have the maps' dtype. The maps of a batch are searched together, by as many workers
-        as torch has threads.
+        Weights have the maps' dtype. The maps of a batch are searched together, on a CPU by as many
+        workers as torch has threads, but no more than the process may use cores.
 
         Raises
         ------
@@ -170,7 +169,9 @@ class SphericalSparseCoder(Module):
         if self.options.sweeps:
             self.norms()
 
-        workers = min(len(flat), torch.get_num_threads()) if maps.device.type == "cpu" else 1
+        workers = min(len(flat), torch.get_num_threads(), cores())
+        if self.bank.unnormalised.device.type != "cpu":
+            workers = 1
         if workers == 1:
             supports = self._search_together(flat)
         else:
@@ -248,7 +249,8 @@ class SphericalSparseCoder(Module):
         codes: CodeTensors,
         atoms: Float[Tensor, "*batch k n"],
     ) -> CodeTensors:
-        weighted = atoms * self.transform.grid.solid_angles.to(atoms)
+        solid_angles = self.transform.solid_angles.expand(-1, 2 * self.height).flatten()
+        weighted = atoms * solid_angles.to(atoms)
         target = maps.to(atoms).flatten(-3, -2)
         right = (weighted @ target).mT[..., None]  # (*batch, 3, k, 1)
         used = (codes.weights != 0).mT
@@ -279,13 +281,21 @@ class SphericalSparseCoder(Module):
         if isinstance(codes, SparseCode):
             self.check(codes)
             codes = codes.tensors().to(self.bank.unnormalised.device)
-        transform = self.transform
-        if height is not None and height != self.height:
-            transform = LatLongTransform(self.degree, height).to(codes.weights.device)
-        coefficients = self.coefficients(codes)
-        maps = transform.synthesise(coefficients.mT).movedim(-3, -1)
-        if has_pixels(self.parts):
-            maps = maps + averaged(self._decoded_boxes(codes), maps.shape[-3]).to(maps)
+        if height is None or height == self.height:
+            return self.decode_on(self.transform, codes)
+        return self.decode_on(LatLongTransform(self.degree, height).to(codes.weights.device), codes)
+
+    def decode_on(
+        self, transform: LatLongTransform, codes: CodeTensors
+    ) -> Float[Tensor, "*batch h w c"]:
+        """:meth:`decode` on the rows of a transform of :attr:`degree`, which is made only once."""
+        maps = transform.synthesise(self.coefficients(codes).mT).movedim(-3, -1)
+        for part in self.parts:
+            if isinstance(part, BoxDictionary):
+                boxes = _sum_of_boxes(part, codes)
+                if maps.shape[-3] != self.height:
+                    boxes = averaged(boxes, maps.shape[-3])
+                maps = maps + boxes.to(maps)
         return maps.to(codes.weights.dtype)
 
     def coefficients(self, codes: CodeTensors) -> Float[Tensor, "*batch k c"]:
@@ -296,33 +306,11 @@ class SphericalSparseCoder(Module):
     def _sampled_atoms(self, codes: CodeTensors) -> Float[Tensor, "*batch s h w"]:
         """The atoms on the pixels of the coder's maps."""
         atoms = self.transform.synthesise(rotated_atoms(self.parts, codes))
-        found = list(self._boxes(codes))
-        if not found:
-            return atoms
-        some, boxes = (torch.cat(part) for part in zip(*found, strict=True))
-        return atoms.flatten(0, -3).index_add(0, some, boxes.to(atoms)).view_as(atoms)
-
-    def _decoded_boxes(self, codes: CodeTensors) -> Float[Tensor, "*batch h w c"]:
-        """The sum of a code's boxes, at the coder's own height."""
-        weights = codes.weights.flatten(0, -2).double()
-        batch, size = codes.filters.shape[:-1], codes.filters.shape[-1]
-        out = weights.new_zeros(math.prod(batch), self.height, 2 * self.height, weights.shape[1])
-        for some, boxes in self._boxes(codes):
-            coloured = boxes[..., None] * weights[some, None, None]
-            out = out.index_add(0, some // size, coloured)
-        return out.view(*batch, *out.shape[1:])
-
-    def _boxes(
-        self, codes: CodeTensors
-    ) -> Iterator[tuple[Int[Tensor, " s"], Float[Tensor, "s h w"]]]:
-        """Activations of boxes, numbered through the batch, and their atoms; some at a time."""
-        filters, rotations = codes.filters.flatten(), codes.rotations.flatten(0, -2)
         for part in self.parts:
-            if isinstance(part, BoxDictionary):  # it is the last part
-                mine = torch.nonzero((filters >= part.first) & codes.used.flatten())[:, 0]
-                for some in mine.split(_BOXES_AT_ONCE):
-                    boxes = part(filters[some], rotations[some])
-                    yield some, boxes.unflatten(-1, (self.height, -1))
+            if isinstance(part, BoxDictionary):
+                down, across = part.sides(codes)
+                atoms = torch.addcmul(atoms, down[..., None].to(atoms), across[..., None, :])
+        return atoms
 
     def sparse_code(self, code: CodeTensors, relative_error: float) -> SparseCode:
         """One unbatched code with all that a file of it says."""
@@ -359,6 +347,15 @@ class SphericalSparseCoder(Module):
                     raise InputError(
                         "the code has a box over a pole: it is damaged; code the map again"
                     )
+
+
+def _sum_of_boxes(part: BoxDictionary, codes: CodeTensors) -> Float[Tensor, "*batch h w c"]:
+    """The boxes of codes, each in its colour, at the coder's own height."""
+    down, across = part.sides(codes)
+    with full_precision(down):  # borders are told to the last digit
+        coloured = across[..., None] * codes.weights.to(down)[..., None, :]  # (*batch, s, w, c)
+        rows = down.mT @ coloured.flatten(-2)
+        return rows.unflatten(-1, coloured.shape[-2:])
 
 
 def pixel_of(

@@ -47,6 +47,7 @@ class FilterGroup(Module):
         dtype: torch.dtype,
     ) -> None:
         super().__init__()
+        device = spectrum.device
         self.members, self.positions, self.mirror = members, positions, mirror
         self.degree = spectrum.shape[-1] - 1
         self.twists = positions.twists // fold
@@ -58,8 +59,9 @@ class FilterGroup(Module):
         longest = max(len(pairs) for pairs in slots)
         # slots of fewer pairs are filled up; the filters' table is 0 there
         filled = torch.tensor([pairs + [(0, 0)] * (longest - len(pairs)) for pairs in slots])
-        filled = filled.long().reshape(self.twists, longest, 2)  # of no pair too
+        filled = filled.long().reshape(self.twists, longest, 2).to(device)  # of no pair too
         used = torch.arange(longest) < torch.tensor([[len(pairs)] for pairs in slots])
+        used = used.to(device)
         band, order = filled.unbind(-1)
         table = spectrum[:, band, order.abs()]  # (f, t, j); those of -n are the conjugates
         table = torch.where(order < 0, table.conj(), table) * used
@@ -67,7 +69,8 @@ class FilterGroup(Module):
         self.register_buffer("filters", table.movedim(0, 1).contiguous(), persistent=False)
         self.register_buffer("band", band, persistent=False)
         self.register_buffer("order", order, persistent=False)
-        wigner = torch.cat([self._wigner(rows) for rows in positions.beta.split(_ROWS_AT_ONCE)], 2)
+        beta = positions.beta.to(device)
+        wigner = torch.cat([self._wigner(rows) for rows in beta.split(_ROWS_AT_ONCE)], 2)
         # products of such small numbers are subnormal, and slow, and add nothing
         wigner = torch.where(wigner.abs() < 1e-5 * torch.finfo(dtype).eps, 0.0, wigner).to(dtype)
         # twice each, to scale real and imaginary parts alike
@@ -75,7 +78,7 @@ class FilterGroup(Module):
 
     def _wigner(self, beta: Float[Tensor, " b"]) -> Float[Tensor, "t j b m"]:
         """d^l_mn(beta) for the pairs (l, n) of each slot and all m of the spans."""
-        m = signed_orders(self.spans)
+        m = signed_orders(self.spans).to(beta.device)
         out = beta.new_zeros(*self.band.shape, len(beta), len(m))
         for l, table in enumerate(wigner_small(beta, self.degree)):  # noqa: E741
             slot, pair = torch.nonzero(self.band == l).unbind(1)

@@ -51,12 +51,14 @@ class Positions:
 
     def rotations(self, places: Int[Tensor, "s 3"]) -> Float[Tensor, "s 3"]:
         """Euler angles (alpha, beta, gamma) of (row, column, twist) triples, float64."""
-        row, column, twist = places.cpu().unbind(1)
-        return torch.stack([self.alpha[column], self.beta[row], self.gamma[twist]], 1)
+        row, column, twist = places.double().unbind(1)
+        alpha = 2 * math.pi * (1 - (column + 0.5) / self.columns)
+        beta = (row + 0.5) * math.pi / self.rows
+        return torch.stack([alpha, beta, twist * 2 * math.pi / self.twists], 1)
 
     def places(self, rotations: Float[Tensor, "s 3"]) -> Int[Tensor, "s 3"]:
         """The nearest (row, column, twist) triples: the inverse of :meth:`rotations`."""
-        alpha, beta, gamma = rotations.cpu().unbind(1)
+        alpha, beta, gamma = rotations.unbind(1)
         row = (beta / math.pi * self.rows - 0.5).round().clamp(0, self.rows - 1)
         column = ((1 - alpha / (2 * math.pi)) * self.columns - 0.5).round() % self.columns
         twist = (gamma / (2 * math.pi) * self.twists).round() % self.twists

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import pad
 
@@ -19,11 +19,10 @@ from skylight.csc._code import CodeTensors
 from skylight.csc._dictionary import FilterBank, finer_anisotropic, finer_isotropic
 from skylight.csc._positions import Chunk, Positions, by_signal
 from skylight.csc._wigner import (
+    FilterRotation,
     RotationCorrelation,
     ZonalCorrelation,
     is_zonal,
-    rotated_filters,
-    rotated_zonal_filters,
 )
 from skylight.errors import InputError, check_shape
 from skylight.sphere._frame import DirectionGrid
@@ -76,7 +75,7 @@ class SearchPlan:
         """Made when it is first asked for: decoding needs none."""
         zonal = self.positions.twists == 1 and is_zonal(self.filters)
         kind = ZonalCorrelation if zonal else RotationCorrelation
-        return kind(self.filters.cpu(), self.positions, dtype=self.dtype).to(self.filters.device)
+        return kind(self.filters, self.positions, dtype=self.dtype)
 
 
 class SubDictionary(Module):
@@ -97,6 +96,9 @@ class SubDictionary(Module):
     ) -> None:
         super().__init__()
         self.bank, self.positions, self.first = bank, positions, first
+        # only what no optimiser changes stays isotropic
+        zonal = not list(bank.parameters()) and is_zonal(bank.coefficients)
+        self.rotation = FilterRotation(bank.degree, zonal=zonal)
         self.register_buffer("search", torch.empty(0, dtype=dtype), persistent=False)
         self._plan: SearchPlan | None = None
 
@@ -139,11 +141,7 @@ class SubDictionary(Module):
 
         In what they depend on, filters and angles.
         """
-        table = self.bank.coefficients
-        chosen = table[filters - self.first]
-        if not table.requires_grad and is_zonal(table):
-            return rotated_zonal_filters(chosen, rotations)
-        return rotated_filters(chosen, rotations)
+        return self.rotation(self.bank.coefficients[filters - self.first], rotations)
 
 
 class BoxCorrelation(Module):
@@ -187,8 +185,9 @@ class BoxCorrelation(Module):
         }
         out = []
         for rows, columns in self.sizes:
-            column = torch.arange(-((columns - 1) // 2), values.shape[-1] + columns // 2)
-            round_ = tall[rows][..., (column % values.shape[-1]).to(values.device)]
+            left, right = -((columns - 1) // 2), values.shape[-1] + columns // 2
+            column = torch.arange(left, right, device=values.device)
+            round_ = tall[rows][..., column % values.shape[-1]]
             out.append(round_.unfold(-1, columns, 1).sum(-1))
         return torch.stack(out, -3)
 
@@ -218,15 +217,20 @@ class BoxCorrelation(Module):
         self, filters: Int[Tensor, " s"], places: Int[Tensor, "s 3"]
     ) -> Float[Tensor, "s n"]:
         """The boxes at these places, as maps."""
-        device = self.radiance.device
+        down, across = self.sides(filters, places)
+        return (down[:, :, None] * across[:, None]).flatten(1)
+
+    def sides(
+        self, filters: Int[Tensor, " s"], places: Int[Tensor, "s 3"]
+    ) -> tuple[Float[Tensor, "s rows"], Float[Tensor, "s columns"]]:
+        """What the boxes are products of: their radiance in their rows, 1 in their columns."""
+        device, p = self.radiance.device, self.positions
         filters, places = filters.to(device), places.to(device)
         top, rows, left, columns = self.spans(filters, places)[:, :, None].unbind(1)
-        row = torch.arange(self.positions.rows, device=device) - top
-        column = (torch.arange(self.positions.columns, device=device) - left).remainder(
-            self.positions.columns
-        )
-        down = ((row >= 0) & (row < rows)) * self.radiance[filters, places[:, 0], None]
-        return (down[:, :, None] * (column < columns)[:, None]).flatten(1)
+        row = torch.arange(p.rows, device=device) - top
+        column = (torch.arange(p.columns, device=device) - left).remainder(p.columns)
+        down = ((row >= 0) & (row < rows)) * self.radiance[filters, places[:, 0]][:, None]
+        return down, (column < columns).to(down)
 
 
 class BoxDictionary(Module):
@@ -263,10 +267,19 @@ class BoxDictionary(Module):
         """The atoms, as maps: ``filters`` about the pixels nearest to the rotations' centres."""
         return self.boxes.rotated(filters - self.first, self.positions.places(rotations))
 
+    def sides(
+        self, codes: CodeTensors
+    ) -> tuple[Float[Tensor, "*batch s rows"], Float[Tensor, "*batch s columns"]]:
+        """What each activation's box is the product of; 0 for other filters and for padding."""
+        mine, filters, rotations = own(self, codes)
+        down, across = self.boxes.sides(filters, self.positions.places(rotations))
+        down = torch.where(mine[:, None], down, 0)
+        shape, p = codes.filters.shape, self.positions
+        return down.view(*shape, p.rows), across.view(*shape, p.columns)
+
 
 # Rows by columns, of a dictionary "box". Files of codes number them in this order: never change it.
 BOX_SIZES = tuple((rows, columns) for rows in (1, 2, 3, 4, 6, 8) for columns in (1, 2, 3, 4, 6, 8))
-_AT_ONCE = 32  # atoms rotated together, whose Wigner matrices take up to 0.7 MB each at degree 40
 Part = SubDictionary | BoxDictionary
 Plan = SearchPlan | BoxDictionary
 
@@ -311,23 +324,27 @@ def rotated_atoms(parts: Sequence[Part], codes: CodeTensors) -> Float[Tensor, "*
 
     Differentiable in the dictionary's filters and in the rotations.
     """
-    size = (degree_of(parts) + 1) ** 2
-    filters, used = codes.filters.flatten(), codes.used.flatten()
-    rotations = codes.rotations.flatten(0, -2)
-    where, found, end = [], [], sum(part.count for part in parts) + parts[0].first
-    for part in reversed(parts):
-        mine = torch.nonzero((filters >= part.first) & (filters < end) & used)[:, 0]
-        end = part.first
-        if isinstance(part, BoxDictionary):
-            continue
-        for some in mine.split(_AT_ONCE):
-            atoms = part(filters[some], rotations[some])
-            where.append(some)
+    size, found = (degree_of(parts) + 1) ** 2, []
+    for part in parts:
+        if isinstance(part, SubDictionary):
+            mine, filters, rotations = own(part, codes)
+            atoms = torch.where(mine[:, None], part(part.first + filters, rotations), 0)
             found.append(pad(atoms, (0, size - atoms.shape[1])))
-    out = rotations.new_zeros(len(filters), size)
-    if found:
-        out = out.to(found[0]).index_copy(0, torch.cat(where), torch.cat(found))
-    return out.view(*codes.filters.shape, size)
+    return sum(found[1:], found[0]).view(*codes.filters.shape, size)
+
+
+def own(
+    part: Part, codes: CodeTensors
+) -> tuple[Bool[Tensor, " s"], Int[Tensor, " s"], Float[Tensor, "s 3"]]:
+    """Which activations of a batch are of this sub-dictionary, and all activations as if they were.
+
+    Their filters counted from its first, and their rotations, 0 for others. Those are masked, not
+    left out: how many there are would decide what is computed, which no compiler can follow.
+    """
+    filters = codes.filters.flatten() - part.first
+    mine = (filters >= 0) & (filters < part.count) & codes.used.flatten()
+    rotations = torch.where(mine[:, None], codes.rotations.flatten(0, -2), 0)
+    return mine, filters.clamp(0, part.count - 1), rotations
 
 
 def has_pixels(parts: Sequence[Part | Plan]) -> bool:

@@ -33,11 +33,11 @@ from skylight.csc._correlation import FilterGroup, signed_orders, spans_of
 from skylight.csc._positions import Chunk, Positions, by_signal
 from skylight.errors import check_shape
 from skylight.sphere import _harmonics as harmonics
-from skylight.sphere._frame import direction_from_angles
 from skylight.sphere._latlong_transform import LatLongTransform
 from skylight.sphere._rotation import wigner_small
 
 _ABSENT = 1e-12  # relative energy below which a coefficient is rounding
+_CACHED = 2**18  # coefficients rotated together: of their pairs, 4 MB, most stay in caches
 
 
 def complex_coefficients(coefficients: Float[Tensor, "*c k"]) -> Complex[Tensor, "*c l m"]:
@@ -111,14 +111,13 @@ class RotationCorrelation(Module):
             for place, filter_ in enumerate(each.members)
         }
         """Filter -> its group in :meth:`by_group`, and its place there."""
-        m = torch.arange(self.degree + 1, dtype=torch.float64)
+        m = torch.arange(self.degree + 1, dtype=torch.float64, device=filters.device)
         # longitudes start half a column before 0 and run backwards
         phase = torch.polar(torch.ones_like(m), -math.pi * m / positions.columns)
         phase = phase.to(torch.promote_types(dtype, torch.complex64))
         self.register_buffer("phase", phase, persistent=False)
-        self.register_buffer(
-            "signed", signed_orders(spans_of(self.degree, positions.columns)), persistent=False
-        )
+        signed = signed_orders(spans_of(self.degree, positions.columns)).to(filters.device)
+        self.register_buffer("signed", signed, persistent=False)
 
     @property
     def groups(self) -> list[FilterGroup]:
@@ -238,10 +237,11 @@ def atom_norms(
     0.99 to 1.09, according to how their centres lie between the pixels'. The columns of positions
     and map must be the same, so that the longitude does not matter.
     """
-    m = torch.arange(correlation.degree + 1, dtype=torch.float64)
+    device = correlation.phase.device
+    m = torch.arange(correlation.degree + 1, dtype=torch.float64, device=device)
     # the longitude of column 0
     phase = torch.polar(torch.ones_like(m), -float(correlation.positions.alpha[0]) * m)
-    phase = phase.to(correlation.phase.device, correlation.phase.dtype)
+    phase = phase.to(correlation.phase.dtype)
     norms = []
     for spectra in correlation.spectra():
         rows = []
@@ -256,7 +256,8 @@ def atom_norms(
 def is_zonal(filters: Float[Tensor, "f k"]) -> bool:
     """Whether all filters are isotropic: nothing but rounding at orders other than 0."""
     squares = filters.double().square()
-    other = squares[:, harmonics.orders(harmonics.degree_of(filters.shape[1])) != 0].sum(1)
+    orders = harmonics.orders(harmonics.degree_of(filters.shape[1])).to(filters.device)
+    other = squares[:, orders != 0].sum(1)
     allowed = max(1e-12, torch.finfo(filters.dtype).eps ** 2)
     return bool((other <= allowed * squares.sum(1)).all())
 
@@ -290,8 +291,9 @@ class ZonalCorrelation(Module):
         self.register_buffer(
             "bands", harmonics.zonal_factors(filters.double()).to(dtype), persistent=False
         )
-        self.register_buffer("band_of", harmonics.bands(self.degree), persistent=False)
-        self.transform = LatLongTransform(self.degree, positions.rows).to(dtype)
+        bands = harmonics.bands(self.degree).to(filters.device)
+        self.register_buffer("band_of", bands, persistent=False)
+        self.transform = LatLongTransform(self.degree, positions.rows).to(filters.device, dtype)
 
     def members(self, group: int) -> tuple[int, ...]:
         return tuple(range(self.count))
@@ -317,52 +319,88 @@ class ZonalCorrelation(Module):
         return basis * self.bands.double()[filters.to(self.bands.device)][:, self.band_of]
 
 
+class FilterRotation(nn.Module):
+    """``R_j d_j`` of filters about the zenith, each with its own rotation (thesis, Eq. 6.9).
+
+    With the Euler angles (alpha, beta, gamma) and a quarter turn Q = Ry(pi / 2), ::
+
+        R = Rz(alpha - pi / 2) Q^T Rz(beta) Q Rz(gamma + pi / 2)
+
+    (Risbo 1996, "Fourier transform summation of Legendre series and D-functions"): turns about the
+    axis mix cosine and sine of each order, and Q is one table of each band, which keeps cosines
+    and sines apart. So nothing depends on which angles there are, and all is differentiable.
+
+    ``zonal`` says that no filter has orders other than 0, which halves the work.
+    """
+
+    quarter: Tensor
+    place: Tensor
+    back: Tensor
+
+    def __init__(self, degree: int, *, zonal: bool = False) -> None:
+        super().__init__()
+        self.zonal = zonal
+        size = degree + 1
+        m, l = torch.arange(size), torch.arange(size)[:, None]  # noqa: E741
+        # coefficients of cosines and of sines; where m > l the quarter turn is 0, any place does
+        place = l * (l + 1) + torch.stack([m.expand(size, -1), -m.expand(size, -1)])
+        self.register_buffer("place", place.clamp(0, size**2 - 1), persistent=False)
+        bands, orders = harmonics.bands(degree), harmonics.orders(degree)
+        back = ((orders < 0) * size + bands) * size + orders.abs()
+        self.register_buffer("back", back, persistent=False)
+        quarter = torch.zeros(2, size, size, size, dtype=torch.float64)
+        turn = torch.tensor([math.pi / 2], dtype=torch.float64)
+        for l, (d,) in enumerate(wigner_small(turn, degree)):  # noqa: E741
+            plus, minus = d[l:, l:], d[l:, : l + 1].flip(1)
+            scale = torch.ones(l + 1, dtype=torch.float64)
+            scale[0] = math.sqrt(0.5)
+            quarter[0, l, : l + 1, : l + 1] = (plus + minus) * scale[:, None] * scale
+            quarter[1, l, 1 : l + 1, 1 : l + 1] = (plus - minus)[1:, 1:]
+        self.register_buffer("quarter", quarter.flatten(0, 1), persistent=False)
+
+    def forward(
+        self, filters: Float[Tensor, "s k"], rotations: Float[Tensor, "s 3"]
+    ) -> Float[Tensor, "s k"]:
+        """The filters' coefficients, rotated."""
+        with full_precision(filters):  # of eight bits no sharp filter is left
+            filters, rotations = single(filters), rotations.to(single(filters))
+            if torch.compiler.is_compiling():  # which must not depend on how many there are
+                return self._rotated(filters, rotations)
+            some = max(16, _CACHED // filters.shape[1])
+            parts = zip(filters.split(some), rotations.split(some), strict=True)
+            return torch.cat([self._rotated(*part) for part in parts])
+
+    def _rotated(
+        self, filters: Float[Tensor, "s k"], rotations: Float[Tensor, "s 3"]
+    ) -> Float[Tensor, "s k"]:
+        alpha, beta, gamma = rotations.unbind(1)
+        quarter = self.quarter.to(filters)
+        if self.zonal:
+            pairs = quarter.chunk(2)[0][..., :1] * filters.T[self.place[0, :, 0]][:, None]
+            pairs = self._turned((pairs,), beta)
+        else:
+            pairs = self._turned(filters.T[self.place].unbind(), gamma + math.pi / 2)
+            pairs = self._turned((quarter @ pairs).chunk(2), beta)
+        pairs = self._turned((quarter.mT @ pairs).chunk(2), alpha - math.pi / 2)
+        return pairs.flatten(0, 1)[self.back].T
+
+    def _turned(
+        self, pairs: tuple[Float[Tensor, "l m s"], ...], angle_rad: Float[Tensor, " s"]
+    ) -> Float[Tensor, "l2 m s"]:
+        """Coefficients of cosines and, if any, of sines of order m, turned by m times the angle."""
+        cosine, *sines = pairs
+        m = torch.arange(cosine.shape[1], device=cosine.device)
+        angle = m[:, None] * angle_rad
+        across, along = torch.sin(angle), torch.cos(angle)
+        turned = along * cosine, across * cosine
+        for sine in sines:
+            turned = turned[0].addcmul(across, sine, value=-1), turned[1].addcmul(along, sine)
+        return torch.cat(turned)
+
+
 def rotated_filters(
     filters: Float[Tensor, "s k"], rotations: Float[Tensor, "s 3"]
 ) -> Float[Tensor, "s k"]:
-    """Coefficients of ``R_j d_j``, each filter with its own rotation (thesis, Eq. 6.9).
-
-    ``f'_m = e^(-i m alpha) sum_n d^l_mn(beta) e^(-i n gamma) f_n`` with the Euler angles (alpha,
-    beta, gamma) of ``rotations``. Differentiable in filters and angles. Wigner's functions are
-    evaluated once for each beta that differs: grids have few.
-    """
-    with full_precision(filters):  # complex numbers have no eight bits
-        return _rotated(single(filters), rotations)
-
-
-def _rotated(
-    filters: Float[Tensor, "s k"], rotations: Float[Tensor, "s 3"]
-) -> Float[Tensor, "s k"]:
+    """:class:`FilterRotation` of filters (s, (K+1)^2) by Euler angles (s, 3), differentiable."""
     degree = harmonics.degree_of(filters.shape[1])
-    alpha, beta, gamma = rotations.to(filters).unbind(1)
-    spectrum = complex_coefficients(filters)  # (s, l, m >= 0)
-    m = torch.arange(degree + 1, dtype=alpha.dtype, device=alpha.device)
-    twisted = spectrum * torch.polar(torch.ones_like(gamma)[:, None], -gamma[:, None] * m)[:, None]
-    turn = torch.polar(torch.ones_like(alpha)[:, None], -alpha[:, None] * m)
-    if beta.requires_grad:
-        rows, order, counts = beta, torch.arange(len(beta), device=beta.device), [1] * len(beta)
-    else:
-        rows, row = beta.unique(return_inverse=True)
-        order, counts = row.argsort(), torch.bincount(row, minlength=len(rows)).tolist()
-    twisted = torch.view_as_real(twisted[order])
-    sign = twisted.new_tensor([1.0, -1.0])  # of a conjugate
-    parts = []
-    for l, d in enumerate(wigner_small(rows, degree)):  # noqa: E741
-        band = twisted[:, l, : l + 1]
-        both = torch.cat([(band[:, 1:] * sign).flip(1), band], 1)  # n = -l .. l
-        groups = zip(d[:, l:].to(both), both.split(counts), strict=True)
-        moved = torch.cat([table @ some for table, some in groups]) if counts else both[:, l:]
-        parts.append(torch.nn.functional.pad(moved, (0, 0, 0, degree - l)))
-    moved = torch.view_as_complex(torch.stack(parts, 1))[order.argsort()]
-    return real_coefficients(moved * turn[:, None])
-
-
-def rotated_zonal_filters(
-    filters: Float[Tensor, "s k"], rotations: Float[Tensor, "s 3"]
-) -> Float[Tensor, "s k"]:
-    """:func:`rotated_filters` of isotropic filters, by the addition theorem."""
-    degree = harmonics.degree_of(filters.shape[1])
-    alpha, beta, _ = rotations.to(filters).unbind(1)
-    basis = harmonics.evaluate_about_zenith(direction_from_angles(math.pi - alpha, beta), degree)
-    bands = harmonics.bands(degree).to(filters.device)
-    return basis * harmonics.zonal_factors(filters)[:, bands]
+    return FilterRotation(degree).to(filters.device)(filters, rotations)

@@ -6,6 +6,9 @@ from ._export import (
     export_blender_scene as export_blender_scene,
     export_light as export_light,
 )
+from ._export_codes import (
+    export_codes as export_codes,
+)
 from ._score import (
     ScoredMap as ScoredMap,
     score_files as score_files,

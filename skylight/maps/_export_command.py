@@ -38,6 +38,29 @@ def export_decoder(
     print(f"{out}: onnxruntime and torch differ by {difference:.1g} at most")
 
 
+@export.command(name="codes")
+def export_codes(
+    out: Path = Path("sparse_codes.onnx"),
+    dictionary: str = "ani",
+    height: int = 32,
+    rows: int | None = None,
+) -> None:
+    """Write what makes maps of sparse codes as an ONNX graph, checked against torch.
+
+    Args:
+        out: The .onnx file.
+        dictionary: ani, box, iso, vmf, or the file of a learnt dictionary.
+        height: Rows of the maps that were coded: maps of 64 and more have sharper filters too.
+        rows: Rows of the maps that it makes; by default the same.
+    """
+    from skylight.csc._coder import SphericalSparseCoder
+    from skylight.maps._export_codes import export_codes
+
+    coder = SphericalSparseCoder(dictionary, height=height)
+    difference = export_codes(coder, out, rows=rows)
+    print(f"{out}: onnxruntime and torch differ by {difference:.1g} of the code's norm at most")
+
+
 @export.command(name="scene")
 def export_scene(
     mesh: Positional[Path],

@@ -1,19 +1,17 @@
 """What :mod:`skylight.relight._runtime` needs, written with torch: the decoder and scenes."""
 
-import logging
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor, nn
 
-from skylight import __version__
-from skylight.errors import InputError, SkylightError, not_installed
+from skylight.errors import InputError, SkylightError
 from skylight.io._atomic import atomic_path
+from skylight.io._onnx import onnx_graph
 from skylight.models._network import CENTRE_AZIMUTH_RAD, SkyNetwork
 from skylight.models._splines import SplineAutoencoder
 from skylight.models.autoencoder import AutoencoderLight
@@ -30,14 +28,12 @@ from skylight.work._progress import Progress
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-_OPSET = 20  # from 19 on a padding may wrap around
 # A sun of kappa 30,000 makes 1e-4 of its radiance from the last bit of its height.
 TOLERANCE = 3e-4
 # A tenth of the mean luminance; below it differences are absolute. Near 0 relative ones would
 # measure rounding: radiance is exp(x) - 1, wrong by 1e-7 in float32 however small it is.
 RADIANCE_FLOOR = 0.1
 BATCHES = (1, 5, 10)
-_HALVED = 1024  # numbers; fewer are not worth a cast
 GRID_HEIGHT = 64  # twice the decoder's rows
 _ALBEDO = 0.7  # of meshes, whose materials are not used
 EYE_HEIGHT, DISTANCE = 1.6, 3.4  # of the camera, in radii of the mesh's bounding sphere
@@ -46,8 +42,6 @@ _BLOCK_PIXELS = 4096  # 134 MB of transport at a time
 
 def export_decoder(light: AutoencoderLight | SkyNetwork, path: str | Path) -> float:
     """Write latent (b, z) -> radiance (b, 32, 128, 3), float32, as an ONNX graph; b is dynamic.
-
-    Weights that half precision holds are stored so, and cast when the graph is loaded.
 
     Before anything is written, onnxruntime decodes batches of 1, 5 and 10 random latents (a light
     model's own Gaussian, otherwise standard normal ones). Returned is the largest difference ::
@@ -88,71 +82,17 @@ def decoder_difference(graph: bytes, network: SkyNetwork, latents: Float[Tensor,
 
 
 def _decoder_graph(network: SkyNetwork) -> bytes:
-    try:
-        import onnx
-        import onnxscript.optimizer
-    except ImportError as error:
-        raise not_installed(error.name or "onnx", "exporting the decoder") from error
-    # it reports every operator of torchvision, which is not needed
-    registration = logging.getLogger("torch.onnx._internal.exporter._registration")
-    level = registration.level
-    registration.setLevel(logging.ERROR)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # torch's deprecations within torch
-            program = torch.onnx.export(
-                _Decoder(network).eval(),
-                (torch.zeros(2, network.latents),),
-                input_names=["latent"],
-                output_names=["radiance"],
-                dynamic_shapes=({0: torch.export.Dim("batch")},),
-                opset_version=_OPSET,
-                dynamo=True,
-                verbose=False,
-            )
-    finally:
-        registration.setLevel(level)
-    assert program is not None
-    # The limits' defaults leave the einsum that folds upsampling into the kernels; this turns it
-    # into constants.
-    model = onnxscript.optimizer.optimize(
-        program.model_proto, input_size_limit=10**7, output_size_limit=10**7
-    )
-    _halve(model.graph)
-    for part in (*model.graph.node, *model.graph.value_info, model.graph):
-        part.ClearField("metadata_props")  # where in this machine's folders each step was traced
-        part.ClearField("doc_string")
-    onnx.helper.set_model_props(
-        model,
-        {
-            "skylight_version": __version__,
+    return onnx_graph(
+        _Decoder(network),
+        {"latent": torch.zeros(2, network.latents)},
+        "radiance",
+        sizes={"latent": {0: "batch"}},
+        metadata={
             "centre_azimuth_rad": repr(CENTRE_AZIMUTH_RAD),
             "radiance": "linear Rec.709, relative: mean luminance about 1",
             "layout": "upper half of a lat-long image, row 0 at the zenith, centre along -Z",
         },
     )
-    onnx.checker.check_model(model, full_check=True)
-    return model.SerializeToString()
-
-
-def _halve(graph: Any) -> None:
-    """Store as float16, with a cast before their use, the large weights that lose nothing by it."""
-    from onnx import TensorProto, helper, numpy_helper
-
-    casts = []
-    for weight in list(graph.initializer):
-        value = numpy_helper.to_array(weight)
-        if value.dtype != np.float32 or value.size < _HALVED:
-            continue
-        with np.errstate(over="ignore"):
-            half = value.astype(np.float16)
-        if np.array_equal(half.astype(np.float32), value):
-            name = weight.name
-            graph.initializer.remove(weight)
-            graph.initializer.append(numpy_helper.from_array(half, f"{name}_half"))
-            casts.append(helper.make_node("Cast", [f"{name}_half"], [name], to=TensorProto.FLOAT))
-    for cast in reversed(casts):
-        graph.node.insert(0, cast)
 
 
 class _Decoder(nn.Module):

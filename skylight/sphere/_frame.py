@@ -13,12 +13,14 @@ angles, for sums over the sphere.
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import get_args
+from typing import Any, get_args
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.utils._pytree import GetAttrKey, register_pytree_node
 
 from skylight._modes import constant
 from skylight._names import Convention
@@ -171,6 +173,9 @@ class DirectionGrid:
 
     Row ``i`` of a lat-long layout has the exact solid angle
     ``dphi (cos t_i - cos t_{i+1})`` per pixel, so every row, and not only the sum, is right.
+
+    A pytree of its tensors: an argument of :func:`torch.func.vmap`, :func:`torch.compile` and
+    :func:`torch.export.export`.
     """
 
     directions: Float[Tensor, "n 3"]
@@ -221,6 +226,30 @@ class DirectionGrid:
             directions=direction_from_angles(2 * math.pi * radical, zenith),
             solid_angles=torch.full((count,), 4 * math.pi / count, dtype=torch.float64),
         )
+
+
+def _rebuilt(values: Iterable[Any], layout: tuple[int, int] | None) -> DirectionGrid:
+    """Not checked: transforms put other things in the place of tensors."""
+    grid = object.__new__(DirectionGrid)
+    directions, solid_angles = values
+    grid.__dict__.update(directions=directions, solid_angles=solid_angles, layout=layout)
+    return grid
+
+
+def _named(grid: DirectionGrid) -> tuple[list[tuple[Any, Any]], Any]:
+    names = "directions", "solid_angles"
+    return [(GetAttrKey(name), getattr(grid, name)) for name in names], grid.layout
+
+
+register_pytree_node(
+    DirectionGrid,
+    lambda grid: ([grid.directions, grid.solid_angles], grid.layout),
+    _rebuilt,
+    serialized_type_name="skylight.sphere.DirectionGrid",
+    to_dumpable_context=lambda layout: layout and list(layout),
+    from_dumpable_context=lambda layout: layout and tuple(layout),
+    flatten_with_keys_fn=_named,
+)
 
 
 def row_edges_cos(height: int, width: int) -> Float[Tensor, " edges"]:

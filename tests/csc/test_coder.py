@@ -1,5 +1,6 @@
 import math
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -7,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from skylight.csc import _dictionary as dictionary
+from skylight.csc import _coder, _dictionary as dictionary
 from skylight.csc._code import CodeTensors, SparseCode
 from skylight.csc._coder import SphericalSparseCoder, coder_for
 from skylight.csc._dictionary import FilterBank
@@ -178,6 +179,24 @@ def test_maps_coded_together_have_the_codes_of_each_alone(
         torch.testing.assert_close(together.rotations[n], alone[n].rotations)
         torch.testing.assert_close(together.weights[n], alone[n].weights, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(coder.decode(together)[1], maps[1], rtol=1e-4, atol=0)
+
+
+def test_workers_are_no_more_than_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A container gives a process fewer than torch counts; of one core no pool is made."""
+    asked: list[int] = []
+
+    def pool(workers: int) -> ThreadPoolExecutor:
+        asked.append(workers)
+        return ThreadPoolExecutor(workers)
+
+    monkeypatch.setattr(_coder, "_one_thread_each", pool)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 4)
+    maps = torch.stack([room(seed, 16) for seed in range(3)])
+    coder = SphericalSparseCoder(bank(), height=16, activations=1)
+    for count in (1, 2, 8):
+        monkeypatch.setattr(_coder, "cores", lambda count=count: count)
+        coder(maps)
+    assert asked == [2, 3]
 
 
 @pytest.mark.parametrize(

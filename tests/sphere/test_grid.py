@@ -2,6 +2,14 @@ import math
 
 import pytest
 import torch
+from torch.func import vmap
+from torch.utils._pytree import (
+    tree_flatten,
+    tree_map,
+    tree_unflatten,
+    treespec_dumps,
+    treespec_loads,
+)
 
 from skylight.sphere._frame import DirectionGrid, row_edges_cos
 
@@ -107,3 +115,24 @@ def test_mismatched_parts_are_refused() -> None:
         DirectionGrid(directions=grid.directions[1:], solid_angles=grid.solid_angles)
     with pytest.raises(ValueError, match="layout"):
         DirectionGrid(directions=grid.directions, solid_angles=grid.solid_angles, layout=(3, 3))
+
+
+def test_a_grid_is_a_pytree_of_its_tensors() -> None:
+    """Arguments of transforms and programs; the layout is no number to be followed."""
+    grid = DirectionGrid.latlong(4)
+    leaves, spec = tree_flatten(grid)
+    assert [each.shape for each in leaves] == [(32, 3), (32,)]
+    assert tree_unflatten(leaves, treespec_loads(treespec_dumps(spec))).layout == (4, 8)
+    turned = [grid, tree_map(lambda each: each.flip(0), grid)]
+    both = tree_map(lambda *each: torch.stack(each), *turned)
+    heights = vmap(lambda one: one.directions[:, 1] * one.solid_angles)(both)
+    for found, one in zip(heights, turned, strict=True):
+        assert torch.equal(found, one.directions[:, 1] * one.solid_angles)
+
+    class Heights(torch.nn.Module):
+        def forward(self, one: DirectionGrid) -> torch.Tensor:
+            assert one.layout == (4, 8)
+            return one.directions[:, 1]
+
+    program = torch.export.export(Heights(), (grid,)).module()
+    assert torch.equal(program(turned[1]), turned[1].directions[:, 1])
