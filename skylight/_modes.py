@@ -34,6 +34,18 @@ def without_autocast(function: Callable[P, T]) -> Callable[P, T]:
     return inner
 
 
+def on_cpu(function: Callable[P, T]) -> Callable[P, T]:
+    """The function with the CPU for default device: a module's tables are made there, and are
+    moved with it."""
+
+    @wraps(function)
+    def inner(*args: P.args, **kwargs: P.kwargs) -> T:
+        with torch.device("cpu"):
+            return function(*args, **kwargs)
+
+    return inner
+
+
 def single(x: Tensor) -> Tensor:
     """In float32 at least: what autocast made may have eight bits."""
     return x.to(torch.promote_types(x.dtype, torch.float32))

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from skylight._modes import constant
+from skylight._modes import constant, on_cpu
 from skylight._names import BuiltinName
 from skylight.errors import InputError, check_shape
 from skylight.io._tensors import read_tensors, write_tensors
@@ -54,6 +54,7 @@ class FilterBank(nn.Module):
 
     unnormalised: Tensor
 
+    @on_cpu
     def __init__(
         self, coefficients: Float[Tensor, "m k"], name: str, *, learnable: bool = True
     ) -> None:
@@ -125,7 +126,7 @@ class FilterBank(nn.Module):
         """The filters' values in these directions, unrotated."""
         check_shape("directions", directions.shape, 3)
         basis = harmonics.evaluate_about_zenith(directions, self.degree)
-        return self.coefficients.to(basis) @ basis.T
+        return self.coefficients.to(basis.dtype) @ basis.T
 
     def polar_values(
         self, filters: Int[Tensor, " s"], theta_rad: Float[Tensor, " t"], phi: Float[Tensor, " p"]

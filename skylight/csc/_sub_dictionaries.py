@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
+from skylight._modes import on_cpu
 from skylight.csc._code import CodeTensors
 from skylight.csc._dictionary import FilterBank, finer_anisotropic, finer_isotropic
 from skylight.csc._positions import Chunk, Positions, by_signal
@@ -160,6 +161,7 @@ class BoxCorrelation(nn.Module):
     radiance: Tensor
     extent: Tensor
 
+    @on_cpu
     def __init__(self, rows: int, sizes: Sizes) -> None:
         super().__init__()
         self.positions, self.sizes = Positions(rows=rows, twists=1), sizes
@@ -186,8 +188,9 @@ class BoxCorrelation(nn.Module):
         }
         out = []
         for rows, columns in self.sizes:
-            column = torch.arange(-((columns - 1) // 2), values.shape[-1] + columns // 2)
-            round_ = tall[rows][..., (column % values.shape[-1]).to(values.device)]
+            left, right = (columns - 1) // 2, values.shape[-1] + columns // 2
+            column = torch.arange(-left, right, device=values.device)
+            round_ = tall[rows][..., column % values.shape[-1]]
             out.append(round_.unfold(-1, columns, 1).sum(-1))
         return torch.stack(out, -3)
 
@@ -201,7 +204,7 @@ class BoxCorrelation(nn.Module):
         p = self.positions
         check_shape("residuals", residual.shape, p.rows * p.columns)
         sums = self._sums(residual.reshape(*residual.shape[:-1], p.rows, p.columns))
-        return [(sums * self.radiance.to(residual)[..., None])[..., None, :, :, :]]
+        return [(sums * self.radiance.to(residual.dtype)[..., None])[..., None, :, :, :]]
 
     def in_chunks(self, residuals: Float[Tensor, "s n"]) -> Iterator[Chunk]:
         """What :meth:`by_group` gives, a part at a time."""

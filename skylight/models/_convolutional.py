@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from skylight._modes import Derived, full_precision, single
+from skylight._modes import Derived, full_precision, on_cpu, single
 from skylight.errors import check_shape
 from skylight.models._network import CENTRE_AZIMUTH_RAD, CODE_LIMIT, HEIGHT, Coding, SkyNetwork
 from skylight.models._sun_head import COORDINATES
@@ -72,6 +72,7 @@ class ConvolutionalAutoencoder(SkyNetwork):
 
     kind = "convolutions"
 
+    @on_cpu
     def __init__(self, coding: Coding = "log", *, sun: bool = True) -> None:
         super().__init__(LATENT, coding=coding, sun=sun)
         self._folded: Derived[FoldedDecoder] = Derived()
@@ -136,6 +137,7 @@ class ConvolutionalAutoencoder(SkyNetwork):
         blurs it.
         """
         check_shape("latents", z.shape, self.latents)
+        z, azimuth_rad = (self._in_own_precision(x) for x in (z, azimuth_rad))
         decoder = self._folded.of(
             [*self.parameters(), *self.buffers()], lambda: FoldedDecoder.of(self)
         )

@@ -150,7 +150,9 @@ def _lobe(
     direction: Float[Tensor, "*k 3"], sharpness: Float[Tensor, "*k"], at: Float[Tensor, "n 3"]
 ) -> Float[Tensor, "*k n"]:
     """``exp(kappa (<d, w> - 1))`` of unit vectors w: 1 at d."""
-    return torch.exp(-0.5 * sharpness[..., None] * squared_chords(direction, at.to(direction)))
+    return torch.exp(
+        -0.5 * sharpness[..., None] * squared_chords(direction, at.to(direction.dtype))
+    )
 
 
 @constant()

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from skylight._modes import on_cpu
 from skylight._names import SKY_LIGHTS, LightName
 from skylight.errors import InputError, check_shape
 from skylight.io._bounded import read_number, read_object, require_keys, write_json
@@ -48,6 +49,7 @@ class LambertianGround(nn.Module):
 
     transfer: Tensor
 
+    @on_cpu
     def __init__(self, height: int = 32) -> None:
         super().__init__()
         width = 4 * height
@@ -59,7 +61,7 @@ class LambertianGround(nn.Module):
     ) -> Float[Tensor, "*batch 3"]:
         """Radiance of the ground, the same in all directions."""
         check_shape("the sky", sky.shape, len(self.transfer), 3)
-        irradiance = torch.einsum("n,...nc->...c", self.transfer.to(sky), sky)
+        irradiance = torch.einsum("n,...nc->...c", self.transfer.to(sky.dtype), sky)
         return albedo / math.pi * irradiance
 
     def append(

@@ -37,7 +37,7 @@ class HarmonicLight(UnboundedLight):
         check_shape("parameters", params.shape, self.parameter_count)
         params = single(params)
         with full_precision(params):  # terms of either sign are cut at zero
-            return self.basis.to(params) @ params.unflatten(-1, (-1, 3))
+            return self.basis.to(params.dtype) @ params.unflatten(-1, (-1, 3))
 
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
         """``max(0, sum_k Y_k(w) c_k)``."""

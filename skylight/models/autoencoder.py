@@ -86,7 +86,7 @@ class AutoencoderLight(nn.Module):
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
         z, azimuth = self._parts(params)
         sky = self.network.decode_at_azimuth(z, azimuth, self.sun_spread_rad, self.height)
-        return sky.reshape(*params.shape[:-1], len(self.grid), 3)
+        return sky.reshape(*params.shape[:-1], len(self.grid), 3).to(single(params).dtype)
 
     def sun_direction(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch 3"] | None:
         """That of the sun's lobe; None of a network without."""
@@ -94,7 +94,8 @@ class AutoencoderLight(nn.Module):
         if head is None:
             return None
         z, azimuth = self._parts(params)
-        return head.direction(z[:, -COORDINATES:], azimuth).reshape(*params.shape[:-1], 3)
+        sun = head.direction(z[:, -COORDINATES:], azimuth).reshape(*params.shape[:-1], 3)
+        return sun.to(single(params).dtype)
 
     def on_rows(self, height: int) -> "AutoencoderLight":
         """The model on 4, 8, 16 or 32 rows or a multiple of it, its weights shared; the sun keeps
@@ -113,23 +114,27 @@ class AutoencoderLight(nn.Module):
         self, params: Float[Tensor, "*batch p"]
     ) -> tuple[Float[Tensor, "b z"], Float[Tensor, " b"]]:
         check_shape("parameters", params.shape, self.parameter_count)
-        flat = single(params).reshape(-1, self.parameter_count)
+        # in the network's precision, which is a part of what it learnt
+        flat = params.to(self.latent_mean.dtype).reshape(-1, self.parameter_count)
         return flat[:, :-1], flat[:, -1]
 
     def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """Whitened latents; the azimuth as it is."""
-        latents, azimuth = params[..., :-1], params[..., -1:]
+        latents, azimuth = single(params[..., :-1]), single(params[..., -1:])
         check_shape("parameters", params.shape, self.parameter_count)
-        centred = (latents - self.latent_mean).reshape(-1, self.latents)
-        white = torch.linalg.solve_triangular(self.latent_scale, centred.T, upper=False).T
+        centred = (latents - self.latent_mean.to(latents.dtype)).reshape(-1, self.latents)
+        scale = self.latent_scale.to(latents.dtype)
+        white = torch.linalg.solve_triangular(scale, centred.T, upper=False).T
         return torch.cat([white.reshape(latents.shape), azimuth], -1)
 
     def from_free(self, free: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """Inverse of :meth:`to_free`."""
         check_shape("parameters", free.shape, self.parameter_count)
         with full_precision(free):
-            latents = single(free[..., :-1]) @ self.latent_scale.T + self.latent_mean
-        return torch.cat([latents, free[..., -1:]], -1)
+            white = single(free[..., :-1])
+            scale, mean = self.latent_scale.to(white.dtype), self.latent_mean.to(white.dtype)
+            latents = white @ scale.T + mean
+        return torch.cat([latents, single(free[..., -1:])], -1)
 
     def starts(self) -> Float[Tensor, "s p"]:
         """The centroids, with the sun straight ahead."""

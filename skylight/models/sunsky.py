@@ -113,14 +113,14 @@ class SunSky(nn.Module):
         The thesis' f is the luminance itself; it nearly vanishes with the zenith luminance near
         t = 1.7, where its weight would grow without bound.
         """
-        upper = self.sphere[: len(self.grid)].to(sun)
+        upper = self.sphere[: len(self.grid)].to(sun.dtype)
         # Half-angle form of gamma: acos has infinite gradients at 0 and pi. The 1e-8 rounds off
         # the tip of e^(D gamma) at the sun, an error of 1e-4 rad there.
         gamma = 2 * torch.atan2(
             (squared_chords(sun, upper) + 1e-8).sqrt(), (squared_chords(sun, -upper) + 1e-8).sqrt()
         )
         value = perez(upper[:, 1], gamma, turbidity[..., None])
-        solid_angle = self.log_solid_angle[: len(self.grid)].exp().to(sun)
+        solid_angle = self.log_solid_angle[: len(self.grid)].exp().to(sun.dtype)
         return value / ((value * solid_angle).sum(-1, keepdim=True) / (2 * math.pi))
 
     def sun_lobe(
@@ -132,8 +132,8 @@ class SunSky(nn.Module):
         the same where pixels resolve it, but above kappa of about 1000 a lobe falls between the
         centres of pixels and its energy would depend on where the sun stands.
         """
-        exponent = -0.5 * kappa[..., None] * squared_chords(sun, self.sphere.to(sun))
-        total = torch.logsumexp(exponent + self.log_solid_angle.to(sun), dim=-1, keepdim=True)
+        exponent = -0.5 * kappa[..., None] * squared_chords(sun, self.sphere.to(sun.dtype))
+        total = torch.logsumexp(exponent + self.log_solid_angle.to(sun.dtype), dim=-1, keepdim=True)
         return torch.exp(exponent[..., : len(self.grid)] - total)
 
     def sun_direction(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch 3"]:

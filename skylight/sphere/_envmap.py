@@ -23,7 +23,8 @@ SUN_REGION_RAD = math.radians(13.0)  # thesis, 5.5.1: the sun's neighbourhood
 
 def luminance(rgb: Float[Tensor, "*s 3"]) -> Float[Tensor, "*s"]:
     """Rec.709 relative luminance."""
-    return rgb @ torch.tensor(LUMINANCE, dtype=rgb.dtype, device=rgb.device)
+    # filled where they are: a tensor of Python's numbers is copied from the host in every call
+    return rgb @ torch.stack([rgb.new_full((), weight) for weight in LUMINANCE])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,6 +19,7 @@ import torch
 from jaxtyping import Float
 from kornia.geometry.conversions import axis_angle_to_rotation_matrix, rotation_matrix_to_axis_angle
 from torch import Tensor
+from torch.nn import functional
 
 from skylight.errors import InputError
 from skylight.sphere import _harmonics as harmonics
@@ -79,7 +80,7 @@ def wigner_small(beta: Float[Tensor, " b"], degree: int) -> list[Float[Tensor, "
         inner = (l * l - row**2) * (l * l - column**2)
         # m n / (l (l + 1)) is 0 for l = 0, where m = n = 0
         shift = row * column / max(1, l * (l + 1))
-        older = torch.nn.functional.pad(before, (1, 1, 1, 1)) if l else torch.zeros_like(signless)
+        older = functional.pad(before, (1, 1, 1, 1)) if l else torch.zeros_like(signless)
         core = (cosine - shift) * signless
         core = core - inner.clamp(min=0).sqrt() / max(1, l * (2 * l + 1)) * older
         core = core * ((l + 1) * (2 * l + 1) / outer.sqrt())
@@ -101,10 +102,12 @@ def _with_rim(
     ``d_lm = sqrt(binomial(2l, l + m)) cos^(l+m) (-sin)^(l-m)``; the other three sides follow from
     ``d_mn = (-1)^(m-n) d_nm = d_-n,-m``.
     """
-    m = torch.arange(-l, l + 1)
-    roots = [math.sqrt(math.comb(2 * l, l + int(k))) for k in m]
-    root = torch.tensor(roots, dtype=torch.float64).to(half_cos)
-    up, down = (l + m).to(half_cos.device), (l - m).to(half_cos.device)
+    k = torch.arange(1, l + 1, dtype=torch.float64, device=half_cos.device)
+    # of binomial(2l, 0), ..., binomial(2l, l), each by the one before
+    root = functional.pad(((2 * l + 1 - k) / k).sqrt().cumprod(0), (1, 0), value=1.0)
+    root = torch.cat([root, root[:-1].flip(0)]).to(half_cos.dtype)
+    m = torch.arange(-l, l + 1, device=half_cos.device)
+    up, down = l + m, l - m
     size = root * half_cos[:, None] ** up * half_sin[:, None] ** down  # (b, 2l + 1)
     bottom = size * torch.where(down % 2 == 1, -1.0, 1.0).to(size)  # row m = l
     right = size  # column n = l: (-1)^(l-m) d_lm
@@ -163,8 +166,8 @@ def turn_about_pole(
     sines have negative m.
     """
     degree = harmonics.degree_of(coefficients.shape[-1])
-    l = harmonics.bands(degree).to(coefficients.device)  # noqa: E741
-    m = harmonics.orders(degree).to(coefficients.device)
+    l = harmonics.bands(degree, coefficients.device)  # noqa: E741
+    m = harmonics.orders(degree, coefficients.device)
     turn = m * angle_rad.to(coefficients)[..., None]
     return torch.cos(turn) * coefficients - torch.sin(turn) * coefficients[..., l * (l + 1) - m]
 
