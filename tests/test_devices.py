@@ -20,7 +20,7 @@ def checked() -> Iterator[CheckedDevice]:
 
 @pytest.fixture(
     params=[
-        pytest.param(name, marks=pytest.mark.slow if case.slow else ())
+        pytest.param(name, marks=pytest.mark.slow if case.slow or case.host else ())
         for name, case in CASES.items()
     ]
 )
@@ -94,3 +94,14 @@ def test_a_module_elsewhere_is_not_copied(case: Case, checked: CheckedDevice) ->
     with pytest.raises(RuntimeError, match="one device"):
         case.call(module, *given)
     assert case.host or not checked.waits
+
+
+def test_an_angle_on_the_device_is_not_asked_for(checked: CheckedDevice) -> None:
+    case = CASES["turning relighting"]
+    (light,) = case.given(F32)
+    module, angle = case.single().to(DEVICE), torch.tensor(0.3).to(DEVICE)
+    there = light.to(DEVICE)
+    checked.waits.clear()
+    found = module(there, angle)
+    assert not checked.waits
+    assert error(found, case.truth) < case.float32

@@ -19,8 +19,8 @@ import torch
 from jaxtyping import Float
 from kornia.geometry.conversions import axis_angle_to_rotation_matrix, rotation_matrix_to_axis_angle
 from torch import Tensor
-from torch.nn import functional
 
+from skylight._modes import constant
 from skylight.errors import InputError
 from skylight.sphere import _harmonics as harmonics
 
@@ -80,7 +80,7 @@ def wigner_small(beta: Float[Tensor, " b"], degree: int) -> list[Float[Tensor, "
         inner = (l * l - row**2) * (l * l - column**2)
         # m n / (l (l + 1)) is 0 for l = 0, where m = n = 0
         shift = row * column / max(1, l * (l + 1))
-        older = functional.pad(before, (1, 1, 1, 1)) if l else torch.zeros_like(signless)
+        older = torch.nn.functional.pad(before, (1, 1, 1, 1)) if l else torch.zeros_like(signless)
         core = (cosine - shift) * signless
         core = core - inner.clamp(min=0).sqrt() / max(1, l * (2 * l + 1)) * older
         core = core * ((l + 1) * (2 * l + 1) / outer.sqrt())
@@ -102,10 +102,7 @@ def _with_rim(
     ``d_lm = sqrt(binomial(2l, l + m)) cos^(l+m) (-sin)^(l-m)``; the other three sides follow from
     ``d_mn = (-1)^(m-n) d_nm = d_-n,-m``.
     """
-    k = torch.arange(1, l + 1, dtype=torch.float64, device=half_cos.device)
-    # of binomial(2l, 0), ..., binomial(2l, l), each by the one before
-    root = functional.pad(((2 * l + 1 - k) / k).sqrt().cumprod(0), (1, 0), value=1.0)
-    root = torch.cat([root, root[:-1].flip(0)]).to(half_cos.dtype)
+    root = _roots(l, half_cos.device).to(half_cos.dtype)
     m = torch.arange(-l, l + 1, device=half_cos.device)
     up, down = l + m, l - m
     size = root * half_cos[:, None] ** up * half_sin[:, None] ** down  # (b, 2l + 1)
@@ -114,6 +111,13 @@ def _with_rim(
     top, left = right.flip(1), bottom.flip(1)  # d_-l,n = d_-n,l and d_m,-l = d_l,-m
     middle = torch.cat([left[:, 1:-1, None], core, right[:, 1:-1, None]], 2)
     return torch.cat([top[:, None], middle, bottom[:, None]], 1)
+
+
+@constant()
+def _roots(l: int, device: torch.device) -> Float[Tensor, " j"]:  # noqa: E741
+    """sqrt(binomial(2l, k)), k = 0 .. 2l."""
+    roots = [math.sqrt(math.comb(2 * l, k)) for k in range(2 * l + 1)]
+    return torch.tensor(roots, dtype=torch.float64, device=device)
 
 
 def rotation_blocks(
