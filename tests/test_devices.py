@@ -4,10 +4,12 @@ No GPU is needed: tests.checked_device stands for one.
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 import torch
 
+from skylight.models._base import without_azimuth
 from tests.checked_device import DEVICE, CheckedDevice
 from tests.modules import CASES, F32, F64, Case, error
 
@@ -94,6 +96,24 @@ def test_a_module_elsewhere_is_not_copied(case: Case, checked: CheckedDevice) ->
     with pytest.raises(RuntimeError, match="one device"):
         case.call(module, *given)
     assert case.host or not checked.waits
+
+
+@pytest.mark.parametrize("name", ["sunsky", "lamps", "harmonics", "autoencoder light, coarse"])
+def test_what_else_a_light_model_says_waits_for_nothing(name: str, checked: CheckedDevice) -> None:
+    model: Any = CASES[name].single().to(DEVICE)
+    for dtype in (F32, F64):  # of parameters, whatever the model's own is
+        params = CASES[name].given(dtype)[0].to(DEVICE)
+        _ = model.bounds, model.sun_direction(params)
+        checked.waits.clear()
+        low, high = model.bounds
+        free = model.to_free(params)
+        assert low.device == high.device == without_azimuth(model, free).device == DEVICE
+        again = model.from_free(free)
+        sun = model.sun_direction(params)
+        assert not checked.waits
+        assert again.dtype == free.dtype == dtype
+        assert sun is None or sun.dtype == dtype
+        assert error(again, params) < 1e-3
 
 
 def test_an_angle_on_the_device_is_not_asked_for(checked: CheckedDevice) -> None:

@@ -97,7 +97,5 @@ class Prior(Protocol):
 
 def without_azimuth(model: LightModel, free: Float[Tensor, "b p"]) -> Float[Tensor, "b q"]:
     """The free parameters that a prior speaks of: all but the azimuth."""
-    if model.azimuth_index is None:
-        return free
-    keep = [i for i in range(free.shape[1]) if i != model.azimuth_index]
-    return free[:, keep]
+    at = model.azimuth_index
+    return free if at is None else torch.cat([free[:, :at], free[:, at + 1 :]], 1)

@@ -62,7 +62,7 @@ class GaussianLobes(nn.Module):
 
         Colours below 1e-6, and sharpness within 1e-6 of the range from a bound, move to there.
         """
-        amplitude, azimuth, zenith, sharpness, constant = self._split(params)
+        amplitude, azimuth, zenith, sharpness, constant = self._split(single(params))
         low, high = _log_bounds()
         fraction = ((sharpness.log() - low) / (high - low)).clamp(_MIN_FRACTION, 1 - _MIN_FRACTION)
         return self._join(
@@ -75,7 +75,7 @@ class GaussianLobes(nn.Module):
 
     def from_free(self, free: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """Inverse of :meth:`to_free`."""
-        amplitude, azimuth, zenith, sharpness, constant = self._split(free)
+        amplitude, azimuth, zenith, sharpness, constant = self._split(single(free))
         low, high = _log_bounds()
         return self._join(
             # a line search may try anything; e^40 is as wrong as infinity but finite

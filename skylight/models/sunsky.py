@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from skylight._modes import full_precision, single
+from skylight._modes import constant, full_precision, single
 from skylight.errors import check_shape
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import (
@@ -88,10 +88,8 @@ class SunSky(nn.Module):
 
     @property
     def bounds(self) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
-        low = [0.0] * 6 + [-math.inf, ZENITH_BOUNDS[0], TURBIDITY_BOUNDS[0], KAPPA_BOUNDS[0]]
-        high = [math.inf] * 7 + [ZENITH_BOUNDS[1], TURBIDITY_BOUNDS[1], KAPPA_BOUNDS[1]]
-        double = self.sphere.new_empty(0, dtype=torch.float64)
-        return double.new_tensor(low), double.new_tensor(high)
+        low, high = _bounds(self.sphere.device).clone()
+        return low, high
 
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
         params = self._checked(params)
@@ -203,6 +201,13 @@ class SunSky(nn.Module):
         weather = torch.stack(rows).expand(len(directions), -1, -1)
         params = torch.cat([weather[..., :6], angles, weather[..., 6:]], dim=-1)
         return params.to(torch.get_default_dtype())
+
+
+@constant()
+def _bounds(device: torch.device) -> Float[Tensor, "2 p"]:
+    low = [0.0] * 6 + [-math.inf, ZENITH_BOUNDS[0], TURBIDITY_BOUNDS[0], KAPPA_BOUNDS[0]]
+    high = [math.inf] * 7 + [ZENITH_BOUNDS[1], TURBIDITY_BOUNDS[1], KAPPA_BOUNDS[1]]
+    return torch.tensor([low, high], dtype=torch.float64, device=device)
 
 
 # (share of the sun in the energy, turbidity, kappa, sky colour, sun colour). The clear sun's share
