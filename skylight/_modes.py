@@ -13,8 +13,6 @@ import torch
 from torch import Tensor
 from torch.autograd.forward_ad import unpack_dual
 
-from skylight.errors import InputError
-
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -36,21 +34,21 @@ def without_autocast(function: Callable[P, T]) -> Callable[P, T]:
     return inner
 
 
+def on_cpu(function: Callable[P, T]) -> Callable[P, T]:
+    """The function with the CPU for default device: a module's tables are made there, and are
+    moved with it."""
+
+    @wraps(function)
+    def inner(*args: P.args, **kwargs: P.kwargs) -> T:
+        with torch.device("cpu"):
+            return function(*args, **kwargs)
+
+    return inner
+
+
 def single(x: Tensor) -> Tensor:
     """In float32 at least: what autocast made may have eight bits."""
     return x.to(torch.promote_types(x.dtype, torch.float32))
-
-
-def check_dtype(what: str, x: Tensor, weight: Tensor) -> None:
-    """:class:`InputError` for numbers that a module with this weight cannot multiply."""
-    if x.dtype == weight.dtype:
-        return
-    kind = x.device.type
-    mixed = torch.amp.is_autocast_available(kind) and torch.is_autocast_enabled(kind)
-    if not (mixed and x.is_floating_point() and x.dtype != torch.float64):
-        raise InputError(
-            f"{what} of dtype {x.dtype}, weights of {weight.dtype}: convert either by .to(dtype)"
-        )
 
 
 def transformed() -> bool:

@@ -7,7 +7,7 @@ asks for pytest, so that a machine with an accelerator can run the same.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor, nn
@@ -73,6 +73,10 @@ class Case:
     tf32: float = 2**-10
     float32: float = 2e-5
     axis: int | None = -1
+    host: str = ""  # what of a call is asked for there, and a device waits
+    # Of a result: its first input's, or that and float32 at least, where eight bits would ruin
+    # it; or the module's own, which is a part of what was learnt or is searched
+    dtype: Literal["input", "single", "module"] = "input"
     transforms: bool = True  # torch.func's
     meta: bool = True
     slow: bool = False
@@ -97,11 +101,13 @@ class Case:
 
 
 def random(*shape: int, seed: int = 0) -> Tensor:
-    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
+    generator = torch.Generator("cpu").manual_seed(seed)
+    return torch.rand(*shape, generator=generator, dtype=F64, device="cpu")
 
 
 def normal(*shape: int, seed: int = 0) -> Tensor:
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64)
+    generator = torch.Generator("cpu").manual_seed(seed)
+    return torch.randn(*shape, generator=generator, dtype=F64, device="cpu")
 
 
 def free(model: Any) -> tuple[Tensor]:
@@ -131,13 +137,14 @@ def convolutional() -> ConvolutionalAutoencoder:
 
 def convolutional_light() -> AutoencoderLight:
     z = 64
+    mean = torch.zeros(z, device="cpu")
     return AutoencoderLight(
         convolutional(),
-        latent_mean=torch.zeros(z),
-        latent_scale=torch.eye(z) + 0.1 * normal(z, z).float().tril(-1),
+        latent_mean=mean,
+        latent_scale=torch.eye(z, device="cpu") + 0.1 * normal(z, z).float().tril(-1),
         bank=normal(8, z).float(),
-        bank_zenith_rad=torch.linspace(0, 1.5, 8),
-        white_centroids=torch.zeros(2, z),
+        bank_zenith_rad=torch.linspace(0, 1.5, 8, device="cpu"),
+        white_centroids=mean.repeat(2, 1),
     )
 
 
@@ -195,27 +202,38 @@ TURNS = TransferCoefficients(values=random(4, 30, 6, 3).float(), orders=torch.on
 
 
 def zonal() -> Tensor:
-    coefficients = torch.zeros(2, 16, dtype=F64)
+    coefficients = torch.zeros(2, 16, dtype=F64, device="cpu")
     coefficients[:, [0, 2, 6, 12]] = random(2, 4) + 0.1
     return coefficients
 
 
 CASES: dict[str, Case] = {
     "autoencoder light": Case(
-        slow=True, make=lambda: load_bundle().light(sun_spread_rad=0.025), inputs=free, float32=5e-5
+        dtype="single",
+        slow=True,
+        make=lambda: load_bundle().light(sun_spread_rad=0.025),
+        inputs=free,
+        float32=5e-5,
     ),
-    "autoencoder light, convolutions": Case(slow=True, make=convolutional_light, inputs=free),
+    "autoencoder light, convolutions": Case(
+        dtype="single", slow=True, make=convolutional_light, inputs=free
+    ),
     "autoencoder light, coarse": Case(
+        dtype="single",
         make=lambda: load_bundle().light(sun_spread_rad=0.025).on_rows(8),
         inputs=free,
         float32=5e-5,
     ),
-    "sunsky": Case(make=lambda: SunSky(8), inputs=free, autocast=1e-5, tf32=1e-5),
-    "lamps": Case(make=lambda: LampsLight(2, 8), inputs=free, autocast=1e-5),
+    "sunsky": Case(dtype="single", make=lambda: SunSky(8), inputs=free, autocast=1e-5, tf32=1e-5),
+    "lamps": Case(dtype="single", make=lambda: LampsLight(2, 8), inputs=free, autocast=1e-5),
     "harmonics": Case(
-        make=lambda: HarmonicLight(4, 8), inputs=free, autocast=1e-5, tf32=5 * 2**-10
+        dtype="single",
+        make=lambda: HarmonicLight(4, 8),
+        inputs=free,
+        autocast=1e-5,
+        tf32=5 * 2**-10,
     ),
-    "gaussians": Case(make=lambda: GaussianLobes(3, 8), inputs=free, autocast=1e-5),
+    "gaussians": Case(dtype="single", make=lambda: GaussianLobes(3, 8), inputs=free, autocast=1e-5),
     "ground": Case(
         make=lambda: LambertianGround(8),
         inputs=lambda _: (random(2, len(SKY), 3), random(2, 3)),
@@ -223,6 +241,8 @@ CASES: dict[str, Case] = {
     ),
     # a network's encoder adds the roundings of its layers
     "splines, encode": Case(
+        host="whether the sun is in the centre",
+        dtype="module",
         slow=True,
         make=shipped,
         inputs=skies,
@@ -231,30 +251,42 @@ CASES: dict[str, Case] = {
         autocast=2**-4,
         tf32=2**-8,
     ),
-    "splines, decode": Case(slow=True, make=shipped, inputs=latents, call=lambda m, z: m.decode(z)),
+    "splines, decode": Case(
+        dtype="module", slow=True, make=shipped, inputs=latents, call=lambda m, z: m.decode(z)
+    ),
     "splines, azimuth": Case(
+        dtype="module",
         make=shipped,
         inputs=lambda _: (0.7 * normal(2, 64), normal(2)),
         call=lambda m, z, azimuth: m.decode_at_azimuth(z, azimuth, 0.025),
     ),
     "convolutions, encode": Case(
-        slow=True, make=convolutional, inputs=skies, call=lambda m, x: m.encode(x), axis=-2
+        host="whether the sun is in the centre",
+        dtype="module",
+        slow=True,
+        make=convolutional,
+        inputs=skies,
+        call=lambda m, x: m.encode(x),
+        axis=-2,
     ),
     "convolutions, decode": Case(
-        slow=True, make=convolutional, inputs=latents, call=lambda m, z: m.decode(z)
+        dtype="module", slow=True, make=convolutional, inputs=latents, call=lambda m, z: m.decode(z)
     ),
     "convolutions, azimuth": Case(
+        dtype="module",
         make=convolutional,
         inputs=lambda _: (0.7 * normal(2, 64), normal(2)),
         call=lambda m, z, azimuth: m.decode_at_azimuth(z, azimuth, 0.025),
     ),
     "mixture": Case(
+        dtype="single",
         make=lambda: load_bundle().prior(),
         inputs=lambda _: (normal(5, 64),),
         call=lambda m, x: m.log_prob(x),
         autocast=1e-5,
     ),
     "prior of lamps": Case(
+        dtype="single",
         make=lambda: LampsPrior(2),
         inputs=lambda _: (normal(5, 30),),
         call=lambda m, x: m.log_prob(x),
@@ -307,6 +339,7 @@ CASES: dict[str, Case] = {
     ),
     # rotated by two quarter turns, products too
     "coder, decode": Case(
+        host="which filters a code has",
         make=coder,
         inputs=lambda _: (CODES.weights,),
         call=decoded,
@@ -316,6 +349,7 @@ CASES: dict[str, Case] = {
     ),
     "coder, refit": Case(make=coder, inputs=lambda _: (random(8, 16, 3),), call=refitted, axis=-2),
     "coder": Case(
+        host="what a search takes",
         make=coder,
         inputs=lambda _: (random(8, 16, 3),),
         call=lambda m, x: m.decode(m(x)),
@@ -356,12 +390,14 @@ CASES: dict[str, Case] = {
         tf32=2**-8,
     ),
     "correlation": Case(
+        dtype="module",
         make=lambda: RotationCorrelation(normal(3, 16), Positions(rows=4, twists=2)),
         double=lambda: RotationCorrelation(normal(3, 16), Positions(rows=4, twists=2), dtype=F64),
         inputs=lambda _: (normal(2, 16),),
         tf32=2**-9,
     ),
     "zonal correlation": Case(
+        dtype="module",
         make=lambda: ZonalCorrelation(zonal(), Positions(rows=4, twists=1)),
         inputs=lambda _: (normal(2, 16),),
         call=lambda m, x: m.by_group(x)[0],

@@ -192,28 +192,6 @@ def test_a_wrong_number_of_parameters_is_told_with_what_they_are(name: str, said
                 getattr(module, method)(torch.ones(2, 9))
 
 
-@pytest.mark.parametrize("name", ["splines, decode", "splines, azimuth", "convolutions, azimuth"])
-@pytest.mark.parametrize("dtype", [torch.float16, torch.int64, F64])
-def test_latents_of_another_dtype_than_the_weights_are_named(name: str, dtype: torch.dtype) -> None:
-    module, z = CASES[name].single(), torch.zeros(2, 64, dtype=dtype)
-    jaxtyping.config.update("jaxtyping_disable", True)  # users have no checks of annotations
-    try:
-        with pytest.raises(InputError, match=f"latents of dtype {dtype}, weights of torch.float32"):
-            CASES[name].call(module, z, *CASES[name].given(F32)[1:])
-    finally:
-        jaxtyping.config.update("jaxtyping_disable", False)
-
-
-def test_parameters_of_few_bits_are_float32_and_float64_is_named() -> None:
-    light = CASES["autoencoder light, coarse"].single()
-    params = torch.randint(-1, 2, (2, 65)).float()
-    for few in (params.half(), params.bfloat16()):
-        assert torch.equal(light(few), light(params))
-    for method in (light, light.to_free, light.from_free, light.sun_direction):
-        with pytest.raises(InputError, match=r"parameters of dtype torch\.float64"):
-            method(params.double())
-
-
 def test_a_search_finds_the_same_under_autocast() -> None:
     coder, maps = coder_of_few().float(), CASES["coder"].given(F32)[0]
     expected = coder(maps)

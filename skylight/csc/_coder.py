@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from skylight._modes import full_precision, single, transformed
+from skylight._modes import full_precision, on_cpu, single, transformed
 from skylight._module import Module
 from skylight.csc._code import CodeTensors, SparseCode
 from skylight.csc._dictionary import FilterBank, load_dictionary
@@ -143,6 +143,7 @@ class SphericalSparseCoder(Module):
             self._norms = plan, atom_norms(plan.correlation, self.transform)
         return self._norms[1]
 
+    @on_cpu
     def forward(self, maps: Float[Tensor, "*batch h w 3"]) -> CodeTensors:
         """The codes of maps, padded to ``activations``; no gradient flows through the search.
 
@@ -185,6 +186,7 @@ class SphericalSparseCoder(Module):
         )
         return CodeTensors(filters, rotations, weights.to(maps.dtype), count)
 
+    @on_cpu
     def path(
         self, radiance: Float[Tensor, "h w 3"], counts: list[int], progress: Progress | None = None
     ) -> list[SparseCode]:

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from skylight._modes import constant
+from skylight._modes import constant, on_cpu
 from skylight._module import Module
 from skylight._names import BuiltinName
 from skylight.errors import InputError, check_shape
@@ -55,6 +55,7 @@ class FilterBank(Module):
 
     unnormalised: Tensor
 
+    @on_cpu
     def __init__(
         self, coefficients: Float[Tensor, "m k"], name: str, *, learnable: bool = True
     ) -> None:
@@ -126,7 +127,7 @@ class FilterBank(Module):
         """The filters' values in these directions, unrotated."""
         check_shape(f"{type(self).__name__}'s directions", directions.shape, 3)
         basis = harmonics.evaluate_about_zenith(directions, self.degree)
-        return self.coefficients.to(basis) @ basis.T
+        return self.coefficients.to(basis.dtype) @ basis.T
 
     def polar_values(
         self, filters: Int[Tensor, " s"], theta_rad: Float[Tensor, " t"], phi: Float[Tensor, " p"]

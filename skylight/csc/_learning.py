@@ -23,7 +23,7 @@ from scipy.ndimage import map_coordinates
 from scipy.optimize import nnls
 from torch import Tensor, nn
 
-from skylight._modes import full_precision
+from skylight._modes import full_precision, on_cpu
 from skylight.csc._dictionary import (
     DEGREE,
     FilterBank,
@@ -260,6 +260,7 @@ class CapFilterBank(FilterBank):
     learned: Int[Tensor, " m"]
     lobes: Float[Tensor, "n k"]
 
+    @on_cpu
     def __init__(
         self,
         bank: FilterBank,

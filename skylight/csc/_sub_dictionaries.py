@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import pad
 
+from skylight._modes import on_cpu
 from skylight._module import Module
 from skylight.csc._code import CodeTensors
 from skylight.csc._dictionary import FilterBank, finer_anisotropic, finer_isotropic
@@ -159,6 +160,7 @@ class BoxCorrelation(Module):
     radiance: Tensor
     extent: Tensor
 
+    @on_cpu
     def __init__(self, rows: int, sizes: Sizes) -> None:
         super().__init__()
         self.positions, self.sizes = Positions(rows=rows, twists=1), sizes
@@ -201,7 +203,7 @@ class BoxCorrelation(Module):
         p = self.positions
         check_shape("residuals", residual.shape, p.rows * p.columns)
         sums = self._sums(residual.reshape(*residual.shape[:-1], p.rows, p.columns))
-        return [(sums * self.radiance.to(residual)[..., None])[..., None, :, :, :]]
+        return [(sums * self.radiance.to(residual.dtype)[..., None])[..., None, :, :, :]]
 
     def in_chunks(self, residuals: Float[Tensor, "s n"]) -> Iterator[Chunk]:
         """What :meth:`by_group` gives, a part at a time."""

@@ -27,7 +27,7 @@ import torch
 from jaxtyping import Complex, Float, Int
 from torch import Tensor, nn
 
-from skylight._modes import full_precision, single
+from skylight._modes import full_precision, on_cpu, single
 from skylight._module import Module
 from skylight.csc._correlation import FilterGroup, signed_orders, spans_of
 from skylight.csc._positions import Chunk, Positions, by_signal
@@ -48,9 +48,8 @@ def complex_coefficients(coefficients: Float[Tensor, "*c k"]) -> Complex[Tensor,
     degree = harmonics.degree_of(coefficients.shape[-1])
     l = torch.arange(degree + 1, device=coefficients.device)[:, None]  # noqa: E741
     m = torch.arange(degree + 1, device=coefficients.device)[None]
-    inside = (m <= l).to(coefficients)
-    root = coefficients.new_tensor(math.sqrt(0.5))
-    scale = inside * torch.where(m == 0, torch.ones_like(root), root)
+    inside = (m <= l).to(coefficients.dtype)
+    scale = inside * torch.full_like(inside, math.sqrt(0.5)).masked_fill(m == 0, 1)
     cosine = coefficients[..., (l * (l + 1) + m).clamp(max=coefficients.shape[-1] - 1)] * scale
     sine = coefficients[..., (l * (l + 1) - m).clamp(min=0)] * scale * (m > 0)
     return torch.complex(cosine, -sine)
@@ -91,6 +90,7 @@ class RotationCorrelation(Module):
     phase: Tensor
     signed: Tensor
 
+    @on_cpu
     def __init__(
         self,
         filters: Float[Tensor, "f k"],
@@ -274,6 +274,7 @@ class ZonalCorrelation(Module):
     bands: Tensor
     band_of: Tensor
 
+    @on_cpu
     def __init__(
         self,
         filters: Float[Tensor, "f k"],
@@ -303,7 +304,7 @@ class ZonalCorrelation(Module):
     ) -> list[Float[Tensor, "*batch _ _ rows columns"]]:
         """One group, one twist."""
         check_shape("residuals", residual.shape, len(self.band_of))
-        weighted = self.bands[:, self.band_of] * residual.to(self.bands)[..., None, :]
+        weighted = self.bands[:, self.band_of] * residual.to(self.bands.dtype)[..., None, :]
         return [self.transform.synthesise(weighted)[..., None, :, :, :]]
 
     def in_chunks(self, residuals: Float[Tensor, "s k"]) -> Iterator[Chunk]:
@@ -337,6 +338,7 @@ class FilterRotation(nn.Module):
     place: Tensor
     back: Tensor
 
+    @on_cpu
     def __init__(self, degree: int, *, zonal: bool = False) -> None:
         super().__init__()
         self.zonal = zonal

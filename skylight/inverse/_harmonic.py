@@ -4,6 +4,7 @@ The light is nowhere negative (thesis, Fig. 7.1): :func:`nonnegative_harmonics`,
 use too.
 """
 
+import copy
 import math
 from dataclasses import dataclass, replace
 
@@ -179,8 +180,9 @@ class HarmonicProblem(LightProblem):
         self.sun_prior = sun_prior
         basis = harmonics.evaluate(DirectionGrid.latlong(ROWS).directions, model.degree)
         self.basis = basis.to(albedo_modes.device)
-        self.albedo_prior = albedo_prior
-        self.tone_prior = tone_prior(albedo_prior)
+        # of few numbers, which the host decides by
+        self.albedo_prior = copy.deepcopy(albedo_prior).cpu()
+        self.tone_prior = tone_prior(self.albedo_prior)
         self.albedo_modes = albedo_modes
         self._faces: list[Observation] = []
         self._photos: list[int] = []

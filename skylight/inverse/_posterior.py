@@ -399,7 +399,10 @@ def split_density(
     p_specular(log g + log s), the last where ``specular_scale`` (the strength g) was estimated.
     """
     shift = torch.linspace(-3.0, 3.0, 601, dtype=torch.float64)
-    level = albedo_prior.log_prob(albedo.log() + shift[:, None].to(albedo)).double()
+    tried = albedo.log() + shift[:, None].to(albedo)
+    if isinstance(albedo_prior, torch.nn.Module):  # on the solver's device
+        tried = tried.to(next(albedo_prior.buffers()).device)
+    level = albedo_prior.log_prob(tried).double().cpu()
     if specular_scale is not None:
         level = level - 0.5 * ((math.log(specular_scale) + shift) / SPECULAR_SPREAD) ** 2
     return shift, torch.softmax(level, 0)

@@ -220,9 +220,8 @@ def without_azimuth(
     model: LightModel, free: Float[Tensor, "*batch p"]
 ) -> Float[Tensor, "*batch q"]:
     """The free parameters that a prior speaks of: all but the azimuth."""
-    if model.azimuth_index is None:
-        return free
-    return free[..., [i for i in range(free.shape[-1]) if i != model.azimuth_index]]
+    at = model.azimuth_index
+    return free if at is None else torch.cat([free[..., :at], free[..., at + 1 :]], -1)
 
 
 # Which light is looked for: by its name, or a model of the user's, with a density over its free

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from skylight._modes import Derived, full_precision, single
+from skylight._modes import Derived, full_precision, on_cpu, single
 from skylight._module import Module
 from skylight.models._network import Coding, SkyNetwork
 from skylight.models._sun_head import COORDINATES
@@ -69,6 +69,7 @@ class UpConv(Module):
 class ConvolutionalAutoencoder(SkyNetwork):
     """Fig. 5.2: four convolutions with pooling, the latents (64 there), and the mirror image."""
 
+    @on_cpu
     def __init__(self, latents: int = LATENT, *, coding: Coding = "log", sun: bool = True) -> None:
         super().__init__(latents, coding=coding, sun=sun)
         self._folded: Derived[FoldedDecoder] = Derived()

@@ -68,7 +68,7 @@ class GaussianLobes(Module):
 
         Colours below 1e-6, and sharpness within 1e-6 of the range from a bound, move to there.
         """
-        amplitude, azimuth, zenith, sharpness, constant = self._split(params)
+        amplitude, azimuth, zenith, sharpness, constant = self._split(single(params))
         low, high = _log_bounds()
         fraction = ((sharpness.log() - low) / (high - low)).clamp(_MIN_FRACTION, 1 - _MIN_FRACTION)
         return self._join(
@@ -81,7 +81,7 @@ class GaussianLobes(Module):
 
     def from_free(self, free: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """Inverse of :meth:`to_free`."""
-        amplitude, azimuth, zenith, sharpness, constant = self._split(free)
+        amplitude, azimuth, zenith, sharpness, constant = self._split(single(free))
         low, high = _log_bounds()
         return self._join(
             # a line search may try anything; e^40 is as wrong as infinity but finite
@@ -158,7 +158,9 @@ def _lobe(
     direction: Float[Tensor, "*k 3"], sharpness: Float[Tensor, "*k"], at: Float[Tensor, "n 3"]
 ) -> Float[Tensor, "*k n"]:
     """``exp(kappa (<d, w> - 1))`` of unit vectors w: 1 at d."""
-    return torch.exp(-0.5 * sharpness[..., None] * squared_chords(direction, at.to(direction)))
+    return torch.exp(
+        -0.5 * sharpness[..., None] * squared_chords(direction, at.to(direction.dtype))
+    )
 
 
 @constant()

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skylight._modes import on_cpu
 from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.io._bounded import read_number, read_object, require_keys, write_json
@@ -50,6 +51,7 @@ class LambertianGround(Module):
 
     transfer: Tensor
 
+    @on_cpu
     def __init__(self, height: int = 32) -> None:
         super().__init__()
         width = 4 * height
@@ -66,7 +68,7 @@ class LambertianGround(Module):
         """
         check_shape("LambertianGround's sky", sky.shape, len(self.transfer), 3)
         check_shape("LambertianGround's albedo", albedo.shape, 3)
-        irradiance = torch.einsum("n,...nc->...c", self.transfer.to(sky), sky)
+        irradiance = torch.einsum("n,...nc->...c", self.transfer.to(sky.dtype), sky)
         return albedo / math.pi * irradiance
 
     def append(

@@ -36,7 +36,7 @@ class HarmonicLight(ParametricLight):
         check_shape("HarmonicLight's parameters", params.shape, self.parameter_count, names=names)
         params = single(params)
         with full_precision(params):  # terms of either sign are cut at zero
-            return self.basis.to(params) @ params.unflatten(-1, (-1, 3))
+            return self.basis.to(params.dtype) @ params.unflatten(-1, (-1, 3))
 
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
         """``max(0, sum_k Y_k(w) c_k)``: radiance ``(..., n, 3)`` of coefficients ``(..., 3 k)``.

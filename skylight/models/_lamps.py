@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from skylight._modes import full_precision, single
+from skylight._modes import full_precision, on_cpu, single
 from skylight._module import Module
 from skylight.errors import check_shape
 from skylight.models._base import ParametricLight, draws
@@ -78,7 +78,10 @@ class LampsLight(ParametricLight):
     basis: Tensor
     directions: Tensor
     log_solid_angle: Tensor
+    tone_scale: Tensor
+    chroma_scale: Tensor
 
+    @on_cpu
     def __init__(self, count: int, height: int = 32) -> None:
         if count < 0:
             raise ValueError(f"{count} lamps: give 0 or more")
@@ -89,6 +92,8 @@ class LampsLight(ParametricLight):
         self.register_buffer("basis", basis, persistent=False)
         self.register_buffer("directions", self.grid.directions, persistent=False)
         self.register_buffer("log_solid_angle", self.grid.solid_angles.log(), persistent=False)
+        self.register_buffer("tone_scale", _tone_scale(), persistent=False)
+        self.register_buffer("chroma_scale", _chroma_scale(), persistent=False)
 
     def on_rows(self, height: int) -> "LampsLight":
         """The model on ``height`` rows."""
@@ -113,14 +118,15 @@ class LampsLight(ParametricLight):
     def ambient(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
         """A of the module's text."""
         params = params[..., :AMBIENT_PARAMETERS].clamp(-LONGEST, LONGEST)
-        basis = self.basis.to(params)
-        tone = params[..., :8] * _ambient_scale(params)
+        basis = self.basis.to(params.dtype)
+        tone = params[..., :8] * self.tone_scale.to(params.dtype)
         # the field of degree 1 that is y has a mean of 0 and UPWARD at the zenith
-        level = tone @ basis[:, 1:].T + UPWARD * self.directions[:, 1].to(params)
-        chroma = params[..., 8:].unflatten(-1, (2, 4)) * _chroma_scale(params)
+        level = tone @ basis[:, 1:].T + UPWARD * self.directions[:, 1].to(params.dtype)
+        chroma = params[..., 8:].unflatten(-1, (2, 4)) * self.chroma_scale.to(params.dtype)
         red, blue = (chroma @ basis[:, :4].T).unbind(-2)
         colours = torch.stack([level + red, level, level + blue], -1).exp()
-        mean = luminance(colours) @ (self.log_solid_angle.to(params).exp() / (4 * math.pi))
+        share = self.log_solid_angle.to(params.dtype).exp() / (4 * math.pi)
+        mean = luminance(colours) @ share
         return colours / mean[..., None, None]
 
     def lamps(self, params: Float[Tensor, "*batch p"]) -> Lamps:
@@ -149,9 +155,11 @@ class LampsLight(ParametricLight):
 
     def lobes(self, lamps: Lamps) -> Float[Tensor, "*batch k n"]:
         """g of each lamp, with an energy of exactly 1 over the grid's cells."""
-        chords = squared_chords(lamps.directions, self.directions.to(lamps.directions))
+        chords = squared_chords(lamps.directions, self.directions.to(lamps.directions.dtype))
         exponent = -0.5 * chords / lamps.widths_rad[..., None] ** 2
-        total = torch.logsumexp(exponent + self.log_solid_angle.to(exponent), -1, keepdim=True)
+        total = torch.logsumexp(
+            exponent + self.log_solid_angle.to(exponent.dtype), -1, keepdim=True
+        )
         return torch.exp(exponent - total)
 
     def starts(self) -> Float[Tensor, "s p"]:
@@ -232,12 +240,13 @@ def _log_normal(x: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
     return -0.5 * (x.square() + math.log(2 * math.pi))
 
 
-def _ambient_scale(like: Tensor) -> Float[Tensor, "8"]:
+def _tone_scale() -> Float[Tensor, "8"]:
     """Standard deviations of the coefficients: a field of degree l has 2 l + 1 of them."""
     one, two = (s * math.sqrt(4 * math.pi / (2 * n + 1)) for n, s in enumerate(AMBIENT_SPREADS, 1))
-    return like.new_tensor([one] * 3 + [two] * 5)
+    return torch.tensor([one] * 3 + [two] * 5, dtype=torch.float64, device="cpu")
 
 
-def _chroma_scale(like: Tensor) -> Float[Tensor, "4"]:
+def _chroma_scale() -> Float[Tensor, "4"]:
     whole = AMBIENT_CHROMA * math.sqrt(4 * math.pi)
-    return like.new_tensor([whole] + [AMBIENT_CHROMA_FIELD * math.sqrt(4 * math.pi / 3)] * 3)
+    field = AMBIENT_CHROMA_FIELD * math.sqrt(4 * math.pi / 3)
+    return torch.tensor([whole] + [field] * 3, dtype=torch.float64, device="cpu")

@@ -19,12 +19,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight._modes import check_dtype, constant, transformed
+from skylight._modes import constant, transformed
 from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.models._sun_head import COORDINATES, NEAR_RAD, SunHead
 from skylight.sphere._envmap import luminance, shift_columns
-from skylight.sphere._frame import DirectionGrid, cosines
+from skylight.sphere._frame import cosines
 
 HEIGHT, WIDTH = 32, 128
 COARSE_HEIGHTS = (4, 8, 16)  # on which skies can be had as well
@@ -122,6 +122,7 @@ class SkyNetwork(Module, ABC):
         blurs it.
         """
         self.check_latents(z)
+        z, azimuth_rad = (self._in_own_precision(x) for x in (z, azimuth_rad))
         sky = self.uncode(self._decode_in_evaluation(z))
         turn = (azimuth_rad - CENTRE_AZIMUTH_RAD).expand(len(z))
         if self.sun_head is not None and sun_spread_rad == 0 and height == HEIGHT:
@@ -142,10 +143,12 @@ class SkyNetwork(Module, ABC):
         return self.decode_coded(z)
 
     def check_latents(self, z: Float[Tensor, "b z"]) -> None:
-        """:class:`InputError` for latents of another number or dtype than the network's."""
-        name = type(self).__name__
-        check_shape(f"{name}'s latents", z.shape, self.latents)
-        check_dtype(f"{name}'s latents", z, next(self.parameters()))
+        """:class:`InputError` for latents of another number than the network's."""
+        check_shape(f"{type(self).__name__}'s latents", z.shape, self.latents)
+
+    def _in_own_precision(self, x: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
+        """That of the weights, which is a part of what they learnt."""
+        return x.to(next(self.parameters(), x).dtype)
 
     def _sun_head(self, height: int, device: torch.device) -> SunHead:
         """That of maps of so many rows."""
@@ -169,15 +172,14 @@ class SkyNetwork(Module, ABC):
             Skies of another size, or a sun elsewhere: networks know it in the centre only, and
             take it for a bright cloud. A light model turns skies back by its azimuth.
         """
-        name = type(self).__name__
-        check_shape(f"{name}'s skies", radiance.shape, HEIGHT, WIDTH, 3)
-        check_dtype(f"{name}'s skies", radiance, next(self.parameters()))
-        _check_centred(radiance)
-        sun, rest = self.split(radiance)
+        check_shape(f"{type(self).__name__}'s skies", radiance.shape, HEIGHT, WIDTH, 3)
+        _check_centred(radiance, self.sun_head)
+        sun, rest = self.split(self._in_own_precision(radiance))
         return self.encode_coded(sun, self.code(rest))
 
     def decode(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b h w 3"]:
         """Relative radiance, >= 0."""
+        z = self._in_own_precision(z)
         sky = self.uncode(self.decode_coded(z))
         if self.sun_head is None:
             return sky
@@ -188,14 +190,14 @@ _SUN_SHARE = 0.1  # of all light, within six degrees: a bright cloud has a third
 _ASIDE_RAD = math.radians(7.0)  # two columns and a half at the horizon
 
 
-def _check_centred(skies: Float[Tensor, "b h w 3"]) -> None:
+def _check_centred(skies: Float[Tensor, "b h w 3"], head: SunHead | None) -> None:
     """:class:`InputError` for skies whose sun is not in the centre column."""
     if torch.compiler.is_compiling() or transformed() or skies.is_meta or len(skies) == 0:
         return  # values cannot be looked at
-    grid = DirectionGrid.sky(HEIGHT)
-    directions = grid.directions.to(skies.device)
+    head = head or SunHead(HEIGHT, CENTRE_AZIMUTH_RAD).to(skies.device)
+    directions = head.directions.double()
     radiance = luminance(skies.detach().flatten(1, 2).double())
-    light = radiance * grid.solid_angles.to(radiance)
+    light = radiance * head.solid_angles
     peak = radiance.argmax(1)
     near = cosines(directions[peak], directions) > math.cos(NEAR_RAD)
     is_sun = (light * near).sum(1) > _SUN_SHARE * light.sum(1)

@@ -67,11 +67,11 @@ class GaussianMixture(Module):
 
     def _log_weighted(self, x: Float[Tensor, "b p"]) -> Float[Tensor, "b k"]:
         """``log w_k + log N(x; mu_k, (B_k B_k^T)^-1)``."""
-        factors = self.precision_factors.to(x)
-        white = torch.einsum("bkp,kpq->bkq", x[:, None] - self.means.to(x), factors)
+        factors = self.precision_factors.to(x.dtype)
+        white = torch.einsum("bkp,kpq->bkq", x[:, None] - self.means.to(x.dtype), factors)
         log_det = factors.diagonal(dim1=1, dim2=2).log().sum(1)
         constant = log_det - 0.5 * x.shape[1] * math.log(2 * math.pi)
-        return self.weights.to(x).log() + constant - 0.5 * (white**2).sum(2)
+        return self.weights.to(x.dtype).log() + constant - 0.5 * (white**2).sum(2)
 
     def sample(
         self, shape: int | Sequence[int] = (), generator: torch.Generator | None = None

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from skylight._modes import constant, full_precision, single
+from skylight._modes import constant, full_precision, on_cpu, single
 from skylight._module import Module
 from skylight.models._network import CENTRE_AZIMUTH_RAD, CODE_LIMIT, HEIGHT, WIDTH, SkyNetwork
 from skylight.models._sun_head import COORDINATES
@@ -36,6 +36,7 @@ class SplineAutoencoder(SkyNetwork):
 
     seen: Tensor
 
+    @on_cpu
     def __init__(self, latents: int = 64) -> None:
         super().__init__(latents)
         self.splines = DiskSplines(ACROSS, DirectionGrid.sky(HEIGHT))
@@ -77,6 +78,7 @@ class SplineAutoencoder(SkyNetwork):
         height: int = HEIGHT,
     ) -> Float[Tensor, "b h w 3"]:
         """:meth:`decode`, rotated so that suns are there; exact, as nothing is resampled."""
+        z, azimuth_rad = (self._in_own_precision(x) for x in (z, azimuth_rad))
         splines = self.splines if height == HEIGHT else _on_rows(height, z.device)
         coded = splines(self.control(z), azimuth_rad - CENTRE_AZIMUTH_RAD)
         sky = _radiance(coded).unflatten(1, (height, 4 * height))

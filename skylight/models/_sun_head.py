@@ -20,7 +20,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight._modes import single
+from skylight._modes import on_cpu, single
 from skylight._module import Module
 from skylight.sphere._envmap import luminance
 from skylight.sphere._frame import DirectionGrid, direction_from_angles, squared_chords
@@ -38,6 +38,7 @@ class SunHead(Module):
     directions: Tensor
     solid_angles: Tensor
 
+    @on_cpu
     def __init__(self, height: int, azimuth_rad: float) -> None:
         super().__init__()
         self.height, self.azimuth_rad = height, azimuth_rad
@@ -67,8 +68,8 @@ class SunHead(Module):
             azimuth_rad = torch.full_like(zenith, self.azimuth_rad)
         azimuth_rad = azimuth_rad.expand_as(zenith)  # of one for all
         sun = direction_from_angles(azimuth_rad, zenith)
-        exponent = -0.5 * kappa[:, None] * squared_chords(sun, self.directions.to(sun))
-        total = torch.logsumexp(exponent + self.solid_angles.log().to(sun), 1, keepdim=True)
+        exponent = -0.5 * kappa[:, None] * squared_chords(sun, self.directions.to(sun.dtype))
+        total = torch.logsumexp(exponent + self.solid_angles.log().to(sun.dtype), 1, keepdim=True)
         radiance = (exponent - total).exp()[:, None] * energy[..., None]
         return radiance.unflatten(2, (self.height, 4 * self.height)).permute(0, 2, 3, 1)
 
@@ -125,12 +126,13 @@ def _fit_lobe(
     weight = torch.where(total > 1e-9, energy, solid[near])
     weight = weight / weight.sum(1, keepdim=True)
     centroid = torch.einsum("bn,bnc->bc", weight, directions[near])
-    level = direction_from_angles(*torch.tensor([azimuth_rad, math.pi / 2])).to(centroid)
+    angles = (centroid.new_full((), angle) for angle in (azimuth_rad, math.pi / 2))
+    level = direction_from_angles(*angles)
     height = torch.atan2(centroid @ level, centroid[:, 1]).clamp(1e-3, math.pi / 2 - 1e-3)
     sun = direction_from_angles(torch.full_like(height, azimuth_rad), height)
     away = torch.einsum("bc,bnc->bn", sun, directions[near]) - 1
     low, high = (math.log(k) for k in KAPPA_BOUNDS)
-    sharp = torch.linspace(low, high, _SHARPNESSES).to(height)
+    sharp = torch.linspace(low, high, _SHARPNESSES, dtype=height.dtype, device=height.device)
     lobe = sharp.exp()[:, None] * away[:, None] + solid[near].log()[:, None]
     error = (lobe.softmax(-1) - weight[:, None]).abs().sum(-1)
     return height, sharp[error.argmin(1)].exp()

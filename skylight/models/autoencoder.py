@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight._modes import check_dtype, full_precision, single
+from skylight._modes import full_precision, single
 from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.models._centring import centred
@@ -107,7 +107,7 @@ class AutoencoderLight(Module):
         """
         z, azimuth = self._parts(params)
         sky = self.network.decode_at_azimuth(z, azimuth, self.sun_spread_rad, self.height)
-        return sky.reshape(*params.shape[:-1], len(self.grid), 3)
+        return sky.reshape(*params.shape[:-1], len(self.grid), 3).to(single(params).dtype)
 
     def encode(
         self, maps: EnvironmentMap | Float[Tensor, "*batch h w 3"]
@@ -156,7 +156,8 @@ class AutoencoderLight(Module):
         if head is None:
             return None
         z, azimuth = self._parts(params)
-        return head.direction(z[:, -COORDINATES:], azimuth).reshape(*params.shape[:-1], 3)
+        sun = head.direction(z[:, -COORDINATES:], azimuth).reshape(*params.shape[:-1], 3)
+        return sun.to(single(params).dtype)
 
     def on_rows(self, height: int) -> "AutoencoderLight":
         """The model on 4, 8, 16 or 32 rows or a multiple of it, its weights shared; the sun keeps
@@ -174,30 +175,32 @@ class AutoencoderLight(Module):
     def _parts(
         self, params: Float[Tensor, "*batch p"]
     ) -> tuple[Float[Tensor, "b z"], Float[Tensor, " b"]]:
-        flat = self._checked(params).reshape(-1, self.parameter_count)
+        # in the network's precision, which is a part of what it learnt
+        own = self._checked(params).to(self.latent_mean.dtype)
+        flat = own.reshape(-1, self.parameter_count)
         return flat[:, :-1], flat[:, -1]
 
     def _checked(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         what = "AutoencoderLight's parameters"
         names = f"{self.latents} latents, azimuth in rad"
         check_shape(what, params.shape, self.parameter_count, names=names)
-        params = single(params)
-        check_dtype(what, params, self.latent_mean)
-        return params
+        return single(params)
 
     def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """Whitened latents; the azimuth as it is."""
         params = self._checked(params)
         latents, azimuth = params[..., :-1], params[..., -1:]
-        centred = (latents - self.latent_mean).reshape(-1, self.latents)
-        white = torch.linalg.solve_triangular(self.latent_scale, centred.T, upper=False).T
+        centred = (latents - self.latent_mean.to(latents.dtype)).reshape(-1, self.latents)
+        scale = self.latent_scale.to(latents.dtype)
+        white = torch.linalg.solve_triangular(scale, centred.T, upper=False).T
         return torch.cat([white.reshape(latents.shape), azimuth], -1)
 
     def from_free(self, free: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """Inverse of :meth:`to_free`."""
         free = self._checked(free)
         with full_precision(free):
-            latents = free[..., :-1] @ self.latent_scale.T + self.latent_mean
+            scale, mean = self.latent_scale.to(free.dtype), self.latent_mean.to(free.dtype)
+            latents = free[..., :-1] @ scale.T + mean
         return torch.cat([latents, free[..., -1:]], -1)
 
     def starts(self) -> Float[Tensor, "s p"]:

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight._modes import full_precision, single
+from skylight._modes import constant, full_precision, single
 from skylight._module import Module
 from skylight.errors import check_shape
 from skylight.sphere._envmap import EnvironmentMap, luminance
@@ -96,10 +96,8 @@ class SunSky(Module):
 
     @property
     def bounds(self) -> tuple[Float[Tensor, " p"], Float[Tensor, " p"]]:
-        low = [0.0] * 6 + [-math.inf, ZENITH_BOUNDS[0], TURBIDITY_BOUNDS[0], KAPPA_BOUNDS[0]]
-        high = [math.inf] * 7 + [ZENITH_BOUNDS[1], TURBIDITY_BOUNDS[1], KAPPA_BOUNDS[1]]
-        double = self.sphere.new_empty(0, dtype=torch.float64)
-        return double.new_tensor(low), double.new_tensor(high)
+        low, high = _bounds(self.sphere.device).clone()
+        return low, high
 
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
         """``f(w_sun, t) w_sky + g(w, kappa) w_sun``: radiance ``(..., n, 3)`` of ``(..., 10)``.
@@ -126,14 +124,14 @@ class SunSky(Module):
         The thesis' f is the luminance itself; it nearly vanishes with the zenith luminance near
         t = 1.7, where its weight would grow without bound.
         """
-        upper = self.sphere[: len(self.grid)].to(sun)
+        upper = self.sphere[: len(self.grid)].to(sun.dtype)
         # Half-angle form of gamma: acos has infinite gradients at 0 and pi. The 1e-8 rounds off
         # the tip of e^(D gamma) at the sun, an error of 1e-4 rad there.
         gamma = 2 * torch.atan2(
             (squared_chords(sun, upper) + 1e-8).sqrt(), (squared_chords(sun, -upper) + 1e-8).sqrt()
         )
         value = perez(upper[:, 1], gamma, turbidity[..., None])
-        solid_angle = self.log_solid_angle[: len(self.grid)].exp().to(sun)
+        solid_angle = self.log_solid_angle[: len(self.grid)].exp().to(sun.dtype)
         return value / ((value * solid_angle).sum(-1, keepdim=True) / (2 * math.pi))
 
     def sun_lobe(
@@ -145,8 +143,8 @@ class SunSky(Module):
         the same where pixels resolve it, but above kappa of about 1000 a lobe falls between the
         centres of pixels and its energy would depend on where the sun stands.
         """
-        exponent = -0.5 * kappa[..., None] * squared_chords(sun, self.sphere.to(sun))
-        total = torch.logsumexp(exponent + self.log_solid_angle.to(sun), dim=-1, keepdim=True)
+        exponent = -0.5 * kappa[..., None] * squared_chords(sun, self.sphere.to(sun.dtype))
+        total = torch.logsumexp(exponent + self.log_solid_angle.to(sun.dtype), dim=-1, keepdim=True)
         return torch.exp(exponent[..., : len(self.grid)] - total)
 
     def sun_direction(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch 3"]:
@@ -218,6 +216,13 @@ class SunSky(Module):
         weather = torch.stack(rows).expand(len(directions), -1, -1)
         params = torch.cat([weather[..., :6], angles, weather[..., 6:]], dim=-1)
         return params.to(torch.get_default_dtype())
+
+
+@constant()
+def _bounds(device: torch.device) -> Float[Tensor, "2 p"]:
+    low = [0.0] * 6 + [-math.inf, ZENITH_BOUNDS[0], TURBIDITY_BOUNDS[0], KAPPA_BOUNDS[0]]
+    high = [math.inf] * 7 + [ZENITH_BOUNDS[1], TURBIDITY_BOUNDS[1], KAPPA_BOUNDS[1]]
+    return torch.tensor([low, high], dtype=torch.float64, device=device)
 
 
 # (share of the sun in the energy, turbidity, kappa, sky colour, sun colour). The clear sun's share

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from skylight._modes import on_cpu
 from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.probes.partitions._cells import Cells
@@ -272,6 +273,7 @@ class ObjectEncoder(Module):
     basis: nn.Parameter
     solid_angles: Tensor
 
+    @on_cpu
     def __init__(self, points: SurfaceTransfer, *, noise: float = 0.0) -> None:
         super().__init__()
         if not noise >= 0:
@@ -309,7 +311,8 @@ class ObjectEncoder(Module):
         Gram matrix, whose condition is that of B squared, is never formed.
         """
         rows = self._rows
-        ridge = self.ridge.sqrt()[:, None, None] * torch.eye(rows.shape[1]).to(rows)
+        identity = torch.eye(rows.shape[1], dtype=rows.dtype, device=rows.device)
+        ridge = self.ridge.sqrt()[:, None, None] * identity
         orthogonal, triangle = torch.linalg.qr(torch.cat([rows.mT, ridge], dim=1))
         mine = orthogonal[:, : rows.shape[2]].mT
         return torch.linalg.solve_triangular(triangle, mine, upper=True) / self.solid_angles.sqrt()

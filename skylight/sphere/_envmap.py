@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from skylight._modes import constant
 from skylight.errors import InputError
 from skylight.sphere._frame import (
     DirectionGrid,
@@ -23,7 +24,12 @@ SUN_REGION_RAD = math.radians(13.0)  # thesis, 5.5.1: the sun's neighbourhood
 
 def luminance(rgb: Float[Tensor, "*s 3"]) -> Float[Tensor, "*s"]:
     """Rec.709 relative luminance."""
-    return rgb @ torch.tensor(LUMINANCE, dtype=rgb.dtype, device=rgb.device)
+    return rgb @ _weights(rgb.dtype, rgb.device)
+
+
+@constant()
+def _weights(dtype: torch.dtype, device: torch.device) -> Float[Tensor, "3"]:
+    return torch.tensor(LUMINANCE, dtype=dtype, device=device)
 
 
 @dataclass(frozen=True, kw_only=True)

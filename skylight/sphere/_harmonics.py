@@ -90,19 +90,19 @@ def evaluate_about_zenith(directions: Float[Tensor, "n 3"], degree: int) -> Floa
     About this axis a lat-long map is a product of rows and columns, so it is what transforms of
     whole maps use. Longitude counts from +Z towards +X: pi minus the azimuth.
     """
-    return evaluate(directions[:, [2, 0, 1]], degree)
+    return evaluate(directions.roll(1, 1), degree)
 
 
-def bands(degree: int) -> Int[Tensor, " k"]:
+def bands(degree: int, device: torch.device | str = "cpu") -> Int[Tensor, " k"]:
     """The l of every coefficient: 0, 1, 1, 1, 2, ... up to ``degree``."""
-    l = torch.arange(degree + 1)  # noqa: E741
-    return l.repeat_interleave(2 * l + 1)
+    # roots of squares are exact, and need no look at the numbers as repeating them does
+    return torch.arange((degree + 1) ** 2, device=device).double().sqrt().long()
 
 
-def orders(degree: int) -> Int[Tensor, " k"]:
+def orders(degree: int, device: torch.device | str = "cpu") -> Int[Tensor, " k"]:
     """The m of every coefficient: 0, -1, 0, 1, -2, ..."""
-    l = bands(degree)  # noqa: E741
-    return torch.arange(len(l)) - l * (l + 1)
+    l = bands(degree, device)  # noqa: E741
+    return torch.arange(len(l), device=device) - l * (l + 1)
 
 
 def zonal_factors(coefficients: Float[Tensor, "*c k"]) -> Float[Tensor, "*c bands"]:

@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from skylight._modes import on_cpu
 from skylight._module import Module
 from skylight.errors import check_shape
 from skylight.sphere import _harmonics as harmonics
@@ -29,6 +30,7 @@ class LatLongTransform(Module):
     solid_angles: Tensor
     order: Tensor
 
+    @on_cpu
     def __init__(self, degree: int, height: int) -> None:
         super().__init__()
         self.degree = degree
@@ -58,20 +60,22 @@ class LatLongTransform(Module):
     def synthesise(self, coefficients: Float[Tensor, "*c k"]) -> Float[Tensor, "*c h w"]:
         """``sum_lm c_lm Y_lm`` at the pixels' centres."""
         check_shape("LatLongTransform's coefficients", coefficients.shape, (self.degree + 1) ** 2)
-        legendre = self.legendre.to(coefficients)
+        legendre = self.legendre.to(coefficients.dtype)
         cosine, sine = coefficients[..., self.order].unbind(-3)  # (*c, m, l)
         cosine = torch.einsum("mhl,...ml->...hm", legendre, cosine)
         sine = torch.einsum("mhl,...ml->...hm", legendre, sine)
-        return cosine @ self.cosines.to(legendre) + sine @ self.sines.to(legendre)
+        return cosine @ self.cosines.to(legendre.dtype) + sine @ self.sines.to(legendre.dtype)
 
     def analyse(self, maps: Float[Tensor, "*c h w"]) -> Float[Tensor, "*c k"]:
         """``sum_w x(w) Y_lm(w) dw`` over the pixels."""
         layout = len(self.solid_angles), self.cosines.shape[1]
         check_shape("LatLongTransform's maps", maps.shape, *layout)
-        legendre = self.legendre.to(maps)
-        weighted = maps * self.solid_angles.to(maps)
-        cosine = torch.einsum("mhl,...hm->...ml", legendre, weighted @ self.cosines.to(maps).T)
-        sine = torch.einsum("mhl,...hm->...ml", legendre, weighted @ self.sines.to(maps).T)
+        legendre = self.legendre.to(maps.dtype)
+        weighted = maps * self.solid_angles.to(maps.dtype)
+        cosine = torch.einsum(
+            "mhl,...hm->...ml", legendre, weighted @ self.cosines.to(maps.dtype).T
+        )
+        sine = torch.einsum("mhl,...hm->...ml", legendre, weighted @ self.sines.to(maps.dtype).T)
         return self._ordered(cosine, sine)
 
     def basis_at(self, rows: Int[Tensor, " s"], columns: Int[Tensor, " s"]) -> Float[Tensor, "s k"]:

@@ -24,6 +24,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import grid_sample, pad
 
+from skylight._modes import on_cpu, single
 from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.sphere._frame import DirectionGrid, angles_from_direction
@@ -77,6 +78,7 @@ class DiskSplines(Module):
     radius: Tensor
     azimuth_rad: Tensor
 
+    @on_cpu
     def __init__(self, across: int, grid: DirectionGrid) -> None:
         super().__init__()
         self.across = across
@@ -100,8 +102,8 @@ class DiskSplines(Module):
         self, turn_rad: Float[Tensor, " b"]
     ) -> tuple[Float[Tensor, "b n"], Float[Tensor, "b n"]]:
         """(x, y) of every direction in cells of the lattice, the function turned to the right."""
-        angle = self.azimuth_rad.to(turn_rad) - turn_rad[:, None]
-        radius, scale = self.radius.to(turn_rad), (self.across - 3) / 2
+        angle = self.azimuth_rad.to(turn_rad.dtype) - turn_rad[:, None]
+        radius, scale = self.radius.to(turn_rad.dtype), (self.across - 3) / 2
         across = scale * (radius * torch.sin(angle) + 1)
         return across, scale * (radius * torch.cos(angle) + 1)
 
@@ -131,12 +133,14 @@ class DiskSplines(Module):
         check_shape("DiskSplines' control points", control.shape, self.count, channels)
         if len(turn_rad) not in (1, count):
             raise InputError(f"{len(turn_rad)} turns of {count} functions: give 1 or {count}")
+        dtype, control = control.dtype, single(control)  # eight bits do not tell places apart
+        turn_rad = turn_rad.to(control.dtype)
         images = pad(control.transpose(1, 2), (0, 1)).index_select(2, self.lattice)
         of_a_turn = channels if len(turn_rad) == count else count * channels
         images = images.reshape(len(turn_rad), of_a_turn, self.across, self.across)
         across, along = self._places(turn_rad)
         values: Tensor = _Splines.apply(images, across, along)
-        return values.reshape(count, channels, across.shape[1]).transpose(1, 2)
+        return values.reshape(count, channels, across.shape[1]).transpose(1, 2).to(dtype)
 
     def gathered(
         self, control: Float[Tensor, "b k c"], turn_rad: Float[Tensor, " 1"]

@@ -20,6 +20,7 @@ from jaxtyping import Float
 from kornia.geometry.conversions import axis_angle_to_rotation_matrix, rotation_matrix_to_axis_angle
 from torch import Tensor
 
+from skylight._modes import constant
 from skylight.errors import InputError
 from skylight.sphere import _harmonics as harmonics
 
@@ -101,16 +102,22 @@ def _with_rim(
     ``d_lm = sqrt(binomial(2l, l + m)) cos^(l+m) (-sin)^(l-m)``; the other three sides follow from
     ``d_mn = (-1)^(m-n) d_nm = d_-n,-m``.
     """
-    m = torch.arange(-l, l + 1)
-    roots = [math.sqrt(math.comb(2 * l, l + int(k))) for k in m]
-    root = torch.tensor(roots, dtype=torch.float64).to(half_cos)
-    up, down = (l + m).to(half_cos.device), (l - m).to(half_cos.device)
+    root = _roots(l, half_cos.device).to(half_cos.dtype)
+    m = torch.arange(-l, l + 1, device=half_cos.device)
+    up, down = l + m, l - m
     size = root * half_cos[:, None] ** up * half_sin[:, None] ** down  # (b, 2l + 1)
     bottom = size * torch.where(down % 2 == 1, -1.0, 1.0).to(size)  # row m = l
     right = size  # column n = l: (-1)^(l-m) d_lm
     top, left = right.flip(1), bottom.flip(1)  # d_-l,n = d_-n,l and d_m,-l = d_l,-m
     middle = torch.cat([left[:, 1:-1, None], core, right[:, 1:-1, None]], 2)
     return torch.cat([top[:, None], middle, bottom[:, None]], 1)
+
+
+@constant()
+def _roots(l: int, device: torch.device) -> Float[Tensor, " j"]:  # noqa: E741
+    """sqrt(binomial(2l, k)), k = 0 .. 2l."""
+    roots = [math.sqrt(math.comb(2 * l, k)) for k in range(2 * l + 1)]
+    return torch.tensor(roots, dtype=torch.float64, device=device)
 
 
 def rotation_blocks(
@@ -163,8 +170,8 @@ def turn_about_pole(
     sines have negative m.
     """
     degree = harmonics.degree_of(coefficients.shape[-1])
-    l = harmonics.bands(degree).to(coefficients.device)  # noqa: E741
-    m = harmonics.orders(degree).to(coefficients.device)
+    l = harmonics.bands(degree, coefficients.device)  # noqa: E741
+    m = harmonics.orders(degree, coefficients.device)
     turn = m * angle_rad.to(coefficients)[..., None]
     return torch.cos(turn) * coefficients - torch.sin(turn) * coefficients[..., l * (l + 1) - m]
 

@@ -82,8 +82,8 @@ class DiffuseTransport(Module):
 
     def _compute(self) -> Float[Tensor, "m n"]:
         normals = functional.normalize(self.normals, dim=1)
-        cosine = cosines(normals, self.directions.to(normals)).clamp(min=0)
-        return cosine * self.visible * (self.solid_angles / math.pi).to(normals)
+        cosine = cosines(normals, self.directions.to(normals.dtype)).clamp(min=0)
+        return cosine * self.visible * (self.solid_angles / math.pi).to(normals.dtype)
 
     def transport_matrix(self) -> TransportMatrix:
         """A constant copy for the solvers of :mod:`skylight.inverse`."""
@@ -105,7 +105,7 @@ class DiffuseTransport(Module):
             An albedo of another shape, such as (m,).
         """
         check_shape(f"{type(self).__name__}'s radiance", radiance.shape, len(self.grid), 3)
-        shading = shade(self.matrix, radiance)
+        shading = shade(self.matrix.to(radiance.dtype), radiance)
         if isinstance(albedo, Tensor) and not _broadcasts(albedo.shape, shading.shape):
             raise ValueError(
                 f"an albedo of shape {tuple(albedo.shape)} does not fit shading of shape "
@@ -159,7 +159,9 @@ class SkyTransport(Module):
         """T l: the same for an albedo of 1."""
         check_shape("SkyTransport's sky", sky.shape, self.folded.shape[2] - 1, 3)
         check_shape("SkyTransport's ground", ground.shape, len(sky), 3)
-        return shade_scenes(self.folded, torch.cat([sky, ground[:, None]], dim=1), scene)
+        return shade_scenes(
+            self.folded.to(sky.dtype), torch.cat([sky, ground[:, None]], dim=1), scene
+        )
 
 
 def shade_scenes(
@@ -237,7 +239,7 @@ class SpecularTransport(DiffuseTransport):
 
     def _compute(self) -> Float[Tensor, "m n"]:
         normals = normalize(self.normals, dim=1)
-        light, views = self.directions.to(normals), self.views.to(normals)
+        light, views = self.directions.to(normals.dtype), self.views.to(normals.dtype)
         return math.pi * specular_lobe(normals, views, light, self.specular) * super()._compute()
 
 

@@ -27,6 +27,11 @@ def choose_device(name: str = "auto") -> "torch.device":
         device = torch.device(name)
     except RuntimeError as error:
         raise InputError(f"unknown device {name!r}: choose auto, cpu or cuda") from error
+    if device.type == "mps":
+        raise InputError(
+            "device 'mps' is not supported: it has no float64, in which tables, sums and least "
+            "squares are computed here; choose auto or cpu"
+        )
     if device.type not in ("cpu", "cuda"):
         raise InputError(f"device {name!r} is not supported: choose auto, cpu or cuda")
     if device.type == "cuda" and (device.index or 0) >= count:

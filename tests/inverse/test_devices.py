@@ -25,7 +25,7 @@ from skylight.object import _problem as of_object
 from skylight.object._problem import ObjectLight, estimate_object_light
 from skylight.object._view import ObjectMaterial
 from skylight.transport._render import Specular
-from tests.inverse.checked_device import DEVICE, CheckedDevice
+from tests.checked_device import DEVICE, CheckedDevice
 from tests.inverse.test_solve import SUNS, harmonic_ball, observed, watched
 
 LIGHTS = ("sunsky", "autoencoder", "sh9")

@@ -20,9 +20,14 @@ def test_cuda_without_a_device_is_refused() -> None:
         choose_device("cuda")
 
 
-@pytest.mark.parametrize("name", ["cuda:99", "gpu", "meta", ""])
+@pytest.mark.parametrize("name", ["cuda:99", "gpu", "meta", "", "mps:1"])
 def test_devices_that_are_not_there(name: str) -> None:
     with pytest.raises(InputError) as caught:
         choose_device(name)
     assert "choose auto" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_mps_is_refused_for_what_it_lacks() -> None:
+    with pytest.raises(InputError, match="it has no float64"):
+        choose_device("mps")

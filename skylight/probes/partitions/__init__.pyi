@@ -11,6 +11,7 @@ from ._cells import (
     voronoi as voronoi,
 )
 from ._optimise import (
+    RelightingError as RelightingError,
     SearchSettings as SearchSettings,
     named_design as named_design,
     optimise_design as optimise_design,
@@ -27,4 +28,7 @@ from ._seeds import (
     ProbeDesign as ProbeDesign,
     load_design as load_design,
     save_design as save_design,
+)
+from ._sun_path import (
+    simulated_lights as simulated_lights,
 )

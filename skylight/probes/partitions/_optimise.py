@@ -27,6 +27,7 @@ from scipy.integrate import lebedev_rule
 from scipy.spatial import ConvexHull
 from torch import Tensor
 
+from skylight._modes import on_cpu
 from skylight.errors import InputError
 from skylight.probes.partitions._cells import Cells
 from skylight.probes.partitions._seeds import ProbeDesign
@@ -128,6 +129,7 @@ def design_names() -> list[str]:
     return list(_DESIGNS)
 
 
+@on_cpu
 def named_design(name: str) -> ProbeDesign:
     """The design of that name."""
     if name not in _DESIGNS:

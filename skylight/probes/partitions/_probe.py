@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from skylight._modes import Derived
+from skylight._modes import Derived, on_cpu
 from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.probes.partitions._cells import Cells
@@ -45,6 +45,7 @@ class PartitionProbe(Module):
     facing: Tensor
     response: Tensor
 
+    @on_cpu
     def __init__(
         self,
         cells: Cells,
@@ -60,12 +61,14 @@ class PartitionProbe(Module):
         self.albedo = nn.Parameter(_albedo(albedo, cells.count))
         self.register_buffer("facing", cells.facing, persistent=False)
         self.register_buffer("response", response, persistent=measured)
-        self._latest: Derived[tuple[Tensor, Tensor]] = Derived()
+        self._cell: Derived[Tensor] = Derived()
+        self._share: Derived[Tensor] = Derived()
 
     @property
     def inverse(self) -> Float[Tensor, "n n"]:
         """A^-1, float64."""
-        return torch.linalg.inv(self.response.double())
+        # there is one, as was found when the response was given
+        return torch.linalg.inv_ex(self.response.double()).inverse
 
     @property
     def weights(self) -> Float[Tensor, "n 3"]:
@@ -88,7 +91,6 @@ class PartitionProbe(Module):
         """
         check_shape("PartitionProbe's radiance", radiance.shape, len(grid), 3)
         cell, share = self._shares(grid)
-        cell, share = cell.to(radiance.device), share.to(radiance.device)
         # float64 sums: a sun is 1e5 times brighter than the pixels it is added to
         shape = *radiance.shape[:-2], self.cells.count, 3
         mean = radiance.new_zeros(shape, dtype=torch.float64)
@@ -114,14 +116,14 @@ class PartitionProbe(Module):
         self, shading: Float[Tensor, "*b n 3"], grid: DirectionGrid
     ) -> Float[Tensor, "*b d 3"]:
         """Radiance reconstructed from shading, constant within each cell."""
-        cell = self.cells.cell_of(grid.directions).to(shading.device)
-        return self.light(shading)[..., cell, :]
+        return self.light(shading)[..., self._cell_of(grid), :]
 
     def basis(self, grid: DirectionGrid) -> Float[Tensor, "n d 3"]:
         """b_i = rho / pi V_i <n_i, w>+ for each colour, of the ideal probe (Eq. 4.18)."""
-        cell, share = (each.to(self.albedo.device) for each in self._shares(grid))
+        cell, share = self._shares(grid)
         values = share.new_zeros(self.cells.count, len(cell))
-        values[cell, torch.arange(len(cell))] = share / grid.solid_angles.to(share)
+        every = torch.arange(len(cell), device=cell.device)
+        values[cell, every] = share / grid.solid_angles.to(share)
         gathered = (self.albedo * self.facing[:, None] / math.pi).to(values)
         return values[..., None] * gathered[:, None]
 
@@ -144,12 +146,22 @@ class PartitionProbe(Module):
         return (self.albedo * (share @ radiance.double())).to(radiance)
 
     def _shares(self, grid: DirectionGrid) -> tuple[Int[Tensor, " d"], Float[Tensor, " d"]]:
-        """Each direction's cell, and its part of what that cell's face gathers; sums are 1."""
-        # many maps of one size come after each other, and lat-long grids are kept
-        sources = [grid.directions, grid.solid_angles]
-        return self._latest.of(sources, lambda: self._find_shares(grid))
+        """Each direction's cell, and its part of what that cell's face gathers; sums are 1.
 
-    def _find_shares(self, grid: DirectionGrid) -> tuple[Int[Tensor, " d"], Float[Tensor, " d"]]:
+        Kept on the probe's device: many maps of one size come after each other.
+        """
+        sources = [grid.directions, grid.solid_angles, self.facing]
+        share = self._share.of(sources, lambda: self._find_shares(grid))
+        return self._cell_of(grid), share
+
+    def _cell_of(self, grid: DirectionGrid) -> Int[Tensor, " d"]:
+        device = self.facing.device
+        return self._cell.of(
+            [grid.directions, self.facing],
+            lambda: self.cells.cell_of(grid.directions).to(device),
+        )
+
+    def _find_shares(self, grid: DirectionGrid) -> Float[Tensor, " d"]:
         _check_whole(grid)
         cell = self.cells.cell_of(grid.directions)
         # within 0.6 degrees of the horizon are no cells, so that this is above 0
@@ -159,7 +171,7 @@ class PartitionProbe(Module):
             raise InputError(
                 f"no direction of the grid is in cell {int(total.argmin())}: use a finer grid"
             )
-        return cell, weight / total[cell]
+        return (weight / total[cell]).to(self.facing.device)
 
 
 def _check_whole(grid: DirectionGrid) -> None:

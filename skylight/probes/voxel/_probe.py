@@ -4,6 +4,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from skylight._modes import Derived, on_cpu
 from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.probes.voxel._interreflection import DEGREE, SIZE, face_frame, slot_transfer
@@ -36,7 +37,9 @@ class VoxelProbe(Module):
 
     albedo: nn.Parameter
     known: Bool[Tensor, "6 32"]
+    into_faces: Float[Tensor, "6 k k"]
 
+    @on_cpu
     def __init__(
         self,
         model: VoxelModel,
@@ -57,6 +60,13 @@ class VoxelProbe(Module):
         self.size, self.degree = size, degree
         self.albedo = nn.Parameter(value.expand(3).clone())
         self.register_buffer("known", exposed_faces(model).counts() > 0, persistent=False)
+        # harmonics, as rows, to those in the frame of each orientation's faces
+        one = torch.eye((degree + 1) ** 2, dtype=torch.float64)
+        frames = [face_frame(o) for o in range(len(ORIENTATIONS))]
+        turns = torch.stack([rotate(one, frame.T) for frame in frames])
+        self.register_buffer("into_faces", turns, persistent=False)
+        self._basis: Derived[Tensor] = Derived()
+        self._transfer: Derived[Tensor] = Derived()
 
     def forward(
         self, radiance: Float[Tensor, "*b d 3"], grid: DirectionGrid
@@ -67,15 +77,20 @@ class VoxelProbe(Module):
         """
         check_shape("VoxelProbe's radiance", radiance.shape, len(grid), 3)
         # float64 sums: a sun is 1e5 times brighter than the pixels it is added to
-        basis = harmonics.evaluate(grid.directions, self.degree) * grid.solid_angles[:, None]
-        light = torch.einsum("dk,...dc->...ck", basis.to(radiance.device), radiance.double())
-        frames = [face_frame(o) for o in range(len(ORIENTATIONS))]
-        turned = torch.stack([rotate(light, frame.T) for frame in frames], -3)
-        slots = torch.einsum("cjxyk,...ock->...ojxyc", self._transfer().to(turned), turned)
-        return (slots * self.known[..., None, None, None].to(slots)).to(radiance.dtype)
+        sources = [grid.directions, grid.solid_angles, self.known]
+        basis = self._basis.of(sources, lambda: self._integrals(grid))
+        light = torch.einsum("dk,...dc->...ck", basis, radiance.double())
+        turned = torch.einsum("...ck,okj->...ocj", light, self.into_faces.to(light))
+        transfer = self._transfer.of([self.albedo], self._solved)
+        slots = torch.einsum("cjxyk,...ock->...ojxyc", transfer, turned)
+        return (slots * self.known[..., None, None, None]).to(radiance.dtype)
 
-    def _transfer(self) -> Float[Tensor, "3 32 n n k"]:
-        """t of each colour, for light in the face's frame."""
-        return torch.stack(
-            [slot_transfer(a, size=self.size, degree=self.degree) for a in self.albedo.cpu()]
-        )
+    def _integrals(self, grid: DirectionGrid) -> Float[Tensor, "d k"]:
+        """From radiance to the coefficients c, on the probe's device."""
+        basis = harmonics.evaluate(grid.directions, self.degree) * grid.solid_angles[:, None]
+        return basis.double().to(self.known.device)
+
+    def _solved(self) -> Float[Tensor, "3 32 n n k"]:
+        """t of each colour, for light in the face's frame; solved for on the CPU."""
+        found = [slot_transfer(a, size=self.size, degree=self.degree) for a in self.albedo.cpu()]
+        return torch.stack(found).double().to(self.albedo.device)

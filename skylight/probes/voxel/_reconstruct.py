@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from skylight._modes import on_cpu
 from skylight._module import Module
 from skylight.errors import InputError
 from skylight.probes.voxel._lightmap import Lightmap
@@ -131,6 +132,7 @@ class DirectReconstruction(SlotReconstruction):
     combination that saves a slot for a larger residual is never worth it.
     """
 
+    @on_cpu
     def __init__(self, known: Bool[Tensor, "6 32"]) -> None:
         vectors = visibility_vectors()
         rows = vectors[None].expand(len(ORIENTATIONS), -1, -1)

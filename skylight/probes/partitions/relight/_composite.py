@@ -18,6 +18,7 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
+from skylight._modes import on_cpu
 from skylight._module import Module
 from skylight.errors import check_shape
 from skylight.probes.cameras._drawing import (
@@ -222,6 +223,7 @@ class TurningRelighting(Module):
 
     spline: Tensor
 
+    @on_cpu
     def __init__(self, coefficients: TransferCoefficients) -> None:
         super().__init__()
         values = coefficients.values
@@ -235,26 +237,33 @@ class TurningRelighting(Module):
     ) -> Float[Tensor, "*b m 3"]:
         """Radiance of every receiver, as :meth:`Relighting.forward`, all lights at one angle.
 
-        Between the angles it may be below 0, by as much as the spline is off.
+        A tensor of an angle is where the coefficients are. Between the angles radiance may be below
+        0, by as much as the spline is off.
         """
         check_shape("TurningRelighting's light", light.shape, self.spline.shape[2], 3)
         count = len(self.spline)
-        place = torch.as_tensor(angle_rad, dtype=torch.float64) / (2 * math.pi) * count
-        below = place.detach().floor()
-        weights = _b_spline(place - below).to(self.spline)
-        first = int(below) % count
+        if isinstance(angle_rad, Tensor):
+            place = angle_rad.double() / (2 * math.pi) * count
+            below = place.detach().floor()
+            four = below.long() + torch.arange(-1, 3, device=below.device)
+            knots = self.spline.index_select(0, four % count).unbind()
+        else:  # no knot is copied
+            place = angle_rad / (2 * math.pi) * count
+            below = math.floor(place)
+            knots = [self.spline[(below + j) % count] for j in (-1, 0, 1, 2)]
+        weights = _b_spline(place - below)
         lights = light.to(self.spline.dtype).reshape(-1, *light.shape[-2:]).permute(2, 0, 1)
-        radiance = torch.bmm(weights[0] * lights, self.spline[(first - 1) % count])  # (3, b, m)
-        for j in (1, 2, 3):
-            knot = self.spline[(first - 1 + j) % count]
-            radiance = torch.baddbmm(radiance, weights[j] * lights, knot)
+        radiance = torch.bmm(weights[0] * lights, knots[0])  # (3, b, m)
+        for weight, knot in zip(weights[1:], knots[1:], strict=True):
+            radiance = torch.baddbmm(radiance, weight * lights, knot)
         return radiance.permute(1, 2, 0).reshape(*light.shape[:-2], -1, 3).to(light.dtype)
 
 
-def _b_spline(u: Float[Tensor, ""]) -> Float[Tensor, "4"]:
+def _b_spline(u: float | Float[Tensor, ""]) -> list[float | Float[Tensor, ""]]:
     """beta of the knots before, at, after, and two after a place that is u beyond a knot."""
     v = 1 - u
-    return torch.stack([v**3, 4 - 6 * u**2 + 3 * u**3, 4 - 6 * v**2 + 3 * v**3, u**3]) / 6
+    middle = 4 - 6 * u**2 + 3 * u**3, 4 - 6 * v**2 + 3 * v**3
+    return [part / 6 for part in (v**3, *middle, u**3)]
 
 
 def _spline_coefficients(count: int) -> Float[Tensor, "k k"]:

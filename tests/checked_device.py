@@ -4,21 +4,44 @@
 that PyTorch dispatches is done on what is held, and answered by one that says the same. As on a
 real device, tensors of the two places do not meet in one operation, unless the CPU's has no
 dimensions or is an index; ``torch.zeros(3, device=DEVICE)`` is there, ``torch.zeros(3)`` is not;
-and ``Tensor.to`` is the only way from one to the other.
+and ``Tensor.to`` is the only way from one to the other. Whatever a device would have to wait for,
+copies and answers to the host, is counted.
 """
 
+import os
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from types import FrameType
 from typing import Any
+from unittest.mock import patch
 
 import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_flatten, tree_map, tree_unflatten
+from torch.utils._pytree import tree_flatten, tree_leaves, tree_map, tree_unflatten
 
-DEVICE = torch.device("meta")  # the one device besides the CPU that every build knows
+from skylight import _modes
+
+DEVICE = torch.device("lazy")  # one that every build knows, and that nothing else here uses
 _aten = torch.ops.aten
 _INDEXING = {_aten.index.Tensor, _aten.index_put.default, _aten.index_put_.default}
 _COPIES = {_aten._to_copy.default, _aten.copy_.default}
+# whose answers, or their sizes, the host has to know
+_ANSWERS = {
+    "_local_scalar_dense",
+    "nonzero",
+    "masked_select",
+    "_unique2",
+    "unique_dim",
+    "unique_consecutive",
+    "bincount",
+    "equal",
+    "is_nonzero",
+    "_linalg_check_errors",
+    "repeat_interleave",
+}
 
 
 class CheckedTensor(Tensor):
@@ -47,19 +70,63 @@ class CheckedTensor(Tensor):
 
 
 class CheckedDevice(TorchDispatchMode):
-    """Within it, ``device=DEVICE`` means that device."""
+    """Within it, ``device=DEVICE`` means that device; ``waits`` says what it had to wait for."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.waits: list[str] = []
 
     def __torch_dispatch__(self, function, types, args=(), kwargs=None) -> Any:
-        return dispatch(function, args, kwargs or {})
+        kwargs = kwargs or {}
+        if waits(function, args, kwargs):
+            frame: FrameType | None = sys._getframe()
+            while frame and f"{os.sep}skylight{os.sep}" not in frame.f_code.co_filename:
+                frame = frame.f_back
+            asked = f" at {frame.f_code.co_filename}:{frame.f_lineno}" if frame else ""
+            self.waits.append(f"{function}{asked}")
+        return dispatch(function, args, kwargs)
 
     def __enter__(self) -> "CheckedDevice":
         self._literals = Literals()
+        # what is kept for all is made in threads, in which there is no such device
+        self._threads = patch.object(_modes, "ThreadPoolExecutor", Here)
+        self._threads.start()
         self._literals.__enter__()
         return super().__enter__()
 
     def __exit__(self, *error: Any) -> None:
         super().__exit__(*error)
         self._literals.__exit__(*error)
+        self._threads.stop()
+
+
+class Here(ThreadPoolExecutor):
+    """Of one thread, which is this."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Any:
+        class Done:
+            @staticmethod
+            def result() -> Any:
+                return fn(*args, **kwargs)
+
+        return Done
+
+
+def waits(function, args, kwargs) -> bool:
+    """Whether numbers go from one place to the other."""
+    tensors = [x for x in tree_leaves((args, kwargs)) if isinstance(x, Tensor)]
+    there = [isinstance(x, CheckedTensor) for x in tensors]
+    if function in _COPIES:
+        to = kwargs.get("device")
+        goes = any(there) if to is None else torch.device(to) == DEVICE
+        return goes != all(there)
+    if not any(there):
+        return False
+    if function in _INDEXING:
+        indices = [x for x in args[1] if x is not None]
+        masks = any(x.dtype in (torch.bool, torch.uint8) for x in indices)
+        return masks or not all(isinstance(x, CheckedTensor) for x in indices)
+    return function._schema.name.split("::")[1] in _ANSWERS
 
 
 class Literals(TorchFunctionMode):
@@ -77,6 +144,8 @@ class Literals(TorchFunctionMode):
             whole = args[1] if isinstance(args[1], tuple) else (args[1],)
             parts = tuple(torch.tensor(i) if isinstance(i, list) else i for i in whole)
             args = (args[0], parts, *args[2:])
+        if function is Tensor.tolist and isinstance(args[0], CheckedTensor):
+            args = (args[0].cpu(),)
         return function(*args, **kwargs)
 
 
@@ -106,6 +175,7 @@ def dispatch(function, args, kwargs) -> Any:
     def wrapped(x: Any) -> Any:
         if not isinstance(x, Tensor):
             return x
-        return changed[id(x)] if id(x) in changed else CheckedTensor(x)
+        # what a conjugate's bit says is not seen from outside
+        return changed[id(x)] if id(x) in changed else CheckedTensor(x.resolve_conj())
 
     return tree_map(wrapped, answer)
