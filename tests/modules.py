@@ -6,7 +6,7 @@ asks for pytest, so that a machine with an accelerator can run the same.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, Literal
 
 import torch
@@ -172,18 +172,23 @@ CODES = CodeTensors(
 )
 
 
-def on_device_of(given: Tensor, module: SphericalSparseCoder, weights: Tensor) -> CodeTensors:
-    rotations = CODES.rotations.to(given.device, module.bank.unnormalised.dtype)
-    filters, count = CODES.filters.to(given.device), CODES.count.to(given.device)
-    return CodeTensors(filters, rotations, weights, count)
+@cache
+def codes_on(device: torch.device, dtype: torch.dtype) -> CodeTensors:
+    filters, rotations, weights, count = (each.to(device) for each in CODES)
+    return CodeTensors(filters, rotations.to(dtype), weights, count)
+
+
+def codes_for(module: SphericalSparseCoder) -> CodeTensors:
+    return codes_on(module.bank.unnormalised.device, module.bank.unnormalised.dtype)
 
 
 def decoded(module: SphericalSparseCoder, weights: Tensor) -> Tensor:
-    return module.decode(on_device_of(weights, module, weights))
+    return module.decode(codes_for(module)._replace(weights=weights))
 
 
 def refitted(module: SphericalSparseCoder, maps: Tensor) -> Tensor:
-    return module.refit(maps, on_device_of(maps, module, CODES.weights.to(maps))).weights
+    codes = codes_for(module)
+    return module.refit(maps, codes._replace(weights=codes.weights.to(maps.dtype))).weights
 
 
 def light(count: int = len(GRID), *, batch: int = 2) -> Callable[[nn.Module], tuple[Tensor]]:
@@ -339,7 +344,6 @@ CASES: dict[str, Case] = {
     ),
     # rotated by two quarter turns, products too
     "coder, decode": Case(
-        host="which filters a code has",
         make=coder,
         inputs=lambda _: (CODES.weights,),
         call=decoded,

@@ -259,7 +259,8 @@ class SphericalSparseCoder(Module):
         gram = (weighted @ atoms.mT)[..., None, :, :] * (used[..., None] & used[..., None, :])
         diagonal = gram.diagonal(dim1=-2, dim2=-1)
         extra = torch.where(used, _RIDGE * diagonal, torch.ones_like(diagonal))
-        solved = torch.linalg.solve(gram + torch.diag_embed(extra), right * used[..., None])
+        # the ridge leaves nothing to check, for which a device would wait
+        solved, _ = torch.linalg.solve_ex(gram + torch.diag_embed(extra), right * used[..., None])
         return codes._replace(weights=solved[..., 0].mT.to(maps.dtype))
 
     def relative_error(

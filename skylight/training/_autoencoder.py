@@ -92,10 +92,10 @@ def train(
     config: AutoencoderConfig,
     report: Tell = print,
     *,
-    network: Network | None = None,
-    loss: Loss | None = None,
     callbacks: Sequence[Callback] | None = None,
     progress: StageProgress = silent,
+    network: Network | None = None,
+    loss: Loss | None = None,
 ) -> Path:
     """Run to the end or to early stopping; returns the path of the best network.
 
@@ -129,9 +129,9 @@ def train(
         kind = network_class(network if isinstance(network, type) else type(network))
         config = replace(config, network=network_name(kind))
     with processes(config.device) as here:
+        on = [here.device] if here.device.type == "cuda" else []
         if not here.first:
             callbacks, report, progress = [], lambda _: None, silent
-        on = [here.device] if here.device.type == "cuda" else []
         with torch.random.fork_rng(devices=on), watching(callbacks, progress) as watch:
             return _train(config, here, report, watch, network, loss)
 
@@ -489,9 +489,8 @@ def run_identity(
     free = ("out", "checkpoint_steps", "threads", "device", "compile", "epochs", "patience")
     start = config.starts_from
     facts = {name: value for name, value in asdict(config).items() if name not in free}
-    if loss is not None:
-        facts["loss"] = getattr(loss, "__qualname__", type(loss).__name__)
     return facts | {
         "data": f"SHA-256 {data_hash[:16]}",
         "starts_from": sha256_of(start) if start else None,
+        "loss": loss and getattr(loss, "__qualname__", type(loss).__name__),
     }

@@ -72,7 +72,8 @@ def train(
         run(settings)
         if isinstance(settings, AutoencoderConfig):
             try:
-                light_model(settings)
+                with stage_bar(log_every_s=LOG_EVERY_S) as progress:
+                    light_model(settings, progress)
             except InputError as error:  # skies that suffice for a network alone
                 take_care(f"no folder for --model was made of it: {error}")
             else:

@@ -112,9 +112,8 @@ def _prior(name: str, scores: Mapping[str, Any]) -> str:
 
 def fit_priors(
     config: PriorConfig,
-    progress: StageProgress = silent,
-    *,
     network: type[SkyNetwork] | None = None,
+    progress: StageProgress = silent,
 ) -> Path:
     """Write network, priors and bank into ``config.out`` as a :class:`LightBundle`, with its card.
 

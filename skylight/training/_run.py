@@ -86,7 +86,7 @@ def run(config: Config) -> None:
         elif isinstance(config, DictionaryConfig):
             done = f"dictionary: {learn_dictionary(config, progress=progress)}"
         else:
-            done = f"light model: {fit_priors(config, progress)}"
+            done = f"light model: {fit_priors(config, progress=progress)}"
     print(done)
 
 
@@ -129,15 +129,16 @@ def train_folder(
         fitted = fitting(config, changes or {}, skies, report)
         best = train(replace(fitted, data=place, out=run), report, progress=progress)
         report("fitting the priors")
-        fit_priors(replace(priors, checkpoint=best), progress)
+        fit_priors(replace(priors, checkpoint=best), progress=progress)
     load_bundle(out, priors.network or None)
     return out
 
 
-def light_model(config: AutoencoderConfig) -> Path:
+def light_model(config: AutoencoderConfig, progress: StageProgress = silent) -> Path:
     """The folder of a run of which the network is trained, with the priors fitted to its skies."""
     best = config.out / "model.safetensors"
-    return fit_priors(replace(_priors(config, config.data, config.out), checkpoint=best))
+    priors = replace(_priors(config, config.data, config.out), checkpoint=best)
+    return fit_priors(priors, progress=progress)
 
 
 def _priors(config: AutoencoderConfig, data: Path, out: Path) -> PriorConfig:
