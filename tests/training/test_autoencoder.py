@@ -250,24 +250,24 @@ def test_more_epochs_are_those_of_a_longer_run(
     config: AutoencoderConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With a constant rate bit by bit, whether the shorter run had ended or not."""
-    config = replace(config, schedule="constant", epochs=3, batch=3 * config.batch)
-    train(replace(config, out=tmp_path / "whole"), report=lambda _: None)
+    config = replace(config, schedule="constant", epochs=3, batch=3 * config.batch, latents=8)
+    train(replace(config, out=tmp_path / "whole"), report=lambda _: None, callbacks=[])
     short = replace(config, out=tmp_path / "short", epochs=1)
-    train(short, report=lambda _: None)
+    train(short, report=lambda _: None, callbacks=[])
     said: list[str] = []
     with monkeypatch.context() as patched:
         patched.setattr(training, "validate", lambda *_, **__: 1 / 0)
         with pytest.raises(ZeroDivisionError):  # within the second epoch
-            train(replace(short, epochs=2), report=said.append)
+            train(replace(short, epochs=2), report=said.append, callbacks=[])
     assert said[:2] == [
         "resuming at step 1 of 2",
         "`epochs` was 1 and is 2: the learning rate is 0.001 here, 0.001 before",
     ]
-    train(replace(short, epochs=3), report=said.append)
+    train(replace(short, epochs=3), report=said.append, callbacks=[])
     assert "`epochs` was 1 and is 3: the learning rate is 0.001 here, 0.001 before" in said
     same_run(tmp_path / "short", tmp_path / "whole")
     again: list[str] = []
-    train(replace(short, epochs=2), report=again.append)
+    train(replace(short, epochs=2), report=again.append, callbacks=[])
     assert again[0] == "`epochs` was 3 and is 2: 3 are done already, and none is taken back"
     assert not any(line.startswith("epoch ") for line in again)
 
@@ -279,7 +279,7 @@ def test_a_cosine_rises_again_with_more_epochs(
     out = tmp_path / "run"
     shutil.copytree(uninterrupted, out)
     said: list[str] = []
-    train(replace(config, out=out, epochs=4), report=said.append)
+    train(replace(config, out=out, epochs=4), report=said.append, callbacks=[])
     here = 0.001 * (0.01 + 0.99 * (1 + np.cos(np.pi * 5 / 11)) / 2)  # the first of 12 warms up
     assert said[1].endswith(f": the learning rate is {here:.3g} here, 1e-05 before")
     rates = [entry["learning_rate"] for entry in curves(out)]
