@@ -127,6 +127,11 @@ def test_a_taken_port_is_one_line(served: Served) -> None:
         ("{", "no JSON"),
         ('{"kind": "light model", "version": 3}', "upgrade skylight"),
         ('{"kind": "light model", "version": 1, "name": "a"}', '"skies" is missing'),
+        (
+            '{"kind": "light model", "version": 2, "name": "a", "skies": 1, "data_sha256": "",'
+            ' "fingerprint": "", "network": "own:Mine"}',
+            "its network is own:Mine, a class that is not skylight's: give --network own:Mine",
+        ),
     ],
 )
 def test_a_folder_that_is_no_light_model_is_one_line(

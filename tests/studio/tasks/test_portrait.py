@@ -220,6 +220,8 @@ def test_the_command_line_names_what_was_chosen() -> None:
         "skylight relight-portrait 'someone'\"'\"'s photo.png' --light auto --face 2"
         " --model 'my model'"
     )
+    own = command_of("me.png", "auto", 1, "own", "own:Mine")["command"]
+    assert own.endswith("me.png --light auto --model own --network own:Mine")
     assert not command_of(PHOTO, "auto", "all", None)["is_alone"]
 
 
