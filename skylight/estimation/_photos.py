@@ -149,7 +149,7 @@ class Pictures:
         prior, of_sun = sun_prior(known)
         if prior is not None and not follows_clock(settings.light, settings.prior):
             name = name_of(settings.light)
-            prior, of_sun = None, (f"{name} do not follow the clock: time and place were not used",)
+            prior, of_sun = None, (f"{name}: no light by the clock, time and place were not used",)
         notes = (*(f"{names[0]}: {note}" for note in known.notes), *of_sun, *_unused(taken, known))
         return Pictures(
             settings=settings,

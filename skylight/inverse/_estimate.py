@@ -188,7 +188,8 @@ def light_problems(
     where, options = choose_device(device), options or SolverOptions()
     if not follows_clock(light, prior) and any(one is not None for one in sun_priors):
         raise InputError(
-            f"{name_of(light)} are not the sun: leave sun_prior out, or choose another light"
+            "lamps are not the sun, nor is light of the whole sphere: leave sun_prior out, or "
+            f"choose another light than {name_of(light)}"
         )
     modes, skin = SkinPrior.load().means.float().to(where), albedo_prior().to(where)
     lamps = LampsOptions(weights=options.weights)

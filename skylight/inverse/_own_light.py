@@ -11,6 +11,7 @@ from typing import Any, TypeGuard
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.distributions import Distribution
 
 from skylight.errors import InputError
 from skylight.inverse._sky import SKY_ROWS, require_light
@@ -84,7 +85,7 @@ class OwnLight:
         return self.model.starts()
 
     def starts_towards(self, directions: Float[Tensor, "d 3"]) -> Tensor:
-        return self.model.starts_towards(directions)
+        return self.model.starts_towards(directions.to(self.dtype))
 
     def sun_direction(self, params: Float[Tensor, "*batch p"]) -> Tensor | None:
         sun = self.model.sun_direction(params.to(self.dtype))
@@ -187,7 +188,17 @@ def _moved(given: Any, where: torch.device, what: str) -> Any:
         ) from error
     if isinstance(moved, nn.Module):
         return moved.eval().requires_grad_(False).to(where)
-    return moved.to(where) if hasattr(moved, "to") else moved
+    _move(moved, where)
+    return moved
+
+
+def _move(thing: object, where: torch.device) -> None:
+    """The tensors of what is no module: a distribution's, or of a class of the user's."""
+    for name, part in vars(thing).items() if hasattr(thing, "__dict__") else ():
+        if isinstance(part, Tensor | nn.Module):
+            vars(thing)[name] = part.to(where)
+        elif isinstance(part, Distribution):
+            _move(part, where)
 
 
 def _tensor(value: object, what: str, *shape: str | int) -> Tensor:
@@ -242,7 +253,7 @@ def _check_sun(light: OwnLight, starts: Float[Tensor, "s p"]) -> None:
     sun = light.sun_direction(starts)
     if sun is not None:
         _tensor(sun, f"{name}.sun_direction", len(starts), 3)
-    ahead = torch.tensor([[0.0, 0.6, -0.8], [0.8, 0.6, 0.0]], dtype=torch.float64).to(starts.device)
+    ahead = starts.new_tensor([[0.0, 0.6, -0.8], [0.8, 0.6, 0.0]])
     towards = _tensor(light.starts_towards(ahead), f"{name}.starts_towards", 2, "k", count)
     if towards.shape[1] == 0 or not bool(towards.isfinite().all()):
         raise InputError(f"{name}.starts_towards must give one or more, and finite ones")

@@ -188,7 +188,7 @@ class SkySolver:
     def _mean(self, direction: Float[Tensor, "3"]) -> Float[Tensor, "1 1 p"]:
         """The mean of all latents, turned to a direction."""
         if not isinstance(self.model, AutoencoderLight):
-            raise ValueError(f"{self.model.name} has no mean to start from: only latents have")
+            raise InputError(f"{self.model.name} has no mean to start from: only latents have")
         free = self.albedo_modes.new_zeros(1, 1, self.model.parameter_count)
         free[..., self.model.azimuth_index] = float(angles_from_direction(direction)[0])
         return self.model.from_free(free)

@@ -14,7 +14,7 @@ from skylight.errors import InputError
 from skylight.inverse._descent import Stage
 from skylight.inverse._estimate import Model, estimate_each, estimate_light, light_problems
 from skylight.inverse._faces import Level
-from skylight.inverse._own_light import told
+from skylight.inverse._own_light import _moved, told
 from skylight.inverse._result import Estimate
 from skylight.inverse._sky import SolverOptions, environment_of
 from skylight.inverse._sun_prior import SunPart, SunPrior
@@ -152,12 +152,18 @@ def test_a_prior_counts_on_the_free_side_without_the_azimuth(under_dome: Observa
 
 
 def test_ours_as_objects_are_as_by_their_names() -> None:
+    """To the bit, since what follows is the same."""
     seen, _ = watched(*SUNS[0])
-    for name, light, prior in (
+    quick = SolverOptions(stages=(Stage(level=Level(3, light=1), starts=2, iterations=3),))
+    cases: list[tuple[Any, Any, Any]] = [
         ("sunsky", SunSky(), load_bundle().sunsky_prior),
         ("sh9", HarmonicLight(2, 16), None),
-    ):
-        a, b = found(seen, name), found(seen, light, prior=prior)
+    ]
+    for name, light, prior in cases:
+        a, b = (
+            estimate_light(seen, one, prior=over, options=quick, device="cpu")
+            for one, over in ((name, None), (light, prior))
+        )
         assert (a.light, a.status, a.terms) == (b.light, b.status, b.terms)
         assert torch.equal(a.params, b.params)
         assert torch.equal(a.environment.radiance, b.environment.radiance)
@@ -306,7 +312,7 @@ def test_what_is_no_prior_is_refused(prior: Any, message: str, under_dome: Obser
 def test_options_of_others_are_refused(under_dome: Observation) -> None:
     clock = SunPrior(parts=(SunPart(share=1.0, zenith_rad=0.5),))
     model: Model = load_bundle()
-    with pytest.raises(InputError, match="Lantern are not the sun"):
+    with pytest.raises(InputError, match="another light than Lantern"):
         found(under_dome, Lantern(), sun_prior=clock)
     with pytest.raises(InputError, match="sunsky has its own, leave prior out"):
         found(under_dome, "sunsky", prior=model.sunsky_prior)
@@ -314,6 +320,28 @@ def test_options_of_others_are_refused(under_dome: Observation) -> None:
         found(under_dome, Dome(), model=model)
     with pytest.raises(InputError, match="Dome needs transport of 64 rows"):
         found(under_dome.on_rows(32), Dome())
+
+
+class Weighted:
+    """No module: its tensors are attributes."""
+
+    def __init__(self) -> None:
+        self.spread = torch.ones(7)
+        # meta tensors have no values to check
+        normal = Normal(torch.zeros(7), torch.ones(7), validate_args=False)
+        self.normal = Independent(normal, 1, validate_args=False)
+
+    def log_prob(self, free: Tensor) -> Tensor:
+        return self.normal.log_prob(free / self.spread)
+
+
+@pytest.mark.slow
+def test_whatever_holds_tensors_is_moved() -> None:
+    """To the meta device, as to any other; what was given stays where it is."""
+    given = Weighted()
+    moved = _moved(given, torch.device("meta"), "the prior")
+    assert moved.log_prob(torch.zeros(2, 7, device="meta")).device.type == "meta"
+    assert given.log_prob(torch.zeros(2, 7)).device.type == "cpu"
 
 
 def test_light_that_turns_negative_on_the_way_is_refused() -> None:
