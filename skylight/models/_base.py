@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.distributions import Distribution
 
+from skylight._modes import on_cpu
 from skylight._module import Module
 from skylight._names import SKY_LIGHTS, LightName
 from skylight.errors import InputError
@@ -111,6 +112,7 @@ class ParametricLight(Module):
     _low: Tensor
     _high: Tensor
 
+    @on_cpu
     def __init__(
         self,
         parameter_count: int,
