@@ -140,7 +140,7 @@ class ConvolutionalAutoencoder(SkyNetwork):
             [*self.parameters(), *self.buffers()], lambda: FoldedDecoder.of(self)
         )
         sky = self.uncode(decoder(z))
-        turn = (azimuth_rad - CENTRE_AZIMUTH_RAD).expand(len(z))
+        turn = (azimuth_rad - CENTRE_AZIMUTH_RAD).expand(z.shape[0])
         if self.sun_head is not None and sun_spread_rad == 0 and height == HEIGHT:
             return shift_columns(sky + self.sun_head.lobe(z[:, -COORDINATES:]), turn)
         sky = shift_columns(sky, turn)
@@ -151,8 +151,8 @@ class ConvolutionalAutoencoder(SkyNetwork):
             sky = sky.repeat_interleave(times, 1).repeat_interleave(times, 2)
         if self.sun_head is None:
             return sky
-        head = self._sun_head(height, z.device)
-        return sky + head.lobe(z[:, -COORDINATES:], azimuth_rad, sun_spread_rad)
+        rows = None if height == HEIGHT else height
+        return sky + self.sun_head.lobe(z[:, -COORDINATES:], azimuth_rad, sun_spread_rad, rows)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from skylight._modes import constant, transformed
+from skylight._modes import transformed
 from skylight.errors import InputError, check_shape
 from skylight.models._sun_head import COORDINATES, NEAR_RAD, SunHead
 from skylight.sphere._envmap import luminance
@@ -31,11 +31,6 @@ COARSE_HEIGHTS = (4, 8, 16)  # on which skies can be had as well
 CENTRE_AZIMUTH_RAD = math.pi / WIDTH
 # of coded radiance; exp(13) is 20 times the brightest pixel of 440 simulated days
 CODE_LIMIT = 13.0
-
-
-@constant(4)
-def _sun_on_rows(height: int, device: torch.device) -> SunHead:
-    return SunHead(height, CENTRE_AZIMUTH_RAD).to(device)
 
 
 Kind = Literal["splines", "convolutions"]
@@ -90,11 +85,6 @@ class SkyNetwork(nn.Module, ABC):
         the sun's lobe: see :meth:`~skylight.models._sun_head.SunHead.lobe`. ``height`` is
         the number of rows, one of :data:`COARSE_HEIGHTS`, :data:`HEIGHT` or a multiple of it.
         """
-
-    def _sun_head(self, height: int, device: torch.device) -> SunHead:
-        """That of maps of so many rows."""
-        assert self.sun_head is not None
-        return self.sun_head if height == HEIGHT else _sun_on_rows(height, device)
 
     def split(
         self, radiance: Float[Tensor, "b h w 3"]

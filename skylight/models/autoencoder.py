@@ -86,7 +86,7 @@ class AutoencoderLight(nn.Module):
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
         z, azimuth = self._parts(params)
         sky = self.network.decode_at_azimuth(z, azimuth, self.sun_spread_rad, self.height)
-        return sky.reshape(*params.shape[:-1], len(self.grid), 3)
+        return sky.reshape(*params.shape[:-1], 4 * self.height**2, 3)
 
     def sun_direction(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch 3"] | None:
         """That of the sun's lobe; None of a network without."""

@@ -102,7 +102,7 @@ def _with_rim(
     ``d_mn = (-1)^(m-n) d_nm = d_-n,-m``.
     """
     m = torch.arange(-l, l + 1)
-    roots = [math.sqrt(math.comb(2 * l, l + int(k))) for k in m]
+    roots = [math.sqrt(math.comb(2 * l, k)) for k in range(2 * l + 1)]
     root = torch.tensor(roots, dtype=torch.float64).to(half_cos)
     up, down = (l + m).to(half_cos.device), (l - m).to(half_cos.device)
     size = root * half_cos[:, None] ** up * half_sin[:, None] ** down  # (b, 2l + 1)

@@ -155,7 +155,7 @@ class SkyTransport(nn.Module):
     ) -> Float[Tensor, "b m 3"]:
         """T l: the same for an albedo of 1."""
         check_shape("the sky", sky.shape, self.folded.shape[2] - 1, 3)
-        check_shape("the ground", ground.shape, len(sky), 3)
+        check_shape("the ground", ground.shape, sky.shape[0], 3)
         return shade_scenes(self.folded, torch.cat([sky, ground[:, None]], dim=1), scene)
 
 
@@ -167,11 +167,14 @@ def shade_scenes(
     """``matrices[scene] @ radiance`` as one batched product, which copies no matrix.
 
     ``scene`` is in ascending order. The lights of each scene go into as many slots as the scene
-    with the most lights has; the product is over all slots.
+    with the most lights has; the product is over all slots. A graph, whose sizes cannot depend on
+    values, copies the matrix of each light.
     """
     if len(matrices) == 1:
         return shade(matrices[0], radiance)
     assert scene is not None
+    if torch.compiler.is_compiling():
+        return matrices[scene] @ radiance
     assert scene.device.type != "cpu" or bool((scene.diff() >= 0).all())
     colours = radiance.shape[-1]
     counts = torch.bincount(scene, minlength=len(matrices))
@@ -190,8 +193,9 @@ def shade(
     """``matrix @ radiance`` as one product for all lights and colours."""
     rows = radiance.transpose(-1, -2).flatten(0, -2)
     # BLAS takes fewer rows one by one: of one light, 150 ms instead of 20 for 3,700 pixels
-    padded = functional.pad(rows, (0, 0, 0, max(0, _FEWEST_ROWS - len(rows))))
-    shading = functional.linear(padded, matrix)[: len(rows)]
+    count = rows.shape[0]
+    lacking = 0 if torch.compiler.is_compiling() else max(0, _FEWEST_ROWS - count)
+    shading = functional.linear(functional.pad(rows, (0, 0, 0, lacking)), matrix)[:count]
     return shading.reshape(*radiance.shape[:-2], radiance.shape[-1], len(matrix)).transpose(-1, -2)
 
 

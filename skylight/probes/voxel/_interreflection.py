@@ -15,6 +15,7 @@ face itself, side i + 1 is where occluder i of :data:`~skylight.probes.voxel._mo
 """
 
 import math
+from typing import Any
 
 import numpy as np
 import torch
@@ -188,6 +189,46 @@ def slot_transfer(
     if isinstance(albedo, Tensor) and albedo.requires_grad and torch.is_grad_enabled():
         return _cell_transfer(size, degree).at(albedo).unflatten(1, (size, size))
     return _cached_transfer(float(albedo), size, degree).clone()
+
+
+@torch.library.custom_op("skylight::slot_transfer", mutates_args=())
+def solved_transfer(albedo: Tensor, size: int, degree: int) -> Tensor:
+    """:func:`slot_transfer` of (c,) albedos for graphs, which call it as it is: (c,32,n,n,k)."""
+    found = [slot_transfer(a, size=size, degree=degree) for a in albedo.detach().tolist()]
+    return torch.stack(found).to(albedo.device)
+
+
+@torch.library.custom_op("skylight::slot_transfer_backward", mutates_args=())
+def _transfer_slope(grad: Tensor, albedo: Tensor, size: int, degree: int) -> Tensor:
+    """``<grad, d t / d albedo>`` of each."""
+    with torch.enable_grad():
+        given = albedo.detach().double().cpu().requires_grad_()
+        found = torch.stack([slot_transfer(a, size=size, degree=degree) for a in given])
+        (slope,) = torch.autograd.grad(found, given, grad.to(found))
+    return slope.to(albedo)
+
+
+@solved_transfer.register_fake
+def _(albedo: Tensor, size: int, degree: int) -> Tensor:
+    shape = len(albedo), CONFIGURATIONS, size, size, (degree + 1) ** 2
+    return albedo.new_empty(shape, dtype=torch.float64)
+
+
+@_transfer_slope.register_fake
+def _(grad: Tensor, albedo: Tensor, size: int, degree: int) -> Tensor:
+    return torch.empty_like(albedo)
+
+
+def _keep_albedo(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
+    albedo, *ctx.rule = inputs
+    ctx.save_for_backward(albedo)
+
+
+def _transfer_backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
+    return _transfer_slope(grad, *ctx.saved_tensors, *ctx.rule), None, None
+
+
+solved_transfer.register_autograd(_transfer_backward, setup_context=_keep_albedo)
 
 
 @constant(8)

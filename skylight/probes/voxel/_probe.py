@@ -5,7 +5,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from skylight.errors import InputError, check_shape
-from skylight.probes.voxel._interreflection import DEGREE, SIZE, face_frame, slot_transfer
+from skylight.probes.voxel._interreflection import (
+    DEGREE,
+    SIZE,
+    face_frame,
+    slot_transfer,
+    solved_transfer,
+)
 from skylight.probes.voxel._model import ORIENTATIONS, VoxelModel, exposed_faces
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._frame import DirectionGrid
@@ -35,6 +41,7 @@ class VoxelProbe(nn.Module):
 
     albedo: nn.Parameter
     known: Bool[Tensor, "6 32"]
+    into_faces: Float[Tensor, "6 k k"]
 
     def __init__(
         self,
@@ -56,6 +63,11 @@ class VoxelProbe(nn.Module):
         self.size, self.degree = size, degree
         self.albedo = nn.Parameter(value.expand(3).clone())
         self.register_buffer("known", exposed_faces(model).counts() > 0, persistent=False)
+        # harmonics, as rows, to those in the frame of each orientation's faces
+        one = torch.eye((degree + 1) ** 2, dtype=torch.float64)
+        frames = [face_frame(o) for o in range(len(ORIENTATIONS))]
+        turns = torch.stack([rotate(one, frame.T) for frame in frames])
+        self.register_buffer("into_faces", turns, persistent=False)
 
     def forward(
         self, radiance: Float[Tensor, "*b d 3"], grid: DirectionGrid
@@ -65,13 +77,14 @@ class VoxelProbe(nn.Module):
         # float64 sums: a sun is 1e5 times brighter than the pixels it is added to
         basis = harmonics.evaluate(grid.directions, self.degree) * grid.solid_angles[:, None]
         light = torch.einsum("dk,...dc->...ck", basis.to(radiance.device), radiance.double())
-        frames = [face_frame(o) for o in range(len(ORIENTATIONS))]
-        turned = torch.stack([rotate(light, frame.T) for frame in frames], -3)
+        turned = torch.einsum("...ck,okj->...ocj", light, self.into_faces.to(light))
         slots = torch.einsum("cjxyk,...ock->...ojxyc", self._transfer().to(turned), turned)
         return (slots * self.known[..., None, None, None].to(slots)).to(radiance.dtype)
 
     def _transfer(self) -> Float[Tensor, "3 32 n n k"]:
         """t of each colour, for light in the face's frame."""
+        if torch.compiler.is_compiling():
+            return solved_transfer(self.albedo, self.size, self.degree)
         return torch.stack(
             [slot_transfer(a, size=self.size, degree=self.degree) for a in self.albedo.cpu()]
         )

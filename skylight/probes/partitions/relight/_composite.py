@@ -241,12 +241,11 @@ class TurningRelighting(nn.Module):
         place = torch.as_tensor(angle_rad, dtype=torch.float64) / (2 * math.pi) * count
         below = place.detach().floor()
         weights = _b_spline(place - below).to(self.spline)
-        first = int(below) % count
+        nearest = (below.long() + torch.arange(-1, 3, device=below.device)) % count
+        knots = self.spline[nearest.to(self.spline.device)].flatten(0, 1)
         lights = light.to(self.spline.dtype).reshape(-1, *light.shape[-2:]).permute(2, 0, 1)
-        radiance = torch.bmm(weights[0] * lights, self.spline[(first - 1) % count])  # (3, b, m)
-        for j in (1, 2, 3):
-            knot = self.spline[(first - 1 + j) % count]
-            radiance = torch.baddbmm(radiance, weights[j] * lights, knot)
+        weighted = (weights[:, None, None, None] * lights).flatten(0, 1)
+        radiance = torch.bmm(weighted, knots).unflatten(0, (4, 3)).sum(0)  # (3, b, m)
         return radiance.permute(1, 2, 0).reshape(*light.shape[:-2], -1, 3).to(light.dtype)
 
 
