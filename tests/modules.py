@@ -279,6 +279,12 @@ CASES: dict[str, Case] = {
     ),
     "diffuse transport": Case(make=diffuse, inputs=light(), axis=-2),
     "specular transport": Case(make=specular, inputs=light(), axis=-2),
+    "frozen transport": Case(
+        make=lambda: specular().freeze(),
+        double=lambda: specular().double().freeze(),
+        inputs=light(),
+        axis=-2,
+    ),
     "sky transport": Case(
         make=lambda: SkyTransport(random(1, 40, len(SKY) + 1)),
         inputs=lambda _: (random(2, len(SKY), 3), random(2, 3), random(2, 3)),

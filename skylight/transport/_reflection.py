@@ -88,6 +88,14 @@ class DiffuseTransport(nn.Module):
         """A constant copy for the solvers of :mod:`skylight.inverse`."""
         return TransportMatrix(matrix=self.matrix.detach().float(), grid=self.grid)
 
+    def freeze(self) -> "FrozenTransport":
+        """The same with the normals as they are now.
+
+        A graph of ``torch.compile`` or ``torch.export`` then holds the matrix, which it otherwise
+        computes in every call.
+        """
+        return FrozenTransport(self.matrix.detach().clone(), self.grid)
+
     def forward(
         self, radiance: Float[Tensor, "*batch n 3"], albedo: float | Float[Tensor, "..."] = 1.0
     ) -> Float[Tensor, "*batch m 3"]:
@@ -101,14 +109,43 @@ class DiffuseTransport(nn.Module):
         ValueError
             An albedo of another shape, such as (m,).
         """
-        check_shape("radiance", radiance.shape, len(self.grid), 3)
-        shading = shade(self.matrix, radiance)
-        if isinstance(albedo, Tensor) and not _broadcasts(albedo.shape, shading.shape):
-            raise ValueError(
-                f"an albedo of shape {tuple(albedo.shape)} does not fit shading of shape "
-                f"{tuple(shading.shape)}: give a number, (3,), (points, 3) or (..., points, 3)"
-            )
-        return albedo * shading
+        return _reflected(self.matrix, radiance, albedo)
+
+
+class FrozenTransport(nn.Module):
+    """:class:`DiffuseTransport` or :class:`SpecularTransport` of constant normals.
+
+    ``matrix`` (m,n), radiance to shading at a reflectance of 1, is a buffer.
+    """
+
+    matrix: Tensor
+
+    def __init__(self, matrix: Float[Tensor, "m n"], grid: DirectionGrid) -> None:
+        super().__init__()
+        self.grid = grid
+        self.register_buffer("matrix", matrix)
+
+    def forward(
+        self, radiance: Float[Tensor, "*batch n 3"], albedo: float | Float[Tensor, "..."] = 1.0
+    ) -> Float[Tensor, "*batch m 3"]:
+        """As :meth:`DiffuseTransport.forward`."""
+        return _reflected(self.matrix, radiance, albedo)
+
+
+def _reflected(
+    matrix: Float[Tensor, "m n"],
+    radiance: Float[Tensor, "*batch n 3"],
+    albedo: float | Float[Tensor, "..."],
+) -> Float[Tensor, "*batch m 3"]:
+    """``albedo * (matrix @ radiance)``, their shapes checked."""
+    check_shape("radiance", radiance.shape, matrix.shape[1], 3)
+    shading = shade(matrix, radiance)
+    if isinstance(albedo, Tensor) and not _broadcasts(albedo.shape, shading.shape):
+        raise ValueError(
+            f"an albedo of shape {tuple(albedo.shape)} does not fit shading of shape "
+            f"{tuple(shading.shape)}: give a number, (3,), (points, 3) or (..., points, 3)"
+        )
+    return albedo * shading
 
 
 class SkyTransport(nn.Module):
@@ -194,8 +231,8 @@ def shade(
     rows = radiance.transpose(-1, -2).flatten(0, -2)
     # BLAS takes fewer rows one by one: of one light, 150 ms instead of 20 for 3,700 pixels
     count = rows.shape[0]
-    lacking = 0 if torch.compiler.is_compiling() else max(0, _FEWEST_ROWS - count)
-    shading = functional.linear(functional.pad(rows, (0, 0, 0, lacking)), matrix)[:count]
+    padded = functional.pad(rows, (0, 0, 0, torch.sym_max(0, _FEWEST_ROWS - count)))
+    shading = functional.linear(padded, matrix)[:count]
     return shading.reshape(*radiance.shape[:-2], radiance.shape[-1], len(matrix)).transpose(-1, -2)
 
 

@@ -208,14 +208,12 @@ def _transfer_slope(grad: Tensor, albedo: Tensor, size: int, degree: int) -> Ten
     return slope.to(albedo)
 
 
-@solved_transfer.register_fake
-def _(albedo: Tensor, size: int, degree: int) -> Tensor:
+def _transfer_shaped(albedo: Tensor, size: int, degree: int) -> Tensor:
     shape = len(albedo), CONFIGURATIONS, size, size, (degree + 1) ** 2
     return albedo.new_empty(shape, dtype=torch.float64)
 
 
-@_transfer_slope.register_fake
-def _(grad: Tensor, albedo: Tensor, size: int, degree: int) -> Tensor:
+def _slope_shaped(grad: Tensor, albedo: Tensor, size: int, degree: int) -> Tensor:
     return torch.empty_like(albedo)
 
 
@@ -228,6 +226,8 @@ def _transfer_backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
     return _transfer_slope(grad, *ctx.saved_tensors, *ctx.rule), None, None
 
 
+solved_transfer.register_fake(_transfer_shaped)
+_transfer_slope.register_fake(_slope_shaped)
 solved_transfer.register_autograd(_transfer_backward, setup_context=_keep_albedo)
 
 
