@@ -10,9 +10,8 @@ import torch
 import skylight
 
 SKY, NORMALS = skylight.SunSky(16), skylight.DirectionGrid.latlong(16).directions.float()
-VISIBLE = torch.ones(len(NORMALS), len(SKY.grid)) > 0
-BALL = skylight.transport.DiffuseTransport(VISIBLE, NORMALS, SKY.grid).freeze()
-# colours of sky and sun, azimuth and zenith angle of the sun, turbidity, sharpness of the sun
+ALL = torch.ones(len(NORMALS), len(SKY.grid), dtype=torch.bool)
+BALL = skylight.transport.DiffuseTransport(ALL, NORMALS, SKY.grid).freeze()
 TRUE = torch.tensor([[0.3, 0.4, 0.6, 3.0, 2.7, 2.4, 0.7, 0.9, 3.0, 60.0]])
 
 
@@ -32,8 +31,8 @@ def fit(backend: str = "inductor") -> torch.Tensor:
 
 
 def write(file: str | io.BytesIO) -> None:
-    sizes = ({0: torch.export.Dim("batch")},)
-    torch.export.save(torch.export.export(SKY, (TRUE.expand(2, -1),), dynamic_shapes=sizes), file)
+    two, sizes = (TRUE.expand(2, -1),), ({0: torch.export.Dim("batch")},)
+    torch.export.save(torch.export.export(SKY, two, dynamic_shapes=sizes), file)
 
 
 if __name__ == "__main__":

@@ -231,7 +231,8 @@ def shade(
     rows = radiance.transpose(-1, -2).flatten(0, -2)
     # BLAS takes fewer rows one by one: of one light, 150 ms instead of 20 for 3,700 pixels
     count = rows.shape[0]
-    padded = functional.pad(rows, (0, 0, 0, torch.sym_max(0, _FEWEST_ROWS - count)))
+    lacking = torch.sym_max(0, _FEWEST_ROWS - count)  # of a graph for any count
+    padded = functional.pad(rows, (0, 0, 0, lacking))  # pyright: ignore[reportArgumentType]
     shading = functional.linear(padded, matrix)[:count]
     return shading.reshape(*radiance.shape[:-2], radiance.shape[-1], len(matrix)).transpose(-1, -2)
 

@@ -201,11 +201,8 @@ def solved_transfer(albedo: Tensor, size: int, degree: int) -> Tensor:
 @torch.library.custom_op("skylight::slot_transfer_backward", mutates_args=())
 def _transfer_slope(grad: Tensor, albedo: Tensor, size: int, degree: int) -> Tensor:
     """``<grad, d t / d albedo>`` of each."""
-    with torch.enable_grad():
-        given = albedo.detach().double().cpu().requires_grad_()
-        found = torch.stack([slot_transfer(a, size=size, degree=degree) for a in given])
-        (slope,) = torch.autograd.grad(found, given, grad.to(found))
-    return slope.to(albedo)
+    slopes = torch.stack([_cached_slope(a, size, degree) for a in albedo.tolist()]).to(grad)
+    return (grad * slopes).flatten(1).sum(1).to(albedo)
 
 
 def _transfer_shaped(albedo: Tensor, size: int, degree: int) -> Tensor:
@@ -234,6 +231,13 @@ solved_transfer.register_autograd(_transfer_backward, setup_context=_keep_albedo
 @constant(8)
 def _cached_transfer(albedo: float, size: int, degree: int) -> Tensor:
     return _cell_transfer(size, degree).at(albedo).unflatten(1, (size, size))
+
+
+@constant(8)
+def _cached_slope(albedo: float, size: int, degree: int) -> Tensor:
+    """d t / d albedo."""
+    at, transfer = torch.tensor(albedo, dtype=torch.float64), _cell_transfer(size, degree)
+    return torch.func.jvp(transfer.at, (at,), (torch.ones_like(at),))[1].unflatten(1, (size, size))
 
 
 @constant(4)
