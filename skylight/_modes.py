@@ -62,7 +62,8 @@ def constant(maxsize: int | None = None) -> Callable[[Callable[..., T]], Callabl
 
     There is one for each default dtype, which is the process'. It is made in a thread of its own,
     for the other modes belong to threads: a table that someone in inference mode asked for first
-    could otherwise be no part of anyone's graph.
+    could otherwise be no part of anyone's graph. Within ``torch.compile`` it
+    is a part of the graph.
     """
 
     def decorate(function: Callable[..., T]) -> Callable[..., T]:
@@ -73,6 +74,8 @@ def constant(maxsize: int | None = None) -> Callable[[Callable[..., T]], Callabl
 
         @wraps(function)
         def inner(*args: Any) -> T:
+            if torch.compiler.is_dynamo_compiling():
+                return function(*args)
             return once(torch.get_default_dtype(), *args)
 
         return inner
@@ -87,7 +90,8 @@ class Derived(Generic[T]):
     and any other change that autograd's version counters see, which writes through ``.data`` are
     not. While a source requires a gradient or has a tangent the value is part of the graph, and
     nothing is kept; nor is it for tensors without storage or version, as in
-    :func:`torch.func.vmap` and in inference mode. Copies and pickles hold nothing.
+    :func:`torch.func.vmap`, in inference mode, and within ``torch.compile`` and ``torch.export``,
+    whose graphs compute the value each time. Copies and pickles hold nothing.
     """
 
     def __init__(self) -> None:
@@ -116,6 +120,8 @@ class Derived(Generic[T]):
 
 def _states(sources: list[Tensor]) -> list[tuple[object, ...]] | None:
     """What changes with the values; None where that cannot be told, or they are to be followed."""
+    if torch.compiler.is_compiling():
+        return None
     if torch.is_grad_enabled() and any(source.requires_grad for source in sources):
         return None
     try:

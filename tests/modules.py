@@ -80,6 +80,9 @@ class Case:
     transforms: bool = True  # torch.func's
     meta: bool = True
     slow: bool = False
+    batch: bool = True  # the first dimension of the first input may be any
+    no_graph: str = ""  # why torch.compile and torch.export cannot have one
+    slow_graph: bool = False  # it takes seconds to make
 
     def single(self) -> Any:
         return self.make().float()
@@ -150,6 +153,11 @@ def convolutional_light() -> AutoencoderLight:
 
 def shipped() -> nn.Module:
     return load_bundle().light().network
+
+
+def of_scenes(module: SkyTransport, *given: Tensor) -> Tensor:
+    sky = given[0]
+    return module(*given, torch.tensor([0, 2, 2], device=sky.device)[: sky.shape[0]])
 
 
 def latents(_: nn.Module) -> tuple[Tensor]:
@@ -225,12 +233,15 @@ CASES: dict[str, Case] = {
     ),
     "autoencoder light, coarse": Case(
         dtype="single",
+        slow_graph=True,
         make=lambda: load_bundle().light(sun_spread_rad=0.025).on_rows(8),
         inputs=free,
         float32=5e-5,
     ),
     "sunsky": Case(dtype="single", make=lambda: SunSky(8), inputs=free, autocast=1e-5, tf32=1e-5),
-    "lamps": Case(dtype="single", make=lambda: LampsLight(2, 8), inputs=free, autocast=1e-5),
+    "lamps": Case(
+        dtype="single", slow_graph=True, make=lambda: LampsLight(2, 8), inputs=free, autocast=1e-5
+    ),
     "harmonics": Case(
         dtype="single",
         make=lambda: HarmonicLight(4, 8),
@@ -238,7 +249,13 @@ CASES: dict[str, Case] = {
         autocast=1e-5,
         tf32=5 * 2**-10,
     ),
-    "gaussians": Case(dtype="single", make=lambda: GaussianLobes(3, 8), inputs=free, autocast=1e-5),
+    "gaussians": Case(
+        dtype="single",
+        slow_graph=True,
+        make=lambda: GaussianLobes(3, 8),
+        inputs=free,
+        autocast=1e-5,
+    ),
     "ground": Case(
         make=lambda: LambertianGround(8),
         inputs=lambda _: (random(2, len(SKY), 3), random(2, 3)),
@@ -261,6 +278,7 @@ CASES: dict[str, Case] = {
     ),
     "splines, azimuth": Case(
         dtype="module",
+        slow_graph=True,
         make=shipped,
         inputs=lambda _: (0.7 * normal(2, 64), normal(2)),
         call=lambda m, z, azimuth: m.decode_at_azimuth(z, azimuth, 0.025),
@@ -279,6 +297,7 @@ CASES: dict[str, Case] = {
     ),
     "convolutions, azimuth": Case(
         dtype="module",
+        slow_graph=True,
         make=convolutional,
         inputs=lambda _: (0.7 * normal(2, 64), normal(2)),
         call=lambda m, z, azimuth: m.decode_at_azimuth(z, azimuth, 0.025),
@@ -299,10 +318,25 @@ CASES: dict[str, Case] = {
     ),
     "diffuse transport": Case(make=diffuse, inputs=light(), axis=-2),
     "specular transport": Case(make=specular, inputs=light(), axis=-2),
+    "frozen transport": Case(
+        make=lambda: specular().freeze(),
+        double=lambda: specular().double().freeze(),
+        inputs=light(),
+        axis=-2,
+    ),
     "sky transport": Case(
         make=lambda: SkyTransport(random(1, 40, len(SKY) + 1)),
         inputs=lambda _: (random(2, len(SKY), 3), random(2, 3), random(2, 3)),
         axis=-2,
+    ),
+    # how many lights a scene has decides what is computed
+    "sky transport, scenes": Case(
+        make=lambda: SkyTransport(random(3, 40, len(SKY) + 1)),
+        inputs=lambda _: (random(3, len(SKY), 3), random(3, 3), random(3, 3)),
+        call=of_scenes,
+        axis=-2,
+        meta=False,
+        batch=False,
     ),
     "partition probe": Case(
         make=lambda: PartitionProbe(Cells.of(named_design("6d"))),
@@ -344,6 +378,7 @@ CASES: dict[str, Case] = {
     ),
     # rotated by two quarter turns, products too
     "coder, decode": Case(
+        batch=False,
         make=coder,
         inputs=lambda _: (CODES.weights,),
         call=decoded,
@@ -351,7 +386,13 @@ CASES: dict[str, Case] = {
         autocast=2**-6,
         tf32=2**-9,
     ),
-    "coder, refit": Case(make=coder, inputs=lambda _: (random(8, 16, 3),), call=refitted, axis=-2),
+    "coder, refit": Case(
+        batch=False,
+        make=coder,
+        inputs=lambda _: (random(8, 16, 3),),
+        call=refitted,
+        axis=-2,
+    ),
     "coder": Case(
         host="what a search takes",
         make=coder,
@@ -360,11 +401,13 @@ CASES: dict[str, Case] = {
         axis=None,
         transforms=False,
         meta=False,  # the search compares values, and a code is as long as they need
+        no_graph="a search, which looks at values to find the next filter",
         autocast=2**-6,
         tf32=0.25,  # of filters that are alike another may be taken: see the test of the search
     ),
     # harmonics of either sign add up to a filter
     "filters": Case(
+        slow_graph=True,
         make=filters,
         inputs=lambda _: (GRID.directions,),
         call=lambda m, x: m.evaluate(x),
@@ -373,6 +416,7 @@ CASES: dict[str, Case] = {
         tf32=2**-9,
     ),
     "filters in a cap": Case(
+        slow_graph=True,
         make=lambda: CapFilterBank(filters(), [1, 2]),
         inputs=lambda _: (GRID.directions,),
         call=lambda m, x: m.evaluate(x),
@@ -390,24 +434,29 @@ CASES: dict[str, Case] = {
         make=lambda: DirectReconstruction(exposed_faces(star_probe(3)).counts() > 0),
         inputs=lambda _: (random(6, 32, 2, 2, 3),),
         axis=None,
+        batch=False,
         autocast=2**-5,
         tf32=2**-8,
     ),
     "correlation": Case(
         dtype="module",
+        slow_graph=True,
         make=lambda: RotationCorrelation(normal(3, 16), Positions(rows=4, twists=2)),
         double=lambda: RotationCorrelation(normal(3, 16), Positions(rows=4, twists=2), dtype=F64),
+        batch=False,  # as many maps at a time as memory is set aside for
         inputs=lambda _: (normal(2, 16),),
         tf32=2**-9,
     ),
     "zonal correlation": Case(
         dtype="module",
+        slow_graph=True,
         make=lambda: ZonalCorrelation(zonal(), Positions(rows=4, twists=1)),
         inputs=lambda _: (normal(2, 16),),
         call=lambda m, x: m.by_group(x)[0],
         autocast=2**-6,
     ),
     "splines on a disk": Case(
+        slow_graph=True,
         make=lambda: DiskSplines(10, SKY),
         inputs=lambda m: (normal(2, m.count, 3), normal(2)),
         axis=1,

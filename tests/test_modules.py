@@ -8,9 +8,10 @@ torch.func before copies and pickles. Devices: all of a module moves. Sizes: a w
 import copy
 import importlib
 import inspect
+import io
 import pickle
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,6 +41,18 @@ PACKAGE = Path(skylight.__file__).parent
 )
 def case(request: pytest.FixtureRequest) -> Case:
     return CASES[request.param]
+
+
+@pytest.fixture(
+    params=[
+        pytest.param(name, marks=pytest.mark.slow if case.slow or case.slow_graph else ())
+        for name, case in CASES.items()
+        if not case.no_graph
+    ]
+)
+def traced(request: pytest.FixtureRequest) -> Iterator[Case]:
+    yield CASES[request.param]
+    torch.compiler.reset()
 
 
 @pytest.fixture
@@ -142,6 +155,69 @@ def test_vmap_is_a_loop(transformable: Case) -> None:
     assert error(found, expected) < 1e-4
     copy.deepcopy(module)
     pickle.dumps(module)
+
+
+def _batches(case: Case, *counts: int) -> Iterator[list[Tensor]]:
+    """The case's inputs, as many of each as asked for."""
+    given = case.given(F32)
+    size = given[0].shape[0]
+    for count in counts if case.batch else [size]:
+        repeated = [i % size for i in range(count)] if case.batch else list(range(size))
+        yield [x[repeated] if x.shape[0] == size else x for x in given]
+
+
+def test_compiled_it_is_the_same(traced: Case) -> None:
+    """Values and gradients, by one graph for batches of any size but 1."""
+    from torch._dynamo.testing import CompileCounterWithBackend  # takes seconds to import
+
+    module, compiler = traced.single(), CompileCounterWithBackend("aot_eager")
+    compiled = torch.compile(traced.call, backend=compiler, fullgraph=True)
+    for given in _batches(traced, 2, 3):
+        results = []
+        for call in (compiled, traced.call):
+            inputs = [x.clone().requires_grad_() for x in given]
+            if traced.batch:
+                for x in inputs:
+                    torch._dynamo.maybe_mark_dynamic(x, 0)
+            value = call(module, *inputs)
+            leaves = [x for x in (*module.parameters(), *inputs) if x.requires_grad]
+            grads = torch.autograd.grad(value.square().mean(), leaves, allow_unused=True)
+            results.append([value, *(x for x in grads if x is not None)])
+        for found, expected in zip(*results, strict=True):
+            assert error(found, expected) < 1e-4
+    assert compiler.frame_count == 1
+
+
+class _Called(nn.Module):
+    def __init__(self, case: Case) -> None:
+        super().__init__()
+        self.module, self.call = case.single(), case.call
+
+    def forward(self, *inputs: Tensor) -> Tensor:
+        return self.call(self.module, *inputs)
+
+
+def test_exported_it_is_the_same(traced: Case) -> None:
+    """Written, read, and run on batches of several sizes."""
+    called = _Called(traced)
+    (given,) = _batches(traced, 2)
+    batch = {0: torch.export.Dim("batch")} if traced.batch else {}
+    shapes = [batch if x.shape[0] == given[0].shape[0] else {} for x in given]
+    program = torch.export.export(called, tuple(given), dynamic_shapes=(tuple(shapes),))
+    file = io.BytesIO()
+    torch.export.save(program, file)
+    file.seek(0)
+    read = torch.export.load(file).module()
+    for inputs in _batches(traced, 1, 3):
+        assert error(read(*inputs), called(*inputs)) < 1e-5
+
+
+@pytest.mark.parametrize("name", [name for name, case in CASES.items() if case.no_graph])
+def test_what_has_no_graph_is_refused(name: str) -> None:
+    case = CASES[name]
+    compiled = torch.compile(case.call, backend="eager", fullgraph=True)
+    with pytest.raises(Exception, match=r"data-dependent|opaque object|Observed exception"):
+        compiled(case.single(), *case.given(F32))
 
 
 def test_all_of_it_moves_to_a_device(case: Case) -> None:

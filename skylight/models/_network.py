@@ -19,7 +19,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight._modes import constant, transformed
+from skylight._modes import transformed
 from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.models._sun_head import COORDINATES, NEAR_RAD, SunHead
@@ -32,11 +32,6 @@ COARSE_HEIGHTS = (4, 8, 16)  # on which skies can be had as well
 CENTRE_AZIMUTH_RAD = math.pi / WIDTH
 # of coded radiance; exp(13) is 20 times the brightest pixel of 440 simulated days
 CODE_LIMIT = 13.0
-
-
-@constant(4)
-def _sun_on_rows(height: int, device: torch.device) -> SunHead:
-    return SunHead(height, CENTRE_AZIMUTH_RAD).to(device)
 
 
 Coding = Literal["log", "linear"]
@@ -124,7 +119,7 @@ class SkyNetwork(Module, ABC):
         self.check_latents(z)
         z, azimuth_rad = (self._in_own_precision(x) for x in (z, azimuth_rad))
         sky = self.uncode(self._decode_in_evaluation(z))
-        turn = (azimuth_rad - CENTRE_AZIMUTH_RAD).expand(len(z))
+        turn = (azimuth_rad - CENTRE_AZIMUTH_RAD).expand(z.shape[0])
         if self.sun_head is not None and sun_spread_rad == 0 and height == HEIGHT:
             return shift_columns(sky + self.sun_head.lobe(z[:, -COORDINATES:]), turn)
         sky = shift_columns(sky, turn)
@@ -135,8 +130,8 @@ class SkyNetwork(Module, ABC):
             sky = sky.repeat_interleave(times, 1).repeat_interleave(times, 2)
         if self.sun_head is None:
             return sky
-        head = self._sun_head(height, z.device)
-        return sky + head.lobe(z[:, -COORDINATES:], azimuth_rad, sun_spread_rad)
+        rows = None if height == HEIGHT else height
+        return sky + self.sun_head.lobe(z[:, -COORDINATES:], azimuth_rad, sun_spread_rad, rows)
 
     def _decode_in_evaluation(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
         """:meth:`decode_coded` as :meth:`decode_at_azimuth` wants it."""
@@ -149,11 +144,6 @@ class SkyNetwork(Module, ABC):
     def _in_own_precision(self, x: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
         """That of the weights, which is a part of what they learnt."""
         return x.to(next(self.parameters(), x).dtype)
-
-    def _sun_head(self, height: int, device: torch.device) -> SunHead:
-        """That of maps of so many rows."""
-        assert self.sun_head is not None
-        return self.sun_head if height == HEIGHT else _sun_on_rows(height, device)
 
     def split(
         self, radiance: Float[Tensor, "b h w 3"]

@@ -79,11 +79,11 @@ class SplineAutoencoder(SkyNetwork):
     ) -> Float[Tensor, "b h w 3"]:
         """:meth:`decode`, rotated so that suns are there; exact, as nothing is resampled."""
         z, azimuth_rad = (self._in_own_precision(x) for x in (z, azimuth_rad))
-        splines = self.splines if height == HEIGHT else _on_rows(height, z.device)
-        coded = splines(self.control(z), azimuth_rad - CENTRE_AZIMUTH_RAD)
+        rows = None if height == HEIGHT else height
+        coded = self.splines(self.control(z), azimuth_rad - CENTRE_AZIMUTH_RAD, rows)
         sky = _radiance(coded).unflatten(1, (height, 4 * height))
-        head = self._sun_head(height, z.device)
-        return sky + head.lobe(z[:, -COORDINATES:], azimuth_rad, sun_spread_rad)
+        assert self.sun_head is not None
+        return sky + self.sun_head.lobe(z[:, -COORDINATES:], azimuth_rad, sun_spread_rad, rows)
 
     def exportable(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b h w 3"]:
         """:meth:`decode` by operations that ONNX knows."""
@@ -91,12 +91,6 @@ class SplineAutoencoder(SkyNetwork):
         coded = self.splines.gathered(self.control(z), torch.zeros(1, device=z.device))
         sky = _radiance(coded).unflatten(1, (HEIGHT, WIDTH))
         return sky + self.sun_head.lobe(z[:, -COORDINATES:])
-
-
-@constant(8)
-def _on_rows(height: int, device: torch.device) -> DiskSplines:
-    """Those of maps of so many rows."""
-    return DiskSplines(ACROSS, DirectionGrid.sky(height)).to(device)
 
 
 class _Products(Module):
@@ -111,6 +105,11 @@ class _Products(Module):
             self.register_buffer(name, table, persistent=False)
 
     def forward(self, x: Float[Tensor, "k c"]) -> Float[Tensor, "n c"]:
+        if torch.compiler.is_compiling():  # knows no function with a derivative forwards
+            columns, first, values = self._matrix("forth")
+            terms = values[:, None] * x[columns]
+            rows = self.get_buffer("rows")
+            return x.new_zeros(len(first), x.shape[1]).index_add(0, rows, terms)
         return _Product.apply(x, *self._matrix("forth"), *self._matrix("back"))
 
     def _matrix(self, name: str) -> tuple[Tensor, Tensor, Tensor]:
@@ -125,7 +124,7 @@ class _Products(Module):
 def _tables(across: int) -> dict[str, Tensor]:
     """Of :class:`_Products`: the values of splines at the pixels of a network's skies."""
     matrix = DiskSplines(across, DirectionGrid.sky(HEIGHT)).matrix()
-    tables = {}
+    tables = {"rows": matrix.nonzero()[:, 0]}
     for name, part in (("forth", matrix), ("back", matrix.T)):
         rows, columns = part.nonzero(as_tuple=True)
         first = torch.bincount(rows, minlength=len(part)).cumsum(0).roll(1)

@@ -20,7 +20,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight._modes import on_cpu, single
+from skylight._modes import constant, on_cpu, single
 from skylight._module import Module
 from skylight.sphere._envmap import luminance
 from skylight.sphere._frame import DirectionGrid, direction_from_angles, squared_chords
@@ -57,21 +57,27 @@ class SunHead(Module):
         coordinates: Float[Tensor, "b 5"],
         azimuth_rad: Float[Tensor, " t"] | None = None,
         spread_rad: float = 0.0,
+        height: int | None = None,
     ) -> Float[Tensor, "b h w 3"]:
         """Radiance of the suns alone, at the map's centre or at azimuths of their own.
 
-        ``spread_rad`` is added to the lobe's width: 1 / kappa + spread^2 for 1 / kappa.
+        ``spread_rad`` is added to the lobe's width: 1 / kappa + spread^2 for 1 / kappa. ``height``
+        is that of other maps than the head's.
         """
+        directions, solid_angles = self.directions, self.solid_angles
+        if height is not None:
+            directions, solid_angles = _pixels(height, coordinates.device).split((3, 1), 1)
         zenith, energy, kappa = _parameters(coordinates)
         kappa = 1 / (1 / kappa + spread_rad**2)
         if azimuth_rad is None:
             azimuth_rad = torch.full_like(zenith, self.azimuth_rad)
         azimuth_rad = azimuth_rad.expand_as(zenith)  # of one for all
         sun = direction_from_angles(azimuth_rad, zenith)
-        exponent = -0.5 * kappa[:, None] * squared_chords(sun, self.directions.to(sun.dtype))
-        total = torch.logsumexp(exponent + self.solid_angles.log().to(sun.dtype), 1, keepdim=True)
+        exponent = -0.5 * kappa[:, None] * squared_chords(sun, directions.to(sun.dtype))
+        weight = solid_angles.flatten().log().to(sun.dtype)
+        total = torch.logsumexp(exponent + weight, 1, keepdim=True)
         radiance = (exponent - total).exp()[:, None] * energy[..., None]
-        return radiance.unflatten(2, (self.height, 4 * self.height)).permute(0, 2, 3, 1)
+        return radiance.unflatten(2, (height or self.height, -1)).permute(0, 2, 3, 1)
 
     def direction(
         self, coordinates: Float[Tensor, "b 5"], azimuth_rad: Float[Tensor, " b"]
@@ -103,6 +109,13 @@ class SunHead(Module):
         zenith, kappa = _fit_lobe(light, directions, solid, peak, self.azimuth_rad)
         coordinates = _coordinates(zenith, energy, kappa)
         return coordinates.to(skies), (flat - excess).reshape(skies.shape).to(skies)
+
+
+@constant(4)
+def _pixels(height: int, device: torch.device) -> Float[Tensor, "n 4"]:
+    """Directions and solid angles of a sky of so many rows."""
+    grid = DirectionGrid.sky(height)
+    return torch.cat([grid.directions, grid.solid_angles[:, None]], 1).to(device)
 
 
 def _fit_lobe(

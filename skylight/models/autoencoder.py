@@ -107,7 +107,7 @@ class AutoencoderLight(Module):
         """
         z, azimuth = self._parts(params)
         sky = self.network.decode_at_azimuth(z, azimuth, self.sun_spread_rad, self.height)
-        return sky.reshape(*params.shape[:-1], len(self.grid), 3).to(single(params).dtype)
+        return sky.reshape(*params.shape[:-1], 4 * self.height**2, 3).to(single(params).dtype)
 
     def encode(
         self, maps: EnvironmentMap | Float[Tensor, "*batch h w 3"]

@@ -24,7 +24,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import grid_sample, pad
 
-from skylight._modes import on_cpu, single
+from skylight._modes import constant, on_cpu, single
 from skylight._module import Module
 from skylight.errors import InputError, check_shape
 from skylight.sphere._frame import DirectionGrid, angles_from_direction
@@ -94,24 +94,27 @@ class DiskSplines(Module):
         self.register_buffer("number", number, persistent=False)
         lattice = torch.where(reaches, number, self.count)  # the others are 0, which is appended
         self.register_buffer("lattice", lattice, persistent=False)
-        azimuth, zenith = angles_from_direction(grid.directions)
-        self.register_buffer("radius", zenith / (math.pi / 2), persistent=False)
+        radius, azimuth = _polar_of(grid)
+        self.register_buffer("radius", radius, persistent=False)
         self.register_buffer("azimuth_rad", azimuth, persistent=False)
 
     def _places(
-        self, turn_rad: Float[Tensor, " b"]
+        self, turn_rad: Float[Tensor, " b"], height: int | None = None
     ) -> tuple[Float[Tensor, "b n"], Float[Tensor, "b n"]]:
         """(x, y) of every direction in cells of the lattice, the function turned to the right."""
-        angle = self.azimuth_rad.to(turn_rad.dtype) - turn_rad[:, None]
-        radius, scale = self.radius.to(turn_rad.dtype), (self.across - 3) / 2
+        radius, azimuth = self.radius, self.azimuth_rad
+        if height is not None:
+            radius, azimuth = _polar(height, turn_rad.device).unbind()
+        angle = azimuth.to(turn_rad.dtype) - turn_rad[:, None]
+        radius, scale = radius.to(turn_rad.dtype), (self.across - 3) / 2
         across = scale * (radius * torch.sin(angle) + 1)
         return across, scale * (radius * torch.cos(angle) + 1)
 
     def taps(
-        self, turn_rad: Float[Tensor, " b"]
+        self, turn_rad: Float[Tensor, " b"], height: int | None = None
     ) -> tuple[Int[Tensor, "b n 16"], Float[Tensor, "b n 16"]]:
         """(control points, their weights) of every direction, the function turned to the right."""
-        across, along = self._places(turn_rad)
+        across, along = self._places(turn_rad, height)
         column, across_weights = _cubic(across, self.across - 4)
         row, along_weights = _cubic(along, self.across - 4)
         near = torch.arange(4, device=row.device)
@@ -122,34 +125,48 @@ class DiskSplines(Module):
         return number, weights.flatten(-2)
 
     def forward(
-        self, control: Float[Tensor, "b k c"], turn_rad: Float[Tensor, " t"]
+        self,
+        control: Float[Tensor, "b k c"],
+        turn_rad: Float[Tensor, " t"],
+        height: int | None = None,
     ) -> Float[Tensor, "b n c"]:
-        """Values on the grid, differentiable in both; one turn of all, or as many as functions."""
+        """Values on the grid, or on a sky's of ``height`` rows; differentiable in both.
+
+        One turn of all functions, or as many.
+        """
         if control.dim() != 3:
             raise InputError(
                 f"DiskSplines' control points of shape {tuple(control.shape)}: give (b, k, c)"
             )
-        count, channels = len(control), control.shape[2]
+        count, _, channels = control.shape
+        turns = turn_rad.shape[0]  # not len, which an export takes for a constant
         check_shape("DiskSplines' control points", control.shape, self.count, channels)
-        if len(turn_rad) not in (1, count):
-            raise InputError(f"{len(turn_rad)} turns of {count} functions: give 1 or {count}")
+        if turns not in (count, 1):
+            raise InputError(f"{turns} turns of {count} functions: give 1 or {count}")
         dtype, control = control.dtype, single(control)  # eight bits do not tell places apart
         turn_rad = turn_rad.to(control.dtype)
+        if torch.compiler.is_compiling():
+            return self.gathered(control, turn_rad, height).to(dtype)
         images = pad(control.transpose(1, 2), (0, 1)).index_select(2, self.lattice)
-        of_a_turn = channels if len(turn_rad) == count else count * channels
-        images = images.reshape(len(turn_rad), of_a_turn, self.across, self.across)
-        across, along = self._places(turn_rad)
+        of_a_turn = channels if turns == count else count * channels
+        images = images.reshape(turns, of_a_turn, self.across, self.across)
+        across, along = self._places(turn_rad, height)
         values: Tensor = _Splines.apply(images, across, along)
         return values.reshape(count, channels, across.shape[1]).transpose(1, 2).to(dtype)
 
     def gathered(
-        self, control: Float[Tensor, "b k c"], turn_rad: Float[Tensor, " 1"]
+        self,
+        control: Float[Tensor, "b k c"],
+        turn_rad: Float[Tensor, " t"],
+        height: int | None = None,
     ) -> Float[Tensor, "b n c"]:
-        """:meth:`forward` of one turn by its sixteen control points: twenty times as slow, of
-        operations that every exporter knows."""
-        index, weights = self.taps(turn_rad)
-        near = control.index_select(1, index.flatten())
-        near = near.reshape(control.shape[0], index.shape[1], TAPS, control.shape[2])
+        """:meth:`forward` by sixteen control points each, of operations that all exporters know.
+
+        Slow but in a graph, where a compiler makes one loop of it, twice as fast as the other.
+        """
+        index, weights = self.taps(turn_rad, height)
+        index = index.flatten(1)[..., None].expand(control.shape[0], -1, control.shape[2])
+        near = control.gather(1, index).unflatten(1, (-1, TAPS))
         return (near * weights[..., None]).sum(2)
 
     def matrix(self) -> Float[Tensor, "n k"]:
@@ -158,6 +175,18 @@ class DiskSplines(Module):
         index, weights = self.taps(still)
         dense = torch.zeros(index.shape[1], self.count, dtype=torch.float64, device=index.device)
         return dense.scatter_add_(1, index[0], weights[0].double())
+
+
+def _polar_of(grid: DirectionGrid) -> Float[Tensor, "2 n"]:
+    """Directions on the unit disk: r, and the azimuth in rad."""
+    azimuth, zenith = angles_from_direction(grid.directions)
+    return torch.stack([zenith / (math.pi / 2), azimuth])
+
+
+@constant(8)
+def _polar(height: int, device: torch.device) -> Float[Tensor, "2 n"]:
+    """Of the pixels of a sky of so many rows."""
+    return _polar_of(DirectionGrid.sky(height)).to(device)
 
 
 class _Splines(torch.autograd.Function):

@@ -34,6 +34,7 @@ from ._rays import (
 )
 from ._reflection import (
     DiffuseTransport as DiffuseTransport,
+    FrozenTransport as FrozenTransport,
     SkyTransport as SkyTransport,
     SpecularTransport as SpecularTransport,
     shade_scenes as shade_scenes,

@@ -89,6 +89,14 @@ class DiffuseTransport(Module):
         """A constant copy for the solvers of :mod:`skylight.inverse`."""
         return TransportMatrix(matrix=self.matrix.detach().float(), grid=self.grid)
 
+    def freeze(self) -> "FrozenTransport":
+        """The same with the normals as they are now.
+
+        A graph of ``torch.compile`` or ``torch.export`` then holds the matrix, which it otherwise
+        computes in every call.
+        """
+        return FrozenTransport(self.matrix.detach().clone(), self.grid)
+
     def forward(
         self, radiance: Float[Tensor, "*batch n 3"], albedo: float | Float[Tensor, "..."] = 1.0
     ) -> Float[Tensor, "*batch m 3"]:
@@ -104,14 +112,43 @@ class DiffuseTransport(Module):
         ValueError
             An albedo of another shape, such as (m,).
         """
-        check_shape(f"{type(self).__name__}'s radiance", radiance.shape, len(self.grid), 3)
-        shading = shade(self.matrix.to(radiance.dtype), radiance)
-        if isinstance(albedo, Tensor) and not _broadcasts(albedo.shape, shading.shape):
-            raise ValueError(
-                f"an albedo of shape {tuple(albedo.shape)} does not fit shading of shape "
-                f"{tuple(shading.shape)}: give a number, (3,), (points, 3) or (..., points, 3)"
-            )
-        return albedo * shading
+        return _reflected(self, radiance, albedo)
+
+
+class FrozenTransport(Module):
+    """:class:`DiffuseTransport` or :class:`SpecularTransport` of constant normals.
+
+    ``matrix`` (m,n), radiance to shading at a reflectance of 1, is a buffer.
+    """
+
+    matrix: Tensor
+
+    def __init__(self, matrix: Float[Tensor, "m n"], grid: DirectionGrid) -> None:
+        super().__init__()
+        self.grid = grid
+        self.register_buffer("matrix", matrix)
+
+    def forward(
+        self, radiance: Float[Tensor, "*batch n 3"], albedo: float | Float[Tensor, "..."] = 1.0
+    ) -> Float[Tensor, "*batch m 3"]:
+        """As :meth:`DiffuseTransport.forward`."""
+        return _reflected(self, radiance, albedo)
+
+
+def _reflected(
+    transport: DiffuseTransport | FrozenTransport,
+    radiance: Float[Tensor, "*batch n 3"],
+    albedo: float | Float[Tensor, "..."],
+) -> Float[Tensor, "*batch m 3"]:
+    """``albedo * (matrix @ radiance)``, their shapes checked."""
+    check_shape(f"{type(transport).__name__}'s radiance", radiance.shape, len(transport.grid), 3)
+    shading = shade(transport.matrix.to(radiance.dtype), radiance)
+    if isinstance(albedo, Tensor) and not _broadcasts(albedo.shape, shading.shape):
+        raise ValueError(
+            f"an albedo of shape {tuple(albedo.shape)} does not fit shading of shape "
+            f"{tuple(shading.shape)}: give a number, (3,), (points, 3) or (..., points, 3)"
+        )
+    return albedo * shading
 
 
 class SkyTransport(Module):
@@ -158,7 +195,7 @@ class SkyTransport(Module):
     ) -> Float[Tensor, "b m 3"]:
         """T l: the same for an albedo of 1."""
         check_shape("SkyTransport's sky", sky.shape, self.folded.shape[2] - 1, 3)
-        check_shape("SkyTransport's ground", ground.shape, len(sky), 3)
+        check_shape("SkyTransport's ground", ground.shape, sky.shape[0], 3)
         return shade_scenes(
             self.folded.to(sky.dtype), torch.cat([sky, ground[:, None]], dim=1), scene
         )
@@ -172,11 +209,14 @@ def shade_scenes(
     """``matrices[scene] @ radiance`` as one batched product, which copies no matrix.
 
     ``scene`` is in ascending order. The lights of each scene go into as many slots as the scene
-    with the most lights has; the product is over all slots.
+    with the most lights has; the product is over all slots. A graph, whose sizes cannot depend on
+    values, copies the matrix of each light.
     """
     if len(matrices) == 1:
         return shade(matrices[0], radiance)
     assert scene is not None
+    if torch.compiler.is_compiling():
+        return matrices[scene] @ radiance
     assert scene.device.type != "cpu" or bool((scene.diff() >= 0).all())
     colours = radiance.shape[-1]
     counts = torch.bincount(scene, minlength=len(matrices))
@@ -195,8 +235,10 @@ def shade(
     """``matrix @ radiance`` as one product for all lights and colours."""
     rows = radiance.transpose(-1, -2).flatten(0, -2)
     # BLAS takes fewer rows one by one: of one light, 150 ms instead of 20 for 3,700 pixels
-    padded = functional.pad(rows, (0, 0, 0, max(0, _FEWEST_ROWS - len(rows))))
-    shading = functional.linear(padded, matrix)[: len(rows)]
+    count = rows.shape[0]
+    lacking = torch.sym_max(0, _FEWEST_ROWS - count)  # of a graph for any count
+    padded = functional.pad(rows, (0, 0, 0, lacking))  # pyright: ignore[reportArgumentType]
+    shading = functional.linear(padded, matrix)[:count]
     return shading.reshape(*radiance.shape[:-2], radiance.shape[-1], len(matrix)).transpose(-1, -2)
 
 

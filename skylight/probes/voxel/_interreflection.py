@@ -15,6 +15,7 @@ face itself, side i + 1 is where occluder i of :data:`~skylight.probes.voxel._mo
 """
 
 import math
+from typing import Any
 
 import numpy as np
 import torch
@@ -190,9 +191,53 @@ def slot_transfer(
     return _cached_transfer(float(albedo), size, degree).clone()
 
 
+@torch.library.custom_op("skylight::slot_transfer", mutates_args=())
+def solved_transfer(albedo: Tensor, size: int, degree: int) -> Tensor:
+    """:func:`slot_transfer` of (c,) albedos for graphs, which call it as it is: (c,32,n,n,k)."""
+    found = [slot_transfer(a, size=size, degree=degree) for a in albedo.detach().tolist()]
+    return torch.stack(found).to(albedo.device)
+
+
+@torch.library.custom_op("skylight::slot_transfer_backward", mutates_args=())
+def _transfer_slope(grad: Tensor, albedo: Tensor, size: int, degree: int) -> Tensor:
+    """``<grad, d t / d albedo>`` of each."""
+    slopes = torch.stack([_cached_slope(a, size, degree) for a in albedo.tolist()]).to(grad)
+    return (grad * slopes).flatten(1).sum(1).to(albedo)
+
+
+def _transfer_shaped(albedo: Tensor, size: int, degree: int) -> Tensor:
+    shape = len(albedo), CONFIGURATIONS, size, size, (degree + 1) ** 2
+    return albedo.new_empty(shape, dtype=torch.float64)
+
+
+def _slope_shaped(grad: Tensor, albedo: Tensor, size: int, degree: int) -> Tensor:
+    return torch.empty_like(albedo)
+
+
+def _keep_albedo(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
+    albedo, *ctx.rule = inputs
+    ctx.save_for_backward(albedo)
+
+
+def _transfer_backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None, None]:
+    return _transfer_slope(grad, *ctx.saved_tensors, *ctx.rule), None, None
+
+
+solved_transfer.register_fake(_transfer_shaped)
+_transfer_slope.register_fake(_slope_shaped)
+solved_transfer.register_autograd(_transfer_backward, setup_context=_keep_albedo)
+
+
 @constant(8)
 def _cached_transfer(albedo: float, size: int, degree: int) -> Tensor:
     return _cell_transfer(size, degree).at(albedo).unflatten(1, (size, size))
+
+
+@constant(8)
+def _cached_slope(albedo: float, size: int, degree: int) -> Tensor:
+    """d t / d albedo."""
+    at, transfer = torch.tensor(albedo, dtype=torch.float64), _cell_transfer(size, degree)
+    return torch.func.jvp(transfer.at, (at,), (torch.ones_like(at),))[1].unflatten(1, (size, size))
 
 
 @constant(4)

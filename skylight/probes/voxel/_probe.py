@@ -7,7 +7,13 @@ from torch import Tensor, nn
 from skylight._modes import Derived, on_cpu
 from skylight._module import Module
 from skylight.errors import InputError, check_shape
-from skylight.probes.voxel._interreflection import DEGREE, SIZE, face_frame, slot_transfer
+from skylight.probes.voxel._interreflection import (
+    DEGREE,
+    SIZE,
+    face_frame,
+    slot_transfer,
+    solved_transfer,
+)
 from skylight.probes.voxel._model import ORIENTATIONS, VoxelModel, exposed_faces
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._frame import DirectionGrid
@@ -92,5 +98,7 @@ class VoxelProbe(Module):
 
     def _solved(self) -> Float[Tensor, "3 32 n n k"]:
         """t of each colour, for light in the face's frame; solved for on the CPU."""
+        if torch.compiler.is_compiling():
+            return solved_transfer(self.albedo, self.size, self.degree).double()
         found = [slot_transfer(a, size=self.size, degree=self.degree) for a in self.albedo.cpu()]
         return torch.stack(found).double().to(self.albedo.device)
