@@ -109,6 +109,7 @@ class DiffuseTransport(nn.Module):
         ValueError
             An albedo of another shape, such as (m,).
         """
+        check_shape("radiance", radiance.shape, len(self.grid), 3)
         return _reflected(self.matrix, radiance, albedo)
 
 
@@ -129,6 +130,7 @@ class FrozenTransport(nn.Module):
         self, radiance: Float[Tensor, "*batch n 3"], albedo: float | Float[Tensor, "..."] = 1.0
     ) -> Float[Tensor, "*batch m 3"]:
         """As :meth:`DiffuseTransport.forward`."""
+        check_shape("radiance", radiance.shape, len(self.grid), 3)
         return _reflected(self.matrix, radiance, albedo)
 
 
@@ -137,8 +139,7 @@ def _reflected(
     radiance: Float[Tensor, "*batch n 3"],
     albedo: float | Float[Tensor, "..."],
 ) -> Float[Tensor, "*batch m 3"]:
-    """``albedo * (matrix @ radiance)``, their shapes checked."""
-    check_shape("radiance", radiance.shape, matrix.shape[1], 3)
+    """``albedo * (matrix @ radiance)``, the albedo's shape checked."""
     shading = shade(matrix, radiance)
     if isinstance(albedo, Tensor) and not _broadcasts(albedo.shape, shading.shape):
         raise ValueError(
