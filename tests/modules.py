@@ -331,6 +331,7 @@ CASES: dict[str, Case] = {
     ),
     # how many lights a scene has decides what is computed
     "sky transport, scenes": Case(
+        host="which light belongs to which scene",
         make=lambda: SkyTransport(random(3, 40, len(SKY) + 1)),
         inputs=lambda _: (random(3, len(SKY), 3), random(3, 3), random(3, 3)),
         call=of_scenes,

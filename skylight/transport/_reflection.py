@@ -112,7 +112,8 @@ class DiffuseTransport(Module):
         ValueError
             An albedo of another shape, such as (m,).
         """
-        return _reflected(self, radiance, albedo)
+        check_shape(f"{type(self).__name__}'s radiance", radiance.shape, len(self.grid), 3)
+        return _reflected(self.matrix, radiance, albedo)
 
 
 class FrozenTransport(Module):
@@ -132,17 +133,17 @@ class FrozenTransport(Module):
         self, radiance: Float[Tensor, "*batch n 3"], albedo: float | Float[Tensor, "..."] = 1.0
     ) -> Float[Tensor, "*batch m 3"]:
         """As :meth:`DiffuseTransport.forward`."""
-        return _reflected(self, radiance, albedo)
+        check_shape(f"{type(self).__name__}'s radiance", radiance.shape, len(self.grid), 3)
+        return _reflected(self.matrix, radiance, albedo)
 
 
 def _reflected(
-    transport: DiffuseTransport | FrozenTransport,
+    matrix: Float[Tensor, "m n"],
     radiance: Float[Tensor, "*batch n 3"],
     albedo: float | Float[Tensor, "..."],
 ) -> Float[Tensor, "*batch m 3"]:
-    """``albedo * (matrix @ radiance)``, their shapes checked."""
-    check_shape(f"{type(transport).__name__}'s radiance", radiance.shape, len(transport.grid), 3)
-    shading = shade(transport.matrix.to(radiance.dtype), radiance)
+    """``albedo * (matrix @ radiance)``, the albedo's shape checked."""
+    shading = shade(matrix.to(radiance.dtype), radiance)
     if isinstance(albedo, Tensor) and not _broadcasts(albedo.shape, shading.shape):
         raise ValueError(
             f"an albedo of shape {tuple(albedo.shape)} does not fit shading of shape "
