@@ -252,8 +252,8 @@ class SphericalSparseCoder(Module):
         atoms: Float[Tensor, "*batch k n"],
     ) -> CodeTensors:
         solid_angles = self.transform.solid_angles.expand(-1, 2 * self.height).flatten()
-        weighted = atoms * solid_angles.to(atoms)
-        target = maps.to(atoms).flatten(-3, -2)
+        weighted = atoms * solid_angles.to(atoms.dtype)
+        target = maps.to(atoms.dtype).flatten(-3, -2)
         right = (weighted @ target).mT[..., None]  # (*batch, 3, k, 1)
         used = (codes.weights != 0).mT
         gram = (weighted @ atoms.mT)[..., None, :, :] * (used[..., None] & used[..., None, :])
@@ -267,7 +267,7 @@ class SphericalSparseCoder(Module):
         self, maps: Float[Tensor, "*batch h w 3"], codes: CodeTensors
     ) -> Float[Tensor, "*batch"]:
         """``|x - decode(codes)| / |x|``, weighted by solid angle, over all colours."""
-        weight = self.transform.solid_angles[..., None].to(maps)
+        weight = self.transform.solid_angles[..., None].to(maps.dtype)
         missed = (maps - self.decode(codes)).square() * weight
         return (missed.sum((-3, -2, -1)) / (maps.square() * weight).sum((-3, -2, -1))).sqrt()
 
@@ -298,13 +298,13 @@ class SphericalSparseCoder(Module):
                 boxes = _sum_of_boxes(part, codes)
                 if maps.shape[-3] != self.height:
                     boxes = averaged(boxes, maps.shape[-3])
-                maps = maps + boxes.to(maps)
+                maps = maps + boxes.to(maps.dtype)
         return maps.to(codes.weights.dtype)
 
     def coefficients(self, codes: CodeTensors) -> Float[Tensor, "*batch k c"]:
         """``sum_j R_j d_j w_j`` about the zenith, pixels left out; differentiable."""
         atoms = rotated_atoms(self.parts, codes)
-        return atoms.mT @ codes.weights.to(atoms)
+        return atoms.mT @ codes.weights.to(atoms.dtype)
 
     def _sampled_atoms(self, codes: CodeTensors) -> Float[Tensor, "*batch s h w"]:
         """The atoms on the pixels of the coder's maps."""
@@ -312,7 +312,7 @@ class SphericalSparseCoder(Module):
         for part in self.parts:
             if isinstance(part, BoxDictionary):
                 down, across = part.sides(codes)
-                atoms = torch.addcmul(atoms, down[..., None].to(atoms), across[..., None, :])
+                atoms = torch.addcmul(atoms, down[..., None].to(atoms.dtype), across[..., None, :])
         return atoms
 
     def sparse_code(self, code: CodeTensors, relative_error: float) -> SparseCode:
