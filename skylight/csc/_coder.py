@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from skylight._modes import full_precision, on_cpu, single, transformed
+from skylight._modes import full_precision, on_cpu, transformed
 from skylight._module import Module
 from skylight.csc._code import CodeTensors, SparseCode
 from skylight.csc._dictionary import FilterBank, load_dictionary
@@ -153,12 +153,13 @@ class SphericalSparseCoder(Module):
         Raises
         ------
         InputError
-            Maps of another size, black or not finite, or within a transform of :mod:`torch.func`.
+            Maps of another size, black or not finite, or within a transform of :mod:`torch.func`,
+            :func:`torch.compile` or :func:`torch.export.export`.
         """
-        if transformed():
+        if transformed() or torch.compiler.is_compiling():
             raise InputError(
-                "which filters are active is searched for, which no transform of torch.func can "
-                "follow: code the maps before, and refit or decode within"
+                "which filters are active is searched for, which no graph and no transform of "
+                "torch.func can follow: code the maps before, and refit or decode within"
             )
         self._check_maps(maps)
         flat = maps.reshape(-1, *maps.shape[-3:])
@@ -241,24 +242,17 @@ class SphericalSparseCoder(Module):
         support of a non-negative code the derivative is that of its non-negative least squares.
         """
         check_shape("SphericalSparseCoder's maps", maps.shape, self.height, 2 * self.height, 3)
-        atoms = single(self._sampled_atoms(codes).flatten(-2))
-        with full_precision(atoms):  # a Gramian of eight bits may have no inverse
-            return self._refitted(maps, codes, atoms)
-
-    def _refitted(
-        self,
-        maps: Float[Tensor, "*batch h w 3"],
-        codes: CodeTensors,
-        atoms: Float[Tensor, "*batch k n"],
-    ) -> CodeTensors:
+        # in float64: atoms that are alike have no inverse of their Gram matrix in float32
+        atoms = self._sampled_atoms(codes).flatten(-2).double()
         solid_angles = self.transform.solid_angles.expand(-1, 2 * self.height).flatten()
-        weighted = atoms * solid_angles.to(atoms.dtype)
-        target = maps.to(atoms.dtype).flatten(-3, -2)
+        weighted = atoms * solid_angles.double()
+        target = maps.double().flatten(-3, -2)
         right = (weighted @ target).mT[..., None]  # (*batch, 3, k, 1)
         used = (codes.weights != 0).mT
         gram = (weighted @ atoms.mT)[..., None, :, :] * (used[..., None] & used[..., None, :])
         diagonal = gram.diagonal(dim1=-2, dim2=-1)
-        extra = torch.where(used, _RIDGE * diagonal, torch.ones_like(diagonal))
+        # what is no activation has no atom
+        extra = torch.where(diagonal > 0, _RIDGE * diagonal, 1)
         # the ridge leaves nothing to check, for which a device would wait
         solved, _ = torch.linalg.solve_ex(gram + torch.diag_embed(extra), right * used[..., None])
         return codes._replace(weights=solved[..., 0].mT.to(maps.dtype))

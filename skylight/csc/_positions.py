@@ -38,16 +38,15 @@ class Positions:
 
     @property
     def beta(self) -> Float[Tensor, " rows"]:
-        return (torch.arange(self.rows, dtype=torch.float64) + 0.5) * math.pi / self.rows
+        return self.rotations(_along(0, self.rows))[:, 1]
 
     @property
     def alpha(self) -> Float[Tensor, " columns"]:
-        turn = (torch.arange(self.columns, dtype=torch.float64) + 0.5) / self.columns
-        return 2 * math.pi * (1 - turn)
+        return self.rotations(_along(1, self.columns))[:, 0]
 
     @property
     def gamma(self) -> Float[Tensor, " twists"]:
-        return torch.arange(self.twists, dtype=torch.float64) * 2 * math.pi / self.twists
+        return self.rotations(_along(2, self.twists))[:, 2]
 
     def rotations(self, places: Int[Tensor, "s 3"]) -> Float[Tensor, "s 3"]:
         """Euler angles (alpha, beta, gamma) of (row, column, twist) triples, float64."""
@@ -63,6 +62,11 @@ class Positions:
         column = ((1 - alpha / (2 * math.pi)) * self.columns - 0.5).round() % self.columns
         twist = (gamma / (2 * math.pi) * self.twists).round() % self.twists
         return torch.stack([row, column, twist], 1).long()
+
+
+def _along(axis: int, count: int) -> Int[Tensor, "s 3"]:
+    """The first places along one axis, at 0 of the others."""
+    return torch.arange(count)[:, None] * (torch.arange(3) == axis)
 
 
 def centres_of(rotations: Float[Tensor, "*s 3"]) -> Float[Tensor, "*s 3"]:

@@ -320,7 +320,7 @@ class ZonalCorrelation(Module):
         return basis * self.bands.double()[filters.to(self.bands.device)][:, self.band_of]
 
 
-class FilterRotation(nn.Module):
+class FilterRotation(Module):
     """``R_j d_j`` of filters about the zenith, each with its own rotation (thesis, Eq. 6.9).
 
     With the Euler angles (alpha, beta, gamma) and a quarter turn Q = Ry(pi / 2), ::

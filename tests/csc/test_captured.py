@@ -62,6 +62,20 @@ def test_a_program_takes_codes_of_any_batch_from_a_file() -> None:
     torch.testing.assert_close(again(three), of.decode(three), atol=1e-12, rtol=0)
 
 
+def test_a_refit_of_one_atom_twice_is_finite_in_float32() -> None:
+    """Each has half the weight, as in float64; padding has none, whatever stood there."""
+    given = codes(coder())
+    twice = given._replace(weights=torch.ones_like(given.weights))
+    for each in (twice.filters, twice.rotations):
+        each[:, 1] = each[:, 0]
+    expected = coder().refit(MAPS, twice)
+    single = twice._replace(weights=twice.weights.float())
+    found = coder().float().refit(MAPS.float(), single)
+    torch.testing.assert_close(found.weights.double(), expected.weights, atol=1e-5, rtol=0)
+    torch.testing.assert_close(found.weights[:, 1], found.weights[:, 0], atol=1e-5, rtol=0)
+    assert not found.weights[1, 4:].any()
+
+
 @pytest.mark.slow
 def test_coding_compiles_without_breaks() -> None:
     of = coder()
