@@ -71,8 +71,8 @@ def test_a_refit_of_one_atom_twice_is_finite_in_float32() -> None:
     expected = coder().refit(MAPS, twice)
     single = twice._replace(weights=twice.weights.float())
     found = coder().float().refit(MAPS.float(), single)
-    torch.testing.assert_close(found.weights.double(), expected.weights, atol=1e-5, rtol=0)
-    torch.testing.assert_close(found.weights[:, 1], found.weights[:, 0], atol=1e-5, rtol=0)
+    torch.testing.assert_close(found.weights.double(), expected.weights, atol=1e-3, rtol=0)
+    torch.testing.assert_close(found.weights[:, 1], found.weights[:, 0], atol=1e-3, rtol=0)
     assert not found.weights[1, 4:].any()
 
 
