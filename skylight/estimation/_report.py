@@ -71,7 +71,7 @@ LIGHTS = {
 
 
 def light_in_words(name: str) -> str:
-    """Of a model of the user's its name; signs of formulas are none there."""
+    """A light model as reports name it: the user's own by its name, in which $ is no formula."""
     return LIGHTS.get(name, f"light model: {name}".replace("$", r"\$"))
 
 

@@ -8,11 +8,13 @@ import copy
 from collections.abc import Mapping
 from typing import Any, TypeGuard
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.distributions import Distribution
 
+from skylight._modes import Derived
 from skylight.errors import InputError
 from skylight.inverse._sky import SKY_ROWS, require_light
 from skylight.io._tensors import tensors_sha256
@@ -101,9 +103,9 @@ def _on_rows(model: LightModel, layout: tuple[int, int] | None) -> LightModel:
         return model
     try:
         other = model.on_rows(layout[0])
-        return other if other.grid.layout == layout else model
-    except Exception:
+    except (NotImplementedError, ValueError, InputError):
         return model
+    return other if other.grid.layout == layout else model
 
 
 def own_light(
@@ -126,8 +128,10 @@ def own_light(
     whole = height if model.grid.is_sphere else 2 * height
     rows = whole if FEWEST_ROWS <= whole <= MOST_ROWS and not MOST_ROWS % whole else MOST_ROWS
     starts = _tensor(model.starts(), f"{called(model)}.starts()", "s", model.parameter_count)
-    if len(starts) == 0 or not bool(starts.isfinite().all()):
-        raise InputError(f"{called(model)}.starts() must be one or more, and finite: {starts}")
+    if len(starts) == 0 or not (starts.is_floating_point() and bool(starts.isfinite().all())):
+        raise InputError(
+            f"{called(model)}.starts() must be one or more, finite and in floating point: {starts}"
+        )
     light = OwnLight(model, rows if model.grid.is_sphere else rows // 2, starts.dtype)
     starts = starts[:4].to(where, torch.float32)
     free = _check_bounds(light, starts)
@@ -183,8 +187,8 @@ def _moved(given: Any, where: torch.device, what: str) -> Any:
         moved = copy.deepcopy(given)
     except (RuntimeError, TypeError) as error:
         raise InputError(
-            f"{what} cannot be copied ({str(error).splitlines()[0]}): keep what is computed as "
-            "detached buffers"
+            f"{what} cannot be copied ({str(error).splitlines()[0]}): keep nothing in it "
+            "but modules, detached tensors and plain values"
         ) from error
     if isinstance(moved, nn.Module):
         return moved.eval().requires_grad_(False).to(where)
@@ -218,7 +222,10 @@ def _tensor(value: object, what: str, *shape: str | int) -> Tensor:
 def _check_bounds(light: OwnLight, starts: Float[Tensor, "s p"]) -> Float[Tensor, "s p"]:
     """The starts' free parameters; whatever free ones are, parameters stay within the bounds."""
     count, name = light.parameter_count, called(light.model)
-    low, high = (_tensor(bound, f"{name}.bounds", count).to(starts) for bound in light.bounds)
+    bounds: object = light.model.bounds
+    if not isinstance(bounds, tuple | list) or len(bounds) != 2:
+        raise InputError(f"{name}.bounds must be {MEMBERS['bounds']}, not {bounds}")
+    low, high = (_tensor(bound, f"{name}.bounds", count).to(starts) for bound in bounds)
     free = _tensor(light.to_free(starts), f"{name}.to_free", len(starts), count)
     if not bool(free.isfinite().all()):
         raise InputError(f"{name}.to_free is not finite at its own starts")
@@ -226,14 +233,29 @@ def _check_bounds(light: OwnLight, starts: Float[Tensor, "s p"]) -> Float[Tensor
     params = _tensor(light.from_free(far), f"{name}.from_free", len(far), count)
     if not bool(((params >= low) & (params <= high)).all()):
         raise InputError(f"{name}.from_free leaves its bounds: map all of R^p between them")
+    azimuth = light.azimuth_index
+    if azimuth is not None and not torch.allclose(params[:, azimuth], far[:, azimuth]):
+        raise InputError(
+            f"{name}: parameter {azimuth} is the azimuth, which turns all round: leave it as it is "
+            "in from_free and to_free, without bounds"
+        )
     return free
 
 
 def _check_radiance(light: OwnLight, params: Float[Tensor, "s p"]) -> None:
     """Of the shape of its grid, finite and nowhere below 0."""
     count, grid = len(params), light.there.grid
-    with torch.no_grad():
-        radiance = light.there(params.to(light.dtype))
+    try:
+        with torch.no_grad():
+            radiance = light.there(params.to(light.dtype))
+    except (IndexError, RuntimeError) as error:
+        if grid.layout == light.model.grid.layout:
+            raise  # what the model does on its own rows is told best by where it fails
+        raise InputError(
+            f"{called(light.model)} fails on the rows {grid.layout} of its on_rows "
+            f"({str(error).splitlines()[0]}): override that where the model keeps more than "
+            "directions"
+        ) from error
     _tensor(radiance, f"{called(light.model)}: radiance", count, len(grid), 3)
     require_light(radiance, called(light.model), "its starts")
 
@@ -249,14 +271,20 @@ def _check_gradient(light: OwnLight, free: Float[Tensor, "s p"]) -> None:
 
 
 def _check_sun(light: OwnLight, starts: Float[Tensor, "s p"]) -> None:
+    """Unit vectors for any leading sizes, at starts that have a sun."""
     count, name = light.parameter_count, called(light.model)
-    sun = light.sun_direction(starts)
-    if sun is not None:
-        _tensor(sun, f"{name}.sun_direction", len(starts), 3)
     ahead = starts.new_tensor([[0.0, 0.6, -0.8], [0.8, 0.6, 0.0]])
     towards = _tensor(light.starts_towards(ahead), f"{name}.starts_towards", 2, "k", count)
     if towards.shape[1] == 0 or not bool(towards.isfinite().all()):
         raise InputError(f"{name}.starts_towards must give one or more, and finite ones")
+    sun = light.sun_direction(towards.to(starts))
+    if sun is None:
+        return
+    lengths = _tensor(sun, f"{name}.sun_direction", *towards.shape[:2], 3).norm(dim=-1)
+    if not torch.allclose(lengths, torch.ones_like(lengths), atol=1e-3):
+        raise InputError(
+            f"{name}.sun_direction must give unit vectors, not of length {lengths.tolist()}"
+        )
 
 
 def _check_prior(prior: Any, light: OwnLight, free: Float[Tensor, "s q"]) -> None:
@@ -304,21 +332,27 @@ def told(thing: object) -> dict[str, str]:
     return {"class": kind, "sha256": tensors_sha256(tensors, texts)}
 
 
+_PLAIN = str | bytes | int | float | complex | None | torch.dtype
+_OF_MODULES = frozenset(vars(nn.Module()))
+
+
 def _collect(
     thing: object, path: str, tensors: dict[str, Tensor], texts: dict[str, str], seen: set[int]
 ) -> None:
-    """The numbers and texts that an object and its parts consist of; nothing that modules cache."""
+    """The numbers and texts that an object and its parts consist of, but what modules keep of
+    what they computed, and whether they are in training."""
     if isinstance(thing, Tensor):
         tensors[path] = thing.detach().cpu().contiguous()
-    elif isinstance(thing, str | int | float):
+    elif isinstance(thing, _PLAIN):
         texts[path] = repr(thing)
-    elif id(thing) not in seen:
+    elif isinstance(thing, np.ndarray | np.generic):
+        texts[path] = repr((thing.dtype, thing.tolist()))
+    elif id(thing) not in seen and not isinstance(thing, Derived):
         seen.add(id(thing))
         parts = thing if isinstance(thing, Mapping) else getattr(thing, "__dict__", {})
         if isinstance(thing, nn.Module):
-            plain = {k: v for k, v in vars(thing).items() if isinstance(v, str | int | float)}
-            state = {**thing._parameters, **thing._buffers, **thing._modules}
-            parts = {**plain, **state, "training": False}
+            own = {name: part for name, part in parts.items() if name not in _OF_MODULES}
+            parts = {**own, **thing._parameters, **thing._buffers, **thing._modules}
         elif isinstance(thing, list | tuple):
             parts = dict(enumerate(thing))
         for name, part in parts.items():

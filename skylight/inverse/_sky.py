@@ -240,6 +240,7 @@ def _estimate(
     parts, model = solutions.parts, solutions.objective.model
     lights = face_lights(solutions, p, faces, level)
     environment = environment_of(model, parts.light[p], parts.ground_albedo[p], lights[0].exposure)
+    sun = _sun(model, parts.light[p], environment)
     found = estimate_of(
         model.name,
         parts.light[p].cpu(),
@@ -247,13 +248,13 @@ def _estimate(
         lights,
         solutions.search(p, scan),
         evidence,
-        sun=_sun(model, parts.light[p], environment),
+        sun=sun,
         albedo_prior=solutions.objective.tone_prior,
         reflects=faces[0].scanned.specular is not None,
         sun_prior=faces.sun_prior,
         ground_albedo=None if model.grid.is_sphere else parts.ground_albedo[p].cpu(),
     )
-    if model.grid.is_sphere and model.sun_direction(parts.light[p]) is None:
+    if sun is None:
         return replace(found, sun_direction=environment.brightest_direction(below=True))
     return found
 
@@ -264,8 +265,8 @@ def _sun(
     """A sky's, to a pixel, or the one that a model of the whole sphere has."""
     if not model.grid.is_sphere:
         return environment.brightest_direction()
-    sun = model.sun_direction(params)
-    return None if sun is None else normalize(sun.double().cpu(), dim=0)
+    sun = model.sun_direction(params[None])
+    return None if sun is None else normalize(sun[0].double().cpu(), dim=0)
 
 
 def _per_problem(every: Sequence[T], problems: Sequence[LitFaces]) -> list[list[T]]:

@@ -18,7 +18,7 @@ from torch.distributions import Distribution
 from skylight._modes import on_cpu
 from skylight._module import Module
 from skylight._names import SKY_LIGHTS, LightName
-from skylight.errors import InputError
+from skylight.errors import InputError, check_shape
 from skylight.sphere._frame import DirectionGrid, angles_from_direction
 
 _NEAREST, _FARTHEST = 1e-6, 40.0  # to a bound, and from the only one in its logarithm
@@ -34,8 +34,9 @@ class LightModel(Protocol):
     ``bounds`` are two ``(p,)`` tensors on the model's device (infinite where there is none).
     ``to_free`` maps parameters within the bounds to all of R^p, ``from_free`` back; both are
     smooth, so that an unconstrained optimiser works on the free side and never leaves the bounds.
-    ``azimuth_index`` is the parameter that turns the light about the vertical, or None; priors
-    leave it out (see :func:`without_azimuth`), since no azimuth is likelier than another.
+    ``azimuth_index`` is the parameter that turns the light about the vertical, or None; it has no
+    bounds and is free as it is, and priors leave it out (see :func:`without_azimuth`), since no
+    azimuth is likelier than another.
     ``starts`` gives parameters ``(s, p)`` to start an optimisation from, and
     ``starts_towards`` such whose sun stands in the given directions ``(d, 3)``,
     ``(d, k, p)``: k candidates per direction. ``sun_direction`` is where parameters say that the
@@ -98,7 +99,8 @@ class ParametricLight(Module):
         ``from_free`` is ``low + (high - low) sigmoid(x)`` between two, ``low + e^x`` and
         ``high - e^x`` beside one, and x where there is none.
     azimuth_index
-        The parameter that turns the light about the vertical: of the sun's azimuth, in radians.
+        The parameter that turns the light about the vertical: of the sun's azimuth, in radians,
+        without bounds.
 
     ``name`` is what results call the model, by default its class. There is one start, where free
     parameters are 0; towards a direction it is turned there. A model with a sun tells
@@ -108,6 +110,7 @@ class ParametricLight(Module):
     """
 
     name: str = ""
+    parameter_names: str = ""  # what errors of sizes say that parameters are
     directions: Tensor
     _low: Tensor
     _high: Tensor
@@ -148,6 +151,7 @@ class ParametricLight(Module):
 
     def to_free(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """Inverse of :meth:`from_free`; what is on a bound, or beyond, moves inside by 1e-6."""
+        self.check_parameters(params)
         if not self._is_bounded:
             return params
         low, high, above, below = self._limits(params)
@@ -158,6 +162,7 @@ class ParametricLight(Module):
 
     def from_free(self, free: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch p"]:
         """Parameters within the bounds, of any numbers."""
+        self.check_parameters(free)
         if not self._is_bounded:
             return free
         low, high, above, below = self._limits(free)
@@ -168,6 +173,11 @@ class ParametricLight(Module):
         params = torch.where(above | below, beside, free)
         params = torch.where(above & below, low + span * torch.sigmoid(free), params)
         return torch.minimum(torch.maximum(params, low), high)
+
+    def check_parameters(self, params: Float[Tensor, "*batch p"]) -> None:
+        """:class:`InputError` for another number of them."""
+        what = f"{type(self).__name__}'s parameters"
+        check_shape(what, params.shape, self.parameter_count, names=self.parameter_names)
 
     def _limits(self, like: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """The bounds, and where they are: parameters stay above some and below others."""

@@ -7,7 +7,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight._modes import full_precision, single
-from skylight.errors import check_shape
 from skylight.models._base import ParametricLight
 from skylight.sphere import _harmonics as harmonics
 
@@ -27,13 +26,13 @@ class HarmonicLight(ParametricLight):
         super().__init__(3 * (degree + 1) ** 2, height, sphere=True)
         self.degree = degree
         self.name = f"sh{(degree + 1) ** 2}"
+        self.parameter_names = f"{(degree + 1) ** 2} coefficients, RGB of each"
         basis = harmonics.evaluate(self.grid.directions, degree)
         self.register_buffer("basis", basis, persistent=False)
 
     def linear_radiance(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
         """``sum_k Y_k(w) c_k``, negative where it rings."""
-        names = f"{(self.degree + 1) ** 2} coefficients, RGB of each"
-        check_shape("HarmonicLight's parameters", params.shape, self.parameter_count, names=names)
+        self.check_parameters(params)
         params = single(params)
         with full_precision(params):  # terms of either sign are cut at zero
             return self.basis.to(params.dtype) @ params.unflatten(-1, (-1, 3))

@@ -75,6 +75,7 @@ class LampsLight(ParametricLight):
     Its prior is :class:`LampsPrior` of as many lamps, over the same numbers.
     """
 
+    parameter_names = _NAMES
     basis: Tensor
     directions: Tensor
     log_solid_angle: Tensor
@@ -105,7 +106,7 @@ class LampsLight(ParametricLight):
         Linear Rec.709, relative to ambient light of mean luminance 1, in the order of
         ``grid.directions``. Differentiable.
         """
-        check_shape("LampsLight's parameters", params.shape, self.parameter_count, names=_NAMES)
+        self.check_parameters(params)
         params = single(params)
         with full_precision(params):
             radiance = self.ambient(params)

@@ -103,7 +103,7 @@ class AutoencoderLight(Module):
         Raises
         ------
         InputError
-            Another number of parameters, or float64 ones for a network in float32.
+            Another number of parameters.
         """
         z, azimuth = self._parts(params)
         sky = self.network.decode_at_azimuth(z, azimuth, self.sun_spread_rad, self.height)

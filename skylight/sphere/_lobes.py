@@ -165,8 +165,13 @@ class DiskSplines(Module):
         Slow but in a graph, where a compiler makes one loop of it, twice as fast as the other.
         """
         index, weights = self.taps(turn_rad, height)
-        index = index.flatten(1)[..., None].expand(control.shape[0], -1, control.shape[2])
-        near = control.gather(1, index).unflatten(1, (-1, TAPS))
+        count, channels = control.shape[0], control.shape[2]
+        if index.shape[0] == count:
+            index = index.flatten(1)[..., None].expand(-1, -1, channels)
+            near = control.gather(1, index)
+        else:  # one turn: ONNX's Gather, which a page's decoder knows, not its GatherElements
+            near = control.index_select(1, index.flatten())
+        near = near.unflatten(1, (-1, TAPS))
         return (near * weights[..., None]).sum(2)
 
     def matrix(self) -> Float[Tensor, "n k"]:

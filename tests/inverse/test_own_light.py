@@ -1,10 +1,13 @@
 """Light models of the user's own: they are fitted as ours are, or refused in one line."""
 
+import copy
 import math
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor, nn
@@ -273,6 +276,58 @@ class Turned(Dome):
         self.azimuth_index = 8
 
 
+class HalfTurned(ParametricLight):
+    def __init__(self) -> None:
+        super().__init__(8, low=-math.pi, high=math.pi, azimuth_index=6)
+
+    def forward(self, params: Tensor) -> Tensor:
+        return Dome.forward(self, params)  # pyright: ignore[reportArgumentType]
+
+
+class Boundless(Dome):
+    bounds = None  # pyright: ignore[reportAssignmentType]
+
+
+class Whole(Dome):
+    """Starts in whole numbers."""
+
+    def starts(self) -> Tensor:
+        return torch.ones(1, 8, dtype=torch.long)
+
+
+class Distant(Dome):
+    """A sun that is no direction but a place."""
+
+    def sun_direction(self, params: Tensor) -> Tensor:
+        return 3 * direction_from_angles(params[..., 6], params[..., 7])
+
+
+class Batched(Lantern):
+    """Of (b, p) parameters alone."""
+
+    def sun_direction(self, params: Tensor) -> Tensor:
+        return nn.functional.normalize(params[:, 6:], dim=-1)
+
+
+class Striped(Dome):
+    """It keeps more than directions for each pixel, and says nothing of other rows."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stripes = torch.ones(len(self.grid), 1)
+
+    def forward(self, params: Tensor) -> Tensor:
+        return super().forward(params) * self.stripes
+
+
+class Logged(Dome):
+    """What cannot be copied."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lock = threading.Lock()
+
+
 @pytest.mark.parametrize(
     ("light", "message"),
     [
@@ -289,6 +344,13 @@ class Turned(Dome):
         (Flat(), r"Flat.*starts_towards must have the shape \(2, k, 8\)"),
         (Scattered(), r"Scattered.*grid must be DirectionGrid.latlong"),
         (Turned(), r"Turned.*azimuth_index must be one of 0 to 7"),
+        (HalfTurned(), "HalfTurned.*parameter 6 is the azimuth.*without bounds"),
+        (Boundless(), "Boundless.*bounds must be two tensors"),
+        (Whole(), r"Whole.*starts\(\) must be .* in floating point"),
+        (Distant(), r"Distant.*unit vectors, not of length \[\[[23]\."),
+        (Batched(), r"Batched.*sun_direction must have the shape \(2, 1, 3\)"),
+        (Striped(), r"Striped.*fails on the rows \(64, 256\) of its on_rows \(The size"),
+        (Logged(), "Logged.*cannot be copied .*lock.*detached tensors"),
     ],
 )
 def test_what_is_no_light_is_refused(light: Any, message: str, under_dome: Observation) -> None:
@@ -300,7 +362,10 @@ def test_what_is_no_light_is_refused(light: Any, message: str, under_dome: Obser
     ("prior", "message"),
     [
         (3, r"int is no prior: it lacks log_prob.*\(1, 7\) of Dome.*all but the azimuth"),
-        (load_bundle().sunsky_prior, "GaussianMixture is no prior.*: parameters of shape"),
+        (
+            load_bundle().sunsky_prior,
+            "GaussianMixture is no prior.*: GaussianMixture's parameters of shape",
+        ),
         (Normal(torch.zeros(7), 1.0), r"Normal.log_prob.*must have the shape \(1\), not \(1, 7\)"),
     ],
 )
@@ -347,6 +412,53 @@ def test_whatever_holds_tensors_is_moved() -> None:
 def test_light_that_turns_negative_on_the_way_is_refused() -> None:
     with pytest.raises(InputError, match="Negative: radiance at the parameters found is negative"):
         environment_of(Negative(), torch.tensor(DOME), torch.zeros(3), 1.0)
+
+
+def test_errors_in_a_model_s_own_code_are_shown_as_they_are(under_dome: Observation) -> None:
+    """Neither as no other rows nor as another reason."""
+
+    class Misspelt(Dome):
+        def on_rows(self, height: int) -> "Misspelt":
+            return self.missing(height)  # pyright: ignore[reportCallIssue]
+
+    with pytest.raises(AttributeError, match="missing"):
+        found(under_dome, Misspelt())
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (torch.zeros(2), torch.ones(2)),
+        ([1.0], [2.0]),
+        ({"red": 1}, {"red": 2}),
+        (np.zeros(2), np.ones(2)),
+        (np.float32(1), np.float32(2)),
+        (Normal(0.0, 1.0), Normal(0.0, 2.0)),
+        (None, 0),
+    ],
+    ids=["tensor", "list", "dict", "array", "number of numpy", "distribution", "None"],
+)
+def test_notes_tell_whatever_a_model_keeps(one: object, other: object) -> None:
+    """Not in buffers alone, of modules and of other objects: else old results would be taken."""
+
+    class Kept:
+        def __init__(self, value: object) -> None:
+            self.value = value
+
+    def of(value: object) -> Dome:
+        light = Dome()
+        light.colour = value  # pyright: ignore[reportArgumentType]
+        return light
+
+    assert told(of(one)) == told(of(copy.deepcopy(one))) != told(of(other))
+    assert told(Kept(one)) == told(Kept(copy.deepcopy(one))) != told(Kept(other))
+
+
+def test_notes_leave_out_what_modules_compute() -> None:
+    light = load_bundle().light()
+    before = told(light)
+    light(light.starts()[:1])
+    assert told(light.train()) == before
 
 
 def test_notes_tell_models_apart() -> None:

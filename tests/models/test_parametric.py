@@ -7,6 +7,8 @@ import torch
 
 from skylight.errors import InputError
 from skylight.models._base import LightModel, ParametricLight
+from skylight.models._harmonic import HarmonicLight
+from skylight.models._lamps import LampsLight
 
 F64 = torch.float64
 
@@ -46,6 +48,22 @@ def test_slopes_are_finite_everywhere() -> None:
     (slope,) = torch.autograd.grad(back.sum(), on_bounds)
     assert slope.isfinite().all()
     assert torch.autograd.gradcheck(light.from_free, torch.randn(2, 4, dtype=F64).requires_grad_())
+
+
+@pytest.mark.parametrize(
+    ("light", "meant"),
+    [
+        (Four(), r"Four's parameters of shape \(2, 1\): give \(..., 4\)$"),
+        (Four(low=-math.inf, high=math.inf), "Four's parameters"),
+        (HarmonicLight(1, 8), r"HarmonicLight's .*\(..., 12\): 4 coefficients"),
+        (LampsLight(1, 8), r"LampsLight's .*\(..., 23\): 16 of the ambient light"),
+    ],
+)
+def test_other_sizes_are_refused_by_name(light: ParametricLight, meant: str) -> None:
+    """One parameter too: it was taken for all of them."""
+    for call in (light.to_free, light.from_free):
+        with pytest.raises(InputError, match=meant):
+            call(torch.zeros(2, 1))
 
 
 def test_it_is_a_light_model_in_few_lines() -> None:
