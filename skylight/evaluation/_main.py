@@ -38,7 +38,8 @@ from skylight.evaluation._voxel_probe import VoxelProbe
 from skylight.inverse._estimate import Model
 from skylight.io._atomic import atomic_path
 from skylight.io._bounded import write_json
-from skylight.models._bundle import LightBundle, own_name
+from skylight.models._bundle import LightBundle
+from skylight.models._network_names import network_option
 from skylight.work._resumable import Workers, locked
 
 SHEET_STRIPS = 12
@@ -106,8 +107,7 @@ def evaluate(
 def _named(model: Model) -> str:
     if not isinstance(model, LightBundle):
         return Path(model).name
-    own = own_name(model.network)
-    return model.name + (f" --network {own}" if own else "")
+    return model.name + network_option(type(model.network))
 
 
 def run_evaluation(

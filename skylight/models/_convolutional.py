@@ -109,6 +109,8 @@ class ConvolutionalAutoencoder(SkyNetwork):
             return self.output(single(x))
 
     def _decode_in_evaluation(self, z: Float[Tensor, "b z"]) -> Float[Tensor, "b 3 h w"]:
+        if type(self).decode_coded is not ConvolutionalAutoencoder.decode_coded:
+            return self.decode_coded(z)  # a user's, of which nothing is known
         decoder = self._folded.of(
             [*self.parameters(), *self.buffers()], lambda: FoldedDecoder.of(self)
         )

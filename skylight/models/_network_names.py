@@ -94,6 +94,11 @@ def network_name(network: type[SkyNetwork]) -> str:
     return next(names, _place(network))
 
 
+def network_option(network: type[SkyNetwork]) -> str:
+    """What commands are given for it, behind a blank; nothing for one of skylight's networks."""
+    return "" if network in BUILTIN.values() else f" --network {_place(network)}"
+
+
 def is_builtin(name: str) -> bool:
     """Whether that is the name of one of skylight's networks."""
     return name in BUILTIN
@@ -113,7 +118,9 @@ def class_of_file(
         raise InputError(
             f"its network is one of skylight's, not {network_name(found)}: leave --network out"
         )
-    option = f"--network {told}" if ":" in told else f"--network module:Class of {told}"
+    option = f"--network {told}"
+    if ":" not in told:  # a class in another process has that name only where its module says so
+        option = f"--network module:Class, where @register_network('{told}') stands above the class"
     if found is None:
         for network in _registered.values():
             if told in _names(network):

@@ -23,6 +23,7 @@ from ._prior import (
     fit_priors as fit_priors,
 )
 from ._skies import (
+    Corruption as Corruption,
     SkyData as SkyData,
     load_data as load_data,
 )

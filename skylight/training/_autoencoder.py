@@ -144,6 +144,7 @@ def _train(
     given: Network | None,
     own_loss: Loss | None,
 ) -> Path:
+    own_loss = None if own_loss is reconstruction_loss else own_loss
     loss_of = own_loss or reconstruction_loss
     # network: new, or as it is given
     network = initial_network(config, given)
@@ -474,8 +475,8 @@ def _prepared(
         prepare(data.paths["train"], config, folder, copies, progress, network)
         prepare(data.paths["validation"], config, folder, [0], progress, network)
     here.meet()
-    train = [open_prepared(data.paths["train"], config, folder, copy) for copy in copies]
-    return train, open_prepared(data.paths["validation"], config, folder, 0)
+    train = [open_prepared(data.paths["train"], config, folder, copy, network) for copy in copies]
+    return train, open_prepared(data.paths["validation"], config, folder, 0, network)
 
 
 def run_identity(

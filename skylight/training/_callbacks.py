@@ -71,8 +71,11 @@ class TensorBoard(Callback):
 
     def __init__(self) -> None:
         self.writer: Any = None
+        self.shown = ""
 
     def on_start(self, run: Run) -> None:
+        is_dictionary = isinstance(run.config, DictionaryConfig)
+        self.shown = "filters" if is_dictionary else "reconstructions"
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError:
@@ -87,7 +90,7 @@ class TensorBoard(Callback):
         for name, value in epoch.metrics.items():
             tag = f"loss/{name}" if name in _LOSSES else name
             self.writer.add_scalar(tag, value, epoch.step)
-        self.writer.add_image("reconstructions", epoch.picture, epoch.step, dataformats="HWC")
+        self.writer.add_image(self.shown, epoch.picture, epoch.step, dataformats="HWC")
         self.writer.flush()
 
     def close(self) -> None:

@@ -63,7 +63,7 @@ class AutoencoderConfig(_Checked):
     """Network: splines, the thesis' convolutions, or a class of yours: registered, or
     module:Class."""
     latents: int = 64
-    """8 to 512 of splines; convolutions have 64."""
+    """8 to 512 of splines, up to 1024 of a class of yours; convolutions have 64."""
     coding: Literal["log", "linear"] = "log"
     """Of radiance, a choice of convolutions; of your own network what that has."""
     sun: bool = True
@@ -138,7 +138,10 @@ class AutoencoderConfig(_Checked):
         if self.optimiser == "sgd" and self.nesterov and self.momentum == 0:
             raise InputError("`nesterov` needs a `momentum` above 0; give one, or nesterov: false")
         if self.network == "splines" and (self.coding, self.sun) != ("log", True):
-            raise InputError("`coding` and `sun` are choices of network: convolutions alone")
+            raise InputError(
+                "`coding` and `sun` are choices of network: convolutions, or of a class of yours "
+                "that `network` names"
+            )
         check_network_name(self.network)
         least, most = {"convolutions": (64, 64), "splines": (8, 512)}.get(
             self.network, (1 + COORDINATES * self.sun, LATENTS_MAX)

@@ -12,8 +12,9 @@ from torch import Tensor
 from skylight.errors import InputError
 from skylight.io._bounded import json_content, write_json
 from skylight.models._base import without_azimuth
-from skylight.models._bundle import LightBundle, load_network, own_name
+from skylight.models._bundle import LightBundle, load_network
 from skylight.models._network import SkyNetwork
+from skylight.models._network_names import network_option
 from skylight.models._prior import GaussianMixture
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.sunsky import SunSky, fit_sunsky
@@ -45,7 +46,6 @@ def model_card(
     """
     records = [record for rows in splits.values() for record in rows]
     sunny = sum(record.sun_transmittance >= SUNNY for record in records)
-    own = own_name(bundle.network)
     days = {name: len({r.day for r in rows}) for name, rows in splits.items()}
     lines = [
         f"# {bundle.name}",
@@ -53,7 +53,7 @@ def model_card(
         f"A light model for inverse lighting outdoors: {bundle.network.latents} latents and an "
         "azimuth to the upper",
         "hemisphere of relative radiance (mean luminance 1), with priors over them. Use it with",
-        f"`skylight estimate --model FOLDER{f' --network {own}' if own else ''}`.",
+        f"`skylight estimate --model FOLDER{network_option(type(bundle.network))}`.",
         "",
         "## Data",
         "| set | skies | days |",

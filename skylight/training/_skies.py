@@ -28,6 +28,7 @@ from torch import Tensor
 from skylight.errors import InputError, SkylightError
 from skylight.io._atomic import atomic_path
 from skylight.models._network import HEIGHT, WIDTH, SkyNetwork
+from skylight.models._network_check import example_skies
 from skylight.models._network_names import is_importable
 from skylight.models._sun_head import COORDINATES
 from skylight.skies._index import SkyRecord, folder_hash, load_skies, normalise, read_index
@@ -216,7 +217,7 @@ def prepare(
     out.mkdir(parents=True, exist_ok=True)
     tell = with_time_left("preparing sky", progress)
     for turn, copy in enumerate(copies):
-        place = _place(path, config, out, copy)
+        place = _place(path, config, out, copy, network)
         if place.with_suffix(".sun.npy").exists():
             continue
         parts = [slice(i, min(i + _CHUNK, count)) for i in range(0, count, _CHUNK)]
@@ -238,14 +239,29 @@ def prepare(
                 np.save(file, np.concatenate(suns))
 
 
-def open_prepared(path: Path, config: AutoencoderConfig, out: Path, copy: int) -> CodedSkies:
+def open_prepared(
+    path: Path,
+    config: AutoencoderConfig,
+    out: Path,
+    copy: int,
+    network: type[SkyNetwork] | None = None,
+) -> CodedSkies:
     """A copy that :func:`prepare` has written."""
-    place = _place(path, config, out, copy)
+    place = _place(path, config, out, copy, network)
     return CodedSkies(np.load(place.with_suffix(".sun.npy")), np.load(place, mmap_mode="r"))
 
 
-def _place(path: Path, config: AutoencoderConfig, out: Path, copy: int) -> Path:
-    what = (path.stem, config.network, config.coding, config.sun, config.seed)
+def _place(
+    path: Path,
+    config: AutoencoderConfig,
+    out: Path,
+    copy: int,
+    network: type[SkyNetwork] | None,
+) -> Path:
+    # by what the network makes of skies: a user may have changed its class since
+    seen = coded_skies(_network(config, network), example_skies())
+    code = hashlib.sha256(seen.sun.tobytes() + seen.coded.tobytes()).hexdigest()
+    what = (path.stem, code, config.seed)
     how = (config.mirror, config.tint, config.surroundings, config.white_balance, copy)
     return out / f"{hashlib.sha256(repr((what, how)).encode()).hexdigest()[:16]}.npy"
 

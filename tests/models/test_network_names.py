@@ -23,6 +23,7 @@ from skylight.models._network_names import (
     is_importable,
     network_class,
     network_name,
+    network_option,
     register_network,
 )
 from tests.models.test_bundle import mixture
@@ -186,6 +187,23 @@ def test_a_bundle_names_its_class_and_is_read_with_it(bundle: LightBundle, folde
     assert load_bundle(folder).fingerprint == bundle.fingerprint
 
 
+def test_a_registered_name_says_how_commands_find_its_class(
+    bundle: LightBundle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is known in the process that registered it, or by a module that does."""
+    assert network_option(SplineAutoencoder) == ""
+    with monkeypatch.context() as training:
+        training.setattr("skylight.models._network_names._registered", dict(_registered))
+        register_network("mine", TinyNetwork)
+        bundle.save(tmp_path / "own", card="", pictures={})
+        assert network_option(TinyNetwork) == f" --network {PLACE}"
+    for given in (None, PLACE):
+        with pytest.raises(InputError, match=r"its network is mine, .*@register_network\('mine'\)"):
+            load_bundle(tmp_path / "own", given)
+    register_network("mine", TinyNetwork)
+    assert load_bundle(tmp_path / "own", PLACE).fingerprint == bundle.fingerprint
+
+
 def test_another_class_is_refused_by_its_name(folder: Path) -> None:
     register_network("other", OtherNetwork)
     for given in (OtherNetwork, "other", "tests.own_network:OtherNetwork", SplineAutoencoder):
@@ -309,11 +327,11 @@ class Turned(TinyNetwork):
         return super().decode_at_azimuth(z, azimuth_rad + 1, sun_spread_rad, height)
 
 
-class HalfReplaced(ConvolutionalAutoencoder):
-    """The base folds its own decoder for turned skies."""
+class HalfReplaced(SplineAutoencoder):
+    """The base evaluates its own splines for turned skies."""
 
     def decode_coded(self, z: Tensor) -> Tensor:
-        return 2 * super().decode_coded(z)
+        return 1 + super().decode_coded(z)
 
 
 class TwoArguments(TinyNetwork):
@@ -376,7 +394,10 @@ class OfSplines(SplineAutoencoder):
 
 
 class OfConvolutions(ConvolutionalAutoencoder):
-    pass
+    """The base folds its own decoder for turned skies, but not another one."""
+
+    def decode_coded(self, z: Tensor) -> Tensor:
+        return 1 + super().decode_coded(z)
 
 
 @pytest.mark.parametrize("network", [TinyNetwork, Tied, OfSplines, OfConvolutions])

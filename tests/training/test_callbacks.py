@@ -15,7 +15,7 @@ from skylight.errors import InputError
 from skylight.skies._index import read_index
 from skylight.training._autoencoder import train
 from skylight.training._callbacks import Callback, Epoch, Run, TensorBoard, watching
-from skylight.training._config import AutoencoderConfig
+from skylight.training._config import AutoencoderConfig, DictionaryConfig
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "training_logger.py"
 PICTURE = np.random.default_rng(0).integers(0, 255, (8, 16, 3), dtype=np.uint8)
@@ -148,10 +148,11 @@ def test_what_is_no_callback_is_refused(wrong: object) -> None:
         pass
 
 
-def told_to(board: TensorBoard, out: Path, step: int = 0) -> list[str]:
+def told_to(
+    board: TensorBoard, config: AutoencoderConfig | DictionaryConfig, step: int = 0
+) -> list[str]:
     """Two epochs of four steps, the first after ``step``; what was reported."""
     said: list[str] = []
-    config = AutoencoderConfig(out=out)
     module = torch.nn.Identity()
     board.on_start(Run(config=config, module=module, step=step, steps=8, report=said.append))
     for number in (1, 2):
@@ -167,20 +168,23 @@ def test_tensorboard_has_metrics_and_pictures(tmp_path: Path) -> None:
     pytest.importorskip("tensorboard")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    assert told_to(TensorBoard(), tmp_path) == []
+    assert told_to(TensorBoard(), AutoencoderConfig(out=tmp_path)) == []
     events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
     tags = ["loss/train", "loss/validation", "loss/denoising", "learning_rate", "images_per_s"]
     for i, tag in enumerate(tags):
         values = [(e.step, e.value) for e in events.Scalars(tag)]
         assert values == [(4, 1 + i / 8), (8, 2 + i / 8)]
     assert [i.step for i in events.Images("reconstructions")] == [4, 8]
+    told_to(TensorBoard(), DictionaryConfig(out=tmp_path / "filters"))
+    events = EventAccumulator(str(tmp_path / "filters" / "tensorboard")).Reload()
+    assert events.Tags()["images"] == ["filters"]
 
 
 def test_without_tensorboard_a_line_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    (line,) = told_to(TensorBoard(), tmp_path)
+    (line,) = told_to(TensorBoard(), AutoencoderConfig(out=tmp_path))
     assert "no TensorBoard logs" in line
     assert not (tmp_path / "tensorboard").exists()
 

@@ -128,6 +128,8 @@ def test_what_the_configuration_says_otherwise_is_refused(config: AutoencoderCon
     for name, said in (("mine", "unknown network 'mine'"), ("", "unknown network")):
         with pytest.raises(InputError, match=said):
             AutoencoderConfig(network=name)
+    with pytest.raises(InputError, match="or of a class of yours that `network` names"):
+        AutoencoderConfig(sun=False)
     with pytest.raises(InputError, match="`latents` of network: a:B must be from 6 to 1024"):
         AutoencoderConfig(network="a:B", latents=5)
 
@@ -179,6 +181,7 @@ def test_the_loss_of_training_is_the_default(config: AutoencoderConfig, tmp_path
     other = replace(config, out=tmp_path / "other")
     given = train(other, silent, network=TinyNetwork, loss=reconstruction_loss)
     assert same_weights(plain, load_network(given, TinyNetwork))
+    assert train(other, silent, network=TinyNetwork) == given  # the same run
 
 
 def test_the_example_becomes_a_light_model(

@@ -45,7 +45,7 @@ def network(config: PriorConfig) -> SkyNetwork:
 @pytest.fixture(scope="module")
 def fitted(config: PriorConfig) -> Path:
     shown: list[tuple[str, float]] = []
-    out = fit_priors(config, lambda *each: shown.append(each))
+    out = fit_priors(config, progress=lambda *each: shown.append(each))
     for stage in ("reading skies, set", "encoding skies", "fitting suns and skies"):
         assert any(name.startswith(stage) and share == 0 for name, share in shown)
     return out

@@ -169,6 +169,15 @@ def test_shared_batch_norm_is_torchs(
             torch.testing.assert_close(shared.state_dict()[name], value, rtol=1e-5, atol=1e-5)
 
 
+def test_all_begin_with_the_weights_and_buffers_of_the_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(dist, "broadcast", lambda tensor, src: tensor.fill_(7 + src))
+    network = nn.Sequential(nn.Linear(2, 3), nn.BatchNorm1d(3))
+    Processes(rank=1, size=2, device=CPU).share_weights(network)
+    assert all(bool((each == 7).all()) for each in network.state_dict().values())
+
+
 def test_every_batch_norm_of_the_network_is_shared() -> None:
     network = ConvolutionalAutoencoder()
     before = network.state_dict()
@@ -208,3 +217,4 @@ def test_two_processes_train_a_network_of_ones_own(sky_folder: Path, tmp_path: P
     run = torchrun(2, "train.py", path)
     assert run.returncode == 0, run.stderr
     load_network(config.out / "model.safetensors", place)
+    assert json.loads((config.out / "curves.json").read_text())["processes"] == 2

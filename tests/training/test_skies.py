@@ -28,6 +28,7 @@ from skylight.training._skies import (
     open_prepared,
     prepare,
 )
+from tests.own_network import TinyNetwork
 
 
 @pytest.fixture
@@ -251,6 +252,20 @@ def test_they_are_made_once(path: Path, tmp_path: Path, monkeypatch: pytest.Monk
         for config in (CONFIG, replace(CONFIG, seed=1))
     )
     assert not np.array_equal(one.coded, other.coded)
+
+
+def test_another_code_is_another_copy(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a class that the user has changed since."""
+    config = replace(CONFIG, network="tests.own_network:TinyNetwork")
+    monkeypatch.setattr(module, "is_importable", lambda _: False)  # in this process
+    ways = (tmp_path / "out", [0], lambda *_: None, TinyNetwork)
+    prepare(path, config, *ways)
+    before = open_prepared(path, config, tmp_path / "out", 0).coded
+    monkeypatch.setattr(TinyNetwork, "code", lambda _, sky: sky.permute(0, 3, 1, 2).sqrt())
+    prepare(path, config, *ways)
+    assert not np.array_equal(open_prepared(path, config, tmp_path / "out", 0).coded, before)
 
 
 def test_what_was_interrupted_is_made_again(
