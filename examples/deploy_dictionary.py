@@ -10,7 +10,7 @@ import onnxruntime
 import torch
 
 from skylight import FilterBank, SphericalSparseCoder
-from skylight.csc._dictionary import isotropic
+from skylight.csc import isotropic
 from skylight.maps import export_codes
 from skylight.sphere import DirectionGrid
 
