@@ -8,8 +8,7 @@ The maps are sums of rotated copies of elongated lobes; the dictionary starts wi
 import torch
 
 import skylight
-from skylight.csc._code import CodeTensors
-from skylight.csc._dictionary import anisotropic, isotropic
+from skylight.csc import CodeTensors, anisotropic, isotropic
 
 DEGREE, HEIGHT, ACTIVATIONS, MAPS = 8, 16, 3, 16
 generator = torch.Generator().manual_seed(0)

@@ -232,7 +232,7 @@ class LightBundle:
 
 
 def load_bundle(
-    folder: Path | None = None, network: type[SkyNetwork] | str | None = None
+    folder: str | Path | None = None, network: type[SkyNetwork] | str | None = None
 ) -> LightBundle:
     """The trained light model in ``folder``; by default the one that comes with skylight.
 
@@ -249,7 +249,7 @@ def load_bundle(
         The same of the model that comes with skylight.
     """
     if folder is not None:
-        return _read(folder, network)
+        return _read(Path(folder), network)
     try:
         # a copy: a network that is moved to a GPU or made trainable must not be another's
         return copy.deepcopy(_shipped(SHIPPED))

@@ -171,6 +171,8 @@ def _imported(name: str) -> object:
         found: object = importlib.import_module(module)
         for part in inner.split("."):
             found = getattr(found, part)
+    except AttributeError as error:
+        raise InputError(f"{name} cannot be imported: {error}") from error
     except (Exception, SystemExit) as error:  # it may do anything
         raise InputError(
             f"{name} cannot be imported ({type(error).__name__}: {error}): run the command in the "

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor, nn
 
-from skylight.errors import InputError, SkylightError
+from skylight.errors import AssetError, InputError, SkylightError
 from skylight.io._atomic import atomic_path
 from skylight.io._onnx import onnx_graph
 from skylight.models._network import CENTRE_AZIMUTH_RAD, SkyNetwork
@@ -71,7 +71,14 @@ def export_decoder(light: AutoencoderLight | SkyNetwork, path: str | Path) -> fl
 
 def decoder_difference(graph: bytes, network: SkyNetwork, latents: Float[Tensor, "b z"]) -> float:
     """``max |onnx - torch| / max(torch, 0.1)``, the latents split into batches of several sizes."""
-    session, worst = SkyDecoder(graph), 0.0
+    try:
+        session, worst = SkyDecoder(graph), 0.0
+    except AssetError as error:
+        reason = error.__cause__
+        raise InputError(
+            f"{type(network).__name__} makes no decoder that skylight reads ({reason}): "
+            "decode by other layers"
+        ) from error
     for batch in latents.split(BATCHES):
         with torch.no_grad():
             expected = network.decode(batch).numpy()

@@ -8,6 +8,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,8 @@ def initial_network(config: AutoencoderConfig, own: Network | None = None) -> Sk
     if isinstance(own, SkyNetwork) and config.starts_from:
         raise InputError("`starts_from` and a network that has weights: give one of them")
     kind = own_class(own) or network_class(config.network)
+    if own is not None:  # whose registered name other processes may not know
+        config = replace(config, network=network_name(kind))
     is_own = not is_builtin(config.network)
     if config.starts_from:
         network = load_network(config.starts_from, kind if is_own else None)

@@ -70,7 +70,7 @@ def folder(bundle: LightBundle, tmp_path: Path) -> Path:
 
 
 def test_what_is_saved_is_loaded(bundle: LightBundle, folder: Path) -> None:
-    again = load_bundle(folder)
+    again = load_bundle(str(folder))
     assert (again.name, again.skies, again.data_sha256) == ("small", 12, "0" * 64)
     assert again.fingerprint == bundle.fingerprint
     assert again.network.coding == "linear"

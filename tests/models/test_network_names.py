@@ -133,7 +133,10 @@ def test_a_module_is_found_in_the_current_folder(
         ("my_file.py:Mine", "name the module as Python does, my_file:Mine"),
         ("folder/my_file:Mine", "my_file:Mine"),
         ("nowhere_at_all:Mine", "No module named"),
-        ("tests.own_network:Nothing", "has no attribute 'Nothing'"),
+        (
+            "tests.own_network:Nothing",
+            "imported: module 'tests.own_network' has no attribute 'Nothing'",
+        ),
         ("..relative:Mine", "cannot be imported"),
         ("json:dumps", "json:dumps is no class derived from skylight.models.SkyNetwork"),
         ("torch.nn:Linear", "no class derived"),

@@ -15,6 +15,7 @@ from skylight.relight import _export as export
 from skylight.relight._decoder import SkyDecoder
 from skylight.relight._export import Placement, decoder_difference, export_decoder, precompute_scene
 from skylight.relight._runtime import load_scene, relight
+from tests.own_network import TinyNetwork
 
 
 @pytest.mark.parametrize("batch", [1, 2, 7])
@@ -53,6 +54,23 @@ def test_other_numbers_of_latents_are_exported(tmp_path):
     path = tmp_path / "decoder.onnx"
     export_decoder(SplineAutoencoder(32).eval(), path)
     assert SkyDecoder(path).latents == 32
+
+
+@pytest.mark.parametrize(
+    ("layer", "refused"), [(torch.nn.GELU(), None), (torch.nn.Hardswish(), "'HardSwish'")]
+)
+def test_networks_of_other_layers_are_exported_or_told_why_not(tmp_path, layer, refused):
+    class Other(TinyNetwork):
+        def decode_coded(self, z):
+            return layer(super().decode_coded(z))
+
+    path = tmp_path / "decoder.onnx"
+    if refused is None:
+        assert export_decoder(Other(8).eval(), path) < 1e-4
+        return
+    with pytest.raises(InputError, match=f"Other makes no decoder .*{refused}.*: decode by other"):
+        export_decoder(Other(8).eval(), path)
+    assert not path.exists()
 
 
 def test_another_network_is_told_apart(light, decoder_path):

@@ -13,7 +13,7 @@ from skylight.cli import main
 from skylight.errors import InputError
 from skylight.models._bundle import load_bundle, load_network
 from skylight.models._network import SkyNetwork
-from skylight.models._network_names import _registered, register_network
+from skylight.models._network_names import BUILTIN, _registered, register_network
 from skylight.training import _autoencoder as training
 from skylight.training._autoencoder import reconstruction_loss, train
 from skylight.training._checkpoint import initial_network
@@ -62,6 +62,9 @@ def test_a_class_a_name_and_a_place_train_alike(
     register_network("tiny", TinyNetwork)
     named = replace(config, network="tiny", out=tmp_path / "named")
     assert same_weights(of_class, load_network(train(named, silent)))
+    # as in a process that prepares skies, where nothing was registered
+    monkeypatch.setattr("skylight.models._network_names._registered", dict(BUILTIN))
+    assert isinstance(initial_network(named, TinyNetwork), TinyNetwork)
 
 
 def test_an_interrupted_run_with_dropout_goes_on_bit_by_bit(
