@@ -23,12 +23,13 @@ from skylight._names import (
 from skylight.faces._landmarkers import choose_landmarker
 from skylight.faces._landmarks import FaceLandmarker
 from skylight.imaging._colour import Decode
-from skylight.inverse._estimate import Model, bundle_of, check_goes_together, light_problems
+from skylight.inverse._estimate import bundle_of, check_goes_together, light_problems
 from skylight.inverse._own_light import own_light, told
 from skylight.inverse._problem import LightProblem
 from skylight.inverse._sky import SOLVERS
 from skylight.inverse._sun_prior import SunPrior
 from skylight.models._base import Light, LightPrior, name_of
+from skylight.models._bundle import Model
 from skylight.models._ground import KnownGround, check_has_ground
 from skylight.work._device import choose_device
 

@@ -36,11 +36,12 @@ from skylight.faces._synthetic import SyntheticFace, render_face
 from skylight.imaging._colour import tone_map
 from skylight.imaging._photo import Photo
 from skylight.inverse._auto import RIVALS, choose
-from skylight.inverse._estimate import Model, estimate_light
+from skylight.inverse._estimate import estimate_light
 from skylight.inverse._posterior import SunPosterior
 from skylight.inverse._result import Estimate
 from skylight.inverse._scores import score
 from skylight.inverse._sky import SolverOptions
+from skylight.models._bundle import Model
 from skylight.models._ground import GROUND_ALBEDOS
 from skylight.people._files import RenderedFace, read_rendered_face, rendered_faces
 from skylight.people._light import LOWEST_TRANSMITTANCE

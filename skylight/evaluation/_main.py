@@ -35,10 +35,9 @@ from skylight.evaluation._synthetic_faces import SyntheticFaces
 from skylight.evaluation._tables import markdown, summarise, summarise_groups, write_curves
 from skylight.evaluation._transport_compression import TransportCompression
 from skylight.evaluation._voxel_probe import VoxelProbe
-from skylight.inverse._estimate import Model
 from skylight.io._atomic import atomic_path
 from skylight.io._bounded import write_json
-from skylight.models._bundle import LightBundle
+from skylight.models._bundle import LightBundle, Model
 from skylight.models._network_names import network_option
 from skylight.work._resumable import Workers, locked
 

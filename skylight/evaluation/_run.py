@@ -17,11 +17,10 @@ from typing import Any, ClassVar
 
 import skylight
 from skylight.errors import InputError, SkylightError
-from skylight.inverse._estimate import Model
 from skylight.io._atomic import atomic_path
 from skylight.io._bounded import json_content
 from skylight.io._files import INDEX_NAME, visible_files
-from skylight.models._bundle import LightBundle, load_bundle
+from skylight.models._bundle import LightBundle, Model, load_bundle
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.transport._mesh import MESH_SUFFIXES
 from skylight.work._progress import CountProgress

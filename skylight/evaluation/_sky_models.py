@@ -33,9 +33,9 @@ from skylight.evaluation._run import (
     trained_model,
 )
 from skylight.evaluation._sky_fits import fits, over_ground
-from skylight.inverse._estimate import Model
 from skylight.inverse._scores import score
 from skylight.io._files import names_categories, read_categories, read_environment_map, write_png
+from skylight.models._bundle import Model
 from skylight.models._ground import GROUND_ALBEDOS
 from skylight.skies._index import (
     INDEX_NAME,

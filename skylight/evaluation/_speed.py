@@ -25,8 +25,7 @@ from skylight.estimation._photos import estimate_photo
 from skylight.estimation._report import write_results
 from skylight.evaluation._known_faces import FaceEvaluation, peak_mib, stage
 from skylight.evaluation._run import Item, Metrics
-from skylight.inverse._estimate import Model
-from skylight.models._bundle import LightBundle
+from skylight.models._bundle import LightBundle, Model
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,7 +31,7 @@ from skylight.inverse._result import Estimate
 from skylight.inverse._sky import SkyProblem, SolverOptions
 from skylight.inverse._sun_prior import SunPrior
 from skylight.models._base import Light, LightPrior, name_of
-from skylight.models._bundle import LightBundle, load_bundle
+from skylight.models._bundle import LightBundle, Model, load_bundle
 from skylight.models._harmonic import HarmonicLight
 from skylight.models._lamps import LampsLight
 from skylight.models._prior import GaussianMixture
@@ -42,7 +42,6 @@ from skylight.work._device import choose_device
 from skylight.work._progress import Progress
 
 SUN_SPREAD_RAD = math.radians(1.4)  # half a pixel of the sky
-Model = str | Path | LightBundle
 
 
 @without_autocast

@@ -231,6 +231,9 @@ class LightBundle:
             write_json(unfinished / MANIFEST, manifest.entries())
 
 
+Model = str | Path | LightBundle  # a trained model, or its folder
+
+
 def load_bundle(
     folder: str | Path | None = None, network: type[SkyNetwork] | str | None = None
 ) -> LightBundle:

@@ -339,7 +339,7 @@ class TestFailures:
 
 def test_defaults_are_the_settings() -> None:
     parameters = inspect.signature(estimate_command).parameters
-    for name in {*SettingKeywords.__annotations__} - {"face", "decode", "ground"}:
+    for name in {*SettingKeywords.__annotations__} - {"face", "decode", "ground", "prior"}:
         assert parameters[name].default == getattr(EstimateSettings(), name)
     assert {*SettingKeywords.__annotations__} == {each.name for each in fields(EstimateSettings)}
 

@@ -15,14 +15,14 @@ from torch.distributions import Independent, MultivariateNormal, Normal
 
 from skylight.errors import InputError
 from skylight.inverse._descent import Stage
-from skylight.inverse._estimate import Model, estimate_each, estimate_light, light_problems
+from skylight.inverse._estimate import estimate_each, estimate_light, light_problems
 from skylight.inverse._faces import Level
 from skylight.inverse._own_light import _moved, told
 from skylight.inverse._result import Estimate
 from skylight.inverse._sky import SolverOptions, environment_of
 from skylight.inverse._sun_prior import SunPart, SunPrior
 from skylight.models._base import ParametricLight
-from skylight.models._bundle import load_bundle
+from skylight.models._bundle import Model, load_bundle
 from skylight.models._harmonic import HarmonicLight
 from skylight.models._lamps import LampsLight, LampsPrior
 from skylight.models.sunsky import SunSky
