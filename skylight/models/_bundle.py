@@ -19,7 +19,7 @@ user has registered or gives.
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from importlib.resources import files
 from pathlib import Path
@@ -160,7 +160,7 @@ class LightBundle:
     data_sha256: str
     network: SkyNetwork
     latent_prior: GaussianMixture
-    latents: Mapping[str, Tensor]
+    latents: Mapping[str, Tensor] = field(repr=False)
     sunsky_prior: GaussianMixture
 
     def light(self, *, sun_spread_rad: float = 0.0) -> AutoencoderLight:

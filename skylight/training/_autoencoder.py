@@ -94,7 +94,7 @@ def train(
     *,
     callbacks: Sequence[Callback] | None = None,
     progress: StageProgress = silent,
-    network: Network | None = None,
+    network: Network | str | None = None,
     loss: Loss | None = None,
 ) -> Path:
     """Run to the end or to early stopping; returns the path of the best network.
@@ -113,8 +113,8 @@ def train(
 
     ``callbacks`` are told of steps and epochs; :class:`TensorBoard` alone if none are given.
 
-    ``network`` is a class of yours (:class:`~skylight.models._network.SkyNetwork`), or a network
-    that it has made, in place of the one that ``config.network`` names; ``loss`` takes the place
+    ``network`` is a class of yours (:class:`~skylight.models._network.SkyNetwork`), its name, or a
+    network that it has made, in place of ``config.network``; ``loss`` takes the place
     of :func:`reconstruction_loss`: ``loss(network, sun, truth, config, corruption)`` is that of
     each sky, (b,), with None for the corruption of clean validation skies. What they draw of
     torch's generators is seeded for each step.
@@ -125,6 +125,8 @@ def train(
         Data, configuration or state that cannot be used, a loss that is no number, or a network
         or loss that does not do what these ask of it.
     """
+    if isinstance(network, str):
+        config, network = replace(config, network=network), None
     if network is not None:
         kind = network_class(network if isinstance(network, type) else type(network))
         config = replace(config, network=network_name(kind))
