@@ -3,15 +3,14 @@
 python examples/compile_and_export.py
 """
 
-import io
-
 import torch
 
 import skylight
+from skylight.transport import DiffuseTransport
 
 SKY, NORMALS = skylight.SunSky(16), skylight.DirectionGrid.latlong(16).directions.float()
 ALL = torch.ones(len(NORMALS), len(SKY.grid), dtype=torch.bool)
-BALL = skylight.transport.DiffuseTransport(ALL, NORMALS, SKY.grid).freeze()
+BALL = DiffuseTransport(ALL, NORMALS, SKY.grid).freeze()
 TRUE = torch.tensor([[0.3, 0.4, 0.6, 3.0, 2.7, 2.4, 0.7, 0.9, 3.0, 60.0]])
 
 
@@ -30,7 +29,7 @@ def fit(backend: str = "inductor") -> torch.Tensor:
     return SKY.from_free(free.detach())
 
 
-def write(file: str | io.BytesIO) -> None:
+def write(file: str) -> None:
     two, sizes = (TRUE.expand(2, -1),), ({0: torch.export.Dim("batch")},)
     torch.export.save(torch.export.export(SKY, two, dynamic_shapes=sizes), file)
 

@@ -3,6 +3,8 @@
 import ast
 import json
 import re
+import subprocess
+import sys
 import tomllib
 from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
@@ -214,6 +216,18 @@ def test_a_landmarker_of_ones_own(tmp_path, monkeypatch):
     result = names["result"]
     np.testing.assert_allclose(result.face.points, found, atol=1e-6)
     assert result.estimate.light == "sh9"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "source", sorted((DOCS.parent / "examples").glob("*.py")), ids=lambda path: path.stem
+)
+def test_examples_import_what_they_name(source):
+    """In a process of its own: what another test imported would hide what is missing."""
+    load = f"import runpy; runpy.run_path({str(source)!r}, run_name='example')"
+    done = subprocess.run([sys.executable, "-c", load], capture_output=True, text=True)
+    # some read their arguments at once
+    assert done.returncode == 0 or "sys.argv" in done.stderr, done.stderr
 
 
 @pytest.mark.parametrize(
