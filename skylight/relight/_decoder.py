@@ -25,12 +25,11 @@ MODEL_BYTES_MAX = 2**24  # the decoder takes 2^22; looking at each field takes t
 OPERATORS = frozenset((
     "Abs", "Add", "BatchNormalization", "Cast", "Clip", "Concat", "Constant", "ConstantOfShape",
     "Conv", "ConvTranspose", "Cos", "DepthToSpace", "Div", "Elu", "Equal", "Erf", "Exp", "Expand",
-    "Flatten", "Gather", "GatherElements", "Gelu", "Gemm", "GroupNormalization", "Identity",
-    "InstanceNormalization", "LayerNormalization", "LeakyRelu", "Log", "MatMul", "Max", "Min",
-    "Mul", "Neg", "PRelu", "Pad", "Pow", "Range", "Reciprocal", "ReduceLogSumExp", "ReduceMax",
-    "ReduceMean", "ReduceSum", "Relu", "Reshape", "Resize", "Shape", "Sigmoid", "Sin", "Slice",
-    "Softmax", "Softplus", "Split", "Sqrt", "Squeeze", "Sub", "Sum", "Tanh", "Tile", "Transpose",
-    "Unsqueeze", "Where",
+    "Flatten", "Gather", "Gelu", "Gemm", "GroupNormalization", "Identity", "InstanceNormalization",
+    "LayerNormalization", "LeakyRelu", "Log", "MatMul", "Max", "Min", "Mul", "Neg", "PRelu", "Pad",
+    "Pow", "Range", "Reciprocal", "ReduceLogSumExp", "ReduceMax", "ReduceMean", "ReduceSum",
+    "Relu", "Reshape", "Resize", "Shape", "Sigmoid", "Sin", "Slice", "Softmax", "Softplus",
+    "Split", "Sqrt", "Squeeze", "Sub", "Sum", "Tanh", "Tile", "Transpose", "Unsqueeze", "Where",
 ))  # fmt: skip
 _GRAPH, _OPSETS, _TRAINING, _FUNCTIONS = 7, 8, 20, 25  # of ModelProto
 _NODE, _INITIALIZER, _SPARSE_INITIALIZER = 1, 5, 15  # of GraphProto
