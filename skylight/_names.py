@@ -54,7 +54,7 @@ MergedFrom = Literal["ball", "360"]
 LightTarget = Literal["threejs", "sh", "ar", "gltf", "usd", "mitsuba", "blender"]
 
 # Light models, on the command line and in results: skylight.models
-LightName = Literal["auto", "autoencoder", "sunsky", "lamps", "sh9", "sh25"]
+LightName = Literal["sphere", "auto", "autoencoder", "sunsky", "lamps", "sh9", "sh25"]
 # Not "auto": without exposures that takes half of the photographs under an open sky for lamps
 DEFAULT_LIGHT: LightName = "autoencoder"
 LIGHT_NAMES: tuple[LightName, ...] = get_args(LightName)

@@ -6,7 +6,8 @@ from torch import Tensor
 
 from skylight.inverse._lamps import MAP_ROWS, in_pictures_units
 from skylight.inverse._result import Lamp
-from skylight.models._lamps import AMBIENT_PARAMETERS, LAMP_PARAMETERS, LampsLight
+from skylight.models._lamps import AMBIENT_PARAMETERS, LampsLight
+from skylight.models._lobes import LAMP_PARAMETERS
 from skylight.sphere._envmap import EnvironmentMap
 
 DIRECTIONS = ((0.5, 0.6, 0.62), (-0.8, 0.3, -0.5))
@@ -27,7 +28,7 @@ def lamp_params(
 
 def lamp_lit(params: Float[Tensor, " p"]) -> tuple[EnvironmentMap, tuple[Lamp, ...]]:
     count = (len(params) - AMBIENT_PARAMETERS) // LAMP_PARAMETERS
-    return in_pictures_units(count, params, EXPOSURE)
+    return in_pictures_units(LampsLight(count), params, EXPOSURE)
 
 
 def ambient_of(params: Float[Tensor, " p"]) -> EnvironmentMap:

@@ -46,7 +46,8 @@ from skylight.evaluation._sparse_coding import relative_error
 from skylight.imaging._colour import tone_map
 from skylight.io._files import read_categories, read_environment_map, write_png
 from skylight.models._harmonic import solve_linear
-from skylight.models._lamps import AMBIENT_PARAMETERS, LAMP_PARAMETERS
+from skylight.models._lamps import AMBIENT_PARAMETERS
+from skylight.models._lobes import LAMP_PARAMETERS
 from skylight.object._problem import estimate_object_light
 from skylight.object._view import ObjectMaterial
 from skylight.sphere import _harmonics as harmonics

@@ -10,6 +10,7 @@ from skylight._modes import without_autocast
 from skylight._names import (
     DEFAULT_LIGHT,
     SKY_LIGHTS,
+    LightName,
     check_is_trained,
     check_light_name,
 )
@@ -17,7 +18,7 @@ from skylight.errors import InputError
 from skylight.faces._skin import SkinPrior
 from skylight.inverse._auto import AutoProblem
 from skylight.inverse._harmonic import HarmonicProblem
-from skylight.inverse._lamps import LampsOptions, LampsProblem
+from skylight.inverse._lamps import LAMPS, LampFamily, LampsOptions, LampsProblem
 from skylight.inverse._own_light import (
     called,
     check_light,
@@ -35,12 +36,17 @@ from skylight.models._bundle import LightBundle, Model, load_bundle
 from skylight.models._harmonic import HarmonicLight
 from skylight.models._lamps import LampsLight
 from skylight.models._prior import GaussianMixture
+from skylight.models._sphere import SphereLight, SpherePrior
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.sunsky import SunSky
 from skylight.transport._observation import Observation
 from skylight.work._device import choose_device
 from skylight.work._progress import Progress
 
+FAMILIES: dict[LightName, LampFamily] = {
+    "sphere": LampFamily(light=SphereLight, prior=SpherePrior),
+    "lamps": LAMPS,
+}
 SUN_SPREAD_RAD = math.radians(1.4)  # half a pixel of the sky
 
 
@@ -196,12 +202,13 @@ def light_problems(
     if degree is not None:
         harmonics = HarmonicLight(degree).to(where)
         return [HarmonicProblem(harmonics, skin, modes, one) for one in sun_priors]
-    if light == "lamps":
-        return [LampsProblem(skin, modes, lamps) for _ in sun_priors]
+    if isinstance(light, str) and light in FAMILIES:
+        return [LampsProblem(skin, modes, lamps, FAMILIES[light]) for _ in sun_priors]
     if not isinstance(light, str):
         own, over = own_light(light, prior, where)
         if type(light) is LampsLight:
-            return [LampsProblem(skin, modes, lamps, (light.count, over)) for _ in sun_priors]
+            family = replace(LAMPS, prior=lambda _count: over)
+            return [LampsProblem(skin, modes, lamps, family, light.count) for _ in sun_priors]
         first = SkyProblem(own, over, skin, modes, options)
         return [first.another(one) for one in sun_priors]
     bundle = bundle_of(model)

@@ -20,7 +20,8 @@ from torch import Tensor
 
 from skylight.inverse._result import Estimate, FaceLight, Lamp
 from skylight.inverse._scan import SCAN_HEIGHT
-from skylight.models._lamps import AMBIENT_PARAMETERS, Lamps, LampsLight
+from skylight.models._lamps import AMBIENT_PARAMETERS, LampsLight
+from skylight.models._lobes import Lamps
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.transport._observation import Observation
 

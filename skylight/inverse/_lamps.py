@@ -22,6 +22,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from skylight._module import Module
 from skylight.inverse._descent import Iterates, Stage, choose_starts, descend
 from skylight.inverse._faces import Level, LitFaces, ObjectiveWeights, ScannedFace
 from skylight.inverse._least_squares import nnls
@@ -33,6 +34,7 @@ from skylight.inverse._scan import SCAN_HEIGHT, SunScan, scan_faces
 from skylight.inverse._solution import Solutions, estimate_of, face_lights, log_evidence
 from skylight.models._base import Prior
 from skylight.models._lamps import LampsLight, LampsPrior
+from skylight.models._lobes import LampedLight
 from skylight.models._prior import GaussianMixture
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import DirectionGrid
@@ -94,7 +96,7 @@ class Pursuit:
         energies = torch.stack([face.energies(sets) for face in self.faces]).mean(0)
         return LampSets(directions=directions[sets], energies=energies.clamp(*ENERGIES))
 
-    def starts(self, model: LampsLight, count: int) -> Float[Tensor, "s c p"]:
+    def starts(self, model: LampedLight, count: int) -> Float[Tensor, "s c p"]:
         """Parameters to start from: in each of so many of the best sets of the model's number."""
         if model.count == 0:
             return model.starts()[:, None]
@@ -185,23 +187,25 @@ def as_many_as_pay(fitted: Callable[[int], Fitted[Point]]) -> Fitted[Point]:
 
 @torch.no_grad()
 def in_pictures_units(
-    count: int, params: Float[Tensor, " p"], exposure: float | Float[Tensor, "3"]
+    light: LampedLight, params: Float[Tensor, " p"], exposure: float | Float[Tensor, "3"]
 ) -> tuple[EnvironmentMap, tuple[Lamp, ...]]:
     """The map, of :data:`MAP_ROWS` rows, and its lamps, the strongest first; on the CPU.
 
     ``exposure`` is the picture's unit, or one for each colour.
     """
-    model, params = LampsLight(count, MAP_ROWS), params.cpu()
+    model, params = light.on_rows(MAP_ROWS).cpu(), params.cpu()
     radiance = model(params) * exposure
+    if light.count == 0:
+        return EnvironmentMap(radiance=radiance.reshape(MAP_ROWS, 2 * MAP_ROWS, 3)), ()
     found = model.lamps(params)
-    received = 4 * math.pi * found.energies * LampsLight.facing(found.widths_rad)
+    received = 4 * math.pi * found.energies * model.facing(found.widths_rad)
     lamps = [
         Lamp(
             direction=found.directions[k].double(),
             irradiance=received[k] * exposure * found.colours[k],
             spread_rad=float(found.widths_rad[k]),
         )
-        for k in range(count)
+        for k in range(light.count)
     ]
     return (
         EnvironmentMap(radiance=radiance.reshape(MAP_ROWS, 2 * MAP_ROWS, 3)),
@@ -236,13 +240,24 @@ class LampsOptions:
         return sorted({one.level for one in (*self.coarse, *self.fine)})
 
 
+@dataclass(frozen=True, kw_only=True)
+class LampFamily:
+    """Light models that differ by their number of lamps, and the prior of each."""
+
+    light: Callable[[int], LampedLight]
+    prior: Callable[[int], Prior | None]
+
+
+LAMPS = LampFamily(light=LampsLight, prior=LampsPrior)
+
+
 class LampsProblem(LightProblem):
-    """Eq. 5.8 for all faces under one light that is no sky.
+    """Eq. 5.8 for all faces under one light of a ``family``, which is no sky.
 
     Light is on :data:`~skylight.inverse._scan.SCAN_HEIGHT` rows of the sphere: two thirds of the
     memory that a sky has, 130 MB for a face of 3,700 pixels with specular reflection. Everything is
     computed on the device of ``albedo_modes``, where the prior has to be. There are as many lamps
-    as pay, or as ``exactly`` says with their prior.
+    as pay, or ``exactly`` so many.
     """
 
     def __init__(
@@ -250,9 +265,10 @@ class LampsProblem(LightProblem):
         albedo_prior: GaussianMixture,
         albedo_modes: Float[Tensor, "k 3"],
         options: LampsOptions | None = None,
-        exactly: tuple[int, Prior | None] | None = None,
+        family: LampFamily = LAMPS,
+        exactly: int | None = None,
     ) -> None:
-        self.exactly = exactly
+        self.family, self.exactly = family, exactly
         self.albedo_prior, self.albedo_modes = albedo_prior, albedo_modes
         self.options = options or LampsOptions()
         self.faces = LitFaces()
@@ -286,24 +302,28 @@ class LampsProblem(LightProblem):
 
         def fitted(count: int) -> Fitted[Iterates]:
             objective = self._objective(count, options.coarse[0])
-            assert isinstance(objective.model, LampsLight)
-            towards = pursuit.starts(objective.model, options.sets)
+            model = objective.model
+            assert isinstance(model, LampedLight)
+            towards = pursuit.starts(model, options.sets)
             if count == 1:
-                scanned = objective.model.starts_towards(scan.candidates)
+                scanned = model.starts_towards(scan.candidates)
                 towards = torch.cat([towards, scanned.to(towards)])
-            points = Iterates.starting(*choose_starts(objective, towards, self.albedo_modes))
+            turns = model.azimuth_index is not None  # to where the sets are, as starts are not
+            chosen = choose_starts(objective, towards, self.albedo_modes, centroids=not turns)
+            points = Iterates.starting(*chosen)
             objective, points = self._descend(count, points, options.coarse)
             end = points.free[points.scores.argmin(), None]
             return Fitted(
                 count=count, point=points, log_evidence=float(log_evidence(objective, end))
             )
 
-        best = as_many_as_pay(fitted) if self.exactly is None else fitted(self.exactly[0])
+        best = as_many_as_pay(fitted) if self.exactly is None else fitted(self.exactly)
         objective, points = self._descend(best.count, best.point, options.fine, progress)
         solutions = Solutions.of(objective, [points], evidence=True)
         params = solutions.parts.light[0].cpu()
         lights = face_lights(solutions, 0, self.faces, options.fine[-1].level)
-        environment, lamps = in_pictures_units(best.count, params, lights[0].exposure)
+        light = self.family.light(best.count)
+        environment, lamps = in_pictures_units(light, params, lights[0].exposure)
         return estimate_of(
             objective.model.name,
             params,
@@ -333,11 +353,12 @@ class LampsProblem(LightProblem):
         return objective, points
 
     def _objective(self, count: int, stage: Stage) -> LightObjective:
-        weights = self.options.weights
+        weights, device = self.options.weights, self.albedo_modes.device
+        prior = self.family.prior(count)
         return LightObjective(
             self.faces.terms(stage.level),
-            LampsLight(count).to(self.albedo_modes.device),
-            LampsPrior(count) if self.exactly is None else self.exactly[1],
+            self.family.light(count).to(device),
+            prior.to(device) if isinstance(prior, Module) else prior,
             self.albedo_prior,
             replace(weights, pigment_spread=0.0) if stage.even_skin else weights,
         )

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.models._lamps import WIDTH_BOUNDS_RAD
+from skylight.models._lobes import WIDTH_BOUNDS_RAD
 from skylight.relight._lamps import (
     MOST_CLAMPED,
     colour_and_strength,

@@ -1,0 +1,366 @@
+"""Light from all round, of any place: a smooth field of log radiance, and up to three lamps.
+
+    l(w) = A(w) + 4 pi sum_k e_k c_k g(w; d_k, s_k),    A(w) ~ exp(sum_j c_j(z) B_j(p(w)))
+
+:mod:`~skylight.models._lobes` has the lamps, a sun among them. A is smooth light of mean luminance
+1. B are cubic B-splines on two disks, the sphere above and below the horizon
+(:mod:`~skylight.sphere._lobes`), and their control points are linear in the latents,
+c(z) = b + F z. The whole is turned about the vertical by an azimuth, which is that of the strongest lamp
+beforehand.
+
+What places look like was learnt from simulated ones (:mod:`skylight.places`): F is what they vary
+by, and the prior (:class:`SpherePrior`) is a mixture over kinds of place.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from importlib.resources import files
+from pathlib import Path
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from skylight._modes import constant, full_precision, on_cpu, single
+from skylight._module import Module
+from skylight.errors import AssetError, check_shape
+from skylight.io._tensors import read_tensors, write_tensors
+from skylight.models._base import draws
+from skylight.models._lobes import LAMP_PARAMETERS, LampedLight, Lamps
+from skylight.sphere._frame import DirectionGrid, angles_from_direction
+from skylight.sphere._lobes import DiskSplines
+
+SHIPPED = Path(str(files("skylight.models"))) / "data" / "sphere.safetensors"
+MOST_LAMPS = 3
+# log radiance, of a mean luminance of 1: a line search may try anything
+_DARKEST, _BRIGHTEST = -12.0, 12.0
+TURNS = 8  # of starts without a lamp
+AHEAD_KAPPA = 20.0  # of lamps about the azimuth of the whole: 13 degrees
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Places:
+    """What was learnt of places: n control points (of both disks), z latents, m components of k
+    kinds.
+
+    ``control`` b and ``basis`` F of the module's text; the mixture over latents, which are about
+    normal, as ``log_weights``, ``means`` and ``precision_factors``
+    (:class:`~skylight.models._prior.GaussianMixture`), and each component's ``kind``. Of the lamps
+    of each kind: ``log_counts`` are log probabilities of 0 to 3; ``lamp_means`` and
+    ``lamp_factors`` a normal density of the four numbers of a lamp that are no direction;
+    ``lamp_up`` h of a density ``e^(h d_y)`` of directions, and ``lamp_ahead`` the share that is at
+    the azimuth of the whole.
+    """
+
+    kinds: tuple[str, ...]
+    across: int
+    control: Float[Tensor, "n 3"]
+    basis: Float[Tensor, "z n 3"]
+    log_weights: Float[Tensor, " m"]
+    means: Float[Tensor, "m z"]
+    precision_factors: Float[Tensor, "m z z"]
+    kind: Int[Tensor, " m"]
+    log_counts: Float[Tensor, "k 4"]
+    lamp_means: Float[Tensor, "k 4"]
+    lamp_factors: Float[Tensor, "k 4 4"]
+    lamp_up: Float[Tensor, " k"]
+    lamp_ahead: Float[Tensor, " k"]
+
+    @property
+    def tensors(self) -> dict[str, Tensor]:
+        named = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: each for name, each in named.items() if isinstance(each, Tensor)}
+
+    def save(self, path: Path, told: Mapping[str, str]) -> None:
+        """Write a safetensors file, with what is ``told`` of where it comes from."""
+        own = {"across": str(self.across), "kinds": " ".join(self.kinds)}
+        write_tensors(path, self.tensors, {**told, **own})
+
+    @staticmethod
+    def load(path: Path = SHIPPED) -> "Places":
+        """Read what :meth:`save` wrote; :class:`AssetError` where that is not in the file."""
+        try:
+            tensors, told = read_tensors(path)
+            return Places(kinds=tuple(told["kinds"].split()), across=int(told["across"]), **tensors)
+        except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
+            reason = str(error).partition("\n")[0]
+            raise AssetError(
+                f"{path} holds no usable model of places ({reason}); reinstall skylight"
+            ) from error
+
+
+@constant()
+def shipped() -> Places:
+    """The one that comes with skylight."""
+    return Places.load()
+
+
+class SphereLight(LampedLight):
+    """Parameters ``(..., z + 1 + 7 k)`` to radiance on ``height`` rows of the sphere, of k lamps.
+
+    Latents, about standard normal beforehand, the azimuth by which the whole is turned (rad), and
+    then for each lamp what :class:`~skylight.models._lobes.LampedLight` says; its direction too is
+    that before the turn. The prior is :class:`SpherePrior` of as many lamps.
+
+    Parameters
+    ----------
+    count
+        k, 0 or more.
+    height
+        Rows of ``grid``.
+    places
+        What places look like; by default what comes with skylight.
+    """
+
+    name = "sphere"
+    control: Tensor
+    basis: Tensor
+    means: Tensor
+    values: Tensor
+
+    @on_cpu
+    def __init__(self, count: int, height: int = 32, places: Places | None = None) -> None:
+        self.places = places or shipped()
+        latents = len(self.places.basis)
+        self.parameter_names = f"{latents} latents, azimuth, {LAMP_PARAMETERS} of each lamp"
+        super().__init__(latents + 1, count, height, azimuth_index=latents)
+        self.latents = latents
+        self.register_buffer("values", _values(self.places.across, height // 2), persistent=False)
+        for name in ("control", "basis", "means"):
+            self.register_buffer(name, getattr(self.places, name), persistent=False)
+
+    def on_rows(self, height: int) -> "SphereLight":
+        """The model on ``height`` rows."""
+        return SphereLight(self.count, height, self.places).to(self.control)
+
+    def ambient(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
+        """A of the module's text, turned.
+
+        Turned are its rows, as sums of cosines: exact for what their pixels tell.
+        """
+        z, azimuth = params[..., : self.latents], params[..., self.latents]
+        control = self.control + torch.einsum("...z,znc->...nc", z, self.basis.to(z.dtype))
+        halves = control.to(z.dtype).unflatten(-2, (2, -1))
+        above, below = (self.values.to(z.dtype) @ halves).unbind(-3)
+        rows, columns = self.grid.layout  # type: ignore[misc]
+        below = below.unflatten(-2, (rows // 2, columns)).flip(-3)
+        log = torch.cat([above.unflatten(-2, (rows // 2, columns)), below], -3)
+        log = _turned_rows(log, azimuth).flatten(-3, -2).clamp(_DARKEST, _BRIGHTEST)
+        return self.normalised(log.exp())
+
+    def lamps(self, params: Float[Tensor, "*batch p"]) -> Lamps:
+        """What the parameters mean, turned."""
+        found = super().lamps(params)
+        azimuth = params[..., self.latents, None]
+        directions = turned(found.directions, azimuth)
+        return Lamps(
+            directions=directions,
+            energies=found.energies,
+            widths_rad=found.widths_rad,
+            colours=found.colours,
+        )
+
+    def ambient_starts(self) -> Float[Tensor, "a p"]:
+        """The means of the prior's components."""
+        ahead = self.means.new_zeros(len(self.means), 1)
+        return torch.cat([self.means, ahead], 1)
+
+    def starts(self) -> Float[Tensor, "s p"]:
+        """Those of any lamps; without one, turned all round."""
+        if self.count:
+            return super().starts()
+        starts = self.ambient_starts().repeat(TURNS, 1)
+        turn = torch.arange(TURNS).repeat_interleave(len(self.means)) / TURNS
+        starts[:, self.latents] = 2 * math.pi * turn.to(starts)
+        return starts
+
+    def starts_at(
+        self, directions: Float[Tensor, "s k 3"], energies: Float[Tensor, "s k"]
+    ) -> Float[Tensor, "s c p"]:
+        """As of any lamps, each set turned to its strongest."""
+        if self.count == 0:
+            return super().starts_at(directions, energies)
+        strongest = energies.argmax(1)[:, None, None].expand(-1, 1, 3)
+        azimuth, _ = angles_from_direction(directions.gather(1, strongest)[:, 0])
+        ahead = turned(directions, -azimuth[:, None])
+        params = super().starts_at(ahead, energies)
+        params[..., self.latents] = azimuth[:, None].to(params)
+        return params
+
+
+@constant(4)
+def _values(across: int, rows: int) -> Float[Tensor, "n k"]:
+    """The splines of one disk at the pixels of so many rows."""
+    return DiskSplines(across, DirectionGrid.sky(rows)).matrix().float()
+
+
+def _turned_rows(
+    images: Float[Tensor, "*b h w c"], azimuth_rad: Float[Tensor, "*b"]
+) -> Float[Tensor, "*b h w c"]:
+    """Lat-long images turned to the right: each row, as a sum of waves, moved along itself."""
+    width = images.shape[-2]
+    waves = torch.fft.rfft(images, dim=-2)
+    order = torch.arange(width // 2 + 1, device=images.device, dtype=images.dtype)
+    phase = azimuth_rad[..., None, None, None] * order[:, None]
+    return torch.fft.irfft(waves * torch.polar(torch.ones_like(phase), -phase), width, dim=-2)
+
+
+def turned(
+    directions: Float[Tensor, "*b k 3"], azimuth_rad: Float[Tensor, "*#b k"]
+) -> Float[Tensor, "*b k 3"]:
+    """Directions turned about the vertical, to the right for a positive angle."""
+    x, y, z = directions.unbind(-1)
+    sin, cos = azimuth_rad.sin().to(x.dtype), azimuth_rad.cos().to(x.dtype)
+    return torch.stack([cos * x - sin * z, y, sin * x + cos * z], -1)
+
+
+class SpherePrior(Module):
+    """Density of :class:`SphereLight`'s free parameters but the azimuth: a mixture over places ::
+
+        p(z, lamps) = sum_m w_m N(z; mu_m, S_m) P(k | m) prod_i p(lamp_i | m)
+
+    with what is learnt of lamps in places of component m's kind. A direction's length, which means
+    nothing, is 1 with a standard deviation of 0.1.
+
+    ``count`` is k. ``only`` are the kinds of place that may be; by default all.
+    """
+
+    log_weights: Tensor
+    means: Tensor
+    precision_factors: Tensor
+    kind: Tensor
+    log_counts: Tensor
+    lamp_means: Tensor
+    lamp_factors: Tensor
+    lamp_up: Tensor
+    lamp_ahead: Tensor
+
+    @on_cpu
+    def __init__(
+        self, count: int, places: Places | None = None, only: Sequence[str] | None = None
+    ) -> None:
+        super().__init__()
+        places = places or shipped()
+        self.count, self.kinds = count, places.kinds
+        self.latents = places.means.shape[1]
+        self.parameter_count = self.latents + LAMP_PARAMETERS * count
+        for name, each in places.tensors.items():
+            if name not in ("control", "basis"):
+                self.register_buffer(name, each.clone(), persistent=False)
+        if only is not None:
+            wanted = torch.tensor([kind in only for kind in self.kinds])[self.kind]
+            self.log_weights = torch.where(wanted, self.log_weights, -torch.inf).log_softmax(0)
+
+    def log_prob(self, x: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch"]:
+        """Natural logarithm of the density, differentiable in x."""
+        return torch.logsumexp(self.of_components(x), -1)
+
+    def responsibilities(self, x: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch k"]:
+        """How likely each kind of place is."""
+        share = torch.softmax(self.of_components(x), -1)
+        kinds = share.new_zeros(*share.shape[:-1], len(self.kinds))
+        return kinds.index_add(-1, self.kind, share)
+
+    def of_components(self, x: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch m"]:
+        """The logarithms of the mixture's summands."""
+        names = f"{self.latents} latents, {LAMP_PARAMETERS} of each lamp"
+        check_shape("SpherePrior's parameters", x.shape, self.parameter_count, names=names)
+        x = single(x)
+        with full_precision(x):
+            z = x[..., None, : self.latents] - self.means.to(x.dtype)
+            white = torch.einsum("...mz,mzq->...mq", z, self.precision_factors.to(x.dtype))
+            total = self.log_weights.to(x.dtype) + _log_normal(white, self.precision_factors)
+            counts = self.log_counts[:, min(self.count, MOST_LAMPS)].to(x.dtype)
+            of_kinds = counts.expand(*x.shape[:-1], -1)
+            if self.count:
+                each = x[..., self.latents :].unflatten(-1, (self.count, LAMP_PARAMETERS))
+                of_kinds = of_kinds + self._of_lamps(each).sum(-2)
+            return total + of_kinds[..., self.kind]
+
+    def _of_lamps(self, each: Float[Tensor, "*b 7"]) -> Float[Tensor, "*b k"]:
+        """Log density of a lamp in places of each kind."""
+        length = each[..., :3].norm(dim=-1, keepdim=True).clamp(min=1e-12)
+        direction = each[..., :3] / length
+        up = self.lamp_up.to(each.dtype)
+        of_height = up * direction[..., 1:2] + (up / (4 * math.pi * up.sinh())).log()
+        level = direction[..., ::2].norm(dim=-1, keepdim=True).clamp(min=1e-6)
+        cosine = -direction[..., 2:] / level  # to the azimuth of the whole, which is -Z
+        ahead = AHEAD_KAPPA * (cosine - 1) - math.log(_bessel0_scaled(AHEAD_KAPPA))
+        share = self.lamp_ahead.to(each.dtype)
+        of_azimuth = torch.logaddexp(share.log() + ahead, torch.log1p(-share))
+        of_length = -0.5 * (((length - 1) / 0.1).square() + math.log(2 * math.pi * 0.01))
+        rest = each[..., None, 3:] - self.lamp_means.to(each.dtype)
+        white = torch.einsum("...kz,kzq->...kq", rest, self.lamp_factors.to(each.dtype))
+        numbers = _log_normal(white, self.lamp_factors)
+        return of_height + of_azimuth + of_length - 2 * length.log() + numbers
+
+    def sample(
+        self, shape: int | Sequence[int] = (), generator: torch.Generator | None = None
+    ) -> Float[Tensor, "*shape p"]:
+        """Independent draws ``(*shape, p)``, n of them for ``shape=n`` and one for none.
+
+        Of places with this prior's number of lamps; in the module's dtype and on its device.
+        """
+        shape, where = draws(shape), {"dtype": self.means.dtype, "device": self.means.device}
+        n, count = shape.numel(), self.count
+        weights = (self.log_weights + self.log_counts[self.kind, min(count, MOST_LAMPS)]).exp()
+        which = torch.multinomial(weights, max(n, 1), replacement=True, generator=generator)[:n]
+        kind = self.kind[which]
+
+        def normal(means: Tensor, factors: Tensor, rows: Tensor, *more: int) -> Tensor:
+            noise = torch.randn(n, *more, means.shape[1], generator=generator, **where)
+            offset = torch.linalg.solve(
+                factors.mT[rows].reshape(n, *[1] * len(more), *factors.shape[1:]), noise[..., None]
+            )
+            return means[rows].reshape(n, *[1] * len(more), -1) + offset[..., 0]
+
+        z = normal(self.means, self.precision_factors, which)
+        rest = normal(self.lamp_means, self.lamp_factors, kind, count)
+        uniform = torch.rand(n, count, 4, generator=generator, **where)
+        h = self.lamp_up[kind, None]
+        # the height's distribution function is (e^(h y) - e^-h) / (e^h - e^-h)
+        y = ((-h).exp() + uniform[..., 0] * (h.exp() - (-h).exp())).log() / h
+        y = y.clamp(-1, 1)
+        ahead = uniform[..., 1] < self.lamp_ahead[kind, None]
+        azimuth = torch.where(
+            ahead, _von_mises(uniform[..., 2]), 2 * math.pi * (uniform[..., 2] - 0.5)
+        )
+        level = (1 - y.square()).sqrt()
+        towards = torch.stack([level * azimuth.sin(), y, -level * azimuth.cos()], -1)
+        length = 1 + 0.1 * torch.randn(n, count, 1, generator=generator, **where)
+        lamps = torch.cat([towards * length, rest], -1)
+        return torch.cat([z, lamps.flatten(1)], 1).reshape(*shape, self.parameter_count)
+
+
+def _log_normal(
+    white: Float[Tensor, "*b m p"], factors: Float[Tensor, "m p p"]
+) -> Float[Tensor, "*b m"]:
+    """Log density of normal numbers, whitened by precision factors."""
+    log_det = factors.diagonal(dim1=1, dim2=2).log().sum(1).to(white.dtype)
+    size = white.shape[-1]
+    return log_det - 0.5 * (white.square().sum(-1) + size * math.log(2 * math.pi))
+
+
+def _bessel0_scaled(kappa: float) -> float:
+    """``e^-kappa I_0(kappa)``"""
+    return float(torch.special.i0e(torch.tensor(kappa, dtype=torch.float64)))
+
+
+@constant()
+def _von_mises_table() -> Float[Tensor, " n"]:
+    """Angles at which the distribution about 0 has reached i / (n - 1)."""
+    angle = torch.linspace(-math.pi, math.pi, 4001, dtype=torch.float64)
+    density = (AHEAD_KAPPA * (angle.cos() - 1)).exp()
+    reached = torch.cumulative_trapezoid(density, angle)
+    reached = torch.cat([reached.new_zeros(1), reached]) / reached[-1]
+    at = torch.searchsorted(reached, torch.linspace(0, 1, 1001, dtype=torch.float64))
+    return angle[at.clamp(max=4000)]
+
+
+def _von_mises(uniform: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
+    """Angles of that distribution, of uniform numbers."""
+    table = _von_mises_table().to(uniform)
+    place = uniform * (len(table) - 1)
+    low = place.long().clamp(max=len(table) - 2)
+    return torch.lerp(table[low], table[low + 1], place - low)

@@ -1,0 +1,395 @@
+"""The light model of places (:mod:`skylight.models._sphere`) from a folder of simulated ones.
+
+Maps are seen as log radiance on 32 rows, of a mean luminance of 1, turned so that their strongest
+light is straight ahead. Their principal components start the model; its control points are then
+improved for what maps do to a scene: a map's latents are those of least squares, and what is
+minimised over the model is ::
+
+    mean (log A - log L)^2 + w mean (log E_A - log E_L)^2
+
+with E the irradiance of 64 surfaces all round.
+"""
+
+import csv
+import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skylight.errors import InputError
+from skylight.io._bounded import file_text
+from skylight.io._files import INDEX_NAME, read_environment_map
+from skylight.models._lobes import (
+    LAMP_CHROMA,
+    LAMP_ENERGY,
+    LAMP_ENERGY_SPREAD,
+    LAMP_WIDTH_RAD,
+    LAMP_WIDTH_SPREAD,
+    LONGEST,
+    MOST_ENERGY,
+)
+from skylight.models._prior import GaussianMixture
+from skylight.models._sphere import MOST_LAMPS, Places
+from skylight.sphere._envmap import luminance
+from skylight.sphere._frame import DirectionGrid, direction_from_angles
+from skylight.sphere._lobes import DiskSplines
+from skylight.work._progress import StageProgress, silent
+
+ROWS = 32
+FLOOR = 3e-3  # radiance, of a mean luminance of 1: what is darker is alike
+NORMALS = 64
+STRONG = 0.024  # of all light: what a map is turned to
+LEAST_LAMP = 0.02  # energy of a lamp beside the smooth light's that counts as one
+RIDGE = 1e-3  # of a mean control point's weight, in least squares
+# Of the mixture's covariances: so many samples' worth of the kind's own diagonal
+SHRINKAGE = 100
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaceLight:
+    """A distinct light of a map, as :class:`skylight.places._simulated.LightRecord`."""
+
+    azimuth_rad: float
+    zenith_rad: float
+    energy: tuple[float, float, float]
+    radius_rad: float
+    in_map: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlaceMaps:
+    """Maps for training: ``log`` radiance (n, 2048, 3), turned by ``azimuth_rad`` already."""
+
+    log: Float[Tensor, "n d 3"]
+    azimuth_rad: Float[Tensor, " n"]
+    kind: list[str]
+    lights: list[list[PlaceLight]]
+    is_test: list[bool]
+
+    def rows(self, which: Sequence[int]) -> "PlaceMaps":
+        return PlaceMaps(
+            log=self.log[list(which)],
+            azimuth_rad=self.azimuth_rad[list(which)],
+            kind=[self.kind[k] for k in which],
+            lights=[self.lights[k] for k in which],
+            is_test=[self.is_test[k] for k in which],
+        )
+
+
+def read_maps(folder: Path, workers: int = 2) -> PlaceMaps:
+    """All maps of a folder that ``skylight places simulate`` wrote."""
+    lights: dict[str, list[PlaceLight]] = {}
+    for row in _table(folder / "lights.csv"):
+        red, green, blue = (float(row[name]) for name in ("red", "green", "blue"))
+        light = PlaceLight(
+            azimuth_rad=math.radians(float(row["azimuth_deg"])),
+            zenith_rad=math.radians(float(row["zenith_deg"])),
+            energy=(red, green, blue),
+            radius_rad=math.radians(float(row["radius_deg"])),
+            in_map=row["in_map"] == "1",
+        )
+        lights.setdefault(row["file"], []).append(light)
+    index = _table(folder / INDEX_NAME)
+    if not index:
+        raise InputError(f"{folder}: no map is there; simulate some with skylight places simulate")
+    named = [lights.get(row["file"], []) for row in index]
+
+    def one(k: int) -> tuple[Tensor, float]:
+        radiance = read_environment_map(folder / index[k]["file"]).resize(ROWS).radiance
+        return _centred(radiance, named[k])
+
+    with ThreadPoolExecutor(workers) as pool:
+        found = list(pool.map(one, range(len(index))))
+    return PlaceMaps(
+        log=torch.stack([log for log, _ in found]),
+        azimuth_rad=torch.tensor([azimuth for _, azimuth in found]),
+        kind=[row["kind"] for row in index],
+        lights=named,
+        is_test=[row["split"] != "train" for row in index],
+    )
+
+
+def _table(path: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(StringIO(file_text(path), newline="")))
+
+
+def _centred(
+    radiance: Float[Tensor, "h w 3"], lights: Sequence[PlaceLight]
+) -> tuple[Float[Tensor, "d 3"], float]:
+    """(log radiance with the strongest light straight ahead, by how much it was turned)."""
+    height, width, _ = radiance.shape
+    solid = DirectionGrid.latlong(height).solid_angles.float()
+    share = (solid / (4 * math.pi)).reshape(height, width)
+    level = luminance(radiance)
+    radiance = radiance / (level * share).sum().clamp(min=1e-12)
+    strongest = max(lights, key=_luminous, default=None)
+    if strongest is not None and _luminous(strongest) > STRONG * 4 * math.pi:
+        azimuth = strongest.azimuth_rad
+    else:
+        column = ((level + FLOOR * level.mean()).log() * share).sum(0)
+        at = 2 * math.pi * ((torch.arange(width) + 0.5) / width - 0.5)
+        azimuth = math.atan2(float(column @ at.sin()), float(column @ at.cos()))
+    columns = round(azimuth / (2 * math.pi) * width)
+    log = torch.log(radiance + FLOOR).roll(-columns, 1)
+    return log.reshape(-1, 3).half(), columns * 2 * math.pi / width
+
+
+def _luminous(light: PlaceLight) -> float:
+    return float(luminance(torch.tensor(light.energy)))
+
+
+class Decoder:
+    """Control points (of both disks) to log radiance on 32 rows, and back by least squares."""
+
+    def __init__(self, across: int, device: torch.device) -> None:
+        splines = DiskSplines(across, DirectionGrid.sky(ROWS // 2))
+        grid = DirectionGrid.latlong(ROWS)
+        half = splines.matrix()
+        flipped = half.unflatten(0, (ROWS // 2, -1)).flip(0).flatten(0, 1)
+        matrix = torch.block_diag(half, flipped)
+        weights = grid.solid_angles.double() / (4 * math.pi)
+        gram = matrix.T @ (weights[:, None] * matrix)
+        gram += RIDGE * gram.diagonal().mean() * torch.eye(len(gram)).double()
+        self.across = across
+        self.matrix = matrix.float().to(device)
+        self.inverse = torch.linalg.solve(gram, matrix.T * weights).float().to(device)
+        self.weights = weights.float().to(device)
+        self.directions = grid.directions.float().to(device)
+        self.solid_angles = grid.solid_angles.float().to(device)
+        normals = DirectionGrid.hammersley(NORMALS).directions.float().to(device)
+        self.irradiance = (normals @ self.directions.T).clamp(min=0) * self.solid_angles
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Linear:
+    """log A = M (b + F z): the model while it learns. Latents are those of least squares."""
+
+    control: Float[Tensor, "n 3"]
+    basis: Float[Tensor, "z n 3"]
+
+    def latents(self, decoder: Decoder, log: Float[Tensor, "b d 3"]) -> Float[Tensor, "b z"]:
+        fields = (decoder.matrix @ self.basis).flatten(1)
+        root = decoder.weights.sqrt().repeat_interleave(3)
+        weighted = fields * root
+        left = (log - decoder.matrix @ self.control).flatten(1) * root
+        gram = weighted @ weighted.T
+        gram = gram + 1e-5 * gram.diagonal().mean() * torch.eye(len(gram), device=gram.device)
+        return torch.linalg.solve(gram, weighted @ left.T).T
+
+    def log(self, decoder: Decoder, z: Float[Tensor, "b z"]) -> Float[Tensor, "b d 3"]:
+        control = self.control + torch.einsum("bz,znc->bnc", z, self.basis)
+        return decoder.matrix @ control
+
+
+def principal(decoder: Decoder, log: Float[Tensor, "n d 3"], latents: int) -> Linear:
+    """Of principal components, weighted by solid angle."""
+    mean = log.mean(0)
+    root = decoder.weights.sqrt()[:, None]
+    centred = ((log - mean) * root).flatten(1)
+    _, scale, axes = torch.svd_lowrank(centred, q=latents + 10, niter=6)
+    scale = scale[:latents] / math.sqrt(len(log))
+    fields = (axes[:, :latents] * scale).T.unflatten(1, (-1, 3)) / root
+    return Linear(control=decoder.inverse @ mean, basis=decoder.inverse @ fields)
+
+
+def improved(
+    decoder: Decoder,
+    model: Linear,
+    log: Float[Tensor, "n d 3"],
+    *,
+    steps: int,
+    irradiance_weight: float = 0.5,
+    batch: int = 256,
+    rate: float = 2e-3,
+    seed: int = 0,
+    progress: StageProgress = silent,
+) -> Linear:
+    """What :mod:`this module <skylight.training._places>` minimises, by Adam."""
+    control, basis = (each.clone().requires_grad_() for each in (model.control, model.basis))
+    optimiser = torch.optim.Adam([control, basis], lr=rate)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps)
+    generator = torch.Generator().manual_seed(seed)
+    for step in range(steps):
+        some = torch.randint(len(log), (batch,), generator=generator)
+        seen = mirrored(log[some.to(log.device)].float(), generator)
+        learnt = Linear(control=control, basis=basis)
+        made = learnt.log(decoder, learnt.latents(decoder, seen))
+        error = ((made - seen).square().mean(2) @ decoder.weights).mean()
+        lit = (decoder.irradiance @ made.clamp(max=8).exp()).log()
+        wanted = (decoder.irradiance @ seen.exp()).log()
+        loss = error + irradiance_weight * (lit - wanted).square().mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        schedule.step()
+        if step % 50 == 0:
+            progress("training", step / steps)
+    return Linear(control=control.detach(), basis=basis.detach())
+
+
+def mirrored(log: Float[Tensor, "b d 3"], generator: torch.Generator) -> Float[Tensor, "b d 3"]:
+    """A random half of maps seen in a mirror: left for right."""
+    flipped = log.unflatten(1, (ROWS, -1)).flip(2).flatten(1, 2)
+    chosen = torch.rand(len(log), 1, 1, generator=generator) < 0.5
+    return torch.where(chosen.to(log.device), flipped, log)
+
+
+def whitened(model: Linear, z: Float[Tensor, "n z"]) -> tuple[Linear, Float[Tensor, "n z"]]:
+    """The same light with latents of mean 0 and covariance 1 over ``z``."""
+    mean, root = z.mean(0), torch.linalg.cholesky(torch.cov(z.double().T)).to(z)
+    control = model.control + torch.einsum("z,znc->nc", mean, model.basis)
+    basis = torch.einsum("zy,znc->ync", root, model.basis)
+    white = torch.linalg.solve_triangular(root, (z - mean).T, upper=False).T
+    return Linear(control=control, basis=basis), white
+
+
+def scores(
+    decoder: Decoder, model: Linear, log: Float[Tensor, "n d 3"]
+) -> dict[str, Float[Tensor, " n"]]:
+    """Errors of maps that are coded: log radiance (rms), irradiance (rms over rms)."""
+    found: dict[str, list[Tensor]] = {"log_rmse": [], "irradiance": []}
+    for some in log.float().split(512):
+        made = model.log(decoder, model.latents(decoder, some))
+        found["log_rmse"].append(((made - some).square().mean(2) @ decoder.weights).sqrt())
+        lit, wanted = decoder.irradiance @ made.exp(), decoder.irradiance @ some.exp()
+        scale = (lit * wanted).sum((1, 2)) / lit.square().sum((1, 2))
+        off = (scale[:, None, None] * lit - wanted).square().mean((1, 2)).sqrt()
+        found["irradiance"].append(off / wanted.square().mean((1, 2)).sqrt())
+    return {name: torch.cat(each) for name, each in found.items()}
+
+
+def lamps_of(
+    decoder: Decoder, model: Linear, maps: PlaceMaps, z: Float[Tensor, "n z"]
+) -> list[Float[Tensor, "k 7"]]:
+    """What lamps each map has beside its smooth light: as parameters of ``SphereLight``.
+
+    Of a light that the map shows, what the model lacks within its disc; of others all.
+    """
+    found: list[Float[Tensor, "k 7"]] = []
+    for k, lights in enumerate(maps.lights):
+        smooth = model.log(decoder, z[k : k + 1])[0].exp()
+        mean = float(luminance(smooth) @ decoder.weights)
+        lamps = []
+        for light in lights:
+            azimuth = light.azimuth_rad - float(maps.azimuth_rad[k])
+            towards = direction_from_angles(
+                torch.tensor(azimuth), torch.tensor(light.zenith_rad)
+            ).to(smooth)
+            energy = torch.tensor(light.energy).to(smooth)
+            if light.in_map:
+                radius = max(light.radius_rad, math.pi / ROWS)
+                inside = (decoder.directions @ towards) > math.cos(radius)
+                energy = energy - (smooth * (decoder.solid_angles * inside)[:, None]).sum(0)
+            strength = float(luminance(energy)) / (4 * math.pi * mean)
+            if strength > LEAST_LAMP and float(energy.min()) > 0:
+                lamps.append((strength, _lamp(towards, strength, energy, light.radius_rad)))
+        lamps.sort(key=lambda lamp: -lamp[0])
+        each = [lamp for _, lamp in lamps[:MOST_LAMPS]]
+        found.append(torch.stack(each) if each else torch.zeros(0, 7))
+    return found
+
+
+def _lamp(
+    towards: Float[Tensor, "3"], strength: float, energy: Float[Tensor, "3"], radius_rad: float
+) -> Float[Tensor, "7"]:
+    """Its seven parameters (:class:`~skylight.models._lobes.LampedLight`)."""
+    below = 1 / min(strength, 0.9 * MOST_ENERGY) - 1 / MOST_ENERGY
+    red, green, blue = energy.tolist()
+    numbers = [
+        -math.log(LAMP_ENERGY * below) / LAMP_ENERGY_SPREAD,
+        # an even disc has a variance of r^2 / 4 per axis
+        math.log(max(radius_rad / 2, math.radians(1.0)) / LAMP_WIDTH_RAD) / LAMP_WIDTH_SPREAD,
+        math.log(red / green) / LAMP_CHROMA,
+        math.log(blue / green) / LAMP_CHROMA,
+    ]
+    limited = [min(max(each, -LONGEST), LONGEST) for each in numbers]
+    return torch.tensor([*towards.tolist(), *limited])
+
+
+def places_of(
+    decoder: Decoder,
+    model: Linear,
+    maps: PlaceMaps,
+    kinds: Sequence[str],
+    components: dict[str, int],
+    seed: int = 0,
+) -> Places:
+    """The model with its prior, of training maps."""
+    log = maps.log.to(decoder.matrix)
+    flipped = log.unflatten(1, (ROWS, -1)).flip(2).flatten(1, 2)
+    z = torch.cat([model.latents(decoder, some.float()) for some in log.split(512)])
+    seen = torch.cat([model.latents(decoder, some.float()) for some in flipped.split(512)])
+    model, white = whitened(model, torch.cat([z, seen]))
+    lamps = lamps_of(decoder, model, maps, white[: len(z)])
+    of_kind = np.array(maps.kind)
+    parts, kind_of, told = [], [], []
+    for number, kind in enumerate(kinds):
+        mine = torch.from_numpy(np.flatnonzero(of_kind == kind))
+        both = torch.cat([mine, mine + len(z)]).to(white.device)
+        mixture = shrunk(white[both].cpu(), components[kind], seed)
+        parts.append((mixture, len(mine) / len(z)))
+        kind_of += [number] * len(mixture.weights)
+        told.append(_lamps_told([lamps[k] for k in mine.tolist()]))
+    log_weights = torch.cat([mixture.weights.log() + math.log(s) for mixture, s in parts])
+    stacked = {name: torch.stack([each[name] for each in told]) for name in told[0]}
+    tensors = {
+        "control": model.control,
+        "basis": model.basis,
+        "log_weights": log_weights,
+        "means": torch.cat([mixture.means for mixture, _ in parts]),
+        "precision_factors": torch.cat([mixture.precision_factors for mixture, _ in parts]),
+        **stacked,
+    }
+    return Places(
+        kinds=tuple(kinds),
+        across=decoder.across,
+        kind=torch.tensor(kind_of),
+        **{name: each.float().cpu().contiguous() for name, each in tensors.items()},
+    )
+
+
+def shrunk(samples: Float[Tensor, "n z"], components: int, seed: int) -> GaussianMixture:
+    """A mixture whose covariances lean to the kind's own diagonal, where samples are few."""
+    fitted = GaussianMixture.fit(samples, components, seed=seed, covariance_floor=1e-2)
+    diagonal = torch.diag_embed(samples.double().var(0))
+    count = (len(samples) * fitted.weights)[:, None, None]
+    covariance = (count * fitted.covariances + SHRINKAGE * diagonal) / (count + SHRINKAGE)
+    # the upper factor B of B B^T is Cholesky's lower one of the reversed matrix
+    factors = torch.linalg.cholesky(torch.linalg.inv(covariance).flip(1, 2)).flip(1, 2)
+    return GaussianMixture(fitted.weights, fitted.means, factors.triu())
+
+
+def _lamps_told(lamps: Sequence[Float[Tensor, "k 7"]]) -> dict[str, Tensor]:
+    """What the lamps of one kind's places are like; a tenth of a place has each number of them."""
+    counts = torch.bincount(torch.tensor([len(each) for each in lamps]), minlength=4).double() + 0.1
+    every = torch.cat([*lamps]).double()
+    numbers = every[:, 3:]
+    usual = torch.zeros(4).double() if len(every) == 0 else numbers.mean(0)
+    offset = numbers - usual
+    covariance = (offset.T @ offset + 20 * torch.eye(4).double()) / (len(every) + 20)
+    factor = torch.linalg.cholesky(torch.linalg.inv(covariance).flip(0, 1)).flip(0, 1)
+    up, azimuth = every[:, 1], torch.atan2(every[:, 0], -every[:, 2])
+    near = (azimuth.abs() < math.radians(30)).double().sum()
+    return {
+        "log_counts": (counts / counts.sum()).log(),
+        "lamp_means": usual,
+        "lamp_factors": factor.triu(),
+        "lamp_up": torch.tensor(_height(float((up.sum()) / (len(up) + 5)))),
+        # what a uniform azimuth puts there is a sixth
+        "lamp_ahead": ((near + 1) / (len(every) + 2) * 1.2 - 0.2).clamp(0.05, 0.95),
+    }
+
+
+def _height(mean: float) -> float:
+    """h of the density ``e^(h y)`` over -1 to 1 of that mean: ``coth h - 1 / h``."""
+    h = torch.linspace(-8, 8, 1600, dtype=torch.float64)
+    means = 1 / h.tanh() - 1 / h
+    found = float(h[(means - mean).abs().argmin()])
+    return found if abs(found) > 0.05 else math.copysign(0.05, found or 1.0)
