@@ -10,13 +10,14 @@ from skylight._modes import without_autocast
 from skylight._names import (
     DEFAULT_LIGHT,
     SKY_LIGHTS,
-    LightName,
     check_is_trained,
     check_light_name,
 )
 from skylight.errors import InputError
 from skylight.faces._skin import SkinPrior
 from skylight.inverse._auto import AutoProblem
+from skylight.inverse._descent import Stage
+from skylight.inverse._faces import Level
 from skylight.inverse._harmonic import HarmonicProblem
 from skylight.inverse._lamps import LAMPS, LampFamily, LampsOptions, LampsProblem
 from skylight.inverse._own_light import (
@@ -43,10 +44,16 @@ from skylight.transport._observation import Observation
 from skylight.work._device import choose_device
 from skylight.work._progress import Progress
 
-FAMILIES: dict[LightName, LampFamily] = {
-    "sphere": LampFamily(light=SphereLight, prior=SpherePrior),
-    "lamps": LAMPS,
-}
+SPHERE = LampFamily(light=SphereLight, prior=SpherePrior)
+# Latents are many, so what is coarse is coarse in light too
+SPHERE_COARSE = (
+    Stage(level=Level(2, light=1), starts=10, iterations=6, even_skin=True, steps="broyden"),
+    Stage(level=Level(1, light=1), starts=3, iterations=8, even_skin=True, steps="broyden"),
+)
+SPHERE_FINE = (
+    Stage(level=Level(0), starts=1, iterations=8, steps="broyden"),
+    Stage(level=Level(0), starts=1, iterations=5, steps="broyden"),
+)
 SUN_SPREAD_RAD = math.radians(1.4)  # half a pixel of the sky
 
 
@@ -202,8 +209,11 @@ def light_problems(
     if degree is not None:
         harmonics = HarmonicLight(degree).to(where)
         return [HarmonicProblem(harmonics, skin, modes, one) for one in sun_priors]
-    if isinstance(light, str) and light in FAMILIES:
-        return [LampsProblem(skin, modes, lamps, FAMILIES[light]) for _ in sun_priors]
+    if light == "sphere":
+        efforts = replace(lamps, coarse=SPHERE_COARSE, fine=SPHERE_FINE)
+        return [LampsProblem(skin, modes, efforts, SPHERE) for _ in sun_priors]
+    if light == "lamps":
+        return [LampsProblem(skin, modes, lamps) for _ in sun_priors]
     if not isinstance(light, str):
         own, over = own_light(light, prior, where)
         if type(light) is LampsLight:

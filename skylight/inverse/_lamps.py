@@ -357,7 +357,7 @@ class LampsProblem(LightProblem):
         prior = self.family.prior(count)
         return LightObjective(
             self.faces.terms(stage.level),
-            self.family.light(count).to(device),
+            self.family.light(count).on_rows(SCAN_HEIGHT >> stage.level.light).to(device),
             prior.to(device) if isinstance(prior, Module) else prior,
             self.albedo_prior,
             replace(weights, pigment_spread=0.0) if stage.even_skin else weights,

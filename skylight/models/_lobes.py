@@ -121,7 +121,9 @@ class LampedLight(ParametricLight):
     def lobes(self, lamps: Lamps) -> Float[Tensor, "*batch k n"]:
         """g of each lamp, with an energy of exactly 1 over the grid's cells."""
         chords = squared_chords(lamps.directions, self.directions.to(lamps.directions.dtype))
-        exponent = -0.5 * chords / lamps.widths_rad[..., None] ** 2
+        # narrower than half a cell they would fall between the centres of two
+        widths = lamps.widths_rad.clamp(min=math.pi / 2 / self.grid.layout[0])  # type: ignore[index]
+        exponent = -0.5 * chords / widths[..., None] ** 2
         total = torch.logsumexp(
             exponent + self.log_solid_angle.to(exponent.dtype), -1, keepdim=True
         )

@@ -55,8 +55,8 @@ class Places:
 
     kinds: tuple[str, ...]
     across: int
-    control: Float[Tensor, "n 3"]
-    basis: Float[Tensor, "z n 3"]
+    control: Float[Tensor, "3 n"]
+    basis: Float[Tensor, "z 3 n"]
     log_weights: Float[Tensor, " m"]
     means: Float[Tensor, "m z"]
     precision_factors: Float[Tensor, "m z z"]
@@ -140,14 +140,13 @@ class SphereLight(LampedLight):
         Turned are its rows, as sums of cosines: exact for what their pixels tell.
         """
         z, azimuth = params[..., : self.latents], params[..., self.latents]
-        control = self.control + torch.einsum("...z,znc->...nc", z, self.basis.to(z.dtype))
-        halves = control.to(z.dtype).unflatten(-2, (2, -1))
-        above, below = (self.values.to(z.dtype) @ halves).unbind(-3)
         rows, columns = self.grid.layout  # type: ignore[misc]
-        below = below.unflatten(-2, (rows // 2, columns)).flip(-3)
-        log = torch.cat([above.unflatten(-2, (rows // 2, columns)), below], -3)
-        log = _turned_rows(log, azimuth).flatten(-3, -2).clamp(_DARKEST, _BRIGHTEST)
-        return self.normalised(log.exp())
+        control = self.control + (z @ self.basis.to(z.dtype).flatten(1)).unflatten(-1, (3, -1))
+        halves = control.to(z.dtype).unflatten(-1, (2, -1)) @ self.values.to(z.dtype)
+        above, below = halves.unflatten(-1, (rows // 2, columns)).unbind(-3)
+        log = _turned_rows(torch.cat([above, below.flip(-2)], -2), azimuth)
+        log = log.flatten(-2).clamp(_DARKEST, _BRIGHTEST)
+        return self.normalised(log.exp().transpose(-1, -2).contiguous())
 
     def lamps(self, params: Float[Tensor, "*batch p"]) -> Lamps:
         """What the parameters mean, turned."""
@@ -190,20 +189,20 @@ class SphereLight(LampedLight):
 
 
 @constant(4)
-def _values(across: int, rows: int) -> Float[Tensor, "n k"]:
+def _values(across: int, rows: int) -> Float[Tensor, "k n"]:
     """The splines of one disk at the pixels of so many rows."""
-    return DiskSplines(across, DirectionGrid.sky(rows)).matrix().float()
+    return DiskSplines(across, DirectionGrid.sky(rows)).matrix().float().T.contiguous()
 
 
 def _turned_rows(
-    images: Float[Tensor, "*b h w c"], azimuth_rad: Float[Tensor, "*b"]
-) -> Float[Tensor, "*b h w c"]:
+    images: Float[Tensor, "*b c h w"], azimuth_rad: Float[Tensor, "*b"]
+) -> Float[Tensor, "*b c h w"]:
     """Lat-long images turned to the right: each row, as a sum of waves, moved along itself."""
-    width = images.shape[-2]
-    waves = torch.fft.rfft(images, dim=-2)
+    width = images.shape[-1]
+    waves = torch.fft.rfft(images)
     order = torch.arange(width // 2 + 1, device=images.device, dtype=images.dtype)
-    phase = azimuth_rad[..., None, None, None] * order[:, None]
-    return torch.fft.irfft(waves * torch.polar(torch.ones_like(phase), -phase), width, dim=-2)
+    phase = azimuth_rad[..., None, None, None] * order
+    return torch.fft.irfft(waves * torch.polar(torch.ones_like(phase), -phase), width)
 
 
 def turned(

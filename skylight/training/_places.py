@@ -340,8 +340,8 @@ def places_of(
     log_weights = torch.cat([mixture.weights.log() + math.log(s) for mixture, s in parts])
     stacked = {name: torch.stack([each[name] for each in told]) for name in told[0]}
     tensors = {
-        "control": model.control,
-        "basis": model.basis,
+        "control": model.control.T,
+        "basis": model.basis.mT,
         "log_weights": log_weights,
         "means": torch.cat([mixture.means for mixture, _ in parts]),
         "precision_factors": torch.cat([mixture.precision_factors for mixture, _ in parts]),
