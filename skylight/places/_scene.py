@@ -20,7 +20,7 @@ from skylight.skies._scattering import XYZ_FROM_RGB, colour_matching
 from skylight.sphere._envmap import LUMINANCE
 from skylight.transport._rays import Raycaster
 
-SUN_LUX = 133e3  # the luminous solar constant (DIN 5034-2)
+SUN_LUX = 133.3e3  # Darula, Kittler & Gueymard 2005
 Real = float | int
 Triple = Sequence[Real] | np.ndarray
 NO_LIGHT = (0.0, 0.0, 0.0)

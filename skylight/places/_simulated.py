@@ -23,10 +23,10 @@ from skylight.io._bounded import file_text
 from skylight.io._files import INDEX_NAME, write_environment_map
 from skylight.places._materials import Draw
 from skylight.places._outdoors import Outdoors, draw_outdoors, night, open_air
-from skylight.places._radiosity import DistinctLight, Rendered, render
 from skylight.places._rooms import car, home, workplace
 from skylight.places._scene import SUN_LUX, Outside, Scene, Surfaces
 from skylight.places._stages import flash, street, studio
+from skylight.places._view import DistinctLight, Rendered, render
 from skylight.skies._atmosphere import ClearSky
 from skylight.skies._index import Split
 from skylight.skies._simulated import EVALUATION_SEEDS

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from skylight.places._materials import lumens
-from skylight.places._radiosity import DistinctLight, Rendered, _Lit, render, spread_out
+from skylight.places._radiosity import Lit
 from skylight.places._scene import (
     BLACK,
     Hole,
@@ -21,6 +21,7 @@ from skylight.places._scene import (
     panel,
     pierced,
 )
+from skylight.places._view import DistinctLight, Rendered, render, spread_out
 from skylight.sphere._envmap import luminance
 from skylight.sphere._frame import DirectionGrid
 
@@ -98,7 +99,7 @@ def test_a_window_lights_by_its_form_factor(way: str) -> None:
     else:
         outside = DARK
         room += [wall, panel((0, 0, -2.999), (0, 0, 1), 2, 1, radiance=(1, 1, 1), lamp=0)]
-    lit = _Lit(
+    lit = Lit(
         Scene(rectangles=room, outside=outside, closed=True), torch.Generator().manual_seed(0)
     )
     distance = 3 if way == "window" else 2.999
@@ -253,9 +254,9 @@ def test_black_bodies(kelvin: float, x: float, y: float) -> None:
 
 
 def test_lumens_are_those_of_a_lambertian_surface() -> None:
-    """Flux pi L A, in units of the sun's 133 klx."""
+    """Flux pi L A, in units of the sun's 133.3 klx."""
     radiance_ = lumens((1, 1, 1), 1000.0, 0.5)
-    assert math.pi * 0.5 * radiance_[0] * 133e3 == pytest.approx(1000)
+    assert math.pi * 0.5 * radiance_[0] * 133.3e3 == pytest.approx(1000)
 
 
 def test_a_turned_scene_is_seen_turned() -> None:
