@@ -356,7 +356,7 @@ class Lit:
         rough: Float[Tensor, " r"],
         sunny: Float[Tensor, " r"],
     ) -> Float[Tensor, "r 3"]:
-        """Mean radiance about the mirrored direction, the sun as a lobe of the roughness."""
+        """Mean radiance about the mirrored direction; sun and lamps are lobes of the roughness."""
         mirrored = away - 2 * (away * normals).sum(1, keepdim=True) * normals
         owner = torch.arange(len(starts)).repeat_interleave(MIRRORED)
         jitter = torch.randn(len(owner), 3, generator=self.generator)
@@ -369,11 +369,22 @@ class Lit:
             light += self.outside(directions)
         light += self._reflected(directions, which, where)
         total = torch.zeros(len(starts), 3).index_add_(0, owner, light) / MIRRORED
+        kappa = 1 / rough.square()
+
+        def lobe(towards: Float[Tensor, "#r 3"]) -> Float[Tensor, " r"]:
+            chord = (mirrored - towards).square().sum(1)
+            return kappa / (2 * math.pi) * torch.exp(-kappa * chord / 2)
+
         if float(self.beam.sum()) > 0:
-            kappa = 1 / rough.square()
-            chord = (mirrored - self.sun).square().sum(1)
-            lobe = kappa / (2 * math.pi) * torch.exp(-kappa * chord / 2)
-            total += (lobe * sunny)[:, None] * self.beam
+            total += (lobe(self.sun[None]) * sunny)[:, None] * self.beam
+        for lamp in self.scene.lamps:
+            target = self.on_lamp(lamp, len(starts))
+            distance = (target - starts).norm(dim=1).clamp(min=lamp.radius_m)
+            way = (target - starts) / distance[:, None]
+            weight = lobe(way) * focused(lamp, -way) / distance.square()
+            lit = (weight > 1e-6).nonzero()[:, 0]
+            weight[lit] *= self.surfaces.reaches(starts[lit], target[lit])
+            total += weight[:, None] * torch.tensor(np.asarray(lamp.intensity)).float()
         return total
 
     def _textured(self, which: Int[Tensor, " r"], places: Float[Tensor, "r 3"]) -> Tensor:

@@ -267,3 +267,54 @@ def test_a_turned_scene_is_seen_turned() -> None:
     torch.testing.assert_close(light.direction, torch.tensor([1.0, 0.0, 0.0]), rtol=0, atol=0.02)
     (light,) = seen(scene.seen_from((0.5, 0.0, 0.0))).lights
     assert float(light.direction[0]) < -0.2
+
+
+def test_a_gloss_mirrors_sky_sun_and_lamps() -> None:
+    """A floor that mirrors all: the sky turned over, and lobes of the lights' energies."""
+    grid = DirectionGrid.latlong(64)
+    sky = (1 + grid.directions[:, :1]).float().expand(-1, 3).reshape(64, 128, 3)
+    outside = Outside(map=sky, sun=torch.tensor([0.0, 0.6, -0.8]), sun_irradiance=torch.zeros(3))
+    mirror = floor(grey(0.0, gloss=1, roughness=0.1))
+    image = radiance(Scene(rectangles=[mirror], outside=outside), 64)
+    below = image[40:, :, 0]  # the last rows under the horizon see the sky's rim over it
+    torch.testing.assert_close(below, sky[40:, :, 0], rtol=0, atol=0.1)
+    assert float((below - sky[40:, :, 0]).mean().abs()) < 2e-3
+
+    dark = torch.zeros(64, 128, 3)
+    sun = Outside(map=dark, sun=outside.sun, sun_irradiance=torch.full((3,), 2.0))
+    image = radiance(Scene(rectangles=[mirror], outside=sun), 64)[..., 0].flatten()
+    assert float(image @ grid.solid_angles.float()) == pytest.approx(2.0, rel=0.02)
+    brightest = grid.directions[int(image.argmax())]
+    torch.testing.assert_close(
+        brightest, torch.tensor([0.0, -0.6, -0.8], dtype=torch.float64), rtol=0, atol=0.05
+    )
+
+    # the lamp's image hangs as far under the floor as the lamp over it
+    lamp = Lamp(position=(0.0, 1.5, -6.0), intensity=(5.0,) * 3, radius_m=0.01)
+    image = radiance(Scene(rectangles=[mirror], lamps=[lamp], outside=DARK), 64)[..., 0].flatten()
+    brightest = grid.directions[int(image.argmax())]
+    wanted = torch.tensor([0.0, -0.6, -0.8], dtype=torch.float64)
+    torch.testing.assert_close(brightest, wanted, rtol=0, atol=0.06)
+
+
+def test_boxes_are_closed() -> None:
+    """Their sides' normals, times areas, sum to nothing, and point out, or in."""
+    for inward in (False, True):
+        sides = box((1, 2, 3), (2, 4, 6), BLACK, turn_rad=0.7, inward=inward)
+        normals = np.array([np.cross(each.along, each.across) for each in sides])
+        middles = np.array([each.corner + (each.along + each.across) / 2 for each in sides])
+        np.testing.assert_allclose(normals.sum(0), 0, atol=1e-12)
+        outward = ((middles - [1.5, 3, 4.5]) * normals).sum(1)
+        assert (outward < 0).all() if inward else (outward > 0).all()
+        assert ((middles - [1.5, 3, 4.5]) * normals).sum() == pytest.approx(
+            (-1 if inward else 1) * 3 * 1 * 2 * 3
+        )  # thrice the volume, by Gauss
+
+
+def test_a_pierced_wall_keeps_its_area() -> None:
+    wall = panel((0, 0, 0), (0, 0, 1), 4, 3)
+    parts = pierced(wall, [Hole(0.1, 0.3, 0.2, 0.9), Hole(0.5, 0.8, 0.4, 0.9)], lamp=3)
+    areas = [float(np.linalg.norm(np.cross(each.along, each.across))) for each in parts]
+    assert math.fsum(areas) == pytest.approx(12)
+    windows = [(each.lamp, a) for each, a in zip(parts, areas, strict=True) if each.window]
+    assert windows == [(3, pytest.approx(12 * 0.14)), (4, pytest.approx(12 * 0.15))]

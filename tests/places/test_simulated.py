@@ -11,6 +11,7 @@ from skylight.cli import main
 from skylight.errors import InputError
 from skylight.io._files import read_environment_map
 from skylight.places import _simulated as simulated
+from skylight.places._scene import Material, Outside, Scene, box
 from skylight.places._simulated import SHARES, read_places, simulate_place, simulate_places
 from skylight.skies._simulated import EVALUATION_SEEDS
 from skylight.sphere._envmap import luminance
@@ -74,6 +75,14 @@ def test_a_map_is_that_of_its_numbers(folder: Path) -> None:
     torch.testing.assert_close(there, rendered.map.radiance, rtol=1e-3, atol=1e-6)
     other = read_environment_map(folder / "00000002_0.exr").radiance
     assert not torch.equal(there, other)
+
+
+def test_nobody_stands_in_furniture() -> None:
+    chair = Material(albedo=(0.5, 0.5, 0.5))
+    for low, high, free in (((-1, -1, -1), (1, 1, 1), False), ((0.1, -1, -1), (1, 1, 1), False),
+                            ((2, -1, -1), (3, 1, 1), True)):  # fmt: skip
+        scene = Scene(rectangles=box(low, high, chair), outside=Outside.uniform((1, 1, 1), 8))
+        assert simulated._has_room(scene) is free
 
 
 def test_splits_go_by_day() -> None:
