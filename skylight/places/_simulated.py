@@ -9,7 +9,8 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
-from functools import cache
+from datetime import datetime
+from functools import lru_cache
 from io import StringIO
 from pathlib import Path
 from typing import Literal
@@ -64,7 +65,7 @@ LIGHTS_NAME = "lights.csv"
 
 @dataclass(frozen=True, kw_only=True)
 class PlaceRecord:
-    """One map of an index. ``sun_zenith_deg`` is the sky's, seen or not; NaN at night and indoors.
+    """One map of an index. ``sun_zenith_deg`` is that of the sky outside, NaN where there is none.
 
     ``level`` is the mean luminance over the sphere, candelas per square metre.
     """
@@ -237,17 +238,11 @@ def _has_room(scene: Scene) -> bool:
     )
 
 
-@cache
-def _cached_day(seed: int) -> tuple[Day, ClearSky, list]:
+@lru_cache(1)  # the places of a day come one after another
+def _day(seed: int) -> tuple[Day, ClearSky, list[tuple[datetime, float, float]]]:
     day = draw_day(seed)
     moments = sunlit_moments(day, interval_min=10.0, lowest_sun_rad=DUSK_RAD)
     return day, ClearSky(day.atmosphere), moments
-
-
-def _day(seed: int) -> tuple[Day, ClearSky, list]:
-    if _cached_day.cache_info().currsize > 1:
-        _cached_day.cache_clear()
-    return _cached_day(seed)
 
 
 def _split(day_seed: int) -> Split:

@@ -22,8 +22,9 @@ from skylight.places._scene import (
     pierced,
 )
 from skylight.places._view import DistinctLight, Rendered, render, spread_out
-from skylight.sphere._envmap import luminance
+from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import DirectionGrid
+from skylight.transport._path_tracer import DiffuseScene, Sampling, shade
 
 HEIGHT = 16
 DARK = Outside.uniform((0, 0, 0), HEIGHT)
@@ -318,3 +319,50 @@ def test_a_pierced_wall_keeps_its_area() -> None:
     assert math.fsum(areas) == pytest.approx(12)
     windows = [(each.lamp, a) for each, a in zip(parts, areas, strict=True) if each.window]
     assert windows == [(3, pytest.approx(12 * 0.14)), (4, pytest.approx(12 * 0.15))]
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_light_is_that_of_the_path_tracer(closed: bool) -> None:
+    """Points on surfaces of one albedo under an uneven map: a room with a window, and outdoors."""
+    grid = DirectionGrid.latlong(HEIGHT)
+    level = torch.exp(grid.directions @ torch.tensor([0.5, 1.0, -1.5], dtype=torch.float64)).float()
+    outside = Outside(
+        map=level[:, None].expand(-1, 3).reshape(HEIGHT, 2 * HEIGHT, 3),
+        sun=torch.tensor([0.0, 1.0, 0.0]),
+        sun_irradiance=torch.zeros(3),
+    )
+    material = grey(0.6)
+    things = box((-0.8, -1.5, -1.5), (0.2, -0.6, -0.5), material)
+    if closed:
+        walls = box((-2, -1.5, -3), (2, 1.5, 3), material, inward=True)
+        wall = panel((0, 0, -3), (0, 0, 1), 4, 3, material)
+        things += [*walls[:4], walls[5], *pierced(wall, [Hole(0.2, 0.8, 0.4, 0.9)])]
+    else:
+        things += [panel((0, -1.5, 0), (0, 1, 0), 8, 8, material)]
+        things += box((1, -1.5, -2), (2, 1, 2), material)
+    lit = Lit(
+        Scene(rectangles=things, outside=outside, closed=closed), torch.Generator().manual_seed(0)
+    )
+    corners = lit.surfaces.corner, lit.surfaces.along, lit.surfaces.across
+    c, a, b = (each.double() for each in corners)
+    vertices = torch.stack([c, c + a, c + a + b, c + b], 1).reshape(-1, 3)
+    first = 4 * torch.arange(len(c))[:, None, None]
+    faces = (first + torch.tensor([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
+    places = torch.tensor([[0.9, -1.5, -1.0], [-0.3, -0.6, -1.0], [-1.2, -1.5, 0.5]])
+    normals = torch.tensor([[0.0, 1.0, 0.0]]).expand(3, 3)
+    wanted = shade(
+        places,
+        normals,
+        DiffuseScene.uniform(vertices, faces, 0.6),
+        EnvironmentMap(radiance=outside.map),
+        albedo=0.6,
+        sampling=Sampling(samples=2048, batches=4),
+        generator=torch.Generator().manual_seed(1),
+    )
+    many = (places + 1e-3 * normals).repeat(300, 1)
+    up = normals.repeat(300, 1)
+    found = 0.6 / math.pi * (lit.from_panels(many, up, 12, 24) + lit.gathered(many, up))[:, 1]
+    found = found.reshape(300, 3)
+    error = found.std(0) / math.sqrt(300) + wanted.standard_error[:, 1]
+    # beside noise: patches are constant, and a sum over 16 rows is off by (pi / 16)^2 / 24
+    assert ((found.mean(0) - wanted.mean[:, 1]).abs() < 4 * error + 0.02 * wanted.mean[:, 1]).all()

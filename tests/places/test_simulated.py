@@ -69,6 +69,13 @@ def test_a_folder_grows_and_resumes(
     assert contents(tmp_path) == contents(folder)
 
 
+@pytest.mark.slow
+def test_processes_make_the_same_files(tmp_path: Path) -> None:
+    for workers in (1, 2):
+        simulate_places(tmp_path / str(workers), count=17, height=HEIGHT, workers=workers)
+    assert contents(tmp_path / "1") == contents(tmp_path / "2")
+
+
 def test_a_map_is_that_of_its_numbers(folder: Path) -> None:
     record, rendered = simulate_place(1, 0, HEIGHT)
     there = read_environment_map(folder / record.file).radiance
