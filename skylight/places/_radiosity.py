@@ -28,12 +28,9 @@ from skylight.transport._path_tracer import cosine_directions
 
 PATCHES, MOST_ACROSS = 500, 24  # of a scene, and of a rectangle's side
 PATCH_POINTS, PATCH_RAYS, BOUNCES = 4, 64, 24
-ACROSS = 4  # rays along each side of a pixel
 GATHER, POINTS = 24, 12  # rays, and points on panels and windows, for each surface in a pixel
 MIRRORED = 8  # rays of a gloss
 LIFT = 1e-3  # metres, off the surface that a ray leaves; what float32 rounds at 30 m is a tenth
-MOST_LIGHTS = 6
-LEAST_SHARE = 0.005  # of all light: less is no light of its own
 SHADE_M = 0.25  # between the samples of the tile of far things' shadows
 TILE = 64
 
@@ -57,8 +54,6 @@ class Lit:
         self._panels()
         self._patches()
         self._solve()
-
-    # light ---------------------------------------------------------------------------------
 
     def _panels(self) -> None:
         """What is sampled by points: rectangles that shine, then windows."""
@@ -245,8 +240,6 @@ class Lit:
         light[on] = self.radiosity[self._patch(which[on], where[on])] / math.pi
         return light
 
-    # patches -------------------------------------------------------------------------------
-
     def _patches(self) -> None:
         """Divide each rectangle; none has fewer than one patch."""
         surfaces = self.surfaces
@@ -309,8 +302,6 @@ class Lit:
         lit = (cosine > 0).nonzero()[:, 0]
         cosine[lit] *= self.in_sun(places[lit])
         return cosine[:, None] * self.beam
-
-    # what is seen --------------------------------------------------------------------------
 
     def reflected(
         self,
