@@ -29,7 +29,8 @@ from skylight.transport._path_tracer import cosine_directions
 PATCHES, MOST_ACROSS = 500, 24  # of a scene, and of a rectangle's side
 PATCH_POINTS, PATCH_RAYS, BOUNCES = 4, 64, 24
 GATHER, POINTS = 24, 12  # rays, and points on panels and windows, for each surface in a pixel
-MIRRORED = 8  # rays of a gloss
+MIRRORED = 16  # rays of a gloss
+PIXEL_RAD = math.pi / 64  # of maps as they are made: finer texture is not seen
 LIFT = 1e-3  # metres, off the surface that a ray leaves; what float32 rounds at 30 m is a tenth
 SHADE_M = 0.25  # between the samples of the tile of far things' shadows
 TILE = 64
@@ -324,7 +325,8 @@ class Lit:
         received += self.from_lamps(starts, normals)
         cosine = (normals @ self.sun).clamp(min=0) * sunny
         received += cosine[:, None] * self.beam
-        light = self._textured(which, places) / math.pi * received
+        seen_m = PIXEL_RAD * places.norm(dim=1) / front.abs().clamp(min=0.05)
+        light = self._textured(which, places, seen_m) / math.pi * received
         gloss = torch.tensor([each.gloss for each in self.materials])[which]
         some = (gloss > 0).nonzero()[:, 0]
         if len(some):
@@ -378,10 +380,13 @@ class Lit:
             total += weight[:, None] * torch.tensor(np.asarray(lamp.intensity)).float()
         return total
 
-    def _textured(self, which: Int[Tensor, " r"], places: Float[Tensor, "r 3"]) -> Tensor:
-        """The albedo there, which varies over each material's grain."""
+    def _textured(
+        self, which: Int[Tensor, " r"], places: Float[Tensor, "r 3"], seen_m: Float[Tensor, " r"]
+    ) -> Tensor:
+        """The albedo there, which varies over each material's grain, less where that is fine."""
         texture = torch.tensor([each.texture for each in self.materials])[which]
         grain = torch.tensor([each.grain_m for each in self.materials])[which]
+        texture = texture * grain / (grain + seen_m)
         # metres along a rectangle's sides, from a place of its own on the tile
         away = places - self.surfaces.corner[which]
         along, across = self.surfaces.along[which], self.surfaces.across[which]

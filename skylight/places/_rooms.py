@@ -31,7 +31,7 @@ from skylight.places._scene import (
     pierced,
 )
 
-FROM_WALL_M = 0.6  # of viewers and furniture that they look over
+FROM_WALL_M = 0.4  # of viewers and furniture that they look over
 GLASS = (0.78, 0.8, 0.78)  # two panes
 
 
@@ -61,14 +61,23 @@ class Room:
         )[side]
         return panel(centre, facing, along, height, material)
 
-    def shell(self, ceiling: Material, walls: Sequence[Material | None], floor: Material) -> None:
-        """Ceiling, floor, and the walls without windows."""
+    def shell(
+        self,
+        ceiling: Material,
+        walls: Sequence[Material | None],
+        floor: Material,
+        *,
+        skylights: int = 0,
+    ) -> None:
+        """Ceiling with rows of ``skylights``, floor, and the walls without windows."""
         width, height, depth = self.size
         middle = width / 2, depth / 2
-        self.parts += [
-            panel((middle[0], height, middle[1]), (0, -1, 0), width, depth, ceiling),
-            panel((middle[0], 0, middle[1]), (0, 1, 0), width, depth, floor),
-        ]
+        above = panel((middle[0], height, middle[1]), (0, -1, 0), width, depth, ceiling)
+        rows = (np.arange(skylights) + 0.5) / max(skylights, 1)
+        half = self.draw.uniform(0.1, 0.35) / max(skylights, 1)
+        holes = [Hole(0.1, 0.9, at - half, at + half) for at in rows]
+        self.parts += pierced(above, holes, lamp=self.number(skylights))
+        self.parts.append(panel((middle[0], 0, middle[1]), (0, 1, 0), width, depth, floor))
         self.parts += [self.wall(k, each) for k, each in enumerate(walls) if each is not None]
 
     def windows(self, side: int, material: Material, low: Real, high: Real, share: Real) -> None:
@@ -169,7 +178,9 @@ def home(outside: Outside, draw: Draw, *, dark: bool) -> Scene:
     size = draw.scale(2.4, 8), draw.uniform(2.35, 3.1), draw.scale(2.4, 8)
     room = Room(size, draw)
     paint = draw.paint(0.66, 0.13)
-    walls = [draw.paint(0.5, 0.2, vivid=0.4) if draw.chance(0.15) else paint] * 4
+    walls = [draw.facade() if draw.chance(0.06) else paint for _ in range(4)]
+    if draw.chance(0.1):  # wood, brick or a colour all round
+        walls = [draw.facade()] * 4
     pierce = draw.rng.permutation(4)[: draw.one_of([0.06, 0.6, 0.34])].tolist()
     for side in pierce:
         low = draw.uniform(0.0, 0.3) if draw.chance(0.25) else draw.uniform(0.6, 1.1)
@@ -287,7 +298,7 @@ def workplace(outside: Outside, draw: Draw, *, dark: bool) -> Scene:
     """An office, a shop or a hall: larger, under rows of lamps."""
     kind = draw.one_of([0.45, 0.35, 0.2])
     if kind == 2:
-        size = draw.scale(9, 30), draw.uniform(4.5, 10), draw.scale(9, 30)
+        size = draw.scale(9, 40), draw.uniform(4.5, 12), draw.scale(9, 40)
     else:
         size = draw.scale(4, 16), draw.uniform(2.6, 4), draw.scale(4, 16)
     room = Room(size, draw)
@@ -303,10 +314,13 @@ def workplace(outside: Outside, draw: Draw, *, dark: bool) -> Scene:
         room.windows(side, paint, low, high, share)
     room.shell(
         draw.paint(0.3 if draw.chance(0.2) else 0.75, 0.08, vivid=0.03),
-        [None if k in pierce else paint for k in range(4)],
+        [None if k in pierce else draw.facade() if draw.chance(0.12) else paint for k in range(4)],
         draw.floor(),
+        skylights=draw.count(1, 4) if kind == 2 and draw.chance(0.35) else 0,
     )
     room.furnish(draw.count(4, 12), 2.2 if kind == 1 else 1.5)
+    if kind == 1 and draw.chance(0.6):
+        _shelves(room)
     room.pictures(draw.count(0, 6))
     if dark or not pierce or draw.chance(0.85):
         _rows_of_lamps(room)
@@ -317,6 +331,17 @@ def workplace(outside: Outside, draw: Draw, *, dark: bool) -> Scene:
         spot=room.spot(),
         curtains=draw.uniform(0.3, 1) if kind == 0 and draw.chance(0.3) else 0.0,
     )
+
+
+def _shelves(room: Room) -> None:
+    """Rows of goods with aisles between them."""
+    draw = room.draw
+    width, height, depth = room.size
+    high = min(draw.uniform(1.2, 2.2), height - 0.3)
+    aisle = draw.uniform(1.2, 2.4)
+    for x in np.arange(aisle, width - 0.6, aisle + 0.6):
+        for z in np.arange(1.0, depth - 1.0, 1.5):
+            room.parts += box((x, 0, z), (x + 0.5, high, z + 1.4), draw.furniture())
 
 
 def _rows_of_lamps(room: Room) -> None:

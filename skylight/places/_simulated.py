@@ -59,6 +59,7 @@ FLASH: dict[PlaceKind, tuple[float, float]] = {
 }
 PER_DAY = 8
 DARK_RAD = math.radians(92)  # zenith angle of a sun that is out of the question for rooms
+LOW_SUN_RAD = math.radians(80)
 ROOM_M = 0.2  # free about the viewer
 LIGHTS_NAME = "lights.csv"
 
@@ -167,6 +168,9 @@ def simulate_place(day_seed: int, number: int, height: int = 64) -> tuple[PlaceR
     kind: PlaceKind = list(SHARES)[draw.one_of(list(SHARES.values()))]
     day, clear, moments = _day(day_seed)
     around = None
+    low = [moment for moment in moments if moment[2] > LOW_SUN_RAD]
+    if low and draw.chance(0.15):  # portraits are taken in the hour before dusk
+        moments = low
     if moments and kind not in ("studio", "street"):
         around = draw_outdoors(day, clear, moments[draw.count(0, len(moments) - 1)], draw)
     elif moments and draw.chance(0.35):  # a street in the last light

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from skylight.places._materials import GROUNDS, HOME_KELVIN, Draw, candelas, lumens, nits
+from skylight.places._materials import HOME_KELVIN, Draw, candelas, lumens, nits
 from skylight.places._rooms import Room
 from skylight.places._scene import (
     Lamp,
@@ -32,59 +32,78 @@ def _towards(azimuth: Real, elevation: Real, distance: Real) -> np.ndarray:
 
 
 def studio(draw: Draw) -> Scene:
-    """A key light near the camera, fill and rim lights, a backdrop; walls dark, at times white."""
-    half, height, eye = draw.uniform(2.2, 5), draw.uniform(2.7, 4.5), draw.uniform(1.1, 1.6)
-    room = Room((2 * half, height, 2 * half), draw)
-    level = draw.scale(0.04, 0.2) if draw.chance(0.45) else draw.uniform(0.35, 0.85)
-    wall = Material(albedo=np.full(3, level) * [1.0, 0.98, 0.95])
-    room.shell(
-        Material(albedo=np.full(3, min(0.8, level * draw.uniform(0.8, 2)))),
-        [wall] * 4,
-        draw.floor(),
-    )
-    parts = list(
-        Scene(rectangles=room.parts, outside=Outside.uniform((0, 0, 0)), closed=True)
-        .seen_from((half, eye, half))
-        .rectangles
-    )
-    away = draw.uniform(1.0, half - 0.2)
-    tone = draw.one_of([0.35, 0.25, 0.2, 0.2])
+    """Key, fill and rim lights in a room of any size; a backdrop behind, all round, or none."""
+    eye, height = draw.uniform(1.1, 1.6), draw.uniform(2.6, 5)
+    back, front = draw.scale(0.9, 7), draw.scale(1.8, 9)
+    left, right = draw.scale(1.4, 7), draw.scale(1.4, 7)
+    room = Room((left + right, height, back + front), draw)
     cloth = (
         draw.paint(0.4, 0.15, vivid=0.05),
         Material(albedo=(0.8, 0.8, 0.79)),
-        Material(albedo=(0.03, 0.03, 0.03)),
+        Material(albedo=np.full(3, draw.scale(0.02, 0.06))),
         draw.paint(0.35, 0.15, vivid=1.0),
-    )[tone]
-    wide = draw.uniform(1.4, 3.5)
-    tall = min(draw.uniform(2.0, 3.0), height - 0.05)
-    parts.append(panel((0, tall / 2 - eye, -away), (0, 0, 1), wide, tall, cloth))
+    )[draw.one_of([0.4, 0.28, 0.22, 0.1])]
+    level = draw.scale(0.04, 0.2) if draw.chance(0.4) else draw.uniform(0.35, 0.85)
+    wall = Material(albedo=np.full(3, level) * [1.0, 0.98, 0.95])
+    above = Material(albedo=np.full(3, min(0.8, level * draw.uniform(0.8, 2))))
+    kind = draw.one_of([0.35, 0.3, 0.2, 0.15])
+    if kind == 1:  # seamless walls and floor
+        room.shell(cloth if draw.chance(0.3) else above, [cloth] * 4, cloth)
+    else:
+        behind = draw.facade() if kind == 3 else wall
+        room.shell(above, [behind, wall, wall, wall], draw.floor())
+        room.furnish(draw.count(0, 4) if kind == 3 else draw.count(0, 2), 2.0)
+    parts = list(
+        Scene(rectangles=room.parts, outside=Outside.uniform((0, 0, 0)), closed=True)
+        .seen_from((left, eye, back))
+        .rectangles
+    )
+    away = back - 0.05 if kind in (1, 3) else draw.uniform(0.8, max(0.9, back - 0.1))
+    if kind in (0, 2):  # a roll of paper, or a cloth from wall to wall
+        wide = left + right if kind == 2 else min(draw.uniform(1.4, 3.6), left + right)
+        tall = height - 0.01 if kind == 2 else min(draw.uniform(2.0, 3.0), height - 0.05)
+        x = (right - left) / 2 if kind == 2 else 0.0
+        parts.append(panel((x, tall / 2 - eye, -away), (0, 0, 1), wide, tall, cloth))
+        if draw.chance(0.6):  # drawn out over the floor
+            long = draw.uniform(0.5, 2.5)
+            middle = (x, 0.01 - eye, -away + long / 2)
+            parts.append(panel(middle, (0, 1, 0), wide, long, cloth))
+    inside = np.array([[-left, -eye, -back], [right, height - eye, front]])
+
+    def within(at: np.ndarray) -> np.ndarray:
+        """As far on the way there as the room reaches, a little before its walls."""
+        room_for = np.where(at < 0, inside[0], inside[1]) / np.where(at == 0, 1e-9, at)
+        return at * min(1.0, 0.93 * float(room_for.min()))
+
     colour = draw.white(FLASH_KELVIN if draw.chance(0.75) else HOME_KELVIN)
     number, lamps = 0, []
     side = draw.rng.choice([-1, 1]).item()
     key = draw.scale(2000, 20000)  # lumens; only their ratios count
-    lights = [(side * draw.uniform(0.0, 1.2), draw.uniform(0.1, 0.9), key)]
+    lights = [(side * draw.uniform(0.0, 1.4), draw.uniform(0.0, 1.0), key)]
     if draw.chance(0.6):
         fill = key * draw.scale(0.1, 0.7)
         lights.append((-side * draw.uniform(0.3, 1.4), draw.uniform(-0.1, 0.7), fill))
+    if draw.chance(0.12):  # from above
+        lights.append((draw.uniform(-3, 3), draw.uniform(1.1, 1.5), key * draw.scale(0.2, 1)))
     for _ in range(draw.one_of([0.45, 0.35, 0.2])):
         rim = key * draw.scale(0.1, 1)
         lights.append(
             (draw.uniform(1.9, 2.7) * draw.rng.choice([-1, 1]).item(), draw.uniform(0.1, 0.8), rim)
         )
     for azimuth, elevation, flux in lights:
-        furthest = min(half - 0.2, (height - eye - 0.1) / max(math.sin(elevation), 0.1))
-        at = _towards(azimuth, elevation, min(draw.uniform(0.9, 2.5), furthest))
-        at[1] = max(at[1], 0.4 - eye)
-        kind = draw.one_of([0.55, 0.2, 0.25])
-        if kind == 2:  # a reflector's bare head
-            power = candelas(colour, flux * 4 / (2 * math.pi))
+        at = within(_towards(azimuth, elevation, draw.scale(0.8, 4)))
+        tint = _vivid(draw) if flux < key and draw.chance(0.08) else colour
+        shape = draw.one_of([0.55, 0.2, 0.25])
+        if shape == 2:  # a reflector's bare head
+            power = candelas(tint, flux * 4 / (2 * math.pi))
             lamps.append(Lamp(position=at, intensity=power, axis=-at, focus=3.0, radius_m=0.1))
             continue
-        parts += _softbox(draw, at, colour, flux, number, round_=kind == 1)
+        parts += _softbox(draw, at, tint, flux, number, round_=shape == 1)
         number += 1
     if draw.chance(0.4):  # a light on the backdrop
-        at = np.array([draw.uniform(-1, 1), draw.uniform(-0.8, 0.8), -away + draw.uniform(0.5, 1)])
-        tint = colour if draw.chance(0.7) else _vivid(draw)
+        near = -away + draw.uniform(0.4, 0.8)
+        at = np.array([draw.uniform(-1, 1), draw.uniform(-0.8, 0.8), near])
+        tint = colour if draw.chance(0.8) else _vivid(draw)
         lamps.append(
             Lamp(
                 position=at,
@@ -95,7 +114,7 @@ def studio(draw: Draw) -> Scene:
             )
         )
     if draw.chance(0.3):  # a white reflector at the side
-        at = _towards(-side * draw.uniform(0.8, 1.8), draw.uniform(-0.5, 0.1), 0.8)
+        at = within(_towards(-side * draw.uniform(0.8, 1.8), draw.uniform(-0.5, 0.1), 0.8))
         parts.append(panel(at, -at, 0.8, 1.1, Material(albedo=(0.8, 0.8, 0.8))))
     return Scene(rectangles=parts, lamps=lamps, outside=Outside.uniform((0, 0, 0)), closed=True)
 
@@ -126,7 +145,7 @@ def _vivid(draw: Draw) -> np.ndarray:
 def street(outside: Outside, draw: Draw) -> Scene:
     """A pavement at night or in the last of dusk: lamps, shop windows, signs, cars."""
     eye = draw.uniform(1.4, 1.75)
-    ground = draw.varied(GROUNDS["wet asphalt" if draw.chance(0.25) else "asphalt"][1])
+    _, ground = draw.ground(("asphalt", "paving", "wet asphalt")[draw.one_of([0.45, 0.3, 0.25])])
     parts = [panel((0, -eye, 0), (0, 1, 0), 120, 120, ground)]
     near, far = draw.uniform(1.0, 4), draw.uniform(7, 22)  # the street runs along z
     number = 0
@@ -135,7 +154,7 @@ def street(outside: Outside, draw: Draw) -> Scene:
         while z < 50 and draw.chance(0.93):
             length, tall = draw.uniform(6, 18), draw.scale(4, 25)
             x = side * (away + draw.uniform(0, 0.6))
-            wall = draw.paint(0.35, 0.15, vivid=0.3)
+            wall = draw.facade()
             parts += box(
                 (min(x, x + side * 8), -eye, z),
                 (max(x, x + side * 8), tall - eye, z + length),
@@ -196,7 +215,7 @@ def _street_lamps(draw: Draw, near: Real, far: Real, eye: Real) -> list[Lamp]:
     start = draw.uniform(-gap / 2, gap / 2)
     flux = draw.scale(2500, 12000)
     lamps = []
-    for x in ((near + 1.5) * -0.5, far - 1.5) if draw.chance(0.6) else (far - 1.5,):
+    for x in (-0.6 * near, far - 1.5) if draw.chance(0.6) else (far - 1.5,):
         for k in (-2, -1, 0, 1, 2):
             at = x, high - eye, start + k * gap
             power = candelas(colour, flux * 1.5 / (2 * math.pi))
