@@ -294,7 +294,8 @@ class Lit:
         albedo = self.albedo[self.of]
         for _ in range(BOUNCES):
             bounced = torch.zeros(count, 3).index_add_(0, to, self.radiosity[by]) / PATCH_RAYS
-            self.radiosity = albedo * (light + bounced)
+            # of a place that nothing lights, rays less the sky behind them leave a little below 0
+            self.radiosity = albedo * (light + bounced).clamp(min=0)
 
     def _sunlit(
         self, places: Float[Tensor, "r 3"], normals: Float[Tensor, "r 3"]
