@@ -19,6 +19,7 @@ from skylight.maps._command import code_probe, convert, decode_code, score
 from skylight.maps._export_command import export, export_light
 from skylight.object._command import estimate_object
 from skylight.people._command import faces
+from skylight.places._command import places
 from skylight.portrait._command import relight_portrait
 from skylight.probes._command import probe
 from skylight.probes.cameras._command import camera
@@ -163,6 +164,7 @@ RESEARCH = {
     "probe": (probe, "Make light probes, and use them."),
     "camera": (camera, "Measure a camera: a board to print, lens and response."),
     "skies": (skies, "Simulate skies, or index a folder of captured ones."),
+    "places": (places, "Simulate places whose light is known: outdoors, rooms, studios, streets."),
     "train": train,
     "faces": (faces, "Faces whose light is known: render or calibrate."),
     "evaluate": evaluate,

@@ -81,6 +81,16 @@ class Raycaster:
         answer = self._scene.run(_float32(origins), _float32(directions), query="OCCLUDED")
         return torch.from_numpy(answer == 0)
 
+    def between(
+        self, origins: Float[Tensor, "r 3"], targets: Float[Tensor, "r 3"]
+    ) -> Bool[Tensor, " r"]:
+        """True where anything lies between two points, less a thousandth of the way to each."""
+        way = _float32(targets - origins)
+        reach = np.full(len(way), 1 - 2e-3, np.float32)
+        start = _float32(origins + 1e-3 * (targets - origins))
+        answer = self._scene.run(start, way, dists=reach, query="OCCLUDED")
+        return torch.from_numpy(answer == 0)
+
     def faces_hit(
         self, origins: Float[Tensor, "r 3"], directions: Float[Tensor, "#r 3"]
     ) -> Int[Tensor, " r"]:

@@ -60,3 +60,13 @@ def test_the_nearest_of_two_walls_is_hit():
 def test_faces_must_index_vertices():
     with pytest.raises(ValueError, match="3 vertices"):
         Raycaster(torch.zeros(3, 3), torch.tensor([[0, 1, 3]]))
+
+
+def test_between_two_points_ends_before_what_they_lie_on() -> None:
+    """A square at z = 0: it lies between its sides, and not before a point on it or short of it."""
+    vertices = torch.tensor([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    caster = Raycaster(vertices, torch.tensor([[0, 1, 2], [0, 2, 3]]))
+    start = torch.tensor([[0.3, 0.1, 2.0]]).expand(4, 3)
+    targets = torch.tensor([[0.3, 0.1, -2.0], [0.2, 0.1, 0.0], [0.3, 0.1, 0.5], [5.0, 0.1, -2.0]])
+    assert caster.between(start, targets).tolist() == [True, False, False, False]
+    assert caster.between(targets[1:2], start[:1]).tolist() == [False]
