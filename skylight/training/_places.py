@@ -45,6 +45,9 @@ from skylight.work._progress import StageProgress, silent
 ROWS = 32
 FLOOR = 3e-3  # radiance, of a mean luminance of 1: what is darker is alike
 NORMALS = 64
+# What share of a place's own colour a camera's white balance takes away (log): little is left of
+# lamplight, and some pictures are balanced past grey
+BALANCED = 0.6, 1.05
 STRONG = 0.024  # of all light: what a map is turned to
 LEAST_LAMP = 0.02  # energy of a lamp beside the smooth light's that counts as one
 RIDGE = 1e-3  # of a mean control point's weight, in least squares
@@ -83,8 +86,8 @@ class PlaceMaps:
         )
 
 
-def read_maps(folder: Path, workers: int = 2) -> PlaceMaps:
-    """All maps of a folder that ``skylight places simulate`` wrote."""
+def read_maps(folder: Path, workers: int = 2, seed: int = 0) -> PlaceMaps:
+    """All maps of a folder that ``skylight places simulate`` wrote, as cameras balance them."""
     lights: dict[str, list[PlaceLight]] = {}
     for row in _table(folder / "lights.csv"):
         red, green, blue = (float(row[name]) for name in ("red", "green", "blue"))
@@ -100,18 +103,19 @@ def read_maps(folder: Path, workers: int = 2) -> PlaceMaps:
     if not index:
         raise InputError(f"{folder}: no map is there; simulate some with skylight places simulate")
     named = [lights.get(row["file"], []) for row in index]
+    balances = np.random.default_rng(seed).uniform(*BALANCED, len(index))
 
-    def one(k: int) -> tuple[Tensor, float]:
+    def one(k: int) -> tuple[Tensor, float, list[PlaceLight]]:
         radiance = read_environment_map(folder / index[k]["file"]).resize(ROWS).radiance
-        return _centred(radiance, named[k])
+        return _centred(*_balanced(radiance, named[k], float(balances[k])))
 
     with ThreadPoolExecutor(workers) as pool:
         found = list(pool.map(one, range(len(index))))
     return PlaceMaps(
-        log=torch.stack([log for log, _ in found]),
-        azimuth_rad=torch.tensor([azimuth for _, azimuth in found]),
+        log=torch.stack([log for log, _, _ in found]),
+        azimuth_rad=torch.tensor([azimuth for _, azimuth, _ in found]),
         kind=[row["kind"] for row in index],
-        lights=named,
+        lights=[lights for _, _, lights in found],
         is_test=[row["split"] != "train" for row in index],
     )
 
@@ -120,15 +124,34 @@ def _table(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(StringIO(file_text(path), newline="")))
 
 
+def _balanced(
+    radiance: Float[Tensor, "h w 3"], lights: Sequence[PlaceLight], share: float
+) -> tuple[Float[Tensor, "h w 3"], list[PlaceLight]]:
+    """A map and its lights without a ``share`` of the colour of all their light, in logs."""
+    grid = DirectionGrid.latlong(radiance.shape[0])
+    total = grid.solid_angles.float() @ radiance.reshape(-1, 3)
+    total = total + sum(torch.tensor(each.energy) for each in lights if not each.in_map)
+    gains = (luminance(total) / total.clamp(min=1e-12)) ** share
+
+    def balanced(light: PlaceLight) -> PlaceLight:
+        red, green, blue = (torch.tensor(light.energy) * gains).tolist()
+        return replace(light, energy=(red, green, blue))
+
+    return radiance * gains, [balanced(each) for each in lights]
+
+
 def _centred(
     radiance: Float[Tensor, "h w 3"], lights: Sequence[PlaceLight]
-) -> tuple[Float[Tensor, "d 3"], float]:
-    """(log radiance with the strongest light straight ahead, by how much it was turned)."""
+) -> tuple[Float[Tensor, "d 3"], float, list[PlaceLight]]:
+    """A map's (log radiance with the strongest light straight ahead, by how much it was turned,
+    lights), of a mean luminance of 1."""
     height, width, _ = radiance.shape
     solid = DirectionGrid.latlong(height).solid_angles.float()
     share = (solid / (4 * math.pi)).reshape(height, width)
     level = luminance(radiance)
-    radiance = radiance / (level * share).sum().clamp(min=1e-12)
+    mean = float((level * share).sum().clamp(min=1e-12))
+    radiance = radiance / mean
+    lights = [replace(each, energy=_over(each.energy, mean)) for each in lights]
     strongest = max(lights, key=_luminous, default=None)
     if strongest is not None and _luminous(strongest) > STRONG * 4 * math.pi:
         azimuth = strongest.azimuth_rad
@@ -138,7 +161,12 @@ def _centred(
         azimuth = math.atan2(float(column @ at.sin()), float(column @ at.cos()))
     columns = round(azimuth / (2 * math.pi) * width)
     log = torch.log(radiance + FLOOR).roll(-columns, 1)
-    return log.reshape(-1, 3).half(), columns * 2 * math.pi / width
+    return log.reshape(-1, 3).half(), columns * 2 * math.pi / width, lights
+
+
+def _over(energy: tuple[float, float, float], mean: float) -> tuple[float, float, float]:
+    red, green, blue = (each / mean for each in energy)
+    return red, green, blue
 
 
 def _luminous(light: PlaceLight) -> float:
