@@ -245,6 +245,8 @@ class LampsProblem(LightProblem):
     as pay, or as ``exactly`` says with their prior.
     """
 
+    uses_background = True
+
     def __init__(
         self,
         albedo_prior: GaussianMixture,
