@@ -29,7 +29,7 @@ from skylight.transport._background import Background
 from skylight.transport._cameras import Camera
 from skylight.transport._matrix import TransportMatrix
 
-LONG_SIDE_PX = 256  # of the small picture that is looked at: cells of 0.1 to 0.3 degrees
+LONG_SIDE_PX = 160  # of the small picture that is looked at: pixels of 0.2 to 0.5 degrees
 BLOCK_RAD = math.radians(8.0)  # half as wide again as a cell of 32 rows
 MOST_BLOCKS = 8, 6  # across and down
 LEAST_OF_BLOCK = 0.25  # of a block's pixels show background, else it is left out
