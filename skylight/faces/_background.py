@@ -44,6 +44,7 @@ BLACK, BLACK_SHARE = 0.02, 0.8
 PLAIN = 0.05
 FLAT_SHARE = 0.9  # of a small pixel is exactly even: drawn
 SAME_CODES = 6  # drawn parts of one colour differ by less
+SOFT_CODES = 25  # below white, beside what was white to the sensor
 SEAM_CODES, SEAM_SHARE = 16, 0.85  # a step of so much along so much of a line: a collage's seam
 _LEAST = 1e-4  # of radiance against the face's, before logarithms
 
@@ -205,8 +206,8 @@ def _drawn(
 ) -> Bool[ndarray, "p q"]:
     """Frames, bars and what is about a round crop or a cut-out.
 
-    The first and the last three are alike in all corners that show no person; a white sky has
-    other ones below it. Bars fill whole rows or columns at a side, and are not white.
+    What is alike in all corners that show no person is; a white sky has other ones below it, and
+    white light fades. Bars fill whole rows or columns at a side, and are not white.
     """
     drawn = np.zeros(even.shape, bool)
     corners = [(r, c) for r in (1, -2) for c in (1, -2) if not people[r, c]]
@@ -216,7 +217,9 @@ def _drawn(
         if all(np.abs(values[place] - colour).max() < SAME_CODES for place in corners):
             alike = even & (np.abs(values - colour).max(2) < SAME_CODES)
             _, label = cv2.connectedComponents(alike.astype(np.uint8))
-            drawn = np.isin(label, [label[place] for place in corners])
+            alike = np.isin(label, [label[place] for place in corners])
+            if not _fades(values, alike, people):
+                drawn = alike
     for turns in range(4):
         side, lines = np.rot90(even | drawn, turns), np.rot90(values, turns)
         bar = side.all(1) & (np.ptp(lines, 1).max(1) < SAME_CODES) & (lines[:, 0].min(1) < 255)
@@ -224,6 +227,14 @@ def _drawn(
         np.rot90(drawn, turns)[:depth] = True
     grown = cv2.dilate(drawn.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     return grown
+
+
+def _fades(codes: ndarray, part: Bool[ndarray, "p q"], people: Bool[ndarray, "p q"]) -> bool:
+    """Whether it is white that other light runs over into, as about a lamp or a window."""
+    near, far = (cv2.dilate(part.astype(np.uint8), np.ones((n, n), np.uint8)) > 0 for n in (3, 7))
+    ring = far & ~near & ~people
+    white = codes[part].min() == 255
+    return bool(white and ring.any() and np.median(codes[ring].min(1)) > 255 - SOFT_CODES)
 
 
 def _beyond_seams(codes: ndarray, faces: Bool[ndarray, "p q"]) -> Bool[ndarray, "p q"]:

@@ -178,6 +178,13 @@ def test_a_white_sky_is_light():
     assert 0 < int(found.clipped.sum()) < len(found.clipped)
 
 
+def test_white_light_all_round_is_light():
+    """Windows on all sides, whose glow fades towards the middle."""
+    glow = np.exp(-(((ABOUT - 190) / 60) ** 2))[..., None].astype(np.float32)
+    found = observed(lively() + 3 * glow)
+    assert int(found.clipped.sum()) > 0
+
+
 @pytest.mark.parametrize("colour", [(0.18, 0.18, 0.18), (0.05, 0.5, 0.1)])
 def test_a_screen_of_one_colour_is_refused(colour):
     """Noise of a sensor and all."""
