@@ -179,7 +179,11 @@ class Pictures:
         fitted = self.fit_heads()
         seen: list[SeenFace] = []
         for one in self.observe(
-            fitted, problem.grid_height, problem.uses_specular, self.settings.rays_on
+            fitted,
+            problem.grid_height,
+            problem.uses_specular,
+            self.settings.rays_on,
+            background=problem.uses_background,
         ):
             # photographs without a usable face have no exposure to estimate
             used = sorted({face.photo for face in seen} | {one.photo})
@@ -214,12 +218,15 @@ class Pictures:
         grid_height: int,
         specular: bool,
         rays_on: torch.device | None = None,
+        *,
+        background: bool = False,
     ) -> Iterator[SeenFace]:
         """Each face with its transport on so many rows; ``specular`` adds that of the skin's lobe.
 
-        ``rays_on`` is that of :func:`~skylight.faces._observe.observe_face`.
+        ``rays_on`` is that of :func:`~skylight.faces._observe.observe_face`. With ``background``,
+        each photograph's goes with the first of its faces.
         """
-        heads, count = HeadModel.load(), 0
+        heads, seen = HeadModel.load(), set[int]()
         with self.stage(STAGES[2]) as tell:
             for done, (one, fit) in enumerate(fitted):
 
@@ -227,6 +234,10 @@ class Pictures:
                     tell((done + share) / len(fitted))
 
                 photo = self.photos[one.photo]
+                beside = None
+                if background and one.photo not in seen:
+                    others = (each for each in fitted if each[0].photo == one.photo)
+                    beside = [other for _, other in others if other is not fit]
                 try:
                     view = observe_face(
                         photo.pixels,
@@ -236,6 +247,7 @@ class Pictures:
                         grid_height=grid_height,
                         specular=SKIN_SPECULAR if specular else None,
                         grey=photo.grey,
+                        beside=beside,
                         workers=self.workers or cores(),
                         rays_on=rays_on,
                         progress=told,
@@ -243,9 +255,9 @@ class Pictures:
                 except InputError as error:
                     self.left_out.append(f"{one.name}: {error}")
                     continue
-                count += 1
+                seen.add(one.photo)
                 yield SeenFace(**vars(one), fit=fit, view=view)
-        if count == 0:
+        if not seen:
             raise InputError("; ".join(self.left_out))
 
     def result(self, light: Estimate, seen: Sequence[SeenFace]) -> PhotoEstimate:
@@ -254,6 +266,11 @@ class Pictures:
             f"{one.name}: hardly a face (score {one.face.score:.2f}); check the mesh overlay"
             for one in seen
             if one.face.score < 0
+        ]
+        unsure += [
+            f"{one.name}: the background was not used: {one.view.no_background}"
+            for one in seen
+            if one.view.no_background is not None
         ]
         no_heads = [one for one in seen if one.fit.landmark_error > NO_HEAD]
         for one in no_heads:

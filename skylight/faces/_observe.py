@@ -1,6 +1,7 @@
 """The observation of a fitted face: pixels, weights and transport."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -10,6 +11,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from skylight.errors import InputError
+from skylight.faces._background import observe_background
 from skylight.faces._blazeface import Square
 from skylight.faces._fit import FaceFit
 from skylight.faces._model import HeadModel, Region
@@ -59,7 +61,8 @@ class FaceView:
     """A face cut out of a picture at working resolution, with the points seen in it.
 
     ``used`` (m,) tells which of the G-buffer's pixels went into ``observation``, and ``blocks``
-    (u,) into which of its rows each of those did.
+    (u,) into which of its rows each of those did. ``no_background`` is why the observation has no
+    background, None where it has or was not to have.
     """
 
     image: Float[Tensor, "h w 3"]
@@ -68,6 +71,7 @@ class FaceView:
     used: Bool[Tensor, " m"]
     blocks: Int[Tensor, " u"]
     observation: Observation
+    no_background: str | None = None
 
     @property
     def places(self) -> Int[Tensor, "u 2"]:
@@ -86,6 +90,7 @@ def observe_face(
     specular: Specular | None = SKIN_SPECULAR,
     grey: bool = False,
     bounces: int = 0,
+    beside: Sequence[FaceFit] | None = (),
     workers: int = 1,
     rays_on: torch.device | None = None,
     progress: Progress | None = None,
@@ -98,7 +103,9 @@ def observe_face(
     and the rest is weighted by how likely it is skin (:func:`inlier_probability`). Over-exposed
     ones count as lower bounds. ``specular`` is the surface's reflection, None where its transport
     is not wanted. ``grey``: the picture has no colour. ``bounces``: how often light may bounce on
-    the head, of :data:`BOUNCING_ALBEDO`, before it reaches a pixel. ``rays_on``: the device on
+    the head, of :data:`BOUNCING_ALBEDO`, before it reaches a pixel. ``beside``: other heads that
+    were fitted in the picture, which are cut out of the background too; None leaves the background
+    out. ``rays_on``: the device on
     which the rays of visibility are cast, by PyTorch; None for embree and ``workers``. Both see the
     same (:class:`~skylight.transport._rays.TorchRaycaster`); on a CPU embree is faster.
 
@@ -188,6 +195,20 @@ def observe_face(
         else NormalModes.of(transport, normals, errors.modes, NORMAL_ROWS, errors.axes),
         camera_lamp=camera_lamp(normals, views, specular).float(),
     )
+    why_not = None
+    if beside is not None:
+        try:
+            background = observe_background(
+                picture,
+                clipped,
+                [fit, *beside],
+                np.maximum.reduce([hair, *(hair_of(picture, model, one) for one in beside)]),
+                observation.mean_luminance,
+                grid_height,
+            )
+            observation = replace(observation, background=background)
+        except InputError as error:
+            why_not = str(error)
     used[used.clone()] = weights > 0
     return FaceView(
         image=image,
@@ -196,6 +217,7 @@ def observe_face(
         used=used,
         blocks=blocks.index,
         observation=observation,
+        no_background=why_not,
     )
 
 

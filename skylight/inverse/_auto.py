@@ -54,6 +54,8 @@ class AutoProblem(LightProblem):
         return self.sky.is_empty
 
     def add(self, observation: Observation, photo: int = 0) -> None:
+        # rivals must explain the same, and skies do not explain what stands behind a face
+        observation = replace(observation, background=None)
         self.sky.add(observation, photo)
         self.lamps.add(observation, photo)
 

@@ -35,10 +35,32 @@ _MOST_CHANGES = 512  # of the light at a time: a decoder has 1 MB of activations
 def deviations(
     objective: LightObjective, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None
 ) -> Float[Tensor, "b m"]:
-    """Of all pixels and channels of all faces of each point's problem, as the objective's are."""
-    shadings = objective.shading(objective.unpack(free), problem)
+    """Of all pixels and channels of all faces of each point's problem, as the objective's are.
+
+    Then of the photographs' backgrounds.
+    """
+    parts = objective.unpack(free)
+    light = objective.radiance(parts)
+    shadings = objective.shading(parts, problem, light)
     every = zip(objective.faces, shadings, strict=True)
-    return torch.cat([face.deviation(shading, problem).flatten(1) for face, shading in every], 1)
+    of_faces = [face.deviation(shading, problem).flatten(1) for face, shading in every]
+    return torch.cat([*of_faces, *objective.behind(parts, light).values()], 1)
+
+
+def deviation_weights(
+    objective: LightObjective, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None
+) -> Float[Tensor, "#b m"]:
+    """What the Charbonnier of each of the :func:`deviations` counts, nats.
+
+    Backgrounds are trusted as far as they are at ``free``: minimised so again and again, the
+    objective falls (majorisation).
+    """
+    of_faces = objective.deviation_weights(problem)
+    if not objective.backgrounds:
+        return of_faces
+    parts = objective.unpack(free)
+    behind = objective.background_weights(objective.behind(parts, objective.radiance(parts)))
+    return torch.cat([of_faces.expand(len(free), -1), behind], 1)
 
 
 @torch.no_grad()
@@ -93,6 +115,19 @@ def jacobian(
             for sign in (1, -1)
         )
         blocks.append(((ahead - behind) / (2 * step)).unflatten(0, (count, size)).transpose(1, 2))
+    for photo, term in objective.backgrounds.items():
+        seen = term.seen(*source)
+        changed = seen.new_zeros(count, size, *seen.shape[1:])
+        change = term.seen(skies.flatten(0, 1), grounds.flatten(0, 1))
+        changed[:, lit] = change.unflatten(0, (count, -1))
+
+        def shown(sign: int, photo=photo, term=term, seen=seen, changed=changed) -> Tensor:
+            there = objective.unpack(_moved(free, sign * step * axes))
+            radiance = (seen[:, None] + sign * changed).flatten(0, 1)
+            return term.deviation(objective.camera_response(there, photo, radiance))
+
+        slopes = (shown(1) - shown(-1)) / (2 * step)
+        blocks.append(slopes.unflatten(0, (count, size)).transpose(1, 2))
     return torch.cat(blocks, 1)
 
 
@@ -177,7 +212,7 @@ def descend(
         result = minimise_robust(
             lambda x, rows: deviations(objective, x, problem[rows]),
             lambda x, rows: jacobian(objective, x, problem[rows]),
-            objective.deviation_weights(problem),
+            deviation_weights(objective, torch.cat(starts), problem),
             lambda x, rows: objective.prior(x, problem[rows]),
             torch.cat(starts),
             iterations=stage.iterations,

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
+from skylight.inverse._background import BackgroundTerm
 from skylight.inverse._gauss_newton import charbonnier
 from skylight.inverse._scan import SCAN_HEIGHT
 from skylight.inverse._sun_prior import SunPrior
@@ -52,6 +53,9 @@ class ObjectiveWeights:
     does, whose temperature (:class:`~skylight.inverse._posterior.PosteriorConstants`) was fitted to
     known suns: ``independent / noise`` times that. Heads are fitted wrongly all over, so what a
     face says of the sun's place is not as sure as so many independent pixels would make it.
+
+    ``background`` multiplies the nats of what the photographs show beside the people; 0 leaves it
+    out.
     """
 
     noise: float = 0.06
@@ -63,6 +67,7 @@ class ObjectiveWeights:
     pigment_spread: float = 0.0
     normal_spread: float = 0.7
     sun_prior: float = 112.0
+    background: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +100,7 @@ class FaceTerm:
     :mod:`skylight.faces._skin`, None for things of one albedo; ``normals`` how normals may be
     wrong, None where they are known. Where ``clipped``, the target is
     a lower bound: what is brighter deviates by nothing. Of a ``grey`` picture luminance alone is
-    compared.
+    compared. ``background`` is that of the face's photograph, None where it is not used.
 
     Batches of shading have the ``problem`` of each row, in ascending order; None where there is
     but one.
@@ -111,6 +116,7 @@ class FaceTerm:
     grey: bool = False
     modes: Float[Tensor, "p m k"] | None = None
     normals: SkyNormalModes | None = None
+    background: BackgroundTerm | None = None
 
     @staticmethod
     def of(observation: Observation, *, sphere: bool = False) -> "FaceTerm":
@@ -119,7 +125,7 @@ class FaceTerm:
         For light of the whole ``sphere``, or of skies above grounds.
         """
         specular, clipped = observation.specular, observation.clipped
-        normals = observation.normal_modes
+        normals, background = observation.normal_modes, observation.background
         return FaceTerm(
             target=observation.pixels[None],
             share=(observation.weights / observation.weights.sum())[None, :, None] / 3,
@@ -130,6 +136,9 @@ class FaceTerm:
             grey=observation.grey,
             modes=None if observation.modes is None else observation.modes[None],
             normals=None if normals is None else SkyNormalModes.of(normals, sphere=sphere),
+            background=None
+            if background is None
+            else BackgroundTerm.of(background, grey=observation.grey, sphere=sphere),
         )
 
     @staticmethod
@@ -138,6 +147,7 @@ class FaceTerm:
         first, *others = terms
         if not others:
             return first
+        assert all(term.background is None for term in terms)  # their numbers of blocks differ
         specular = [term.specular for term in terms if term.specular is not None]
         modes = [term.modes for term in terms if term.modes is not None]
         normals = [term.normals for term in terms if term.normals is not None]
@@ -332,6 +342,9 @@ class LitFaces(list[ScannedFace]):
                     target=term.target * relative,
                     photo=face.photo,
                     level=term.level * relative,
+                    background=None
+                    if term.background is None
+                    else term.background.scaled(relative),
                 )
             )
         return terms

@@ -260,6 +260,8 @@ class LampsProblem(LightProblem):
     as pay, or ``exactly`` so many.
     """
 
+    uses_background = True
+
     def __init__(
         self,
         albedo_prior: GaussianMixture,

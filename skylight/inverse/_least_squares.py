@@ -111,6 +111,7 @@ def laplace(
     jacobian: Float[Tensor, "b m q"],
     weights: Float[Tensor, "#b m"],
     prior: Prior,
+    known: tuple[Float[Tensor, " b"], Float[Tensor, "b q q"]] | None = None,
 ) -> Float[Tensor, " b"]:
     """log of the integral of ``exp(-f)``, with f as in :mod:`skylight.inverse._gauss_newton`::
 
@@ -118,6 +119,8 @@ def laplace(
 
     at minima x of f, with J the derivatives of the deviations r, w what each counts, m their mean
     ``|r|`` and Q the prior's Hessian; w / m are the :func:`curvatures`.
+
+    ``known`` are the value and the Hessian at x of what else f has.
 
     Each unknown costs the part of its prior that the pictures rule out (MacKay 1992, "Bayesian
     interpolation", Neural Computation 4(3)). Of 30 unknowns and deviations of a half to ten
@@ -127,10 +130,13 @@ def laplace(
     rows = torch.arange(len(minimum), device=minimum.device)
     _, hessian = prior_shape(prior, minimum, rows)
     hessian = hessian.double() + torch.einsum("bmp,bmq->bpq", jacobian, curved).double()
+    value = prior(minimum, rows).double()
+    if known is not None:
+        value, hessian = value + known[0].double(), hessian + known[1].double()
     values = torch.linalg.eigvalsh(hessian).clamp(min=_LEAST_CURVATURE)
     volume = 0.5 * (math.log(2 * math.pi) - values.log()).sum(1)
     data = (charbonnier(deviations) * _exact(deviations, weights)).sum(1)
-    return volume - data.double() - prior(minimum, rows).double()
+    return volume - data.double() - value
 
 
 def curvatures(

@@ -14,8 +14,10 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from skylight.faces._skin import PIGMENT_COLOURS, PIGMENT_SPREADS
+from skylight.inverse._background import ROW_WEIGHT
 from skylight.inverse._faces import FaceTerm, ObjectiveWeights, Transported, of_problem
 from skylight.inverse._scale import (
+    SCALES,
     SPECULAR_SPREAD,
     bayes_scale,
     scale_nll,
@@ -72,6 +74,9 @@ class LightObjective:
     :mod:`skylight.faces._normal_errors` has, by normal amounts. Trusted, flat cheeks of a fitted
     head turn the sun, and more than one direction looks certain.
 
+    And where a photograph shows more than people, what stands behind them is a view of the light
+    itself: :mod:`skylight.inverse._background`.
+
     Without a ``light_prior`` all lights of the model are alike. ``albedo_prior`` is a density over
     *log* albedo: over albedo itself it would be the same distribution, but its maximum would lean
     towards dark skin.
@@ -97,6 +102,12 @@ class LightObjective:
         self.faces = tuple(faces)
         self.sun_priors = tuple(sun_priors)
         self.photo_count = 1 + max(face.photo for face in faces)
+        # once a photograph, whatever the number of its faces
+        self.backgrounds = {
+            face.photo: face.background
+            for face in reversed(self.faces)
+            if face.background is not None and weights.background > 0
+        }
         self.model = model
         self.light_prior = light_prior
         self.albedo_prior = albedo_prior
@@ -218,13 +229,17 @@ class LightObjective:
         return even * torch.exp(-(amounts.clamp(-5, 5) @ self.pigment_colours))
 
     def shading(
-        self, parts: Unpacked, problem: Int[Tensor, " b"] | None = None
+        self,
+        parts: Unpacked,
+        problem: Int[Tensor, " b"] | None = None,
+        light: tuple[Float[Tensor, "b n 3"], Float[Tensor, "b 3"]] | None = None,
     ) -> list[Float[Tensor, "b _ 3"]]:
         """Each face's rho T l + specular_scale G l times its photograph's exposure and gains.
 
         Where its normals may be wrong, T l has what they add, and is 0 where that is less.
+        ``light`` is the :meth:`radiance` of the parts where that is known.
         """
-        sky, ground = self.radiance(parts)
+        sky, ground = self.radiance(parts) if light is None else light
         return [
             self.reflected(
                 parts, k, face.transported(sky, ground, self.turns(parts, k), problem), problem
@@ -249,12 +264,26 @@ class LightObjective:
         problem: Int[Tensor, " b"] | None = None,
     ) -> Float[Tensor, "b m 3"]:
         """The shading of face ``k`` in that light."""
-        photo = self.faces[k].photo
         shading = self.albedo(parts, k, problem) * light.diffuse_shading
         if light.specular is not None:
             shading = shading + parts.specular_scale[:, k, None, None] * light.specular
+        return self.camera_response(parts, self.faces[k].photo, shading)
+
+    def camera_response(
+        self, parts: Unpacked, photo: int, radiance: Float[Tensor, "b m 3"]
+    ) -> Float[Tensor, "b m 3"]:
+        """What a photograph shows of radiance: times its exposure and gains."""
         gains = parts.exposure[:, photo, None] * self.white_balance(parts)[:, photo]
-        return gains[:, None] * shading
+        return gains[:, None] * radiance
+
+    def behind(
+        self, parts: Unpacked, light: tuple[Float[Tensor, "b n 3"], Float[Tensor, "b 3"]]
+    ) -> dict[int, Float[Tensor, "b _"]]:
+        """The deviations of each photograph's background, in that light."""
+        return {
+            photo: term.deviation(self.camera_response(parts, photo, term.seen(*light)))
+            for photo, term in self.backgrounds.items()
+        }
 
     def ground_radiance(
         self, sky: Float[Tensor, "b n 3"], albedo: Float[Tensor, "b g"]
@@ -267,14 +296,27 @@ class LightObjective:
     ) -> dict[str, Float[Tensor, " b"]]:
         """Each part of the objective, weighted and summed over faces; they add up to it."""
         parts, w = self.unpack(free), self.weights
-        shadings = self.shading(parts, problem)
+        light = self.radiance(parts)
+        shadings = self.shading(parts, problem, light)
         data = [f.data_term(s, w, problem) for f, s in zip(self.faces, shadings, strict=True)]
-        return {"data": torch.stack(data).sum(0), **self.priors(free, problem)}
+        return {
+            "data": torch.stack(data).sum(0),
+            **self._background_nll(self.behind(parts, light)),
+            **self.priors(free, problem),
+        }
+
+    def _background_nll(
+        self, behind: dict[int, Float[Tensor, "b _"]]
+    ) -> dict[str, Float[Tensor, " b"]]:
+        if not behind:
+            return {}
+        each = [self.backgrounds[photo].cost(rows) for photo, rows in behind.items()]
+        return {"background": self.weights.background * torch.stack(each).sum(0)}
 
     def priors(
         self, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None
     ) -> dict[str, Float[Tensor, " b"]]:
-        """All parts but the data."""
+        """All parts but the data and the background."""
         parts, w = self.unpack(free), self.weights
         light = without_azimuth(self.model, free[:, : self.model.parameter_count])
         skin = self.albedo_prior.log_prob(parts.albedo.log().flatten(0, 1))
@@ -301,6 +343,15 @@ class LightObjective:
         shares = [of_problem(face.share, problem).expand(-1, -1, 3) for face in self.faces]
         each = torch.cat([share.flatten(1) for share in shares], 1)
         return self.weights.independent / self.weights.noise * each
+
+    def background_weights(self, behind: dict[int, Float[Tensor, "b _"]]) -> Float[Tensor, "b _"]:
+        """What the Charbonnier of each of the rows :meth:`behind` counts, nats: the tangent of its
+        concave cost, which lies above it."""
+        each = [
+            self.backgrounds[photo].trust(rows)[:, None].expand_as(rows)
+            for photo, rows in behind.items()
+        ]
+        return self.weights.background * ROW_WEIGHT * torch.cat(each, 1)
 
     def sun_nll(
         self, light: Float[Tensor, "b p"], problem: Int[Tensor, " b"] | None = None
@@ -341,7 +392,8 @@ class LightObjective:
 
         Albedo and specular scale times c under 1/c of a photograph's exposure look the same: only
         the priors know c, and between skins of different tone they have valleys that a descent does
-        not cross. Every photograph's c is that of :func:`bayes_scale`.
+        not cross. Every photograph's c is that of :func:`bayes_scale`, by what its background
+        tells of it too.
         """
         parts = self.unpack(free)
         exposure, specular_scale, albedo = (
@@ -349,13 +401,15 @@ class LightObjective:
             parts.specular_scale.clone(),
             parts.albedo.clone(),
         )
+        light = self.radiance(parts) if self.backgrounds else None
         for photo in range(self.photo_count):
             mine = self.faces_of(photo)
             has_specular = free.new_tensor([self.faces[k].specular is not None for k in mine])
-            scale = bayes_scale(
-                scale_nll(albedo[:, mine], self.tone_prior, self.weights.albedo_prior)
-                + specular_nll(specular_scale[:, mine], has_specular)
-            )
+            nll = scale_nll(albedo[:, mine], self.tone_prior, self.weights.albedo_prior)
+            nll = nll + specular_nll(specular_scale[:, mine], has_specular)
+            if light is not None and photo in self.backgrounds:
+                nll = nll + self._scales_behind(parts, photo, light)
+            scale = bayes_scale(nll)
             exposure[:, photo] /= scale
             specular_scale[:, mine] *= scale[:, None]
             albedo[:, mine] *= scale[:, None, None]
@@ -369,6 +423,18 @@ class LightObjective:
             parts.pigments,
             parts.turns,
         )
+
+    def _scales_behind(
+        self,
+        parts: Unpacked,
+        photo: int,
+        light: tuple[Float[Tensor, "b n 3"], Float[Tensor, "b 3"]],
+    ) -> Float[Tensor, "s b"]:
+        """How unlikely a background is in light over each of :data:`SCALES`, in nats."""
+        term = self.backgrounds[photo]
+        seen = self.camera_response(parts, photo, term.seen(*light))
+        tried = seen / SCALES.to(seen)[:, None, None, None]
+        return self.weights.background * term.cost(term.deviation(tried))
 
     def __call__(
         self, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None

@@ -22,6 +22,7 @@ class LightProblem(ABC):
     """
 
     uses_specular: ClassVar[bool] = True  # whether transport of surface reflection is of use
+    uses_background: ClassVar[bool] = False  # whether what stands behind the faces is of use
 
     @property
     @abstractmethod

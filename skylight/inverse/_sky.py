@@ -367,6 +367,8 @@ class SkyProblem(LightProblem):
                 f"got {layout}: observe_face(grid_height={self.grid_height}) makes it"
             )
         levels = sorted({one.level for one in self.solver.options.stages})
+        # what stands below a real horizon is no sky over even ground
+        observation = replace(observation, background=None)
         coarse, device = observation.on_rows(self.grid_height), self.solver.albedo_modes.device
         sphere = model.grid.is_sphere
         self.faces.append(ScannedFace.of(coarse, photo, levels, device, sphere=sphere))

@@ -13,8 +13,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from skylight.inverse._descent import Iterates, deviations, jacobian
+from skylight.inverse._descent import Iterates, deviation_weights, deviations, jacobian
 from skylight.inverse._faces import Level, LitFaces
+from skylight.inverse._gauss_newton import charbonnier
 from skylight.inverse._least_squares import laplace
 from skylight.inverse._objective import LightObjective, Unpacked
 from skylight.inverse._posterior import SunEvidence, sun_posterior
@@ -31,6 +32,8 @@ from skylight.inverse._scan import SunScan
 from skylight.inverse._sun_prior import SunPrior
 from skylight.models._base import Prior
 from skylight.sphere._envmap import EnvironmentMap
+
+LEAST_TRUST = 0.4  # in a background, below which a line says so
 
 
 @torch.no_grad()
@@ -52,13 +55,14 @@ def log_evidence(
         return torch.stack([nll for name, nll in priors.items() if name != "sun_prior"]).sum(0)
 
     turn = 0.0 if objective.model.azimuth_index is None else math.log(2 * math.pi)  # any azimuth
-    nats = laplace(
-        free,
-        deviations(objective, free, problem),
-        jacobian(objective, free, problem),
-        objective.deviation_weights(problem),
-        prior,
-    )
+    off, slopes = deviations(objective, free, problem), jacobian(objective, free, problem)
+    weights = deviation_weights(objective, free, problem)
+    seen, known = objective.deviation_weights(problem).shape[1], None
+    if objective.backgrounds:
+        rows, along = off[:, seen:], slopes[:, seen:]
+        curved = along * (weights[:, seen:] / charbonnier(rows))[:, :, None]
+        known = objective.terms(free, problem)["background"], along.mT @ curved
+    nats = laplace(free, off[:, :seen], slopes[:, :seen], weights[:, :seen], prior, known)
     return nats - turn
 
 
@@ -70,6 +74,7 @@ class Search:
     status: Status
     stats: dict[str, float | int]
     log_evidence: float | None = None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +90,7 @@ class Solutions:
     status: list[Status]
     stats: list[dict[str, float | int]]
     log_evidence: Float[Tensor, " p"] | None
+    trust: dict[int, Float[Tensor, " p"]]
 
     @staticmethod
     @torch.no_grad()
@@ -96,6 +102,7 @@ class Solutions:
         free = torch.stack([one.free[i] for one, i in zip(points, best, strict=True)])
         problem = torch.arange(len(points)).to(free.device)
         parts = objective.unpack(free)
+        light = objective.radiance(parts)
         status: list[Status] = []
         for one, i in zip(points, best, strict=True):
             if bool(one.converged[i]):
@@ -109,11 +116,15 @@ class Solutions:
             parts=parts,
             white_balance=objective.white_balance(parts),
             albedos=[objective.albedo(parts, k, problem) for k in range(len(objective.faces))],
-            shadings=objective.shading(parts, problem),
+            shadings=objective.shading(parts, problem, light),
             terms=objective.terms(free, problem),
             status=status,
             stats=[{"evaluations": one.evaluations, "nonfinite": one.nonfinite} for one in points],
             log_evidence=log_evidence(objective, free, problem) if evidence else None,
+            trust={
+                photo: objective.backgrounds[photo].trust(rows)
+                for photo, rows in objective.behind(parts, light).items()
+            },
         )
 
     def search(self, p: int, scan: SunScan) -> Search:
@@ -125,8 +136,16 @@ class Solutions:
                 **self.stats[p],
                 "scan_residual": float(scan.residuals.min()),
                 "sun_strength": float(scan.strengths[0]),
+                **{f"background_trust_{k}": float(each[p]) for k, each in self.trust.items()},
             },
             log_evidence=None if self.log_evidence is None else float(self.log_evidence[p]),
+            notes=tuple(
+                f"the background{f' of photograph {k + 1}' if len(self.trust) > 1 else ''} was "
+                "hardly used: it does not look like the light on the face (a backdrop, a screen, "
+                "other lamps?)"
+                for k, each in self.trust.items()
+                if float(each[p]) < LEAST_TRUST
+            ),
         )
 
 
@@ -200,7 +219,7 @@ def estimate_of(
         faces=faces,
         terms=search.terms,
         status=search.status,
-        advice=advice(faces),
+        advice=(*advice(faces), *search.notes),
         stats=search.stats,
         lamps=lamps or (),
         log_evidence=search.log_evidence,

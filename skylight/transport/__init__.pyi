@@ -1,3 +1,6 @@
+from ._background import (
+    Background as Background,
+)
 from ._cameras import (
     Camera as Camera,
     PlacedCamera as PlacedCamera,

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from skylight.errors import InputError
 from skylight.sphere._envmap import luminance
+from skylight.transport._background import Background
 from skylight.transport._matrix import TransportMatrix
 from skylight.transport._normal_modes import NormalModes
 from skylight.transport._visibility import PixelBlocks
@@ -37,6 +38,9 @@ class Observation:
     there; None where it is nowhere.
 
     ``grey``: the picture has no colour, and its three equal channels are luminance.
+
+    ``background`` is what the same photograph shows beside the people, or None where it is not
+    known or not to be used.
     """
 
     pixels: Float[Tensor, "m 3"]
@@ -49,6 +53,7 @@ class Observation:
     modes: Float[Tensor, "m k"] | None = None
     normal_modes: NormalModes | None = None
     camera_lamp: Float[Tensor, "m 2"] | None = None
+    background: Background | None = None
 
     def __post_init__(self) -> None:
         count = len(self.pixels)
@@ -100,11 +105,13 @@ class Observation:
             modes=None if self.modes is None else self.modes.to(device),
             normal_modes=None if self.normal_modes is None else self.normal_modes.to(device),
             camera_lamp=None if self.camera_lamp is None else self.camera_lamp.to(device),
+            background=None if self.background is None else self.background.to(device),
         )
 
     def scaled(self, factor: float) -> "Observation":
         """The same with all pixels multiplied."""
-        return replace(self, pixels=self.pixels * factor)
+        background = None if self.background is None else self.background.scaled(factor)
+        return replace(self, pixels=self.pixels * factor, background=background)
 
     def on_rows(self, rows: int) -> "Observation":
         """The same for light on a lat-long grid of fewer rows.
@@ -116,6 +123,7 @@ class Observation:
             transport=self.transport.on_rows(rows),
             specular=None if self.specular is None else self.specular.on_rows(rows),
             normal_modes=None if self.normal_modes is None else self.normal_modes.on_rows(rows),
+            background=None if self.background is None else self.background.on_rows(rows),
         )
 
     def coarser(self, level: int) -> "Observation":

@@ -164,6 +164,7 @@ def estimate_film(
                 face_height_px=FACE_HEIGHT_PX,
                 grid_height=problem.grid_height,
                 grey=photo.grey,
+                beside=None,
                 workers=cores(),
                 rays_on=settings.estimate.rays_on,
             )

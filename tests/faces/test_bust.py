@@ -7,7 +7,7 @@ import numpy as np
 import trimesh
 from scipy.special import gamma
 
-from skylight.portrait._surface import SEMI_AXES_M, SQUARENESS, TURN, bust
+from skylight.faces._bust import SEMI_AXES_M, SQUARENESS, TURN, bust
 from tests.sunny_face import sunny_face
 
 
