@@ -31,6 +31,8 @@ from skylight.models import (
     LambertianGround,
     LampsLight,
     LampsPrior,
+    SphereLight,
+    SpherePrior,
     SunSky,
     load_bundle,
 )
@@ -242,6 +244,9 @@ CASES: dict[str, Case] = {
     "lamps": Case(
         dtype="single", slow_graph=True, make=lambda: LampsLight(2, 8), inputs=free, autocast=1e-5
     ),
+    "sphere": Case(
+        dtype="single", slow_graph=True, make=lambda: SphereLight(2, 8), inputs=free, autocast=1e-5
+    ),
     "harmonics": Case(
         dtype="single",
         make=lambda: HarmonicLight(4, 8),
@@ -313,6 +318,13 @@ CASES: dict[str, Case] = {
         dtype="single",
         make=lambda: LampsPrior(2),
         inputs=lambda _: (normal(5, 30),),
+        call=lambda m, x: m.log_prob(x),
+        autocast=1e-5,
+    ),
+    "prior of places": Case(
+        dtype="single",
+        make=lambda: SpherePrior(1),
+        inputs=lambda _: (0.5 * normal(5, SpherePrior(1).parameter_count),),
         call=lambda m, x: m.log_prob(x),
         autocast=1e-5,
     ),

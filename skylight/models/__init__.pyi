@@ -37,6 +37,10 @@ from ._network_names import (
 from ._prior import (
     GaussianMixture as GaussianMixture,
 )
+from ._sphere import (
+    SphereLight as SphereLight,
+    SpherePrior as SpherePrior,
+)
 from ._splines import (
     SplineAutoencoder as SplineAutoencoder,
 )

@@ -5,8 +5,8 @@
 :mod:`~skylight.models._lobes` has the lamps, a sun among them. A is smooth light of mean luminance
 1. B are cubic B-splines on two disks, the sphere above and below the horizon
 (:mod:`~skylight.sphere._lobes`), and their control points are linear in the latents,
-c(z) = b + F z. The whole is turned about the vertical by an azimuth, which is that of the strongest lamp
-beforehand.
+c(z) = b + F z. The whole is turned about the vertical by an azimuth, which is that of the
+strongest lamp beforehand.
 
 What places look like was learnt from simulated ones (:mod:`skylight.places`): F is what they vary
 by, and the prior (:class:`SpherePrior`) is a mixture over kinds of place.
@@ -206,7 +206,7 @@ def _turned_rows(
 
 
 def turned(
-    directions: Float[Tensor, "*b k 3"], azimuth_rad: Float[Tensor, "*#b k"]
+    directions: Float[Tensor, "*b k 3"], azimuth_rad: Float[Tensor, "*#b #k"]
 ) -> Float[Tensor, "*b k 3"]:
     """Directions turned about the vertical, to the right for a positive angle."""
     x, y, z = directions.unbind(-1)

@@ -35,7 +35,7 @@ def train(
         overrides: Keys of the configuration, as batch=16 learning_rate=3e-4; --keys lists them.
         out: Folder for the model.
         config: Name of a configuration that comes with skylight (sky_autoencoder,
-            sky_autoencoder_thesis, sky_prior, csc_dictionary), or a .yaml file.
+            sky_autoencoder_thesis, sky_prior, csc_dictionary, sphere), or a .yaml file.
         network: A class of your own in place of the configuration's network: module:Class.
         epochs: Passes over the training skies, if not those of the configuration.
         device: auto (CUDA where it is), cpu or cuda, if not that of the configuration.

@@ -218,11 +218,31 @@ class DictionaryConfig(_Checked):
             raise InputError(f"`radius_deg` must be above 0, at most 90, got {self.radius_deg}")
 
 
-Config = AutoencoderConfig | PriorConfig | DictionaryConfig
+@dataclass(frozen=True, kw_only=True)
+class PlacesConfig(_Checked):
+    """The light model of the whole sphere, from simulated places."""
+
+    kind: Literal["places"] = "places"
+    data: Path = Path("runs/places")
+    """Folder that ``skylight places simulate`` wrote."""
+    out: Path = Path("runs/sphere")
+    """Folder for the model."""
+    latents: int = _bounded(80, least=2, most=256)
+    """Numbers that code the smooth light of a place."""
+    across: int = _bounded(13, least=5, most=64)
+    """Control points across the disk above the horizon, and across that below."""
+    places_a_component: int = _bounded(750, least=100)
+    """Training places for each Gaussian of the prior."""
+    seed: int = _bounded(0, least=0, most=2**32 - 1)  # NumPy's
+    """Of white balances, and of the Gaussians' first means."""
+
+
+Config = AutoencoderConfig | PriorConfig | DictionaryConfig | PlacesConfig
 _KINDS: dict[str, type[Config]] = {
     "autoencoder": AutoencoderConfig,
     "prior": PriorConfig,
     "dictionary": DictionaryConfig,
+    "places": PlacesConfig,
 }
 
 

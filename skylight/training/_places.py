@@ -1,13 +1,9 @@
 """The light model of places (:mod:`skylight.models._sphere`) from a folder of simulated ones.
 
-Maps are seen as log radiance on 32 rows, of a mean luminance of 1, turned so that their strongest
-light is straight ahead. Their principal components start the model; its control points are then
-improved for what maps do to a scene: a map's latents are those of least squares, and what is
-minimised over the model is ::
-
-    mean (log A - log L)^2 + w mean (log E_A - log E_L)^2
-
-with E the irradiance of 64 surfaces all round.
+Maps are seen as log radiance on 32 rows, of a mean luminance of 1, as a camera balances them,
+turned so that their strongest light is straight ahead. Their principal components over the sphere,
+those of their mirror images among them, are the model, its latents those of least squares. The
+prior is fitted to each kind of place by itself.
 """
 
 import csv
@@ -24,7 +20,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight.errors import InputError
-from skylight.io._bounded import file_text
+from skylight.io._bounded import file_text, write_json
 from skylight.io._files import INDEX_NAME, read_environment_map
 from skylight.models._lobes import (
     LAMP_CHROMA,
@@ -40,8 +36,11 @@ from skylight.models._sphere import MOST_LAMPS, Places
 from skylight.sphere._envmap import luminance
 from skylight.sphere._frame import DirectionGrid, direction_from_angles
 from skylight.sphere._lobes import DiskSplines
+from skylight.training._config import PlacesConfig
 from skylight.work._progress import StageProgress, silent
+from skylight.work._resumable import results_folder
 
+MODEL, SCORES = "sphere.safetensors", "scores.json"
 ROWS = 32
 FLOOR = 3e-3  # radiance, of a mean luminance of 1: what is darker is alike
 NORMALS = 64
@@ -75,6 +74,11 @@ class PlaceMaps:
     kind: list[str]
     lights: list[list[PlaceLight]]
     is_test: list[bool]
+
+    def with_mirrored(self) -> Float[Tensor, "_ d 3"]:
+        """Their log radiance, and that of the same left for right."""
+        log = self.log.float()
+        return torch.cat([log, log.unflatten(1, (ROWS, -1)).flip(2).flatten(1, 2)])
 
     def rows(self, which: Sequence[int]) -> "PlaceMaps":
         return PlaceMaps(
@@ -176,7 +180,7 @@ def _luminous(light: PlaceLight) -> float:
 class Decoder:
     """Control points (of both disks) to log radiance on 32 rows, and back by least squares."""
 
-    def __init__(self, across: int, device: torch.device) -> None:
+    def __init__(self, across: int) -> None:
         splines = DiskSplines(across, DirectionGrid.sky(ROWS // 2))
         grid = DirectionGrid.latlong(ROWS)
         half = splines.matrix()
@@ -186,18 +190,18 @@ class Decoder:
         gram = matrix.T @ (weights[:, None] * matrix)
         gram += RIDGE * gram.diagonal().mean() * torch.eye(len(gram)).double()
         self.across = across
-        self.matrix = matrix.float().to(device)
-        self.inverse = torch.linalg.solve(gram, matrix.T * weights).float().to(device)
-        self.weights = weights.float().to(device)
-        self.directions = grid.directions.float().to(device)
-        self.solid_angles = grid.solid_angles.float().to(device)
-        normals = DirectionGrid.hammersley(NORMALS).directions.float().to(device)
+        self.matrix = matrix.float()
+        self.inverse = torch.linalg.solve(gram, matrix.T * weights).float()
+        self.weights = weights.float()
+        self.directions = grid.directions.float()
+        self.solid_angles = grid.solid_angles.float()
+        normals = DirectionGrid.hammersley(NORMALS).directions.float()
         self.irradiance = (normals @ self.directions.T).clamp(min=0) * self.solid_angles
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Linear:
-    """log A = M (b + F z): the model while it learns. Latents are those of least squares."""
+    """log A = M (b + F z). Latents are those of least squares."""
 
     control: Float[Tensor, "n 3"]
     basis: Float[Tensor, "z n 3"]
@@ -221,52 +225,9 @@ def principal(decoder: Decoder, log: Float[Tensor, "n d 3"], latents: int) -> Li
     mean = log.mean(0)
     root = decoder.weights.sqrt()[:, None]
     centred = ((log - mean) * root).flatten(1)
-    _, scale, axes = torch.svd_lowrank(centred, q=latents + 10, niter=6)
-    scale = scale[:latents] / math.sqrt(len(log))
-    fields = (axes[:, :latents] * scale).T.unflatten(1, (-1, 3)) / root
+    axes = torch.svd_lowrank(centred, q=latents + 10, niter=6)[2][:, :latents]
+    fields = axes.T.unflatten(1, (-1, 3)) / root
     return Linear(control=decoder.inverse @ mean, basis=decoder.inverse @ fields)
-
-
-def improved(
-    decoder: Decoder,
-    model: Linear,
-    log: Float[Tensor, "n d 3"],
-    *,
-    steps: int,
-    irradiance_weight: float = 0.5,
-    batch: int = 256,
-    rate: float = 2e-3,
-    seed: int = 0,
-    progress: StageProgress = silent,
-) -> Linear:
-    """What :mod:`this module <skylight.training._places>` minimises, by Adam."""
-    control, basis = (each.clone().requires_grad_() for each in (model.control, model.basis))
-    optimiser = torch.optim.Adam([control, basis], lr=rate)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps)
-    generator = torch.Generator().manual_seed(seed)
-    for step in range(steps):
-        some = torch.randint(len(log), (batch,), generator=generator)
-        seen = mirrored(log[some.to(log.device)].float(), generator)
-        learnt = Linear(control=control, basis=basis)
-        made = learnt.log(decoder, learnt.latents(decoder, seen))
-        error = ((made - seen).square().mean(2) @ decoder.weights).mean()
-        lit = (decoder.irradiance @ made.clamp(max=8).exp()).log()
-        wanted = (decoder.irradiance @ seen.exp()).log()
-        loss = error + irradiance_weight * (lit - wanted).square().mean()
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        schedule.step()
-        if step % 50 == 0:
-            progress("training", step / steps)
-    return Linear(control=control.detach(), basis=basis.detach())
-
-
-def mirrored(log: Float[Tensor, "b d 3"], generator: torch.Generator) -> Float[Tensor, "b d 3"]:
-    """A random half of maps seen in a mirror: left for right."""
-    flipped = log.unflatten(1, (ROWS, -1)).flip(2).flatten(1, 2)
-    chosen = torch.rand(len(log), 1, 1, generator=generator) < 0.5
-    return torch.where(chosen.to(log.device), flipped, log)
 
 
 def whitened(model: Linear, z: Float[Tensor, "n z"]) -> tuple[Linear, Float[Tensor, "n z"]]:
@@ -341,45 +302,75 @@ def _lamp(
     return torch.tensor([*towards.tolist(), *limited])
 
 
+def train_places(config: PlacesConfig, progress: StageProgress = silent) -> Path:
+    """Learn the model of a folder of places; returns ``config.out``, with model and scores."""
+    maps = read_maps(config.data, seed=config.seed)
+    progress("reading", 1.0)
+    train = maps.rows([k for k, test in enumerate(maps.is_test) if not test])
+    held = maps.rows([k for k, test in enumerate(maps.is_test) if test])
+    kinds = tuple(dict.fromkeys(sorted(maps.kind)))
+    decoder = Decoder(config.across)
+    if len(train.kind) < 2 * config.latents:
+        raise InputError(
+            f"{config.data}: {len(train.kind)} training places are too few for {config.latents} "
+            f"latents; simulate {4 * config.latents} or more"
+        )
+    model = principal(decoder, train.with_mirrored(), config.latents)
+    progress("components", 1.0)
+    places = places_of(decoder, model, train, kinds, config.places_a_component, config.seed)
+    progress("prior", 1.0)
+    with results_folder(config.out) as folder:
+        places.save(folder / MODEL, {"places": str(len(train.kind))})
+        write_json(folder / SCORES, {"places": len(train.kind), **_summary(decoder, model, held)})
+    return config.out
+
+
+def _summary(decoder: Decoder, model: Linear, held: PlaceMaps) -> dict[str, object]:
+    """Errors of places that the model has not seen; none where there are none."""
+    if not held.kind:
+        return {}
+    found = scores(decoder, model, held.log)
+    return {"held out": len(held.kind)} | {
+        name: {"median": float(each.median()), "90 %": float(each.quantile(0.9))}
+        for name, each in found.items()
+    }
+
+
 def places_of(
     decoder: Decoder,
     model: Linear,
     maps: PlaceMaps,
     kinds: Sequence[str],
-    components: dict[str, int],
+    places_a_component: int,
     seed: int = 0,
 ) -> Places:
     """The model with its prior, of training maps."""
-    log = maps.log.to(decoder.matrix)
-    flipped = log.unflatten(1, (ROWS, -1)).flip(2).flatten(1, 2)
-    z = torch.cat([model.latents(decoder, some.float()) for some in log.split(512)])
-    seen = torch.cat([model.latents(decoder, some.float()) for some in flipped.split(512)])
-    model, white = whitened(model, torch.cat([z, seen]))
-    lamps = lamps_of(decoder, model, maps, white[: len(z)])
+    z = model.latents(decoder, maps.with_mirrored())
+    model, white = whitened(model, z)
+    count = len(maps.kind)
+    lamps = lamps_of(decoder, model, maps, white[:count])
     of_kind = np.array(maps.kind)
     parts, kind_of, told = [], [], []
     for number, kind in enumerate(kinds):
-        mine = torch.from_numpy(np.flatnonzero(of_kind == kind))
-        both = torch.cat([mine, mine + len(z)]).to(white.device)
-        mixture = shrunk(white[both].cpu(), components[kind], seed)
-        parts.append((mixture, len(mine) / len(z)))
+        mine = np.flatnonzero(of_kind == kind)
+        both = torch.from_numpy(np.concatenate([mine, mine + count]))
+        mixture = shrunk(white[both], max(1, round(len(mine) / places_a_component)), seed)
+        parts.append((mixture, len(mine) / count))
         kind_of += [number] * len(mixture.weights)
         told.append(_lamps_told([lamps[k] for k in mine.tolist()]))
-    log_weights = torch.cat([mixture.weights.log() + math.log(s) for mixture, s in parts])
-    stacked = {name: torch.stack([each[name] for each in told]) for name in told[0]}
     tensors = {
         "control": model.control.T,
         "basis": model.basis.mT,
-        "log_weights": log_weights,
+        "log_weights": torch.cat([mix.weights.log() + math.log(share) for mix, share in parts]),
         "means": torch.cat([mixture.means for mixture, _ in parts]),
         "precision_factors": torch.cat([mixture.precision_factors for mixture, _ in parts]),
-        **stacked,
+        **{name: torch.stack([each[name] for each in told]) for name in told[0]},
     }
     return Places(
         kinds=tuple(kinds),
         across=decoder.across,
         kind=torch.tensor(kind_of),
-        **{name: each.float().cpu().contiguous() for name, each in tensors.items()},
+        **{name: each.float().contiguous() for name, each in tensors.items()},
     )
 
 

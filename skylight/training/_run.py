@@ -18,12 +18,14 @@ from skylight.training._config import (
     AutoencoderConfig,
     Config,
     DictionaryConfig,
+    PlacesConfig,
     PriorConfig,
     find_config,
     read_config,
 )
 from skylight.training._dictionary import learn_dictionary
 from skylight.training._overrides import keys_page, read_overrides, usage, without_dashes
+from skylight.training._places import train_places
 from skylight.training._prior import fit_priors, splits_for_priors
 from skylight.work._progress import StageProgress, Tell, silent, stage_bar, with_time_left
 from skylight.work._resumable import locked
@@ -85,6 +87,8 @@ def run(config: Config) -> None:
             done = f"best network: {train(config, progress=progress)}"
         elif isinstance(config, DictionaryConfig):
             done = f"dictionary: {learn_dictionary(config, progress=progress)}"
+        elif isinstance(config, PlacesConfig):
+            done = f"model of places: {train_places(config, progress)}"
         else:
             done = f"light model: {fit_priors(config, progress=progress)}"
     print(done)
