@@ -18,6 +18,7 @@ from dataclasses import dataclass, fields
 from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -37,6 +38,7 @@ MOST_LAMPS = 3
 _DARKEST, _BRIGHTEST = -12.0, 12.0
 TURNS = 8  # of starts without a lamp
 AHEAD_KAPPA = 20.0  # of lamps about the azimuth of the whole: 13 degrees
+_AHEAD_LOG_MEAN = math.log(float(np.i0(AHEAD_KAPPA))) - AHEAD_KAPPA  # e^(k (cos - 1)), all round
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -285,7 +287,7 @@ class SpherePrior(Module):
         of_height = up * direction[..., 1:2] + (up / (4 * math.pi * up.sinh())).log()
         level = direction[..., ::2].norm(dim=-1, keepdim=True).clamp(min=1e-6)
         cosine = -direction[..., 2:] / level  # to the azimuth of the whole, which is -Z
-        ahead = AHEAD_KAPPA * (cosine - 1) - math.log(_bessel0_scaled(AHEAD_KAPPA))
+        ahead = AHEAD_KAPPA * (cosine - 1) - _AHEAD_LOG_MEAN
         share = self.lamp_ahead.to(each.dtype)
         of_azimuth = torch.logaddexp(share.log() + ahead, torch.log1p(-share))
         of_length = -0.5 * (((length - 1) / 0.1).square() + math.log(2 * math.pi * 0.01))
@@ -339,11 +341,6 @@ def _log_normal(
     log_det = factors.diagonal(dim1=1, dim2=2).log().sum(1).to(white.dtype)
     size = white.shape[-1]
     return log_det - 0.5 * (white.square().sum(-1) + size * math.log(2 * math.pi))
-
-
-def _bessel0_scaled(kappa: float) -> float:
-    """``e^-kappa I_0(kappa)``"""
-    return float(torch.special.i0e(torch.tensor(kappa, dtype=torch.float64)))
 
 
 @constant()
