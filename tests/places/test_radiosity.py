@@ -298,6 +298,28 @@ def test_a_gloss_mirrors_sky_sun_and_lamps() -> None:
     torch.testing.assert_close(brightest, wanted, rtol=0, atol=0.06)
 
 
+def test_nothing_is_darker_than_black() -> None:
+    """Under a low roof rays bring back all of the sky that is taken off first, but for noise."""
+    roof = panel((0, -1.45, -30), (0, -1, 0), 20, 20, grey(0.8))
+    scene = Scene(rectangles=[floor(grey(0.8)), roof], outside=Outside.uniform((1, 1, 1)))
+    lit = Lit(scene, torch.Generator().manual_seed(0))
+    assert float(lit.radiosity.min()) >= 0
+
+
+def test_texture_is_as_fine_as_pixels_see_it() -> None:
+    """Of 10 cm, on the ground 1.5 m and 150 m below."""
+
+    def spread(eye: float) -> float:
+        grain = grey(0.3, texture=0.4, grain_m=0.1)
+        ground = panel((0, -eye, 0), (0, 1, 0), 200 * eye, 200 * eye, grain)
+        light = radiance(Scene(rectangles=[ground], outside=Outside.uniform((1, 1, 1))))
+        return float(light[-4:, :, 1].log().std())
+
+    near, far = spread(1.5), spread(150.0)
+    assert near > 0.05
+    assert far < 0.1 * near
+
+
 def test_boxes_are_closed() -> None:
     """Their sides' normals, times areas, sum to nothing, and point out, or in."""
     for inward in (False, True):
