@@ -84,8 +84,9 @@ class SkyLoss:
         self.target = sky.reshape(-1, 3)
         self.coded = torch.log1p(self.target)
         self.share = (model.grid.solid_angles / (3 * 2 * math.pi)).float()[:, None]
-        self.transfer = _cosines(len(sky))
-        self.lit = self.transfer @ self.target
+        if weights.shading:
+            self.transfer = _cosines(len(sky))
+            self.lit = self.transfer @ self.target
 
     def of_radiance(self, radiance: Float[Tensor, "b n 3"]) -> Float[Tensor, " b"]:
         w = self.weights

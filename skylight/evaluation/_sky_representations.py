@@ -107,29 +107,33 @@ class _SkyHarmonics(HarmonicLight):
 
 
 def fit_harmonics(sky: Sky, degree: int) -> Sky:
-    """Descent from the least-squares fit to the sky cut off at its 98 % quantile."""
-    model = _SkyHarmonics(degree)
+    """Descent from the least-squares fit to the sky, or sphere, cut off at its 98 % quantile."""
+    model = HarmonicLight(degree, len(sky)) if _is_sphere(sky) else _SkyHarmonics(degree)
     shown = sky.reshape(-1, 3).clamp(max=float(torch.quantile(sky, QUANTILE)))
     start = solve_linear(model.basis.double(), shown.double(), model.grid.solid_angles).float()
-    return _descended(model, start.reshape(1, -1), sky)
+    return descended(model, start.reshape(1, -1), sky)
 
 
 def fit_gaussians(sky: Sky, lobes: int) -> Sky:
     """Descent from :meth:`~skylight.models._gaussians.GaussianLobes.matching_start`."""
-    model = GaussianLobes(lobes, HEIGHT)
+    model = GaussianLobes(lobes, len(sky), sphere=_is_sphere(sky))
     start = model.matching_start(sky.reshape(1, -1, 3))
-    return _descended(model, start, sky)
+    return descended(model, start, sky)
 
 
 def fit_sun_and_sky(sky: Sky) -> Sky:
-    return _descended(SunSky(), sun_and_sky_start(sky), sky)
+    return descended(SunSky(), sun_and_sky_start(sky), sky)
 
 
 def fit_autoencoder(light: AutoencoderLight, sky: Sky) -> Sky:
-    return _descended(light, autoencoder_start(light, sky), sky)
+    return descended(light, autoencoder_start(light, sky), sky)
 
 
-def _descended(model: Decoder, start: Float[Tensor, "1 p"], sky: Sky) -> Sky:
+def _is_sphere(sky: Sky) -> bool:
+    return sky.shape[1] == 2 * sky.shape[0]
+
+
+def descended(model: Decoder, start: Float[Tensor, "1 p"], sky: Sky) -> Sky:
     loss = SkyLoss(model, sky, LOG_ONLY)
     # twice the usual: hundreds of parameters are slow to settle
     return descend(loss, start, held=2 * HELD, released=2 * RELEASED).reshape(sky.shape)
