@@ -1,6 +1,7 @@
 """What is seen of scenes whose light is known by a law."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -296,6 +297,32 @@ def test_a_gloss_mirrors_sky_sun_and_lamps() -> None:
     brightest = grid.directions[int(image.argmax())]
     wanted = torch.tensor([0.0, -0.6, -0.8], dtype=torch.float64)
     torch.testing.assert_close(brightest, wanted, rtol=0, atol=0.06)
+
+
+def test_glare_lights_by_its_cosine_and_without_noise() -> None:
+    """A bright patch of sky 40 degrees up, on a floor, beside a wall that hides half the sky."""
+    light = torch.full((HEIGHT, 2 * HEIGHT, 3), 0.1)
+    light[4, 6:8] = torch.tensor([60.0, 50.0, 40.0])
+    scene = Scene(
+        rectangles=[floor(grey(0.3))],
+        outside=Outside(
+            map=light, sun=torch.tensor([0.0, 1.0, 0.0]), sun_irradiance=torch.zeros(3)
+        ),
+    )
+    grid = DirectionGrid.latlong(HEIGHT)
+    weight = (grid.directions[:, 1].clamp(min=0) * grid.solid_angles).float()
+    wanted = 0.3 / math.pi * (weight @ light.reshape(-1, 3))
+    below = radiance(scene)[-4:].reshape(-1, 3)
+    torch.testing.assert_close(below, wanted.expand_as(below), rtol=5e-3, atol=0)
+    # the wall stands opposite to the patch and takes a part of the even light alone
+    azimuth = math.pi * ((7.0 + 0.0) / HEIGHT - 1)
+    wall = panel(
+        (-8 * math.sin(azimuth), 0, 8 * math.cos(azimuth)),
+        (math.sin(azimuth), 0, -math.cos(azimuth)), 40, 40, grey(0.0),
+    )  # fmt: skip
+    beside = radiance(replace(scene, rectangles=[*scene.rectangles, wall]))[-2:].reshape(-1, 3)
+    assert (beside < below[: len(beside)]).all()
+    assert (beside > below[: len(beside)] - 0.3 * 0.1).all()
 
 
 def test_nothing_is_darker_than_black() -> None:
