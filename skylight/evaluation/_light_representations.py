@@ -5,8 +5,9 @@ PSNR and SSIM are of these pictures of 64 x 128 pixels, every pixel alike
 (:mod:`skylight.evaluation._sky_representations`). Gardner et al. measure 21 outdoor maps of their
 own, so the rows of categories that begin with "outdoor" are what theirs may be held against.
 
-All representations are fitted under one loss, the L1 of log(1 + radiance) where that quantile
-is 10: white is a factor of ten above what is coded evenly, as in a picture.
+All representations are fitted under one loss, the mean square of the difference in
+log(1 + radiance) where that quantile is 10, every pixel alike: a curve much as that of the score,
+which lamps and suns above white still count in.
 """
 
 import time
@@ -24,7 +25,7 @@ from skylight.evaluation._pictures import TILE, captioned_rows
 from skylight.evaluation._run import PROBES, Item, ProbeEvaluation
 from skylight.evaluation._sky_fits import HELD, RELEASED, SkyLoss, fitted_parameters
 from skylight.evaluation._sky_representations import (
-    LOG_ONLY,
+    PICTURE,
     QUANTILE,
     Sky,
     fit_gaussians,
@@ -113,7 +114,7 @@ class _Scaled:
 def fit_sphere(light: Sky, *, lamps: int) -> Sky:
     """Descent from the best start with its lamps where the map's largest are."""
     model = _Scaled(SphereLight(lamps, ROWS))
-    loss = SkyLoss(model, light, LOG_ONLY)
+    loss = SkyLoss(model, light, PICTURE)
     found = find_lamps(EnvironmentMap(radiance=light), most=max(lamps, 1), least_share=LEAST_LAMP)
     if lamps:
         up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)

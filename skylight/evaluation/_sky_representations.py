@@ -11,7 +11,7 @@ All representations are fitted under one loss, the L1 of log(1 + radiance).
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -46,6 +46,7 @@ from skylight.sphere._frame import DirectionGrid
 
 Sky = Float[Tensor, "h w 3"]
 LOG_ONLY = LossWeights(radiance=0.0, log=1.0, shading=0.0)
+PICTURE = replace(LOG_ONLY, picture=True)
 DEGREES = (2, 3, 4, 5, 6, 9)
 FLOATS = tuple(3 * (degree + 1) ** 2 for degree in DEGREES)  # 27, 48, 75, 108, 147, 300
 QUANTILE = 0.98
@@ -134,7 +135,7 @@ def _is_sphere(sky: Sky) -> bool:
 
 
 def descended(model: Decoder, start: Float[Tensor, "1 p"], sky: Sky) -> Sky:
-    loss = SkyLoss(model, sky, LOG_ONLY)
+    loss = SkyLoss(model, sky, PICTURE if _is_sphere(sky) else LOG_ONLY)
     # twice the usual: hundreds of parameters are slow to settle
     return descend(loss, start, held=2 * HELD, released=2 * RELEASED).reshape(sky.shape)
 
