@@ -20,6 +20,7 @@ from skylight.evaluation._any_light import AnyLight
 from skylight.evaluation._face_sensitivity import FaceSensitivity
 from skylight.evaluation._known_faces import EstimateOptions
 from skylight.evaluation._lamps import Lamps
+from skylight.evaluation._light_representations import LightRepresentations
 from skylight.evaluation._partition_probe import PartitionProbeTable
 from skylight.evaluation._pictures import write_sheet
 from skylight.evaluation._real_faces import RealFaces
@@ -52,6 +53,7 @@ EVALUATIONS: dict[str, type[Evaluation]] = {
         RealFaces,
         Lamps,
         SkyRepresentations,
+        LightRepresentations,
         SparseCoding,
         SparseInverse,
         TransportCompression,

@@ -44,11 +44,15 @@ _NORMALS = 128
 
 @dataclass(frozen=True, kw_only=True)
 class LossWeights:
-    """Weights of the terms of :class:`SkyLoss`."""
+    """Weights of the terms of :class:`SkyLoss`.
+
+    ``picture`` takes squares instead, and every pixel alike.
+    """
 
     radiance: float = 1.0
     log: float = 1.0
     shading: float = 2.0
+    picture: bool = False
 
 
 @runtime_checkable
@@ -83,14 +87,17 @@ class SkyLoss:
         self.weights = weights
         self.target = sky.reshape(-1, 3)
         self.coded = torch.log1p(self.target)
-        self.share = (model.grid.solid_angles / (3 * 2 * math.pi)).float()[:, None]
-        self.transfer = _cosines(len(sky))
-        self.lit = self.transfer @ self.target
+        share = (model.grid.solid_angles / (3 * 2 * math.pi)).float()[:, None]
+        self.share = torch.full_like(share, 1 / (3 * len(share))) if weights.picture else share
+        if weights.shading:
+            self.transfer = _cosines(len(sky))
+            self.lit = self.transfer @ self.target
 
     def of_radiance(self, radiance: Float[Tensor, "b n 3"]) -> Float[Tensor, " b"]:
         w = self.weights
-        error = w.radiance * charbonnier(radiance - self.target)
-        error = error + w.log * charbonnier(torch.log1p(radiance) - self.coded)
+        measured = torch.square if w.picture else charbonnier
+        error = w.radiance * measured(radiance - self.target)
+        error = error + w.log * measured(torch.log1p(radiance) - self.coded)
         loss = (error * self.share).sum((1, 2))
         if w.shading == 0:
             return loss

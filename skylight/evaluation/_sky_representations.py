@@ -11,7 +11,7 @@ All representations are fitted under one loss, the L1 of log(1 + radiance).
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -46,6 +46,7 @@ from skylight.sphere._frame import DirectionGrid
 
 Sky = Float[Tensor, "h w 3"]
 LOG_ONLY = LossWeights(radiance=0.0, log=1.0, shading=0.0)
+PICTURE = replace(LOG_ONLY, picture=True)
 DEGREES = (2, 3, 4, 5, 6, 9)
 FLOATS = tuple(3 * (degree + 1) ** 2 for degree in DEGREES)  # 27, 48, 75, 108, 147, 300
 QUANTILE = 0.98
@@ -107,30 +108,34 @@ class _SkyHarmonics(HarmonicLight):
 
 
 def fit_harmonics(sky: Sky, degree: int) -> Sky:
-    """Descent from the least-squares fit to the sky cut off at its 98 % quantile."""
-    model = _SkyHarmonics(degree)
+    """Descent from the least-squares fit to the sky, or sphere, cut off at its 98 % quantile."""
+    model = HarmonicLight(degree, len(sky)) if _is_sphere(sky) else _SkyHarmonics(degree)
     shown = sky.reshape(-1, 3).clamp(max=float(torch.quantile(sky, QUANTILE)))
     start = solve_linear(model.basis.double(), shown.double(), model.grid.solid_angles).float()
-    return _descended(model, start.reshape(1, -1), sky)
+    return descended(model, start.reshape(1, -1), sky)
 
 
 def fit_gaussians(sky: Sky, lobes: int) -> Sky:
     """Descent from :meth:`~skylight.models._gaussians.GaussianLobes.matching_start`."""
-    model = GaussianLobes(lobes, HEIGHT)
+    model = GaussianLobes(lobes, len(sky), sphere=_is_sphere(sky))
     start = model.matching_start(sky.reshape(1, -1, 3))
-    return _descended(model, start, sky)
+    return descended(model, start, sky)
 
 
 def fit_sun_and_sky(sky: Sky) -> Sky:
-    return _descended(SunSky(), sun_and_sky_start(sky), sky)
+    return descended(SunSky(), sun_and_sky_start(sky), sky)
 
 
 def fit_autoencoder(light: AutoencoderLight, sky: Sky) -> Sky:
-    return _descended(light, autoencoder_start(light, sky), sky)
+    return descended(light, autoencoder_start(light, sky), sky)
 
 
-def _descended(model: Decoder, start: Float[Tensor, "1 p"], sky: Sky) -> Sky:
-    loss = SkyLoss(model, sky, LOG_ONLY)
+def _is_sphere(sky: Sky) -> bool:
+    return sky.shape[1] == 2 * sky.shape[0]
+
+
+def descended(model: Decoder, start: Float[Tensor, "1 p"], sky: Sky) -> Sky:
+    loss = SkyLoss(model, sky, PICTURE if _is_sphere(sky) else LOG_ONLY)
     # twice the usual: hundreds of parameters are slow to settle
     return descend(loss, start, held=2 * HELD, released=2 * RELEASED).reshape(sky.shape)
 

@@ -27,12 +27,14 @@ SHARPNESS_BOUNDS = (0.5, 2048.0)
 _MIN_AMPLITUDE = 1e-6
 _MIN_FRACTION = 1e-6
 _MAX_LOG_AMPLITUDE = 40.0
-_TABLE_ROWS = 8
+_TABLE_COLUMNS = 32
 _TABLE_SHARPNESS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0)
 
 
 class GaussianLobes(Module):
     """Parameters ``(..., 6 k + 3)`` to the radiance of (h, 4h) pixels of the upper hemisphere.
+
+    Of (h, 2h) of the whole sphere where ``sphere`` is true.
 
     Each of the ``lobes`` has six: amplitude (3), azimuth and zenith angle of its direction in
     rad (any real numbers), sharpness. The constant's colour comes last. It has no prior.
@@ -42,14 +44,14 @@ class GaussianLobes(Module):
 
     directions: Tensor
 
-    def __init__(self, lobes: int, height: int = 32) -> None:
+    def __init__(self, lobes: int, height: int = 32, *, sphere: bool = False) -> None:
         super().__init__()
         if lobes < 1:
             raise ValueError(f"a sum of {lobes} lobes: give 1 or more")
         self.lobes = lobes
         self.name = f"gaussians{lobes}"
         self.parameter_count = LOBE_PARAMETERS * lobes + CONSTANT_PARAMETERS
-        self.grid = DirectionGrid.sky(height)
+        self.grid = DirectionGrid.latlong(height) if sphere else DirectionGrid.sky(height)
         self.register_buffer("directions", self.grid.directions, persistent=False)
 
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
@@ -96,8 +98,8 @@ class GaussianLobes(Module):
     def matching_start(self, sky: Float[Tensor, "b n 3"]) -> Float[Tensor, "b p"]:
         """Lobes picked one after the other, where log(1 + radiance) lacks most.
 
-        Matching pursuit (Mallat & Zhang 1993) over a table of lobes g, 8 x 32 directions by six
-        sharpnesses: the next has the largest ``<r, g>+ / |g|`` with the residual
+        Matching pursuit (Mallat & Zhang 1993) over a table of lobes g, 32 directions round the
+        vertical by six sharpnesses: the next has the largest ``<r, g>+ / |g|`` with the residual
         ``r = log(1 + L) - log(1 + l)``, mean over channels, products weighted by solid angle. Its
         colour lifts l to L in the lobe's mean of log(1 + radiance). The constant starts as the
         darkest tenth of the sky.
@@ -169,7 +171,8 @@ def _table(
 ) -> tuple[Float[Tensor, "t 3"], Float[Tensor, " t"], Float[Tensor, "t n"]]:
     """Directions, sharpnesses and pixels of the lobes to choose from (25 MB at 32 rows)."""
     assert layout is not None
-    places = DirectionGrid.sky(_TABLE_ROWS).directions.float()
+    rows = _TABLE_COLUMNS * layout[0] // layout[1]
+    places = DirectionGrid.latlong(rows, _TABLE_COLUMNS).directions.float()
     directions = places.repeat_interleave(len(_TABLE_SHARPNESS), 0)
     sharpness = torch.tensor(_TABLE_SHARPNESS).repeat(len(places))
     at = DirectionGrid.latlong(*layout).directions

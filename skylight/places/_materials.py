@@ -18,6 +18,7 @@ import numpy as np
 from skylight.places._scene import SUN_LUX, Material, Real, Triple, black_body
 from skylight.sphere._envmap import LUMINANCE
 
+MOST = 0.9  # albedo
 Samples = tuple[tuple[float, float, float], ...]
 # fmt: off
 LAWN = (0.060, 0.081, 0.029)  # Lawn_Grass_GDS91_green
@@ -161,7 +162,8 @@ class Draw:
         """An albedo between two of the samples, lighter or darker by 0.2."""
         one, other = (np.log(samples[self.count(0, len(samples) - 1)]) for _ in range(2))
         mixed = one + self.uniform(0, 1) * (other - one)
-        return np.exp(mixed + self.normal(0, 0.2)).clip(0, 0.9)
+        albedo = np.exp(mixed + self.normal(0, 0.2))
+        return albedo * min(1.0, MOST / albedo.max())
 
     def made_of(self, samples: Samples, like: Material) -> Material:
         return replace(like, albedo=self.between(samples))

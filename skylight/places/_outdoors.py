@@ -12,7 +12,7 @@ from torch import Tensor
 from skylight.places._materials import BARK, CROWNS, Draw, nits
 from skylight.places._scene import Material, Outside, Real, Rectangle, Scene, black_body, box, panel
 from skylight.skies._atmosphere import ClearSky
-from skylight.skies._simulator import Day, SimulatedSky, simulate_sky
+from skylight.skies._simulator import Day, simulate_sky
 from skylight.skies.surroundings._layer import Draws, rough_noise
 from skylight.skies.surroundings._scenes import surroundings
 from skylight.sphere._frame import DirectionGrid, direction_from_angles
@@ -23,6 +23,7 @@ GROUND_M = 60.0  # to the sides; what is farther is alike
 MOST_SHADE = 0.9
 CANOPY = 0.12  # share of places under trees
 TILE = 128  # of the crowns' noise
+EDGE = 1 / 12  # of crowns, in shares of the sky
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +44,7 @@ def draw_outdoors(
     generator = torch.Generator().manual_seed(draw.count(0, 2**31 - 1))
     cover, before = (each[0] for each in surroundings(sky.sky.radiance[None], generator))
     if draw.chance(CANOPY):
-        crowns, leaves = canopy(sky, draw, generator)
+        crowns, leaves = canopy(sky.sky.radiance, draw, generator, leaf_area=draw.scale(0.4, 5))
         before = (cover * before * (1 - crowns) + crowns * leaves) / (
             crowns + cover * (1 - crowns)
         ).clamp(min=1e-6)
@@ -77,28 +78,25 @@ def draw_outdoors(
 
 
 def canopy(
-    sky: SimulatedSky, draw: Draw, generator: torch.Generator
+    sky: Float[Tensor, "h w 3"], draw: Draw, generator: torch.Generator, *, leaf_area: Real
 ) -> tuple[Float[Tensor, "h w 1"], Float[Tensor, "h w 3"]]:
-    """(how much of each pixel of a sky map crowns overhead hide, their radiance from below).
+    """(how much of each pixel of a sky crowns overhead hide, their radiance from below).
 
-    ``exp(-L / (2 sin e))`` of the sky at an elevation e shows through leaves of an area of L times
-    the ground's (Monsi & Saeki 1953, leaves of all slopes). Leaves let through about what they
-    reflect of the light on them.
+    ``exp(-L / (2 sin e))`` of the sky at an elevation e shows through leaves of all slopes, of L
+    times the ground's area (Monsi & Saeki 1953). Leaves let through about what they reflect.
     """
-    height, width = sky.sunless.radiance.shape[:2]
+    height, width, _ = sky.shape
     directions = DirectionGrid.sky(height).directions.float()
     sine = directions[:, 1].clamp(min=0.02)
-    gap = torch.exp(-draw.scale(0.4, 5) / (2 * sine))
-    # where the eye's rays meet the crowns, in units of the noise's samples
-    scale = draw.uniform(2, 8)
-    place = (scale * directions[:, [0, 2]] / sine.clamp(min=0.1)[:, None]).round().long() % TILE
-    holes, light = rough_noise(Draws(count=2, generator=generator), TILE, TILE, 0.8)[
-        :, place[:, 0], place[:, 1]
-    ]
-    ranked = 0.5 * (1 + torch.erf(holes / math.sqrt(2)))
-    cover = torch.sigmoid((1 - gap - ranked) * 12)
-    cover = torch.where(gap < 0.02, 1.0, cover)
-    down = irradiance(sky.sky.radiance, torch.tensor([0.0, 1.0, 0.0]))
+    gap = torch.exp(-leaf_area / (2 * sine))
+    # where the eye's rays meet the crowns, in samples of the noise
+    near = draw.uniform(2, 8) / sine.clamp(min=0.1)
+    place = (near[:, None] * directions[:, [0, 2]]).round().long() % TILE
+    noise = rough_noise(Draws(count=2, generator=generator), TILE, TILE, 0.8)
+    holes, light = noise[:, place[:, 0], place[:, 1]]
+    ranked = 0.5 * (1 + torch.erf(holes / math.sqrt(2)))  # even from 0 to 1
+    cover = torch.where(gap < 0.02, 1.0, torch.sigmoid((1 - gap - ranked) / EDGE))
+    down = irradiance(sky, torch.tensor([0.0, 1.0, 0.0]))
     leaf = torch.tensor(draw.between(CROWNS), dtype=torch.float32)
     shine = draw.scale(0.3, 1.2) * torch.exp(0.6 * light)
     radiance = shine[:, None] * leaf / math.pi * down

@@ -13,6 +13,7 @@ weighed by the balance heuristic (Veach 1997, 9.2.2).
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -29,6 +30,8 @@ from skylight.transport._path_tracer import cosine_directions
 PATCHES, MOST_ACROSS = 500, 24  # of a scene, and of a rectangle's side
 PATCH_POINTS, PATCH_RAYS, BOUNCES = 4, 64, 24
 GATHER, POINTS = 24, 12  # rays, and points on panels and windows, for each surface in a pixel
+GLARE = 3.0  # of the outside's mean luminance: what is above lights as so many suns
+GLARE_SUNS = 16
 MIRRORED = 16  # rays of a gloss
 PIXEL_RAD = math.pi / 64  # of maps as they are made: finer texture is not seen
 LIFT = 1e-3  # metres, off the surface that a ray leaves; what float32 rounds at 30 m is a tenth
@@ -50,6 +53,7 @@ class Lit:
         self.sun, self.beam = outside.sun, outside.sun_irradiance * self.glass
         if scene.closed:
             self.beam = self.beam * outside.sunny
+        self._glare()
         self.tile = rough_noise(Draws(count=1, generator=generator), TILE, TILE, 1.0)[0]
         self.shifts = torch.rand(max(1, len(solid)), 2, generator=generator)
         self._panels()
@@ -77,9 +81,49 @@ class Lit:
             power = torch.where(self.is_window, facing @ light / math.pi * self.panels.area, power)
         self.chance = power / power.sum().clamp(min=1e-30)
 
+    def _glare(self) -> None:
+        """Part the outside of an open scene into even light and what glares about its sun.
+
+        The latter is drawn as a few directions, each with its irradiance: among the rays of a
+        gather it would be there or not.
+        """
+        outside = self.scene.outside
+        self.even, self.suns, self.glare = outside, torch.zeros(0, 3), torch.zeros(0, 3)
+        if self.scene.closed:
+            return
+        grid = DirectionGrid.latlong(*outside.map.shape[:2])
+        light, solid = outside.map.reshape(-1, 3), grid.solid_angles.float()
+        level = luminance(light)
+        most = GLARE * (level @ solid) / (4 * math.pi)
+        share = (1 - most / level.clamp(min=1e-30)).clamp(min=0)
+        power = level * share * solid
+        if not float(power.sum()) > 0:
+            return
+        edges = power.cumsum(0) / power.sum()
+        strata = (torch.arange(GLARE_SUNS) + 0.5) / GLARE_SUNS
+        drawn = torch.bucketize(strata, edges).clamp(max=len(edges) - 1)
+        self.even = replace(outside, map=(light * (1 - share)[:, None]).reshape(outside.map.shape))
+        self.suns = grid.directions.float()[drawn]
+        self.glare = light[drawn] / level[drawn, None] * power.sum() / GLARE_SUNS * self.glass
+
+    def from_glare(
+        self, places: Float[Tensor, "r 3"], normals: Float[Tensor, "r 3"]
+    ) -> Float[Tensor, "r 3"]:
+        total = torch.zeros(len(places), 3)
+        for sun, glare in zip(self.suns, self.glare, strict=True):
+            cosine = (normals @ sun).clamp(min=0)
+            lit = (cosine > 0).nonzero()[:, 0]
+            cosine[lit] *= self.surfaces.free(places[lit], sun[None])
+            total += cosine[:, None] * glare
+        return total
+
     def outside(self, directions: Float[Tensor, "r 3"]) -> Float[Tensor, "r 3"]:
         """Radiance from far away, without the sun."""
         return looked_up(self.scene.outside, directions) * self.glass
+
+    def evenly(self, directions: Float[Tensor, "r 3"]) -> Float[Tensor, "r 3"]:
+        """:meth:`outside` without what glares."""
+        return looked_up(self.even, directions) * self.glass
 
     def from_panels(
         self, places: Float[Tensor, "r 3"], normals: Float[Tensor, "r 3"], points: int, rays: int
@@ -155,15 +199,15 @@ class Lit:
             light[on] *= (by_rays / (by_rays + by_points).clamp(min=1e-30))[:, None]
         if not self.scene.closed:
             blocked = (which >= 0).nonzero()[:, 0]
-            light[blocked] -= self.outside(directions[blocked])
+            light[blocked] -= self.evenly(directions[blocked])
         return light
 
     def from_sky(self, normals: Float[Tensor, "r 3"]) -> Float[Tensor, "r 3"]:
-        """Irradiance of an open scene by the outside, as if nothing stood before it."""
+        """Irradiance of an open scene by even light, as if nothing stood before it."""
         if self.scene.closed:
             return torch.zeros_like(normals)
         distinct, back = torch.unique(normals, dim=0, return_inverse=True)
-        light = self.scene.outside.map.reshape(-1, 3) * self.glass
+        light = self.even.map.reshape(-1, 3) * self.glass
         grid = DirectionGrid.latlong(*self.scene.outside.map.shape[:2])
         solid = grid.solid_angles.float()
         return ((distinct @ grid.directions.float().T).clamp(min=0) * solid @ light)[back]
@@ -277,7 +321,7 @@ class Lit:
             return
         patch, places, normals = self._on_patches(PATCH_POINTS)
         points = PATCH_POINTS * POINTS
-        direct = self.from_lamps(places, normals)
+        direct = self.from_lamps(places, normals) + self.from_glare(places, normals)
         if float(self.beam.sum()) > 0:
             direct += self._sunlit(places, normals)
         direct += self.from_panels(places, normals, POINTS, PATCH_RAYS // PATCH_POINTS)
@@ -323,7 +367,7 @@ class Lit:
         starts = places + LIFT * normals
         received = self.from_panels(starts, normals, POINTS, GATHER)
         received = smooth(received + self.gathered(starts, normals)).clamp(min=0)
-        received += self.from_lamps(starts, normals)
+        received += self.from_lamps(starts, normals) + self.from_glare(starts, normals)
         cosine = (normals @ self.sun).clamp(min=0) * sunny
         received += cosine[:, None] * self.beam
         seen_m = PIXEL_RAD * places.norm(dim=1) / front.abs().clamp(min=0.05)
@@ -360,7 +404,9 @@ class Lit:
         which, where = self.surfaces.hit(starts[owner], directions)
         light = self._sent(starts[owner], directions, which, where, None)
         if not self.scene.closed:  # here the sky is not known apart
-            light += self.outside(directions)
+            light += torch.where(
+                (which < 0)[:, None], self.outside(directions), self.evenly(directions)
+            )
         light += self._reflected(directions, which, where)
         total = torch.zeros(len(starts), 3).index_add_(0, owner, light) / MIRRORED
         kappa = 1 / rough.square()

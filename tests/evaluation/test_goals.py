@@ -30,6 +30,7 @@ from skylight.evaluation._main import EVALUATIONS
 SETTINGS = {
     "sky-models": {"count": 150, "seed": 30_000_000},
     "sky-representations": {"count": 45, "seed": 30_000_000},
+    "light-representations": {"count": None, "seed": 0},
     "sparse-coding": {
         "height": 128,
         "counts": (4, 16, 36, 64, 100, 144),
@@ -235,7 +236,8 @@ def test_every_number_has_a_label_and_every_table_its_neighbour() -> None:
         assert methods == ["sh9", "sh25", "sunsky", "autoencoder"]
     assert "autoencoder_feedforward" in tables.TABLE_5_1.rows
     # Gardner et al. 2023, at 27, 108, 147 and 300 floats
-    ((_, columns, rows),) = tables.PEERS.values()
+    (_, columns, rows), (_, *same) = tables.PEERS.values()
+    assert same == [columns, rows]
     assert columns == ["27 floats", "108 floats", "147 floats", "300 floats"]
     assert dict(rows) == {
         "RENI++": ["18.02", "20.87", "21.13", "22.10"],

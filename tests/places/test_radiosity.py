@@ -298,6 +298,51 @@ def test_a_gloss_mirrors_sky_sun_and_lamps() -> None:
     torch.testing.assert_close(brightest, wanted, rtol=0, atol=0.06)
 
 
+def test_glare_lights_by_its_cosine_and_is_hidden_without_noise() -> None:
+    """A bright patch of sky 40 degrees up, on a floor in the open, then behind a wall."""
+    light = torch.full((HEIGHT, 2 * HEIGHT, 3), 0.1)
+    light[4, 6:8] = torch.tensor([60.0, 50.0, 40.0])
+    outside = Outside(map=light, sun=torch.tensor([0.0, 1.0, 0.0]), sun_irradiance=torch.zeros(3))
+    grid = DirectionGrid.latlong(HEIGHT)
+    weight = (grid.directions[:, 1].clamp(min=0) * grid.solid_angles).float()
+    open_floor = floor(grey(0.3))
+    below = radiance(Scene(rectangles=[open_floor], outside=outside))[-3:]
+    wanted = 0.3 / math.pi * (weight @ light.reshape(-1, 3))
+    torch.testing.assert_close(below, wanted.expand_as(below), rtol=5e-3, atol=0)
+    azimuth = 2 * math.pi * (7 / (2 * HEIGHT) - 0.5)
+    towards = np.array([math.sin(azimuth), 0, -math.cos(azimuth)])
+    wall = panel(8 * towards, -towards, 60, 40, BLACK)
+    beside = radiance(Scene(rectangles=[open_floor, wall], outside=outside))[-3:]
+    # of the even light the wall leaves more than a half
+    assert float(beside.min()) > 0.5 * 0.3 * 0.1
+    assert float(beside.max()) < 0.3 * 0.1
+
+
+def test_nothing_is_darker_than_black() -> None:
+    """Under a low roof rays take off all of the sky, but for their noise."""
+    azimuth = 2 * math.pi * (torch.arange(2 * HEIGHT) + 0.5) / (2 * HEIGHT)
+    light = (1 + 0.9 * azimuth.cos())[:, None].expand(HEIGHT, 2 * HEIGHT, 3)
+    outside = Outside(map=light, sun=torch.tensor([0.0, 1.0, 0.0]), sun_irradiance=torch.zeros(3))
+    ground = panel((0, -1.5, -30), (0, 1, 0), 20, 20, grey(0.8))
+    roof = panel((0, -1.49, -30), (0, -1, 0), 20, 20, grey(0.8))
+    lit = Lit(Scene(rectangles=[ground, roof], outside=outside), torch.Generator().manual_seed(0))
+    assert float(lit.radiosity.min()) >= 0
+
+
+def test_texture_is_as_fine_as_pixels_see_it() -> None:
+    """Of 10 cm, on the ground 1.5 m and 150 m below."""
+
+    def spread(eye: float) -> float:
+        grain = grey(0.3, texture=0.4, grain_m=0.1)
+        ground = panel((0, -eye, 0), (0, 1, 0), 200 * eye, 200 * eye, grain)
+        light = radiance(Scene(rectangles=[ground], outside=Outside.uniform((1, 1, 1))))
+        return float(light[-4:, :, 1].log().std())
+
+    near, far = spread(1.5), spread(150.0)
+    assert near > 0.05
+    assert far < 0.1 * near
+
+
 def test_boxes_are_closed() -> None:
     """Their sides' normals, times areas, sum to nothing, and point out, or in."""
     for inward in (False, True):
