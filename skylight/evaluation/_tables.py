@@ -88,6 +88,11 @@ LABELS = {
     "sun_angle_deg": "Sun-ang (l), deg",
     "main_lamp_deg": "angle to the main lamp, deg",
     "lamps_found": "lamps found, of those with a fifth of the light",
+    "whole_colour": "colour of the whole map, log units",
+    "whole_level": "level of the whole map, log units",
+    "lower_colour": "colour of the lower half, log units",
+    "lower_level": "level of the lower half, log units",
+    "log_radiance": "log radiance over the sphere, log units",
     "pose_deg": "pose error, deg",
     "in_region": "true sun in the 90 % region",
     "region_sr": "90 % region of the sun, sr",
@@ -110,12 +115,14 @@ LABELS = {
 _COLUMNS = 8
 GROUPED_BY = (
     "category",
+    "background",
     "half",
     "regime",
     "skin tone",
     "verdict",
 )  # facts of which each value gets its own rows
 _PEERS_METRICS = ("psnr", "tone_mapped_ssim")
+_LEVELS = ("whole_colour", "whole_level", "lower_colour", "lower_level", "log_radiance")
 # Heading, columns, rows: what others measured by the same protocol, on their own maps.
 PEERS: dict[str, tuple[str, list[str], list[tuple[str, list[str]]]]] = {
     "sky-representations": (
@@ -219,7 +226,9 @@ def _by_number(metric: str) -> list[tuple[int, str]]:
 
 def _group(title: str, rows: Rows) -> list[str]:
     """A group's means and standard deviations, of the metrics that others quote; or nothing."""
-    metrics = [m for m in (*METRICS, *_PEERS_METRICS) if any(m in r for r in rows.values())]
+    metrics = [
+        m for m in (*METRICS, *_LEVELS, *_PEERS_METRICS) if any(m in r for r in rows.values())
+    ]
     if not metrics:
         return []
     count = max(s["n"] for metrics_of in rows.values() for s in metrics_of.values())
