@@ -98,6 +98,16 @@ class Panel:
         row = (self.top - y) / (self.top - self.bottom) * height - 0.5
         return hit, _looked_up(self.radiance, row, column, cv2.BORDER_REPLICATE)
 
+    def within(self, place: "Background") -> "Panel":
+        """The part of it between the walls, the floor and the ceiling of a place."""
+        return replace(
+            self,
+            left=max(self.left, place.low[0]),
+            right=min(self.right, place.high[0]),
+            bottom=max(self.bottom, place.low[1]),
+            top=min(self.top, place.high[1]),
+        )
+
     def before(self, light: DistantLight) -> DistantLight:
         """What the head sees of a light when it stands there."""
         height, _ = light.diffuse.layout
@@ -269,13 +279,11 @@ def draw_background(
     kind = kinds[rng.choice(len(kinds), p=list(SHARES.values()))]
     if kind == "infinite":
         return Background(kind=kind), light
-    indoors = category in INDOORS if category is not None else False
-    place = _room(rng, category) if indoors else _open(rng)
+    place = _room(rng, category) if category in INDOORS else _open(rng)
     place = replace(place, lens=_lens(rng))
     if kind in ("wall", "backdrop", "screen"):
-        panel = _panel(rng, kind, light.environment)
-        depth = -panel.depth_m
-        low = place.low[0], place.low[1], min(place.low[2], depth - 0.01)
+        panel = _panel(rng, kind, light.environment).within(place)
+        low = place.low[0], place.low[1], min(place.low[2], -panel.depth_m - 0.01)
         return replace(place, kind=kind, low=low, panel=panel), panel.before(light)
     if kind == "cut-out":
         value = float(rng.choice([1.0, 1.0, 0.0, rng.uniform(0.2, 0.9)]))

@@ -5,6 +5,7 @@ import shutil
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
+from typing import get_args
 from uuid import uuid4
 
 import numpy as np
@@ -21,7 +22,7 @@ from skylight.io._bounded import json_content, load_arrays, write_json
 from skylight.io._files import read_environment_map, write_environment_map, write_png
 from skylight.io._hdr import HALF_MAX, write_exr
 from skylight.io._light import read_linear
-from skylight.people._background import BackgroundFacts
+from skylight.people._background import BackgroundFacts, BackgroundKind
 from skylight.people._independent_render import mitsuba_variant
 from skylight.people._light import RenderOptions
 from skylight.people._maps import TurnedMap
@@ -169,7 +170,16 @@ def _turned_map(facts: dict) -> TurnedMap | None:
 def _background(facts: dict) -> BackgroundFacts | None:
     """None also for faces from before there were backgrounds."""
     behind = facts.get("background")
-    return None if behind is None else BackgroundFacts(**behind)
+    if behind is None:
+        return None
+    kind, depth = behind["kind"], behind["depth_m"]
+    if kind not in get_args(BackgroundKind):
+        raise ValueError(f"no kind of background: {kind}")
+    return BackgroundFacts(
+        kind=kind,
+        depth_m=None if depth is None else float(depth),
+        blur_px=float(behind["blur_px"]),
+    )
 
 
 def render_folder(

@@ -197,7 +197,9 @@ def test_backgrounds_have_their_shares_and_fit_their_places() -> None:
     for k, (one, lit) in enumerate(drawn):
         assert one.kind != ("room" if k % 4 in (0, 3) else "open")
         assert (lit is light) == (one.panel is None)
-        assert one.panel is None or 0.5 <= one.panel.depth_m <= 3
+        if one.panel is not None:
+            assert 0.5 <= one.panel.depth_m <= min(3, -one.low[2])
+            assert one.panel.within(one) == one.panel
         assert one.kind == "infinite" or one.lens is not None
         assert (one.edit is not None) == (one.kind in ("cut-out", "round", "border"))
     again, _ = draw_background(np.random.default_rng(3), light, None)

@@ -21,7 +21,12 @@ from skylight.faces._model import HeadModel
 from skylight.io._files import write_environment_map
 from skylight.people import _files as batch, _light as light_module
 from skylight.people._background import BackgroundKind
-from skylight.people._files import read_rendered_face, render_folder, rendered_faces
+from skylight.people._files import (
+    read_rendered_face,
+    read_scene_facts,
+    render_folder,
+    rendered_faces,
+)
 from skylight.people._light import Backgrounds, RenderOptions, Skies, scene_light
 from skylight.people._maps import MapFolder, TurnedMap
 from skylight.people._people import person
@@ -229,6 +234,10 @@ def test_folders_without_faces_or_with_damaged_ones_are_named(folder: Path, tmp_
     (face / "face.json").write_text(json.dumps(facts))
     with pytest.raises(InputError, match="face0000"):
         read_rendered_face(face)
+    for damaged in ({"kind": "sea", "depth_m": 1, "blur_px": 2}, {"kind": "wall"}, [3], "wall"):
+        (face / "face.json").write_text(json.dumps({"background": damaged}))
+        with pytest.raises(InputError, match="face0000: no facts of a rendered face"):
+            read_scene_facts(face)
 
 
 @pytest.mark.parametrize("kept", [0, 1000])
