@@ -88,10 +88,16 @@ class MapFolder:
 
     @staticmethod
     def read(folder: Path) -> "MapFolder":
-        """Every .exr and .hdr file in it, each a usable map of the whole sphere."""
+        """Every .exr and .hdr file in it, each a usable map of the whole sphere.
+
+        Of simulated places those that their index lists.
+        """
         if not folder.is_dir():
             raise InputError(f"{folder}: there is no such folder; give one with lat-long maps")
         files = tuple(path.name for path in visible_files(folder, SUFFIXES))
+        kinds = _kinds(folder)
+        if kinds is not None:  # lights of days that are not complete yet are listed nowhere
+            files = tuple(file for file in files if file in kinds)
         if not files:
             raise InputError(f"{folder}: no maps in it; put .exr or .hdr lat-long maps there")
         beside = read_lights(folder / LIGHTS_NAME)
@@ -103,7 +109,7 @@ class MapFolder:
             for light in beside.get(file, ()):
                 where = light.azimuth_rad, light.zenith_rad
                 digest.update(f"{light.kind} {where} {light.energy.tolist()}\n".encode())
-        listed = read_categories(folder) if names_categories(folder) else _kinds(folder)
+        listed = read_categories(folder) if names_categories(folder) else kinds or {}
         return MapFolder(
             folder=folder,
             files=files,
@@ -175,12 +181,12 @@ def read_lights(path: Path) -> dict[str, tuple[LightBeside, ...]]:
     return {file: tuple(lights) for file, lights in found.items()}
 
 
-def _kinds(folder: Path) -> dict[str, str]:
+def _kinds(folder: Path) -> dict[str, str] | None:
     """File -> kind of place, where the folder is one of simulated places."""
     path = folder / INDEX_NAME
-    if not path.is_file():
-        return {}
+    if not path.is_file() or not (folder / LIGHTS_NAME).is_file():
+        return None
     rows = csv.DictReader(StringIO(file_text(path), newline=""))
     if not {"file", "kind"} <= set(rows.fieldnames or ()):
-        return {}
+        return None
     return {row["file"]: row["kind"] for row in rows}

@@ -162,6 +162,13 @@ def test_lights_beside_a_place_are_added_once(places: Path) -> None:
     assert scene_light(0, RenderOptions(maps=maps)).light.sun is None
 
 
+def test_maps_of_days_that_are_not_complete_are_left_out(places: Path) -> None:
+    write_environment_map(places / "c.exr", lit(8, 16))
+    assert MapFolder.read(places).files == ("a.hdr", "b.exr")
+    (places / "lights.csv").unlink()  # a folder of other maps
+    assert MapFolder.read(places).files == ("a.hdr", "b.exr", "c.exr")
+
+
 def test_what_is_beside_the_maps_belongs_to_them(places: Path) -> None:
     before = MapFolder.read(places).sha256
     (places / "lights.csv").write_text(LIGHTS.replace("3,2,1", "3,2,2"))
