@@ -8,9 +8,10 @@ from types import MappingProxyType
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 from torch import Tensor
 
+from skylight._modes import constant
 from skylight._names import LightName
 from skylight.errors import InputError
 from skylight.evaluation._known_faces import (
@@ -23,15 +24,16 @@ from skylight.evaluation._known_faces import (
 )
 from skylight.evaluation._pictures import beside, strip
 from skylight.evaluation._run import Check, Item, Rows
+from skylight.evaluation._tables import LABELS
 from skylight.faces._skin import SkinPrior
 from skylight.inverse._posterior import SunPosterior
 from skylight.inverse._result import Lamp
 from skylight.inverse._scores import LEAST_SHARE, MapLamp, find_lamps
 from skylight.io._files import write_png
 from skylight.models._lamps import LampsLight
-from skylight.people._files import read_turned_map
+from skylight.people._files import read_scene_facts
 from skylight.sphere._envmap import EnvironmentMap, luminance
-from skylight.sphere._frame import angle_between
+from skylight.sphere._frame import DirectionGrid, angle_between
 from skylight.transport._observation import Observation
 
 OURS = "auto"  # what is to meet the goals, where it is among the methods
@@ -44,6 +46,17 @@ _ON_GRID_RAD = math.radians(3)  # half the diagonal of a cell of the posterior i
 MEDIAN_DEG, MEAN_FOUND, SI_RMSE_RATIO, BETTER_SHARE = 12.0, 0.70, 0.6, 0.9
 COVERED = 0.85, 0.95
 COMPARED = ("mae", "rmse", "full_dw_mae")
+# Medians, in log units.
+LEVELS = {
+    "whole_colour": 0.07,
+    "lower_colour": 0.10,
+    "whole_level": 0.25,
+    "lower_level": 0.20,
+    "log_radiance": 0.65,
+}
+DARK = 0.01  # of the picture's white: what is darker is black in 8 bits
+BLUR_DEG = 3.0  # about a pixel
+_LEAST = 1e-4  # mean radiance that a black half counts as
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +73,10 @@ class AnyLight(KnownFaceEvaluation):
       of more than 5 % of the estimate within 20 degrees.
     * ``in_region`` and ``region_sr``, as ``main_lamp_deg`` where the posterior's directions
       include the truth's main lamp.
+    * ``whole_level``, ``lower_level``, ``whole_colour``, ``lower_colour`` and ``log_radiance``: the
+      errors of :func:`level_scores`.
+
+    Faces that have one are grouped by what is behind them (``background``).
     """
 
     title = "any-light"
@@ -73,7 +90,7 @@ class AnyLight(KnownFaceEvaluation):
 
     def __post_init__(self) -> None:
         for name in self.items():
-            if read_turned_map(self.data / name) is None:
+            if read_scene_facts(self.data / name)[0] is None:
                 raise InputError(
                     f"{self.data / name}: lit by a simulated sky; any-light needs faces made by "
                     "'skylight faces render --maps DIR'"
@@ -84,7 +101,7 @@ class AnyLight(KnownFaceEvaluation):
         return FaceSource(data=self.data, count=self.count)
 
     def measure(self, item: str, picture: Path) -> Item:
-        face, turned = self.source.read(item), read_turned_map(self.data / item)
+        face, (turned, behind) = self.source.read(item), read_scene_facts(self.data / item)
         assert turned is not None  # checked beforehand
         lamps = find_lamps(face.environment)
         facts: dict[str, object] = {
@@ -95,11 +112,15 @@ class AnyLight(KnownFaceEvaluation):
         }
         if turned.category is not None:
             facts["category"] = turned.category
+        if behind is not None:
+            facts["background"] = behind.kind
         found = self.lit(face, self.methods)
         environments = {name: one.environment for name, one in found.estimates.items()}
         environments[GREY] = grey_light(found.view.observation)
         metrics = found.metrics | {GREY: face_score(environments[GREY], face)}
         metrics[GREY] |= lamp_scores([], lamps)
+        for name, environment in environments.items():
+            metrics[name] |= level_scores(environment, face.environment)
         for name, estimate in found.estimates.items():
             own = lamps_of(estimate.light, estimate.lamps, estimate.environment)
             metrics[name] |= lamp_scores(own, lamps)
@@ -137,6 +158,9 @@ class AnyLight(KnownFaceEvaluation):
             name = f"maps whose {', '.join(metrics)} is below that of {' and '.join(others)}"
             checks[name] = Check.at_least(share, BETTER_SHARE)
         checks |= lamps_chosen(items)
+        for name, most in LEVELS.items():
+            if name in ours:
+                checks[f"median {LABELS[name]}"] = Check.at_most(ours[name]["median"], most)
         if "in_region" in ours:
             share = ours["in_region"]["mean"]
             checks["main lamp in the 90 % region"] = Check.within(share, *COVERED)
@@ -203,6 +227,55 @@ def main_lamp_coverage(posterior: SunPosterior, truth: list[MapLamp]) -> dict[st
     if float(angle_between(nearest, main)) > _ON_GRID_RAD:
         return {}
     return coverage(posterior, main)
+
+
+def level_scores(estimate: EnvironmentMap, truth: EnvironmentMap) -> dict[str, float]:
+    """Errors of colour and level in log units, without a free scale; 0.1 is about a tenth.
+
+    With e_c the log of the estimate's over the truth's mean radiance in channel c, over the solid
+    angle of the ``whole`` map or its ``lower`` half, and m the mean of e over the channels: ::
+
+        level = |m|,  colour = sqrt(mean_c (e_c - m)^2).
+
+    ``log_radiance`` is the root of the mean over solid angle and channels of
+    (log(L + 0.01) - log(L' + 0.01))^2 at 64 x 128, where 1 is the picture's white and both maps
+    L and L' are blurred by a von Mises-Fisher lobe of 3 degrees.
+    """
+    if estimate.layout != truth.layout:
+        estimate = estimate.resize(truth.layout[0])
+    grid = truth.grid
+    scores: dict[str, float] = {}
+    for part, chosen in (("whole", torch.ones(len(grid))), ("lower", grid.directions[:, 1] < 0)):
+        weights = grid.solid_angles * chosen
+        means = (weights @ each.flat.double() / weights.sum() for each in (estimate, truth))
+        ours, true = (mean.clamp(min=_LEAST).log() for mean in means)
+        error = ours - true
+        scores[f"{part}_colour"] = float(error.std(correction=0))
+        scores[f"{part}_level"] = float(error.mean().abs())
+    ours, true = (torch.log(blurred(each) + DARK) for each in (estimate, truth))
+    weights = DirectionGrid.latlong(ROWS).solid_angles.reshape(ROWS, -1)
+    mean = (weights[..., None] * (ours - true).square()).sum() / (3 * weights.sum())
+    scores["log_radiance"] = math.sqrt(float(mean))
+    return scores
+
+
+def blurred(light: EnvironmentMap) -> Float[Tensor, "h w 3"]:
+    """A map at 64 x 128, its means under lobes exp((cos a - 1) / s^2) of s = 3 degrees."""
+    if light.layout[0] != ROWS:
+        light = light.resize(ROWS)
+    rows = torch.fft.rfft(light.radiance.double(), dim=1)
+    return torch.fft.irfft(torch.einsum("ijf,jfc->ifc", _lobes(), rows), n=2 * ROWS, dim=1)
+
+
+@constant()
+def _lobes() -> Complex[Tensor, "h h f"]:
+    """The lobes about row i over row j as Fourier coefficients of the angle between columns."""
+    grid = DirectionGrid.latlong(ROWS)
+    directions = grid.directions.reshape(ROWS, 2 * ROWS, 3)
+    cosine = torch.einsum("ic,jwc->ijw", directions[:, 0], directions)
+    lobes = ((cosine - 1) / math.radians(BLUR_DEG) ** 2).exp()
+    lobes = lobes * grid.solid_angles.reshape(1, ROWS, -1)
+    return torch.fft.rfft(lobes / lobes.sum((1, 2), keepdim=True), dim=2)
 
 
 def share_of_maps_better(items: list[Item], others: list[str], metrics: tuple[str, ...]) -> float:

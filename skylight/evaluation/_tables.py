@@ -88,6 +88,11 @@ LABELS = {
     "sun_angle_deg": "Sun-ang (l), deg",
     "main_lamp_deg": "angle to the main lamp, deg",
     "lamps_found": "lamps found, of those with a fifth of the light",
+    "whole_colour": "colour of the whole map, log units",
+    "whole_level": "level of the whole map, log units",
+    "lower_colour": "colour of the lower half, log units",
+    "lower_level": "level of the lower half, log units",
+    "log_radiance": "log radiance over the sphere, log units",
     "pose_deg": "pose error, deg",
     "in_region": "true sun in the 90 % region",
     "region_sr": "90 % region of the sun, sr",
@@ -110,6 +115,7 @@ LABELS = {
 _COLUMNS = 8
 GROUPED_BY = (
     "category",
+    "background",
     "half",
     "regime",
     "skin tone",
@@ -123,6 +129,7 @@ _RENI_ROWS: list[tuple[str, list[str]]] = [
 ]
 _RENI_COLUMNS = ["27 floats", "108 floats", "147 floats", "300 floats"]
 _RENI = "RENI++ (Gardner et al.), tone-mapped PSNR in dB on 21 held-out outdoor maps, "
+_LEVELS = ("whole_colour", "whole_level", "lower_colour", "lower_level", "log_radiance")
 # Heading, columns, rows: what others measured by the same protocol, on their own maps.
 PEERS: dict[str, tuple[str, list[str], list[tuple[str, list[str]]]]] = {
     "sky-representations": (
@@ -228,7 +235,9 @@ def _by_number(metric: str) -> list[tuple[int, str]]:
 
 def _group(title: str, rows: Rows) -> list[str]:
     """A group's means and standard deviations, of the metrics that others quote; or nothing."""
-    metrics = [m for m in (*METRICS, *_PEERS_METRICS) if any(m in r for r in rows.values())]
+    metrics = [
+        m for m in (*METRICS, *_LEVELS, *_PEERS_METRICS) if any(m in r for r in rows.values())
+    ]
     if not metrics:
         return []
     count = max(s["n"] for metrics_of in rows.values() for s in metrics_of.values())

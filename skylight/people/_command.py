@@ -9,7 +9,9 @@ from tyro.conf import Positional
 from skylight._options import who_works
 from skylight.errors import InputError
 
-Skies = Literal["simulated", "hosek-wilkie"]  # a test compares it with the options' own
+# A test compares them with the options' own.
+Skies = Literal["simulated", "hosek-wilkie"]
+Backgrounds = Literal["mixed", "infinite"]
 
 faces = tyro.extras.SubcommandApp()
 
@@ -27,6 +29,7 @@ def render_faces(
     skies: Skies = "simulated",
     maps: Path | None = None,
     light_seed: int | None = None,
+    backgrounds: Backgrounds = "mixed",
     workers: int = 0,
     cluster: str | None = None,
 ) -> None:
@@ -51,6 +54,9 @@ def render_faces(
             the order of their names, turned about the vertical at random, instead of by a sky.
         light_seed: The light of this other seed on the people, poses and cameras of --seed: the
             same pictures in another light.
+        backgrounds: 'mixed' ones are those of photographs: the place at a finite depth, out of
+            focus, walls, backdrops, screens, cut-outs and frames; 'infinite' is the light itself,
+            sharp and infinitely far away, as older folders have it.
         workers: Processes that work at the same time; 0 for one per core.
         cluster: A dask scheduler's address, whose workers do it instead.
     """
@@ -72,7 +78,8 @@ def render_faces(
         raise InputError(f"--light-seed must be 0 or more, got {light_seed}")
     who = who_works(workers, cluster, out)
     from skylight.people._files import render_folder
-    from skylight.people._light import MapFolder, RenderOptions
+    from skylight.people._light import RenderOptions
+    from skylight.people._maps import MapFolder
     from skylight.work._progress import stage_bar, with_time_left
 
     options = RenderOptions(
@@ -85,6 +92,7 @@ def render_faces(
         skies=skies,
         maps=None if maps is None else MapFolder.read(maps),
         light_seed=light_seed,
+        backgrounds=backgrounds,
     )
     with stage_bar() as progress:
         made = render_folder(

@@ -3,7 +3,9 @@
 import os
 import shutil
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
+from typing import get_args
 from uuid import uuid4
 
 import numpy as np
@@ -20,8 +22,10 @@ from skylight.io._bounded import json_content, load_arrays, write_json
 from skylight.io._files import read_environment_map, write_environment_map, write_png
 from skylight.io._hdr import HALF_MAX, write_exr
 from skylight.io._light import read_linear
+from skylight.people._background import BackgroundFacts, BackgroundKind
 from skylight.people._independent_render import mitsuba_variant
-from skylight.people._light import RenderOptions, TurnedMap
+from skylight.people._light import RenderOptions
+from skylight.people._maps import TurnedMap
 from skylight.people._render import RenderedFace, render
 from skylight.transport._cameras import Camera
 from skylight.work._progress import CountProgress
@@ -74,6 +78,7 @@ def write_rendered_face(folder: Path, face: RenderedFace, options: RenderOptions
             "ground_albedo": _listed(face.ground_albedo),
             "sun_direction": _listed(face.sun_direction),
             "turbidity": face.turbidity,
+            "background": None if face.background is None else asdict(face.background),
             "options": options.settings(),
         }
         | _map_facts(face.turned_map),
@@ -101,7 +106,7 @@ def read_rendered_face(folder: Path) -> RenderedFace:
         albedo, ground = torch.tensor(facts["albedo"]), _vector(facts["ground_albedo"])
         sun = _vector(facts["sun_direction"], torch.float64)
         turbidity = facts.get("turbidity")  # faces of simulated skies alone once had none
-        turned_map = _turned_map(facts)
+        turned_map, behind = _turned_map(facts), _background(facts)
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise InputError(f"{folder}: no complete rendered face ({error})") from error
     codes = torch.from_numpy(encoded)
@@ -120,17 +125,21 @@ def read_rendered_face(folder: Path) -> RenderedFace:
         sun_direction=sun,
         turbidity=turbidity,
         turned_map=turned_map,
+        background=behind,
         **plain,
     )
 
 
-def read_turned_map(folder: Path) -> TurnedMap | None:
-    """Which given map lights a face, from its facts alone; None where a simulated sky does.
+def read_scene_facts(folder: Path) -> tuple[TurnedMap | None, BackgroundFacts | None]:
+    """Which given map lights a face and what is behind it, from its facts alone.
+
+    None where a simulated sky lights it, and where the light itself is behind it.
 
     Raises :class:`InputError` for facts that cannot be read.
     """
     try:
-        return _turned_map(json_content(folder / "face.json"))
+        facts = json_content(folder / "face.json")
+        return _turned_map(facts), _background(facts)
     except (OSError, KeyError, ValueError, TypeError, AttributeError) as error:
         raise InputError(f"{folder}: no facts of a rendered face ({error})") from error
 
@@ -155,6 +164,21 @@ def _turned_map(facts: dict) -> TurnedMap | None:
         return None
     return TurnedMap(
         file=facts["map"], category=facts["category"], turn_deg=float(facts["turn_deg"])
+    )
+
+
+def _background(facts: dict) -> BackgroundFacts | None:
+    """None also for faces from before there were backgrounds."""
+    behind = facts.get("background")
+    if behind is None:
+        return None
+    kind, depth = behind["kind"], behind["depth_m"]
+    if kind not in get_args(BackgroundKind):
+        raise ValueError(f"no kind of background: {kind}")
+    return BackgroundFacts(
+        kind=kind,
+        depth_m=None if depth is None else float(depth),
+        blur_px=float(behind["blur_px"]),
     )
 
 

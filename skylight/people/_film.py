@@ -14,9 +14,10 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
+from skylight.people._background import background
 from skylight.people._light import DistantLight, RenderOptions, SceneLight, scene_light
 from skylight.people._people import Cap, Person, person, seen_parts
-from skylight.people._render import background, compose, exposure_for, photograph
+from skylight.people._render import compose, exposure_for, photograph
 from skylight.people._subsurface import REACH_MM, patches_in_reach
 from skylight.people._trace import trace
 from skylight.sphere._envmap import EnvironmentMap

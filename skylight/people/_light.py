@@ -12,11 +12,9 @@ A scene's light is one of three:
 All light comes from far away: a map of all but the sun, and the sun as a disc of its true size.
 """
 
-import hashlib
 import math
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, lru_cache
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -25,16 +23,9 @@ from jaxtyping import Float
 from numpy import ndarray
 from torch import Tensor
 
-from skylight.errors import InputError
-from skylight.io._files import (
-    names_categories,
-    read_categories,
-    read_environment_map,
-    visible_files,
-)
-from skylight.io._hdr import SUFFIXES
 from skylight.models._ground import GROUND_ALBEDOS, LambertianGround
 from skylight.people._independent_render import emitted, mitsuba_variant
+from skylight.people._maps import ROWS, MapFolder, TurnedMap
 from skylight.skies._simulated import evaluation_skies
 from skylight.skies._sun import SUN_RADIUS_RAD
 from skylight.sphere._envmap import EnvironmentMap, luminance
@@ -154,79 +145,10 @@ def _emitter(turbidity: float, ground_albedo: Float[Tensor, "3"], sun, *, sky: b
     )
 
 
-ROWS = 64  # of the light of a rendered face
-
-
-@dataclass(frozen=True, kw_only=True)
-class TurnedMap:
-    """Which map lights a scene: its ``file``, turned about the vertical by ``turn_deg``.
-
-    ``category`` is that of the folder's ``index.csv``, None where it names none.
-    """
-
-    file: str
-    category: str | None
-    turn_deg: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class MapFolder:
-    """The maps of ``folder``, sorted by name; ``sha256`` is of their names and bytes."""
-
-    folder: Path
-    files: tuple[str, ...]
-    categories: tuple[str | None, ...]
-    sha256: str
-
-    @staticmethod
-    def read(folder: Path) -> "MapFolder":
-        """Every .exr and .hdr file in it, each a usable map of the whole sphere."""
-        if not folder.is_dir():
-            raise InputError(f"{folder}: there is no such folder; give one with lat-long maps")
-        files = tuple(path.name for path in visible_files(folder, SUFFIXES))
-        if not files:
-            raise InputError(f"{folder}: no maps in it; put .exr or .hdr lat-long maps there")
-        digest = hashlib.sha256()
-        for file in files:
-            read_light(folder / file)
-            content = hashlib.sha256((folder / file).read_bytes()).hexdigest()
-            digest.update(f"{file} {content}\n".encode())
-        listed = read_categories(folder) if names_categories(folder) else {}
-        return MapFolder(
-            folder=folder,
-            files=files,
-            categories=tuple(listed.get(file) for file in files),
-            sha256=digest.hexdigest(),
-        )
-
-    def turned(self, number: int, turn_rad: float) -> tuple[EnvironmentMap, TurnedMap]:
-        """Map ``number`` modulo their count, turned to the right in the image, 64 x 128.
-
-        The energy of the map is kept: it is turned by interpolating within its rows, and each
-        pixel of the result is the mean of the solid angle that it covers.
-        """
-        index = number % len(self.files)
-        light = read_light(self.folder / self.files[index])
-        which = TurnedMap(
-            file=self.files[index],
-            category=self.categories[index],
-            turn_deg=math.degrees(turn_rad),
-        )
-        return light.rotate_azimuth(turn_rad).resize(ROWS), which
-
-
-def read_light(path: Path) -> EnvironmentMap:
-    """A map of the whole sphere that gives light."""
-    light = read_environment_map(path)
-    if light.is_sky:
-        raise InputError(f"{path}: shows the sky alone; give maps of the whole sphere (w = 2 h)")
-    if not light.radiance.any():
-        raise InputError(f"{path}: is black all over and lights nothing; take it out of the folder")
-    return light
-
-
 # Whose skies: those of the simulator that light models are fitted to, or another model's.
 Skies = Literal["simulated", "hosek-wilkie"]
+# Behind people: what photographs have there, or the light itself, sharp and infinitely far away.
+Backgrounds = Literal["mixed", "infinite"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,6 +160,7 @@ class RenderOptions:
     ``sunny`` keeps those whose sun is visible. With ``maps``, scene i is lit by map i modulo their
     count, turned about the vertical by a random angle, in place of a sky. With ``light_seed`` the
     light is that of this other seed, while people, poses and cameras stay those of ``seed``.
+    ``backgrounds`` says what is behind people (:mod:`skylight.people._background`).
     """
 
     size: int = 288
@@ -249,6 +172,7 @@ class RenderOptions:
     skies: Skies = "simulated"
     maps: MapFolder | None = None
     light_seed: int | None = None
+    backgrounds: Backgrounds = "mixed"
 
     def settings(self) -> dict[str, object]:
         """What faces depend on, for files: maps by their content, wherever they lie."""
@@ -256,6 +180,8 @@ class RenderOptions:
         del settings["maps"]
         if self.light_seed is None:  # as faces had it that were rendered before it existed
             del settings["light_seed"]
+        if self.backgrounds == "infinite":  # as all had it before there were others
+            del settings["backgrounds"]
         if self.maps is not None:
             settings["maps"] = {"count": len(self.maps.files), "sha256": self.maps.sha256}
         return settings
@@ -314,10 +240,20 @@ def _light_of_seed(scene: int, options: RenderOptions) -> SceneLight:
 def _map_light(scene: int, options: RenderOptions) -> SceneLight:
     assert options.maps is not None
     rng = np.random.default_rng((options.seed, scene, 0))
-    environment, which = options.maps.turned(scene, rng.uniform(-math.pi, math.pi))
-    return SceneLight(
-        light=DistantLight(environment), focal=float(rng.uniform(*FOCAL_LENGTHS)), turned_map=which
-    )
+    environment, which, beside = options.maps.turned(scene, rng.uniform(-math.pi, math.pi))
+    light = DistantLight(environment)
+    if beside is not None:
+        light = replace(light, sun=SunDisc(direction=beside.direction, irradiance=beside.energy))
+        light = _without_faint_sun(light)
+    return SceneLight(light=light, focal=float(rng.uniform(*FOCAL_LENGTHS)), turned_map=which)
+
+
+def _without_faint_sun(light: DistantLight) -> DistantLight:
+    """The same with the sun in the map where it is too faint to be an emitter."""
+    assert light.sun is not None
+    if luminance(light.sun.irradiance) < FAINT_SUN * luminance(light.diffuse.integrate()):
+        return DistantLight(light.environment)
+    return light
 
 
 def _simulated_light(scene: int, options: RenderOptions) -> SceneLight:

@@ -6,7 +6,6 @@ The photograph is made of radiance: scattering, background, exposure, noise, 8-b
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
@@ -17,13 +16,20 @@ from skylight.faces._fit import landmarks_of
 from skylight.faces._model import HeadModel
 from skylight.faces._synthetic import SyntheticFace
 from skylight.imaging._colour import linear_to_srgb, srgb_to_linear
-from skylight.people._light import DistantLight, RenderOptions, TurnedMap, scene_light
+from skylight.people._background import (
+    Background,
+    BackgroundFacts,
+    Edit,
+    background,
+    draw_background,
+)
+from skylight.people._light import DistantLight, RenderOptions, SceneLight, scene_light
+from skylight.people._maps import TurnedMap
 from skylight.people._people import Person, Seen, bare_skin, person, seen_parts
 from skylight.people._skin import SmoothHead, normals_of
 from skylight.people._subsurface import REACH_MM, SkinPatches, patches_in_reach, scattered
 from skylight.people._trace import Layers, trace
 from skylight.sphere._envmap import EnvironmentMap
-from skylight.sphere._frame import pixel_from_direction
 from skylight.transport._cameras import Camera
 
 # A sensor whose white is 8,000 electrons, read with an error of 4.
@@ -46,33 +52,6 @@ def compose(
     left[seen.skin] = scattered(left[seen.skin], where, pixel_mm, patches, layers.entering)
     behind = backdrop * (1 - layers.cover[..., None])
     return (layers.albedo * left + layers.specular + behind).astype(np.float32)
-
-
-def background(
-    light: DistantLight,
-    camera: Camera,
-    world_from_camera: Float[ndarray, "3 3"] | None = None,
-) -> Float[ndarray, "h w 3"]:
-    """What a camera sees of the light, a level one that looks ahead or a turned one.
-
-    The map is interpolated, the sun is a disc.
-    """
-    rays = camera.rays()
-    if world_from_camera is not None:
-        rays = rays @ torch.from_numpy(world_from_camera.T.copy())
-    row, column = pixel_from_direction(rays, *light.diffuse.layout)
-    shape = camera.height, camera.width
-    sky = cv2.remap(
-        np.ascontiguousarray(light.diffuse.radiance.float().numpy()),
-        column.reshape(shape).float().numpy(),
-        row.reshape(shape).float().numpy(),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_WRAP,
-    )
-    if light.sun is None:
-        return sky
-    disc = light.sun.in_pixels(rays, 1 / camera.focal_px)
-    return sky + disc.reshape(*shape, 3).float().numpy()
 
 
 def brightest_skin(person: Person, environment: EnvironmentMap) -> float:
@@ -117,7 +96,7 @@ class RenderedFace(SyntheticFace):
     the camera's frame, ``hair`` the pixels that the cap covers. ``exposure`` turned the light's
     units into the picture's. A simulated sky has a ``sky_seed``, one of Hosek & Wilkie a
     ``turbidity``; under a given map, which ``turned_map`` names, what tells of sky, sun and ground
-    is None.
+    is None. ``background`` is None where the light itself is behind the head, infinitely far away.
     """
 
     linear: Float[Tensor, "h w 3"]
@@ -132,13 +111,15 @@ class RenderedFace(SyntheticFace):
     exposure: float
     turbidity: float | None = None
     turned_map: TurnedMap | None = None
+    background: BackgroundFacts | None = None
 
 
 def render(number: int, options: RenderOptions) -> RenderedFace:
     """Face ``number``, from its number and the options alone."""
     scene = number // options.per_scene
     lit = scene_light(scene, options)
-    environment = lit.light.environment
+    behind, light = scene_background(scene, lit, options)
+    environment = light.environment
     first = scene * options.per_scene
     people = [person(first + i, lit.focal, options) for i in range(options.per_scene)]
     exposure = exposure_for(people, environment, np.random.default_rng((options.seed, scene, 3)))
@@ -148,9 +129,19 @@ def render(number: int, options: RenderOptions) -> RenderedFace:
     seen = seen_parts(who)
     camera = who.truth.camera
     patches = patches_in_reach(who, seen, REACH_MM / 1000)
-    layers = trace(who, lit.light, patches, samples=options.samples, seed=paths)
-    linear = exposure * compose(layers, seen, patches, camera, background(lit.light, camera))
+    layers = trace(who, light, patches, samples=options.samples, seed=paths)
+    head = who.points.mean(0)
+    if behind is None:
+        backdrop = background(light, camera)
+    elif behind.edit is not None and behind.edit.cut_out:
+        backdrop = np.full((*layers.cover.shape, 3), _white(behind.edit) / exposure)
+    else:
+        backdrop = behind.seen(light, camera, head)
+    linear = exposure * compose(layers, seen, patches, camera, backdrop)
     encoded = photograph(linear, rng)
+    if behind is not None and behind.edit is not None:
+        gone = behind.edit.where(layers.cover)
+        linear[gone], encoded[gone] = _white(behind.edit), round(255 * behind.edit.value)
     codes = torch.from_numpy(encoded)
     return RenderedFace(
         encoded=encoded,
@@ -172,4 +163,21 @@ def render(number: int, options: RenderOptions) -> RenderedFace:
         turbidity=lit.turbidity,
         exposure=exposure,
         turned_map=lit.turned_map,
+        background=None if behind is None else BackgroundFacts.of(behind, camera, head),
     )
+
+
+def scene_background(
+    scene: int, lit: SceneLight, options: RenderOptions
+) -> tuple[Background | None, DistantLight]:
+    """What is behind the people of a scene, and its light with that in it."""
+    if options.backgrounds == "infinite":
+        return None, lit.light
+    seed = options.seed if options.light_seed is None else options.light_seed
+    category = None if lit.turned_map is None else lit.turned_map.category
+    return draw_background(np.random.default_rng((seed, scene, 8)), lit.light, category)
+
+
+def _white(edit: Edit) -> float:
+    """What an edit puts in place of the picture, in linear light."""
+    return float(srgb_to_linear(torch.tensor(edit.value)))

@@ -7,7 +7,8 @@ import numpy as np
 
 from skylight.faces._synthetic import SyntheticFace
 from skylight.people._files import write_rendered_face
-from skylight.people._light import RenderOptions, TurnedMap
+from skylight.people._light import RenderOptions
+from skylight.people._maps import TurnedMap
 from skylight.people._render import RenderedFace
 
 

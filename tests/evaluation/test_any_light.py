@@ -15,9 +15,11 @@ from skylight.evaluation._any_light import (
     GREY,
     OURS,
     AnyLight,
+    blurred,
     grey_light,
     lamp_scores,
     lamps_of,
+    level_scores,
     main_lamp_coverage,
     share_of_maps_better,
 )
@@ -30,7 +32,7 @@ from skylight.faces._skin import SkinPrior
 from skylight.inverse._posterior import SunPosterior
 from skylight.inverse._result import Lamp
 from skylight.inverse._scores import MapLamp, find_lamps
-from skylight.people._light import TurnedMap
+from skylight.people._maps import TurnedMap
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import DirectionGrid
 from skylight.transport._matrix import TransportMatrix
@@ -169,6 +171,56 @@ def test_the_grey_light_explains_the_mean_of_the_prior_skin() -> None:
     assert torch.equal(grey_light(red).radiance[..., 0], grey_light(red).radiance[..., 2])
 
 
+def test_colour_and_level_are_those_of_a_map_that_is_brighter_and_redder() -> None:
+    """e = log 2 + (a, 0, -a) of the whole map: the level is log 2, the colour a sqrt(2/3)."""
+    truth = room((30, 0.4))
+    a = 0.2
+    factor = 2 * torch.exp(torch.tensor([a, 0.0, -a]))
+    lit = EnvironmentMap(radiance=truth.radiance * factor)
+    scores = level_scores(lit, truth)
+    for part in ("whole", "lower"):
+        assert scores[f"{part}_level"] == pytest.approx(math.log(2), rel=1e-4)
+        assert scores[f"{part}_colour"] == pytest.approx(a * math.sqrt(2 / 3), rel=1e-4)
+    bright = [EnvironmentMap(radiance=1e4 * each.radiance) for each in (lit, truth)]
+    want = math.sqrt(math.log(2) ** 2 + a**2 * 2 / 3)  # far above what counts as dark
+    assert level_scores(*bright)["log_radiance"] == pytest.approx(want, rel=1e-3)
+    # half as bright or a larger map: as far off
+    assert level_scores(truth, lit)["whole_level"] == pytest.approx(math.log(2), rel=1e-4)
+    assert level_scores(truth.resize(128), truth) == pytest.approx(
+        dict.fromkeys(scores, 0.0), abs=1e-5
+    )
+
+
+def test_the_lower_half_alone_counts_below() -> None:
+    truth = room()
+    dark = truth.radiance.clone()
+    dark[32:] /= 4
+    scores = level_scores(EnvironmentMap(radiance=dark), truth)
+    assert scores["lower_level"] == pytest.approx(math.log(4), rel=1e-5)
+    assert scores["whole_level"] == pytest.approx(math.log(8 / 5), rel=1e-5)
+    dark[32:] = 0
+    black = level_scores(EnvironmentMap(radiance=dark), truth)
+    assert math.isfinite(black["lower_level"])
+    assert black["lower_level"] > scores["lower_level"]
+
+
+def test_the_blur_is_a_mean_that_knows_no_place() -> None:
+    even = EnvironmentMap(radiance=torch.full((64, 128, 3), 0.3))
+    torch.testing.assert_close(blurred(even), torch.full((64, 128, 3), 0.3).double())
+    grid = DirectionGrid.latlong(64)
+    for row, column in ((2, 5), (31, 127), (50, 64)):
+        spot = torch.zeros(64, 128, 3)
+        spot[row, column] = 1 / float(grid.solid_angles[row * 128 + column])
+        seen = blurred(EnvironmentMap(radiance=spot))[..., 0].reshape(-1)
+        assert float(seen @ grid.solid_angles) == pytest.approx(1, rel=0.02)
+        at = grid.directions[row * 128 + column]
+        distance = 1 - grid.directions @ at
+        # exp(-(1 - cos a) / s^2) about the spot
+        near = distance < 3 * math.radians(3) ** 2
+        ratio = seen[near] / seen[row * 128 + column] / torch.exp(-distance[near] / 0.0523599**2)
+        assert float((ratio - 1).abs().max()) < 0.05
+
+
 @pytest.fixture
 def estimated(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every method finds the lamp 10 degrees aside; nobody has to be found in a tiny picture."""
@@ -202,6 +254,9 @@ def estimated(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_face_under_a_map_from_end_to_end(tmp_path: Path) -> None:
     bare = replace(LAMP, category=None)
     data = rendered_folder(tmp_path / "faces", [LAMP, bare], room((30, 0.5)))
+    note = data / "face0001" / "face.json"
+    behind = {"kind": "wall", "depth_m": 1.5, "blur_px": 4.0}
+    note.write_text(json.dumps(json.loads(note.read_text()) | {"background": behind}))
     path = evaluate("any-light", quick=True, data=data, out=tmp_path / "out", workers=1)
     results = json.loads(path.read_text())
     assert results["problems"] == {}
@@ -220,7 +275,10 @@ def test_a_face_under_a_map_from_end_to_end(tmp_path: Path) -> None:
     assert (facts["map"], facts["turn_deg"], facts["category"]) == ("lamp.exr", 30, "indoor")
     assert facts["lamps"] == pytest.approx([0.5], abs=0.02)
     assert "category" not in results["items"]["face0001"]
-    assert "category: indoor" in results["groups"]
+    assert "background" not in facts  # of before there were any
+    for method in ("auto", GREY):
+        assert {*any_light.LEVELS} <= {*results["rows"][method]}
+    assert {"category: indoor", "background: wall"} <= {*results["groups"]}
     assert (tmp_path / "out" / "pictures" / "face0001.png").is_file()
 
 
@@ -267,10 +325,11 @@ def test_goals_are_those_of_auto(tmp_path: Path) -> None:
         for one, (angle, part) in zip(items, ((5.0, 1.0), (6.0, 1.0), (90.0, 0.2)), strict=True):
             worse = 1 if ok else 3
             extra = {"main_lamp_deg": angle * worse, "lamps_found": part / worse}
+            extra |= dict.fromkeys(any_light.LEVELS, 0.05 if ok else 0.7)
             one.metrics[OURS].update(extra)
             one.facts["chosen"] = "lamps" if ok else "autoencoder"
         checks = evaluation.checks(summarise(items), items)
-        assert len(checks) == 2 + 2 + 4 + 1
+        assert len(checks) == 2 + 2 + 4 + 1 + 5
         assert {check.ok for check in checks.values()} == {ok}
     for share, met in ((1.0, False), (0.9, True), (0.8, False)):
         rows = summarise(items)

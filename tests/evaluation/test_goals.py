@@ -111,6 +111,14 @@ def test_goals_are_those_that_the_pages_state() -> None:
     assert any_light.SI_RMSE_RATIO == 0.6
     assert any_light.BETTER_SHARE == 0.9
     assert any_light.COVERED == (0.85, 0.95)
+    assert any_light.LEVELS == {
+        "whole_colour": 0.07,
+        "lower_colour": 0.10,
+        "whole_level": 0.25,
+        "lower_level": 0.20,
+        "log_radiance": 0.65,
+    }
+    assert (any_light.DARK, any_light.BLUR_DEG) == (0.01, 3)
     assert face_sensitivity.MOST_GROWTH == 0.2
     assert known_faces.CHOSEN == 0.9
     assert lamps.BY_LAMPS_DEG == 5
@@ -219,7 +227,8 @@ def test_every_number_has_a_label_and_every_table_its_neighbour() -> None:
     assert list(tables.LABELS) == [
         *("mae", "rmse", "si_rmse", "mae_aligned", "rmse_aligned", "brightness", "ssim"),
         *("full_dw_mae", "sky_dw_mae", "sun_dw_mae", "sun_dw_mae_fixed", "sun_angle_deg"),
-        *("main_lamp_deg", "lamps_found", "pose_deg", "in_region", "region_sr", "psnr"),
+        *("main_lamp_deg", "lamps_found", "whole_colour", "whole_level", "lower_colour"),
+        *("lower_level", "log_radiance", "pose_deg", "in_region", "region_sr", "psnr"),
         *("tone_mapped_ssim", "floats", "floats_per_activation", "l2", "srgb_rmse", "srgb_ssim"),
         *("srgb_rmse_skin", "srgb_ssim_skin", "seconds", "cpu_seconds", "photos_per_minute"),
         *("seconds_of_a_photo", "transport_seconds", "peak_mib"),
@@ -244,7 +253,7 @@ def test_every_number_has_a_label_and_every_table_its_neighbour() -> None:
         "SH": ["15.00", "17.88", "18.23", "19.15"],
         "spherical Gaussians": ["17.67", "19.27", "19.81", "20.24"],
     }
-    assert tables.GROUPED_BY == ("category", "half", "regime", "skin tone", "verdict")
+    assert tables.GROUPED_BY == ("category", "background", "half", "regime", "skin tone", "verdict")
 
 
 def test_an_index_of_maps_is_part_of_what_results_depend_on(tmp_path: Path) -> None:

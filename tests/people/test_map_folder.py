@@ -12,7 +12,8 @@ from scipy import stats
 from skylight.cli import main
 from skylight.errors import InputError
 from skylight.io._files import write_environment_map
-from skylight.people._light import MapFolder, RenderOptions, scene_light
+from skylight.people._light import RenderOptions, scene_light
+from skylight.people._maps import MapFolder
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import angle_between
 
@@ -49,7 +50,7 @@ def test_maps_come_in_the_order_of_their_names_over_and_over(folder: Path) -> No
 @pytest.mark.parametrize("number", [0, 1])
 def test_energy_is_kept(folder: Path, number: int) -> None:
     """Of maps that are larger and smaller than the light, turned by no whole pixel."""
-    light, _ = MapFolder.read(folder).turned(number, 0.777)
+    light, _, _ = MapFolder.read(folder).turned(number, 0.777)
     before = lit(40, 5, height=96) if number == 0 else lit(7, 16)
     assert light.layout == (64, 128)
     # RGBE of a.hdr rounds by 0.4 %
@@ -57,7 +58,7 @@ def test_energy_is_kept(folder: Path, number: int) -> None:
 
 
 def test_a_turn_goes_to_the_right(folder: Path) -> None:
-    light, which = MapFolder.read(folder).turned(1, math.pi / 2)
+    light, which, _ = MapFolder.read(folder).turned(1, math.pi / 2)
     # b's lamp is half a pixel to the right of straight ahead, half a pixel above the horizon
     half = math.pi / 32
     right = torch.tensor([math.cos(half) ** 2, math.sin(half), math.sin(half) * math.cos(half)])
@@ -126,3 +127,53 @@ def test_what_cannot_light_anybody_is_refused_before_anything_is_rendered(
     assert len(message.strip().splitlines()) == 1
     with pytest.raises(InputError, match=r"b\.exr"):
         MapFolder.read(folder)
+
+
+LIGHTS = """file,kind,azimuth_deg,zenith_deg,red,green,blue,radius_deg,in_map
+b.exr,sun,20,60,3,2,1,0.2667,0
+b.exr,lamp,-90,30,0.5,0.5,0.25,1.5,0
+b.exr,window,100,80,9,9,9,20,1
+"""
+
+
+@pytest.fixture
+def places(folder: Path) -> Path:
+    """The folder as one of simulated places."""
+    (folder / "index.csv").write_text("file,kind,split\nb.exr,outdoors,test\na.hdr,home,test\n")
+    (folder / "lights.csv").write_text(LIGHTS)
+    return folder
+
+
+def test_lights_beside_a_place_are_added_once(places: Path) -> None:
+    """The sun as a disc, turned with the map, and a lamp in the map; what it shows is there."""
+    maps = MapFolder.read(places)
+    assert maps.categories == ("home", "outdoors")
+    light, which, sun = maps.turned(1, 0.5)
+    assert sun is not None
+    assert which.category == "outdoors"
+    want = lit(7, 16).integrate() + torch.tensor([0.5, 0.5, 0.25])
+    torch.testing.assert_close(light.integrate(), want, rtol=1e-5, atol=0)
+    a, z = math.radians(20) + 0.5, math.radians(60)
+    there = [math.sin(z) * math.sin(a), math.cos(z), -math.sin(z) * math.cos(a)]
+    torch.testing.assert_close(sun.direction, torch.tensor(there).double(), rtol=0, atol=1e-6)
+    scene = scene_light(1, RenderOptions(maps=maps))
+    assert scene.light.sun is not None
+    torch.testing.assert_close(scene.light.sun.irradiance, torch.tensor([3.0, 2.0, 1.0]))
+    assert scene_light(0, RenderOptions(maps=maps)).light.sun is None
+
+
+def test_maps_of_days_that_are_not_complete_are_left_out(places: Path) -> None:
+    write_environment_map(places / "c.exr", lit(8, 16))
+    assert MapFolder.read(places).files == ("a.hdr", "b.exr")
+    (places / "lights.csv").unlink()  # a folder of other maps
+    assert MapFolder.read(places).files == ("a.hdr", "b.exr", "c.exr")
+
+
+def test_what_is_beside_the_maps_belongs_to_them(places: Path) -> None:
+    before = MapFolder.read(places).sha256
+    (places / "lights.csv").write_text(LIGHTS.replace("3,2,1", "3,2,2"))
+    assert MapFolder.read(places).sha256 != before
+    for damaged in ("b.exr,sun,x,60,3,2,1,0.2,0", "b.exr,sun,1,60,-3,2,1,0.2,0", "b.exr,sun"):
+        (places / "lights.csv").write_text(LIGHTS.splitlines()[0] + "\n" + damaged + "\n")
+        with pytest.raises(InputError, match=r"lights\.csv: no list of the maps' lights"):
+            MapFolder.read(places)

@@ -9,9 +9,10 @@ import torch
 pytest.importorskip("mitsuba", reason="mitsuba is not installed")
 
 from skylight.imaging._colour import srgb_to_linear
+from skylight.people._background import background
 from skylight.people._light import DistantLight, RenderOptions, SunDisc
 from skylight.people._people import Seen, person
-from skylight.people._render import background, brightest_skin, compose, exposure_for, photograph
+from skylight.people._render import brightest_skin, compose, exposure_for, photograph
 from skylight.people._subsurface import patches
 from skylight.people._trace import Layers
 from skylight.sphere._envmap import EnvironmentMap

@@ -5,6 +5,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -19,8 +20,15 @@ from skylight.faces._fit import camera_project
 from skylight.faces._model import HeadModel
 from skylight.io._files import write_environment_map
 from skylight.people import _files as batch, _light as light_module
-from skylight.people._files import read_rendered_face, render_folder, rendered_faces
-from skylight.people._light import MapFolder, RenderOptions, Skies, TurnedMap, scene_light
+from skylight.people._background import BackgroundKind
+from skylight.people._files import (
+    read_rendered_face,
+    read_scene_facts,
+    render_folder,
+    rendered_faces,
+)
+from skylight.people._light import Backgrounds, RenderOptions, Skies, scene_light
+from skylight.people._maps import MapFolder, TurnedMap
 from skylight.people._people import person
 from skylight.skies._simulated import EVALUATION_SEEDS
 from skylight.sphere._envmap import EnvironmentMap
@@ -141,8 +149,30 @@ def test_faces_from_before_there_were_maps_are_read(folder: Path, tmp_path: Path
     facts = json.loads((face / "face.json").read_text())
     for name in ("map", "category", "turn_deg", "turbidity"):
         assert facts.pop(name) is None
+    assert facts.pop("background")["kind"] in get_args(BackgroundKind)
     (face / "face.json").write_text(json.dumps(facts))
     assert read_rendered_face(face).turned_map is None
+    assert read_rendered_face(face).background is None
+
+
+def test_before_one_background_and_another_the_face_is_the_same(
+    folder: Path, tmp_path: Path
+) -> None:
+    """But for what a wall adds to the light; only noise of the camera is drawn anew."""
+    first = read_rendered_face(folder / "face0000")
+    options = replace(TINY, backgrounds="infinite")
+    assert "backgrounds" not in options.settings()
+    assert render_folder(tmp_path, 1, options) == 1
+    plain = read_rendered_face(tmp_path / "face0000")
+    assert plain.background is None
+    assert first.background is not None
+    np.testing.assert_array_equal(first.truth.vertices, plain.truth.vertices)
+    assert first.background.kind not in ("wall", "backdrop", "screen")  # by this seed
+    torch.testing.assert_close(first.environment.radiance, plain.environment.radiance)
+    face = slice(15, 25)
+    torch.testing.assert_close(
+        first.linear[face, face], plain.linear[face, face], rtol=1e-3, atol=1e-4
+    )
 
 
 def test_a_second_run_makes_only_what_is_missing_and_the_same(folder: Path, tmp_path: Path) -> None:
@@ -204,6 +234,10 @@ def test_folders_without_faces_or_with_damaged_ones_are_named(folder: Path, tmp_
     (face / "face.json").write_text(json.dumps(facts))
     with pytest.raises(InputError, match="face0000"):
         read_rendered_face(face)
+    for damaged in ({"kind": "sea", "depth_m": 1, "blur_px": 2}, {"kind": "wall"}, [3], "wall"):
+        (face / "face.json").write_text(json.dumps({"background": damaged}))
+        with pytest.raises(InputError, match="face0000: no facts of a rendered face"):
+            read_scene_facts(face)
 
 
 @pytest.mark.parametrize("kept", [0, 1000])
@@ -234,4 +268,5 @@ def test_the_command_renders_and_refuses(
 
 
 def test_the_commands_skies_are_the_options() -> None:
-    assert importlib.import_module("skylight.people._command").Skies == Skies
+    command = importlib.import_module("skylight.people._command")
+    assert (command.Skies, command.Backgrounds) == (Skies, Backgrounds)

@@ -11,7 +11,7 @@ from pathlib import Path
 from skylight.estimation._manifest import MANIFEST, Entry, append_entry, read_manifest
 from skylight.faces._captures import CAPTURES_NAME, capture_hash, read_captures
 from skylight.people._azimuth import FOLDER, choose
-from skylight.people._files import read_turned_map
+from skylight.people._files import read_scene_facts
 from skylight.work._resumable import SETTINGS, keep_settings
 from tests.fuzz.files import PLACE, joined, parted, read_by_any, written
 
@@ -23,7 +23,7 @@ _READERS: dict[str, Callable[[Path], object]] = {
     _PROPOSAL: lambda folder: choose(folder, {_PHOTO: 1}),
     MANIFEST: lambda folder: read_manifest(folder / MANIFEST),
     SETTINGS: lambda folder: keep_settings(folder / SETTINGS, _SETTINGS),
-    "face.json": read_turned_map,
+    "face.json": read_scene_facts,
 }
 
 
