@@ -48,12 +48,12 @@ class BackgroundSpreads:
     is far below ``lively``: what is even may be a backdrop.
     """
 
-    level: float = 0.3
-    shape: float = 0.35
-    detail: float = 0.45
-    colour: float = 0.12
-    hue: float = 0.12
-    backdrop: float = 1.0
+    level: float = 0.15
+    shape: float = 0.25
+    detail: float = 0.35
+    colour: float = 0.06
+    hue: float = 0.08
+    backdrop: float = 0.7
     lively: float = 0.2
 
 
