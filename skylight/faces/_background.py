@@ -65,8 +65,8 @@ def observe_background(
     Raises
     ------
     InputError
-        Too little of it is seen, it was drawn, it is black or of one colour: it tells nothing of
-        the light.
+        Too little of it is seen, it was drawn, it is black, white or of one colour: it tells
+        nothing of the light.
     """
     full = picture.numpy()
     scale = min(1.0, LONG_SIDE_PX / max(full.shape[:2]))
@@ -138,12 +138,15 @@ def _in_blocks(
         total = torch.zeros(len(kept), values.shape[1], dtype=torch.float64)
         return total.index_add_(0, index, share[:, None] * values)
 
+    bounds = means(torch.from_numpy(clipped[used])[:, None])[:, 0] > CLIPPED_SHARE
+    if bool(bounds.all()):  # all that is known is that it is brighter than the rest of the place
+        raise InputError("it is over-exposed all over")
     averages = torch.zeros(len(kept), len(grid), dtype=torch.float64)
     averages.index_put_((index, torch.from_numpy(cell[used])), share, accumulate=True)
     return Background(
         radiance=means(torch.from_numpy(seen[used])).float(),
         averages=TransportMatrix(matrix=averages.float(), grid=grid),
-        clipped=means(torch.from_numpy(clipped[used])[:, None])[:, 0] > CLIPPED_SHARE,
+        clipped=bounds,
         contrast=contrast,
     )
 

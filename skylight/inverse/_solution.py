@@ -33,7 +33,7 @@ from skylight.inverse._sun_prior import SunPrior
 from skylight.models._base import Prior
 from skylight.sphere._envmap import EnvironmentMap
 
-LEAST_TRUST = 0.4  # in a background, below which a line says so
+LEAST_TRUST = 0.25  # in a background, below which a line says so
 
 
 @torch.no_grad()

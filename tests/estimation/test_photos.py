@@ -338,3 +338,23 @@ def test_a_deformed_head_meets_the_inner_landmarks() -> None:
         gap = camera_project(fit.camera, marks) - one.face.points[17:]
         gaps.append(float(np.linalg.norm(gap, axis=1).max()) / one.face.eye_distance_px)
     assert gaps[1] < 1e-3 < 0.01 < gaps[0]
+
+
+def test_the_background_is_seen_once_a_photograph_or_a_line_says_why_not() -> None:
+    """Two people before something to see: with the first comes what is behind both."""
+    one = sunny_face(40.0, 50.0).encoded
+    two = np.hstack([one, one])
+    grey = np.abs(two.astype(int) - 118).max(2, keepdims=True) < 12  # behind the heads
+    noise = cv2.resize(np.random.default_rng(0).uniform(0.3, 1.0, (9, 15, 3)), two.shape[1::-1])
+    pictures = Pictures.of(
+        (np.where(grey, two * noise, two).astype(np.uint8),), replace(SH9, face="all")
+    )
+    fitted = pictures.fit_heads()
+    assert len(fitted) == 2
+    first, second = pictures.observe(fitted, 32, specular=False, background=True)
+    assert first.view.observation.background is not None
+    assert second.view.observation.background is None
+    assert first.view.no_background is second.view.no_background is None
+    unseen = replace(first, view=replace(first.view, no_background="it is black"))
+    advice = pictures.result(sunny_estimate().estimate, [unseen]).estimate.advice
+    assert f"{first.name}: the background was not used: it is black" in advice

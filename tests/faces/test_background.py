@@ -193,6 +193,11 @@ def test_a_screen_of_one_colour_is_refused(colour):
         observed(np.float32(colour) * noise)
 
 
+def test_a_background_that_is_over_exposed_all_over_is_refused():
+    with pytest.raises(InputError, match="over-exposed"):
+        observed(lively(level=1.6))
+
+
 def test_a_black_studio_is_refused():
     with pytest.raises(InputError, match="black"):
         observed(lively(level=0.001))
