@@ -10,12 +10,14 @@ from skylight._modes import without_autocast
 from skylight._names import (
     DEFAULT_LIGHT,
     SKY_LIGHTS,
+    Place,
     check_is_trained,
     check_light_name,
+    light_at,
 )
 from skylight.errors import InputError
 from skylight.faces._skin import SkinPrior
-from skylight.inverse._auto import AutoProblem
+from skylight.inverse._auto import CAMERA_DIRECTION, AutoProblem
 from skylight.inverse._harmonic import HarmonicProblem
 from skylight.inverse._lamps import LampsOptions, LampsProblem
 from skylight.inverse._own_light import (
@@ -55,6 +57,7 @@ def estimate_light(
     options: SolverOptions | None = None,
     sun_prior: SunPrior | None = None,
     exposure: float | None = None,
+    place: Place = "auto",
     device: str = "auto",
     progress: Progress | None = None,
 ) -> Estimate:
@@ -91,6 +94,9 @@ def estimate_light(
     exposure
         The exposure value at ISO 100, which tells "auto" of rooms and daylight
         (:func:`~skylight.imaging._exif.exposure_value`); others do not use it.
+    place
+        "outdoors", "indoors" or "flash" where that is known: it chooses the model in place of
+        "auto" and the default, and with a flash one lamp is looked for at the camera too.
     device
         "cpu", "cuda", or "auto" for CUDA where it is. Transport is moved there once. The estimate
         is on the CPU.
@@ -117,6 +123,7 @@ def estimate_light(
         options=options,
         sun_priors=[sun_prior],
         exposures=[exposure],
+        place=place,
         device=device,
     )
     for observation, photo in zip(observations, photos, strict=True):
@@ -174,6 +181,7 @@ def light_problems(
     options: SolverOptions | None = None,
     sun_priors: Sequence[SunPrior | None] | None = None,
     exposures: Sequence[float | None] | None = None,
+    place: Place = "auto",
     device: str = "auto",
 ) -> Sequence[LightProblem]:
     """So many empty problems of one light model, for :func:`~skylight.inverse._problem.solve`.
@@ -183,6 +191,7 @@ def light_problems(
     """
     sun_priors = sun_priors or [None] * count
     exposures = exposures or [None] * count
+    light = light_there(light, place)
     check_goes_together(light, prior, model)
     where, options = choose_device(device), options or SolverOptions()
     if not follows_clock(light, prior) and any(one is not None for one in sun_priors):
@@ -197,7 +206,8 @@ def light_problems(
         harmonics = HarmonicLight(degree).to(where)
         return [HarmonicProblem(harmonics, skin, modes, one) for one in sun_priors]
     if light == "lamps":
-        return [LampsProblem(skin, modes, lamps) for _ in sun_priors]
+        towards = CAMERA_DIRECTION[None] if place == "flash" else None
+        return [LampsProblem(skin, modes, lamps, towards=towards) for _ in sun_priors]
     if not isinstance(light, str):
         own, over = own_light(light, prior, where)
         if type(light) is LampsLight:
@@ -219,6 +229,17 @@ def light_problems(
             for sky, exposure in zip(skies, exposures, strict=True)
         ]
     return skies
+
+
+def light_there(light: Light, place: Place) -> Light:
+    """:func:`~skylight._names.light_at`, for which a model of one's own is chosen already."""
+    if isinstance(light, str):
+        return light_at(check_light_name(light), place)
+    if place != "auto":
+        raise InputError(
+            f"a place chooses a light model, and {called(light)} is one: leave place out"
+        )
+    return light
 
 
 def _degree(light: Light, prior: LightPrior | None) -> int | None:

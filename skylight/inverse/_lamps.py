@@ -28,7 +28,7 @@ from skylight.inverse._least_squares import nnls
 from skylight.inverse._objective import LightObjective
 from skylight.inverse._posterior import face_evidence, sun_evidence
 from skylight.inverse._problem import LightProblem
-from skylight.inverse._result import Estimate, Lamp
+from skylight.inverse._result import MAP_ROWS, Estimate, Lamp
 from skylight.inverse._scan import SCAN_HEIGHT, SunScan, scan_faces
 from skylight.inverse._solution import Solutions, estimate_of, face_lights, log_evidence
 from skylight.models._base import Prior
@@ -156,7 +156,6 @@ MOST_LAMPS = 3
 # rendered faces under one sun were multiplied by smooth fields of 15 %, which makes residuals those
 # of photographs, a second lamp brought up to 19.
 LEAST_GAIN = 25.0
-MAP_ROWS = 64
 Point = TypeVar("Point")
 
 
@@ -242,7 +241,8 @@ class LampsProblem(LightProblem):
     Light is on :data:`~skylight.inverse._scan.SCAN_HEIGHT` rows of the sphere: two thirds of the
     memory that a sky has, 130 MB for a face of 3,700 pixels with specular reflection. Everything is
     computed on the device of ``albedo_modes``, where the prior has to be. There are as many lamps
-    as pay, or as ``exactly`` says with their prior.
+    as pay, or as ``exactly`` says with their prior. ``towards`` are directions that one lamp is
+    looked for in besides those of the scan.
     """
 
     def __init__(
@@ -251,8 +251,9 @@ class LampsProblem(LightProblem):
         albedo_modes: Float[Tensor, "k 3"],
         options: LampsOptions | None = None,
         exactly: tuple[int, Prior | None] | None = None,
+        towards: Float[Tensor, "d 3"] | None = None,
     ) -> None:
-        self.exactly = exactly
+        self.exactly, self.towards = exactly, towards
         self.albedo_prior, self.albedo_modes = albedo_prior, albedo_modes
         self.options = options or LampsOptions()
         self.faces = LitFaces()
@@ -289,8 +290,9 @@ class LampsProblem(LightProblem):
             assert isinstance(objective.model, LampsLight)
             towards = pursuit.starts(objective.model, options.sets)
             if count == 1:
-                scanned = objective.model.starts_towards(scan.candidates)
-                towards = torch.cat([towards, scanned.to(towards)])
+                tried = [scan.candidates, *([] if self.towards is None else [self.towards])]
+                scanned = [objective.model.starts_towards(each).to(towards) for each in tried]
+                towards = torch.cat([towards, *scanned])
             points = Iterates.starting(*choose_starts(objective, towards, self.albedo_modes))
             objective, points = self._descend(count, points, options.coarse)
             end = points.free[points.scores.argmin(), None]
