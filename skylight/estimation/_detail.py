@@ -53,7 +53,7 @@ FLOOR = 3e-4  # of the picture's white: one code of eight bits
 SOLVED_ROWS = 64
 # Patches of texture: so many lie over each other; each has this share of a view's shorter side, and
 # is enlarged to this radius, as the sphere is larger than a view
-PATCHES, PATCH_SHARE, PATCH_RAD = 4.0, 0.4, math.radians(24.0)
+PATCHES, PATCH_SHARE, PATCH_RAD = 12.0, 0.4, math.radians(24.0)
 FAINTEST = 0.4  # texture at zenith and nadir
 MOST_TEXTURE = 0.7  # nats
 MOST_CHANGE = math.log(1.5)  # of what lies outside of the view, to keep the light as it was
@@ -298,7 +298,7 @@ def surrounding_texture(
         weight = weight * (above * (py[:, 0] - camera.center_px[1]) < 1)
         total[near] += weight[:, None] * _looked_up(detail, px, py)[:, 0]
         squares[near] += weight**2
-    texture = total / np.maximum(np.sqrt(squares), 0.2)[:, None]
+    texture = total / np.maximum(np.sqrt(squares), 0.1)[:, None]
     level = 1 - directions[:, 1:2] ** 2
     return (texture * (FAINTEST + (1 - FAINTEST) * level)).reshape(*layout, 3)
 
