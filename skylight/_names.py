@@ -8,6 +8,10 @@ from typing import Literal, get_args
 
 from skylight.errors import InputError
 
+# What the map of an estimate shows beside its light: skylight.estimation._detail
+DetailName = Literal["none", "photo", "mirrored"]
+DEFAULT_DETAIL: DetailName = "photo"
+
 # How a sphere is drawn on a plane: skylight.sphere._projections
 Projection = Literal["latlong", "cube", "octahedral", "angular", "mirrorball"]
 # Where the columns of a lat-long map look: skylight.sphere._frame
@@ -61,6 +65,31 @@ LIGHT_NAMES: tuple[LightName, ...] = get_args(LightName)
 # Skies above a ground ("auto" may choose one)
 SKY_LIGHTS: tuple[LightName, ...] = ("auto", "autoencoder", "sunsky")
 
+# Where a photograph was taken, for who knows, and the light models that are possible there: the
+# first in place of one that was not chosen. A flash is a lamp on the camera.
+Place = Literal["auto", "outdoors", "indoors", "flash"]
+PLACES: tuple[Place, ...] = get_args(Place)
+_LIGHTS_AT: dict[str, tuple[LightName, ...]] = {
+    "outdoors": ("autoencoder", "sunsky", "sh9", "sh25"),
+    "indoors": ("lamps", "sh9", "sh25"),
+    "flash": ("lamps",),
+}
+
+
+def light_at(light: LightName, place: str) -> LightName:
+    """The light model for a place; :class:`InputError` for one that was chosen and is not there."""
+    if place not in PLACES:
+        raise InputError(f"unknown place {place!r}: choose one of {', '.join(PLACES)}")
+    if place == "auto" or light in _LIGHTS_AT[place]:
+        return light
+    if light not in ("auto", DEFAULT_LIGHT):
+        raise InputError(
+            f"{light} is no light for the place {place}: leave one of them out, or choose "
+            f"{' or '.join(_LIGHTS_AT[place])}"
+        )
+    return _LIGHTS_AT[place][0]
+
+
 # Of skies: from where a scan finds the sun, or as in the thesis, B.1
 SolverName = Literal["scan", "thesis"]
 DEFAULT_SOLVER: SolverName = "scan"
@@ -71,6 +100,13 @@ def check_light_name(name: str) -> LightName:
     """``name`` where a light model has it; :class:`InputError` names those there are."""
     if name not in LIGHT_NAMES:
         raise InputError(f"unknown light model {name!r}: choose one of {', '.join(LIGHT_NAMES)}")
+    return name  # type: ignore[return-value]
+
+
+def check_detail_name(name: str) -> DetailName:
+    """``name`` where it is a detail of maps; :class:`InputError` names those there are."""
+    if name not in get_args(DetailName):
+        raise InputError(f"unknown detail {name!r}: choose {', '.join(get_args(DetailName))}")
     return name  # type: ignore[return-value]
 
 

@@ -7,6 +7,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from skylight._names import PLACES, Place
 from skylight.errors import InputError
 from skylight.imaging._capture_metadata import CaptureMetadata
 from skylight.work._threads import cores
@@ -54,6 +55,15 @@ def take_care(line: str) -> None:
     print(f"skylight: take care: {line}", file=sys.stderr)
 
 
+def kind_of_place(place: str | None) -> tuple[Place, str | None]:
+    """(kind, where) of ``--place``: "outdoors", "41.89,12.49", or "outdoors,41.89,12.49"."""
+    first, _, where = (place or "").partition(",")
+    for kind in PLACES:
+        if first == kind:
+            return kind, where or None
+    return "auto", place
+
+
 def taken_by_hand(
     time: str | None, place: str | None, heading: float | None
 ) -> CaptureMetadata | None:
@@ -87,5 +97,6 @@ def _place(text: str) -> tuple[float, float]:
         return float(latitude), float(longitude)
     except ValueError as error:
         raise InputError(
-            f"--place {text!r} is no place; give degrees north and east as 41.89,12.49"
+            f"--place {text!r} is no place; give degrees north and east as 41.89,12.49, or "
+            f"one of {', '.join(PLACES)}"
         ) from error

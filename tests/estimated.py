@@ -11,7 +11,15 @@ from skylight.cli import main
 from skylight.io._bounded import write_json
 
 MAKER = "Private Camera Maker"
-RESULTS = {"probe.exr", "probe.hdr", "posterior.exr", "mesh.obj", "estimate.json", "report.png"}
+RESULTS = {
+    "probe.exr",
+    "probe.hdr",
+    "probe.png",
+    "posterior.exr",
+    "mesh.obj",
+    "estimate.json",
+    "report.png",
+}
 
 
 def estimated(folder: Path, light: str = "sh9") -> tuple[Path, Path]:

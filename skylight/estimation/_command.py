@@ -9,8 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 from tyro.conf import Positional
 
-from skylight._names import HeadName, LandmarkerName, LightName, SolverName
-from skylight._options import take_care, taken_by_hand, who_works
+from skylight._names import (
+    DEFAULT_DETAIL,
+    DetailName,
+    HeadName,
+    LandmarkerName,
+    LightName,
+    SolverName,
+)
+from skylight._options import kind_of_place, take_care, taken_by_hand, who_works
 from skylight.errors import InputError, SkylightError
 from skylight.work._device import Device
 from skylight.work._progress import ProgressForm, stage_bar
@@ -44,6 +51,7 @@ def estimate(
     ignore_exif_sun: bool = False,
     keep_place: bool = False,
     ground_albedo: str | None = None,
+    detail: DetailName = DEFAULT_DETAIL,
     workers: int = 0,
     cluster: str | None = None,
     batch: int | None = None,
@@ -60,9 +68,9 @@ def estimate(
     exposure. Cameras are taken to be level and, of several pictures, to look the same way: a
     burst, a person who turns, a group that is photographed again.
 
-    Writes probe.exr and probe.hdr (linear lat-long maps in the camera's frame, 128 x 256 pixels
-    of a sky and 64 x 128 of other light: the centre is where the camera looks, its right is the
-    picture's right), posterior.exr (how likely the sun stands where, per sr), mesh.obj (the
+    Writes probe.exr and probe.hdr (linear lat-long maps in the camera's frame, 256 x 512 pixels:
+    the centre is where the camera looks, its right is the picture's right), probe.png (the same to
+    look at), posterior.exr (how likely the sun stands where, per sr), mesh.obj (the
     fitted head; mesh_1.obj and so on where there are several), estimate.json (all numbers) and
     report.png (a picture of it all).
 
@@ -72,9 +80,9 @@ def estimate(
     code is 0 unless all failed.
 
     Of a film, or of a folder of its frames, with --video: one person is followed, and the light
-    stands still in the world, whatever head and camera do, or drifts slowly. Writes probe.exr and
-    probe.hdr, a probe_000.exr for each keyframe, all as seen from the first frame's camera,
-    posterior.exr, mesh.obj, film.json and report.png. The same command again goes on.
+    stands still in the world, whatever head and camera do, or drifts slowly. Writes probe.exr,
+    probe.hdr and probe.png, a probe_000.exr for each keyframe, all as seen from the first frame's
+    camera, posterior.exr, mesh.obj, film.json and report.png. The same command again goes on.
 
     Args:
         photo: Picture of a face: JPEG, PNG, TIFF, HEIC, EXR, Radiance HDR or RAW; or a folder of
@@ -101,13 +109,18 @@ def estimate(
         landmarks: What finds the face: MediaPipe's landmarker, or dlib's, an extra for research.
         time: When the (first) picture was taken, as 2024-06-01T14:30+02:00, instead of what its
             EXIF data tell. With the place it tells the sun's height.
-        place: Where, as LAT,LON: degrees north and east (south and west are negative).
+        place: Where, as LAT,LON: degrees north and east (south and west are negative); or what kind
+            of place: outdoors, indoors, or flash (on the camera), which chooses the light model; or
+            both, as outdoors,41.89,12.49.
         heading: Where the camera looked: degrees clockwise from true north.
         ignore_exif_sun: Do not use time, place and heading of the EXIF data.
         keep_place: Write time, place and heading into estimate.json; they are left out else.
         ground_albedo: The ground's albedo for skies, as R,G,B or R,G,B,SPREAD (linear, 0 to 1; the
             spread is relative, 0.1 without it), or the file of `skylight probe ground`; by
             default what is usual of grounds.
+        detail: What the map shows beside its light, which stays the same: none, photo (the
+            picture's own pixels inside its view, without the person), or mirrored (its texture
+            round the sphere too: invented, for reflections).
         workers: Of a folder: processes that work at the same time; 0 for one per core. Each takes
             up to 0.9 GB.
         cluster: Of a folder: a dask scheduler's address, whose workers do it instead.
@@ -127,6 +140,7 @@ def estimate(
     from skylight.models._bundle import own_model
     from skylight.models._ground import KnownGround
 
+    kind, place = kind_of_place(place)
     settings = EstimateSettings(
         light=light,
         model=own_model(model, network),
@@ -137,6 +151,8 @@ def estimate(
         landmarks=landmarks,
         ignore_exif_sun=ignore_exif_sun,
         ground=None if ground_albedo is None else KnownGround.parse(ground_albedo),
+        place=kind,
+        detail=detail,
         device=device,
     )
     taken = taken_by_hand(time, place, heading)
@@ -222,7 +238,7 @@ def _estimate_photos(
         take_care(advice)
     print(summary(result))
     meshes = ", ".join(mesh_names(result))
-    files = f"probe.exr, probe.hdr, posterior.exr, {meshes}, estimate.json, report.png"
+    files = f"probe.exr, probe.hdr, probe.png, posterior.exr, {meshes}, estimate.json, report.png"
     print(f"written into {out}: {files}")
 
 
@@ -254,8 +270,8 @@ def _estimate_film(
         take_care(advice)
     print(film_summary(result))
     count = len(result.light.frames)
-    files = f"probe.exr, probe.hdr, {count} of keyframes, posterior.exr, mesh.obj, film.json"
-    print(f"written into {out}: {files}, report.png")
+    files = f"probe.exr, probe.hdr, probe.png, {count} of keyframes, posterior.exr, mesh.obj"
+    print(f"written into {out}: {files}, film.json, report.png")
 
 
 def _estimate_folder(

@@ -66,7 +66,8 @@ def estimate(
         Called with the name of a stage and the share of it that is done.
     settings
         ``light=``, ``prior=``, ``model=``, ``solver=``, ``face=``, ``head=``, ``decode=``,
-        ``landmarks=``, ``ignore_exif_sun=``, ``ground=`` and ``device=``, those of
+        ``landmarks=``, ``ignore_exif_sun=``, ``ground=``, ``place=``, ``detail=`` and
+        ``device=``, those of
         :class:`~skylight.estimation._settings.EstimateSettings`.
 
     Returns
@@ -147,8 +148,8 @@ class Pictures:
         names = tuple(names or (_name(one, k, len(images)) for k, one in enumerate(images, 1)))
         known = _known_of(photos[0], taken, ignore_exif_sun=settings.ignore_exif_sun)
         prior, of_sun = sun_prior(known)
-        if prior is not None and not follows_clock(settings.light, settings.prior):
-            name = name_of(settings.light)
+        if prior is not None and not follows_clock(settings.light_there, settings.prior):
+            name = name_of(settings.light_there)
             prior, of_sun = None, (f"{name}: no light by the clock, time and place were not used",)
         notes = (*(f"{names[0]}: {note}" for note in known.notes), *of_sun, *_unused(taken, known))
         return Pictures(
@@ -300,6 +301,7 @@ class Pictures:
             seen=tuple(seen),
             taken=self.taken,
             seconds=self.seconds,
+            detail=self.settings.detail,
         )
 
     @contextmanager

@@ -4,6 +4,7 @@ The report of one face has the photograph, the head framed, the face re-rendered
 light and the numbers; that of several faces a row for each.
 """
 
+import json
 import math
 import re
 from pathlib import Path
@@ -33,6 +34,7 @@ from skylight._figures import (
 from skylight.estimation._summary import (
     PhotoEstimate,
     describe,
+    describe_lights,
     draw_region,
     posterior_map,
     probe_title,
@@ -44,9 +46,10 @@ from skylight.faces._model import HeadModel
 from skylight.faces._observe import FaceView
 from skylight.imaging._colour import tone_map
 from skylight.imaging._photo import Photo
+from skylight.imaging._preview import write_probe
 from skylight.io._atomic import atomic_path
 from skylight.io._bounded import write_json
-from skylight.io._files import write_environment_map, write_probe
+from skylight.io._files import write_environment_map
 from skylight.sphere._envmap import luminance
 from skylight.transport._cameras import Camera
 from skylight.transport._rays import Raycaster
@@ -330,7 +333,7 @@ def _faces(area: "SubFigure", result: PhotoEstimate) -> None:
 
 def _light(area: "Figure | SubFigure", cells: "GridSpecBase", result: PhotoEstimate) -> None:
     """The light, things in it, and the numbers, in two rows of three cells."""
-    environment, posterior = result.estimate.environment, result.estimate.posterior
+    environment, posterior = result.probe, result.estimate.posterior
     probe = area.add_subplot(cells[:, 0])
     show_probe(probe, environment, probe_title(posterior))
     draw_region(probe, posterior, environment.layout[0])
@@ -381,12 +384,13 @@ SOME_FILES = re.compile(r"mesh(_[1-9][0-9]*)?\.obj|probe_[0-9]{3}\.exr|(film|est
 
 
 def write_results(folder: Path, result: PhotoEstimate, *, keep_place: bool = False) -> None:
-    """probe.exr, probe.hdr, posterior.exr, mesh.obj, estimate.json and report.png of one estimate.
+    """probe.exr, .hdr, .png, posterior.exr, mesh.obj, estimate.json, report.png of an estimate.
 
     Several faces have a mesh each, mesh_1.obj and so on, in the order of estimate.json. Time,
     place and heading are private, and stand in estimate.json only with ``keep_place``.
     """
-    write_probe(folder, result.estimate.environment)
+    lights = json.dumps(describe_lights(result.estimate))
+    write_probe(folder, result.probe, lights=lights)
     write_environment_map(folder / "posterior.exr", posterior_map(result.estimate.posterior))
     write_json(folder / "estimate.json", describe(result, keep_place=keep_place))
     for name, seen in zip(mesh_names(result), result.seen, strict=True):

@@ -12,18 +12,27 @@ from typing import TypedDict
 import torch
 
 from skylight._names import (
+    DEFAULT_DETAIL,
     DEFAULT_LIGHT,
     DEFAULT_SOLVER,
+    DetailName,
     HeadName,
     LandmarkerName,
+    Place,
     SolverName,
     WhichFaces,
+    check_detail_name,
     check_solver_name,
 )
 from skylight.faces._landmarkers import choose_landmarker
 from skylight.faces._landmarks import FaceLandmarker
 from skylight.imaging._colour import Decode
-from skylight.inverse._estimate import bundle_of, check_goes_together, light_problems
+from skylight.inverse._estimate import (
+    bundle_of,
+    check_goes_together,
+    light_problems,
+    light_there,
+)
 from skylight.inverse._own_light import own_light, told
 from skylight.inverse._problem import LightProblem
 from skylight.inverse._sky import SOLVERS
@@ -47,6 +56,8 @@ class SettingKeywords(TypedDict, total=False):
     landmarks: LandmarkerName | FaceLandmarker
     ignore_exif_sun: bool
     ground: KnownGround | None
+    place: Place
+    detail: DetailName
     device: str
 
 
@@ -88,6 +99,13 @@ class EstimateSettings:
     ground
         The albedo of the ground where it is known, for skies over a ground ("auto",
         "autoencoder", "sunsky", your own); by default what is usual.
+    place
+        "outdoors", "indoors" or "flash" (on the camera) where that is known: chooses the light
+        model in place of "auto" and the default.
+    detail
+        What the written map shows beside its light (:mod:`~skylight.estimation._detail`): "none",
+        "photo" (the photograph's own pixels inside its view) or "mirrored" (its texture round the
+        sphere too, for reflections). The light stays the same.
     device
         Where light is traced and optimised: "cpu", "cuda", or "auto" for CUDA where it is.
 
@@ -107,15 +125,24 @@ class EstimateSettings:
     landmarks: LandmarkerName | FaceLandmarker = "mediapipe"
     ignore_exif_sun: bool = False
     ground: KnownGround | None = None
+    place: Place = "auto"
+    detail: DetailName = DEFAULT_DETAIL
     device: str = "auto"
 
     def __post_init__(self) -> None:
-        check_goes_together(self.light, self.prior, self.model)
-        check_solver_name(self.solver, name_of(self.light))
-        check_has_ground(self.light, self.ground)
+        light = self.light_there
+        check_goes_together(light, self.prior, self.model)
+        check_solver_name(self.solver, name_of(light))
+        check_has_ground(light, self.ground)
+        check_detail_name(self.detail)
         where = choose_device(self.device)
         if not isinstance(self.light, str):
             own_light(self.light, self.prior, where)
+
+    @property
+    def light_there(self) -> Light:
+        """The light model that is looked for, with what is known of the place."""
+        return light_there(self.light, self.place)
 
     @property
     def landmarker(self) -> FaceLandmarker:
@@ -149,6 +176,7 @@ class EstimateSettings:
             options=replace(SOLVERS[self.solver], ground=self.ground),
             sun_priors=sun_priors,
             exposures=exposures,
+            place=self.place,
             device=self.device,
         )
 
@@ -164,6 +192,8 @@ class EstimateSettings:
             facts["model"] = bundle_of(self.model).fingerprint
         if self.solver == DEFAULT_SOLVER:  # notes of runs before there was another
             del facts["solver"]
+        if self.place == "auto":
+            del facts["place"]
         if self.ground is None:
             del facts["ground"]
         else:

@@ -6,6 +6,7 @@ How sure the light is, is told as numbers, as text, as an environment map, and a
 import math
 import platform
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,9 @@ from torch import Tensor
 
 from skylight import __version__
 from skylight._figures import angles_deg, describe_lamps, named_angles
+from skylight._names import DetailName
+from skylight.estimation._detail import detailed
+from skylight.estimation._lights import lights_apart
 from skylight.faces._fit import FaceFit
 from skylight.faces._landmarks import DetectedFace
 from skylight.faces._observe import FaceView
@@ -63,7 +67,8 @@ class PhotoEstimate:
 
     ``photos`` and their ``names`` are all that were given; ``seen`` holds the faces of
     ``estimate.faces``, in their order; ``face``, ``fit`` and ``view`` are the first one's.
-    ``taken`` is what was known of time, place and heading, which results do not repeat.
+    ``taken`` is what was known of time, place and heading, which results do not repeat. ``detail``
+    is what ``probe`` shows beside the light.
     """
 
     estimate: Estimate
@@ -72,6 +77,16 @@ class PhotoEstimate:
     seen: tuple[SeenFace, ...]
     taken: CaptureMetadata
     seconds: dict[str, float] = field(default_factory=dict)
+    detail: DetailName = "none"
+
+    @cached_property
+    def probe(self) -> EnvironmentMap:
+        """The estimate's map as it is written, with the (first) photograph's detail."""
+        if not self.seen:
+            return self.estimate.environment
+        photo = self.seen[0].photo
+        fits = [one.fit for one in self.seen if one.photo == photo]
+        return detailed(self.estimate, self.photos[photo], fits, self.detail)
 
     @property
     def face(self) -> DetectedFace:
@@ -196,6 +211,8 @@ def describe(result: PhotoEstimate, *, keep_place: bool) -> dict[str, object]:
         "choice": None if estimate.choice is None else asdict(estimate.choice),
         "sun": named_angles(estimate.sun_direction),
         "lamps": describe_lamps(estimate.lamps),
+        "lights": describe_lights(estimate),
+        "detail": result.detail,
         "posterior": describe_posterior(estimate.posterior),
         "ground_albedo": estimate.ground_albedo.tolist(),
         "params": estimate.params.tolist(),
@@ -214,6 +231,11 @@ def describe(result: PhotoEstimate, *, keep_place: bool) -> dict[str, object]:
         "seed": None,  # no step of an estimate draws random numbers
         **({"taken": _describe_taken(result.taken)} if keep_place else {}),
     }
+
+
+def describe_lights(estimate: Estimate) -> list[dict[str, object]]:
+    """The sun or the lamps, with their true size: what estimate.json and probe.exr's header say."""
+    return [light.described() for light in lights_apart(estimate)[1]]
 
 
 def _describe_taken(taken: CaptureMetadata) -> dict[str, object]:

@@ -10,12 +10,14 @@ from skylight._modes import without_autocast
 from skylight._names import (
     DEFAULT_LIGHT,
     SKY_LIGHTS,
+    Place,
     check_is_trained,
     check_light_name,
+    light_at,
 )
 from skylight.errors import InputError
 from skylight.faces._skin import SkinPrior
-from skylight.inverse._auto import AutoProblem
+from skylight.inverse._auto import CAMERA_DIRECTION, AutoProblem
 from skylight.inverse._descent import Stage
 from skylight.inverse._faces import Level
 from skylight.inverse._harmonic import HarmonicProblem
@@ -44,7 +46,10 @@ from skylight.transport._observation import Observation
 from skylight.work._device import choose_device
 from skylight.work._progress import Progress
 
-SPHERE = LampFamily(light=SphereLight, prior=SpherePrior)
+KINDS_OF_PLACE: dict[Place, tuple[str, ...]] = {
+    "outdoors": ("outdoors", "street"),
+    "indoors": ("home", "workplace", "studio", "car"),
+}
 # Latents are many, so what is coarse is coarse in light too
 SPHERE_COARSE = (
     Stage(level=Level(2, light=1), starts=10, iterations=6, even_skin=True, steps="broyden"),
@@ -68,6 +73,7 @@ def estimate_light(
     options: SolverOptions | None = None,
     sun_prior: SunPrior | None = None,
     exposure: float | None = None,
+    place: Place = "auto",
     device: str = "auto",
     progress: Progress | None = None,
 ) -> Estimate:
@@ -104,6 +110,9 @@ def estimate_light(
     exposure
         The exposure value at ISO 100, which tells "auto" of rooms and daylight
         (:func:`~skylight.imaging._exif.exposure_value`); others do not use it.
+    place
+        "outdoors", "indoors" or "flash" where that is known: it chooses the model in place of
+        "auto" and the default, and with a flash one lamp is looked for at the camera too.
     device
         "cpu", "cuda", or "auto" for CUDA where it is. Transport is moved there once. The estimate
         is on the CPU.
@@ -130,6 +139,7 @@ def estimate_light(
         options=options,
         sun_priors=[sun_prior],
         exposures=[exposure],
+        place=place,
         device=device,
     )
     for observation, photo in zip(observations, photos, strict=True):
@@ -187,6 +197,7 @@ def light_problems(
     options: SolverOptions | None = None,
     sun_priors: Sequence[SunPrior | None] | None = None,
     exposures: Sequence[float | None] | None = None,
+    place: Place = "auto",
     device: str = "auto",
 ) -> Sequence[LightProblem]:
     """So many empty problems of one light model, for :func:`~skylight.inverse._problem.solve`.
@@ -196,6 +207,7 @@ def light_problems(
     """
     sun_priors = sun_priors or [None] * count
     exposures = exposures or [None] * count
+    light = light_there(light, place)
     check_goes_together(light, prior, model)
     where, options = choose_device(device), options or SolverOptions()
     if not follows_clock(light, prior) and any(one is not None for one in sun_priors):
@@ -211,9 +223,15 @@ def light_problems(
         return [HarmonicProblem(harmonics, skin, modes, one) for one in sun_priors]
     if light == "sphere":
         efforts = replace(lamps, coarse=SPHERE_COARSE, fine=SPHERE_FINE)
-        return [LampsProblem(skin, modes, efforts, SPHERE) for _ in sun_priors]
+        kinds = KINDS_OF_PLACE.get(place)
+        family = LampFamily(
+            light=SphereLight, prior=lambda lobes: SpherePrior(lobes, only=kinds)
+        )
+        towards = CAMERA_DIRECTION[None] if place == "flash" else None
+        return [LampsProblem(skin, modes, efforts, family, towards=towards) for _ in sun_priors]
     if light == "lamps":
-        return [LampsProblem(skin, modes, lamps) for _ in sun_priors]
+        towards = CAMERA_DIRECTION[None] if place == "flash" else None
+        return [LampsProblem(skin, modes, lamps, towards=towards) for _ in sun_priors]
     if not isinstance(light, str):
         own, over = own_light(light, prior, where)
         if type(light) is LampsLight:
@@ -236,6 +254,17 @@ def light_problems(
             for sky, exposure in zip(skies, exposures, strict=True)
         ]
     return skies
+
+
+def light_there(light: Light, place: Place) -> Light:
+    """:func:`~skylight._names.light_at`, for which a model of one's own is chosen already."""
+    if isinstance(light, str):
+        return light_at(check_light_name(light), place)
+    if place != "auto":
+        raise InputError(
+            f"a place chooses a light model, and {called(light)} is one: leave place out"
+        )
+    return light
 
 
 def _degree(light: Light, prior: LightPrior | None) -> int | None:

@@ -18,7 +18,7 @@ from skylight.inverse._faces import ObjectiveWeights, data_term
 from skylight.inverse._gauss_newton import charbonnier
 from skylight.inverse._posterior import face_evidence, sun_evidence
 from skylight.inverse._problem import LightProblem
-from skylight.inverse._result import Estimate, FaceLight, residual
+from skylight.inverse._result import MAP_ROWS, Estimate, FaceLight, residual
 from skylight.inverse._scale import bayes_scale, scale_nll, tone_prior
 from skylight.inverse._scan import SCAN_HEIGHT, scan_faces
 from skylight.inverse._solution import Search, estimate_of
@@ -232,10 +232,8 @@ class HarmonicProblem(LightProblem):
         seen = _grey(albedos) if self._grey else albedos
         coefficients = (fit.product / seen[0]).float()
         with torch.no_grad():
-            radiance = model(coefficients.reshape(1, -1))[0]
-        layout = model.grid.layout
-        assert layout is not None
-        environment = EnvironmentMap(radiance=radiance.reshape(*layout, 3).float().cpu())
+            radiance = model.on_rows(MAP_ROWS)(coefficients.reshape(1, -1))[0]
+        environment = EnvironmentMap(radiance=radiance.reshape(MAP_ROWS, -1, 3).float().cpu())
         coarse = environment.resize(ROWS).flat.to(radiance.device)
         lights = []
         for k, (face, photo) in enumerate(zip(faces, self._photos, strict=True)):

@@ -29,7 +29,7 @@ from skylight.inverse._least_squares import nnls
 from skylight.inverse._objective import LightObjective
 from skylight.inverse._posterior import face_evidence, sun_evidence
 from skylight.inverse._problem import LightProblem
-from skylight.inverse._result import Estimate, Lamp
+from skylight.inverse._result import MAP_ROWS, Estimate, Lamp
 from skylight.inverse._scan import SCAN_HEIGHT, SunScan, scan_faces
 from skylight.inverse._solution import Solutions, estimate_of, face_lights, log_evidence
 from skylight.models._base import Prior
@@ -158,7 +158,6 @@ MOST_LAMPS = 3
 # rendered faces under one sun were multiplied by smooth fields of 15 %, which makes residuals those
 # of photographs, a second lamp brought up to 19.
 LEAST_GAIN = 25.0
-MAP_ROWS = 64
 Point = TypeVar("Point")
 
 
@@ -257,7 +256,8 @@ class LampsProblem(LightProblem):
     Light is on :data:`~skylight.inverse._scan.SCAN_HEIGHT` rows of the sphere: two thirds of the
     memory that a sky has, 130 MB for a face of 3,700 pixels with specular reflection. Everything is
     computed on the device of ``albedo_modes``, where the prior has to be. There are as many lamps
-    as pay, or ``exactly`` so many.
+    as pay, or ``exactly`` so many. ``towards`` are directions that one lamp is looked for in
+    besides those of the scan.
     """
 
     uses_background = True
@@ -269,8 +269,9 @@ class LampsProblem(LightProblem):
         options: LampsOptions | None = None,
         family: LampFamily = LAMPS,
         exactly: int | None = None,
+        towards: Float[Tensor, "d 3"] | None = None,
     ) -> None:
-        self.family, self.exactly = family, exactly
+        self.family, self.exactly, self.towards = family, exactly, towards
         self.albedo_prior, self.albedo_modes = albedo_prior, albedo_modes
         self.options = options or LampsOptions()
         self.faces = LitFaces()
@@ -308,8 +309,9 @@ class LampsProblem(LightProblem):
             assert isinstance(model, LampedLight)
             towards = pursuit.starts(model, options.sets)
             if count == 1:
-                scanned = model.starts_towards(scan.candidates)
-                towards = torch.cat([towards, scanned.to(towards)])
+                tried = [scan.candidates, *([] if self.towards is None else [self.towards])]
+                scanned = [model.starts_towards(each).to(towards) for each in tried]
+                towards = torch.cat([towards, *scanned])
             turns = model.azimuth_index is not None  # to where the sets are, as starts are not
             chosen = choose_starts(objective, towards, self.albedo_modes, centroids=not turns)
             points = Iterates.starting(*chosen)

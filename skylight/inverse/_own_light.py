@@ -16,7 +16,8 @@ from torch.distributions import Distribution
 
 from skylight._modes import Derived
 from skylight.errors import InputError
-from skylight.inverse._sky import SKY_ROWS, require_light
+from skylight.inverse._result import MAP_ROWS
+from skylight.inverse._sky import require_light
 from skylight.io._tensors import tensors_sha256
 from skylight.models._base import (
     Light,
@@ -135,7 +136,8 @@ def own_light(
     light = OwnLight(model, rows if model.grid.is_sphere else rows // 2, starts.dtype)
     starts = starts[:4].to(where, torch.float32)
     free = _check_bounds(light, starts)
-    for each in {light.grid.layout, model.grid.layout, light.on_rows(SKY_ROWS).grid.layout}:
+    shown = light.on_rows(MAP_ROWS if model.grid.is_sphere else MAP_ROWS // 2)
+    for each in {light.grid.layout, model.grid.layout, shown.grid.layout}:
         assert each is not None
         _check_radiance(light.on_rows(each[0]), starts)
     _check_gradient(light, free)

@@ -19,6 +19,7 @@ Scene = Literal[
     "no open sky, two lamps",
     "no open sky, three lamps",
 ]
+MAP_ROWS = 256  # of an estimate's map: of the whole sphere
 UNEXPLAINED = 0.25  # a face whose residual is larger cannot be trusted
 
 
@@ -81,9 +82,9 @@ class Choice:
 class Estimate:
     """The light of a picture, in its camera's frame and its own radiance units.
 
-    ``environment`` is a full map, of 128 x 256 pixels where it is a sky, else of 64 x 128;
-    ``faces`` what was lit by it, one or more, in the order in which they were given; ``terms``
-    the parts of the objective (nats) at the end;
+    ``environment`` is a full map of :data:`MAP_ROWS` rows, 256 x 512 pixels; ``faces`` what was
+    lit by it, one or more, in the order in which they were given; ``terms`` the parts of the
+    objective (nats) at the end;
     ``params`` those of the light model. ``status`` is "converged" where the optimisation ended
     at a minimum, else how it ended (``stats["nonfinite"]`` counts steps taken back in either
     case), and ``advice`` says what to do where the result should not be trusted (empty where

@@ -27,7 +27,7 @@ from skylight.inverse._faces import FaceTerm, Level, LitFaces, ObjectiveWeights,
 from skylight.inverse._objective import LightObjective
 from skylight.inverse._posterior import SunEvidence, credible, face_evidence, sun_evidence
 from skylight.inverse._problem import LightProblem
-from skylight.inverse._result import Estimate
+from skylight.inverse._result import MAP_ROWS, Estimate
 from skylight.inverse._scan import SunScan, scan_faces
 from skylight.inverse._solution import Solutions, estimate_of, face_lights
 from skylight.inverse._sun_prior import SunPrior
@@ -44,7 +44,6 @@ from skylight.work._progress import Progress
 
 T = TypeVar("T")
 BELOW_ZERO = 1e-6  # of the largest radiance: less is rounding
-SKY_ROWS = 64  # of an estimate's sky; the objective works on those of the light model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,17 +200,19 @@ def environment_of(
     ground_albedo: Float[Tensor, " g"],
     exposure: float,
 ) -> EnvironmentMap:
-    """A sky above its ground, on :data:`SKY_ROWS` rows each, in a picture's units, on the CPU.
+    """The map, of :data:`MAP_ROWS` rows, in a picture's units, on the CPU: a sky over its ground.
 
-    A model of the whole sphere has as many rows in all. :class:`InputError` where that is no light.
+    :class:`InputError` where that is no light.
     """
-    light = model.on_rows(SKY_ROWS)(params[None])[0] * exposure
+    rows = MAP_ROWS if model.grid.is_sphere else MAP_ROWS // 2
+    light = model.on_rows(rows)(params[None])[0] * exposure
     require_light(light, model.name, "the parameters found")
     light = light.cpu().clamp(min=0)
     if model.grid.is_sphere:
-        return EnvironmentMap(radiance=light.reshape(SKY_ROWS, 2 * SKY_ROWS, 3))
-    full = LambertianGround(SKY_ROWS).append(light, ground_albedo.cpu())
-    return EnvironmentMap(radiance=full.reshape(2 * SKY_ROWS, 4 * SKY_ROWS, 3))
+        full = light
+    else:
+        full = LambertianGround(rows).append(light, ground_albedo.cpu())
+    return EnvironmentMap(radiance=full.reshape(MAP_ROWS, 2 * MAP_ROWS, 3))
 
 
 def require_light(radiance: Float[Tensor, "*batch n 3"], name: str, at: str) -> None:

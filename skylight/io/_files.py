@@ -62,24 +62,20 @@ def read_light(
     return torch.from_numpy(read_radiances(path, layer=layer, repair=repair))
 
 
-def write_probe(folder: Path, environment: EnvironmentMap) -> None:
-    """probe.exr and probe.hdr, as all commands that make a light probe leave it."""
-    for name in ("probe.exr", "probe.hdr"):
-        write_environment_map(folder / name, environment)
-
-
 def write_environment_map(
     path: str | Path,
     environment: EnvironmentMap,
     *,
     half: bool = False,
     convention: Convention = "skylight",
+    header: dict[str, object] | None = None,
 ) -> None:
     """Write a map as .exr (single precision, or half) or .hdr (RGBE), laid out as asked.
 
     An .exr carries the Rec.709 chromaticities and, for a full map, the standard ``envmap``
     attribute. That attribute names the projection; the orientation is OpenEXR's own only where
-    ``convention`` is "openexr", so a comment in the header names it.
+    ``convention`` is "openexr", so a comment in the header names it. ``header`` has further
+    attributes of an .exr (see OpenEXR).
 
     Raises
     ------
@@ -87,7 +83,7 @@ def write_environment_map(
         Values that no reader should meet (NaN, negative, infinite, too large for the format),
         or a disk that does not take the file. A file that was there before is left as it was.
     """
-    header: dict[str, object] = {"comments": f"lat-long, {convention} convention"}
+    header = {"comments": f"lat-long, {convention} convention"} | (header or {})
     if not environment.is_sky:
         header["envmap"] = OpenEXR.ENVMAP_LATLONG
     picture = convert_latlong(environment.radiance, "skylight", convention)

@@ -39,7 +39,7 @@ from skylight.transport._mesh import read_mesh
 
 PAGE_BYTES_MAX = 3_000_000  # what mail takes everywhere
 PHOTO_PX = 1280  # longest side
-MAP_ROWS = 128  # of a sky's estimate, the largest
+MAP_ROWS = 128  # an estimate has twice as many: a page takes a quarter of the bytes
 MAP_BYTES_MAX = 2**26
 _QUALITY = 85
 _POSTERIOR = "posterior.exr"

@@ -31,8 +31,8 @@ from skylight.errors import InputError
 from skylight.imaging._colour import tone_map
 from skylight.imaging._photo import Photo
 from skylight.imaging._pictures import stored_picture
+from skylight.imaging._preview import write_probe
 from skylight.io._bounded import write_json
-from skylight.io._files import write_probe
 from skylight.object._problem import ObjectLight, estimate_object_light
 from skylight.object._view import ObjectMaterial, ObjectView, observe_object
 from skylight.sphere._envmap import EnvironmentMap, luminance

@@ -14,8 +14,8 @@ from jaxtyping import Float, UInt8
 
 from skylight import __version__
 from skylight._figures import ACCENT, STYLE, save, show, show_probe, write_numbers
+from skylight.imaging._preview import write_probe
 from skylight.io._bounded import write_json
-from skylight.io._files import write_probe
 from skylight.probes._probe_map import ProbeMap
 from skylight.probes.cameras._exposures import Clipping
 from skylight.probes.cameras._response import Response

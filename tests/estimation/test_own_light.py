@@ -89,9 +89,9 @@ def test_results_are_read_as_any_others(
     assert told["posterior"]["verdict"] == "reliable"
     assert told["faces"][0]["residual"] < 0.25
     written = read_environment_map(out / "probe.exr")
-    assert written.layout == (64, 128)
+    assert written.layout == (256, 512)
     moved = light_with_sun_at(result.estimate, -60.0, 40.0)
-    assert moved.environment.layout == (64, 128)
+    assert moved.environment.layout == (256, 512)
     truth = str(out / "probe.hdr")
     assert main(["score", str(out / "probe.exr"), truth]) == 0
     assert main(["export", "blender", str(out), str(tmp_path / "scene")]) == 0

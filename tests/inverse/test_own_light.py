@@ -100,7 +100,7 @@ def test_a_lamp_below_the_horizon_is_found() -> None:
     seen = lit_by(Lantern(), [-1.0, -0.8, -0.5, 0.5, 0.4, 0.3, *towards.tolist()])
     light = found(seen, Lantern())
     assert math.degrees(angle_between(light.sun_direction, towards)) < 0.1
-    assert light.environment.layout == (64, 128)
+    assert light.environment.layout == (256, 512)
     assert (light.light, light.faces[0].residual < 0.01) == ("Lantern", True)
     assert light.posterior.grid.is_sphere
     assert light.posterior.verdict == "reliable"
@@ -140,7 +140,7 @@ def test_a_sun_is_found_on_any_rows(light: Callable[[], Dome], under_dome: Obser
     light_found = found(under_dome, light())
     towards = direction_from_angles(*torch.tensor(DOME[6:], dtype=torch.float64))
     assert math.degrees(angle_between(light_found.sun_direction, towards)) < 2.9
-    assert light_found.environment.layout == (128, 256)
+    assert light_found.environment.layout == (256, 512)
     assert light_found.params.shape == (8,)
 
 
@@ -349,7 +349,7 @@ class Logged(Dome):
         (Whole(), r"Whole.*starts\(\) must be .* in floating point"),
         (Distant(), r"Distant.*unit vectors, not of length \[\[[23]\."),
         (Batched(), r"Batched.*sun_direction must have the shape \(2, 1, 3\)"),
-        (Striped(), r"Striped.*fails on the rows \(64, 256\) of its on_rows \(The size"),
+        (Striped(), r"Striped.*fails on the rows \(128, 512\) of its on_rows \(The size"),
         (Logged(), "Logged.*cannot be copied .*lock.*detached tensors"),
     ],
 )

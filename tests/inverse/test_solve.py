@@ -205,7 +205,7 @@ def test_a_darker_lower_half_is_no_higher_sun(sun):
 def test_an_estimate_is_in_itself_consistent(first):
     observation, found = first
     assert found.light == "sunsky"
-    assert found.environment.layout == (128, 256)
+    assert found.environment.layout == (256, 512)
     assert (found.environment.radiance >= 0).all()
     # the picture again from the parameters, on the rows that it was fitted on
     sky = SunSky()(found.params[None])[0] * found.exposure

@@ -24,7 +24,7 @@ from tests.cli.test_cli import one_line
 from tests.imaging.picture_files import camera_exif
 
 CAMERA = {"fov_deg": 36, "position": [3, 1.2, -2.6], "look_at": [0, 0, 0]}
-RESULTS = {"probe.exr", "probe.hdr", "estimate.json", "comparison.png"}
+RESULTS = {"probe.exr", "probe.hdr", "probe.png", "estimate.json", "comparison.png"}
 SIZE = 40
 LAMP = (0.8, 0.6, 0.0)  # 53 degrees from +Y towards +X
 

@@ -19,7 +19,8 @@ from skylight.io._files import read_environment_map
 from skylight.studio._jobs import GONE_S
 from tests.studio.conftest import JOBS, PATIENCE_S, STAGES, Served, begin, events, finished
 
-FILES = ["estimate.json", "mesh.obj", "posterior.exr", "probe.exr", "probe.hdr", "report.png"]
+MAPS = ["posterior.exr", "probe.exr", "probe.hdr", "probe.png"]
+FILES = ["estimate.json", "mesh.obj", *MAPS, "report.png"]
 
 
 def test_an_estimate_tells_how_far_it_is(estimated: list[dict[str, Any]]) -> None:

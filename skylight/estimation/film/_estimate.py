@@ -74,12 +74,13 @@ class FilmSettings:
             "--head": self.estimate.head != usual.head,
             "--landmarks": self.estimate.landmarks != usual.landmarks,
             "--solver": self.estimate.solver != usual.solver,
+            "--detail": self.estimate.detail != usual.detail,
         }.items():
             if is_given:
                 raise InputError(
                     f"{option}: not for films, in which one face is followed by MediaPipe"
                 )
-        light = self.estimate.light
+        light = self.estimate.light_there
         if light == "auto" or not is_sky(light):
             raise InputError(
                 f"--video is for the sky: --light autoencoder or sunsky, not {name_of(light)}"

@@ -27,8 +27,9 @@ from skylight.estimation._summary import (
 from skylight.estimation.film._estimate import FilmEstimate
 from skylight.estimation.film._light import FrameLight
 from skylight.imaging._photo import read_photo
+from skylight.imaging._preview import write_probe
 from skylight.io._bounded import write_json
-from skylight.io._files import write_environment_map, write_probe
+from skylight.io._files import write_environment_map
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

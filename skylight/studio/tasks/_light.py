@@ -25,8 +25,7 @@ from skylight.estimation._report import over_grey, write_results
 from skylight.estimation._summary import PhotoEstimate
 from skylight.imaging._colour import tone_map
 from skylight.inverse._lamp_relighting import FaceTransport, LampLight
-from skylight.inverse._lamps import MAP_ROWS
-from skylight.inverse._result import Lamp
+from skylight.inverse._result import MAP_ROWS, Lamp
 from skylight.io._files import write_environment_map, write_png
 from skylight.io._tensors import read_tensors, write_tensors
 from skylight.models._bundle import own_model

@@ -50,9 +50,9 @@ class TestALightOfAFilm:
         assert [one["frame"] for one in told["keyframes"]] == [0, 2]
         assert [one["time_s"] for one in told["keyframes"]] == pytest.approx([0, 0.2])
         for one in told["keyframes"]:
-            assert read_environment_map(out / one["probe"]).layout == (128, 256)
+            assert read_environment_map(out / one["probe"]).layout == (256, 512)
             assert one["residual"] < 0.25
-        assert read_environment_map(out / "probe.exr").layout == (128, 256)
+        assert read_environment_map(out / "probe.exr").layout == (256, 512)
         assert {"posterior.exr", "probe.hdr", "mesh.obj", "report.png"} <= {
             path.name for path in out.iterdir()
         }

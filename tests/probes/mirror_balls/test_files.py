@@ -23,7 +23,7 @@ from tests.probes.mirror_balls.conftest import (
 )
 
 TIMES = (1 / 64, 1 / 16, 1 / 4)
-RESULTS = {"probe.exr", "probe.hdr", "probe.json", "report.png"}
+RESULTS = {"probe.exr", "probe.hdr", "probe.png", "probe.json", "report.png"}
 
 
 def save_bracket(

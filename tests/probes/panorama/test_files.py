@@ -17,7 +17,7 @@ from tests.cli.test_cli import one_line
 from tests.turning_camera import HEAD, LENS, SUN_IRRADIANCE, TIMES, pictures, sun_irradiance
 from tests.virtual_camera import expose
 
-RESULTS = {"probe.exr", "probe.hdr", "probe.json", "report.png"}
+RESULTS = {"probe.exr", "probe.hdr", "probe.png", "probe.json", "report.png"}
 LEVEL = range(8, 16)  # the shots at the horizon
 
 

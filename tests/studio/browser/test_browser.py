@@ -133,7 +133,7 @@ def test_from_a_dropped_photo_to_a_downloaded_map(
     with urllib.request.urlopen(f"{studio_address}{href}") as answer:
         assert saved.read_bytes() == answer.read()
     environment = skylight.read_environment_map(saved)
-    assert environment.radiance.shape == (64, 128, 3)
+    assert environment.radiance.shape == (256, 512, 3)
     assert float(environment.radiance.max()) > 0
 
     with page.expect_download() as download:
