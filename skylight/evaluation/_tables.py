@@ -110,10 +110,10 @@ LABELS = {
 _COLUMNS = 8
 GROUPED_BY = (
     "category",
+    "direction",
     "half",
     "regime",
     "skin tone",
-    "verdict",
 )  # facts of which each value gets its own rows
 _PEERS_METRICS = ("psnr", "tone_mapped_ssim")
 # Heading, columns, rows: what others measured by the same protocol, on their own maps.
