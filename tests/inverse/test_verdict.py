@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from skylight.evaluation._known_faces import fitted_head, light_of, rendered_here
 from skylight.inverse._posterior import SunEvidence
 from skylight.inverse._result import misplaced_shading
 from skylight.inverse._verdict import (
@@ -20,8 +21,8 @@ from skylight.inverse._verdict import (
     spread_of,
     verdict_of,
 )
-from skylight.sphere._envmap import EnvironmentMap
-from skylight.sphere._frame import DirectionGrid, direction_from_angles
+from skylight.sphere._envmap import EnvironmentMap, luminance
+from skylight.sphere._frame import DirectionGrid, angle_between, direction_from_angles
 from skylight.transport._matrix import TransportMatrix
 from skylight.transport._observation import Observation
 from tests.inverse.test_posterior import CELLS, evidence_of, posterior_of, towards
@@ -237,3 +238,22 @@ def test_constant_evidence_tells_no_direction():
     flat = SunEvidence(deviations=torch.full((len(CELLS),), 0.1), gain=0.5)
     sun = direction_from_angles(*torch.tensor([2.0, 1.0]).double())
     assert verdict_of(SUNNY, sun, posterior_of(flat), SMALL).direction.word == "unknown"
+
+
+@pytest.mark.slow
+def test_what_is_said_of_rendered_people_holds():
+    """Of four simulated suns all are within 10 degrees, and three as bright and red as is said."""
+    held = {"brightness": 0, "colour": 0}
+    for number in range(4):
+        face = rendered_here(46_000_000 + 2000 * number, 256)
+        lit_face = light_of(face, fitted_head(face, {}), ("lamps",), {})
+        found = lit_face.estimates["lamps"]
+        verdict, sun = found.verdict, face.environment.brightest_direction()
+        assert (verdict.doubt, verdict.direction.word) == ("", "sure")
+        assert math.degrees(float(angle_between(found.sun_direction.double(), sun.double()))) < 10
+        whole = found.environment.integrate().double(), face.environment.integrate().double()
+        level = float((luminance(whole[0]) / luminance(whole[1])).log().abs())
+        tint = ((whole[0] / whole[0][1]) / (whole[1] / whole[1][1])).log().abs().max()
+        held["brightness"] += level <= math.log(verdict.brightness.within)
+        held["colour"] += float(tint) <= math.log(verdict.colour.within)
+    assert min(held.values()) >= 3
