@@ -37,8 +37,9 @@ def estimated(folder: Path, light: str = "sh9") -> tuple[Path, Path]:
 
 
 def rewrite(results: Path, **changed: Any) -> None:
-    """Other values in estimate.json; of "posterior" those that are named."""
+    """Other values in estimate.json; of "posterior" and "verdict" those that are named."""
     path = results / "estimate.json"
     content = json.loads(path.read_text(encoding="utf-8"))
-    changed["posterior"] = content["posterior"] | changed.get("posterior", {})
+    for name in ("posterior", "verdict"):
+        changed[name] = content[name] | changed.get(name, {})
     write_json(path, content | changed)

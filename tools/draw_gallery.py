@@ -122,7 +122,7 @@ def draw(photo: Path, map_path: Path, strip: Path) -> dict[str, object]:
     return {
         "columns": len(COLUMNS),
         "light": estimate.light,
-        "verdict": estimate.posterior.verdict,
+        "verdict": estimate.verdict.summary,
         "notes": list(lights[0][0].notes),
         "azimuth_deg": azimuth,
         "elevation_deg": 90 - zenith,

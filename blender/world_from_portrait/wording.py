@@ -1,18 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the panel says, and with which of Blender's icons."""
 
-# by the first word of skylight's verdict
+# by how skylight's verdict begins
 VERDICTS = {
-    "reliable": ("CHECKMARK", "The light can be trusted."),
-    "ambiguous": ("QUESTION", "The main light may stand elsewhere: see report.png."),
-    "overcast": ("LIGHT_HEMI", "The face shows no sun; its direction is a guess."),
-    "even": ("LIGHT_HEMI", "The face shows no lamp; the light is soft."),
-    "doubtful": ("QUESTION", "What was seen contradicts itself: compare with the photo."),
+    "direction sure": ("CHECKMARK", "The light comes from where it is set up."),
+    "direction rough": ("QUESTION", "The light comes from about there: compare with the photo."),
+    "direction unknown": ("LIGHT_HEMI", "The face does not tell where the light comes from."),
     "unreliable": ("ERROR", "Do not trust this light: it does not explain the face."),
 }
 UNKNOWN = "QUESTION", ""
 
 
 def of_verdict(verdict: str) -> tuple[str, str]:
-    """(icon, sentence) of a verdict such as "ambiguous: wide region"."""
-    return VERDICTS.get(verdict.partition(":")[0], UNKNOWN)
+    """(icon, sentence) of a verdict such as "direction sure, brightness rough, colour rough"."""
+    return next((told for begin, told in VERDICTS.items() if verdict.startswith(begin)), UNKNOWN)

@@ -46,7 +46,7 @@ estimate = result.estimate
 azimuth, zenith = (math.degrees(angle) for angle in angles_from_direction(estimate.sun_direction))
 print(f"brightest at azimuth {azimuth:+.0f} degrees, {zenith:.0f} from the zenith")
 print(sure_of_the_sun(estimate.posterior))
-print(estimate.posterior.verdict, *estimate.advice, sep="\n")
+print(estimate.verdict.summary, *estimate.advice, sep="\n")
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 3.6), width_ratios=(1, 2.4))
 show(left, photo.encoded, "Photograph")

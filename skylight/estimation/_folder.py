@@ -245,7 +245,7 @@ class Piece:
             status="done",
             results=folder_name(self.source),
             sun=content["sun"],
-            verdict=content["posterior"]["verdict"],
+            verdict=content["verdict"]["summary"],
             advice=content["advice"],
             versions=content["versions"],
         )

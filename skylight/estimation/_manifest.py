@@ -31,7 +31,7 @@ class Entry:
     ``error``    one line, empty where it is done.
     ``seconds``  of one worker; None where that was lost.
     ``sun``      azimuth_deg and zenith_deg in the camera's frame, as in estimate.json.
-    ``verdict``  how sure the sun is; ``advice`` what speaks against trust.
+    ``verdict``  how sure the light is; ``advice`` what speaks against trust.
     """
 
     source: str

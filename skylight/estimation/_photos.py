@@ -281,8 +281,7 @@ class Pictures:
                 "overlay"
             )
         if len(no_heads) == len(seen):
-            posterior = replace(light.posterior, verdict="unreliable: hardly a face")
-            light = replace(light, posterior=posterior)
+            light = replace(light, doubt="hardly a face")
         advice = (
             *light.advice,
             *unsure,

@@ -38,7 +38,6 @@ from skylight.estimation._summary import (
     draw_region,
     posterior_map,
     probe_title,
-    where,
 )
 from skylight.faces._fit import FaceFit
 from skylight.faces._landmarks import DetectedFace
@@ -47,6 +46,7 @@ from skylight.faces._observe import FaceView
 from skylight.imaging._colour import tone_map
 from skylight.imaging._photo import Photo
 from skylight.imaging._preview import write_probe
+from skylight.inverse._verdict import place
 from skylight.io._atomic import atomic_path
 from skylight.io._bounded import write_json
 from skylight.io._files import write_environment_map
@@ -335,7 +335,7 @@ def _light(area: "Figure | SubFigure", cells: "GridSpecBase", result: PhotoEstim
     """The light, things in it, and the numbers, in two rows of three cells."""
     environment, posterior = result.probe, result.estimate.posterior
     probe = area.add_subplot(cells[:, 0])
-    show_probe(probe, environment, probe_title(posterior))
+    show_probe(probe, environment, probe_title(posterior, result.estimate.verdict))
     draw_region(probe, posterior, environment.layout[0])
     diffuse, metal = relit(evaluation_scene(SCENE_HEIGHT, SCENE_GRID), environment)
     show(area.add_subplot(cells[0, 1]), diffuse, "Diffuse objects in this light")
@@ -349,7 +349,7 @@ def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
     estimate, fit = result.estimate, result.fit
     azimuth_deg, zenith_deg = angles_deg(estimate.sun_direction)
     rows = [
-        ("brightest", where(azimuth_deg, zenith_deg)),
+        ("brightest", place(estimate.sun_direction)),
         ("   azimuth, right of ahead", f"{azimuth_deg:+.0f}°"),
         ("   zenith angle", f"{zenith_deg:.0f}°"),
     ]

@@ -28,6 +28,7 @@ from skylight.imaging._photo import Photo
 from skylight.inverse._posterior import SHARE, SunPosterior
 from skylight.inverse._result import Estimate, FaceLight
 from skylight.inverse._scan import SCAN_HEIGHT
+from skylight.inverse._verdict import Verdict, place
 from skylight.sphere._envmap import EnvironmentMap
 
 if TYPE_CHECKING:
@@ -101,17 +102,12 @@ class PhotoEstimate:
         return self.seen[0].view
 
 
-_UNRELIABLE = {
-    "unreliable: the face is not explained": ", were the face explained",
-    "unreliable: hardly a face": ", were it a face",
-}
 REGION = "#ffd23f"  # the line about the region
 
 
 def describe_posterior(posterior: SunPosterior) -> dict[str, object]:
     """What estimate.json says of it; the density itself is in posterior.exr."""
     return {
-        "verdict": posterior.verdict,
         "is_seen": posterior.is_seen,
         "share": SHARE,
         "region_sr": posterior.region_sr,
@@ -127,6 +123,11 @@ def describe_posterior(posterior: SunPosterior) -> dict[str, object]:
         "exposure_interval": list(posterior.exposure_interval),
         "albedo_scale_interval": list(posterior.albedo_scale_interval),
     }
+
+
+def describe_verdict(verdict: Verdict) -> dict[str, object]:
+    """What estimate.json says of it."""
+    return {"summary": verdict.summary, **asdict(verdict)}
 
 
 def edge_density(posterior: SunPosterior) -> float:
@@ -153,14 +154,13 @@ def sure_of_the_sun(posterior: SunPosterior) -> str:
         return f"none seen: {'overcast' if sky else 'even light'}, or hidden behind the head"
     size = f"a circle of {math.degrees(posterior.region_radius_rad):.0f}° radius"
     parts = sum(part.share > 0.1 * SHARE for part in posterior.parts)
-    place = size if parts < 2 else f"{parts} areas, together as large as {size}"
-    line = f"{100 * SHARE:.0f} % sure within {place}"
-    return line + _UNRELIABLE.get(posterior.verdict, "")
+    area = size if parts < 2 else f"{parts} areas, together as large as {size}"
+    return f"{100 * SHARE:.0f} % sure within {area}"
 
 
-def probe_title(posterior: SunPosterior) -> str:
+def probe_title(posterior: SunPosterior, verdict: Verdict) -> str:
     """What stands over a picture of the light."""
-    title = f"Light around the camera: {posterior.verdict}"
+    title = f"Light around the camera: {verdict.summary}"
     if not posterior.is_seen:
         return title
     whose = "main lamp's" if posterior.grid.is_sphere else "sun's"
@@ -213,6 +213,7 @@ def describe(result: PhotoEstimate, *, keep_place: bool) -> dict[str, object]:
         "lamps": describe_lamps(estimate.lamps),
         "lights": describe_lights(estimate),
         "detail": result.detail,
+        "verdict": describe_verdict(estimate.verdict),
         "posterior": describe_posterior(estimate.posterior),
         "ground_albedo": estimate.ground_albedo.tolist(),
         "params": estimate.params.tolist(),
@@ -273,17 +274,6 @@ def _describe_face(seen: SeenFace, light: FaceLight, source: str) -> dict[str, o
     }
 
 
-def where(azimuth_deg: float, zenith_deg: float) -> str:
-    """A direction in words, as the photographer would point: "behind, left, high"."""
-    if zenith_deg < 15:
-        return "overhead"
-    height = "high" if zenith_deg < 40 else "low" if zenith_deg > 70 else "half high"
-    turned = abs(azimuth_deg)
-    depth = "ahead" if turned < 67.5 else "behind" if turned > 112.5 else ""
-    side = "" if turned < 22.5 or turned > 157.5 else "left" if azimuth_deg < 0 else "right"
-    return ", ".join(part for part in (depth, side, height) if part)
-
-
 def _versions() -> dict[str, str | None]:
     found: dict[str, str | None] = {"python": platform.python_version(), "skylight": __version__}
     for package in PACKAGES:
@@ -294,39 +284,42 @@ def _versions() -> dict[str, str | None]:
     return found
 
 
-def _scene(estimate: Estimate) -> list[str]:
-    """What light it is, where that was to be found out."""
-    if estimate.choice is None:
-        return []
-    sure = round(100 * estimate.choice.probability)
-    return [f"{'light':<12}{estimate.choice.scene} ({sure} % sure, as '{estimate.light}')"]
+def told_verdict(verdict: Verdict) -> list[str]:
+    """What the light is, and how far to trust it."""
+    if verdict.doubt:
+        return [f"{'light':<12}{verdict.light}", f"{'verdict':<12}{verdict.summary}"]
+    words = {
+        "light": verdict.light,
+        "direction": verdict.direction,
+        "brightness": verdict.brightness,
+        "colour": verdict.colour,
+    }
+    return [f"{name:<12}{each}" for name, each in words.items()]
 
 
-def _further_lamps(estimate: Estimate) -> list[str]:
-    """Where those are that are not the strongest."""
-    places = (angles_deg(lamp.direction) for lamp in estimate.lamps[1:])
-    return [
-        f"{'lamp':<12}another at azimuth {azimuth_deg:+.0f}°, zenith {zenith_deg:.0f}° "
-        f"({where(azimuth_deg, zenith_deg)})"
-        for azimuth_deg, zenith_deg in places
-    ]
+def at(direction: Float[Tensor, "3"]) -> str:
+    """A direction by its angles and in words."""
+    azimuth_deg, zenith_deg = angles_deg(direction)
+    return f"azimuth {azimuth_deg:+.0f}°, zenith {zenith_deg:.0f}° ({place(direction)})"
 
 
 def summary(result: PhotoEstimate) -> str:
     """A few lines for the terminal."""
     estimate = result.estimate
-    azimuth_deg, zenith_deg = angles_deg(estimate.sun_direction)
     name = "lamp" if estimate.posterior.grid.is_sphere else "sun"
     count = len(estimate.faces)
     labels = ["face"] if count == 1 else [f"face {n}" for n in range(1, count + 1)]
     return "\n".join(
         [
-            *_scene(estimate),
-            f"brightest   azimuth {azimuth_deg:+.0f}°, zenith {zenith_deg:.0f}° "
-            f"({where(azimuth_deg, zenith_deg)})",
+            *told_verdict(estimate.verdict),
+            *(
+                [f"model       {estimate.light} ({100 * estimate.choice.probability:.0f} % sure)"]
+                if estimate.choice
+                else []
+            ),
+            f"brightest   {at(estimate.sun_direction)}",
             f"{name:<12}{sure_of_the_sun(estimate.posterior)}",
-            *_further_lamps(estimate),
-            f"verdict     {estimate.posterior.verdict}",
+            *(f"lamp        another at {at(lamp.direction)}" for lamp in estimate.lamps[1:]),
             *(
                 f"{label:<12}re-rendered to within {100 * face.residual:.0f} % on average"
                 for label, face in zip(labels, estimate.faces, strict=True)

@@ -128,7 +128,7 @@ class AnyLight(KnownFaceEvaluation):
         shown = f"{item} {Path(turned.file).stem}"
         write_png(picture, beside(face.encoded, strip(face.environment, environments), shown))
         facts |= {
-            "verdicts": {name: one.posterior.verdict for name, one in found.estimates.items()},
+            "verdicts": {name: one.verdict.summary for name, one in found.estimates.items()},
             "residuals": {name: one.faces[0].residual for name, one in found.estimates.items()},
             "pose_deg": pose_error_deg(found.fit, face.truth),
             "pixels": len(found.view.blocks),

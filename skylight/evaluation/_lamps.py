@@ -91,8 +91,8 @@ class Lamps(FaceEvaluation):
         write_png(picture, beside(shown, strip(None, environments), item))
         facts: dict[str, object] = {
             "person": item.partition("_")[0],
-            "verdict": estimate.posterior.verdict,
-            "verdicts": {name: one.posterior.verdict for name, one in estimates.items()},
+            "direction": estimate.verdict.direction.word,
+            "verdicts": {name: one.verdict.summary for name, one in estimates.items()},
             **choice_facts(estimates),
             "residual": estimate.faces[0].residual,
             "landmark_error": fit.landmark_error,
@@ -156,11 +156,11 @@ class Lamps(FaceEvaluation):
         trusted = [
             item.metrics[OURS]["angle_deg"]
             for item in items
-            if OURS in item.metrics and item.facts["verdict"] == "reliable"
+            if OURS in item.metrics and item.facts["direction"] == "sure"
         ]
         if trusted:
             share = float(np.mean(np.array(trusted) <= TRUSTED_DEG))
-            name = f"of {len(trusted)} called reliable, within {TRUSTED_DEG:g} degrees"
+            name = f"of {len(trusted)} of sure direction, within {TRUSTED_DEG:g} degrees"
             checks[name] = Check.at_least(share, TRUSTED_SHARE)
         return checks | _pose_checks(items)
 

@@ -141,7 +141,7 @@ class RealFaces(FaceEvaluation):
             "facing_deg": float(np.degrees(fit.facing_angle_rad)),
             "landmark_error": fit.landmark_error,
             "seconds": seconds,
-            "verdicts": {name: one.posterior.verdict for name, one in estimates.items()},
+            "verdicts": {name: one.verdict.summary for name, one in estimates.items()},
             **choice_facts(estimates),
             "advice": list(ours.advice),
         }

@@ -145,7 +145,7 @@ class RelitPortraits(FaceEvaluation):
         write_png(picture, np.hstack([_tile(name, one) for name, one in rows.items()]))
         facts: dict[str, object] = {
             "skin tone": old.cluster,
-            "verdict": estimate.posterior.verdict,
+            "direction": estimate.verdict.direction.word,
             "shared light": shared_light(old.environment, new.environment),
             **found.facts,
         }

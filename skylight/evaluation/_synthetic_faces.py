@@ -213,7 +213,7 @@ class SyntheticFaces(KnownFaceEvaluation):
         if OURS in metrics:
             metrics[OURS] |= {"pose_deg": pose_deg, "peak_mib": peak_mib()}
             posterior = found.estimates[OURS].posterior
-            facts["verdict"] = posterior.verdict
+            facts["direction"] = found.estimates[OURS].verdict.direction.word
             if face.sun_visible:
                 metrics[OURS] |= coverage(posterior, face.environment.brightest_direction())
         return Item(name=item, metrics=metrics, facts=facts)

@@ -116,10 +116,10 @@ _COLUMNS = 8
 GROUPED_BY = (
     "category",
     "background",
+    "direction",
     "half",
     "regime",
     "skin tone",
-    "verdict",
 )  # facts of which each value gets its own rows
 _PEERS_METRICS = ("psnr", "tone_mapped_ssim")
 _RENI_ROWS: list[tuple[str, list[str]]] = [

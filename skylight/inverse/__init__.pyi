@@ -41,3 +41,8 @@ from ._sun_prior import (
     SunPrior as SunPrior,
     sun_prior as sun_prior,
 )
+from ._verdict import (
+    Certainty as Certainty,
+    Spreads as Spreads,
+    Verdict as Verdict,
+)

@@ -9,9 +9,8 @@ import torch
 from skylight._names import LightName
 from skylight.inverse._lamps import LampsProblem
 from skylight.inverse._problem import LightProblem, solve
-from skylight.inverse._result import Choice, Estimate, Scene
+from skylight.inverse._result import Choice, Estimate
 from skylight.inverse._sky import SkyProblem
-from skylight.sphere._frame import angle_between
 from skylight.transport._observation import Observation
 from skylight.work._progress import Progress
 
@@ -27,9 +26,6 @@ OPEN_SKY_EXPOSURE, ROOM_EXPOSURE = (13.0, 1.5), (7.0, 2.0)
 # A dark picture is taken outdoors after all, at dusk, a bright one in a studio, in the light of
 # strobes: odds, by hand
 DARK_OUTDOORS, BRIGHT_INDOORS = 1 / 20, 1 / 5
-CAMERA_DIRECTION = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)  # from the face
-FLASH_RAD = math.radians(12.0)  # a flash on a camera, seen from a portrait's distance, and doubt
-
 
 RIVALS: tuple[LightName, ...] = ("autoencoder", "lamps")
 
@@ -106,26 +102,8 @@ def choose(rivals: Sequence[Estimate], exposure: float | None = None) -> Estimat
     return replace(
         chosen,
         choice=Choice(
-            scene=scene_of(chosen),
             probability=float(shares[best]),
             log_evidence=evidence,
             exposure_log_odds=odds,
         ),
     )
-
-
-def scene_of(estimate: Estimate) -> Scene:
-    """What an estimate's light is, in words."""
-    if estimate.light != "lamps":
-        return "open sky, sun" if estimate.posterior.is_seen else "open sky, overcast"
-    if not estimate.posterior.is_seen:
-        return "no open sky, even light"
-    main = estimate.lamps[0].direction
-    if len(estimate.lamps) == 1 and float(angle_between(main, CAMERA_DIRECTION)) < FLASH_RAD:
-        return "no open sky, flash"
-    counts: tuple[Scene, ...] = (
-        "no open sky, one lamp",
-        "no open sky, two lamps",
-        "no open sky, three lamps",
-    )
-    return counts[len(estimate.lamps) - 1]

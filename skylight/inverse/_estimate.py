@@ -224,9 +224,7 @@ def light_problems(
     if light == "sphere":
         efforts = replace(lamps, coarse=SPHERE_COARSE, fine=SPHERE_FINE)
         kinds = KINDS_OF_PLACE.get(place)
-        family = LampFamily(
-            light=SphereLight, prior=lambda lobes: SpherePrior(lobes, only=kinds)
-        )
+        family = LampFamily(light=SphereLight, prior=lambda lobes: SpherePrior(lobes, only=kinds))
         towards = CAMERA_DIRECTION[None] if place == "flash" else None
         return [LampsProblem(skin, modes, efforts, family, towards=towards) for _ in sun_priors]
     if light == "lamps":

@@ -18,7 +18,13 @@ from skylight.inverse._faces import ObjectiveWeights, data_term
 from skylight.inverse._gauss_newton import charbonnier
 from skylight.inverse._posterior import face_evidence, sun_evidence
 from skylight.inverse._problem import LightProblem
-from skylight.inverse._result import MAP_ROWS, Estimate, FaceLight, residual
+from skylight.inverse._result import (
+    MAP_ROWS,
+    Estimate,
+    FaceLight,
+    misplaced_shading,
+    residual,
+)
 from skylight.inverse._scale import bayes_scale, scale_nll, tone_prior
 from skylight.inverse._scan import SCAN_HEIGHT, scan_faces
 from skylight.inverse._solution import Search, estimate_of
@@ -248,6 +254,7 @@ class HarmonicProblem(LightProblem):
                     specular_scale=0.0,
                     rendered=rendered.cpu(),
                     residual=residual(rendered, face.pixels, face.clipped),
+                    misplaced=misplaced_shading(rendered.cpu(), face.to(torch.device("cpu"))),
                 )
             )
         progress(1.0)

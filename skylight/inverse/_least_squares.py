@@ -108,35 +108,53 @@ _LEAST_CURVATURE = 1e-3  # of what neither pictures nor priors tell of
 def laplace(
     minimum: Float[Tensor, "b q"],
     deviations: Float[Tensor, "b m"],
-    jacobian: Float[Tensor, "b m q"],
+    hessian: Float[Tensor, "b q q"],
     weights: Float[Tensor, "#b m"],
     prior: Prior,
-    known: tuple[Float[Tensor, " b"], Float[Tensor, "b q q"]] | None = None,
 ) -> Float[Tensor, " b"]:
     """log of the integral of ``exp(-f)``, with f as in :mod:`skylight.inverse._gauss_newton`::
 
-        -f(x) + q / 2 log(2 pi) - 1/2 log det H(x),    H = J^T diag(w / m) J + Q,
+        -f(x) + q / 2 log(2 pi) - 1/2 log det H(x)
 
-    at minima x of f, with J the derivatives of the deviations r, w what each counts, m their mean
-    ``|r|`` and Q the prior's Hessian; w / m are the :func:`curvatures`.
-
-    ``known`` are the value and the Hessian at x of what else f has.
+    at minima x of f, of deviations r that count w, with H its :func:`hessian_at`.
 
     Each unknown costs the part of its prior that the pictures rule out (MacKay 1992, "Bayesian
     interpolation", Neural Computation 4(3)). Of 30 unknowns and deviations of a half to ten
     hundredths of the mean it is within 7 nats of the integral.
     """
-    curved = jacobian * curvatures(deviations, weights)[:, :, None]
     rows = torch.arange(len(minimum), device=minimum.device)
-    _, hessian = prior_shape(prior, minimum, rows)
-    hessian = hessian.double() + torch.einsum("bmp,bmq->bpq", jacobian, curved).double()
-    value = prior(minimum, rows).double()
-    if known is not None:
-        value, hessian = value + known[0].double(), hessian + known[1].double()
     values = torch.linalg.eigvalsh(hessian).clamp(min=_LEAST_CURVATURE)
     volume = 0.5 * (math.log(2 * math.pi) - values.log()).sum(1)
     data = (charbonnier(deviations) * _exact(deviations, weights)).sum(1)
-    return volume - data.double() - value
+    return volume - data.double() - prior(minimum, rows).double()
+
+
+@torch.no_grad()
+def hessian_at(
+    minimum: Float[Tensor, "b q"],
+    deviations: Float[Tensor, "b m"],
+    jacobian: Float[Tensor, "b m q"],
+    weights: Float[Tensor, "#b m"],
+    prior: Prior,
+) -> Float[Tensor, "b q q"]:
+    """``J^T diag(w / m) J + Q``, w / m the :func:`curvatures` and Q the prior's Hessian."""
+    curved = jacobian * curvatures(deviations, weights)[:, :, None]
+    rows = torch.arange(len(minimum), device=minimum.device)
+    _, hessian = prior_shape(prior, minimum, rows)
+    return hessian.double() + torch.einsum("bmp,bmq->bpq", jacobian, curved).double()
+
+
+@torch.no_grad()
+def spreads_at(
+    hessian: Float[Tensor, "b q q"], slopes: Float[Tensor, "b k q"]
+) -> Float[Tensor, "b k"]:
+    """Standard deviations ``(g^T H^-1 g)^(1/2)`` of k quantities of slopes g.
+
+    Under the normal density of curvature H about the minimum, to first order.
+    """
+    values, vectors = torch.linalg.eigh(hessian)
+    along = slopes.double() @ vectors
+    return (along.square() / values.clamp(min=_LEAST_CURVATURE)[:, None]).sum(2).sqrt()
 
 
 def curvatures(

@@ -1,4 +1,4 @@
-"""How sure is the light? A density over the sun's direction, intervals, and a verdict.
+"""How sure is the light? A density over the sun's direction, and intervals.
 
 **Sun.** The linear scan finds the best explanation of a face with the sun at d. The weights are
 divided, for all d alike, by the deviations (to a floor) that the best d leaves, twice, so that
@@ -31,13 +31,12 @@ uncertain as the light's, says how it may be split: see :func:`split_density`.
 Of :class:`PosteriorConstants`, ``temperature``, ``kernel_rad``, ``estimate_rad``,
 ``estimate_height`` and ``estimate_weight`` are near the likeliest of 45 rendered faces, by
 ``tools/calibrate_posterior.py``: 0.03 nats a face below the best of those tried. The others were
-tuned by hand on development faces: ``sun_gain``, ``wide_rad`` and the ``..._spread``.
+tuned by hand on development faces: ``sun_gain`` and the ``..._spread``.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 import torch
@@ -56,24 +55,11 @@ from skylight.sphere._envmap import luminance
 from skylight.sphere._frame import DirectionGrid, squared_chords
 from skylight.transport._observation import Observation
 
-Verdict = Literal[
-    "reliable",
-    "ambiguous: back-lit",
-    "ambiguous: several directions",
-    "ambiguous: wide region",
-    "overcast: no sun",
-    "even: no lamp",
-    "doubtful: a lamp at the camera",
-    "doubtful: the face and the clock disagree",
-    "unreliable: the face is not explained",
-    "unreliable: hardly a face",
-]
 SHARE = 0.9
 DOUBT = 0.5  # clocks that are more likely wrong than right
 # of the upper hemisphere: 2.8 degrees, half the scan's cells; of the sphere: 5.6, the scan's own
 ROWS = 32
 REWEIGHTINGS = 2
-MAIN_PART = 0.8  # of the region: less in its likeliest part means several
 LEAST_DEVIATION = 0.05  # of the face's mean: smaller ones do not count more
 CAMERA_SHARE = 0.97  # of the best sun's gain: one at the horizon ahead looks like a flash
 _NEIGHBOURS = 1.6  # cells, whose diagonal is 1.4 of their height
@@ -81,14 +67,13 @@ _NEIGHBOURS = 1.6  # cells, whose diagonal is 1.4 of their height
 
 @dataclass(frozen=True, kw_only=True)
 class PosteriorConstants:
-    """Constants of the posterior, and of the verdicts; ``_rad`` are spreads per axis.
+    """Constants of the posterior; ``_rad`` are spreads per axis.
 
     ``temperature`` t, ``kernel_rad`` of V, and ``estimate_rad``, ``estimate_height`` h and
     ``estimate_weight`` k of the estimate's lobe. A sun that lowers the deviation by less than
-    ``sun_gain`` is none; regions with a radius beyond ``wide_rad`` are wide. ``..._spread`` are of
-    log exposure and log albedo beyond what the skin prior tells; exposure adds ``unseen_spread``
-    times the share of the hemisphere in the region, since a sun that the face hardly sees may be
-    of any strength.
+    ``sun_gain`` is none. ``..._spread`` are of log exposure and log albedo beyond what the skin
+    prior tells; exposure adds ``unseen_spread`` times the share of the hemisphere in the region,
+    since a sun that the face hardly sees may be of any strength.
     """
 
     temperature: float = 0.027
@@ -97,7 +82,6 @@ class PosteriorConstants:
     estimate_height: float = 30.0
     estimate_weight: float = 1.25
     sun_gain: float = 0.085
-    wide_rad: float = math.radians(20.0)
     exposure_spread: float = 0.25
     unseen_spread: float = 1.0
     albedo_spread: float = 0.3
@@ -147,9 +131,9 @@ class SunPosterior:
     sun_gain: float
     exposure_interval: tuple[float, float]
     albedo_scale_interval: tuple[float, float]
-    verdict: Verdict
     clock_wrong: float | None = None
     is_seen: bool = True
+    by_camera: bool = False
 
     @property
     def region_sr(self) -> float:
@@ -329,7 +313,6 @@ def sun_posterior(
     evidence: SunEvidence,
     estimate: Float[Tensor, "3"] | None,
     *,
-    explained: bool,
     exposure: float,
     albedo: Float[Tensor, "3"],
     specular_scale: float | None,
@@ -338,7 +321,7 @@ def sun_posterior(
     sun_prior: SunPrior | None = None,
     seen: bool | None = None,
 ) -> SunPosterior:
-    """The posterior with its verdict; ``explained``: the faces look alike in the light found.
+    """The posterior of the light found.
 
     ``seen``: the light found has a lamp. By default a sun is seen where it lowers the deviation by
     ``sun_gain`` of the constants.
@@ -350,7 +333,7 @@ def sun_posterior(
     share = float(grid.solid_angles[region].sum() / grid.solid_angles.sum())
     split = split_density(albedo, specular_scale, albedo_prior)
     low, high = interval(-split[0], split[1], model.exposure_spread + model.unseen_spread * share)
-    posterior = SunPosterior(
+    return SunPosterior(
         grid=grid,
         density=density,
         region=region,
@@ -358,35 +341,10 @@ def sun_posterior(
         sun_gain=evidence.gain,
         exposure_interval=(low * exposure, high * exposure),
         albedo_scale_interval=interval(*split, model.albedo_spread),
-        verdict="reliable",
         clock_wrong=None if sun_prior is None else clock_wrong(evidence, sun_prior, model),
         is_seen=evidence.gain >= model.sun_gain if seen is None else seen,
+        by_camera=evidence.camera_gain > CAMERA_SHARE * evidence.gain,
     )
-    by_camera = evidence.camera_gain > CAMERA_SHARE * evidence.gain
-    return replace(posterior, verdict=_verdict(posterior, explained, by_camera, model))
-
-
-def _verdict(
-    posterior: SunPosterior, explained: bool, by_camera: bool, model: PosteriorConstants
-) -> Verdict:
-    """The first reason for doubt, if there is one."""
-    if not explained:
-        return "unreliable: the face is not explained"
-    if not posterior.is_seen:
-        return "even: no lamp" if posterior.grid.is_sphere else "overcast: no sun"
-    if by_camera:
-        return "doubtful: a lamp at the camera"
-    if posterior.clock_wrong is not None and posterior.clock_wrong > DOUBT:
-        return "doubtful: the face and the clock disagree"
-    mass = posterior.density * posterior.grid.solid_angles
-    ahead = float(mass[posterior.grid.directions[:, 2] < 0].sum())
-    if posterior.region_radius_rad > model.wide_rad and ahead > 0.5:
-        return "ambiguous: back-lit"
-    if posterior.parts[0].share < MAIN_PART * SHARE:
-        return "ambiguous: several directions"
-    if posterior.region_radius_rad > model.wide_rad:
-        return "ambiguous: wide region"
-    return "reliable"
 
 
 def split_density(

@@ -239,7 +239,6 @@ CAP_RAD = math.radians(15)
 MOST = 6
 LEAST_SHARE = 0.05
 ROWS = 64  # of the map that is looked at
-_CENTRE_ROWS = 32  # of the caps that are tried: 5.6 degrees apart, before they are centred
 _SHIFTS = 10
 
 
@@ -255,13 +254,17 @@ class MapLamp:
 
 
 def find_lamps(
-    environment: EnvironmentMap, *, most: int = MOST, least_share: float = LEAST_SHARE
+    environment: EnvironmentMap,
+    *,
+    most: int = MOST,
+    least_share: float = LEAST_SHARE,
+    rows: int = ROWS,
 ) -> list[MapLamp]:
     """At most so many lamps of a full map, of more than ``least_share`` each, largest first.
 
-    None for constant light and for a black map.
+    None for constant light and for a black map. They are looked for on so many ``rows``.
     """
-    light = environment if environment.layout[0] == ROWS else environment.resize(ROWS)
+    light = environment if environment.layout[0] == rows else environment.resize(rows)
     grid = light.grid
     level = luminance(light.flat).double()
     total = float(level @ grid.solid_angles)
@@ -276,7 +279,8 @@ def find_lamps(
 def _peeled(excess: Float[Tensor, " n"], grid: DirectionGrid) -> Iterator[MapLamp]:
     """One lamp after the other, until there is no excess."""
     while bool(excess.any()):
-        centre = _centres().directions[(_caps() @ excess.float()).argmax()]
+        rows = grid.layout[0]  # type: ignore[index]
+        centre = _centres(rows).directions[(_caps(rows) @ excess.float()).argmax()]
         for _ in range(_SHIFTS):
             cap = (grid.directions @ centre) > math.cos(CAP_RAD)
             centroid = (excess * cap) @ grid.directions
@@ -292,14 +296,17 @@ def _median(level: Float[Tensor, " n"], weights: Float[Tensor, " n"]) -> Float[T
     return level[order[int((below < below[-1] / 2).sum())]]
 
 
-def _centres() -> DirectionGrid:
-    return DirectionGrid.latlong(_CENTRE_ROWS)
+def _centres(rows: int) -> DirectionGrid:
+    """Of the caps that are tried, before they are centred: 5.6 degrees apart on 64 rows."""
+    return DirectionGrid.latlong(rows // 2)
 
 
-@constant(1)
-def _caps() -> Float[Tensor, "c n"]:
-    """1 where a pixel lies within the cap about a centre: 2048 x 8192 float32, 67 MB."""
-    cosine = cosines(_centres().directions.float(), DirectionGrid.latlong(ROWS).directions.float())
+@constant(2)
+def _caps(rows: int) -> Float[Tensor, "c n"]:
+    """1 where a pixel lies within the cap about a centre: of 64 rows 67 MB, of 32 4 MB."""
+    cosine = cosines(
+        _centres(rows).directions.float(), DirectionGrid.latlong(rows).directions.float()
+    )
     return (cosine > math.cos(CAP_RAD)).float()
 
 

@@ -6,7 +6,7 @@ each face; :func:`estimate_of` puts the answer of any solver together, with its 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -16,24 +16,25 @@ from torch import Tensor
 from skylight.inverse._descent import Iterates, deviation_weights, deviations, jacobian
 from skylight.inverse._faces import Level, LitFaces
 from skylight.inverse._gauss_newton import charbonnier
-from skylight.inverse._least_squares import laplace
+from skylight.inverse._least_squares import hessian_at, laplace, spreads_at
 from skylight.inverse._objective import LightObjective, Unpacked
 from skylight.inverse._posterior import SunEvidence, sun_posterior
 from skylight.inverse._result import (
-    UNEXPLAINED,
+    TRUSTED,
     Estimate,
     FaceLight,
     Lamp,
     Status,
     advice,
+    misplaced_shading,
     residual,
 )
+from skylight.inverse._scale import DAYLIGHT_HUE
 from skylight.inverse._scan import SunScan
 from skylight.inverse._sun_prior import SunPrior
+from skylight.inverse._verdict import Spreads, spread_of
 from skylight.models._base import Prior
-from skylight.sphere._envmap import EnvironmentMap
-
-LEAST_TRUST = 0.25  # in a background, below which a line says so
+from skylight.sphere._envmap import EnvironmentMap, luminance
 
 
 @torch.no_grad()
@@ -49,21 +50,88 @@ def log_evidence(
     is a density of its log. What clock and place tell of the sun is left out: lamps have nothing
     to set against it.
     """
+    return _Minimum.at(objective, free, problem).log_evidence()
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Minimum:
+    """Minima with their deviations and the curvature there."""
+
+    objective: LightObjective
+    free: Float[Tensor, "b q"]
+    problem: Int[Tensor, " b"] | None
+    deviations: Float[Tensor, "b m"]
+    behind: Float[Tensor, " b"]  # what their backgrounds cost
+    hessian: Float[Tensor, "b q q"]
+
+    @staticmethod
+    def at(
+        objective: LightObjective, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None
+    ) -> "_Minimum":
+        off, change = deviations(objective, free, problem), jacobian(objective, free, problem)
+        weights, prior = objective.deviation_weights(problem), _prior(objective, problem)
+        seen, behind = weights.shape[1], free.new_zeros(len(free))
+        hessian = hessian_at(free, off[:, :seen], change[:, :seen], weights, prior)
+        if objective.backgrounds:
+            rows, along = off[:, seen:], change[:, seen:]
+            counted = deviation_weights(objective, free, problem)[:, seen:] / charbonnier(rows)
+            hessian = hessian + (along.mT @ (along * counted[:, :, None])).double()
+            behind = objective.terms(free, problem)["background"]
+        return _Minimum(
+            objective=objective,
+            free=free,
+            problem=problem,
+            deviations=off[:, :seen],
+            behind=behind,
+            hessian=hessian,
+        )
+
+    def log_evidence(self) -> Float[Tensor, " b"]:
+        weights = self.objective.deviation_weights(self.problem)
+        prior = _prior(self.objective, self.problem)
+        turn = 0.0 if self.objective.model.azimuth_index is None else math.log(2 * math.pi)
+        nats = laplace(self.free, self.deviations, self.hessian, weights, prior)
+        return nats - self.behind.double() - turn
+
+    def spreads(self) -> list[Spreads]:
+        """Of each minimum's map, in the units of its first photograph."""
+        with torch.enable_grad():
+            leaf = self.free.detach().requires_grad_(True)
+            told = _level_and_tints(self.objective, leaf)
+            slopes = [
+                torch.autograd.grad(column.sum(), leaf, retain_graph=True)[0]
+                for column in told.unbind(1)
+            ]
+        level, red, blue = spreads_at(self.hessian, torch.stack(slopes, 1)).unbind(1)
+        tint = torch.maximum(red, blue)
+        return [
+            Spreads(level=a, tint=b) for a, b in zip(level.tolist(), tint.tolist(), strict=True)
+        ]
+
+
+def _prior(
+    objective: LightObjective, problem: Int[Tensor, " b"] | None
+) -> Callable[[Tensor, Tensor], Tensor]:
+    """All priors but that of clock and place."""
 
     def prior(x: Tensor, rows: Tensor) -> Tensor:
         priors = objective.priors(x, None if problem is None else problem[rows])
         return torch.stack([nll for name, nll in priors.items() if name != "sun_prior"]).sum(0)
 
-    turn = 0.0 if objective.model.azimuth_index is None else math.log(2 * math.pi)  # any azimuth
-    off, slopes = deviations(objective, free, problem), jacobian(objective, free, problem)
-    weights = deviation_weights(objective, free, problem)
-    seen, known = objective.deviation_weights(problem).shape[1], None
-    if objective.backgrounds:
-        rows, along = off[:, seen:], slopes[:, seen:]
-        curved = along * (weights[:, seen:] / charbonnier(rows))[:, :, None]
-        known = objective.terms(free, problem)["background"], along.mT @ curved
-    nats = laplace(free, off[:, :seen], slopes[:, :seen], weights[:, :seen], prior, known)
-    return nats - turn
+    return prior
+
+
+def _level_and_tints(objective: LightObjective, free: Float[Tensor, "b q"]) -> Float[Tensor, "b 3"]:
+    """Log of the map's mean luminance, and of its mean red and blue over green."""
+    parts = objective.unpack(free)
+    light, ground = objective.radiance(parts)
+    grid = objective.model.grid
+    whole = torch.einsum("n,bnc->bc", grid.solid_angles.to(light), light)
+    if not grid.is_sphere:
+        whole = whole + 2 * math.pi * ground
+    whole = (parts.exposure[:, :1] * whole).clamp(min=1e-12)
+    red, green, blue = whole.log().unbind(1)
+    return torch.stack([luminance(whole).log(), red - green, blue - green], 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,6 +143,7 @@ class Search:
     stats: dict[str, float | int]
     log_evidence: float | None = None
     notes: tuple[str, ...] = ()
+    spreads: Spreads | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,6 +158,7 @@ class Solutions:
     terms: dict[str, Float[Tensor, " p"]]
     status: list[Status]
     stats: list[dict[str, float | int]]
+    spreads: list[Spreads]
     log_evidence: Float[Tensor, " p"] | None
     trust: dict[int, Float[Tensor, " p"]]
 
@@ -103,6 +173,7 @@ class Solutions:
         problem = torch.arange(len(points)).to(free.device)
         parts = objective.unpack(free)
         light = objective.radiance(parts)
+        minimum = _Minimum.at(objective, free, problem)
         status: list[Status] = []
         for one, i in zip(points, best, strict=True):
             if bool(one.converged[i]):
@@ -120,7 +191,8 @@ class Solutions:
             terms=objective.terms(free, problem),
             status=status,
             stats=[{"evaluations": one.evaluations, "nonfinite": one.nonfinite} for one in points],
-            log_evidence=log_evidence(objective, free, problem) if evidence else None,
+            spreads=minimum.spreads(),
+            log_evidence=minimum.log_evidence() if evidence else None,
             trust={
                 photo: objective.backgrounds[photo].trust(rows)
                 for photo, rows in objective.behind(parts, light).items()
@@ -144,8 +216,9 @@ class Solutions:
                 "hardly used: it does not look like the light on the face (a backdrop, a screen, "
                 "other lamps?)"
                 for k, each in self.trust.items()
-                if float(each[p]) < LEAST_TRUST
+                if float(each[p]) < TRUSTED
             ),
+            spreads=self.spreads[p],
         )
 
 
@@ -159,6 +232,7 @@ def face_lights(
         # others may have more pixels
         shading = term.seen(solutions.shadings[k][p, : term.target.shape[1]])
         clipped = None if term.clipped is None else term.clipped[0]
+        seen = face.scanned.coarser(level.pixels) if level.pixels else face.scanned
         turns = None if term.normals is None else solutions.objective.turns(parts, k)
         lights.append(
             FaceLight(
@@ -170,6 +244,7 @@ def face_lights(
                 specular_scale=float(parts.specular_scale[p, k]),
                 rendered=(shading * scales[face.photo]).cpu(),
                 residual=residual(shading, term.target[0], clipped),
+                misplaced=misplaced_shading(shading.cpu(), seen.to(torch.device("cpu"))),
                 turns=None if turns is None else turns[p].cpu(),
             )
         )
@@ -202,7 +277,6 @@ def estimate_of(
         evidence,
         sun,
         seen=None if lamps is None else bool(lamps),
-        explained=all(face.residual <= UNEXPLAINED for face in faces),
         exposure=faces[0].exposure,
         albedo=faces[0].albedo,
         specular_scale=faces[0].specular_scale if reflects else None,
@@ -216,6 +290,8 @@ def estimate_of(
         ground_albedo=_ground_albedo(environment) if ground_albedo is None else ground_albedo,
         sun_direction=environment.brightest_direction() if sun is None else sun,
         posterior=posterior,
+        spreads=search.spreads
+        or Spreads(level=spread_of(posterior.exposure_interval), tint=DAYLIGHT_HUE),
         faces=faces,
         terms=search.terms,
         status=search.status,

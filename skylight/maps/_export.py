@@ -132,7 +132,7 @@ _NEEDED = {
         }
     ],
     "white_balance": _RGB,
-    "posterior": {"verdict": str},
+    "verdict": {"summary": str},
     "advice": [str],
 }
 
@@ -188,7 +188,7 @@ def export_blender_scene(estimate: Path, out: Path, *, photo: Path | None = None
         head=head,
         albedo=torch.tensor(face["albedo"], dtype=torch.float64),
         specular=replace(SKIN_SPECULAR, f0=min(face["gloss"] * SKIN_SPECULAR.f0, MOST_REFLECTED)),
-        verdict=told["posterior"]["verdict"],
+        verdict=told["verdict"]["summary"],
         advice=told["advice"],
     )
     with results_folder(out) as folder:

@@ -48,14 +48,21 @@ _TEMPLATE = files("skylight.maps") / "data" / "viewer.html"
 _PLACE = '<script type="application/json" id="estimate">'
 _ANGLES = {"azimuth_deg": float, "zenith_deg": float}
 _RGB = _XYZ = [float, float, float]
+_CERTAINTY = {"word": str, "reason": str}
 # Whatever is not named here stays out of the page: paths, time and place among it.
 SHOWN = {
     "light": str,
-    "choice": ({"scene": str, "probability": float}, None),
+    "choice": ({"probability": float}, None),
     "sun": _ANGLES,
     "lamps": [{**_ANGLES, "irradiance": _RGB, "spread_deg": float}],
+    "verdict": {
+        "light": str,
+        "direction": _CERTAINTY,
+        "brightness": _CERTAINTY,
+        "colour": _CERTAINTY,
+        "doubt": str,
+    },
     "posterior": {
-        "verdict": str,
         "is_seen": bool,
         "share": float,
         "region_radius_deg": float,

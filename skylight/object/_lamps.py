@@ -21,7 +21,7 @@ from torch import Tensor
 from skylight.inverse._faces import ObjectiveWeights
 from skylight.inverse._gauss_newton import minimise_robust
 from skylight.inverse._lamps import MOST_LAMPS, Fitted, Pursuit, as_many_as_pay, in_pictures_units
-from skylight.inverse._least_squares import laplace
+from skylight.inverse._least_squares import hessian_at, laplace
 from skylight.inverse._result import Lamp
 from skylight.models._lamps import LampsLight, LampsPrior
 from skylight.object._view import GRID_HEIGHT, ObjectMaterial, shading
@@ -184,5 +184,6 @@ class _Objective:
         )
         best = ends.x[ends.loss.argmin(), None]
         row = torch.zeros(1, dtype=torch.long).to(best.device)
-        nats = laplace(best, deviations(best, row), jacobian(best, row), weights, prior)
-        return best, float(nats)
+        off = deviations(best, row)
+        hessian = hessian_at(best, off, jacobian(best, row), weights, prior)
+        return best, float(laplace(best, off, hessian, weights, prior))

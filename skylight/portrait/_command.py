@@ -112,7 +112,7 @@ def relight_portrait(
     warning = (relit.warning,) if relit.warning else ()
     for line in (*result.estimate.advice, *warning, *relit.notes):
         take_care(line)
-    print(f"verdict     {result.estimate.posterior.verdict}")
+    print(f"verdict     {result.estimate.verdict.summary}")
     if given is not None:
         print(f"exposure    the map's light times {relit.exposure:.3g}")
     print(out)

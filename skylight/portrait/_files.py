@@ -81,9 +81,12 @@ def _white_of(photo: Photo) -> float:
 
 def warning_of(estimate: Estimate) -> str:
     """Why not to trust a portrait that was lit by it; empty where nothing is against it."""
-    verdict = estimate.posterior.verdict
-    doubtful = verdict.startswith(("unreliable", "doubtful"))
-    return f"the light that was found is {verdict}" if doubtful else ""
+    verdict = estimate.verdict
+    if verdict.doubt:
+        return f"the light that was found is {verdict.summary}"
+    if estimate.posterior.is_seen and verdict.direction.word == "unknown":
+        return f"the direction of the light that was found is {verdict.direction}"
+    return ""
 
 
 def taken_apart(

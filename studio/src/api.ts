@@ -60,18 +60,31 @@ export interface LampFacts {
   ambient_irradiance: [number, number, number];
   diameters_deg: number[];
 }
+/** How sure one property of the light is, and why. */
+export interface Certainty {
+  word: "sure" | "rough" | "unknown";
+  reason: string;
+}
+/** `light` is a sentence about the map; `doubt` why none of it is to be trusted, or "". */
+export interface Verdict {
+  light: string;
+  direction: Certainty;
+  brightness: Certainty;
+  colour: Certainty;
+  doubt: string;
+}
 /** estimate.json, as far as the page reads it, and the preview's camera. */
 export interface EstimateResult {
   light: string;
-  /** What the light is, where open sky and lamps competed. */
-  choice: { scene: string; probability: number } | null;
+  /** How likely the model is, where open sky and lamps competed. */
+  choice: { probability: number } | null;
   sun: Angles;
   /** The strongest first; empty for models without lamps. */
   lamps: MeasuredLamp[];
   /** Where there are lamps. */
   lamp_facts?: LampFacts;
+  verdict: Verdict;
   posterior: {
-    verdict: string;
     /** Whether there is a sun or a lamp to see. */
     is_seen: boolean;
     share: number;

@@ -169,7 +169,7 @@ def test_the_sun_is_the_estimates(shown: dict[str, Any], estimate: Path, exporte
     estimated = direction_from_angles(*torch.tensor([azimuth, zenith]).double())
     assert math.degrees(float(angle_between(towards, estimated))) < 1
     assert (shown["verdict"], shown["advice"]) == (
-        numbers(estimate)["posterior"]["verdict"],
+        numbers(estimate)["verdict"]["summary"],
         "\n".join(numbers(estimate)["advice"]),
     )
 
@@ -320,7 +320,7 @@ def test_photographs_become_scenes_or_a_line(
         assert "\n" not in told["panel"]
         assert (told["panel"] == "") == (line == "")
         assert told["is_unchanged"] == (line != "")
-    assert found[7]["verdict"] == numbers(estimate)["posterior"]["verdict"]
+    assert found[7]["verdict"] == numbers(estimate)["verdict"]["summary"]
     stages = found[8]["stages"]
     wanted = ["finding the face", "tracing light", "estimating the light", "exporting to Blender"]
     assert [stage for stage in stages if stage in wanted] == wanted

@@ -9,7 +9,7 @@ import pytest
 from blender.world_from_portrait.run import Failure
 from blender.world_from_portrait.scene_file import KIND, NAME, VERSION, read_head, read_scene
 from blender.world_from_portrait.wording import UNKNOWN, of_verdict
-from skylight.inverse._posterior import Verdict
+from skylight.inverse._verdict import Word
 from skylight.relight import _blender as blender_scene
 
 SUN: dict[str, Any] = {
@@ -31,7 +31,7 @@ GOOD: dict[str, Any] = {
     "albedo": [0.5, 0.4, 0.3],
     "ior": 1.4,
     "roughness": 0.5,
-    "verdict": "ambiguous: wide region",
+    "verdict": "direction rough, brightness rough, colour sure",
     "advice": ["a", "b"],
 }
 HEAD = "# head\nv 0 0 -1\nv 1 0 -1\nv 0 1 -2\nf 1 2 3\n"
@@ -130,6 +130,7 @@ def test_a_head_that_cannot_be_is_refused(folder: Path, text: str) -> None:
 
 
 def test_every_verdict_has_its_words() -> None:
-    for verdict in get_args(Verdict):
-        assert of_verdict(verdict) != UNKNOWN
+    for word in get_args(Word):
+        assert of_verdict(f"direction {word}, brightness rough, colour sure") != UNKNOWN
+    assert of_verdict("unreliable: hardly a face") != UNKNOWN
     assert of_verdict("a new one: of a later version") == UNKNOWN

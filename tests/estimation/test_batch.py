@@ -104,7 +104,7 @@ class TestResults:
             if line["status"] == "done":
                 told = json.loads((out / line["results"] / "estimate.json").read_text())
                 assert line["sun"] == told["sun"]
-                assert line["verdict"] == told["posterior"]["verdict"]
+                assert line["verdict"] == told["verdict"]["summary"]
                 assert line["versions"] == told["versions"]
                 assert told["sources"] == [line["source"]]
                 assert line["seconds"] > sum(told["seconds"].values())

@@ -70,7 +70,7 @@ def test_the_pages_model_finds_the_sun(
     found = runpy.run_path(str(EXAMPLE), run_name="__main__")["found"]
     assert float(angle_between(found.sun_direction, direction(40.0, 50.0)).rad2deg()) < 8
     assert found.light == "FadingSky"
-    assert found.posterior.verdict == "reliable"
+    assert found.verdict.direction.word == "sure"
     assert "degrees right of the view" in capsys.readouterr().out
     assert len(EXAMPLE.read_text().splitlines()) <= 40
 
@@ -86,7 +86,7 @@ def test_results_are_read_as_any_others(
     write_results(out, result)
     told = json.loads((out / "estimate.json").read_text(encoding="utf-8"))
     assert (told["light"], told["lamps"], len(told["params"])) == (Lantern.name, [], 9)
-    assert told["posterior"]["verdict"] == "reliable"
+    assert told["verdict"]["direction"]["word"] == "sure"
     assert told["faces"][0]["residual"] < 0.25
     written = read_environment_map(out / "probe.exr")
     assert written.layout == (256, 512)

@@ -148,7 +148,7 @@ def test_what_is_said_by_hand_overrules(
 ) -> None:
     opposite = str(round((right_heading_deg() + 180) % 360))
     found = estimated(taken_photo, "--heading", opposite)
-    assert found["posterior"]["verdict"] == "doubtful: the face and the clock disagree"
+    assert found["verdict"]["direction"]["reason"] == "the face and the clock disagree"
     assert "the face and the clock disagree" in capsys.readouterr().out
     night = estimated(taken_photo, "--time", "2024-06-01T23:30Z")
     assert night["posterior"]["clock_wrong"] is None
@@ -274,7 +274,7 @@ def test_an_ear_that_was_taken_for_a_face_is_called_so() -> None:
     ((one, fit),) = pictures.fit_heads()
     ear = replace(known.seen[0], face=one.face, fit=fit)
     found = pictures.result(known.estimate, [ear]).estimate
-    assert found.posterior.verdict == "unreliable: hardly a face"
+    assert found.verdict.summary == "unreliable: hardly a face"
     (line,) = [line for line in found.advice if "hardly a face" in line]
     assert "% of the eyes' distance off the head" in line
 

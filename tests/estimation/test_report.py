@@ -66,7 +66,7 @@ def test_model_and_advice_stand_at_the_head(figure: Figure) -> None:
 
 
 def test_the_light_is_marked_where_it_is_brightest(figure: Figure, result: PhotoEstimate) -> None:
-    probe = panel(figure, f"Light around the camera: {result.estimate.posterior.verdict}")
+    probe = panel(figure, f"Light around the camera: {result.estimate.verdict.summary}")
     markers = [line for line in probe.lines if line.get_marker() == "o"]
     assert len(markers) == 2
     for marker in markers:

@@ -29,7 +29,7 @@ def of(name, told):
 def test_one_lamp_is_a_lamp(found):
     told = lines(found)
     assert not of("sun", told)
-    assert not of("light", told)
+    assert not of("model", told)
     # (0.7, 0.4, 0.6) is to the right of the face and on the camera's side, behind the picture
     assert of("brightest", told)[0].startswith("azimuth +131°, zenith 67°")
     (lamp,) = of("lamp", told)
@@ -48,14 +48,22 @@ def test_every_lamp_is_named(found):
     assert other.startswith("another at azimuth -90°, zenith 90°")
 
 
-@pytest.mark.parametrize("verdict", ["even: no lamp", "unreliable: the face is not explained"])
-def test_light_without_lamps_has_none(found, verdict):
-    posterior = replace(found.posterior, is_seen=False, verdict=verdict)
-    told = lines(replace(found, lamps=(), posterior=posterior))
+def test_light_without_lamps_has_none(found):
+    told = lines(replace(found, lamps=(), posterior=replace(found.posterior, is_seen=False)))
     assert of("lamp", told) == ["none seen: even light, or hidden behind the head"]
+    assert of("direction", told)[0].startswith("unknown: the face shows no main light")
 
 
-def test_what_was_chosen_comes_first(found):
+def test_three_words_or_why_there_are_none(found):
+    told = lines(found)
+    assert [label for label, _ in told[:4]] == ["light", "direction", "brightness", "colour"]
+    assert of("light", told)[0].endswith("light from the front right")
+    assert of("direction", told)[0].startswith("sure: within ")
+    told = lines(replace(found, doubt="hardly a face"))
+    assert of("verdict", told) == ["unreliable: hardly a face"]
+    assert not {"direction", "brightness", "colour"} & {label for label, _ in told}
+
+
+def test_the_model_that_was_chosen_is_named(found):
     sky = replace(found, light="autoencoder", lamps=(), log_evidence=found.log_evidence - 1000)
-    told = lines(choose([sky, found]))
-    assert told[0] == ("light", "no open sky, one lamp (100 % sure, as 'lamps')")
+    assert of("model", lines(choose([sky, found]))) == ["lamps (100 % sure)"]

@@ -114,7 +114,7 @@ def test_a_batch_leaves_the_files_and_lines_of_photos_one_by_one(
     assert told.keys() == expected.keys()
     for name in ("sources", "light", "advice", "versions"):
         assert told[name] == expected[name]
-    assert line.verdict == alone.estimate.posterior.verdict
+    assert line.verdict == alone.estimate.verdict.summary
     off = float(angle_between(sun(line), alone.estimate.sun_direction))
     assert math.degrees(off) < 0.1
     found, light = (

@@ -67,6 +67,7 @@ def estimate_of(light: EnvironmentMap) -> SimpleNamespace:
         lamps=(),
         log_evidence=-100.0,
         posterior=posterior_at(0),
+        verdict=SimpleNamespace(summary="direction sure"),
         faces=(SimpleNamespace(residual=0.1),),
     )
 
@@ -96,7 +97,6 @@ def posterior_at(cell: int) -> SunPosterior:
         sun_gain=0.5,
         exposure_interval=(0.5, 2.0),
         albedo_scale_interval=(0.5, 2.0),
-        verdict="reliable",
     )
 
 

@@ -253,7 +253,14 @@ def test_every_number_has_a_label_and_every_table_its_neighbour() -> None:
         "SH": ["15.00", "17.88", "18.23", "19.15"],
         "spherical Gaussians": ["17.67", "19.27", "19.81", "20.24"],
     }
-    assert tables.GROUPED_BY == ("category", "background", "half", "regime", "skin tone", "verdict")
+    assert tables.GROUPED_BY == (
+        "category",
+        "background",
+        "direction",
+        "half",
+        "regime",
+        "skin tone",
+    )
 
 
 def test_an_index_of_maps_is_part_of_what_results_depend_on(tmp_path: Path) -> None:

@@ -45,6 +45,8 @@ from skylight.transport._observation import Observation
 from tests.evaluation.test_any_light import posterior_at, room
 from tests.face_captures import PHOTO, TURNS_DEG
 
+SUMMARY = "direction sure, brightness rough, colour rough"
+
 
 def an_estimate(light: EnvironmentMap, *, cell: int = 0, name: str = "autoencoder"):
     return SimpleNamespace(
@@ -53,6 +55,7 @@ def an_estimate(light: EnvironmentMap, *, cell: int = 0, name: str = "autoencode
         lamps=(),
         log_evidence=-100.0,
         posterior=posterior_at(cell),
+        verdict=SimpleNamespace(summary=SUMMARY, direction=SimpleNamespace(word="sure")),
         faces=(SimpleNamespace(residual=0.25),),
         sun_direction=light.brightest_direction(),
         rendered=torch.zeros(1, 3),
@@ -134,8 +137,8 @@ def test_lamps_beside_a_face_count_and_those_behind_do_not(lamp_folder: Path) ->
     for name, item in items.items():
         assert item.name == name
         assert item.facts["person"] == name[0]
-        assert item.facts["verdict"] == "reliable"
-        assert item.facts["verdicts"] == dict.fromkeys(lamps.METHODS, "reliable")
+        assert item.facts["direction"] == "sure"
+        assert item.facts["verdicts"] == dict.fromkeys(lamps.METHODS, SUMMARY)
         assert item.facts["chosen"] == "autoencoder"
         assert item.facts["residual"] == 0.25
         assert item.facts["landmark_error"] == 0.02
@@ -161,24 +164,24 @@ def lamp_rows(median: float, mean: float, bias: float) -> dict:
 
 
 def test_goals_of_lamps(lamp_folder: Path) -> None:
-    def item(name: str, angle: float, verdict: str = "reliable", problem: str = "") -> Item:
+    def item(name: str, angle: float, word: str = "sure", problem: str = "") -> Item:
         metrics = {} if problem else {"autoencoder": {"angle_deg": angle}}
-        facts = {"verdict": verdict, "chosen": "lamps"}
+        facts = {"direction": word, "chosen": "lamps"}
         return Item(name=name, metrics=metrics, facts=facts, problem=problem)
 
     items = [item(str(i), 5.0) for i in range(9)] + [item("9", 12.0)]
-    items += [item("10", 80.0, "doubtful")]
+    items += [item("10", 80.0, "rough")]
     checks = lamps.Lamps(data=lamp_folder).checks(lamp_rows(5.0, 8.0, 1.0), items)
     assert {name: check.ok for name, check in checks.items()} == dict.fromkeys(
         (
             *("faces found", "median angle", "mean angle", "bias of elevation"),
             *("bias of azimuth", "lamp in the 90 % region", "median angle of lamps"),
             *("median angle of auto", "faces for which lamps are chosen"),
-            "of 10 called reliable, within 10 degrees",
+            "of 10 of sure direction, within 10 degrees",
         ),
         True,
     )
-    assert checks["of 10 called reliable, within 10 degrees"].value == pytest.approx(0.9)
+    assert checks["of 10 of sure direction, within 10 degrees"].value == pytest.approx(0.9)
     assert checks["bias of azimuth"].value == 1
     items += [item("11", 0.0, problem="no face found by the landmark detector")]
     items[0] = item("0", 12.0)
@@ -257,7 +260,7 @@ def test_a_rendered_face_has_rows_by_method_and_by_the_thesis_solver(
         "landmark_error": face.truth.landmark_error,
         "pose_deg": ours["pose_deg"],
         "pixels": 3,
-        "verdict": "reliable",
+        "direction": "sure",
         **{name: item.facts[name] for name in ("evidence", "peak_mib")},
         "chosen": "auto",
         "seconds": {"head": 0.5},
@@ -270,7 +273,7 @@ def test_a_rendered_face_has_rows_by_method_and_by_the_thesis_solver(
     assert "in_region" not in item.metrics["autoencoder"]
     plain = replace(evaluation, methods=("sh9",)).measure("face0000", tmp_path / "a.png")
     assert list(plain.metrics) == ["sh9"]
-    assert "verdict" not in plain.facts
+    assert "direction" not in plain.facts
 
 
 def test_an_ablation_adds_what_is_known(
@@ -514,7 +517,7 @@ def test_a_photograph_with_a_note_is_told_by_its_side(
         "light_x": across,
         "landmark_error": 0.02,
         "seconds": {"landmarks": 1.0} | dict.fromkeys(real_faces.PHOTO_METHODS, 10.0),
-        "verdicts": dict.fromkeys(real_faces.PHOTO_METHODS, "reliable"),
+        "verdicts": dict.fromkeys(real_faces.PHOTO_METHODS, SUMMARY),
         "chosen": "auto",
         "advice": ["step back"],
     }

@@ -134,7 +134,6 @@ def test_coverage_asks_for_the_true_suns_cell():
         sun_gain=0.5,
         exposure_interval=(0.5, 2.0),
         albedo_scale_interval=(0.5, 2.0),
-        verdict="reliable",
     )
     inside = coverage(posterior, grid.directions[40])
     assert inside == {"in_region": 1.0, "region_sr": pytest.approx(float(grid.solid_angles[40]))}

@@ -63,15 +63,15 @@ def test_every_value_of_a_grouping_fact_has_its_rows():
     }
 
 
-def test_every_verdict_has_its_rows():
-    verdicts = ("reliable", "doubtful", "reliable")
+def test_every_word_of_direction_has_its_rows():
+    words = ("sure", "rough", "sure")
     measured = [
-        Item(name=str(i), metrics={"autoencoder": {"mae": float(i)}}, facts={"verdict": verdict})
-        for i, verdict in enumerate(verdicts)
+        Item(name=str(i), metrics={"autoencoder": {"mae": float(i)}}, facts={"direction": word})
+        for i, word in enumerate(words)
     ]
     groups = summarise_groups(measured)
-    assert list(groups) == ["verdict: doubtful", "verdict: reliable"]
-    assert groups["verdict: reliable"]["autoencoder"]["mae"]["mean"] == 1.0  # of 0 and 2
+    assert list(groups) == ["direction: rough", "direction: sure"]
+    assert groups["direction: sure"]["autoencoder"]["mae"]["mean"] == 1.0  # of 0 and 2
 
 
 def tables(page: str) -> list[dict[str, dict[str, float]]]:

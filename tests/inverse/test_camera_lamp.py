@@ -63,10 +63,10 @@ def test_a_flash_is_told_from_a_sun():
     lit, by_sun, lamp = flash_lit(0.8)
     found = evidence_of(lit)
     assert found.camera_gain > CAMERA_SHARE * found.gain
-    assert posterior_of(found).verdict == "doubtful: a lamp at the camera"
+    assert posterior_of(found).by_camera
     other = evidence_of(replace(by_sun, camera_lamp=lamp))
     assert other.camera_gain < 0.6 * other.gain
-    assert posterior_of(other).verdict != "doubtful: a lamp at the camera"
+    assert not posterior_of(other).by_camera
 
 
 def test_it_explains_what_it_lights_and_is_not_asked_where_there_is_none():

@@ -10,8 +10,9 @@ import torch
 from skylight.inverse._descent import Iterates, Stage, descend
 from skylight.inverse._faces import FaceTerm, Level, ObjectiveWeights
 from skylight.inverse._objective import LightObjective
-from skylight.inverse._solution import log_evidence
+from skylight.inverse._solution import Solutions, log_evidence
 from skylight.models._lamps import AMBIENT_PARAMETERS, LampsLight, LampsPrior
+from skylight.models._prior import GaussianMixture
 from tests.inverse.test_objective import ROWS, normal, observation
 
 pytestmark = pytest.mark.usefixtures("double")
@@ -84,3 +85,18 @@ def test_more_unknowns_than_the_pixels_tell_of_cost():
     )
     more = torch.cat([light, lamp, rest], 1)
     assert float(log_evidence(two, more)) < float(log_evidence(objective, minimum)) - 5
+
+
+def test_brightness_is_as_sure_as_the_albedo_that_divides_it():
+    """An albedo that is known within 2 % leaves less than 5 % of doubt about the light's level."""
+    objective, minimum = under_a_lamp(0.02)
+    ends = [Iterates(free=minimum, scores=objective(minimum), converged=torch.tensor([True]))]
+    (free,) = Solutions.of(objective, ends).spreads
+    known = objective.unpack(minimum).albedo[0, 0].log()
+    prior = GaussianMixture(torch.ones(1), known[None], torch.eye(3)[None] / 0.02)
+    objective = LightObjective(
+        objective.faces, objective.model, objective.light_prior, prior, objective.weights
+    )
+    (held,) = Solutions.of(objective, ends).spreads
+    assert held.level < 0.05 < 0.2 < free.level
+    assert held.tint < free.tint

@@ -155,7 +155,7 @@ def test_what_is_clipped_is_a_lower_bound():
 def test_even_light_has_no_lamp():
     found = found_in()
     assert found.lamps == ()
-    assert found.posterior.verdict == "even: no lamp"
+    assert found.verdict.direction.word == "unknown"
     assert not found.posterior.is_seen
 
 

@@ -107,3 +107,16 @@ def test_what_is_missing_is_nothing():
     rest = [k for k in range(9) if k != 3]
     alone = nnls(gram[:, rest][:, :, rest], right[:, rest])
     torch.testing.assert_close(found[:, rest], alone)
+
+
+def test_spreads_are_those_of_draws_of_the_normal_density():
+    generator = torch.Generator().manual_seed(3)
+    root = torch.randn(4, 4, generator=generator, dtype=torch.float64)
+    hessian = root @ root.T + torch.eye(4)
+    slopes = torch.randn(2, 4, generator=generator, dtype=torch.float64)
+    covariance = torch.linalg.inv(hessian)
+    draws = torch.distributions.MultivariateNormal(torch.zeros(4).double(), covariance)
+    torch.manual_seed(0)
+    told = draws.sample((100_000,)) @ slopes.T
+    (found,) = least_squares.spreads_at(hessian[None], slopes[None])
+    torch.testing.assert_close(found, told.std(0), rtol=0.02, atol=0)

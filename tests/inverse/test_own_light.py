@@ -103,7 +103,7 @@ def test_a_lamp_below_the_horizon_is_found() -> None:
     assert light.environment.layout == (256, 512)
     assert (light.light, light.faces[0].residual < 0.01) == ("Lantern", True)
     assert light.posterior.grid.is_sphere
-    assert light.posterior.verdict == "reliable"
+    assert light.verdict.direction.word == "sure"
     assert "light_prior" not in light.terms
 
 
@@ -191,7 +191,7 @@ def test_ours_as_objects_find_the_sun(light: Callable[[], Any], prior: Any) -> N
     angles = torch.tensor(SUNS[0], dtype=torch.float64).deg2rad()
     off = angle_between(light_found.sun_direction.double(), direction_from_angles(*angles))
     assert math.degrees(off) < 5
-    assert light_found.posterior.verdict == "reliable"
+    assert light_found.verdict.direction.word == "sure"
 
 
 def test_what_is_given_stays_as_it_is(under_dome: Observation) -> None:

@@ -37,11 +37,10 @@ def evidence_of(*suns, kappa=60.0, gain=0.5):
     return SunEvidence(deviations=deviations, gain=gain)
 
 
-def posterior_of(evidence, estimate=None, *, explained=True, sun_prior=None):
+def posterior_of(evidence, estimate=None, *, sun_prior=None):
     return sun_posterior(
         evidence,
         estimate,
-        explained=explained,
         exposure=3.0,
         albedo=MEAN.exp(),
         specular_scale=None,
@@ -167,18 +166,15 @@ def test_parts_are_those_of_neighbouring_cells():
 def test_two_suns_that_explain_a_face_alike_are_several_directions():
     suns = towards(110.0, 50.0), towards(-110.0, 50.0)
     found = posterior_of(evidence_of(*suns, kappa=150.0))
-    assert found.verdict == "ambiguous: several directions"
     assert [round(part.share, 2) for part in found.parts] == [0.45, 0.45]
     assert all(max(float(part.peak @ sun) for sun in suns) > 0.998 for part in found.parts)
 
 
-def test_a_ball_in_the_sun_is_reliable_and_the_sun_in_the_region(lit_ball):
+def test_a_ball_in_the_sun_shows_it_and_the_sun_is_in_the_region(lit_ball):
     found = posterior_of(lit_ball, FRONT)
     assert holds(found, FRONT)
-    assert found.region_radius_rad < FITTED.wide_rad
-    assert found.verdict == "reliable"
-    unlike = posterior_of(lit_ball, FRONT, explained=False)
-    assert unlike.verdict == "unreliable: the face is not explained"
+    assert found.is_seen
+    assert found.region_radius_rad < math.radians(20)
 
 
 def test_noise_grows_the_region(lit_ball):
@@ -191,25 +187,17 @@ def test_a_second_face_in_the_same_light_shrinks_the_region(lit_ball):
     assert posterior_of(both).region_sr < 0.9 * posterior_of(lit_ball).region_sr
 
 
-def test_a_sun_behind_the_ball_is_never_reliable():
+def test_a_sun_behind_the_ball_may_be_anywhere_there():
     behind = towards(3.0, 80.0)
     found = posterior_of(watched(ball(light_of(behind, 0.8), noise=0.05)))
     assert holds(found, behind)
     assert found.region_sr > math.pi
-    assert found.verdict in ("ambiguous: back-lit", "overcast: no sun")
-
-
-@pytest.mark.parametrize(
-    ("azimuth", "verdict"), [(5.0, "ambiguous: back-lit"), (160.0, "ambiguous: wide region")]
-)
-def test_wide_regions_are_told_apart_by_where_they_lie(azimuth, verdict):
-    assert posterior_of(evidence_of(towards(azimuth, 70.0), kappa=6.0)).verdict == verdict
 
 
 def test_light_from_everywhere_is_overcast():
     found = posterior_of(watched(ball(light_of(FRONT, 0.0), noise=0.03)))
     assert found.sun_gain < 0.5 * FITTED.sun_gain
-    assert found.verdict == "overcast: no sun"
+    assert not found.is_seen
 
 
 def test_the_unit_of_radiance_does_not_matter(lit_ball):

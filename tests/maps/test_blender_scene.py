@@ -33,7 +33,7 @@ NUMBERS: dict[str, Any] = {
     "light": "autoencoder",
     "lamps": [],
     "white_balance": WHITE_BALANCE.tolist(),
-    "posterior": {"verdict": "ambiguous: wide region"},
+    "verdict": {"summary": "direction rough, brightness rough, colour sure"},
     "advice": ["grey picture"],
 }
 
@@ -104,7 +104,7 @@ def test_the_numbers_are_the_estimates(estimate: Path) -> None:
     assert told["roughness"] == SKIN_SPECULAR.roughness
     reflectance = ((told["ior"] - 1) / (told["ior"] + 1)) ** 2
     assert reflectance == pytest.approx(2 * SKIN_SPECULAR.f0)
-    assert told["verdict"] == "ambiguous: wide region"
+    assert told["verdict"] == "direction rough, brightness rough, colour sure"
     assert told["advice"] == ["grey picture"]
     out = estimate.parent / "out"
     assert (out / told["head"]).read_text() == HEAD

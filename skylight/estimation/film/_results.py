@@ -18,11 +18,13 @@ from skylight._figures import (
 )
 from skylight.estimation._report import write_mesh
 from skylight.estimation._summary import (
+    at,
     describe_posterior,
+    describe_verdict,
     draw_region,
     posterior_map,
     probe_title,
-    where,
+    told_verdict,
 )
 from skylight.estimation.film._estimate import FilmEstimate
 from skylight.estimation.film._light import FrameLight
@@ -69,6 +71,7 @@ def describe_film(result: FilmEstimate, *, source: str) -> dict[str, object]:
         "centre of the maps; +X is the picture's right, +Y up; azimuth from -Z towards +X, zenith "
         "from +Y; linear Rec.709",
         "sun": named_angles(light.mean.sun_direction),
+        "verdict": describe_verdict(light.start.verdict),
         "posterior": describe_posterior(light.start.posterior),
         "params": light.mean.params.tolist(),
         "ground_albedo": light.ground_albedo.tolist(),
@@ -114,14 +117,13 @@ def film_summary(result: FilmEstimate) -> str:
     """A few lines for the terminal."""
     light, followed = result.light, result.followed
     apart = _apart_deg(light.frames)
-    azimuth, zenith = angles_deg(light.mean.sun_direction)
     return "\n".join(
         [
             f"film        {followed.frames} frames followed, {len(light.frames)} keyframes from "
             f"{light.frames[0].time_s:.1f} to {light.frames[-1].time_s:.1f} s",
-            f"brightest   azimuth {azimuth:+.0f}°, zenith {zenith:.0f}° ({where(azimuth, zenith)})",
+            *told_verdict(light.start.verdict),
+            f"brightest   {at(light.mean.sun_direction)}",
             f"steadiness  within {apart:.1f}° of its mean over the film",
-            f"verdict     {light.start.posterior.verdict}",
         ]
     )
 
@@ -143,7 +145,12 @@ def write_film_report(path: Path, result: FilmEstimate, *, title: str) -> None:
         )
         axes = figure.add_subplot(grid[1:, :3])
         environment, posterior = light.mean.environment, light.start.posterior
-        show_probe(axes, environment, probe_title(posterior), white=white_of(environment.flat))
+        show_probe(
+            axes,
+            environment,
+            probe_title(posterior, light.start.verdict),
+            white=white_of(environment.flat),
+        )
         draw_region(axes, posterior, environment.layout[0])
         _over_time(figure.add_subplot(grid[1:, 3:]), result)
         chosen = np.unique(np.linspace(0, len(light.frames) - 1, ABREAST).round().astype(int))

@@ -7,6 +7,7 @@ import { prefilter } from "../shared/prefilter";
 import type { RadianceMap } from "../shared/radiance_map";
 import { drawOutline, outline, posteriorOf } from "./posterior";
 import { posteriorBall } from "./posterior_ball";
+import { inWordsOf, sentence } from "./verdict";
 
 /** An estimate's light: elements for the page to arrange. */
 export interface LightView {
@@ -83,16 +84,17 @@ export function firstStops(map: RadianceMap): number {
 }
 
 function numbers(result: EstimateResult, words: string, main: string): HTMLElement {
-  const { sun, posterior, faces, seconds } = result;
+  const { sun, posterior, verdict, faces, seconds } = result;
   const degrees = (value: number): string => `${Math.round(value)}°`;
   const elevation = 90 - sun.zenith_deg;
   const sure = `${Math.round(100 * posterior.share)} % within a circle of ${degrees(posterior.region_radius_deg)} radius`;
   const all = Object.values(seconds).reduce((sum, one) => sum + one, 0);
   const lines: [string, string][] = [
+    ["Light", sentence(verdict.light)],
+    ...inWordsOf(verdict),
     ...(result.choice
-      ? ([["Light", `${sentence(result.choice.scene)}, ${Math.round(100 * result.choice.probability)} % sure`]] as [string, string][])
+      ? ([["Model", `${result.light}, ${Math.round(100 * result.choice.probability)} % sure`]] as [string, string][])
       : []),
-    ["Verdict", sentence(posterior.verdict)],
     [sentence(main), sentence(words)],
     ["Azimuth", `${degrees(Math.abs(sun.azimuth_deg))} to the ${sun.azimuth_deg < 0 ? "left" : "right"} of the camera's view`],
     ["Zenith angle", `${degrees(sun.zenith_deg)}, that is ${degrees(Math.abs(elevation))} ${elevation < 0 ? "below" : "above"} the horizon`],
@@ -115,5 +117,3 @@ function lampInWords({ azimuth_deg, zenith_deg, irradiance, spread_deg }: Estima
   const [red, green, blue] = irradiance.map((value) => value.toPrecision(2));
   return `${inWords(azimuth_deg, zenith_deg)}; irradiance ${red}, ${green}, ${blue} (RGB); spread ${Math.round(spread_deg)}°`;
 }
-
-export const sentence = (line: string): string => line.charAt(0).toUpperCase() + line.slice(1);

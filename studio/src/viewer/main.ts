@@ -1,12 +1,12 @@
 import { compositePanel } from "../face/composite/panel";
 import "../face/face.css";
-import { firstStops, lightView, sentence } from "../face/light_view";
+import { firstStops, lightView } from "../face/light_view";
+import { inWordsOf, sentence } from "../face/verdict";
 import { alertBox } from "../shared/alert";
 import { el } from "../shared/dom";
 import { exposureSlider } from "../shared/fields";
 import { tinted } from "../shared/radiance_map";
 import { bytesOf, decodeMap, peopleOf, readData, type ViewerData } from "./data";
-import { inPlainWords } from "./verdict";
 import "./viewer.css";
 
 /** The page of one estimate, all of it from what the page itself holds. */
@@ -16,12 +16,13 @@ async function show(main: HTMLElement, data: ViewerData): Promise<void> {
   const lead =
     "The light in which this photograph was taken, found by its faces, and an object that stands in the same light. " +
     "All of it is in this one file: nothing is fetched and nothing is sent.";
-  const { isSound, words } = inPlainWords(result.posterior.verdict);
+  const { light: found, doubt } = result.verdict;
+  const told = inWordsOf(result.verdict).map(([name, words]) => `${name}: ${words}.`);
   const verdict = el(
     "p",
-    { class: isSound ? "verdict" : "verdict care", role: "note" },
-    el("strong", {}, `${sentence(result.posterior.verdict)}.`),
-    ` ${words}`,
+    { class: doubt ? "verdict care" : "verdict", role: "note" },
+    el("strong", {}, `${sentence(found)}.`),
+    ` ${told.join(" ")}`,
   );
   const picture = el("div", { class: "stack" });
   const light = el("div", { class: "stack" });

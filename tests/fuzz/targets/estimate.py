@@ -28,12 +28,17 @@ _FACE: dict[str, Any] = {
 }  # fmt: skip
 _TOLD: dict[str, Any] = {
     "light": "lamps",
-    "choice": {"scene": "room", "probability": 0.9},
+    "choice": {"probability": 0.9},
     "sun": _ANGLES,
     "lamps": [_ANGLES | {"irradiance": [1.0, 0.9, 0.7], "spread_deg": 5.0}],
     "white_balance": [1.25, 1.0, 0.8],
+    "verdict": {
+        "summary": "direction sure, brightness rough, colour rough", "doubt": "",
+        "light": "hard light from the left", "direction": {"word": "sure", "reason": "within 9°"},
+        "brightness": {"word": "rough", "reason": "a"}, "colour": {"word": "rough", "reason": "b"},
+    },
     "posterior": {
-        "verdict": "ambiguous: wide region", "is_seen": True, "share": 0.5,
+        "is_seen": True, "share": 0.5,
         "region_radius_deg": 9.0, "region_edge_per_sr": 0.5,
         "region_parts": [_ANGLES | {"share": 0.5}],
     },

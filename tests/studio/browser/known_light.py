@@ -56,8 +56,14 @@ def answers(
         "choice": None,
         "sun": {"azimuth_deg": 90.0, "zenith_deg": 50.0},
         "lamps": [],
+        "verdict": {
+            "light": "hard light from the left",
+            "direction": {"word": "sure", "reason": "within 8°"},
+            "brightness": {"word": "rough", "reason": "within a factor of 1.5"},
+            "colour": {"word": "rough", "reason": "within a factor of 1.2"},
+            "doubt": "",
+        },
         "posterior": {
-            "verdict": "sun",
             "is_seen": True,
             "share": 0.9,
             "region_radius_deg": 8,

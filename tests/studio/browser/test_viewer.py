@@ -125,8 +125,8 @@ def test_the_page_opens_from_its_file(estimate: Path, opened: Opener, pictures: 
     page = opened(estimate)
     expect(page.get_by_role("heading", level=1)).to_have_text("The light of portrait.jpg")
     assert page.title() == "The light of portrait.jpg"
-    verdict = json.loads((estimate / "estimate.json").read_text())["posterior"]["verdict"]
-    expect(page.locator(".verdict")).to_contain_text(verdict[1:])
+    verdict = json.loads((estimate / "estimate.json").read_text())["verdict"]
+    expect(page.locator(".verdict")).to_contain_text(verdict["light"][1:])
     expect(page.get_by_label("Object", exact=True)).to_have_value("balls")
     if FOR_DOCUMENTATION:
         gathered(page, 1)
@@ -231,20 +231,32 @@ def test_each_axis_is_on_its_side(estimate: Path, opened: Opener) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("verdict", "class_", "told"),
+    ("doubt", "class_", "told"),
     [
         (
-            "unreliable: hardly a face",
+            "hardly a face",
             "verdict care",
-            "Unreliable: hardly a face. Do not trust this light",
+            "Soft light from above. Verdict: Unreliable: hardly a face.",
         ),
-        ("reliable", "verdict", "Reliable. The face tells where the light came from"),
+        ("", "verdict", "Soft light from above. Direction: Sure: within 9°. Brightness: Rough"),
     ],
 )
 def test_what_may_not_be_trusted_says_so_first(
-    estimate: Path, opened: Opener, verdict: str, class_: str, told: str
+    estimate: Path, opened: Opener, doubt: str, class_: str, told: str
 ) -> None:
-    rewrite(estimate, posterior={"verdict": verdict, "is_seen": True})
+    sure = {"word": "sure", "within": 9.0, "reason": "within 9°"}
+    rough = {"word": "rough", "within": 1.5, "reason": "within a factor of 1.5"}
+    rewrite(
+        estimate,
+        posterior={"is_seen": True},
+        verdict={
+            "light": "soft light from above",
+            "direction": sure,
+            "brightness": rough,
+            "colour": rough,
+            "doubt": doubt,
+        },
+    )
     shown = opened(estimate).locator(".verdict")
     expect(shown).to_have_class(class_)
     expect(shown).to_contain_text(told)
@@ -255,7 +267,7 @@ def test_text_is_shown_as_text(estimate: Path, made: tuple[Path, Path], opened: 
     bad = "</script><script>window.hacked = 1</script><img src=x onerror='window.hacked = 1'>"
     name = "<img src=x onerror='window.hacked = 1'>.jpg"
     shutil.copy(made[0], estimate / name)
-    rewrite(estimate, advice=[bad], posterior={"verdict": bad})
+    rewrite(estimate, advice=[bad], verdict={"light": bad})
     page = opened(estimate, "--photo", estimate / name)
     expect(page.get_by_role("heading", level=1)).to_have_text(f"The light of {name}")
     expect(page.locator(".verdict")).to_contain_text(bad)
@@ -322,7 +334,7 @@ def test_without_webgl_photograph_and_light_are_there(
 def test_the_page_is_for_everybody(
     estimate: Path, opened: Opener, scheme: Literal["light", "dark"]
 ) -> None:
-    rewrite(estimate, posterior={"verdict": "ambiguous: back-lit"})
+    rewrite(estimate, verdict={"doubt": "hardly a face"})
     narrow = {"width": 390, "height": 844}
     page = opened(estimate, viewport=narrow, has_touch=True, color_scheme=scheme)
     assert page.evaluate(OVERFLOW) == 0
