@@ -15,10 +15,10 @@ from skylight.transport._observation import Observation
 
 Status = Literal["converged", "iteration limit", "recovered from a non-finite step"]
 MAP_ROWS = 256  # of an estimate's map: of the whole sphere
-# A face whose residual or misplaced shading is larger is not explained. Of 26 rendered people under
-# simulated skies and places the first is .12 at most and the second .43, but for one of .55 whose
-# main light is off by 96 degrees; where their pictures are multiplied by fields of 45 % or darkened
-# on one side by as much or more, one or the other is as large in four of seven.
+# A face whose residual or misplaced shading is larger is not explained. Of 34 rendered people under
+# simulated skies and places the first is .15 at most, and the second .43 but for two of .53 and
+# .55, the main light of one of which is off by 96 degrees; where their pictures are multiplied by
+# fields of 45 % or darkened on one side by as much or more, either is as large in four of seven.
 UNEXPLAINED, MISPLACED = 0.18, 0.5
 TRUSTED = 0.25  # of a background: less hardly counts
 FLAT = 0.1  # of the mean: shading that is less is hardly any

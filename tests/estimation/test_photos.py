@@ -98,7 +98,8 @@ def test_exif_data_tell_of_the_sun_and_results_not_of_the_place(
     write_results(tmp_path, found)
     content = told(tmp_path)
     assert content["posterior"]["clock_wrong"] < 0.3
-    assert content["advice"] == []
+    # harmonics are too smooth for the sun, and a line says so
+    assert [line for line in content["advice"] if "re-rendered" not in line] == []
     private = (LATITUDE, LONGITUDE, right_heading_deg())
     for leaf in leaves(content):
         if isinstance(leaf, str):
@@ -235,7 +236,8 @@ def test_the_studio_tells_no_place(
     )
     assert content["posterior"]["clock_wrong"] is not None
     assert "taken" not in content
-    assert content["advice"] == []
+    # harmonics are too smooth for the sun, and a line says so
+    assert [line for line in content["advice"] if "re-rendered" not in line] == []
 
 
 def test_from_python(taken_photo: Path) -> None:

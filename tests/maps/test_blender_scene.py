@@ -216,7 +216,7 @@ def test_of_several_faces_the_first_is_shown(estimate: Path) -> None:
         ({}, {"faces": []}, "not the numbers of a photograph of a face"),
         ({}, {"white_balance": 1}, "estimate the photograph again"),
         ({}, {"white_balance": [1, 1, 1e300]}, "estimate the photograph again"),
-        ({}, {"posterior": {}}, "estimate the photograph again"),
+        ({}, {"verdict": {}}, "estimate the photograph again"),
     ],
 )
 def test_what_cannot_be_is_one_line_and_nothing_written(
