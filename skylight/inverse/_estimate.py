@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import torch
+
 from skylight._modes import without_autocast
 from skylight._names import (
     DEFAULT_LIGHT,
@@ -17,7 +19,7 @@ from skylight._names import (
 )
 from skylight.errors import InputError
 from skylight.faces._skin import SkinPrior
-from skylight.inverse._auto import CAMERA_DIRECTION, AutoProblem
+from skylight.inverse._auto import AutoProblem
 from skylight.inverse._descent import Stage
 from skylight.inverse._faces import Level
 from skylight.inverse._harmonic import HarmonicProblem
@@ -46,6 +48,7 @@ from skylight.transport._observation import Observation
 from skylight.work._device import choose_device
 from skylight.work._progress import Progress
 
+CAMERA_DIRECTION = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)  # from the face
 KINDS_OF_PLACE: dict[Place, tuple[str, ...]] = {
     "outdoors": ("outdoors", "street"),
     "indoors": ("home", "workplace", "studio", "car"),
