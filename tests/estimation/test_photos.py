@@ -98,7 +98,7 @@ def test_exif_data_tell_of_the_sun_and_results_not_of_the_place(
     write_results(tmp_path, found)
     content = told(tmp_path)
     assert content["posterior"]["clock_wrong"] < 0.3
-    assert content["advice"] == []
+    assert all("re-rendered" in line for line in content["advice"])  # of nine harmonics
     private = (LATITUDE, LONGITUDE, right_heading_deg())
     for leaf in leaves(content):
         if isinstance(leaf, str):
@@ -235,7 +235,7 @@ def test_the_studio_tells_no_place(
     )
     assert content["posterior"]["clock_wrong"] is not None
     assert "taken" not in content
-    assert content["advice"] == []
+    assert all("re-rendered" in line for line in content["advice"])  # of nine harmonics
 
 
 def test_from_python(taken_photo: Path) -> None:
