@@ -18,6 +18,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from skylight.imaging._edits import Edit
 from skylight.inverse._result import Estimate, FaceLight, Lamp
 from skylight.inverse._scan import SCAN_HEIGHT
 from skylight.models._lamps import AMBIENT_PARAMETERS, LampsLight
@@ -88,7 +89,7 @@ class LampLight:
 class FaceTransport:
     """What a face shows of any light l on ``SCAN_HEIGHT`` rows of the sphere, in the map's units::
 
-        gains * (pixel_albedo * max(diffuse l, 0) + specular l)
+        edit(gains * (pixel_albedo * max(diffuse l, 0) + specular l))
 
     ``diffuse`` is T with the face's normals as they were estimated, ``specular`` G times the face's
     specular scale (None where it is diffuse). Of a ``grey`` picture it shows luminance.
@@ -99,6 +100,7 @@ class FaceTransport:
     pixel_albedo: Float[Tensor, "m 3"]
     gains: Float[Tensor, "3"]
     grey: bool
+    edit: Edit
 
     @staticmethod
     def of(observation: Observation, light: FaceLight, exposure: float) -> "FaceTransport":
@@ -122,6 +124,7 @@ class FaceTransport:
             pixel_albedo=light.pixel_albedo,
             gains=light.white_balance * (light.exposure / exposure),
             grey=observed.grey,
+            edit=light.edit,
         )
 
     def rendered(self, light: LampLight) -> Float[Tensor, "m 3"]:
@@ -130,5 +133,5 @@ class FaceTransport:
         shading = self.pixel_albedo * (self.diffuse @ radiance).clamp(min=0)
         if self.specular is not None:
             shading = shading + self.specular @ radiance
-        shading = self.gains * shading
+        shading = self.edit.apply(self.gains * shading)
         return luminance(shading)[:, None].expand(-1, 3) if self.grey else shading

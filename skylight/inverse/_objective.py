@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from skylight.faces._skin import PIGMENT_COLOURS, PIGMENT_SPREADS
+from skylight.imaging._edits import edited
 from skylight.inverse._background import ROW_WEIGHT
 from skylight.inverse._faces import FaceTerm, ObjectiveWeights, Transported, of_problem
 from skylight.inverse._scale import (
@@ -39,14 +40,16 @@ TURN_STEP = 10.0
 class Unpacked:
     """The physical meaning of a batch of free parameters: n photographs of f faces in all.
 
-    ``balance`` is the log of each photograph's red and blue gain against green, ``pigments`` what
-    each face has of either pigment along k modes, in log green; ``turns`` by how much each face's
-    normals are wrong along j modes, in their standard deviations.
+    ``balance`` is the log of each photograph's red and blue gain against green, ``edits`` that of
+    its saturation and contrast; ``pigments`` what each face has of either pigment along k modes, in
+    log green; ``turns`` by how much each face's normals are wrong along j modes, in their standard
+    deviations.
     """
 
     light: Float[Tensor, "b p"]
     exposure: Float[Tensor, "b n"]
     balance: Float[Tensor, "b n 2"]
+    edits: Float[Tensor, "b n 2"]
     specular_scale: Float[Tensor, "b f"]
     albedo: Float[Tensor, "b f 3"]
     ground_albedo: Float[Tensor, "b g"]
@@ -66,6 +69,10 @@ class LightObjective:
     G l) with sum_c log g_c = 0, which are what its camera's white balance is wrong by. Cameras take
     away part of what colours the light: without gains a low sun has to be warm, so skin turns blue.
 
+    What its camera's style or an editor did then, saturation and contrast about the mean level of
+    its faces (:mod:`skylight.imaging._edits`), is unknown too: where it is not, a saturated picture
+    has skin that nobody has, under light of the complementary colour.
+
     And the albedo of a face varies with its melanin and blood, as smooth fields that
     :mod:`skylight.faces._skin` has: rho of pixel p is a prod_i exp(-d_i sum_k Phi_pk u_ik), with
     u_ik normal. Of one albedo, redder cheeks and a darker jaw would be shading.
@@ -81,12 +88,12 @@ class LightObjective:
     *log* albedo: over albedo itself it would be the same distribution, but its maximum would lean
     towards dark skin.
 
-    Free parameters of one problem: those of the light model, for each photograph a log exposure
-    and its two log gains against green, for each face the log specular scale, the logits of skin
-    albedo, its turns and its pigments, then the logits of ground albedo, so that 0 < albedo < 1
-    always holds. A model of the whole sphere has no ground. Targets are scaled beforehand to a mean
-    luminance of 1 in each photograph, which makes the loss's epsilon mean the same for every
-    picture.
+    Free parameters of one problem: those of the light model, for each photograph a log exposure,
+    its two log gains against green, log saturation and log contrast, for each face the log specular
+    scale, the logits of skin albedo, its turns and its pigments, then the logits of ground albedo,
+    so that 0 < albedo < 1 always holds. A model of the whole sphere has no ground. Targets are
+    scaled beforehand to a mean luminance of 1 in each photograph, which makes the loss's epsilon
+    mean the same for every picture, and 1 the pivot of contrast.
     """
 
     def __init__(
@@ -135,7 +142,7 @@ class LightObjective:
     def sizes(self) -> tuple[int, int, int, int]:
         """Of the light, the photographs, the faces and the ground."""
         per_face = 4 + self.turn_count + 2 * self.mode_count
-        faces, photos = per_face * len(self.faces), 3 * self.photo_count
+        faces, photos = per_face * len(self.faces), 5 * self.photo_count
         return self.model.parameter_count, photos, faces, 0 if self.ground is None else 3
 
     def faces_of(self, photo: int) -> list[int]:
@@ -152,10 +159,11 @@ class LightObjective:
         balance: Float[Tensor, "b n 2"] | None = None,
         pigments: Float[Tensor, "b f 2 k"] | None = None,
         turns: Float[Tensor, "b f j"] | None = None,
+        edits: Float[Tensor, "b n 2"] | None = None,
     ) -> Float[Tensor, "b q"]:
         """Free parameters of physical ones.
 
-        By default without a cast, of even skin, and of the normals that were fitted.
+        By default without a cast or an edit, of even skin, and of the normals that were fitted.
         """
         if balance is None:
             balance = exposure.new_zeros(*exposure.shape, 2)
@@ -163,7 +171,9 @@ class LightObjective:
             pigments = specular_scale.new_zeros(*specular_scale.shape, 2, self.mode_count)
         if turns is None:
             turns = specular_scale.new_zeros(*specular_scale.shape, self.turn_count)
-        camera = torch.cat([exposure.log()[..., None], balance], 2)
+        if edits is None:
+            edits = exposure.new_zeros(*exposure.shape, 2)
+        camera = torch.cat([exposure.log()[..., None], balance, edits], 2)
         skin = torch.cat(
             [
                 specular_scale.log()[..., None],
@@ -197,13 +207,14 @@ class LightObjective:
 
     def unpack(self, free: Float[Tensor, "b q"]) -> Unpacked:
         light, camera, skin, ground_albedo = free.split(self.sizes, 1)
-        camera = camera.unflatten(1, (-1, 3))
+        camera = camera.unflatten(1, (-1, 5))
         skin = skin.unflatten(1, (len(self.faces), -1))
         return Unpacked(
             light=self.model.from_free(light),
             # beyond e^+-20 a line search has gone astray; exp must not overflow on its way back
             exposure=camera[..., 0].clamp(-20, 20).exp(),
-            balance=camera[..., 1:],
+            balance=camera[..., 1:3],
+            edits=camera[..., 3:],
             specular_scale=skin[..., 0].clamp(-20, 5).exp(),
             albedo=torch.sigmoid(skin[..., 1:4]),
             ground_albedo=torch.sigmoid(ground_albedo),
@@ -270,11 +281,14 @@ class LightObjective:
         return self.camera_response(parts, self.faces[k].photo, shading)
 
     def camera_response(
-        self, parts: Unpacked, photo: int, radiance: Float[Tensor, "b m 3"]
-    ) -> Float[Tensor, "b m 3"]:
-        """What a photograph shows of radiance: times its exposure and gains."""
+        self, parts: Unpacked, photo: int, radiance: Float[Tensor, "*s b m 3"]
+    ) -> Float[Tensor, "*s b m 3"]:
+        """What photograph ``photo`` shows of radiance: exposed, with its gains and edits."""
         gains = parts.exposure[:, photo, None] * self.white_balance(parts)[:, photo]
-        return gains[:, None] * radiance
+        picture, w = gains[:, None] * radiance, self.weights
+        if w.saturation_spread == w.contrast_spread == 0:
+            return picture
+        return edited(picture, *self.edits(parts)[:, photo].unbind(1))
 
     def behind(
         self, parts: Unpacked, light: tuple[Float[Tensor, "b n 3"], Float[Tensor, "b 3"]]
@@ -284,6 +298,13 @@ class LightObjective:
             photo: term.deviation(self.camera_response(parts, photo, term.seen(*light)))
             for photo, term in self.backgrounds.items()
         }
+
+    def edits(self, parts: Unpacked) -> Float[Tensor, "b n 2"]:
+        """Saturation and contrast of each photograph; a grey one has no saturation to change."""
+        w = self.weights
+        grey = [any(self.faces[k].grey for k in self.faces_of(n)) for n in range(self.photo_count)]
+        counts = [[w.saturation_spread > 0 and not one, w.contrast_spread > 0] for one in grey]
+        return (parts.edits.clamp(-2, 2) * parts.edits.new_tensor(counts)).exp()
 
     def ground_radiance(
         self, sky: Float[Tensor, "b n 3"], albedo: Float[Tensor, "b g"]
@@ -327,6 +348,7 @@ class LightObjective:
             **self._ground_nll(parts),
             "gloss_prior": (0.5 * (parts.specular_scale.log() / SPECULAR_SPREAD) ** 2).sum(1),
             "white_balance_prior": self._white_balance_nll(parts),
+            "edit_prior": self._edit_nll(parts),
             "pigment_prior": 0.5 * (parts.pigments / self.pigment_spreads).square().sum((1, 2, 3)),
             "normal_prior": 0.5 * parts.turns.square().sum((1, 2)),
             **({} if sun is None else {"sun_prior": sun}),
@@ -386,6 +408,11 @@ class LightObjective:
         spread = self.weights.white_balance_spread or 1.0  # of gains that do not count
         return 0.5 * (parts.balance / spread).square().sum((1, 2))
 
+    def _edit_nll(self, parts: Unpacked) -> Float[Tensor, " b"]:
+        w = self.weights
+        spreads = parts.edits.new_tensor([w.saturation_spread or 1.0, w.contrast_spread or 1.0])
+        return 0.5 * (parts.edits / spreads).square().sum((1, 2))
+
     @torch.no_grad()
     def at_bayes_scale(self, free: Float[Tensor, "b q"]) -> Float[Tensor, "b q"]:
         """The same appearance with albedo and exposure at the scale of least expected error.
@@ -422,6 +449,7 @@ class LightObjective:
             parts.balance,
             parts.pigments,
             parts.turns,
+            parts.edits,
         )
 
     def _scales_behind(
@@ -432,8 +460,8 @@ class LightObjective:
     ) -> Float[Tensor, "s b"]:
         """How unlikely a background is in light over each of :data:`SCALES`, in nats."""
         term = self.backgrounds[photo]
-        seen = self.camera_response(parts, photo, term.seen(*light))
-        tried = seen / SCALES.to(seen)[:, None, None, None]
+        light_over = term.seen(*light) / SCALES.to(light[0])[:, None, None, None]
+        tried = self.camera_response(parts, photo, light_over)
         return self.weights.background * term.cost(term.deviation(tried))
 
     def __call__(

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from skylight.imaging._edits import UNEDITED, Edit
 from skylight.inverse._posterior import SunPosterior
 from skylight.inverse._verdict import Spreads, Verdict, verdict_of
 from skylight.sphere._envmap import EnvironmentMap, luminance
@@ -28,8 +29,10 @@ FLAT = 0.1  # of the mean: shading that is less is hardly any
 class FaceLight:
     """What a face does with light: ``white_balance * (pixel_albedo * T l + specular_scale * G l)``.
 
-    l is the light exposed, and ``pixel_albedo`` (m,3) varies about ``albedo``, its geometric mean
-    over the skin of the face, with melanin and blood; it is ``albedo`` for what is no face.
+    The picture shows that edited, by ``edit`` (:mod:`skylight.imaging._edits`), whose pivot is the
+    mean luminance of its photograph's faces. l is the light exposed, and ``pixel_albedo`` (m,3)
+    varies about ``albedo``, its geometric mean over the skin of the face, with melanin and blood;
+    it is ``albedo`` for what is no face.
 
     ``photo`` is the number of its photograph among all that were given, from 0, and ``exposure``
     that photograph's, as are the gains ``white_balance``, of product 1, by which it shows each
@@ -51,6 +54,7 @@ class FaceLight:
     residual: float
     misplaced: float = 0.0
     turns: Float[Tensor, " j"] | None = None
+    edit: Edit = UNEDITED
 
     @property
     def is_explained(self) -> bool:
@@ -105,8 +109,8 @@ class Estimate:
 
     Of several photographs the map has the first used one's units: a face of another sees it times
     the ratio of the two exposures. ``exposure``, ``white_balance``, ``albedo`` and ``rendered`` are
-    the first face's. The map has the light's own colours: the picture is ``white_balance`` times
-    what it shades.
+    the first face's, as are ``saturation`` and ``contrast`` of its photograph's edit. The map has
+    the light's own colours: the picture is ``white_balance`` times what it shades, edited.
     """
 
     light: str
@@ -149,6 +153,14 @@ class Estimate:
     @property
     def white_balance(self) -> Float[Tensor, "3"]:
         return self.faces[0].white_balance
+
+    @property
+    def saturation(self) -> float:
+        return self.faces[0].edit.saturation
+
+    @property
+    def contrast(self) -> float:
+        return self.faces[0].edit.contrast
 
     @property
     def albedo(self) -> Float[Tensor, "3"]:

@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from skylight.imaging._edits import Edit
 from skylight.inverse._descent import Iterates, deviation_weights, deviations, jacobian
 from skylight.inverse._faces import Level, LitFaces
 from skylight.inverse._gauss_newton import charbonnier
@@ -153,6 +154,7 @@ class Solutions:
     objective: LightObjective
     parts: Unpacked
     white_balance: Float[Tensor, "p k 3"]
+    edits: Float[Tensor, "p k 2"]
     albedos: list[Float[Tensor, "p _ 3"]]
     shadings: list[Float[Tensor, "p _ 3"]]
     terms: dict[str, Float[Tensor, " p"]]
@@ -186,6 +188,7 @@ class Solutions:
             objective=objective,
             parts=parts,
             white_balance=objective.white_balance(parts),
+            edits=objective.edits(parts),
             albedos=[objective.albedo(parts, k, problem) for k in range(len(objective.faces))],
             shadings=objective.shading(parts, problem, light),
             terms=objective.terms(free, problem),
@@ -234,11 +237,13 @@ def face_lights(
         clipped = None if term.clipped is None else term.clipped[0]
         seen = face.scanned.coarser(level.pixels) if level.pixels else face.scanned
         turns = None if term.normals is None else solutions.objective.turns(parts, k)
+        saturation, contrast = solutions.edits[p, face.photo].tolist()
         lights.append(
             FaceLight(
                 photo=face.photo,
                 exposure=float(parts.exposure[p, face.photo]) * scales[face.photo],
                 white_balance=solutions.white_balance[p, face.photo].cpu(),
+                edit=Edit(saturation=saturation, contrast=contrast, pivot=scales[face.photo]),
                 albedo=parts.albedo[p, k].cpu(),
                 pixel_albedo=solutions.albedos[k][p, : len(shading)].cpu(),
                 specular_scale=float(parts.specular_scale[p, k]),

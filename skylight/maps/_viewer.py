@@ -85,6 +85,7 @@ SEEN = {
             "picture_px": [int, int],
             "exposure": float,
             "white_balance": _RGB,
+            "edit": {"saturation": float, "contrast": float, "pivot": float},
         },
     ],
 }
@@ -177,6 +178,7 @@ def export_viewer(
     # the map is in the units of the first picture
     brighter = first["exposure"] / seen[0]["exposure"]
     result["white_balance"] = [brighter * gain for gain in first["white_balance"]]
+    result["edit"] = first["edit"]
     heads = [
         stored_head(head_file(path, place, of=len(seen)), result["faces"][place]["eyes"])
         if face["source"] == name

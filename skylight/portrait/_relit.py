@@ -13,6 +13,9 @@ is regularised towards a local mean rho_0 where shading is dark, and the picture
 c being what the two lights share: their own residual stays where the light stays. Shadows of A that
 lie elsewhere than the fitted head, or the shell of hair over it, has them stay in the albedo.
 
+All of that is computed of what the camera saw: an :class:`~skylight.imaging._edits.Edit` of the
+picture is undone before and done after.
+
 Hair, clothes and what else of a person is no skin are multiplied by the ratio of the smoothed
 shadings of head and bust, filled beyond these. What lies behind is multiplied by the ratio of the
 lights' irradiances of vertical surfaces, in the mean over all azimuths.
@@ -24,6 +27,7 @@ from typing import Literal
 
 import cv2
 import numpy as np
+import torch
 from jaxtyping import Float, Float32, Shaped
 from numpy import ndarray
 from torch import Tensor
@@ -33,6 +37,7 @@ from skylight.faces._fit import FaceFit
 from skylight.faces._model import HeadModel, Region
 from skylight.faces._observe import SKIN_SPECULAR, hair_of
 from skylight.faces._segmentation import person_matte
+from skylight.imaging._edits import UNEDITED, Edit
 from skylight.imaging._photo import Photo
 from skylight.inverse._result import Estimate
 from skylight.portrait._surface import BUST, FACE_PX, HAIR, PersonSurface
@@ -99,16 +104,18 @@ SHARED_ROWS = 16  # cells of 11 degrees: how far a lamp moves until it is anothe
 class Portrait:
     """A photograph taken apart, so that any light can be put in the place of ``found``.
 
-    ``albedo``, ``residual`` (h,w,3) and ``skin`` (h,w), how much of a pixel shows skin, are at the
-    photograph's pixels, as is ``matte``, how much of one is the person's. At the pixels of
-    ``person``, ``shading`` and ``specular`` (p,q,3) are S_A and g_A, ``local`` is rho_0, ``soft``
-    the smoothed S_A, ``bare`` where skin is, ``inside`` that without its border, which fades, and
-    ``covered`` where there is any surface. ``mean`` (3,) is the mean S_A of skin.
-    ``specular_scale`` is at most that whose mean g_A over skin is :data:`MOST_SPECULAR` of the
-    photograph's in each channel.
+    ``scene`` is the photograph before its ``edit``. ``albedo``, ``residual`` (h,w,3) and ``skin``
+    (h,w), how much of a pixel shows skin, are at the photograph's pixels, as is ``matte``, how much
+    of one is the person's. At the pixels of ``person``, ``shading`` and ``specular`` (p,q,3) are
+    S_A and g_A, ``local`` is rho_0, ``soft`` the smoothed S_A, ``bare`` where skin is, ``inside``
+    that without its border, which fades, and ``covered`` where there is any surface. ``mean`` (3,)
+    is the mean S_A of skin. ``specular_scale`` is at most that whose mean g_A over skin is
+    :data:`MOST_SPECULAR` of the photograph's in each channel.
     """
 
     photo: Float[ndarray, "h w 3"]
+    edit: Edit
+    scene: Float[ndarray, "h w 3"]
     person: PersonSurface
     found: EnvironmentMap
     specular_scale: float
@@ -136,13 +143,14 @@ class Portrait:
         matte: Float[ndarray, "h w"],
         *,
         grey: bool = False,
+        edit: Edit = UNEDITED,
     ) -> "Portrait":
-        """From a linear photograph and the light ``found`` in its colours and units.
+        """From a linear photograph, ``edit`` done to it, and the light ``found`` in its units.
 
         ``specular_scale`` is the strength of the skin's specular lobe; ``hair``
         is how likely a pixel of ``person`` shows hair.
         """
-        picture = float32(photo.numpy())
+        picture = float32(edit.undo(photo).numpy())
         shading, specular = _images(person, found, specular_scale, grey=grey)
         small = cv2.resize(picture, shading.shape[1::-1], interpolation=cv2.INTER_AREA)
         regions = person.region_image()
@@ -167,7 +175,9 @@ class Portrait:
         albedo = (np.maximum(picture - shine, 0) * dark + least * usual) / (dark**2 + least)
         albedo = np.minimum(albedo, BRIGHTEST * usual)
         return Portrait(
-            photo=picture,
+            photo=float32(photo.numpy()),
+            edit=edit,
+            scene=picture,
             person=person,
             found=found,
             specular_scale=specular_scale,
@@ -196,7 +206,7 @@ class Portrait:
         shading of skin keeps its colour, and what lies behind is not relit. Neither can be had of
         light that does not reach the skin, which is shown as it is.
         """
-        size, known = self.photo.shape[:2], _from_skin(self.bare, self.covered)
+        size, known = self.scene.shape[:2], _from_skin(self.bare, self.covered)
         shading, specular = self.shaded_by(light)
         received = shading[self.bare > 0].mean(0)
         level, gains = 1.0, np.ones(3, np.float32)
@@ -212,12 +222,17 @@ class Portrait:
         soft = blurred(shading, self.covered, SOFT * self.person.face_px)
         base = BASE * float(self.mean @ _LUMINANCE)
         ratio = np.log((soft + base) / (self.soft + base))
-        other = self.photo * np.exp(_enlarged(ratio, self.covered, size))
+        other = self.scene * np.exp(_enlarged(ratio, self.covered, size))
         share, within = self.skin[..., None], self.matte[..., None]
         person = share * skin + (1 - share) * other
-        behind = self.photo if keep == "place" else self.photo * (level * self._behind(light))
+        behind = self.scene if keep == "place" else self.scene * (level * self._behind(light))
         picture = np.maximum(within * person + (1 - within) * behind, 0)
-        return exposure * picture, exposure * level
+        # what an edit made black is not known again: where nothing changed, nothing changes
+        picture = self._edited(picture) + (self.photo - self._edited(self.scene))
+        return exposure * np.maximum(picture, 0), exposure * level
+
+    def _edited(self, picture: Float[ndarray, "h w 3"]) -> Float[ndarray, "h w 3"]:
+        return self.edit.apply(torch.from_numpy(picture)).numpy()
 
     def shaded_by(
         self, light: EnvironmentMap
@@ -298,22 +313,23 @@ def _resized(picture: Float[ndarray, "p q c"], size: tuple[int, int]) -> Float[n
 class FaceReflection:
     """What an estimate tells of a face beside its light.
 
-    ``specular_scale`` is that of :class:`~skylight.inverse._result.FaceLight`; by ``head_error``,
-    pose and shape are off, as :func:`~skylight.faces._normal_errors.normal_changes` takes it.
+    ``edit`` is what was done to its photograph. ``specular_scale`` is that of
+    :class:`~skylight.inverse._result.FaceLight`; by ``head_error``, pose and shape are off, as
+    :func:`~skylight.faces._normal_errors.normal_changes` takes it.
     """
 
     specular_scale: float
     head_error: Float[Tensor, " d"] | None
+    edit: Edit = UNEDITED
 
     @staticmethod
     def of(estimate: Estimate, seen: Observation) -> "FaceReflection":
         """The (first) face's, which was ``seen``."""
         face, modes = estimate.faces[0], seen.normal_modes
-        if face.turns is None or modes is None or modes.axes is None:
-            return FaceReflection(specular_scale=face.specular_scale, head_error=None)
-        return FaceReflection(
-            specular_scale=face.specular_scale, head_error=modes.axes @ face.turns.to(modes.axes)
-        )
+        error = None
+        if face.turns is not None and modes is not None and modes.axes is not None:
+            error = modes.axes @ face.turns.to(modes.axes)
+        return FaceReflection(specular_scale=face.specular_scale, head_error=error, edit=face.edit)
 
 
 def portrait_of(
@@ -351,7 +367,14 @@ def portrait_of(
         person.face_px,
     )
     return Portrait.of(
-        photo.pixels, person, found, reflection.specular_scale, hairy, matte, grey=photo.grey
+        photo.pixels,
+        person,
+        found,
+        reflection.specular_scale,
+        hairy,
+        matte,
+        grey=photo.grey,
+        edit=reflection.edit,
     )
 
 

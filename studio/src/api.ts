@@ -1,5 +1,7 @@
 /** The studio's HTTP interface. Everything that fails throws an ApiError with one clear line. */
 
+import type { Edit } from "./shared/edit";
+
 export interface Face {
   number: number;
   box: [x: number, y: number, width: number, height: number];
@@ -103,8 +105,9 @@ export interface EstimateResult {
     /** Where the face looks, a unit vector. */
     forward: [number, number, number];
   }[];
-  /** The photo is these gains times what the map shades. */
+  /** The photo is these gains times what the map shades, edited. */
   white_balance: [number, number, number];
+  edit: Edit;
   seconds: Record<string, number>;
   camera: { focal_px: number; width: number; height: number; principal: [number, number] };
 }

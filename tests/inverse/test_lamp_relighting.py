@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from skylight.imaging._edits import UNEDITED
 from skylight.inverse._descent import Stage
 from skylight.inverse._faces import Level
 from skylight.inverse._lamp_relighting import FaceTransport, LampLight, lamps_radiance
@@ -88,6 +89,8 @@ def test_an_edit_that_changes_nothing_gives_the_face(grey: bool) -> None:
         torch.testing.assert_close(
             rendered, face.rendered, rtol=1e-4, atol=1e-4 * float(face.rendered.mean())
         )
+        transport = replace(transport, edit=UNEDITED)
+        rendered = transport.rendered(light)
         # shading is linear in light: lamps one by one, and ambient light, add up where none clamps
         parts = [replace(light, level=0.0, lamps=(lamp,)) for lamp in light.lamps]
         parts.append(replace(light, lamps=()))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from skylight.imaging._edits import edited
 from skylight.inverse._descent import best_exposure
 from skylight.inverse._faces import WHITE_BALANCE_SPREAD, FaceTerm, ObjectiveWeights
 from skylight.inverse._lbfgs import minimise
@@ -21,6 +22,8 @@ from skylight.transport._render import Specular
 ROWS, SIDE = 4, 8
 MODEL = SunSky(height=ROWS)
 WEIGHTS = ObjectiveWeights()
+EDITED = replace(WEIGHTS, contrast_spread=0.15)
+UNEDITED = replace(WEIGHTS, saturation_spread=0.0, contrast_spread=0.0)
 
 
 pytestmark = pytest.mark.usefixtures("double")
@@ -170,13 +173,13 @@ def test_a_cast_is_shared_out_between_camera_and_skin_by_their_variances(skin_sp
     mean, spread = albedo[:, 0].log(), torch.eye(3)[None] / skin_spread
     skin = GaussianMixture(torch.ones(1), mean, spread)
     seen = observation(specular=False)
-    known = LightObjective([FaceTerm.of(seen)], MODEL, normal(9), skin, WEIGHTS)
+    known = LightObjective([FaceTerm.of(seen)], MODEL, normal(9), skin, UNEDITED)
     free = known.pack(light, exposure, specular_scale, albedo, ground)
     cast = torch.tensor([0.08, -0.1])
     factors = torch.tensor([cast[0], 0.0, cast[1]]).exp()
     pixels = known.shading(known.unpack(free))[0][0].detach() * factors
     whole = LightObjective(
-        [FaceTerm.of(replace(seen, pixels=pixels))], MODEL, normal(9), skin, WEIGHTS
+        [FaceTerm.of(replace(seen, pixels=pixels))], MODEL, normal(9), skin, UNEDITED
     )
     held = MODEL.parameter_count
 
@@ -189,6 +192,66 @@ def test_a_cast_is_shared_out_between_camera_and_skin_by_their_variances(skin_sp
     precision = torch.eye(2) / WHITE_BALANCE_SPREAD**2 + squared / skin_spread**2
     expected = torch.linalg.solve(precision, squared @ cast / skin_spread**2)
     torch.testing.assert_close(balance, expected, atol=1e-3, rtol=0)
+
+
+EDIT = torch.tensor([0.3, -0.2], dtype=torch.float64)  # log saturation and contrast
+
+
+def edit_objective(seen):
+    return LightObjective([FaceTerm.of(seen)], MODEL, normal(9), normal(3), EDITED)
+
+
+def told(whole, edits):
+    """Some points of one picture that was edited."""
+    light, exposure, shine, albedo, ground, balance = parameters()
+    return whole.pack(light, exposure, shine, albedo, ground, balance, edits=edits)
+
+
+def test_an_edit_is_what_the_camera_does_last_and_costs_its_squares():
+    whole = edit_objective(observation())
+    free, plain = told(whole, EDIT.expand(5, 1, 2)), told(whole, None)
+    (before,) = whole.shading(whole.unpack(plain))
+    (after,) = whole.shading(whole.unpack(free))
+    torch.testing.assert_close(after, edited(before, *EDIT.exp()[:, None].expand(2, 5)))
+    spreads = torch.tensor([EDITED.saturation_spread, EDITED.contrast_spread])
+    cost = 0.5 * (EDIT / spreads).square().sum()
+    torch.testing.assert_close(whole.terms(free)["edit_prior"], cost.expand(5))
+    assert (whole.terms(plain)["edit_prior"] == 0).all()
+    torch.testing.assert_close(whole.unpack(whole.at_bayes_scale(free)).edits, EDIT.expand(5, 1, 2))
+
+
+def test_edits_that_are_ruled_out_and_the_saturation_of_grey_do_nothing():
+    seen = observation()
+    off = LightObjective([FaceTerm.of(seen)], MODEL, normal(9), normal(3), UNEDITED)
+    free, plain = told(off, EDIT.expand(5, 1, 2)), told(off, None)
+    for with_edit, without in zip(
+        off.shading(off.unpack(free)), off.shading(off.unpack(plain)), strict=True
+    ):
+        assert torch.equal(with_edit, without)
+    grey = edit_objective(replace(seen, grey=True))
+    parts = grey.unpack(told(grey, EDIT.expand(5, 1, 2)))
+    torch.testing.assert_close(grey.edits(parts)[0, 0], torch.tensor([1.0, float(EDIT[1].exp())]))
+
+
+def test_the_edit_of_a_known_face_in_known_light_is_found():
+    """What priors leave of it: the picture weighs some hundred times as much."""
+    seen = observation(specular=False)
+    whole = edit_objective(seen)
+    light, exposure, shine, albedo, ground, _ = (p[:1] for p in parameters())
+    edits = EDIT.expand(1, 1, 2)
+    made = whole.pack(light, exposure, shine, albedo, ground, edits=edits)
+    pixels = whole.shading(whole.unpack(made))[0][0].detach()
+    whole = edit_objective(replace(seen, pixels=pixels))
+    start = whole.pack(light, exposure, shine, albedo, ground)
+    first = MODEL.parameter_count
+
+    def around(x, _):
+        camera = torch.cat([start[:, first : first + 3].expand(len(x), -1), x], 1)
+        rest = start[:, first + 5 :].expand(len(x), -1)
+        return whole(torch.cat([start[:, :first].expand(len(x), -1), camera, rest], 1))
+
+    found = minimise(around, start[:, first + 3 : first + 5], iterations=200, tolerance=1e-9)
+    torch.testing.assert_close(found.x[0], EDIT, atol=0.01, rtol=0)
 
 
 def test_own_shading_leaves_no_residual():

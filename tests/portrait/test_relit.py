@@ -11,6 +11,7 @@ import torch
 from skylight.errors import InputError
 from skylight.faces._model import Region
 from skylight.faces._observe import SKIN_SPECULAR
+from skylight.imaging._edits import UNEDITED, Edit
 from skylight.portrait._relit import MOST_SPECULAR, Keep, Portrait, shared_light, upright_irradiance
 from skylight.portrait._surface import BUST, PersonSurface, Shading, scaled
 from skylight.sphere._envmap import EnvironmentMap
@@ -47,7 +48,12 @@ def image(light: EnvironmentMap, albedo: np.ndarray = ALBEDO) -> np.ndarray:
 
 
 def portrait(
-    light: EnvironmentMap, picture: np.ndarray, *, hair: float = 0.0, grey: bool = False
+    light: EnvironmentMap,
+    picture: np.ndarray,
+    *,
+    hair: float = 0.0,
+    grey: bool = False,
+    edit: Edit = UNEDITED,
 ) -> Portrait:
     return Portrait.of(
         torch.from_numpy(picture),
@@ -57,6 +63,7 @@ def portrait(
         np.full(picture.shape[:2], hair, np.float32),
         (person().region_image() >= 0).astype(np.float32),
         grey=grey,
+        edit=edit,
     )
 
 
@@ -253,3 +260,16 @@ def test_a_scaled_camera_shows_the_same_picture() -> None:
     torch.testing.assert_close(
         half.project(points), camera.project(points) * across, rtol=1e-2, atol=0.2
     )
+
+
+def test_an_edited_photograph_is_relit_as_the_scene_is_and_edited() -> None:
+    found, other = sunny(-50.0, 40.0), sunny(30.0, 60.0)
+    edit = Edit(saturation=1.3, contrast=1.15, pivot=0.3)
+    seen = edit.apply(torch.from_numpy(image(found))).numpy()
+    want, _ = of_the_model(found).under(other)
+    picture, _ = portrait(found, seen, edit=edit).under(other)
+    scene = edit.undo(torch.from_numpy(picture)).numpy()
+    shows = on_skin() & (seen.min(2) > 1e-3)  # nothing that the edit made black
+    assert np.abs(scene - want)[shows].mean() < 0.01 * want[shows].mean()
+    same, _ = portrait(found, seen, edit=edit).under(found)
+    np.testing.assert_allclose(same, seen, atol=1e-5)

@@ -24,6 +24,7 @@ from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from skylight.estimation.film._smoother import DRIFTS, Drifting, Sight, likeliest, smooth
+from skylight.imaging._edits import Edit
 from skylight.inverse._descent import Stage, best_exposure, deviations, jacobian
 from skylight.inverse._faces import Level, LitFaces, ScannedFace
 from skylight.inverse._gauss_newton import charbonnier, prior_shape
@@ -68,6 +69,7 @@ class FrameLight:
     azimuth_spread_rad: float | None
     exposure: float
     white_balance: Float[Tensor, "3"]
+    edit: Edit
     residual: float
 
 
@@ -209,6 +211,7 @@ class _Film:
         term = objective.faces[0]
         shading = term.seen(objective.shading(parts)[0][0])
         clipped = None if term.clipped is None else term.clipped[0]
+        saturation, contrast = objective.edits(parts)[0, 0].tolist()
         return FrameLight(
             time_s=time_s,
             params=parts.light[0],
@@ -217,6 +220,7 @@ class _Film:
             azimuth_spread_rad=spread,
             exposure=exposure,
             white_balance=objective.white_balance(parts)[0, 0],
+            edit=Edit(saturation=saturation, contrast=contrast, pivot=face.mean),
             residual=residual(shading, term.target[0], clipped),
         )
 

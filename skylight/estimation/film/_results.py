@@ -1,5 +1,6 @@
 """The files of a film's light: probes, numbers, and a figure over time."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -94,6 +95,7 @@ def describe_film(result: FilmEstimate, *, source: str) -> dict[str, object]:
                 "azimuth_spread_deg": _degrees(frame.azimuth_spread_rad),
                 "exposure": frame.exposure,
                 "white_balance": frame.white_balance.tolist(),
+                "edit": asdict(frame.edit),
                 "residual": frame.residual,
                 "params": frame.params.tolist(),
                 "world_from_camera": turn.tolist(),

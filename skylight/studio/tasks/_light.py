@@ -7,7 +7,7 @@ Beside an estimate's files is kept what its lamps light: transport, albedo and p
 import json
 from base64 import b64encode
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,6 +24,7 @@ from skylight.estimation._photos import estimate_photo
 from skylight.estimation._report import over_grey, write_results
 from skylight.estimation._summary import PhotoEstimate
 from skylight.imaging._colour import tone_map
+from skylight.imaging._edits import Edit
 from skylight.inverse._lamp_relighting import FaceTransport, LampLight
 from skylight.inverse._result import MAP_ROWS, Lamp
 from skylight.io._files import write_environment_map, write_png
@@ -121,6 +122,7 @@ def keep_lamps(folder: Path, result: PhotoEstimate) -> dict[str, Any]:
             "pixel_albedo": transport.pixel_albedo,
             "gains": transport.gains,
             "grey": torch.tensor(transport.grey),
+            "edit": torch.tensor(astuple(transport.edit), dtype=torch.float64),
             "image": seen.view.image,
             "places": seen.view.places,
             "blocks": seen.view.blocks,
@@ -189,12 +191,14 @@ def _kept(folder: str) -> tuple[LampLight, list[_Face]]:
             for name, tensor in tensors.items()
             if name.startswith(start)
         }
+        saturation, contrast, pivot = mine["edit"].tolist()
         transport = FaceTransport(
             diffuse=mine["matt"],
             specular=mine.get("glossy"),
             pixel_albedo=mine["pixel_albedo"],
             gains=mine["gains"],
             grey=bool(mine["grey"]),
+            edit=Edit(saturation=saturation, contrast=contrast, pivot=pivot),
         )
         white = float(mine["white"])
         shown = {name: mine[name] for name in ("image", "places", "blocks")}

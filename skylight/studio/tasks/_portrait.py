@@ -17,7 +17,7 @@ the estimate itself would have given.
 import json
 import math
 import shlex
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -33,6 +33,7 @@ from skylight.estimation._summary import PhotoEstimate
 from skylight.faces._fit import FaceFit
 from skylight.faces._observe import SKIN_SPECULAR
 from skylight.imaging._colour import linear_to_srgb
+from skylight.imaging._edits import Edit
 from skylight.imaging._photo import Photo
 from skylight.io._tensors import read_tensors, write_tensors
 from skylight.portrait._files import KNEE, warning_of
@@ -120,6 +121,7 @@ def keep_person(folder: Path, result: PhotoEstimate, command: dict[str, Any]) ->
         "level": sun.level,
         "spread_rad": sun.spread_rad,
         "gloss": reflection.specular_scale,
+        "edit": asdict(reflection.edit),
         "landmark_error": fit.landmark_error,
         "converged": fit.converged,
         "warning": warning_of(estimate),
@@ -157,7 +159,9 @@ def kept_person(folder: Path) -> KeptPerson:
     return KeptPerson(
         fit=fit,
         reflection=FaceReflection(
-            specular_scale=facts.pop("gloss"), head_error=tensors.get("head_error")
+            specular_scale=facts.pop("gloss"),
+            head_error=tensors.get("head_error"),
+            edit=Edit(**facts.pop("edit")),
         ),
         found=EnvironmentMap(radiance=tensors["found"]),
         sun=sun,
@@ -250,6 +254,7 @@ def packed(portrait: Portrait, person: KeptPerson) -> tuple[dict[str, Tensor], d
         "brightest": BRIGHTEST,
         "hair_counts": HAIR_COUNTS,
         "knee": KNEE,
+        "edit": asdict(portrait.edit),
     }
     return tensors, facts
 

@@ -158,7 +158,7 @@ function photoWork(photo: Photo): { element: HTMLElement; leave: () => void } {
     cards.push(card);
     card.setExposure(factor);
     columns.append(card.element);
-    composite!.addLight(name_, tinted(card.map, done.result!.white_balance));
+    composite!.addLight(name_, tinted(card.map, done.result!.white_balance), done.result!.edit);
     (cards.length === 1 ? results : card.element).querySelector<HTMLElement>("[tabindex='-1']")?.focus();
   };
   start.addEventListener("click", () => {

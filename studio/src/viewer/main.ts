@@ -41,7 +41,7 @@ async function show(main: HTMLElement, data: ViewerData): Promise<void> {
   picture.append(composite.element);
   if (!composite.element.querySelector("canvas")) picture.append(image); // it says why it cannot draw
   const map = decodeMap(data.probe);
-  composite.addLight("the estimate", tinted(map, result.white_balance));
+  composite.addLight("the estimate", tinted(map, result.white_balance), result.edit);
   if (data.object) composite.showModel(new File([bytesOf(data.object.content)], data.object.name));
 
   const view = lightView(name, result, map, data.posterior && decodeMap(data.posterior));

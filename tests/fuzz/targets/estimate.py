@@ -24,7 +24,8 @@ _ANGLES = {"azimuth_deg": 50.0, "zenith_deg": 35.0}
 _FACE: dict[str, Any] = {
     "number": 1, "source": _PHOTO, "picture_px": [40, 33], "focal_length_px": 120.0,
     "albedo": [0.5, 0.4, 0.3], "gloss": 2.0, "residual": 0.1, "exposure": 1.0,
-    "white_balance": [1.25, 1.0, 0.8], "eyes": [0.0, 0.0, -1.0], "forward": [0.0, 0.0, 1.0],
+    "white_balance": [1.25, 1.0, 0.8], "edit": {"saturation": 1.1, "contrast": 0.9, "pivot": 0.3},
+    "eyes": [0.0, 0.0, -1.0], "forward": [0.0, 0.0, 1.0],
 }  # fmt: skip
 _TOLD: dict[str, Any] = {
     "light": "lamps",

@@ -81,6 +81,7 @@ def answers(
             }
         ],
         "white_balance": GAINS,
+        "edit": {"saturation": 1.0, "contrast": 1.0, "pivot": 1.0},
         "seconds": {"all": 1.0},
         "camera": {
             "focal_px": FOCAL,

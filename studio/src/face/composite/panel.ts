@@ -1,6 +1,7 @@
 import { Vector3 } from "three";
 import { alertBox } from "../../shared/alert";
 import { el, freshId } from "../../shared/dom";
+import type { Edit } from "../../shared/edit";
 import { chooser, slider } from "../../shared/fields";
 import { fileDrop } from "../../shared/file_drop";
 import type { RadianceMap } from "../../shared/radiance_map";
@@ -18,7 +19,7 @@ import { CompositeView, type SeenPhoto } from "./view";
 export interface CompositePanel {
   element: HTMLElement;
   /** Adds a light that the object can stand in, radiance in the photo's units and colours, and shows it. */
-  addLight: (title: string, map: RadianceMap) => void;
+  addLight: (title: string, map: RadianceMap, edit: Edit) => void;
   /** Puts a model of one's own, .obj or .glb, in the object's place. */
   showModel: (file: File) => void;
   dispose: () => void;
@@ -199,8 +200,8 @@ export function compositePanel(photo: SeenPhoto): CompositePanel {
     },
   });
 
-  const maps = new Map<string, RadianceMap>();
-  const lights = chooser("Lit by", [], (title) => view.setLight(maps.get(title)!));
+  const maps = new Map<string, [RadianceMap, Edit]>();
+  const lights = chooser("Lit by", [], (title) => view.setLight(...maps.get(title)!));
   lights.element.hidden = true;
 
   const save = el("button", { type: "button" }, "Save this picture");
@@ -234,12 +235,12 @@ export function compositePanel(photo: SeenPhoto): CompositePanel {
   const figure = el("figure", {}, stage, el("figcaption", { id: help }, keys), asks, status, said);
   return {
     element: el("div", { class: "beside" }, figure, controls),
-    addLight: (title, map) => {
+    addLight: (title, map, edit) => {
       if (!maps.has(title)) lights.select.append(el("option", { value: title }, title));
-      maps.set(title, map);
+      maps.set(title, [map, edit]);
       lights.select.value = title;
       lights.element.hidden = maps.size < 2;
-      view.setLight(map);
+      view.setLight(map, edit);
     },
     showModel,
     dispose: () => {

@@ -21,6 +21,7 @@ import {
   type ShaderMaterial,
   type TextureDataType,
 } from "three";
+import type { Edit } from "../../shared/edit";
 import type { RadianceMap } from "../../shared/radiance_map";
 import { boundOnScreen, cornersOf, cornersOfBox, NEAR } from "./render/bounds";
 import { BATCHES, LightBatch } from "./render/lights";
@@ -93,6 +94,7 @@ export class CompositeView {
   private tray: Mesh | null = null;
   private placement: Placement = { foot: [0, 0, -1], size: 0.1, turnDeg: 0 };
   private stand: Stand = { kind: "held", depth: 1 };
+  private readonly edit = { value: new Vector3(1, 1, 1) };
   private hasLight = false;
   private batch = 0;
   private asked = 0;
@@ -131,6 +133,7 @@ export class CompositeView {
       personAtlas: this.personShadows.atlas,
       bias: this.bias,
       photo: { value: picture },
+      edit: this.edit,
       pinhole: { value: new Vector4(focal_px / wide, focal_px / high, principal[0] / wide, 1 - principal[1] / high) },
     };
 
@@ -150,6 +153,7 @@ export class CompositeView {
     this.show = fullScreen(PHOTO_FRAGMENT, {
       ...sumUniforms(),
       photo: { value: picture },
+      edit: this.edit,
       unshadowed: { value: this.unshadowed },
       batches: { value: 0 },
     });
@@ -173,8 +177,9 @@ export class CompositeView {
     this.restart();
   }
 
-  /** Radiance in the photo's units and colours. */
-  setLight(map: RadianceMap): void {
+  /** Radiance in the photo's units and colours, before what was done to it. */
+  setLight(map: RadianceMap, { saturation, contrast, pivot }: Edit): void {
+    this.edit.value.set(saturation, contrast, pivot);
     this.lights.setMap(map);
     this.reflections.setMap(map);
     this.hasLight = true;

@@ -1,4 +1,5 @@
 import type { Angles } from "../../api";
+import type { Edit } from "../../shared/edit";
 import { readTensors } from "./tensors";
 
 type Rgb = [number, number, number];
@@ -24,6 +25,7 @@ export interface Facts {
   brightest: number;
   hair_counts: number;
   knee: number;
+  edit: Edit;
 }
 
 /** The points of a person's surface (m of them) with all light but the sun's; row by row. */

@@ -1,3 +1,4 @@
+import { EDIT } from "../../shared/edit";
 import type { Facts, Person } from "./person";
 import type { Grid, Lit, SunLight } from "./sun_light";
 
@@ -17,6 +18,7 @@ uniform float least, brightest, knee, common_;
 uniform bool isBefore;
 out vec4 color;
 
+${EDIT}
 vec3 encoded(vec3 light) {
   return mix(12.92 * light, 1.055 * pow(light, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, light));
 }
@@ -31,21 +33,22 @@ void main() {
   vec3 p = seen.rgb, light = p;
   // branches: where no graphics card is, most of the time goes into looking textures up
   if (!isBefore && seen.a > 0.0) {
-    vec3 person = p * exp(texture(ratio, (at - wholeFrom) / wholeSize).rgb);
+    vec3 scene = unedited(p);
+    vec3 person = scene * exp(texture(ratio, (at - wholeFrom) / wholeSize).rgb);
     vec2 place = (at - skinFrom) / skinSize;
     if (place == clamp(place, 0.0, 1.0)) {
       vec4 dark = texture(was, place);
       if (dark.a > 0.0) {
         vec3 usual = texture(local, place).rgb;
         vec3 shone = texture(shine, place).rgb;
-        vec3 albedo = (max(p - shone, 0.0) * dark.rgb + least * usual) / (dark.rgb * dark.rgb + least);
+        vec3 albedo = (max(scene - shone, 0.0) * dark.rgb + least * usual) / (dark.rgb * dark.rgb + least);
         albedo = min(albedo, brightest * usual);
-        vec3 residual = p - albedo * dark.rgb - shone;
+        vec3 residual = scene - albedo * dark.rgb - shone;
         vec3 skin = albedo * texture(lit, place).rgb + texture(glossy, place).rgb + common_ * residual;
         person = mix(person, skin, dark.a);
       }
     }
-    light = max(mix(p, person, seen.a), 0.0);
+    light = max(edited(max(mix(scene, person, seen.a), 0.0)) + p - edited(scene), 0.0);
     vec3 k = clamp(p, knee, 1.0 - 1e-6);
     if (any(greaterThan(light, k))) light = min(light, k) + (1.0 - k) * tanh_(max(light - k, 0.0) / (1.0 - k));
   }
@@ -176,6 +179,8 @@ export class RelitPicture {
     number("least", (facts.dark * this.light.level) ** 2);
     number("brightest", facts.brightest);
     number("knee", facts.knee);
+    const { saturation, contrast, pivot } = facts.edit;
+    this.gl.uniform3f(this.uniform("edit"), saturation, contrast, pivot);
   }
 
   private upload(unit: number, { width, height }: Grid, values: Float32Array, channels: 3 | 4 = 3): void {

@@ -1,3 +1,5 @@
+import { EDIT } from "../../../shared/edit";
+
 /** GLSL of the composite; LIGHTS lights a batch, their shadow maps the tiles of one atlas. */
 export const LIGHTS = 16;
 export const TILES = 4; // a side
@@ -102,6 +104,7 @@ export const OBJECT_FRAGMENT = /* glsl */ `
   ${LIGHTING}
   ${SPHERES}
   ${SRGB}
+  ${EDIT}
   uniform vec3 baseColor;
   uniform sampler2D baseMap;
   uniform float roughness;
@@ -138,7 +141,7 @@ export const OBJECT_FRAGMENT = /* glsl */ `
     float high = max(0.0, dot(plane.xyz, point) - plane.w);
     vec3 at = point - high / dot(plane.xyz, direction) * direction;
     vec2 place = clamp(pinhole.zw + pinhole.xy * at.xy / max(-at.z, 0.05), 0.003, 0.997);
-    return openSky(at) * decoded(textureLod(photo, place, 0.0).rgb);
+    return openSky(at) * unedited(decoded(textureLod(photo, place, 0.0).rgb));
   }
 
   vec3 environment(vec3 direction) {
@@ -163,7 +166,7 @@ export const OBJECT_FRAGMENT = /* glsl */ `
       vec3 at = point + nearest * direction;
       seen = k < balls
         ? otherAlbedo[k] * textureLod(matteMap, onMap(normal), 0.0).rgb
-        : decoded(textureLod(photo, pinhole.zw + pinhole.xy * at.xy / max(-at.z, 1e-3), 0.0).rgb);
+        : unedited(decoded(textureLod(photo, pinhole.zw + pinhole.xy * at.xy / max(-at.z, 1e-3), 0.0).rgb));
     }
     if (nearest < 1e9) return seen;
     if (!meetsPlane(direction)) return environment(direction);
@@ -315,7 +318,8 @@ export const ADD_FRAGMENT = /* glsl */ `
   }
 `;
 
-// object + (1 - coverage) photo x (irradiance with the object / without), then sRGB
+// object + (1 - coverage) photo x (irradiance with the object / without), of what the camera saw, edited
+// as the photo is, then sRGB
 export const PHOTO_FRAGMENT = /* glsl */ `
   uniform sampler2D objectSum;
   uniform sampler2D blockedSum;
@@ -327,19 +331,21 @@ export const PHOTO_FRAGMENT = /* glsl */ `
   layout(location = 0) out vec4 shown;
 
   ${SRGB}
+  ${EDIT}
   vec3 encoded(vec3 c) {
     c = clamp(c, 0.0, 1.0);
     return mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c));
   }
 
   void main() {
-    vec3 background = decoded(texture(photo, at).rgb);
+    vec3 seen = decoded(texture(photo, at).rgb);
     if (batches > 0.0) {
       vec4 front = texture(objectSum, at) / batches;
       vec3 without = unshadowed - texture(beforeSum, at).rgb;
       vec3 blocked = texture(blockedSum, at).rgb / max(without, 1e-3 * unshadowed + 1e-20);
-      background = front.rgb + (1.0 - front.a) * background * clamp(1.0 - blocked, 0.0, 4.0);
+      vec3 scene = unedited(seen);
+      seen += edited(front.rgb + (1.0 - front.a) * scene * clamp(1.0 - blocked, 0.0, 4.0)) - edited(scene);
     }
-    shown = vec4(encoded(background), 1.0);
+    shown = vec4(encoded(seen), 1.0);
   }
 `;
