@@ -184,13 +184,16 @@ def as_many_as_pay(fitted: Callable[[int], Fitted[Point]]) -> Fitted[Point]:
 
 @torch.no_grad()
 def in_pictures_units(
-    count: int, params: Float[Tensor, " p"], exposure: float | Float[Tensor, "3"]
+    count: int,
+    params: Float[Tensor, " p"],
+    exposure: float | Float[Tensor, "3"],
+    rows: int = MAP_ROWS,
 ) -> tuple[EnvironmentMap, tuple[Lamp, ...]]:
-    """The map, of :data:`MAP_ROWS` rows, and its lamps, the strongest first; on the CPU.
+    """The map, of so many rows, and its lamps, the strongest first; on the CPU.
 
     ``exposure`` is the picture's unit, or one for each colour.
     """
-    model, params = LampsLight(count, MAP_ROWS), params.cpu()
+    model, params = LampsLight(count, rows), params.cpu()
     radiance = model(params) * exposure
     found = model.lamps(params)
     received = 4 * math.pi * found.energies * LampsLight.facing(found.widths_rad)
@@ -203,7 +206,7 @@ def in_pictures_units(
         for k in range(count)
     ]
     return (
-        EnvironmentMap(radiance=radiance.reshape(MAP_ROWS, 2 * MAP_ROWS, 3)),
+        EnvironmentMap(radiance=radiance.reshape(rows, 2 * rows, 3)),
         tuple(sorted(lamps, key=lambda lamp: -float(luminance(lamp.irradiance)))),
     )
 
