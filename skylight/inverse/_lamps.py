@@ -170,32 +170,45 @@ class Fitted(Generic[Point]):
     log_evidence: float
 
 
-def as_many_as_pay(fitted: Callable[[int], Fitted[Point]]) -> Fitted[Point]:
-    """No lamp, and one more as long as that brings :data:`LEAST_GAIN` of log evidence.
+def as_many_as_pay(
+    fitted: Callable[[int], Fitted[Point]],
+    least_gain: float = LEAST_GAIN,
+    patience: int = 1,
+) -> Fitted[Point]:
+    """No lamp, and one more as long as that brings ``least_gain`` of log evidence.
 
-    ``fitted`` is asked for numbers of lamps in ascending order, up to :data:`MOST_LAMPS`.
+    ``fitted`` is asked for numbers of lamps in ascending order, up to :data:`MOST_LAMPS`, until
+    ``patience`` of them in a row did not pay: of two windows neither may pay alone.
     """
-    best = fitted(0)
+    best, waited = fitted(0), 0
     for count in range(1, MOST_LAMPS + 1):
         more = fitted(count)
-        if more.log_evidence < best.log_evidence + LEAST_GAIN:
+        needed = least_gain * (more.count - best.count)
+        if more.log_evidence >= best.log_evidence + needed:
+            best, waited = more, 0
+        else:
+            waited += 1
+        if waited == patience:
             break
-        best = more
     return best
 
 
 @torch.no_grad()
 def in_pictures_units(
-    light: LampedLight, params: Float[Tensor, " p"], exposure: float | Float[Tensor, "3"]
+    light: LampedLight,
+    params: Float[Tensor, " p"],
+    exposure: float | Float[Tensor, "3"],
+    rows: int = MAP_ROWS,
 ) -> tuple[EnvironmentMap, tuple[Lamp, ...]]:
-    """The map, of :data:`MAP_ROWS` rows, and its lamps, the strongest first; on the CPU.
+    """The map, of so many rows, and its lamps, the strongest first; on the CPU.
 
     ``exposure`` is the picture's unit, or one for each colour.
     """
-    model, params = light.on_rows(MAP_ROWS).cpu(), params.cpu()
+    model, params = light.on_rows(rows).cpu(), params.cpu()
     radiance = model(params) * exposure
+    environment = EnvironmentMap(radiance=radiance.reshape(rows, 2 * rows, 3))
     if light.count == 0:
-        return EnvironmentMap(radiance=radiance.reshape(MAP_ROWS, 2 * MAP_ROWS, 3)), ()
+        return environment, ()
     found = model.lamps(params)
     received = 4 * math.pi * found.energies * model.facing(found.widths_rad)
     lamps = [
@@ -206,10 +219,7 @@ def in_pictures_units(
         )
         for k in range(light.count)
     ]
-    return (
-        EnvironmentMap(radiance=radiance.reshape(MAP_ROWS, 2 * MAP_ROWS, 3)),
-        tuple(sorted(lamps, key=lambda lamp: -float(luminance(lamp.irradiance)))),
-    )
+    return environment, tuple(sorted(lamps, key=lambda lamp: -float(luminance(lamp.irradiance))))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,10 +251,17 @@ class LampsOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class LampFamily:
-    """Light models that differ by their number of lamps, and the prior of each."""
+    """Light models that differ by their number of lamps, and the prior of each.
+
+    ``least_gain`` and ``patience`` are those of :func:`as_many_as_pay`. Where the ``smooth`` light
+    may be as uneven as lamps are, a main light may be seen though there is no lamp.
+    """
 
     light: Callable[[int], LampedLight]
     prior: Callable[[int], Prior | None]
+    least_gain: float = LEAST_GAIN
+    patience: int = 1
+    smooth: bool = False
 
 
 LAMPS = LampFamily(light=LampsLight, prior=LampsPrior)
@@ -321,7 +338,10 @@ class LampsProblem(LightProblem):
                 count=count, point=points, log_evidence=float(log_evidence(objective, end))
             )
 
-        best = as_many_as_pay(fitted) if self.exactly is None else fitted(self.exactly)
+        if self.exactly is None:
+            best = as_many_as_pay(fitted, self.family.least_gain, self.family.patience)
+        else:
+            best = fitted(self.exactly)
         objective, points = self._descend(best.count, best.point, options.fine, progress)
         solutions = Solutions.of(objective, [points], evidence=True)
         params = solutions.parts.light[0].cpu()
@@ -339,6 +359,7 @@ class LampsProblem(LightProblem):
             albedo_prior=objective.tone_prior,
             reflects=self.faces[0].scanned.specular is not None,
             lamps=lamps,
+            seen=None if self.family.smooth else bool(lamps),
         )
 
     def _descend(

@@ -137,7 +137,7 @@ def own_light(
     starts = starts[:4].to(where, torch.float32)
     free = _check_bounds(light, starts)
     shown = light.on_rows(MAP_ROWS if model.grid.is_sphere else MAP_ROWS // 2)
-    for each in {light.grid.layout, model.grid.layout, shown.grid.layout}:
+    for each in dict.fromkeys((light.grid.layout, model.grid.layout, shown.grid.layout)):
         assert each is not None
         _check_radiance(light.on_rows(each[0]), starts)
     _check_gradient(light, free)

@@ -270,18 +270,20 @@ def estimate_of(
     sun_prior: SunPrior | None = None,
     ground_albedo: Float[Tensor, "3"] | None = None,
     lamps: tuple[Lamp, ...] | None = None,
+    seen: bool | None = None,
 ) -> Estimate:
     """The answer of a solver, with its posterior and advice, on the CPU.
 
     ``sun`` is the optimised direction of the sun or main lamp, None of light without one.
     ``albedo_prior`` and ``reflects``, whether a specular scale was estimated, say how sure exposure
     and albedo are; ``ground_albedo`` is None where the map's lower half is free, and is then
-    measured there. ``lamps`` are those of a model that has some, None of skies.
+    measured there. ``lamps`` are those of a model that has some, None of skies. ``seen``: there is
+    a main light; by default where the face tells of one.
     """
     posterior = sun_posterior(
         evidence,
         sun,
-        seen=None if lamps is None else bool(lamps),
+        seen=seen,
         exposure=faces[0].exposure,
         albedo=faces[0].albedo,
         specular_scale=faces[0].specular_scale if reflects else None,

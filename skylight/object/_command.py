@@ -31,9 +31,10 @@ def estimate_object(
 ) -> None:
     """Recover the light in which an object of known shape was photographed.
 
-    Writes probe.exr and probe.hdr (linear lat-long maps in the mesh's world: the centre looks
-    along -Z, +X is to its right, +Y up), probe.png (the same to look at), estimate.json (all
-    numbers) and comparison.png (the object as seen and as re-rendered, and the light).
+    Writes probe.exr and probe.hdr (linear lat-long maps of 64 x 128 pixels in the mesh's world:
+    the centre looks along -Z, +X is to its right, +Y up), probe.png (the same to look at),
+    estimate.json (all numbers) and comparison.png (the object as seen and as re-rendered, and the
+    light).
 
     Args:
         mesh: .obj, .ply, .glb, .gltf, .stl or .off; its materials are not used.

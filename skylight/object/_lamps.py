@@ -78,7 +78,8 @@ def lamps_of_objects(
     best = as_many_as_pay(fitted)
     point, evidence = whole.minimum(best.count, best.point, FINE_STEPS)
     params, exposure = point[0].cpu().split([point.shape[1] - 3, 3])
-    environment, lamps = in_pictures_units(LampsLight(best.count), params, mean * exposure.exp())
+    light = LampsLight(best.count)
+    environment, lamps = in_pictures_units(light, params, mean * exposure.exp(), rows=64)
     if progress is not None:
         progress(1.0)
     return ObjectLamps(environment=environment, lamps=lamps, log_evidence=evidence)

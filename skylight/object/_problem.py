@@ -47,8 +47,7 @@ class ObjectLight:
     """The light of a known object's picture, in the mesh's world and the picture's units.
 
     ``environment``
-        64 x 128 (of lamps 256 x 512), clamped at zero; ``clamped_share`` is the share removed by
-        that:
+        64 x 128, clamped at zero; ``clamped_share`` is the share removed by that:
         ``int max(0, -L) / int |L|``, over all colours.
     ``coefficients``
         (k,3), before clamping: of :func:`skylight.sphere._harmonics.evaluate`, or, where ``code``

@@ -83,7 +83,7 @@ class TestResults:
     def test_numbers_and_map_tell_the_same_sun(self, results: Path) -> None:
         told = json.loads((results / "estimate.json").read_text())
         probe = read_environment_map(results / "probe.exr")
-        assert probe.layout == (64, 128)
+        assert probe.layout == (256, 512)
         azimuth, zenith = angles_from_direction(probe.brightest_direction())
         assert told["sun"]["azimuth_deg"] == pytest.approx(np.degrees(float(azimuth)), abs=0.01)
         assert told["sun"]["zenith_deg"] == pytest.approx(np.degrees(float(zenith)), abs=0.01)
@@ -339,7 +339,7 @@ class TestFailures:
 
 def test_defaults_are_the_settings() -> None:
     parameters = inspect.signature(estimate_command).parameters
-    for name in {*SettingKeywords.__annotations__} - {"face", "decode", "ground", "prior"}:
+    for name in {*SettingKeywords.__annotations__} - {"face", "decode", "ground", "prior", "place"}:
         assert parameters[name].default == getattr(EstimateSettings(), name)
     assert {*SettingKeywords.__annotations__} == {each.name for each in fields(EstimateSettings)}
 
