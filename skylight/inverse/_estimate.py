@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import torch
-
 from skylight._modes import without_autocast
 from skylight._names import (
     DEFAULT_LIGHT,
@@ -20,10 +18,8 @@ from skylight._names import (
 from skylight.errors import InputError
 from skylight.faces._skin import SkinPrior
 from skylight.inverse._auto import AutoProblem
-from skylight.inverse._descent import Stage
-from skylight.inverse._faces import Level
 from skylight.inverse._harmonic import HarmonicProblem
-from skylight.inverse._lamps import LAMPS, LampFamily, LampsOptions, LampsProblem
+from skylight.inverse._lamps import LAMPS, LampsOptions, LampsProblem
 from skylight.inverse._own_light import (
     called,
     check_light,
@@ -35,33 +31,19 @@ from skylight.inverse._own_light import (
 from skylight.inverse._problem import LightProblem, solve
 from skylight.inverse._result import Estimate
 from skylight.inverse._sky import SkyProblem, SolverOptions
+from skylight.inverse._sphere import sphere_problem, towards_of
 from skylight.inverse._sun_prior import SunPrior
 from skylight.models._base import Light, LightPrior, name_of
 from skylight.models._bundle import LightBundle, Model, load_bundle
 from skylight.models._harmonic import HarmonicLight
 from skylight.models._lamps import LampsLight
 from skylight.models._prior import GaussianMixture
-from skylight.models._sphere import SphereLight, SpherePrior
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.sunsky import SunSky
 from skylight.transport._observation import Observation
 from skylight.work._device import choose_device
 from skylight.work._progress import Progress
 
-CAMERA_DIRECTION = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)  # from the face
-KINDS_OF_PLACE: dict[Place, tuple[str, ...]] = {
-    "outdoors": ("outdoors", "street"),
-    "indoors": ("home", "workplace", "studio", "car"),
-}
-# Latents are many, so what is coarse is coarse in light too
-SPHERE_COARSE = (
-    Stage(level=Level(2, light=1), starts=10, iterations=6, even_skin=True, steps="broyden"),
-    Stage(level=Level(1, light=1), starts=3, iterations=8, even_skin=True, steps="broyden"),
-)
-SPHERE_FINE = (
-    Stage(level=Level(0), starts=1, iterations=8, steps="broyden"),
-    Stage(level=Level(0), starts=1, iterations=5, steps="broyden"),
-)
 SUN_SPREAD_RAD = math.radians(1.4)  # half a pixel of the sky
 
 
@@ -225,13 +207,9 @@ def light_problems(
         harmonics = HarmonicLight(degree).to(where)
         return [HarmonicProblem(harmonics, skin, modes, one) for one in sun_priors]
     if light == "sphere":
-        efforts = replace(lamps, coarse=SPHERE_COARSE, fine=SPHERE_FINE)
-        kinds = KINDS_OF_PLACE.get(place)
-        family = LampFamily(light=SphereLight, prior=lambda lobes: SpherePrior(lobes, only=kinds))
-        towards = CAMERA_DIRECTION[None] if place == "flash" else None
-        return [LampsProblem(skin, modes, efforts, family, towards=towards) for _ in sun_priors]
+        return [sphere_problem(skin, modes, lamps, place) for _ in sun_priors]
     if light == "lamps":
-        towards = CAMERA_DIRECTION[None] if place == "flash" else None
+        towards = towards_of(place)
         return [LampsProblem(skin, modes, lamps, towards=towards) for _ in sun_priors]
     if not isinstance(light, str):
         own, over = own_light(light, prior, where)

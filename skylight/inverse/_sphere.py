@@ -1,0 +1,61 @@
+"""Observations under light from all round, of any place: smooth light and up to three lamps.
+
+As lamps in ambient light (:mod:`skylight.inverse._lamps`), with the light model that knows places
+(:mod:`skylight.models._sphere`).
+"""
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from skylight._names import Place
+from skylight.inverse._descent import Stage
+from skylight.inverse._faces import Level
+from skylight.inverse._lamps import LampFamily, LampsOptions, LampsProblem
+from skylight.models._prior import GaussianMixture
+from skylight.models._sphere import SphereLight, SpherePrior
+
+CAMERA_DIRECTION = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)  # from the face
+# Kinds of place that there may be
+KINDS: dict[Place, tuple[str, ...]] = {
+    "outdoors": ("outdoors", "street"),
+    "indoors": ("home", "workplace", "studio", "car"),
+}
+# Nats of evidence that one more lamp is to bring, set by six rendered people in simulated places:
+# what light is like, the prior knows; what heads are wrong by, it does not
+LEAST_GAIN = 8.0
+# There are many latents, so what is coarse is coarse in light too
+COARSE = (
+    Stage(level=Level(2, light=1), starts=10, iterations=6, even_skin=True, steps="broyden"),
+    Stage(level=Level(1, light=1), starts=3, iterations=8, even_skin=True, steps="broyden"),
+)
+FINE = (
+    Stage(level=Level(0), starts=1, iterations=8, steps="broyden"),
+    Stage(level=Level(0), starts=1, iterations=5, steps="broyden"),
+)
+
+
+def sphere_problem(
+    albedo_prior: GaussianMixture,
+    albedo_modes: Float[Tensor, "k 3"],
+    options: LampsOptions,
+    place: Place = "auto",
+) -> LampsProblem:
+    """An empty problem of this light, in a ``place`` where that is known."""
+    kinds = KINDS.get(place)
+    family = LampFamily(
+        light=SphereLight,
+        prior=lambda lamps: SpherePrior(lamps, only=kinds),
+        least_gain=LEAST_GAIN,
+        patience=2,
+        smooth=True,
+    )
+    efforts = replace(options, coarse=COARSE, fine=FINE)
+    return LampsProblem(albedo_prior, albedo_modes, efforts, family, towards=towards_of(place))
+
+
+def towards_of(place: Place) -> Float[Tensor, "1 3"] | None:
+    """Where one lamp is looked for besides: at the camera, where a flash was fired."""
+    return CAMERA_DIRECTION[None] if place == "flash" else None
