@@ -90,7 +90,7 @@ def test_of_two_faces_in_two_photographs():
     objective = LightObjective(faces, MODEL, normal(9), normal(3), WEIGHTS)
     found = check(objective)
     pixels = found.shape[1] // 2
-    exposures = MODEL.parameter_count, MODEL.parameter_count + 3
+    exposures = MODEL.parameter_count, MODEL.parameter_count + 5
     assert float(found[:, pixels:, exposures[0]].abs().max()) == 0
     assert float(found[:, :pixels, exposures[1]].abs().max()) == 0
 

@@ -214,9 +214,9 @@ def test_an_estimate_is_in_itself_consistent(first):
     rendered = rendered + found.faces[0].specular_scale * (observation.specular.matrix @ flat)
     shown = found.faces[0].edit.apply(found.white_balance * rendered)
     torch.testing.assert_close(shown, found.rendered, rtol=1e-4, atol=1e-5)
-    sky = SunSky(64)(found.params[None])[0] * found.exposure
+    sky = SunSky(128)(found.params[None])[0] * found.exposure
     torch.testing.assert_close(sky, found.environment.upper().flat, rtol=1e-4, atol=1e-5)
-    assert found.environment.radiance[64:].reshape(-1, 3).std(0).max() < 1e-5  # one ground
+    assert found.environment.radiance[128:].reshape(-1, 3).std(0).max() < 1e-5  # one ground
     low, high = SunSky().bounds
     assert ((found.params >= low) & (found.params <= high)).all()
 

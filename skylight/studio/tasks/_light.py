@@ -60,8 +60,9 @@ def estimate_light(
     tell("reading the picture", 0.0)
     photo = open_photo(Path(path), name, pixels)
     chosen = own_model(None if model is None else Path(model), network)
+    # the light alone, which a page moves and switches
     result = estimate_photo(
-        photo, names=[name], light=light, model=chosen, face=face, progress=tell
+        photo, names=[name], light=light, model=chosen, face=face, detail="none", progress=tell
     )
     tell("writing the results", 0.0)
     write_results(Path(folder), result)

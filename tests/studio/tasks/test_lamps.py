@@ -107,7 +107,7 @@ def test_switched_off_lamps_leave_the_ambient_light(
     edit = as_found(found.estimate.lamps)
     off = {**edit, "on": [False] * len(edit["on"])}
     params = found.estimate.params[:AMBIENT_PARAMETERS].double()
-    want = found.estimate.exposure * LampsLight(0, 64).ambient(params)
+    want = found.estimate.exposure * LampsLight(0, 256).ambient(params)
     torch.testing.assert_close(
         edited_map(folder, off, tmp_path).flat.double(), want, rtol=1e-5, atol=0
     )
