@@ -209,6 +209,7 @@ def describe(result: PhotoEstimate, *, keep_place: bool) -> dict[str, object]:
         "frame": "the camera looks along -Z, the centre of the map; +X is the picture's right, "
         "+Y up; azimuth from -Z towards +X, zenith from +Y; linear Rec.709",
         "choice": None if estimate.choice is None else asdict(estimate.choice),
+        "kinds": estimate.kinds,
         "sun": named_angles(estimate.sun_direction),
         "lamps": describe_lamps(estimate.lamps),
         "lights": describe_lights(estimate),

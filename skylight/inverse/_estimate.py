@@ -207,7 +207,7 @@ def light_problems(
         harmonics = HarmonicLight(degree).to(where)
         return [HarmonicProblem(harmonics, skin, modes, one) for one in sun_priors]
     if light == "sphere":
-        return [sphere_problem(skin, modes, lamps, place) for _ in sun_priors]
+        return [sphere_problem(skin, modes, lamps, place, each) for each in exposures]
     if light == "lamps":
         towards = towards_of(place)
         return [LampsProblem(skin, modes, lamps, towards=towards) for _ in sun_priors]

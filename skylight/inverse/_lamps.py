@@ -32,10 +32,11 @@ from skylight.inverse._problem import LightProblem
 from skylight.inverse._result import MAP_ROWS, Estimate, Lamp
 from skylight.inverse._scan import SCAN_HEIGHT, SunScan, scan_faces
 from skylight.inverse._solution import Solutions, estimate_of, face_lights, log_evidence
-from skylight.models._base import Prior
+from skylight.models._base import Prior, without_azimuth
 from skylight.models._lamps import LampsLight, LampsPrior
 from skylight.models._lobes import LampedLight
 from skylight.models._prior import GaussianMixture
+from skylight.models._sphere import SpherePrior
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import DirectionGrid
 from skylight.transport._observation import Observation
@@ -249,6 +250,18 @@ class LampsOptions:
         return sorted({one.level for one in (*self.coarse, *self.fine)})
 
 
+@torch.no_grad()
+def kinds_of_place(objective: LightObjective, params: Float[Tensor, " p"]) -> dict[str, float]:
+    """How likely light of these parameters is of each kind of place; nothing where none is known"""
+    prior, model = objective.light_prior, objective.model
+    if not isinstance(prior, SpherePrior):
+        return {}
+    free = without_azimuth(model, model.to_free(params.to(prior.means)))
+    shares = prior.responsibilities(free).tolist()
+    order = sorted(zip(prior.kinds, shares, strict=True), key=lambda pair: -pair[1])
+    return dict(order)
+
+
 @dataclass(frozen=True, kw_only=True)
 class LampFamily:
     """Light models that differ by their number of lamps, and the prior of each.
@@ -360,6 +373,7 @@ class LampsProblem(LightProblem):
             reflects=self.faces[0].scanned.specular is not None,
             lamps=lamps,
             seen=None if self.family.smooth else bool(lamps),
+            kinds=kinds_of_place(objective, params),
         )
 
     def _descend(

@@ -1,7 +1,7 @@
 """What inverse lighting answers: a light, and what it does to each face."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import torch
@@ -105,7 +105,8 @@ class Estimate:
     or where the light is brightest if there is none.
     ``log_evidence`` (nats) is how likely the faces are under the light model, to be compared with
     that of others for the same faces; None where it was not asked for. ``choice`` says what
-    competed, where light was "auto".
+    competed, where light was "auto", and ``kinds`` how likely the place is of each kind, where
+    light was "sphere".
 
     Of several photographs the map has the first used one's units: a face of another sees it times
     the ratio of the two exposures. ``exposure``, ``white_balance``, ``albedo`` and ``rendered`` are
@@ -128,6 +129,7 @@ class Estimate:
     lamps: tuple[Lamp, ...] = ()
     log_evidence: float | None = None
     choice: Choice | None = None
+    kinds: dict[str, float] = field(default_factory=dict)
     doubt: str = ""
 
     @property

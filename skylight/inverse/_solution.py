@@ -6,7 +6,7 @@ each face; :func:`estimate_of` puts the answer of any solver together, with its 
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -271,6 +271,7 @@ def estimate_of(
     ground_albedo: Float[Tensor, "3"] | None = None,
     lamps: tuple[Lamp, ...] | None = None,
     seen: bool | None = None,
+    kinds: Mapping[str, float] | None = None,
 ) -> Estimate:
     """The answer of a solver, with its posterior and advice, on the CPU.
 
@@ -305,6 +306,7 @@ def estimate_of(
         advice=(*advice(faces), *search.notes),
         stats=search.stats,
         lamps=lamps or (),
+        kinds=dict(kinds or {}),
         log_evidence=search.log_evidence,
     )
 

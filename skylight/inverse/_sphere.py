@@ -4,6 +4,7 @@ As lamps in ambient light (:mod:`skylight.inverse._lamps`), with the light model
 (:mod:`skylight.models._sphere`).
 """
 
+import math
 from dataclasses import replace
 
 import torch
@@ -11,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from skylight._names import Place
+from skylight.inverse._auto import open_sky_log_odds
 from skylight.inverse._descent import Stage
 from skylight.inverse._faces import Level
 from skylight.inverse._lamps import LampFamily, LampsOptions, LampsProblem
@@ -18,11 +20,8 @@ from skylight.models._prior import GaussianMixture
 from skylight.models._sphere import SphereLight, SpherePrior
 
 CAMERA_DIRECTION = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)  # from the face
-# Kinds of place that there may be
-KINDS: dict[Place, tuple[str, ...]] = {
-    "outdoors": ("outdoors", "street"),
-    "indoors": ("home", "workplace", "studio", "car"),
-}
+INDOORS, OPEN_SKY = ("home", "workplace", "studio", "car"), ("outdoors", "street")
+RULED_OUT: dict[Place, tuple[str, ...]] = {"outdoors": INDOORS, "indoors": OPEN_SKY}
 # Nats of evidence that one more lamp is to bring, set by six rendered people in simulated places:
 # what light is like, the prior knows; what heads are wrong by, it does not
 LEAST_GAIN = 8.0
@@ -42,12 +41,17 @@ def sphere_problem(
     albedo_modes: Float[Tensor, "k 3"],
     options: LampsOptions,
     place: Place = "auto",
+    exposure: float | None = None,
 ) -> LampsProblem:
-    """An empty problem of this light, in a ``place`` where that is known."""
-    kinds = KINDS.get(place)
+    """An empty problem of this light, in a ``place`` where that is known.
+
+    The ``exposure`` value tells open sky by day from rooms and nights.
+    """
+    log_odds = {"outdoors": open_sky_log_odds(exposure)}
+    log_odds |= dict.fromkeys(RULED_OUT.get(place, ()), -math.inf)
     family = LampFamily(
         light=SphereLight,
-        prior=lambda lamps: SpherePrior(lamps, only=kinds),
+        prior=lambda lamps: SpherePrior(lamps, log_odds=log_odds),
         least_gain=LEAST_GAIN,
         patience=2,
         smooth=True,

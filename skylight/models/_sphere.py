@@ -224,7 +224,8 @@ class SpherePrior(Module):
     with what is learnt of lamps in places of component m's kind. A direction's length, which means
     nothing, is 1 with a standard deviation of 0.1.
 
-    ``count`` is k. ``only`` are the kinds of place that may be; by default all.
+    ``count`` is k. ``log_odds`` are what else is known of the kinds of place, by which each is
+    likelier than it was; minus infinity rules one out.
     """
 
     log_weights: Tensor
@@ -239,7 +240,10 @@ class SpherePrior(Module):
 
     @on_cpu
     def __init__(
-        self, count: int, places: Places | None = None, only: Sequence[str] | None = None
+        self,
+        count: int,
+        places: Places | None = None,
+        log_odds: Mapping[str, float] | None = None,
     ) -> None:
         super().__init__()
         places = places or shipped()
@@ -249,9 +253,9 @@ class SpherePrior(Module):
         for name, each in places.tensors.items():
             if name not in ("control", "basis"):
                 self.register_buffer(name, each.clone(), persistent=False)
-        if only is not None:
-            wanted = torch.tensor([kind in only for kind in self.kinds])[self.kind]
-            self.log_weights = torch.where(wanted, self.log_weights, -torch.inf).log_softmax(0)
+        known = log_odds or {}
+        odds = torch.tensor([float(known.get(kind, 0.0)) for kind in self.kinds])
+        self.log_weights = (self.log_weights + odds[self.kind].to(self.log_weights)).log_softmax(0)
 
     def log_prob(self, x: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch"]:
         """Natural logarithm of the density, differentiable in x."""

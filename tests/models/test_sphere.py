@@ -157,12 +157,21 @@ def test_draws_are_from_that_density() -> None:
     assert float(weights.mean()) == pytest.approx(1.0, abs=0.03)
 
 
+def test_what_else_is_known_of_places_turns_the_odds() -> None:
+    x = SpherePrior(1, small_places()).sample(20, torch.Generator().manual_seed(3))
+    before = SpherePrior(1, small_places()).responsibilities(x)
+    after = SpherePrior(1, small_places(), {"room": 2.0}).responsibilities(x)
+    odds = (after[:, 1] / after[:, 0]) / (before[:, 1] / before[:, 0])
+    torch.testing.assert_close(odds, torch.full_like(odds, math.exp(2.0)), rtol=1e-3, atol=0)
+
+
 def test_kinds_of_place_that_are_ruled_out_have_no_share() -> None:
     x = SpherePrior(1, small_places()).sample(50, torch.Generator().manual_seed(2))
-    only = SpherePrior(1, small_places(), ["room"])
+    out = {"field": -math.inf}
+    only = SpherePrior(1, small_places(), out)
     shares = only.responsibilities(x)
     torch.testing.assert_close(shares, torch.tensor([0.0, 1.0]).expand_as(shares))
-    assert SpherePrior(0, small_places(), ["room"]).sample(3).shape == (3, 2)
+    assert SpherePrior(0, small_places(), out).sample(3).shape == (3, 2)
 
 
 def test_wrong_numbers_are_refused_by_name() -> None:
