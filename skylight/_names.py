@@ -70,9 +70,9 @@ SKY_LIGHTS: tuple[LightName, ...] = ("auto", "autoencoder", "sunsky")
 Place = Literal["auto", "outdoors", "indoors", "flash"]
 PLACES: tuple[Place, ...] = get_args(Place)
 _LIGHTS_AT: dict[str, tuple[LightName, ...]] = {
-    "outdoors": ("autoencoder", "sunsky", "sh9", "sh25"),
-    "indoors": ("lamps", "sh9", "sh25"),
-    "flash": ("lamps",),
+    "outdoors": ("autoencoder", "sphere", "sunsky", "sh9", "sh25"),
+    "indoors": ("lamps", "sphere", "sh9", "sh25"),
+    "flash": ("lamps", "sphere"),
 }
 
 

@@ -65,6 +65,7 @@ if TYPE_CHECKING:
 
 RESIDUAL_LIMIT = 0.5
 LIGHTS = {
+    "sphere": "light model: any place, all round (sphere)",
     "autoencoder": "light model: learnt skies (autoencoder)",
     "sunsky": "light model: sun and Preetham sky",
     "lamps": "light model: lamps in ambient light",

@@ -27,7 +27,7 @@ from skylight.evaluation._run import Check, Item, Rows
 from skylight.evaluation._tables import LABELS
 from skylight.faces._skin import SkinPrior
 from skylight.inverse._posterior import SunPosterior
-from skylight.inverse._result import Estimate, Lamp
+from skylight.inverse._result import Lamp
 from skylight.inverse._scores import LEAST_SHARE, MapLamp, find_lamps
 from skylight.io._files import write_png
 from skylight.models._lamps import LampsLight
@@ -121,8 +121,8 @@ class AnyLight(KnownFaceEvaluation):
         metrics[GREY] |= lamp_scores([], lamps)
         for name, environment in environments.items():
             estimate = found.estimates.get(name)
-            shown = environment if estimate is None else in_picture(estimate)
-            metrics[name] |= level_scores(shown, face.environment)
+            gains = torch.ones(3) if estimate is None else estimate.white_balance
+            metrics[name] |= level_scores(in_picture(environment, gains), face.environment)
         for name, estimate in found.estimates.items():
             own = lamps_of(estimate.light, estimate.lamps, estimate.environment)
             metrics[name] |= lamp_scores(own, lamps)
@@ -231,10 +231,9 @@ def main_lamp_coverage(posterior: SunPosterior, truth: list[MapLamp]) -> dict[st
     return coverage(posterior, main)
 
 
-def in_picture(estimate: Estimate) -> EnvironmentMap:
-    """An estimate's map as its picture would show it, with the white balance that it found."""
-    environment = estimate.environment
-    return EnvironmentMap(radiance=environment.radiance * estimate.white_balance)
+def in_picture(environment: EnvironmentMap, gains: Float[Tensor, "3"]) -> EnvironmentMap:
+    """A map as a picture of that white balance would show it."""
+    return EnvironmentMap(radiance=environment.radiance * gains)
 
 
 def level_scores(estimate: EnvironmentMap, truth: EnvironmentMap) -> dict[str, float]:

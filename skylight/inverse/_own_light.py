@@ -321,7 +321,7 @@ def solved_together(light: Light, prior: LightPrior | None) -> bool:
 def follows_clock(light: Light, prior: LightPrior | None) -> bool:
     """Whether what time and place tell of the sun is of use to it."""
     if isinstance(light, str):
-        return light != "lamps"
+        return light not in ("sphere", "lamps")
     return is_sky(light) or is_linear(light, prior)
 
 

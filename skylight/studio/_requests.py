@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from skylight._names import DEFAULT_LIGHT, BuiltinName, LightName
 
 LIGHTS: dict[LightName, str] = {
+    "sphere": "Any place, all round",
     "auto": "Open sky or lamps, whichever is likelier",
     "autoencoder": "Learnt skies",
     "sunsky": "Preetham's sky and a sun",

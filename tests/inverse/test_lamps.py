@@ -91,7 +91,7 @@ def test_two_lamps_are_told_apart_and_strongest_first():
 
 def test_the_lamps_energies_are_in_the_map():
     found = found_in((ONE, 3.0))
-    lamp, grid = found.lamps[0], DirectionGrid.latlong(64)
+    lamp, grid = found.lamps[0], found.environment.grid
     near = grid.directions @ lamp.direction > math.cos(4 * max(lamp.spread_rad, 0.05))
     cap = (found.environment.flat.double() * grid.solid_angles[:, None])[near].sum(0)
     around = found.environment.flat[~near].double().mean(0) * grid.solid_angles[near].sum()

@@ -4,6 +4,7 @@ import { el, freshId } from "../shared/dom";
 
 /** What each light model assumes, for people who choose one. */
 const HINTS: Record<string, string> = {
+  sphere: "Outdoors, rooms, studios, streets: sky and ground, windows and lamps; uses what stands behind the face.",
   auto: "Decides by itself; takes twice as long.",
   autoencoder: "Best for daylight outdoors.",
   sunsky: "A clear sky and a sun, few parameters.",
