@@ -1,0 +1,83 @@
+"""Light of any place: found with its lamp, its kind of place, and no more lamps than pay."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from skylight.inverse._estimate import estimate_light, light_problems
+from skylight.inverse._lamps import Fitted, LampsProblem, as_many_as_pay
+from skylight.models._sphere import SpherePrior
+from skylight.sphere._frame import angle_between
+from tests.inverse.test_lamps import ONE, lit_ball
+
+
+def most_likely(evidence: tuple[float, ...], **options: float) -> tuple[int, list[int]]:
+    """(how many lamps are chosen, which numbers were tried) for evidence of 0, 1, ... lamps."""
+    tried: list[int] = []
+
+    def fitted(count: int) -> Fitted[int]:
+        tried.append(count)
+        return Fitted(count=count, point=count, log_evidence=evidence[count])
+
+    return as_many_as_pay(fitted, **options).count, tried
+
+
+@pytest.mark.parametrize(
+    ("evidence", "options", "expected"),
+    [
+        ((0.0, 20.0, 90.0, 95.0), {}, (0, [0, 1])),  # 25 nats are needed, and nobody looks further
+        ((0.0, 30.0, 50.0, 95.0), {}, (1, [0, 1, 2])),
+        ((0.0, 5.0, 17.0, 18.0), {"least_gain": 8.0, "patience": 2}, (2, [0, 1, 2, 3])),
+        ((0.0, 5.0, 15.0, 18.0), {"least_gain": 8.0, "patience": 2}, (0, [0, 1, 2])),  # two need 16
+        ((0.0, 9.0, 10.0, 26.0), {"least_gain": 8.0, "patience": 2}, (3, [0, 1, 2, 3])),
+    ],
+)
+def test_lamps_pay_or_are_left_out(evidence, options, expected) -> None:
+    assert most_likely(evidence, **options) == expected
+
+
+def test_the_lamp_of_a_ball_is_found_and_told_of_which_kind_the_place_is() -> None:
+    found = estimate_light(lit_ball((ONE, 3.0)), "sphere", device="cpu")
+    assert found.lamps
+    lamp = torch.nn.functional.normalize(torch.tensor(ONE, dtype=torch.float64), dim=0)
+    off = math.degrees(float(angle_between(found.sun_direction, lamp)))
+    assert off < 6
+    assert sum(found.kinds.values()) == pytest.approx(1, abs=1e-4)
+    assert list(found.kinds.values()) == sorted(found.kinds.values(), reverse=True)
+    # what the ball shows, the light explains
+    assert found.faces[0].residual < 0.05
+
+
+def test_the_pictures_exposure_turns_the_odds_of_open_sky() -> None:
+    def prior(exposure: float | None) -> SpherePrior:
+        (problem,) = light_problems("sphere", exposures=[exposure], device="cpu")
+        assert isinstance(problem, LampsProblem)
+        found = problem.family.prior(0)
+        assert isinstance(found, SpherePrior)
+        return found
+
+    def outdoors(prior: SpherePrior) -> float:
+        mine = prior.kind == prior.kinds.index("outdoors")
+        return float(prior.log_weights[mine].logsumexp(0).exp())
+
+    dark, unknown, bright = (outdoors(prior(each)) for each in (5.0, None, 14.0))
+    assert dark < 0.2 * unknown
+    assert bright > 1.5 * unknown
+
+
+@pytest.mark.slow
+def test_a_known_place_rules_out_others() -> None:
+    outdoors = estimate_light(lit_ball((ONE, 3.0)), "sphere", device="cpu", place="outdoors")
+    assert sum(outdoors.kinds[kind] for kind in ("outdoors", "street")) == pytest.approx(1)
+
+
+@pytest.mark.slow
+def test_two_faces_in_one_light_are_one_problem() -> None:
+    first = lit_ball((ONE, 3.0))
+    twice = estimate_light([first, replace(first, pixels=2 * first.pixels)], "sphere", device="cpu")
+    alone = estimate_light(first, "sphere", device="cpu")
+    assert len(twice.faces) == 2
+    off = float(angle_between(twice.sun_direction, alone.sun_direction))
+    assert math.degrees(off) < 3
