@@ -69,6 +69,10 @@ class LampedLight(ParametricLight):
         """A of the module's text."""
         raise NotImplementedError
 
+    def on_rows(self, height: int) -> "LampedLight":
+        """The model on ``height`` rows."""
+        raise NotImplementedError
+
     def forward(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch n 3"]:
         """``A(w) + 4 pi sum_k e_k c_k g(w; d_k, s_k)``: radiance ``(..., n, 3)``.
 

@@ -8,7 +8,7 @@ prior is fitted to each kind of place by itself.
 
 import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from io import StringIO
@@ -325,7 +325,7 @@ def train_places(config: PlacesConfig, progress: StageProgress = silent) -> Path
     return config.out
 
 
-def _summary(decoder: Decoder, model: Linear, held: PlaceMaps) -> dict[str, object]:
+def _summary(decoder: Decoder, model: Linear, held: PlaceMaps) -> Mapping[str, object]:
     """Errors of places that the model has not seen; none where there are none."""
     if not held.kind:
         return {}
