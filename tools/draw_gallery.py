@@ -162,8 +162,8 @@ def _page(told: dict[str, dict], sources: dict[str, dict], map_name: str) -> str
         "Photographs of people whom skylight has never seen, the light that it found in each with "
         "`--light auto`, and the same portraits [in other light](portraits.md). They were chosen "
         "for their kinds of light, those at the end for how they fail; nothing was "
-        "retouched, and a verdict other than *reliable* or *overcast* is to be believed. From left "
-        "to right: " + "; ".join(COLUMNS) + f" (`{map_name}`).",
+        "retouched, and where a verdict says *unknown* or *unreliable*, believe it. From left to "
+        "right: " + "; ".join(COLUMNS) + f" (`{map_name}`).",
         "",
         "`python -m tools.draw_gallery --photos FOLDER --map MAP` draws all of it.",
     ]

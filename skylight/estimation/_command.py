@@ -90,9 +90,10 @@ def estimate(
             Of a grey one the colour of the light is only what is usual.
         more: Further pictures in the same light; only with --shared-light.
         shared_light: All pictures were taken in one light by cameras that looked the same way.
-        light: Light model: learnt skies, Preetham's sky with a sun, lamps in ambient light (rooms,
-            studios, streets at night), spherical harmonics with 9 or 25 coefficients; or auto, the
-            likelier of learnt skies and lamps, for half as much time again as skies alone.
+        light: Light model: learnt skies; any place, all round (sphere); Preetham's sky with a sun;
+            lamps in ambient light (rooms, studios, streets at night); spherical harmonics with 9 or
+            25 coefficients; or auto, the likelier of learnt skies and lamps, for half as much time
+            again as skies alone.
         model: Folder of a trained model of your own instead of the one that comes with skylight,
             for --light auto, autoencoder or sunsky.
         network: Class of that model's network, where it is yours, as module:Class.
@@ -110,8 +111,8 @@ def estimate(
         time: When the (first) picture was taken, as 2024-06-01T14:30+02:00, instead of what its
             EXIF data tell. With the place it tells the sun's height.
         place: Where, as LAT,LON: degrees north and east (south and west are negative); or what kind
-            of place: outdoors, indoors, or flash (on the camera), which chooses the light model; or
-            both, as outdoors,41.89,12.49.
+            of place: outdoors, indoors, or flash (on the camera), which chooses the light model, or
+            tells sphere of it; or both, as outdoors,41.89,12.49.
         heading: Where the camera looked: degrees clockwise from true north.
         ignore_exif_sun: Do not use time, place and heading of the EXIF data.
         keep_place: Write time, place and heading into estimate.json; they are left out else.

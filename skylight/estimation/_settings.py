@@ -69,8 +69,8 @@ class EstimateSettings:
     ----------
     light
         The light model: "auto" (the likelier of "autoencoder" and "lamps"), "autoencoder" (learnt
-        skies), "sunsky" (Preetham's sky and a sun), "lamps" (up to three in ambient light), "sh9"
-        or "sh25" (spherical harmonics up to degree 2 or 4); or a
+        skies), "sphere" (any place, all round), "sunsky" (Preetham's sky and a sun), "lamps" (up
+        to three in ambient light), "sh9" or "sh25" (spherical harmonics up to degree 2 or 4); or a
         :class:`~skylight.models._base.LightModel` of your own.
     prior
         The density of such a model's free parameters, as for
@@ -95,13 +95,13 @@ class EstimateSettings:
         :class:`~skylight.faces._landmarks.FaceLandmarker` of your own.
     ignore_exif_sun
         Leave the time, place and heading of EXIF data unused. Their focal length counts all the
-        same, and for "auto" the exposure of the first picture.
+        same, and for "auto" and "sphere" the exposure of the first picture.
     ground
         The albedo of the ground where it is known, for skies over a ground ("auto",
         "autoencoder", "sunsky", your own); by default what is usual.
     place
         "outdoors", "indoors" or "flash" (on the camera) where that is known: chooses the light
-        model in place of "auto" and the default.
+        model in place of "auto" and the default, and rules out kinds of place for "sphere".
     detail
         What the written map shows beside its light (:mod:`~skylight.estimation._detail`): "none",
         "photo" (the photograph's own pixels inside its view) or "mirrored" (its texture round the

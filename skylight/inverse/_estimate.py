@@ -70,16 +70,18 @@ def estimate_light(
         Pixels, weights and transport of each face; :func:`skylight.faces._observe.observe_face`
         makes them.
     light
-        "auto" (the likelier of "autoencoder" and "lamps"), "autoencoder" (learnt skies), "sunsky"
-        (Preetham's sky and a sun), "lamps" (up to three in ambient light, on the whole sphere),
-        "sh9" or "sh25" (spherical harmonics up to degree 2 or 4); or a
+        "auto" (the likelier of "autoencoder" and "lamps"), "autoencoder" (learnt skies), "sphere"
+        (any place, with up to three lamps, on the whole sphere), "sunsky" (Preetham's sky and a
+        sun), "lamps" (up to three in ambient light, on the whole sphere), "sh9" or "sh25"
+        (spherical harmonics up to degree 2 or 4); or a
         :class:`~skylight.models._base.LightModel`, of a sky or the whole sphere, for which
         :class:`~skylight.models._base.ParametricLight` is a base.
     prior
         The density of that model's free parameters but the azimuth (``log_prob`` of it is asked,
         as ``torch.distributions`` have it). None says nothing about them: all are alike. Of the
         models that come with skylight, ``load_bundle().light()`` has ``load_bundle().prior()``,
-        ``SunSky()`` has ``load_bundle().sunsky_prior`` and ``LampsLight(k)`` ``LampsPrior(k)``.
+        ``SunSky()`` has ``load_bundle().sunsky_prior``, ``SphereLight(k)`` ``SpherePrior(k)`` and
+        ``LampsLight(k)`` ``LampsPrior(k)``.
     model
         A trained model of your own, or its folder, in place of the one that comes with skylight:
         the network of "autoencoder", or the prior of "sunsky".
@@ -87,17 +89,18 @@ def estimate_light(
         The photograph of each observation, counted from 0; by default all are of one. Faces of
         one photograph share its exposure.
     options
-        Effort of the optimisation of skies, and weights of the objective; lamps have efforts of
-        their own, harmonics none.
+        Effort of the optimisation of skies, and weights of the objective; "sphere" and lamps have
+        efforts of their own, harmonics none.
     sun_prior
         What time, place and heading tell of the sun, by
         :func:`skylight.inverse._sun_prior.sun_prior`.
     exposure
-        The exposure value at ISO 100, which tells "auto" of rooms and daylight
+        The exposure value at ISO 100, which tells "auto" and "sphere" of rooms and daylight
         (:func:`~skylight.imaging._exif.exposure_value`); others do not use it.
     place
         "outdoors", "indoors" or "flash" where that is known: it chooses the model in place of
-        "auto" and the default, and with a flash one lamp is looked for at the camera too.
+        "auto" and the default, and with a flash one lamp is looked for at the camera too; for
+        "sphere" it rules out kinds of place.
     device
         "cpu", "cuda", or "auto" for CUDA where it is. Transport is moved there once. The estimate
         is on the CPU.
