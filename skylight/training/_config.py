@@ -231,7 +231,7 @@ class PlacesConfig(_Checked):
     """Numbers that code the smooth light of a place."""
     across: int = _bounded(13, least=5, most=64)
     """Control points across the disk above the horizon, and across that below."""
-    places_a_component: int = _bounded(750, least=100)
+    places_a_component: int = _bounded(600, least=100)
     """Training places for each Gaussian of the prior."""
     seed: int = _bounded(0, least=0, most=2**32 - 1)  # NumPy's
     """Of white balances, and of the Gaussians' first means."""

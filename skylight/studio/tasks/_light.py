@@ -69,7 +69,7 @@ def estimate_light(
     # beside the folder, as the page offers all files in it
     keep_person(Path(folder).parent, result, command_of(name, light, face, model, network))
     described = json.loads((Path(folder) / "estimate.json").read_text(encoding="utf-8"))
-    if result.estimate.lamps:
+    if result.estimate.lamps and result.estimate.light == "lamps":  # others are no ambient light
         described["lamp_facts"] = keep_lamps(Path(folder).parent, result)
     return described | {"camera": _preview_camera(result, preview_scale(photo))}
 
