@@ -23,7 +23,7 @@ def written(folder: Path, text: str) -> Path:
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda p: p.name)
 def test_shipped_configurations_are_read(path: Path) -> None:
-    assert read_config(path).kind in ("autoencoder", "prior", "dictionary")
+    assert read_config(path).kind in ("autoencoder", "prior", "dictionary", "places")
 
 
 @pytest.mark.parametrize(

@@ -115,7 +115,7 @@ def test_a_sun_that_moves_is_followed() -> None:
     moving = film(truth.tolist(), 720.0)
     found = azimuths_of(moving)
     assert np.abs(found - truth).max() < math.radians(5)  # smoothed most at the ends
-    assert found[-1] - found[0] > 0.4 * (truth[-1] - truth[0])
+    assert found[-1] - found[0] > 0.3 * (truth[-1] - truth[0])  # drawn together, not held
     assert moving.drift_per_s > 1e-6
 
 
