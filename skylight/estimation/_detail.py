@@ -5,10 +5,11 @@ values over the white balance. With P that picture and L the estimate without it
 
     D = ln P - ln L = low + high,
 
-``low`` a mean over :data:`LOW_RAD` of what is known: neither the person's pixels nor the margin of
-a cut-out. Where they agree within a doubt, the view gets the photograph's pixels; where ``low`` is
-large beyond doubt (a wall at one metre, a backdrop), the estimate's level with the photograph's
-detail (:func:`believed`). Where a pixel is clipped D is a lower bound, and never darkens.
+``low`` a mean over :data:`LOW_RAD` of what is known
+(:class:`~skylight.faces._background.BackgroundPixels`). Where they agree within a doubt, the view
+gets the photograph's pixels; where ``low`` is large beyond doubt (a wall at one metre, a backdrop),
+the estimate's level with the photograph's detail (:func:`believed`). Where a pixel is clipped D is
+a lower bound, and never darkens.
 
 ``mirrored`` multiplies what lies outside of the view by ``exp(high)`` of patches of the view
 (:func:`surrounding_texture`): above the horizon of what is above it, below of what is below.
@@ -20,34 +21,27 @@ one in relative entropy.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy import ndarray
 
 from skylight._names import DetailName
 from skylight.estimation._lights import lights_apart
-from skylight.faces._fit import FaceFit
-from skylight.faces._model import HeadModel
-from skylight.faces._observe import hair_of, skin_seen
-from skylight.faces._segmentation import person_matte
-from skylight.imaging._photo import Photo
+from skylight.faces._background import BackgroundPixels
 from skylight.inverse._result import Estimate
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import EnvironmentMap, averaged, bilinear
 from skylight.sphere._frame import DirectionGrid, pixel_from_direction
 from skylight.transport._cameras import Camera
 
-FACE_PX = 96  # height of the face where the person is cut out
-PIXEL_RAD = math.radians(0.35)  # of the view that is kept: half a pixel of the map
+PIXEL_RAD = math.radians(0.35)  # of the view, at least: half a pixel of the map
 LOW_RAD = math.radians(8.0)  # standard deviation of the mean that is called low
 BORDER_RAD, PERSON_RAD = math.radians(6.0), math.radians(3.0)  # feathers
 DOUBT = 0.7  # nats between a view and an estimate, where each is believed by half
-LEAST_VIEW = 0.06  # of the picture: less background than this tells of nothing round it
 MOST_DETAIL = 3.0  # nats: a black pixel tells no more
 FLOOR = 3e-4  # of the picture's white: one code of eight bits
 SOLVED_ROWS = 64
@@ -57,20 +51,18 @@ PATCHES, PATCH_SHARE, PATCH_RAD = 12.0, 0.4, math.radians(24.0)
 FAINTEST = 0.4  # texture at zenith and nadir
 MOST_TEXTURE = 0.7  # nats
 MOST_CHANGE = math.log(1.5)  # of what lies outside of the view, to keep the light as it was
-# From the middle of the head, metres right and up: neck, shoulders, hips, feet
-_BODY = ((0.07, -0.1), (0.2, -0.2), (0.27, -0.32), (0.3, -0.6), (0.24, -2.0))
 
 
 def detailed(
-    estimate: Estimate, photo: Photo, fits: Sequence[FaceFit], detail: DetailName
+    estimate: Estimate, behind: BackgroundPixels, grey: bool, detail: DetailName
 ) -> EnvironmentMap:
-    """The estimate's map with the photograph in it, of which ``fits`` are the faces.
+    """The estimate's map with the photograph in it, ``grey`` or in colours.
 
     Irradiance is the estimate's for every normal, to 1 % (tested).
     """
-    view = None if detail == "none" else View.of(photo, fits, estimate.white_balance.numpy())
-    if view is None:
+    if detail == "none":
         return estimate.environment
+    view = View.of(behind, estimate.white_balance.numpy(), grey)
     rest, _ = lights_apart(estimate)
     lights = (estimate.environment.radiance - rest.radiance).clamp(min=0)
     base = rest.radiance.double().numpy().clip(1e-6 * float(rest.radiance.mean()) + 1e-12)
@@ -100,7 +92,7 @@ def believed(low: Float[ndarray, "h w 3"]) -> Float[ndarray, "h w 3"]:
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """A photograph's background on pixels of about :data:`PIXEL_RAD`, seen by ``camera``.
+    """A photograph's background on pixels of :data:`PIXEL_RAD` or more, seen by ``camera``.
 
     ``radiance`` is in the light's units and colours; ``known`` is 1 on background and falls to 0
     towards the person, ``border`` to 0 at the picture's edges; ``clipped`` is the share of each
@@ -112,109 +104,50 @@ class View:
     known: Float[ndarray, "h w"]
     border: Float[ndarray, "h w"]
     clipped: Float[ndarray, "h w"]
-    floor: float
     grey: bool
 
     @staticmethod
-    def of(
-        photo: Photo, fits: Sequence[FaceFit], white_balance: Float[ndarray, "3"]
-    ) -> "View | None":
-        """None where there is next to no background, or all of it is one colour or over-exposed."""
-        camera = fits[0].camera
-        person = np.zeros(photo.encoded.shape[:2], np.float32)
-        for fit in fits:
-            person = np.maximum(person, person_of(photo, fit))
-        bare = (1 - person) * ~cut_off(photo)
-        pixel = camera.focal_px * PIXEL_RAD
-        size = max(8, round(camera.height / pixel)), max(8, round(camera.width / pixel))
-        share = _shrunk(bare, size)
-        seen = _shrunk(photo.pixels.numpy() * bare[..., None], size)
-        radiance = seen / np.maximum(share, 1e-3)[..., None]
-        clipped = _shrunk((photo.clipped.numpy() * bare).astype(np.float32), size)
-        clipped = clipped / np.maximum(share, 1e-3)
-        there = share > 0.5
-        if there.mean() < LEAST_VIEW or (clipped > 0.5)[there].mean() > 0.9:
-            return None
-        scale = size[1] / camera.width, size[0] / camera.height
-        centre = camera.center_px[0] * scale[0], camera.center_px[1] * scale[1]
-        small = Camera(
-            focal_px=camera.focal_px * math.sqrt(scale[0] * scale[1]),
-            width=size[1],
-            height=size[0],
-            center_px=centre,
-        )
+    def of(behind: BackgroundPixels, white_balance: Float[ndarray, "3"], grey: bool) -> "View":
+        """One colour and over-exposed light are shown too: they tell little of the light, but are
+        what a mirror would reflect."""
+        pixel = behind.camera.focal_px * PIXEL_RAD
+        whole = behind.camera.height, behind.camera.width
+        height, width = (min(side, max(8, round(side / pixel))) for side in whole)
+        size = height, width
+        camera = behind.camera.resized(width, height)
+        share = _shrunk(behind.usable.astype(np.float32), size)
+        seen = _shrunk(behind.picture * behind.usable[..., None], size)
+        seen = seen / np.maximum(share, 1e-3)[..., None]
+        clipped = _shrunk(behind.clipped * behind.usable, size) / np.maximum(share, 1e-3)
         ones = np.pad(np.ones(size, np.uint8), 1)
-        edge = cv2.distanceTransform(ones, cv2.DIST_L2, 5)[1:-1, 1:-1] / small.focal_px
-        beside = cv2.distanceTransform(
-            np.pad(there.astype(np.uint8), 1, mode="edge"), cv2.DIST_L2, 5
-        )[1:-1, 1:-1]
-        border = min(BORDER_RAD, 0.2 * float(min(size)) / small.focal_px)
+        edge = cv2.distanceTransform(ones, cv2.DIST_L2, 5)[1:-1, 1:-1] / camera.focal_px
+        there = np.pad((share > 0.5).astype(np.uint8), 1, mode="edge")
+        beside = cv2.distanceTransform(there, cv2.DIST_L2, 5)[1:-1, 1:-1] / camera.focal_px
         return View(
-            camera=small,
-            radiance=(radiance / white_balance).astype(np.float64),
-            known=_smooth(beside / small.focal_px / PERSON_RAD),
-            border=_smooth(edge / border),
+            camera=camera,
+            radiance=(seen / white_balance).astype(np.float64),
+            known=_smooth(beside / PERSON_RAD),
+            border=_smooth(edge / min(BORDER_RAD, 0.2 * min(size) / camera.focal_px)),
             clipped=clipped,
-            floor=FLOOR,
-            grey=photo.grey,
+            grey=grey,
         )
 
     def against(
         self, base: Float[ndarray, "r c 3"]
     ) -> tuple[Float[ndarray, "h w 3"], Float[ndarray, "h w 3"]]:
-        """(low, high): D of the module's text, low filled in where the person stands."""
+        """(low, high): D of the module's text; where the person stands low is filled in, high 0."""
         row, column = pixel_from_direction(self.camera.rays(), *base.shape[:2])
         expected = bilinear(torch.from_numpy(base), row, column).numpy()
         expected = expected.reshape(self.radiance.shape)
-        ratio = np.log(self.radiance + self.floor) - np.log(expected + self.floor)
+        ratio = np.log(self.radiance + FLOOR) - np.log(expected + FLOOR)
         if self.grey:
             ratio = ratio.mean(-1, keepdims=True).repeat(3, -1)
         ratio = np.where(self.clipped[..., None] > 0.5, ratio.clip(0), ratio)
         weight = self.known + 1e-6
         sigma = LOW_RAD * self.camera.focal_px
         low = _blurred(ratio * weight[..., None], sigma) / _blurred(weight, sigma)[..., None]
-        return low, (ratio - low).clip(-MOST_DETAIL, MOST_DETAIL)
-
-
-def person_of(photo: Photo, fit: FaceFit) -> Float[ndarray, "h w"]:
-    """How much of each pixel is the person's, with a margin for hair and blur.
-
-    Cut out by :func:`person_matte` from the head's outline, hair, and a body of usual proportions
-    that stands upright.
-    """
-    skin = skin_seen(HeadModel.load(), fit)
-    height, width = photo.encoded.shape[:2]
-    scale = min(1.0, FACE_PX / max(float(np.ptp(skin[:, 1])), 1.0))
-    size = max(16, round(height * scale)), max(16, round(width * scale))
-    face_px = float(np.ptp(skin[:, 1])) * size[0] / height
-    ratio = np.array([size[1] / width, size[0] / height])
-    outline = fit.camera.project(torch.from_numpy(fit.vertices)).numpy() * ratio
-    right = np.array(_BODY)
-    body = np.concatenate([right, right[::-1] * (-1, 1)])
-    points = np.column_stack([body, np.zeros(len(body))]) + fit.translation
-    torso = fit.camera.project(torch.from_numpy(points)).numpy() * ratio
-    hull = cv2.convexHull(outline.astype(np.float32))
-    head, bust = _filled(hull, size), _filled(torso, size)
-    hair = _shrunk(hair_of(photo.pixels, HeadModel.load(), fit).astype(np.float32), size)
-    encoded = cv2.resize(photo.encoded, size[::-1], interpolation=cv2.INTER_AREA)
-    matte = person_matte(encoded, head, bust & ~head, hair, face_px)
-    reach = 2 * max(1, round(0.06 * face_px)) + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
-    grown = cv2.dilate((np.maximum(matte, head) > 0.15).astype(np.float32), disc)
-    return cv2.resize(grown, (width, height), interpolation=cv2.INTER_LINEAR)
-
-
-def cut_off(photo: Photo) -> Bool[ndarray, "h w"]:
-    """Pure white or black that reaches the picture's edge: a cut-out's margin, a border, or a sky
-    of which nothing is left."""
-    codes, found = photo.encoded, np.zeros(photo.encoded.shape[:2], bool)
-    for pure in (codes.min(-1) >= 254, codes.max(-1) <= 1):
-        mask = np.zeros(found.shape, np.uint8)
-        mask[pure] = 1
-        _, label = cv2.connectedComponents(mask, connectivity=4)
-        edge = np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]])
-        found |= np.isin(label, np.setdiff1d(edge, [0]))
-    return found
+        high = (ratio - low).clip(-MOST_DETAIL, MOST_DETAIL)
+        return low, np.where(self.known[..., None] > 0, high, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -376,17 +309,8 @@ def with_the_light_of(
     return detailed * (1 + free[..., None] * (gain - 1)), most
 
 
-def _filled(points: Float[ndarray, "..."], size: tuple[int, int]) -> Bool[ndarray, "h w"]:
-    """A polygon's pixels."""
-    mask = np.zeros(size, np.uint8)
-    cv2.fillPoly(mask, [np.round(points).reshape(-1, 1, 2).clip(-9999, 9999).astype(np.int32)], 1)
-    return mask > 0
-
-
 def _shrunk(picture: Float[ndarray, "h w *c"], size: tuple[int, int]) -> Float[ndarray, "p q *c"]:
-    smaller = size[0] <= picture.shape[0]
-    how = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
-    return cv2.resize(picture.astype(np.float32), size[::-1], interpolation=how)
+    return cv2.resize(picture, size[::-1], interpolation=cv2.INTER_AREA)
 
 
 def _blurred(picture: Float[ndarray, "h w *c"], sigma: float) -> Float[ndarray, "h w *c"]:

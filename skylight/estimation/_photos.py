@@ -225,9 +225,11 @@ class Pictures:
         """Each face with its transport on so many rows; ``specular`` adds that of the skin's lobe.
 
         ``rays_on`` is that of :func:`~skylight.faces._observe.observe_face`. With ``background``,
-        each photograph's goes with the first of its faces.
+        each photograph's goes with the first of its faces; where it is shown in the map, its pixels
+        do in any case.
         """
         heads, seen = HeadModel.load(), set[int]()
+        shown = self.settings.detail != "none"
         with self.stage(STAGES[2]) as tell:
             for done, (one, fit) in enumerate(fitted):
 
@@ -236,7 +238,7 @@ class Pictures:
 
                 photo = self.photos[one.photo]
                 beside = None
-                if background and one.photo not in seen:
+                if (background or shown) and one.photo not in seen:
                     others = (each for each in fitted if each[0].photo == one.photo)
                     beside = [other for _, other in others if other is not fit]
                 try:
@@ -256,6 +258,9 @@ class Pictures:
                 except InputError as error:
                     self.left_out.append(f"{one.name}: {error}")
                     continue
+                if not background:
+                    observation = replace(view.observation, background=None)
+                    view = replace(view, observation=observation, no_background=None)
                 seen.add(one.photo)
                 yield SeenFace(**vars(one), fit=fit, view=view)
         if not seen:

@@ -83,11 +83,9 @@ class PhotoEstimate:
     @cached_property
     def probe(self) -> EnvironmentMap:
         """The estimate's map as it is written, with the (first) photograph's detail."""
-        if not self.seen:
+        if not self.seen or self.view.behind is None:
             return self.estimate.environment
-        photo = self.seen[0].photo
-        fits = [one.fit for one in self.seen if one.photo == photo]
-        return detailed(self.estimate, self.photos[photo], fits, self.detail)
+        return detailed(self.estimate, self.view.behind, self.view.observation.grey, self.detail)
 
     @property
     def face(self) -> DetectedFace:

@@ -28,20 +28,18 @@ from skylight.evaluation._sky_representations import (
     PICTURE,
     QUANTILE,
     Sky,
-    fit_gaussians,
-    fit_harmonics,
+    harmonics_and_gaussians,
     tone_mapped,
     tone_mapped_scores,
 )
 from skylight.inverse._scores import find_lamps
 from skylight.io._files import read_categories, read_environment_map, write_png
-from skylight.models._gaussians import CONSTANT_PARAMETERS, LOBE_PARAMETERS
 from skylight.models._sphere import SphereLight
 from skylight.sphere._envmap import EnvironmentMap, luminance
 
 ROWS = 64
 WHITE = 10.0  # what the quantile is when representations are fitted
-FLOATS = {2: 27, 5: 108, 6: 147, 9: 300}  # degree of harmonics -> of these and of Gaussians
+DEGREES = (2, 5, 6, 9)  # of harmonics
 LAMPS = (0, 3, 6)
 LEAST_LAMP = 0.003  # of all light
 
@@ -79,14 +77,8 @@ class LightRepresentations(ProbeEvaluation):
 
 
 def representations() -> dict[str, tuple[int, Callable[[Sky], Sky]]]:
-    """Name -> (floats, fit). Gaussians have as many lobes as the floats of SH allow."""
-    found: dict[str, tuple[int, Callable[[Sky], Sky]]] = {}
-    for degree, floats in FLOATS.items():
-        found[f"sh_{floats}"] = (floats, partial(fit_harmonics, degree=degree))
-    for floats in FLOATS.values():
-        lobes = (floats - CONSTANT_PARAMETERS) // LOBE_PARAMETERS
-        count = LOBE_PARAMETERS * lobes + CONSTANT_PARAMETERS
-        found[f"gaussians_{count}"] = (count, partial(fit_gaussians, lobes=lobes))
+    """Name -> (floats, fit)."""
+    found = harmonics_and_gaussians(DEGREES)
     for lamps in LAMPS:
         count = 1 + SphereLight(lamps).parameter_count
         found[f"sphere_{count}"] = (count, partial(fit_sphere, lamps=lamps))

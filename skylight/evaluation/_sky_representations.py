@@ -10,7 +10,7 @@ All representations are fitted under one loss, the L1 of log(1 + radiance).
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -48,7 +48,6 @@ Sky = Float[Tensor, "h w 3"]
 LOG_ONLY = LossWeights(radiance=0.0, log=1.0, shading=0.0)
 PICTURE = replace(LOG_ONLY, picture=True)
 DEGREES = (2, 3, 4, 5, 6, 9)
-FLOATS = tuple(3 * (degree + 1) ** 2 for degree in DEGREES)  # 27, 48, 75, 108, 147, 300
 QUANTILE = 0.98
 
 
@@ -141,15 +140,24 @@ def descended(model: Decoder, start: Float[Tensor, "1 p"], sky: Sky) -> Sky:
 
 
 def representations(light: AutoencoderLight) -> dict[str, tuple[int, Callable[[Sky], Sky]]]:
-    """Name -> (floats, fit). Gaussians have as many lobes as the floats of SH allow."""
-    found: dict[str, tuple[int, Callable[[Sky], Sky]]] = {}
-    for degree, floats in zip(DEGREES, FLOATS, strict=True):
-        found[f"sh_{floats}"] = (floats, lambda sky, d=degree: fit_harmonics(sky, d))
-    for floats in FLOATS:
-        lobes = (floats - CONSTANT_PARAMETERS) // LOBE_PARAMETERS
-        count = LOBE_PARAMETERS * lobes + CONSTANT_PARAMETERS
-        found[f"gaussians_{count}"] = (count, lambda sky, k=lobes: fit_gaussians(sky, k))
+    """Name -> (floats, fit)."""
+    found = harmonics_and_gaussians(DEGREES)
     found["sunsky_10"] = (SunSky.parameter_count, fit_sun_and_sky)
     count = light.parameter_count
     found[f"autoencoder_{count}"] = (count, partial(fit_autoencoder, light))
+    return found
+
+
+def harmonics_and_gaussians(
+    degrees: Sequence[int],
+) -> dict[str, tuple[int, Callable[[Sky], Sky]]]:
+    """Harmonics up to each degree, and as many Gaussian lobes as their floats allow."""
+    found: dict[str, tuple[int, Callable[[Sky], Sky]]] = {}
+    all_floats = [3 * (degree + 1) ** 2 for degree in degrees]  # 27, 48, 75, 108, 147, ...
+    for degree, floats in zip(degrees, all_floats, strict=True):
+        found[f"sh_{floats}"] = (floats, partial(fit_harmonics, degree=degree))
+    for floats in all_floats:
+        lobes = (floats - CONSTANT_PARAMETERS) // LOBE_PARAMETERS
+        count = LOBE_PARAMETERS * lobes + CONSTANT_PARAMETERS
+        found[f"gaussians_{count}"] = (count, partial(fit_gaussians, lobes=lobes))
     return found

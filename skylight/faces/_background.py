@@ -1,4 +1,4 @@
-"""The background of a photograph as an observation of the light, where it can be one.
+"""The background of a photograph: which pixels show it, and the observation of the light it makes.
 
 People are cut out with a margin (:func:`~skylight.faces._segmentation.person_matte` of each fitted
 head), and what stands below them too: arms and clothes. What was drawn rather than photographed is
@@ -9,6 +9,7 @@ over blocks of some degrees; the camera is that of the fitted head, and level.
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -49,68 +50,86 @@ SEAM_CODES, SEAM_SHARE = 16, 0.85  # a step of so much along so much of a line: 
 _LEAST = 1e-4  # of radiance against the face's, before logarithms
 
 
-def observe_background(
-    picture: Float[Tensor, "h w 3"],
-    clipped: Bool[Tensor, "h w"],
-    fits: Sequence[FaceFit],
-    hair: Float[ndarray, "h w"],
-    face_level: float,
-    grid_height: int,
-) -> Background:
-    """Of a linear photograph of people whose heads were fitted, the first one's camera counting.
+@dataclass(frozen=True, kw_only=True)
+class BackgroundPixels:
+    """A small linear ``picture`` of a photograph, and where it shows what stands behind the people.
 
-    ``hair`` is how likely a pixel shows hair; ``face_level`` the mean luminance of the face.
-    Directions are those of a lat-long grid of ``grid_height`` rows.
-
-    Raises
-    ------
-    InputError
-        Too little of it is seen, it was drawn, it is black, white or of one colour: it tells
-        nothing of the light.
+    ``usable`` are pixels that show neither people, with a margin, nor what was drawn or belongs to
+    another photograph; ``clipped`` is the share of each pixel that is over-exposed.
     """
-    full = picture.numpy()
-    scale = min(1.0, LONG_SIDE_PX / max(full.shape[:2]))
-    size = tuple(max(1, round(side * scale)) for side in full.shape[1::-1])
 
-    def small(image: Float[ndarray, "h w *c"]) -> Float[ndarray, "p q *c"]:
-        return cv2.resize(np.ascontiguousarray(image), size, interpolation=cv2.INTER_AREA)
+    picture: Float[ndarray, "p q 3"]
+    clipped: Float[ndarray, "p q"]
+    usable: Bool[ndarray, "p q"]
+    camera: Camera
 
-    seen, hair = small(full), small(hair)
-    codes = (255 * linear_to_srgb(torch.from_numpy(seen).clamp(0, 1))).round().byte().numpy()
-    cameras = [_shrunk(fit.camera, *size) for fit in fits]
-    people, faces = np.zeros(seen.shape[:2], bool), np.zeros(seen.shape[:2], bool)
-    for fit, camera in zip(fits, cameras, strict=True):
-        person, face = _person(fit, camera, codes, hair)
-        people, faces = people | person, faces | face
-    drawn = _drawn(codes, small(_even(full).astype(np.float32)) > FLAT_SHARE, people)
-    beyond = _beyond_seams(codes, faces)
-    usable = ~(people | drawn | beyond)
-    needed = FEWEST_BLOCKS * LEAST_OF_BLOCK / math.prod(MOST_BLOCKS)
-    if (usable | drawn).mean() < needed:
-        raise InputError("too little of it is seen beside the person")
-    if usable.mean() < max(needed, 0.1 * (usable | drawn).mean()):
-        raise InputError("it is of one even colour, drawn rather than photographed")
-    light = np.maximum(seen[usable] / max(face_level, 1e-9), _LEAST)
-    bright = luminance(torch.from_numpy(light)).numpy()
-    if (bright < BLACK).mean() > BLACK_SHARE:
-        raise InputError("it is black, as in a studio or behind a flash at night")
-    contrast = float(np.log(bright).std())
-    if max(contrast, *(np.log(light[:, [0, 2]] / light[:, 1:2]).std(0))) < PLAIN:
-        raise InputError("it is of one colour, as a backdrop or a screen is")
-    return _in_blocks(
-        seen, small(clipped.float().numpy()), usable, cameras[0], contrast, grid_height
-    )
+    @staticmethod
+    def of(
+        picture: Float[Tensor, "h w 3"],
+        clipped: Bool[Tensor, "h w"],
+        fits: Sequence[FaceFit],
+        hair: Float[ndarray, "h w"],
+    ) -> "BackgroundPixels":
+        """Of a linear photograph of people whose heads were fitted; the first one's camera counts.
+
+        ``hair`` is how likely a pixel shows hair.
+
+        Raises
+        ------
+        InputError
+            Too little of it is seen, or it was drawn.
+        """
+        full = picture.numpy()
+        scale = min(1.0, LONG_SIDE_PX / max(full.shape[:2]))
+        size = tuple(max(1, round(side * scale)) for side in full.shape[1::-1])
+
+        def small(image: Float[ndarray, "h w *c"]) -> Float[ndarray, "p q *c"]:
+            return cv2.resize(np.ascontiguousarray(image), size, interpolation=cv2.INTER_AREA)
+
+        seen, hair = small(full), small(hair)
+        codes = (255 * linear_to_srgb(torch.from_numpy(seen).clamp(0, 1))).round().byte().numpy()
+        cameras = [fit.camera.resized(*size) for fit in fits]
+        people, faces = np.zeros(seen.shape[:2], bool), np.zeros(seen.shape[:2], bool)
+        for fit, camera in zip(fits, cameras, strict=True):
+            person, face = _person(fit, camera, codes, hair)
+            people, faces = people | person, faces | face
+        drawn = _drawn(codes, small(_even(full).astype(np.float32)) > FLAT_SHARE, people)
+        usable = ~(people | drawn | _beyond_seams(codes, faces))
+        needed = FEWEST_BLOCKS * LEAST_OF_BLOCK / math.prod(MOST_BLOCKS)
+        if (usable | drawn).mean() < needed:
+            raise InputError("too little of it is seen beside the person")
+        if usable.mean() < max(needed, 0.1 * (usable | drawn).mean()):
+            raise InputError("it is of one even colour, drawn rather than photographed")
+        return BackgroundPixels(
+            picture=seen,
+            clipped=small(clipped.float().numpy()),
+            usable=usable,
+            camera=cameras[0],
+        )
+
+    def observed(self, face_level: float, grid_height: int) -> Background:
+        """Its light, on the directions of a lat-long grid of ``grid_height`` rows.
+
+        ``face_level`` is the mean luminance of the face.
+
+        Raises
+        ------
+        InputError
+            It is black, white or of one colour: it tells nothing of the light.
+        """
+        light = np.maximum(self.picture[self.usable] / max(face_level, 1e-9), _LEAST)
+        bright = luminance(torch.from_numpy(light)).numpy()
+        if (bright < BLACK).mean() > BLACK_SHARE:
+            raise InputError("it is black, as in a studio or behind a flash at night")
+        contrast = float(np.log(bright).std())
+        if max(contrast, *(np.log(light[:, [0, 2]] / light[:, 1:2]).std(0))) < PLAIN:
+            raise InputError("it is of one colour, as a backdrop or a screen is")
+        return _in_blocks(self, contrast, grid_height)
 
 
-def _in_blocks(
-    seen: Float[ndarray, "p q 3"],
-    clipped: Float[ndarray, "p q"],
-    usable: Bool[ndarray, "p q"],
-    camera: Camera,
-    contrast: float,
-    grid_height: int,
-) -> Background:
+def _in_blocks(pixels: BackgroundPixels, contrast: float, grid_height: int) -> Background:
     """Means over the usable pixels of each block that has enough of them."""
+    usable, camera = pixels.usable, pixels.camera
     height, width = usable.shape
     down, across = (
         min(most, max(2, round(2 * math.atan(side / 2 / camera.focal_px) / BLOCK_RAD)))
@@ -138,27 +157,16 @@ def _in_blocks(
         total = torch.zeros(len(kept), values.shape[1], dtype=torch.float64)
         return total.index_add_(0, index, share[:, None] * values)
 
-    bounds = means(torch.from_numpy(clipped[used])[:, None])[:, 0] > CLIPPED_SHARE
+    bounds = means(torch.from_numpy(pixels.clipped[used])[:, None])[:, 0] > CLIPPED_SHARE
     if bool(bounds.all()):  # all that is known is that it is brighter than the rest of the place
         raise InputError("it is over-exposed all over")
     averages = torch.zeros(len(kept), len(grid), dtype=torch.float64)
     averages.index_put_((index, torch.from_numpy(cell[used])), share, accumulate=True)
     return Background(
-        radiance=means(torch.from_numpy(seen[used])).float(),
+        radiance=means(torch.from_numpy(pixels.picture[used])).float(),
         averages=TransportMatrix(matrix=averages.float(), grid=grid),
         clipped=bounds,
         contrast=contrast,
-    )
-
-
-def _shrunk(camera: Camera, width: int, height: int) -> Camera:
-    """The camera of the same picture in so many pixels."""
-    across, down = width / camera.width, height / camera.height
-    return Camera(
-        focal_px=camera.focal_px * (across + down) / 2,
-        width=width,
-        height=height,
-        center_px=(camera.center_px[0] * across, camera.center_px[1] * down),
     )
 
 

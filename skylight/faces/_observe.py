@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from skylight.errors import InputError
-from skylight.faces._background import observe_background
+from skylight.faces._background import BackgroundPixels
 from skylight.faces._blazeface import Square
 from skylight.faces._fit import FaceFit
 from skylight.faces._model import HeadModel, Region
@@ -61,8 +61,9 @@ class FaceView:
     """A face cut out of a picture at working resolution, with the points seen in it.
 
     ``used`` (m,) tells which of the G-buffer's pixels went into ``observation``, and ``blocks``
-    (u,) into which of its rows each of those did. ``no_background`` is why the observation has no
-    background, None where it has or was not to have.
+    (u,) into which of its rows each of those did. ``behind`` is where the whole photograph
+    shows its background. ``no_background`` is why the observation has none, None where it has or
+    was not to have.
     """
 
     image: Float[Tensor, "h w 3"]
@@ -71,6 +72,7 @@ class FaceView:
     used: Bool[Tensor, " m"]
     blocks: Int[Tensor, " u"]
     observation: Observation
+    behind: BackgroundPixels | None = None
     no_background: str | None = None
 
     @property
@@ -195,17 +197,12 @@ def observe_face(
         else NormalModes.of(transport, normals, errors.modes, NORMAL_ROWS, errors.axes),
         camera_lamp=camera_lamp(normals, views, specular).float(),
     )
-    why_not = None
+    behind = why_not = None
     if beside is not None:
+        hair = np.maximum.reduce([hair, *(hair_of(picture, model, one) for one in beside)])
         try:
-            background = observe_background(
-                picture,
-                clipped,
-                [fit, *beside],
-                np.maximum.reduce([hair, *(hair_of(picture, model, one) for one in beside)]),
-                observation.mean_luminance,
-                grid_height,
-            )
+            behind = BackgroundPixels.of(picture, clipped, [fit, *beside], hair)
+            background = behind.observed(observation.mean_luminance, grid_height)
             observation = replace(observation, background=background)
         except InputError as error:
             why_not = str(error)
@@ -217,6 +214,7 @@ def observe_face(
         used=used,
         blocks=blocks.index,
         observation=observation,
+        behind=behind,
         no_background=why_not,
     )
 

@@ -7,7 +7,6 @@ not in the maps: ``lights.csv`` beside them says where they stand and what energ
 import csv
 import hashlib
 import math
-from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from io import StringIO
@@ -27,11 +26,11 @@ from skylight.io._files import (
     visible_files,
 )
 from skylight.io._hdr import SUFFIXES
+from skylight.places._simulated import LIGHTS_NAME, read_lights
 from skylight.sphere._envmap import EnvironmentMap
 from skylight.sphere._frame import direction_from_angles
 
 ROWS = 64  # of the light of a rendered face
-LIGHTS_NAME = "lights.csv"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +99,7 @@ class MapFolder:
             files = tuple(file for file in files if file in kinds)
         if not files:
             raise InputError(f"{folder}: no maps in it; put .exr or .hdr lat-long maps there")
-        beside = read_lights(folder / LIGHTS_NAME)
+        beside = lights_beside(folder)
         digest = hashlib.sha256()
         for file in files:
             read_light(folder / file)
@@ -153,32 +152,24 @@ def read_light(path: Path) -> EnvironmentMap:
     return light
 
 
-def read_lights(path: Path) -> dict[str, tuple[LightBeside, ...]]:
-    """By file, what ``lights.csv`` of simulated places has that is not in the map; {} without."""
+def lights_beside(folder: Path) -> dict[str, tuple[LightBeside, ...]]:
+    """By file, what simulated places have that is not in the map; {} of other maps."""
+    path = folder / LIGHTS_NAME
     if not path.is_file():
         return {}
-    found: dict[str, list[LightBeside]] = defaultdict(list)
-    try:
-        for row in csv.DictReader(StringIO(file_text(path), newline="")):
-            azimuth, zenith, *energy = (
-                float(row[name]) for name in ("azimuth_deg", "zenith_deg", "red", "green", "blue")
+    return {
+        file: tuple(
+            LightBeside(
+                kind=light.kind,
+                azimuth_rad=math.radians(light.azimuth_deg),
+                zenith_rad=math.radians(light.zenith_deg),
+                energy=torch.tensor([light.red, light.green, light.blue]),
             )
-            if not all(map(math.isfinite, (azimuth, zenith, *energy))) or min(energy) < 0:
-                raise ValueError(f"a light of {row['file']} is no light")
-            if not int(row["in_map"]):
-                light = LightBeside(
-                    kind=row["kind"],
-                    azimuth_rad=math.radians(azimuth),
-                    zenith_rad=math.radians(zenith),
-                    energy=torch.tensor(energy),
-                )
-                found[row["file"]].append(light)
-    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
-        raise InputError(
-            f"{path}: no list of the maps' lights ({error}); simulate the places anew, or move it "
-            "away"
-        ) from error
-    return {file: tuple(lights) for file, lights in found.items()}
+            for light in lights
+            if not light.in_map
+        )
+        for file, lights in read_lights(path).items()
+    }
 
 
 def _kinds(folder: Path) -> dict[str, str] | None:

@@ -6,7 +6,7 @@ day ``s`` of :mod:`skylight.skies`. The same numbers give the same bytes on one 
 
 import csv
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from datetime import datetime
@@ -154,6 +154,35 @@ def read_places(path: Path) -> list[PlaceRecord]:
         return [_parsed(row) for row in rows]
     except (KeyError, TypeError, ValueError, csv.Error) as error:
         raise InputError(f"{path}: not an index of places ({error}); simulate them anew") from error
+
+
+def read_lights(path: Path) -> dict[str, list[LightRecord]]:
+    """By file, the distinct lights of its map.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or has lights that are none.
+    """
+    found: dict[str, list[LightRecord]] = defaultdict(list)
+    try:
+        for row in csv.DictReader(StringIO(file_text(path), newline="")):
+            light = _parsed_light(row)
+            found[light.file].append(light)
+    except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
+        raise InputError(
+            f"{path}: no list of the maps' lights ({error}); simulate the places anew, or move it "
+            "away"
+        ) from error
+    return dict(found)
+
+
+def _parsed_light(row: dict[str, str]) -> LightRecord:
+    names = ("azimuth_deg", "zenith_deg", "red", "green", "blue", "radius_deg")
+    reals = {name: float(row[name]) for name in names}
+    if not all(map(math.isfinite, reals.values())) or min(list(reals.values())[2:]) < 0:
+        raise ValueError(f"a light of {row['file']} is no light")
+    return LightRecord(file=row["file"], kind=row["kind"], in_map=int(row["in_map"]), **reals)
 
 
 def counts(records: Sequence[PlaceRecord]) -> str:

@@ -212,11 +212,4 @@ class PersonSurface:
 
 def scaled(camera: Camera, scale: float) -> Camera:
     """The camera of the same picture at ``scale`` times its size, in whole pixels."""
-    width, height = (max(1, round(side * scale)) for side in (camera.width, camera.height))
-    across, down = width / camera.width, height / camera.height
-    return Camera(
-        focal_px=camera.focal_px * (across + down) / 2,
-        width=width,
-        height=height,
-        center_px=(camera.center_px[0] * across, camera.center_px[1] * down),
-    )
+    return camera.resized(*(max(1, round(side * scale)) for side in (camera.width, camera.height)))

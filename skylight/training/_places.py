@@ -33,6 +33,7 @@ from skylight.models._lobes import (
 )
 from skylight.models._prior import GaussianMixture
 from skylight.models._sphere import MOST_LAMPS, Places
+from skylight.places._simulated import LIGHTS_NAME, read_lights
 from skylight.sphere._envmap import luminance
 from skylight.sphere._frame import DirectionGrid, direction_from_angles
 from skylight.sphere._lobes import DiskSplines
@@ -92,18 +93,21 @@ class PlaceMaps:
 
 def read_maps(folder: Path, workers: int = 2, seed: int = 0) -> PlaceMaps:
     """All maps of a folder that ``skylight places simulate`` wrote, as cameras balance them."""
-    lights: dict[str, list[PlaceLight]] = {}
-    for row in _table(folder / "lights.csv"):
-        red, green, blue = (float(row[name]) for name in ("red", "green", "blue"))
-        light = PlaceLight(
-            azimuth_rad=math.radians(float(row["azimuth_deg"])),
-            zenith_rad=math.radians(float(row["zenith_deg"])),
-            energy=(red, green, blue),
-            radius_rad=math.radians(float(row["radius_deg"])),
-            in_map=row["in_map"] == "1",
-        )
-        lights.setdefault(row["file"], []).append(light)
-    index = _table(folder / INDEX_NAME)
+    lights = {
+        file: [
+            PlaceLight(
+                azimuth_rad=math.radians(light.azimuth_deg),
+                zenith_rad=math.radians(light.zenith_deg),
+                energy=(light.red, light.green, light.blue),
+                radius_rad=math.radians(light.radius_deg),
+                in_map=bool(light.in_map),
+            )
+            for light in there
+        ]
+        for file, there in read_lights(folder / LIGHTS_NAME).items()
+    }
+    text = file_text(folder / INDEX_NAME)
+    index = list(csv.DictReader(StringIO(text, newline="")))
     if not index:
         raise InputError(f"{folder}: no map is there; simulate some with skylight places simulate")
     named = [lights.get(row["file"], []) for row in index]
@@ -122,10 +126,6 @@ def read_maps(folder: Path, workers: int = 2, seed: int = 0) -> PlaceMaps:
         lights=[lights for _, _, lights in found],
         is_test=[row["split"] != "train" for row in index],
     )
-
-
-def _table(path: Path) -> list[dict[str, str]]:
-    return list(csv.DictReader(StringIO(file_text(path), newline="")))
 
 
 def _balanced(

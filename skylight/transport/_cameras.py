@@ -34,6 +34,16 @@ class Camera:
                 f"{self.width}, {self.height}"
             )
 
+    def resized(self, width: int, height: int) -> "Camera":
+        """The camera of the same picture in so many pixels, square or nearly so."""
+        across, down = width / self.width, height / self.height
+        return Camera(
+            focal_px=self.focal_px * (across + down) / 2,
+            width=width,
+            height=height,
+            center_px=(self.center_px[0] * across, self.center_px[1] * down),
+        )
+
     def rays(self) -> Float[Tensor, "hw 3"]:
         """Unit direction through each pixel's centre, row by row, float64."""
         y, x = torch.meshgrid(

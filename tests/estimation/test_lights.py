@@ -21,11 +21,11 @@ def test_lamps_come_apart_and_together():
         torch.stack([direction(30.0, 60.0), direction(-60.0, 50.0)])[None].float(),
         torch.tensor([[0.5, 0.2]]),
     )[0, 0]
-    whole, lamps = in_pictures_units(2, params, 0.7)
+    whole, lamps = in_pictures_units(model, params, 0.7)
     estimate = replace(sunny_estimate().estimate, environment=whole, lamps=lamps)
     rest, lights = lights_apart(estimate)
     assert whole.layout == (MAP_ROWS, 2 * MAP_ROWS)
-    ambient, _ = in_pictures_units(0, params[:16], 0.7)
+    ambient, _ = in_pictures_units(LampsLight(0), params[:16], 0.7)
     assert torch.allclose(rest.radiance, ambient.radiance, rtol=1e-3)
     for light in lights:
         # what the map sends more than its rest on a surface that faces the lamp, the other apart

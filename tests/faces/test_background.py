@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from skylight.errors import InputError
-from skylight.faces._background import _in_blocks, observe_background
+from skylight.faces._background import BackgroundPixels, _in_blocks
 from skylight.imaging._colour import linear_to_srgb, srgb_to_linear
 from skylight.sphere._frame import pixel_from_direction
 from skylight.transport._cameras import Camera
@@ -54,7 +54,7 @@ def photographed(scene, *, blend=None):
 
 def observed(scene, *, level=0.2, **options):
     linear, clipped, fit, hair = photographed(scene, **options)
-    return observe_background(linear, clipped, [fit], hair, level, ROWS)
+    return BackgroundPixels.of(linear, clipped, [fit], hair).observed(level, ROWS)
 
 
 def test_rows_average_a_map_over_the_blocks_it_was_seen_in():
@@ -65,7 +65,10 @@ def test_rows_average_a_map_over_the_blocks_it_was_seen_in():
     seen = light[row.round().long(), column.round().long()].reshape(60, 90, 3).numpy()
     usable = np.ones((60, 90), bool)
     usable[20:, 30:60] = False
-    found = _in_blocks(seen, np.zeros((60, 90), np.float32), usable, camera, 1.0, ROWS)
+    pixels = BackgroundPixels(
+        picture=seen, clipped=np.zeros((60, 90), np.float32), usable=usable, camera=camera
+    )
+    found = _in_blocks(pixels, 1.0, ROWS)
     matrix = found.averages.matrix
     assert torch.allclose(matrix.sum(1), torch.ones(len(matrix)), atol=1e-5)
     assert torch.allclose(matrix @ light.reshape(-1, 3), found.radiance, atol=1e-5)
@@ -79,6 +82,19 @@ def test_rows_average_a_map_over_the_blocks_it_was_seen_in():
     assert towards[first, 2] < 0
     fewer = found.on_rows(ROWS // 2).averages.matrix
     assert torch.allclose(fewer.sum(1), torch.ones(len(matrix)), atol=1e-5)
+
+
+def test_the_person_is_cut_out():
+    """The head with what stands below it, and little else."""
+    linear, clipped, fit, hair = photographed(lively())
+    usable = BackgroundPixels.of(linear, clipped, [fit], hair).usable
+    places = fit.camera.project(torch.from_numpy(fit.vertices)) * len(usable) / SIDE
+    x, y = places.long().clamp(0, len(usable) - 1).T
+    assert not usable[y, x].any()
+    assert not usable[y.max() :, int(x.double().mean())].any()
+    assert usable[0, 0]
+    assert usable[0, -1]
+    assert 0.3 < usable.mean() < 0.9
 
 
 def test_the_person_is_not_the_background():
@@ -208,4 +224,4 @@ def test_a_face_that_fills_the_picture_has_none():
     hair = np.ones((SIDE, SIDE), np.float32)
     linear, clipped, *_ = photographed(lively())
     with pytest.raises(InputError, match="too little"):
-        observe_background(linear, clipped, [fit], hair, 0.2, ROWS)
+        BackgroundPixels.of(linear, clipped, [fit], hair)

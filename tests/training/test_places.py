@@ -45,7 +45,7 @@ def maps_of_few_numbers(folder: Path) -> None:
         index.append({"file": name, "kind": "field" if k % 2 else "room", "split": split})
         azimuth = 360 * turn / 128
         sun = {"azimuth_deg": azimuth, "zenith_deg": 40, "radius_deg": 0.27, "in_map": 0}
-        lights.append({"file": name, **sun, "red": 4, "green": 4, "blue": 4})
+        lights.append({"file": name, "kind": "sun", **sun, "red": 4, "green": 4, "blue": 4})
     for path, rows in ((folder / "index.csv", index), (folder / "lights.csv", lights)):
         with path.open("w", newline="") as file:
             writer = csv.DictWriter(file, list(rows[0]))

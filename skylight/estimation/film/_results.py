@@ -1,6 +1,6 @@
 """The files of a film's light: probes, numbers, and a figure over time."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,7 @@ from skylight._figures import (
 from skylight.estimation._report import write_mesh
 from skylight.estimation._summary import (
     at,
+    describe_lights,
     describe_posterior,
     describe_verdict,
     draw_region,
@@ -74,6 +75,7 @@ def describe_film(result: FilmEstimate, *, source: str) -> dict[str, object]:
         "sun": named_angles(light.mean.sun_direction),
         "verdict": describe_verdict(light.start.verdict),
         "posterior": describe_posterior(light.start.posterior),
+        "lights": describe_lights(replace(light.start, environment=light.mean.environment)),
         "params": light.mean.params.tolist(),
         "ground_albedo": light.ground_albedo.tolist(),
         "albedo": light.albedo.tolist(),

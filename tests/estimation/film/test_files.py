@@ -53,6 +53,8 @@ class TestALightOfAFilm:
             assert read_environment_map(out / one["probe"]).layout == (256, 512)
             assert one["residual"] < 0.25
         assert read_environment_map(out / "probe.exr").layout == (256, 512)
+        assert not told["posterior"]["is_seen"]  # of a sun that nobody saw nothing is told
+        assert told["lights"] == []
         assert {"posterior.exr", "probe.hdr", "mesh.obj", "report.png"} <= {
             path.name for path in out.iterdir()
         }
