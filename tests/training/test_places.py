@@ -101,6 +101,7 @@ def test_a_model_is_trained_and_explains_its_places(folder: Path, tmp_path) -> N
     prior = SpherePrior(1, places)
     generator = torch.Generator().manual_seed(0)
     drawn = prior.sample(200, generator)
+    torch.testing.assert_close(drawn[:, :5].std(0), torch.ones(5), rtol=0.25, atol=0)
     params = torch.cat([drawn[:, :5], torch.zeros(200, 1), drawn[:, 5:]], 1)
     lamps = SphereLight(1, places=places).lamps(params)
     assert float(lamps.energies.median()) == pytest.approx(1 / math.pi, rel=0.15)
