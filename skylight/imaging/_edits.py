@@ -6,8 +6,9 @@ before, relative to a pivot that contrast leaves as it is, and Y luminance::
     c = p^(1/2.2),    p' = max(0, 1 + k (Y(c) - 1) + s (c - Y(c)))^2.2.
 
 An editor's ``saturate(a)`` and ``contrast(b)`` (W3C's Filter Effects; Pillow's ``Color`` and
-``Contrast``) are s = a b and k = b, in either order: contrast of each channel raises saturation
-too, and told apart, what is taken for contrast does not colour light. Editors turn contrast about a
+``Contrast`` but for their luma, which is Rec.601's) are s = a b and k = b, in either order:
+contrast of each channel raises saturation too, and told apart, what is taken for contrast does not
+colour light. Editors turn contrast about a
 middle grey; another pivot is another exposure, k and s, exactly. What is left: sRGB's curve is no
 power (a face of light skin is off by 0.2 to 0.7 % of its mean for a and b of 0.8 to 1.5, and by 11
 to 33 % without an edit), what an editor cuts off at white, and cameras' curves, which bend where

@@ -47,9 +47,8 @@ TINT_SCALE, TINT_FLOOR = 2.2, 0.05
 _NORMAL = 1.645  # standard deviations within which a normal density has 90 %
 
 CAMERA = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)  # from the face
-AT_CAMERA_RAD = math.radians(
-    12.0
-)  # a flash on a camera, seen from a portrait's distance, and doubt
+# A flash on a camera, seen from a portrait's distance, and doubt
+AT_CAMERA_RAD = math.radians(12.0)
 # Of the light, within 15 degrees: what comes from there is thrice as bright as the mean; it shows
 SOURCE_SHARE, GLOW_SHARE = 0.05, 0.02
 HARD_SHARE = 0.2  # lights what faces it as much as all other light does

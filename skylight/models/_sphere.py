@@ -25,7 +25,7 @@ from torch import Tensor
 
 from skylight._modes import constant, full_precision, on_cpu, single
 from skylight._module import Module
-from skylight.errors import AssetError, check_shape
+from skylight.errors import AssetError, InputError, check_shape
 from skylight.io._tensors import read_tensors, write_tensors
 from skylight.models._base import draws
 from skylight.models._lobes import LAMP_PARAMETERS, LampedLight, Lamps
@@ -110,7 +110,7 @@ class SphereLight(LampedLight):
     count
         k, 0 or more.
     height
-        Rows of ``grid``.
+        Rows of ``grid``, an even number.
     places
         What places look like; by default what comes with skylight.
     """
@@ -123,6 +123,8 @@ class SphereLight(LampedLight):
 
     @on_cpu
     def __init__(self, count: int, height: int = 32, places: Places | None = None) -> None:
+        if height % 2:
+            raise InputError(f"{height} rows: give an even number, half of them below the horizon")
         self.places = places or shipped()
         latents = len(self.places.basis)
         self.parameter_names = f"{latents} latents, azimuth, {LAMP_PARAMETERS} of each lamp"
@@ -200,6 +202,8 @@ def _turned_rows(
     images: Float[Tensor, "*b c h w"], azimuth_rad: Float[Tensor, "*b"]
 ) -> Float[Tensor, "*b c h w"]:
     """Lat-long images turned to the right: each row, as a sum of waves, moved along itself."""
+    if 0 in images.shape:  # of which there is no transform
+        return images
     width = images.shape[-1]
     waves = torch.fft.rfft(images)
     order = torch.arange(width // 2 + 1, device=images.device, dtype=images.dtype)
@@ -254,6 +258,13 @@ class SpherePrior(Module):
             if name not in ("control", "basis"):
                 self.register_buffer(name, each.clone(), persistent=False)
         known = log_odds or {}
+        for kind in known:
+            if kind not in self.kinds:
+                raise InputError(
+                    f"unknown kind of place {kind!r}: choose of {', '.join(self.kinds)}"
+                )
+        if all(known.get(kind) == -math.inf for kind in self.kinds):
+            raise InputError("every kind of place is ruled out")
         odds = torch.tensor([float(known.get(kind, 0.0)) for kind in self.kinds])
         self.log_weights = (self.log_weights + odds[self.kind].to(self.log_weights)).log_softmax(0)
 
@@ -318,7 +329,7 @@ class SpherePrior(Module):
             offset = torch.linalg.solve(
                 factors.mT[rows].reshape(n, *[1] * len(more), *factors.shape[1:]), noise[..., None]
             )
-            return means[rows].reshape(n, *[1] * len(more), -1) + offset[..., 0]
+            return means[rows].reshape(n, *[1] * len(more), means.shape[1]) + offset[..., 0]
 
         z = normal(self.means, self.precision_factors, which)
         rest = normal(self.lamp_means, self.lamp_factors, kind, count)

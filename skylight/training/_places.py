@@ -220,12 +220,14 @@ class Linear:
         return decoder.matrix @ control
 
 
-def principal(decoder: Decoder, log: Float[Tensor, "n d 3"], latents: int) -> Linear:
+def principal(decoder: Decoder, log: Float[Tensor, "n d 3"], latents: int, seed: int = 0) -> Linear:
     """Of principal components, weighted by solid angle."""
     mean = log.mean(0)
     root = decoder.weights.sqrt()[:, None]
     centred = ((log - mean) * root).flatten(1)
-    axes = torch.svd_lowrank(centred, q=latents + 10, niter=6)[2][:, :latents]
+    with torch.random.fork_rng([]):  # it begins with random directions
+        torch.manual_seed(seed)
+        axes = torch.svd_lowrank(centred, q=latents + 10, niter=6)[2][:, :latents]
     fields = axes.T.unflatten(1, (-1, 3)) / root
     return Linear(control=decoder.inverse @ mean, basis=decoder.inverse @ fields)
 
@@ -315,7 +317,7 @@ def train_places(config: PlacesConfig, progress: StageProgress = silent) -> Path
             f"{config.data}: {len(train.kind)} training places are too few for {config.latents} "
             f"latents; simulate {4 * config.latents} or more"
         )
-    model = principal(decoder, train.with_mirrored(), config.latents)
+    model = principal(decoder, train.with_mirrored(), config.latents, config.seed)
     progress("components", 1.0)
     places = places_of(decoder, model, train, kinds, config.places_a_component, config.seed)
     progress("prior", 1.0)

@@ -11,7 +11,7 @@ from skylight.inverse._descent import Iterates, Stage, descend, deviation_weight
 from skylight.inverse._faces import FaceTerm, Level, LitFaces, ObjectiveWeights, ScannedFace
 from skylight.inverse._gauss_newton import charbonnier
 from skylight.inverse._objective import LightObjective
-from skylight.inverse._solution import log_evidence
+from skylight.inverse._solution import _Minimum, log_evidence
 from skylight.models._lamps import LampsLight, LampsPrior
 from skylight.sphere._frame import DirectionGrid
 from skylight.transport._background import Background
@@ -224,6 +224,28 @@ def test_the_level_of_light_is_the_background_s():
         seen = one.camera_response(parts, 0, behind.seen(*one.radiance(parts)))
         levels.append(float(seen.mean()))
     assert levels[1] > 1.8 * levels[0]
+
+
+def test_evidence_counts_what_the_background_costs_and_rules_out():
+    """By the cost and its Hessian, of automatic differentiation."""
+    generator, plain = torch.Generator().manual_seed(2), objective()
+    x = 0.3 * torch.randn(1, plain.size, generator=generator)
+    parts, (behind,) = plain.unpack(x), plain.backgrounds.values()
+    seen = plain.camera_response(parts, 0, behind.seen(*plain.radiance(parts)))[0]
+    seen = seen * (0.05 * torch.randn(seen.shape, generator=generator)).exp()
+    both, alone = objective(radiance=seen), objective(radiance=seen, weight=0.0)
+
+    def cost(free):
+        return both.terms(free[None])["background"][0]
+
+    of_faces = _Minimum.at(alone, x, None).hessian[0]
+    told = torch.autograd.functional.hessian(cost, x[0])
+    values = [torch.linalg.eigvalsh(each) for each in (of_faces + told, of_faces)]
+    more, less = (each.clamp(min=1e-3).log().sum() / 2 for each in values)
+    lost = float(log_evidence(alone, x) - log_evidence(both, x))
+    assert float(cost(x[0])) > 1
+    assert float(more - less) > 2
+    assert lost == pytest.approx(float(cost(x[0]) + more - less), abs=0.3)
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import torch
 
 from skylight.inverse._estimate import estimate_light, light_problems
 from skylight.inverse._lamps import Fitted, LampsProblem, as_many_as_pay
+from skylight.inverse._sphere import INDOORS, OPEN_SKY
 from skylight.models._sphere import SpherePrior
 from skylight.sphere._frame import angle_between
 from tests.inverse.test_lamps import ONE, lit_ball
@@ -65,6 +66,14 @@ def test_the_pictures_exposure_turns_the_odds_of_open_sky() -> None:
     dark, unknown, bright = (outdoors(prior(each)) for each in (5.0, None, 14.0))
     assert dark < 0.2 * unknown
     assert bright > 1.5 * unknown
+
+
+@pytest.mark.parametrize(("place", "out"), [("outdoors", INDOORS), ("indoors", OPEN_SKY)])
+def test_kinds_that_a_known_place_is_not_have_no_weight(place, out) -> None:
+    (problem,) = light_problems("sphere", place=place, device="cpu")
+    prior = problem.family.prior(0)
+    shares = torch.zeros(len(prior.kinds)).index_add(0, prior.kind, prior.log_weights.exp())
+    assert {k for k, share in zip(prior.kinds, shares, strict=True) if share == 0} == set(out)
 
 
 @pytest.mark.slow

@@ -8,9 +8,9 @@ import torch
 
 from skylight.errors import AssetError, InputError
 from skylight.models._lobes import LAMP_PARAMETERS
-from skylight.models._sphere import Places, SphereLight, SpherePrior, shipped, turned
+from skylight.models._sphere import TURNS, Places, SphereLight, SpherePrior, shipped, turned
 from skylight.sphere._envmap import luminance
-from skylight.sphere._frame import DirectionGrid
+from skylight.sphere._frame import DirectionGrid, angle_between, direction_from_angles
 from skylight.sphere._lobes import DiskSplines
 
 KINDS = ("field", "room")
@@ -104,6 +104,43 @@ def test_starts_look_where_lamps_are() -> None:
     ahead = turned(found, -starts[0, :, model.latents, None])[:, 1]
     torch.testing.assert_close(ahead[:, 0], torch.zeros(len(ahead)), rtol=0, atol=1e-5)
     assert bool((ahead[:, 2] < 0).all())
+
+
+def test_starts_without_a_lamp_are_turned_all_round() -> None:
+    model = SphereLight(0)
+    starts = model.starts()
+    azimuths = starts[:, model.latents].unflatten(0, (TURNS, -1))
+    expected = torch.arange(TURNS)[:, None].expand_as(azimuths) * 2 * math.pi / TURNS
+    torch.testing.assert_close(azimuths, expected)
+    torch.testing.assert_close(starts[:, : model.latents], model.means.repeat(TURNS, 1))
+
+
+def test_a_narrow_lamp_between_the_cells_of_a_coarse_grid_stays_where_it_is() -> None:
+    model = SphereLight(1, 16)
+    azimuth, zenith = torch.tensor(0.25), torch.tensor(1.3)  # not in the middle of a cell
+    params = model.starts_at(direction_from_angles(azimuth, zenith)[None, None], torch.ones(1, 1))
+    params[..., -3] = -2.0  # as narrow as may be
+    lamps = model.lamps(params[0])
+    solid = model.grid.solid_angles.float()
+    mean = (model.lobes(lamps)[:, 0] * solid) @ model.grid.directions.float()
+    assert float(angle_between(mean[0].double(), lamps.directions[0, 0].double())) < 0.02
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_no_lights_at_all_are_none(count: int) -> None:
+    drawn = SpherePrior(count, small_places()).sample((2, 0))
+    assert drawn.shape == (2, 0, 2 + LAMP_PARAMETERS * count)
+    model = SphereLight(count, 8, small_places())
+    assert model(torch.zeros(0, model.parameter_count)).shape == (0, 128, 3)
+
+
+def test_what_cannot_be_is_refused() -> None:
+    with pytest.raises(InputError, match="31 rows: give an even number"):
+        SphereLight(1, 31)
+    with pytest.raises(InputError, match="unknown kind of place 'garden': choose of field, room"):
+        SpherePrior(0, small_places(), {"garden": 1.0})
+    with pytest.raises(InputError, match="every kind of place is ruled out"):
+        SpherePrior(0, small_places(), dict.fromkeys(KINDS, -math.inf))
 
 
 def test_the_prior_of_latents_is_a_density() -> None:

@@ -2,6 +2,7 @@
 
 import csv
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ import torch
 
 from skylight.errors import InputError
 from skylight.io._files import write_environment_map
+from skylight.models._lamps import LampsLight
 from skylight.models._sphere import Places, SphereLight, SpherePrior
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.sphere._frame import DirectionGrid
@@ -18,12 +20,18 @@ from skylight.training._places import (
     ROWS,
     SCORES,
     Decoder,
+    Linear,
+    PlaceLight,
+    PlaceMaps,
+    _balanced,
     _height,
+    lamps_of,
     principal,
     read_maps,
     scores,
     shrunk,
     train_places,
+    whitened,
 )
 
 COUNT, LATENTS = 60, 3
@@ -93,6 +101,7 @@ def test_a_model_is_trained_and_explains_its_places(folder: Path, tmp_path) -> N
     prior = SpherePrior(1, places)
     generator = torch.Generator().manual_seed(0)
     drawn = prior.sample(200, generator)
+    torch.testing.assert_close(drawn[:, :5].std(0), torch.ones(5), rtol=0.25, atol=0)
     params = torch.cat([drawn[:, :5], torch.zeros(200, 1), drawn[:, 5:]], 1)
     lamps = SphereLight(1, places=places).lamps(params)
     assert float(lamps.energies.median()) == pytest.approx(1 / math.pi, rel=0.15)
@@ -107,6 +116,76 @@ def test_too_few_places_are_refused(folder: Path, tmp_path) -> None:
         (tmp_path / "empty" / name).write_text("file,kind,split\n")
     with pytest.raises(InputError, match="no map is there"):
         read_maps(tmp_path / "empty")
+
+
+def test_mirror_images_have_left_for_right(folder: Path) -> None:
+    maps, x = read_maps(folder), DirectionGrid.latlong(ROWS).directions[:, 0].float()
+    maps = replace(maps, log=maps.log + x[:, None].half())
+    plain, mirrored = (each @ x for each in maps.with_mirrored().mean(2).split(COUNT))
+    assert float(plain.min()) > 0
+    torch.testing.assert_close(mirrored, -plain, rtol=1e-4, atol=0)
+
+
+def test_white_balance_takes_colour_away_from_maps_and_lights() -> None:
+    radiance = torch.tensor([2.0, 1.0, 0.5]).expand(16, 32, 3)
+    off, inside = light((9.0, 3.0, 1.0), in_map=False), light((8.0, 4.0, 2.0), in_map=True)
+    balanced, (outer, inner) = _balanced(radiance, [off, inside], 1.0)
+    total = 4 * math.pi * balanced[0, 0] + torch.tensor(outer.energy)  # the other is in the map
+    torch.testing.assert_close(total, total[:1].expand(3), rtol=1e-2, atol=0)
+    gains = torch.tensor(outer.energy) / torch.tensor(off.energy)
+    torch.testing.assert_close(torch.tensor(inner.energy) / torch.tensor(inside.energy), gains)
+    half, _ = _balanced(radiance, [], 0.5)
+    assert float(half[0, 0, 0] / half[0, 0, 1]) == pytest.approx(math.sqrt(2), rel=1e-4)
+
+
+def light(energy: tuple[float, float, float], *, in_map: bool) -> PlaceLight:
+    radius = math.radians(30)
+    return PlaceLight(
+        azimuth_rad=0.4, zenith_rad=1.0, energy=energy, radius_rad=radius, in_map=in_map
+    )
+
+
+def test_lamps_are_what_the_smooth_light_lacks() -> None:
+    decoder, energy = Decoder(13), (6.0, 3.0, 2.0)
+    even = Linear(
+        control=torch.zeros(decoder.matrix.shape[1], 3),
+        basis=torch.zeros(1, decoder.matrix.shape[1], 3),
+    )
+    maps = PlaceMaps(
+        log=torch.zeros(2, len(decoder.directions), 3),
+        azimuth_rad=torch.zeros(2),
+        kind=["room"] * 2,
+        lights=[[light(energy, in_map=shown)] for shown in (False, True)],
+        is_test=[False] * 2,
+    )
+    params = torch.stack(lamps_of(decoder, even, maps, torch.zeros(2, 1)))
+    model = LampsLight(1)
+    lamps = model.lamps(torch.cat([torch.zeros(2, 16), params.flatten(1)], 1))
+    received = 4 * math.pi * lamps.energies * lamps.colours[:, 0]
+    torch.testing.assert_close(received[0], torch.tensor(energy), rtol=1e-4, atol=0)
+    disc = 2 * math.pi * (1 - math.cos(math.radians(30)))
+    torch.testing.assert_close(received[1], torch.tensor(energy) - disc, rtol=0.05, atol=0)
+
+
+def test_whitened_latents_are_standard_and_mean_the_same_light(folder: Path) -> None:
+    maps, decoder = read_maps(folder), Decoder(13)
+    model = principal(decoder, maps.with_mirrored(), LATENTS)
+    z = model.latents(decoder, maps.log.float())
+    other, white = whitened(model, z)
+    torch.testing.assert_close(white.mean(0), torch.zeros(LATENTS), rtol=0, atol=1e-3)
+    torch.testing.assert_close(torch.cov(white.T), torch.eye(LATENTS), rtol=0, atol=1e-3)
+    same = other.log(decoder, white), model.log(decoder, z)
+    torch.testing.assert_close(*same, rtol=0, atol=1e-3)
+
+
+def test_components_are_the_same_whatever_was_drawn_before(folder: Path) -> None:
+    maps, decoder = read_maps(folder), Decoder(13)
+    first, _, again = (
+        principal(decoder, maps.with_mirrored(), LATENTS),
+        torch.rand(7),
+        principal(decoder, maps.with_mirrored(), LATENTS),
+    )
+    assert torch.equal(first.basis, again.basis)
 
 
 def test_covariances_of_few_samples_lean_to_the_diagonal() -> None:
