@@ -92,6 +92,9 @@ class PlaceMaps:
 
 def read_maps(folder: Path, workers: int = 2, seed: int = 0) -> PlaceMaps:
     """All maps of a folder that ``skylight places simulate`` wrote, as cameras balance them."""
+    index = _table(folder / INDEX_NAME) if (folder / INDEX_NAME).is_file() else []
+    if not index:
+        raise InputError(f"{folder}: no map is there; simulate some with skylight places simulate")
     lights: dict[str, list[PlaceLight]] = {}
     for row in _table(folder / "lights.csv"):
         red, green, blue = (float(row[name]) for name in ("red", "green", "blue"))
@@ -103,9 +106,6 @@ def read_maps(folder: Path, workers: int = 2, seed: int = 0) -> PlaceMaps:
             in_map=row["in_map"] == "1",
         )
         lights.setdefault(row["file"], []).append(light)
-    index = _table(folder / INDEX_NAME)
-    if not index:
-        raise InputError(f"{folder}: no map is there; simulate some with skylight places simulate")
     named = [lights.get(row["file"], []) for row in index]
     balances = np.random.default_rng(seed).uniform(*BALANCED, len(index))
 
