@@ -1,7 +1,8 @@
 """The photograph's own pixels in the map of its light, and its texture round the sphere.
 
 Inside of its view a photograph shows the light itself, in the units of the estimate: its linear
-values over the white balance. With P that picture and L the estimate without its sun and lamps, ::
+values without its edit, over the white balance. With P that picture and L the estimate without its
+sun and lamps, ::
 
     D = ln P - ln L = low + high,
 
@@ -35,6 +36,7 @@ from skylight.faces._fit import FaceFit
 from skylight.faces._model import HeadModel
 from skylight.faces._observe import hair_of, skin_seen
 from skylight.faces._segmentation import person_matte
+from skylight.imaging._edits import UNEDITED, Edit
 from skylight.imaging._photo import Photo
 from skylight.inverse._result import Estimate
 from skylight.sphere import _harmonics as harmonics
@@ -68,7 +70,10 @@ def detailed(
 
     Irradiance is the estimate's for every normal, to 1 % (tested).
     """
-    view = None if detail == "none" else View.of(photo, fits, estimate.white_balance.numpy())
+    view = None
+    if detail != "none":
+        edit = estimate.faces[0].edit
+        view = View.of(photo, fits, estimate.white_balance.numpy(), edit)
     if view is None:
         return estimate.environment
     rest, _ = lights_apart(estimate)
@@ -117,7 +122,10 @@ class View:
 
     @staticmethod
     def of(
-        photo: Photo, fits: Sequence[FaceFit], white_balance: Float[ndarray, "3"]
+        photo: Photo,
+        fits: Sequence[FaceFit],
+        white_balance: Float[ndarray, "3"],
+        edit: Edit = UNEDITED,
     ) -> "View | None":
         """None where there is next to no background, or all of it is one colour or over-exposed."""
         camera = fits[0].camera
@@ -128,7 +136,7 @@ class View:
         pixel = camera.focal_px * PIXEL_RAD
         size = max(8, round(camera.height / pixel)), max(8, round(camera.width / pixel))
         share = _shrunk(bare, size)
-        seen = _shrunk(photo.pixels.numpy() * bare[..., None], size)
+        seen = _shrunk(edit.undo(photo.pixels).numpy() * bare[..., None], size)
         radiance = seen / np.maximum(share, 1e-3)[..., None]
         clipped = _shrunk((photo.clipped.numpy() * bare).astype(np.float32), size)
         clipped = clipped / np.maximum(share, 1e-3)

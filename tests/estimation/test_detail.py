@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from skylight.estimation._detail import Sampling, View, believed, detailed, person_of
+from skylight.imaging._edits import UNEDITED, Edit
 from skylight.sphere._envmap import EnvironmentMap, bilinear
 from skylight.sphere._frame import DirectionGrid, pixel_from_direction
 from tests.sunny_face import sunny_estimate
@@ -59,6 +60,7 @@ def taken(light, person, *, clip=1e9, skin=None):
         result.estimate,
         environment=EnvironmentMap(radiance=smooth_light().reshape(ROWS, -1, 3)),
         lamps=(),
+        faces=(replace(result.estimate.faces[0], edit=UNEDITED),),
     )
     photo, camera = result.photos[0], result.fit.camera
     row, column = pixel_from_direction(camera.rays(), ROWS, 2 * ROWS)
@@ -95,6 +97,19 @@ def test_the_light_stays_the_same(person, detail):
     assert not torch.equal(found.radiance, estimate.environment.radiance)
     ratio = irradiances(found) / irradiances(estimate.environment)
     assert float((ratio - 1).abs().max()) < 0.01
+
+
+def test_an_edit_of_the_photograph_is_not_in_the_map(person):
+    estimate, photo, fits = taken(smooth_light() * stripes().exp()[:, None], person)
+    edit = Edit(saturation=1.2, pivot=float(photo.pixels.mean()))
+    faces = (replace(estimate.faces[0], edit=edit), *estimate.faces[1:])
+    shown = replace(photo, pixels=edit.apply(photo.pixels))
+    found = detailed(replace(estimate, faces=faces), shown, fits, "photo").radiance
+    expected = detailed(estimate, photo, fits, "photo").radiance
+    kept = in_view(estimate, photo, fits)
+    as_shown = detailed(estimate, shown, fits, "photo").radiance
+    assert not torch.allclose(as_shown[kept], expected[kept], rtol=0.01)
+    assert found[kept] == pytest.approx(expected[kept], rel=0.01)
 
 
 def test_the_view_shows_the_photograph(person):
