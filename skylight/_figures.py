@@ -59,9 +59,15 @@ def show(axes: "Axes", picture: UInt8[np.ndarray, "h w 3"], title: str) -> None:
 
 
 def show_probe(
-    axes: "Axes", environment: EnvironmentMap, title: str, *, white: float | None = None
+    axes: "Axes",
+    environment: EnvironmentMap,
+    title: str,
+    *,
+    white: float | None = None,
+    main: Float[Tensor, "3"] | None = None,
 ) -> None:
-    """A full lat-long map with its axes named and its brightest direction ringed."""
+    """A full lat-long map with its axes named and ``main`` ringed, by default its brightest
+    direction."""
     height, width = environment.layout
     show(axes, tone_map(environment.radiance, white=white), title)
     axes.set_xticks(
@@ -73,7 +79,7 @@ def show_probe(
     labels[-1].set_horizontalalignment("right")
     axes.axhline(height / 2 - 0.5, color="white", linewidth=0.9, alpha=0.7, linestyle=(0, (4, 4)))
     axes.text(0.5, height / 2, "horizon", color="white", fontsize=9, va="top", alpha=0.9)
-    sun = environment.brightest_direction()
+    sun = environment.brightest_direction() if main is None else main
     row, column = (float(value) for value in pixel_from_direction(sun, height, width))
     # a dark ring under the bright one shows on any sky
     for color, line in (("black", 4.0), (ACCENT, 2.2)):

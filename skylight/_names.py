@@ -10,7 +10,7 @@ from skylight.errors import InputError
 
 # What the map of an estimate shows beside its light: skylight.estimation._detail
 DetailName = Literal["none", "photo", "mirrored"]
-DEFAULT_DETAIL: DetailName = "photo"
+DEFAULT_DETAIL: DetailName = "none"
 
 # How a sphere is drawn on a plane: skylight.sphere._projections
 Projection = Literal["latlong", "cube", "octahedral", "angular", "mirrorball"]

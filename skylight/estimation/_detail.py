@@ -1,7 +1,8 @@
 """The photograph's own pixels in the map of its light, and its texture round the sphere.
 
 Inside of its view a photograph shows the light itself, in the units of the estimate: its linear
-values over the white balance. With P that picture and L the estimate without its sun and lamps, ::
+values without its edit, over the white balance. With P that picture and L the estimate without its
+sun and lamps, ::
 
     D = ln P - ln L = low + high,
 
@@ -32,6 +33,7 @@ from numpy import ndarray
 from skylight._names import DetailName
 from skylight.estimation._lights import lights_apart
 from skylight.faces._background import BackgroundPixels
+from skylight.imaging._edits import UNEDITED, Edit
 from skylight.inverse._result import Estimate
 from skylight.sphere import _harmonics as harmonics
 from skylight.sphere._envmap import EnvironmentMap, averaged, bilinear
@@ -62,7 +64,7 @@ def detailed(
     """
     if detail == "none":
         return estimate.environment
-    view = View.of(behind, estimate.white_balance.numpy(), grey)
+    view = View.of(behind, estimate.white_balance.numpy(), grey, estimate.faces[0].edit)
     rest, _ = lights_apart(estimate)
     lights = (estimate.environment.radiance - rest.radiance).clamp(min=0)
     base = rest.radiance.double().numpy().clip(1e-6 * float(rest.radiance.mean()) + 1e-12)
@@ -107,7 +109,12 @@ class View:
     grey: bool
 
     @staticmethod
-    def of(behind: BackgroundPixels, white_balance: Float[ndarray, "3"], grey: bool) -> "View":
+    def of(
+        behind: BackgroundPixels,
+        white_balance: Float[ndarray, "3"],
+        grey: bool,
+        edit: Edit = UNEDITED,
+    ) -> "View":
         """One colour and over-exposed light are shown too: they tell little of the light, but are
         what a mirror would reflect."""
         pixel = behind.camera.focal_px * PIXEL_RAD
@@ -116,7 +123,8 @@ class View:
         size = height, width
         camera = behind.camera.resized(width, height)
         share = _shrunk(behind.usable.astype(np.float32), size)
-        seen = _shrunk(behind.picture * behind.usable[..., None], size)
+        before = edit.undo(torch.from_numpy(behind.picture)).numpy()
+        seen = _shrunk(before * behind.usable[..., None], size)
         seen = seen / np.maximum(share, 1e-3)[..., None]
         clipped = _shrunk(behind.clipped * behind.usable, size) / np.maximum(share, 1e-3)
         ones = np.pad(np.ones(size, np.uint8), 1)

@@ -336,7 +336,8 @@ def _light(area: "Figure | SubFigure", cells: "GridSpecBase", result: PhotoEstim
     """The light, things in it, and the numbers, in two rows of three cells."""
     environment, posterior = result.probe, result.estimate.posterior
     probe = area.add_subplot(cells[:, 0])
-    show_probe(probe, environment, probe_title(posterior, result.estimate.verdict))
+    title = probe_title(posterior, result.estimate.verdict)
+    show_probe(probe, environment, title, main=result.estimate.sun_direction)
     draw_region(probe, posterior, environment.layout[0])
     diffuse, metal = relit(evaluation_scene(SCENE_HEIGHT, SCENE_GRID), environment)
     show(area.add_subplot(cells[0, 1]), diffuse, "Diffuse objects in this light")
@@ -350,7 +351,8 @@ def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
     estimate, fit = result.estimate, result.fit
     azimuth_deg, zenith_deg = angles_deg(estimate.sun_direction)
     rows = [
-        ("brightest", place(estimate.sun_direction)),
+        ("brightest", ""),
+        (f"   {place(estimate.sun_direction)}", ""),
         ("   azimuth, right of ahead", f"{azimuth_deg:+.0f}°"),
         ("   zenith angle", f"{zenith_deg:.0f}°"),
     ]

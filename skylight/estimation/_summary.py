@@ -148,8 +148,8 @@ def edge_density(posterior: SunPosterior) -> float:
 def sure_of_the_sun(posterior: SunPosterior) -> str:
     """The 90 % region in words."""
     if not posterior.is_seen:
-        sky = not posterior.grid.is_sphere
-        return f"none seen: {'overcast' if sky else 'even light'}, or hidden behind the head"
+        even = "light may be even" if posterior.grid.is_sphere else "it may be overcast"
+        return f"none for certain: {even}, or it is hidden behind the head"
     size = f"a circle of {math.degrees(posterior.region_radius_rad):.0f}° radius"
     parts = sum(part.share > 0.1 * SHARE for part in posterior.parts)
     area = size if parts < 2 else f"{parts} areas, together as large as {size}"
@@ -158,10 +158,10 @@ def sure_of_the_sun(posterior: SunPosterior) -> str:
 
 def probe_title(posterior: SunPosterior, verdict: Verdict) -> str:
     """What stands over a picture of the light."""
-    title = f"Light around the camera: {verdict.summary}"
+    title = f"Light: {verdict.summary}"
     if not posterior.is_seen:
         return title
-    whose = "main lamp's" if posterior.grid.is_sphere else "sun's"
+    whose = "lamp's" if posterior.grid.is_sphere else "sun's"
     return f"{title} (yellow: the {whose} {100 * SHARE:.0f} % region)"
 
 

@@ -14,6 +14,7 @@ from skylight.training._config import (
     AutoencoderConfig,
     Config,
     DictionaryConfig,
+    PlacesConfig,
     PriorConfig,
     allowed,
     keys_of,
@@ -102,7 +103,7 @@ def usage() -> str:
         comment = [line[1:].strip() for line in path.read_text(encoding="utf-8").splitlines()]
         about = " ".join(comment[: comment.index("")] if "" in comment else comment)
         lines += _wrapped(name, about.split(". ")[0] + ".")
-    for kind in (AutoencoderConfig, PriorConfig, DictionaryConfig):
+    for kind in (AutoencoderConfig, PriorConfig, DictionaryConfig, PlacesConfig):
         lines += ["", *keys_page(kind())]
     return "\n".join(lines)
 

@@ -93,6 +93,11 @@ class PlaceMaps:
 
 def read_maps(folder: Path, workers: int = 2, seed: int = 0) -> PlaceMaps:
     """All maps of a folder that ``skylight places simulate`` wrote, as cameras balance them."""
+    index: list[dict[str, str]] = []
+    if (folder / INDEX_NAME).is_file():
+        index = list(csv.DictReader(StringIO(file_text(folder / INDEX_NAME), newline="")))
+    if not index:
+        raise InputError(f"{folder}: no map is there; simulate some with skylight places simulate")
     lights = {
         file: [
             PlaceLight(
@@ -106,10 +111,6 @@ def read_maps(folder: Path, workers: int = 2, seed: int = 0) -> PlaceMaps:
         ]
         for file, there in read_lights(folder / LIGHTS_NAME).items()
     }
-    text = file_text(folder / INDEX_NAME)
-    index = list(csv.DictReader(StringIO(text, newline="")))
-    if not index:
-        raise InputError(f"{folder}: no map is there; simulate some with skylight places simulate")
     named = [lights.get(row["file"], []) for row in index]
     balances = np.random.default_rng(seed).uniform(*BALANCED, len(index))
 

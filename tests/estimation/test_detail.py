@@ -8,6 +8,7 @@ import torch
 
 from skylight.estimation._detail import Sampling, View, believed, detailed
 from skylight.faces._background import BackgroundPixels
+from skylight.imaging._edits import UNEDITED, Edit
 from skylight.sphere._envmap import EnvironmentMap, bilinear
 from skylight.sphere._frame import DirectionGrid, pixel_from_direction
 from skylight.transport._cameras import Camera
@@ -46,6 +47,7 @@ def taken(light, person, *, clip=1e9, skin=0.2):
         result.estimate,
         environment=EnvironmentMap(radiance=smooth_light().reshape(ROWS, -1, 3)),
         lamps=(),
+        faces=(replace(result.estimate.faces[0], edit=UNEDITED),),
     )
     row, column = pixel_from_direction(CAMERA.rays(), ROWS, 2 * ROWS)
     behind = bilinear(light.reshape(ROWS, -1, 3), row, column).reshape(*person.shape, 3)
@@ -80,6 +82,20 @@ def test_the_light_stays_the_same(person, detail):
     assert not torch.equal(found.radiance, estimate.environment.radiance)
     ratio = irradiances(found) / irradiances(estimate.environment)
     assert float((ratio - 1).abs().max()) < 0.01
+
+
+def test_an_edit_of_the_photograph_is_not_in_the_map(person):
+    estimate, behind = taken(smooth_light() * stripes().exp()[:, None], person)
+    edit = Edit(saturation=1.2, pivot=float(behind.picture.mean()))
+    faces = (replace(estimate.faces[0], edit=edit), *estimate.faces[1:])
+    picture = edit.apply(torch.from_numpy(behind.picture)).numpy()
+    shown = replace(behind, picture=picture)
+    found = detailed(replace(estimate, faces=faces), shown, False, "photo").radiance
+    expected = detailed(estimate, behind, False, "photo").radiance
+    kept = in_view(estimate, behind)
+    as_shown = detailed(estimate, shown, False, "photo").radiance
+    assert not torch.allclose(as_shown[kept], expected[kept], rtol=0.01)
+    assert found[kept] == pytest.approx(expected[kept], rel=0.01)
 
 
 def test_the_view_shows_the_photograph(person):

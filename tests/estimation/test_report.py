@@ -13,7 +13,8 @@ from matplotlib.image import AxesImage
 
 from skylight.estimation import _report as report
 from skylight.estimation._report import write_report
-from skylight.estimation._summary import PhotoEstimate
+from skylight.estimation._summary import PhotoEstimate, probe_title
+from skylight.inverse._verdict import Certainty, Verdict
 from skylight.sphere._envmap import EnvironmentMap
 from tests.sunny_face import sunny_estimate
 
@@ -66,7 +67,7 @@ def test_model_and_advice_stand_at_the_head(figure: Figure) -> None:
 
 
 def test_the_light_is_marked_where_it_is_brightest(figure: Figure, result: PhotoEstimate) -> None:
-    probe = panel(figure, f"Light around the camera: {result.estimate.verdict.summary}")
+    probe = panel(figure, f"Light: {result.estimate.verdict.summary}")
     markers = [line for line in probe.lines if line.get_marker() == "o"]
     assert len(markers) == 2
     for marker in markers:
@@ -75,13 +76,43 @@ def test_the_light_is_marked_where_it_is_brightest(figure: Figure, result: Photo
     assert note.xy == pytest.approx((COLUMN, ROW), abs=1e-3)
 
 
+def test_the_main_light_is_marked_though_something_else_is_brighter(
+    result: PhotoEstimate, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept: list[Figure] = []
+    monkeypatch.setattr(report, "save", lambda figure, path: kept.append(figure))
+    main = torch.tensor([-1.0, 0.0, 0.0], dtype=torch.float64)
+    other = replace(result, estimate=replace(result.estimate, sun_direction=main))
+    write_report(tmp_path / "report.png", other, title="someone")
+    probe = panel(kept[0], "Light:")
+    (note,) = [text for text in probe.texts if text.get_text() == "brightest"]
+    assert note.xy == pytest.approx((31.5, 31.5), abs=1e-3)
+
+
+def test_the_longest_title_stays_over_its_map(
+    result: PhotoEstimate, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept: list[Figure] = []
+    monkeypatch.setattr(report, "save", lambda figure, path: kept.append(figure))
+    unknown = Certainty(word="unknown", within=90.0, reason="")
+    verdict = Verdict(light="", direction=unknown, brightness=unknown, colour=unknown)
+    title = probe_title(replace(result.estimate.posterior, is_seen=True), verdict)
+    title = title.replace("sun's", "lamp's")
+    monkeypatch.setattr(report, "probe_title", lambda *_: title)
+    write_report(tmp_path / "report.png", result, title="someone")
+    kept[0].draw_without_rendering()
+    beside = panel(kept[0], "Diffuse objects").get_window_extent().x0
+    assert panel(kept[0], title).get_tightbbox().x1 < beside
+
+
 def test_the_numbers_are_the_estimates(figure: Figure, result: PhotoEstimate) -> None:
     told = [text.get_text() for text in panel(figure, "In numbers").texts]
     numbers = dict(zip(told[::2], told[1::2], strict=True))
     azimuth, zenith = ((COLUMN + 0.5) / 128 - 0.5) * 360, (ROW + 0.5) / 64 * 180
     assert numbers["   azimuth, right of ahead"] == f"{azimuth:+.0f}°"
     assert numbers["   zenith angle"] == f"{zenith:.0f}°"
-    assert numbers["brightest"] == "from the right"
+    assert numbers["brightest"] == ""
+    assert "   from the right" in numbers
     red, green, blue = result.estimate.albedo.tolist()
     assert numbers["skin albedo"].split() == [f"{red:.2f}", f"{green:.2f}", f"{blue:.2f}"]
     residual = result.estimate.faces[0].residual

@@ -61,7 +61,8 @@ def test_numbers_are_plain_and_name_each_part():
 
 
 @pytest.mark.parametrize(
-    ("is_seen", "words"), [(True, "90 % sure within a circle of 12° radius"), (False, "none seen")]
+    ("is_seen", "words"),
+    [(True, "90 % sure within a circle of 12° radius"), (False, "none for certain:")],
 )
 def test_the_line_for_people(is_seen, words):
     # 90 % of this lobe lie within acos(1 - ln 10 / 100)

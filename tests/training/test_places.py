@@ -114,8 +114,9 @@ def test_too_few_places_are_refused(folder: Path, tmp_path) -> None:
     (tmp_path / "empty").mkdir()
     for name in ("index.csv", "lights.csv"):
         (tmp_path / "empty" / name).write_text("file,kind,split\n")
-    with pytest.raises(InputError, match="no map is there"):
-        read_maps(tmp_path / "empty")
+    for name in ("empty", "nowhere"):
+        with pytest.raises(InputError, match="no map is there"):
+            read_maps(tmp_path / name)
 
 
 def test_mirror_images_have_left_for_right(folder: Path) -> None:

@@ -19,6 +19,7 @@ from skylight.training._config import (
     AutoencoderConfig,
     Config,
     DictionaryConfig,
+    PlacesConfig,
     PriorConfig,
     find_config,
     read_config,
@@ -229,7 +230,7 @@ def test_help_lists_configurations_and_keys(
     assert page.startswith("usage: python train.py CONFIG [KEY=VALUE ...]")
     for name in ("sky_autoencoder", "sky_autoencoder_thesis", "sky_prior", "csc_dictionary"):
         assert re.search(rf"^  {name} +\w", page, re.MULTILINE)
-    for kind in (AutoencoderConfig, PriorConfig, DictionaryConfig):
+    for kind in (AutoencoderConfig, PriorConfig, DictionaryConfig, PlacesConfig):
         meanings = _meanings(kind)
         for field in fields(kind):
             if field.name != "kind":
