@@ -228,8 +228,8 @@ class SpherePrior(Module):
     with what is learnt of lamps in places of component m's kind. A direction's length, which means
     nothing, is 1 with a standard deviation of 0.1.
 
-    ``count`` is k; P is known up to 3, and more count as 3. ``log_odds`` are what else is known of the kinds of place, by which each is
-    likelier than it was; minus infinity rules one out.
+    ``count`` is k; P is known up to 3, and more count as 3. ``log_odds`` are what else is known of
+    the kinds of place, by which each is likelier than it was; minus infinity rules one out.
     """
 
     log_weights: Tensor
