@@ -320,19 +320,15 @@ class LightObjective:
         light = self.radiance(parts)
         shadings = self.shading(parts, problem, light)
         data = [f.data_term(s, w, problem) for f, s in zip(self.faces, shadings, strict=True)]
-        return {
-            "data": torch.stack(data).sum(0),
-            **self._background_nll(self.behind(parts, light)),
-            **self.priors(free, problem),
-        }
+        terms = {"data": torch.stack(data).sum(0)}
+        if self.backgrounds:
+            terms["background"] = self.background_nll(self.behind(parts, light))
+        return {**terms, **self.priors(free, problem)}
 
-    def _background_nll(
-        self, behind: dict[int, Float[Tensor, "b _"]]
-    ) -> dict[str, Float[Tensor, " b"]]:
-        if not behind:
-            return {}
+    def background_nll(self, behind: dict[int, Float[Tensor, "b _"]]) -> Float[Tensor, " b"]:
+        """How unlikely the backgrounds are, of whose rows there is one photograph's at least."""
         each = [self.backgrounds[photo].cost(rows) for photo, rows in behind.items()]
-        return {"background": self.weights.background * torch.stack(each).sum(0)}
+        return self.weights.background * torch.stack(each).sum(0)
 
     def priors(
         self, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from skylight.imaging._edits import Edit
-from skylight.inverse._descent import Iterates, deviation_weights, deviations, jacobian
+from skylight.inverse._descent import Iterates, deviations, jacobian
 from skylight.inverse._faces import Level, LitFaces
 from skylight.inverse._gauss_newton import charbonnier
 from skylight.inverse._least_squares import hessian_at, laplace, spreads_at
@@ -79,9 +79,11 @@ class _Minimum:
         hessian = hessian_at(free, off[:, :seen], change[:, :seen], weights, prior)
         if objective.backgrounds:
             rows, along = off[:, seen:], change[:, seen:]
-            counted = deviation_weights(objective, free, problem)[:, seen:] / charbonnier(rows)
+            parts = objective.unpack(free)
+            each = objective.behind(parts, objective.radiance(parts))
+            counted = objective.background_weights(each) / charbonnier(rows)
             hessian = hessian + (along.mT @ (along * counted[:, :, None])).double()
-            behind = objective.terms(free, problem)["background"]
+            behind = objective.background_nll(each)
         return _Minimum(
             objective=objective,
             free=free,

@@ -67,11 +67,7 @@ class GaussianMixture(Module):
 
     def _log_weighted(self, x: Float[Tensor, "b p"]) -> Float[Tensor, "b k"]:
         """``log w_k + log N(x; mu_k, (B_k B_k^T)^-1)``."""
-        factors = self.precision_factors.to(x.dtype)
-        white = torch.einsum("bkp,kpq->bkq", x[:, None] - self.means.to(x.dtype), factors)
-        log_det = factors.diagonal(dim1=1, dim2=2).log().sum(1)
-        constant = log_det - 0.5 * x.shape[1] * math.log(2 * math.pi)
-        return self.weights.to(x.dtype).log() + constant - 0.5 * (white**2).sum(2)
+        return self.weights.to(x.dtype).log() + log_normals(x, self.means, self.precision_factors)
 
     def sample(
         self, shape: int | Sequence[int] = (), generator: torch.Generator | None = None
@@ -104,10 +100,8 @@ class GaussianMixture(Module):
     def widened(self, covariance: Float[Tensor, "p p"]) -> "GaussianMixture":
         """The density of x + e with e from N(0, ``covariance``), which may be semi-definite."""
         own = self.covariances
-        wider = torch.linalg.inv(own + covariance.to(own))
-        # the upper factor B of B B^T is Cholesky's lower one of the reversed matrix
-        factors = torch.linalg.cholesky(wider.flip(1, 2)).flip(1, 2)
-        return GaussianMixture(self.weights, self.means, factors.triu())
+        factors = precision_factors_of(own + covariance.to(own))
+        return GaussianMixture(self.weights, self.means, factors)
 
     @staticmethod
     def fit(
@@ -175,6 +169,26 @@ class GaussianMixture(Module):
             raise AssetError(
                 f"{path} holds no usable Gaussian mixture ({error}): fit or fetch it again"
             ) from error
+
+
+def log_normals(
+    x: Float[Tensor, "*b p"], means: Float[Tensor, "k p"], factors: Float[Tensor, "k p p"]
+) -> Float[Tensor, "*b k"]:
+    """``log N(x; mu_k, (B_k B_k^T)^-1)`` of means and precision factors, in x's dtype."""
+    factors = factors.to(x.dtype)
+    white = torch.einsum("...kp,kpq->...kq", x[..., None, :] - means.to(x.dtype), factors)
+    log_det = factors.diagonal(dim1=1, dim2=2).log().sum(1)
+    constant = log_det - 0.5 * x.shape[-1] * math.log(2 * math.pi)
+    return constant - 0.5 * white.square().sum(-1)
+
+
+def precision_factors_of(covariances: Float[Tensor, "*b p p"]) -> Float[Tensor, "*b p p"]:
+    """The upper triangular B of ``(B B^T)^-1 = covariance``.
+
+    Cholesky's lower factor of the reversed matrix, reversed.
+    """
+    precisions = torch.linalg.inv(covariances).flip(-2, -1)
+    return torch.linalg.cholesky(precisions).flip(-2, -1).triu()
 
 
 def _maximise_expectation(

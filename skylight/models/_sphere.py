@@ -14,7 +14,7 @@ by, and the prior (:class:`SpherePrior`) is a mixture over kinds of place.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -29,6 +29,7 @@ from skylight.errors import AssetError, InputError, check_shape
 from skylight.io._tensors import read_tensors, write_tensors
 from skylight.models._base import draws
 from skylight.models._lobes import LAMP_PARAMETERS, LampedLight, Lamps
+from skylight.models._prior import log_normals
 from skylight.sphere._frame import DirectionGrid, angles_from_direction
 from skylight.sphere._lobes import DiskSplines
 
@@ -156,13 +157,7 @@ class SphereLight(LampedLight):
         """What the parameters mean, turned."""
         found = super().lamps(params)
         azimuth = params[..., self.latents, None]
-        directions = turned(found.directions, azimuth)
-        return Lamps(
-            directions=directions,
-            energies=found.energies,
-            widths_rad=found.widths_rad,
-            colours=found.colours,
-        )
+        return replace(found, directions=turned(found.directions, azimuth))
 
     def ambient_starts(self) -> Float[Tensor, "a p"]:
         """The means of the prior's components."""
@@ -284,9 +279,8 @@ class SpherePrior(Module):
         check_shape("SpherePrior's parameters", x.shape, self.parameter_count, names=names)
         x = single(x)
         with full_precision(x):
-            z = x[..., None, : self.latents] - self.means.to(x.dtype)
-            white = torch.einsum("...mz,mzq->...mq", z, self.precision_factors.to(x.dtype))
-            total = self.log_weights.to(x.dtype) + _log_normal(white, self.precision_factors)
+            latents = log_normals(x[..., : self.latents], self.means, self.precision_factors)
+            total = self.log_weights.to(x.dtype) + latents
             counts = self.log_counts[:, min(self.count, MOST_LAMPS)].to(x.dtype)
             of_kinds = counts.expand(*x.shape[:-1], -1)
             if self.count:
@@ -306,9 +300,7 @@ class SpherePrior(Module):
         share = self.lamp_ahead.to(each.dtype)
         of_azimuth = torch.logaddexp(share.log() + ahead, torch.log1p(-share))
         of_length = -0.5 * (((length - 1) / 0.1).square() + math.log(2 * math.pi * 0.01))
-        rest = each[..., None, 3:] - self.lamp_means.to(each.dtype)
-        white = torch.einsum("...kz,kzq->...kq", rest, self.lamp_factors.to(each.dtype))
-        numbers = _log_normal(white, self.lamp_factors)
+        numbers = log_normals(each[..., 3:], self.lamp_means, self.lamp_factors)
         return of_height + of_azimuth + of_length - 2 * length.log() + numbers
 
     def sample(
@@ -347,15 +339,6 @@ class SpherePrior(Module):
         length = 1 + 0.1 * torch.randn(n, count, 1, generator=generator, **where)
         lamps = torch.cat([towards * length, rest], -1)
         return torch.cat([z, lamps.flatten(1)], 1).reshape(*shape, self.parameter_count)
-
-
-def _log_normal(
-    white: Float[Tensor, "*b m p"], factors: Float[Tensor, "m p p"]
-) -> Float[Tensor, "*b m"]:
-    """Log density of normal numbers, whitened by precision factors."""
-    log_det = factors.diagonal(dim1=1, dim2=2).log().sum(1).to(white.dtype)
-    size = white.shape[-1]
-    return log_det - 0.5 * (white.square().sum(-1) + size * math.log(2 * math.pi))
 
 
 @constant()

@@ -31,7 +31,7 @@ from skylight.models._lobes import (
     LONGEST,
     MOST_ENERGY,
 )
-from skylight.models._prior import GaussianMixture
+from skylight.models._prior import GaussianMixture, precision_factors_of
 from skylight.models._sphere import MOST_LAMPS, Places
 from skylight.places._simulated import LIGHTS_NAME, read_lights
 from skylight.sphere._envmap import luminance
@@ -383,9 +383,7 @@ def shrunk(samples: Float[Tensor, "n z"], components: int, seed: int) -> Gaussia
     diagonal = torch.diag_embed(samples.double().var(0))
     count = (len(samples) * fitted.weights)[:, None, None]
     covariance = (count * fitted.covariances + SHRINKAGE * diagonal) / (count + SHRINKAGE)
-    # the upper factor B of B B^T is Cholesky's lower one of the reversed matrix
-    factors = torch.linalg.cholesky(torch.linalg.inv(covariance).flip(1, 2)).flip(1, 2)
-    return GaussianMixture(fitted.weights, fitted.means, factors.triu())
+    return GaussianMixture(fitted.weights, fitted.means, precision_factors_of(covariance))
 
 
 def _lamps_told(lamps: Sequence[Float[Tensor, "k 7"]]) -> dict[str, Tensor]:
@@ -396,13 +394,12 @@ def _lamps_told(lamps: Sequence[Float[Tensor, "k 7"]]) -> dict[str, Tensor]:
     usual = torch.zeros(4).double() if len(every) == 0 else numbers.mean(0)
     offset = numbers - usual
     covariance = (offset.T @ offset + 20 * torch.eye(4).double()) / (len(every) + 20)
-    factor = torch.linalg.cholesky(torch.linalg.inv(covariance).flip(0, 1)).flip(0, 1)
     up, azimuth = every[:, 1], torch.atan2(every[:, 0], -every[:, 2])
     near = (azimuth.abs() < math.radians(30)).double().sum()
     return {
         "log_counts": (counts / counts.sum()).log(),
         "lamp_means": usual,
-        "lamp_factors": factor.triu(),
+        "lamp_factors": precision_factors_of(covariance),
         "lamp_up": torch.tensor(_height(float((up.sum()) / (len(up) + 5)))),
         # what a uniform azimuth puts there is a sixth
         "lamp_ahead": ((near + 1) / (len(every) + 2) * 1.2 - 0.2).clamp(0.05, 0.95),

@@ -15,7 +15,7 @@ from skylight.models._base import without_azimuth
 from skylight.models._bundle import LightBundle, load_network
 from skylight.models._network import SkyNetwork
 from skylight.models._network_names import network_option
-from skylight.models._prior import GaussianMixture
+from skylight.models._prior import GaussianMixture, precision_factors_of
 from skylight.models.autoencoder import AutoencoderLight
 from skylight.models.sunsky import SunSky, fit_sunsky
 from skylight.skies._index import SUNNY, SkyRecord, folder_hash, load_skies, read_index
@@ -251,10 +251,8 @@ def best_mixture(
 def _single(samples: Float[Tensor, "n p"]) -> GaussianMixture:
     size = samples.shape[1]
     covariance = shrunk_covariance(samples) + COVARIANCE_FLOOR * torch.eye(size).to(samples)
-    # the upper factor B of B B^T is Cholesky's lower one of the reversed matrix
-    precision = torch.linalg.inv(covariance).flip(0, 1)
-    factor = torch.linalg.cholesky(precision).flip(0, 1)
-    return GaussianMixture(samples.new_ones(1), samples.mean(0)[None], factor.triu()[None])
+    factor = precision_factors_of(covariance)
+    return GaussianMixture(samples.new_ones(1), samples.mean(0)[None], factor[None])
 
 
 def shrunk_covariance(samples: Float[Tensor, "n p"]) -> Float[Tensor, "p p"]:
