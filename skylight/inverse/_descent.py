@@ -6,13 +6,15 @@ acts through matrices: only the derivatives of what it radiates are transported,
 start's as one product; what albedo, specular scale, exposure and turns do is for each pixel by
 itself.
 
-Derivatives of the radiance are forward differences, (f(x + h e) - f(x)) / h with h the square
-root of the floating-point precision; those of what is reflected, which is cheap, are central ones
-with h its cube root. Forward differences are off by h / 2 of the second derivative (0.5 % for the
-azimuth of a sun 1.4 degrees wide, the sharpest light), and in single precision by rounding: 1 % of
-a column in the median, 7 % of those of the latents that matter least, 0.1 % of the largest column.
-Steps need no more. Automatic differentiation in forward mode takes longer, and its first use
-imports torch's compiler, 2 s.
+Derivatives of the radiance are in closed form where the model has that
+(:meth:`~skylight.models._lobes.LampedLight.slopes`), else forward differences,
+(f(x + h e) - f(x)) / h with h the square root of the floating-point precision; those of albedo,
+specular scale and camera, which are cheap, are central ones with h its cube root. Forward
+differences are off by h / 2 of the second derivative (0.5 % for the azimuth of a sun 1.4 degrees
+wide, the sharpest light), and in single precision by rounding: 1 % of a column in the median, 7 %
+of those of the latents that matter least, 0.1 % of the largest column. Steps need no more.
+Automatic differentiation in forward mode takes longer, and its first use imports torch's compiler,
+2 s.
 """
 
 import math
@@ -28,6 +30,7 @@ from skylight.inverse._faces import FaceTerm, Level, Transported, of_problem
 from skylight.inverse._gauss_newton import minimise_robust
 from skylight.inverse._lbfgs import minimise
 from skylight.inverse._objective import TURN_STEP, LightObjective
+from skylight.models._lobes import LampedLight
 
 _MOST_CHANGES = 512  # of the light at a time: a decoder has 1 MB of activations for each
 
@@ -69,66 +72,85 @@ def jacobian(
 ) -> Float[Tensor, "b m q"]:
     """Derivatives of the :func:`deviations`."""
     count, size = free.shape
-    precision = torch.finfo(free.dtype).eps
-    step, axes = precision ** (1 / 3), torch.eye(size).to(free)
-    light, _, skin, ground = torch.arange(size).split(objective.sizes)
-    lit = torch.cat([light, ground])
+    light, camera, skin, ground = torch.arange(size).split(objective.sizes)
+    lit, unlit = torch.cat([light, ground]), torch.cat([camera, skin])
     skin = skin.unflatten(0, (len(objective.faces), -1))
-
-    def radiance(x: Tensor) -> tuple[Tensor, Tensor]:
-        return objective.radiance(objective.unpack(x))
-
-    source = radiance(free)
-    most = max(1, _MOST_CHANGES // count)
-    parts_of_axes = (precision**0.5 * axes[lit]).split(most)
-    changes = [_differences(radiance, source, free, some) for some in parts_of_axes]
-    scale = step / precision**0.5
-    skies, grounds = (scale * torch.cat(part, 1) for part in zip(*changes, strict=True))
     parts = objective.unpack(free)
+    source = objective.radiance(parts)
+    skies, grounds = _light_slopes(objective, free, source)
+    step = torch.finfo(free.dtype).eps ** (1 / 3)
+    sides = step * torch.eye(size)[unlit].to(free)
+    moved = objective.unpack(_moved(free, torch.cat([sides, -sides])))
+    tries = 2 * len(unlit)
+    each = None if problem is None else problem.repeat_interleave(tries)
+
+    def between(rows: Float[Tensor, "s m"]) -> Float[Tensor, "b m u"]:
+        ahead, behind = rows.unflatten(0, (count, 2, -1)).unbind(1)
+        return ((ahead - behind) / (2 * step)).mT
+
     blocks = []
     for k, face in enumerate(objective.faces):
         turns = objective.turns(parts, k)
-        here = vars(face.transported(*source, turns, problem))
-        here = {name: field for name, field in here.items() if field is not None}
-        along = {
-            name: field.new_zeros(count, size, *field.shape[1:]) for name, field in here.items()
-        }
-        for name, change in _transported(face, skies, grounds, turns, problem).items():
-            along[name][:, lit] = change
-        if face.normals is not None and turns is not None:
+        here = face.transported(*source, turns, problem)
+        albedo = objective.albedo(parts, k, problem)[:, None]
+        along, columns = _transported(face, skies, grounds, turns, problem), lit
+        change = along["diffuse"]
+        if here.turned is not None:
+            assert face.normals is not None
             vector = face.normals.light_vector(*source, problem)
             modes = of_problem(face.normals.modes, problem).expand(count, -1, -1, -1)
             per_mode = torch.einsum("bmdk,bmdc->bkmc", modes, vector)
-            turn = step * TURN_STEP * objective.weights.normal_spread
-            along["turned"][:, skin[k, 4 : 4 + per_mode.shape[1]]] = turn * per_mode
-        each = None if problem is None else problem.repeat_interleave(size)
+            turn = TURN_STEP * objective.weights.normal_spread
+            change = torch.cat([change.add_(along["turned"]), turn * per_mode], 1)
+            change *= (here.diffuse + here.turned > 0)[:, None]
+            columns = torch.cat([lit, skin[k, 4 : 4 + per_mode.shape[1]]])
+        change *= albedo
+        if here.specular is not None:
+            scale = parts.specular_scale[:, k, None, None, None]
+            change[:, : len(lit)] += along["specular"].mul_(scale)
+        fixed = {
+            name: field.repeat_interleave(tries, 0)
+            for name, field in vars(here).items()
+            if field is not None
+        }
+        shown = face.deviation(objective.reflected(moved, k, Transported(**fixed), each), each)
+        block = free.new_empty(count, shown[0].numel(), size)
+        block[:, :, unlit] = between(shown.flatten(1))
 
-        def deviation(x: Tensor, light: dict[str, Tensor], k: int = k, each=each) -> Tensor:
-            shading = objective.reflected(objective.unpack(x), k, Transported(**light), each)
-            return objective.faces[k].deviation(shading, each).flatten(1)
+        def seen(shading: Tensor, k: int = k) -> Tensor:
+            picture = objective.camera_response(parts, objective.faces[k].photo, shading)
+            return objective.faces[k].deviation(picture, problem)
 
+        block[:, :, columns] = _of_pixels(seen, objective.shaded(parts, k, here, problem), change)
+        blocks.append(block)
+    for photo, term in objective.backgrounds.items():
+        seen_behind = term.seen(*source)
+        change = term.seen(skies.flatten(0, 1), grounds.flatten(0, 1)).unflatten(0, (count, -1))
+        change = step * change.movedim(1, 0)
+        fixed = seen_behind.repeat_interleave(tries, 0)
+        block = between(term.deviation(objective.camera_response(moved, photo, fixed)))
         ahead, behind = (
-            deviation(
-                _moved(free, sign * step * axes),
-                {name: (here[name][:, None] + sign * along[name]).flatten(0, 1) for name in here},
-            )
+            term.deviation(objective.camera_response(parts, photo, seen_behind + sign * change))
             for sign in (1, -1)
         )
-        blocks.append(((ahead - behind) / (2 * step)).unflatten(0, (count, size)).transpose(1, 2))
-    for photo, term in objective.backgrounds.items():
-        seen = term.seen(*source)
-        changed = seen.new_zeros(count, size, *seen.shape[1:])
-        change = term.seen(skies.flatten(0, 1), grounds.flatten(0, 1))
-        changed[:, lit] = change.unflatten(0, (count, -1))
-
-        def shown(sign: int, photo=photo, term=term, seen=seen, changed=changed) -> Tensor:
-            there = objective.unpack(_moved(free, sign * step * axes))
-            radiance = (seen[:, None] + sign * changed).flatten(0, 1)
-            return term.deviation(objective.camera_response(there, photo, radiance))
-
-        slopes = (shown(1) - shown(-1)) / (2 * step)
-        blocks.append(slopes.unflatten(0, (count, size)).transpose(1, 2))
+        whole = free.new_empty(count, block.shape[1], size)
+        whole[:, :, unlit] = block
+        whole[:, :, lit] = ((ahead - behind) / (2 * step)).permute(1, 2, 0)
+        blocks.append(whole)
     return torch.cat(blocks, 1)
+
+
+def _of_pixels(
+    seen: Callable[[Tensor], Tensor],
+    shading: Float[Tensor, "b m 3"],
+    changes: Float[Tensor, "b s m 3"],
+) -> Float[Tensor, "b n s"]:
+    """What changes of the shading do to what is ``seen`` of it, each pixel by itself."""
+    with torch.enable_grad():
+        leaf = shading.detach().requires_grad_()
+        channels = seen(leaf).sum((0, 1))
+        slopes = [torch.autograd.grad(one, leaf, retain_graph=True)[0] for one in channels]
+    return torch.einsum("bmoc,bsmc->bmos", torch.stack(slopes, 2), changes).flatten(1, 2)
 
 
 def _moved(free: Float[Tensor, "b q"], axes: Float[Tensor, "s q"]) -> Float[Tensor, "bs q"]:
@@ -136,16 +158,25 @@ def _moved(free: Float[Tensor, "b q"], axes: Float[Tensor, "s q"]) -> Float[Tens
     return (free[:, None] + axes).flatten(0, 1)
 
 
-def _differences(
-    radiance: Callable[[Tensor], tuple[Tensor, ...]],
-    here: tuple[Tensor, ...],
-    free: Float[Tensor, "b q"],
-    axes: Float[Tensor, "s q"],
-) -> tuple[Tensor, ...]:
-    """By what the radiance ``here`` changes along each axis, (b, s, ...)."""
-    shape = len(free), len(axes)
-    there = radiance(_moved(free, axes))
-    return tuple(a.unflatten(0, shape) - b[:, None] for a, b in zip(there, here, strict=True))
+def _light_slopes(
+    objective: LightObjective, free: Float[Tensor, "b q"], here: tuple[Tensor, Tensor]
+) -> tuple[Float[Tensor, "b s n 3"], Float[Tensor, "b s 3"]]:
+    """Derivatives of the radiance ``here``, of sky and ground, along the light's unknowns."""
+    model, sizes = objective.model, objective.sizes
+    if isinstance(model, LampedLight):
+        skies = model.slopes(objective.unpack(free).light)
+        return skies, skies.new_zeros(*skies.shape[:2], 3)
+    step = torch.finfo(free.dtype).eps ** 0.5
+    unknown = torch.arange(sum(sizes)).split(sizes)
+    axes = step * torch.eye(sum(sizes))[torch.cat([unknown[0], unknown[3]])].to(free)
+    changes = []
+    for some in axes.split(max(1, _MOST_CHANGES // len(free))):
+        there = objective.radiance(objective.unpack(_moved(free, some)))
+        shape = len(free), len(some)
+        pairs = zip(there, here, strict=True)
+        changes.append([(a.unflatten(0, shape) - b[:, None]) / step for a, b in pairs])
+    skies, grounds = (torch.cat(part, 1) for part in zip(*changes, strict=True))
+    return skies, grounds
 
 
 def _transported(
@@ -218,6 +249,7 @@ def descend(
             iterations=stage.iterations,
             tolerance=tolerance,
             broyden=stage.steps == "broyden",
+            shape=lambda x, rows: objective.prior_shape(x, problem[rows]),
         )
     else:
         result = minimise(

@@ -26,10 +26,11 @@ a corrected J is not exact. Else J is computed after every accepted step.
 from collections.abc import Callable
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from skylight.inverse._lbfgs import Minimum
+from skylight.models._prior import convex_shape
 
 CHARBONNIER_EPSILON = 1e-6
 
@@ -43,8 +44,8 @@ def charbonnier(x: Float[Tensor, "*s"]) -> Float[Tensor, "*s"]:
 Residuals = Callable[[Tensor, Tensor], Tensor]  # (b,m)
 Jacobian = Callable[[Tensor, Tensor], Tensor]  # (b,m,p)
 Prior = Callable[[Tensor, Tensor], Tensor]  # (b,)
+Shape = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]  # (b,p) and (b,p,p)
 FIRST_DAMPING, LESS, MORE = 1e-2, 0.3, 5.0
-_STEP = 1e-3  # of differences of q's slope
 
 
 @torch.no_grad()
@@ -58,12 +59,14 @@ def minimise_robust(
     iterations: int,
     tolerance: float = 1e-5,
     broyden: bool = False,
+    shape: Shape | None = None,
 ) -> Minimum:
     """The best point from each start; never worse than the start.
 
     ``tolerance`` is relative to the loss: a start is finished once an accepted step lowers it by
     less. Steps to where the loss is not finite are rejected; a start where it is not has an
-    infinite loss. The Jacobian of every start is held.
+    infinite loss. The Jacobian of every start is held. ``shape`` is the prior's slope and a Hessian
+    that has no negative eigenvalues, by default by differences.
     """
     x = x0.clone()
     count = len(x)
@@ -93,7 +96,7 @@ def minimise_robust(
             stale[new] = corrected[new] = False
         new = which[moved[which]]
         if len(new):
-            slope, hessian = prior_shape(prior, x[new], new)
+            slope, hessian = shape(x[new], new) if shape else convex_shape(prior, x[new], new)
             curved = change[new] * (weights[new] / charbonnier(r[new]))[:, :, None]
             slopes[new] = slope.double() + torch.einsum("bmp,bm->bp", curved, r[new]).double()
             data = torch.einsum("bmp,bmq->bpq", change[new], curved).double()
@@ -137,24 +140,3 @@ def minimise_robust(
         evaluations=used.to(x.device),
         nonfinite=rejected.to(x.device),
     )
-
-
-def prior_shape(
-    prior: Prior, x: Float[Tensor, "b p"], rows: Int[Tensor, " b"]
-) -> tuple[Float[Tensor, "b p"], Float[Tensor, "b p p"]]:
-    """Slope of q, and its Hessian without its negative eigenvalues."""
-    count, size = x.shape
-
-    def slope_of(points: Tensor, rows: Tensor) -> Tensor:
-        with torch.enable_grad():
-            leaf = points.detach().requires_grad_(True)
-            (slope,) = torch.autograd.grad(prior(leaf, rows).sum(), leaf)
-        return slope
-
-    steps = _STEP * torch.eye(size).to(x)
-    around = torch.cat([x[:, None] + steps, x[:, None] - steps], 1).flatten(0, 1)
-    rows_around = rows.repeat_interleave(2 * size)
-    ahead, behind = slope_of(around, rows_around).unflatten(0, (count, 2 * size)).chunk(2, 1)
-    hessian = ((ahead - behind) / (2 * _STEP)).nan_to_num(posinf=0.0, neginf=0.0)
-    values, vectors = torch.linalg.eigh(0.5 * (hessian + hessian.mT))
-    return slope_of(x, rows), vectors @ (values.clamp(min=0)[..., None] * vectors.mT)

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from skylight.inverse._gauss_newton import Prior, charbonnier, prior_shape
+from skylight.inverse._gauss_newton import Prior, charbonnier
 
 _SWEEPS = 3  # of coordinate descent, after which few pivots are left
 _PIVOTS = 12  # of all problems together; what is left then is solved one by one
@@ -131,17 +131,14 @@ def laplace(
 
 @torch.no_grad()
 def hessian_at(
-    minimum: Float[Tensor, "b q"],
     deviations: Float[Tensor, "b m"],
     jacobian: Float[Tensor, "b m q"],
     weights: Float[Tensor, "#b m"],
-    prior: Prior,
+    prior: Float[Tensor, "b q q"],
 ) -> Float[Tensor, "b q q"]:
     """``J^T diag(w / m) J + Q``, w / m the :func:`curvatures` and Q the prior's Hessian."""
     curved = jacobian * curvatures(deviations, weights)[:, :, None]
-    rows = torch.arange(len(minimum), device=minimum.device)
-    _, hessian = prior_shape(prior, minimum, rows)
-    return hessian.double() + torch.einsum("bmp,bmq->bpq", jacobian, curved).double()
+    return prior.double() + torch.einsum("bmp,bmq->bpq", jacobian, curved).double()
 
 
 @torch.no_grad()

@@ -5,7 +5,7 @@ shape (as many faces in the same photographs, all with specular reflection or no
 objective, so that points of all of them are evaluated as one batch.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -26,9 +26,9 @@ from skylight.inverse._scale import (
     tone_prior,
 )
 from skylight.inverse._sun_prior import SunPrior
-from skylight.models._base import LightModel, Prior, without_azimuth
+from skylight.models._base import CurvedPrior, LightModel, Prior, without_azimuth
 from skylight.models._ground import KnownGround, LambertianGround, ground_prior
-from skylight.models._prior import GaussianMixture
+from skylight.models._prior import GaussianMixture, convex_shape
 from skylight.transport._reflection import shade_scenes
 
 # A free parameter of 1 is so many standard deviations of a turn: without, a turn's slope is so much
@@ -274,11 +274,22 @@ class LightObjective:
         light: Transported,
         problem: Int[Tensor, " b"] | None = None,
     ) -> Float[Tensor, "b m 3"]:
-        """The shading of face ``k`` in that light."""
+        """What the picture shows of face ``k`` in that light."""
+        shaded = self.shaded(parts, k, light, problem)
+        return self.camera_response(parts, self.faces[k].photo, shaded)
+
+    def shaded(
+        self,
+        parts: Unpacked,
+        k: int,
+        light: Transported,
+        problem: Int[Tensor, " b"] | None = None,
+    ) -> Float[Tensor, "b m 3"]:
+        """The same for an exposure of 1, before the camera."""
         shading = self.albedo(parts, k, problem) * light.diffuse_shading
         if light.specular is not None:
             shading = shading + parts.specular_scale[:, k, None, None] * light.specular
-        return self.camera_response(parts, self.faces[k].photo, shading)
+        return shading
 
     def camera_response(
         self, parts: Unpacked, photo: int, radiance: Float[Tensor, "*s b m 3"]
@@ -331,15 +342,19 @@ class LightObjective:
         return self.weights.background * torch.stack(each).sum(0)
 
     def priors(
-        self, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None
+        self,
+        free: Float[Tensor, "b q"],
+        problem: Int[Tensor, " b"] | None = None,
+        *,
+        without: Collection[str] = (),
     ) -> dict[str, Float[Tensor, " b"]]:
-        """All parts but the data and the background."""
+        """All parts but the data and the background, and those ``without`` which."""
         parts, w = self.unpack(free), self.weights
         light = without_azimuth(self.model, free[:, : self.model.parameter_count])
         skin = self.albedo_prior.log_prob(parts.albedo.log().flatten(0, 1))
-        sun = self.sun_nll(parts.light, problem)
+        sun = None if "sun_prior" in without else self.sun_nll(parts.light, problem)
         return {
-            **self._light_nll(light),
+            **({} if "light_prior" in without else self._light_nll(light)),
             "albedo_prior": -w.albedo_prior * skin.unflatten(0, (-1, len(self.faces))).sum(1),
             **self._ground_nll(parts),
             "gloss_prior": (0.5 * (parts.specular_scale.log() / SPECULAR_SPREAD) ** 2).sum(1),
@@ -351,10 +366,45 @@ class LightObjective:
         }
 
     def prior(
-        self, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None
+        self,
+        free: Float[Tensor, "b q"],
+        problem: Int[Tensor, " b"] | None = None,
+        *,
+        without: Collection[str] = (),
     ) -> Float[Tensor, " b"]:
         """The sum of :meth:`priors`."""
-        return torch.stack(list(self.priors(free, problem).values())).sum(0)
+        return torch.stack(list(self.priors(free, problem, without=without).values())).sum(0)
+
+    def prior_shape(
+        self,
+        free: Float[Tensor, "b q"],
+        problem: Int[Tensor, " b"] | None = None,
+        *,
+        clock: bool = True,
+    ) -> tuple[Float[Tensor, "b q"], Float[Tensor, "b q q"]]:
+        """Slope of the :meth:`prior`, and its Hessian without negative eigenvalues.
+
+        A light prior may offer its own. Without a ``clock``, that says nothing.
+        """
+        model, own, without = self.model, self.light_prior, [] if clock else ["sun_prior"]
+        light = free[:, :0]
+        if isinstance(own, CurvedPrior) and not (clock and any(self.sun_priors)):
+            light = free[:, : model.parameter_count]
+            without.append("light_prior")
+
+        def others(x: Tensor, rows: Tensor) -> Tensor:
+            whole = torch.cat([light[rows], x], 1)
+            return self.prior(whole, None if problem is None else problem[rows], without=without)
+
+        count, rows = light.shape[1], torch.arange(len(free), device=free.device)
+        slope, hessian = convex_shape(others, free[:, count:], rows)
+        if isinstance(own, CurvedPrior) and count:
+            slope, hessian = pad(slope, (count, 0)), pad(hessian, (count, 0, count, 0))
+            columns = without_azimuth(model, torch.arange(count, device=free.device))
+            first, second = own.convex_shape(without_azimuth(model, light))
+            slope[:, columns] += self.weights.light_prior * first
+            hessian[:, columns[:, None], columns] += self.weights.light_prior * second
+        return slope, hessian
 
     def deviation_weights(self, problem: Int[Tensor, " b"] | None = None) -> Float[Tensor, "#b m"]:
         """What the Charbonnier of each pixel and channel of all faces counts, nats."""

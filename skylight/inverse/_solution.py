@@ -74,9 +74,10 @@ class _Minimum:
         objective: LightObjective, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None
     ) -> "_Minimum":
         off, change = deviations(objective, free, problem), jacobian(objective, free, problem)
-        weights, prior = objective.deviation_weights(problem), _prior(objective, problem)
+        weights = objective.deviation_weights(problem)
         seen, behind = weights.shape[1], free.new_zeros(len(free))
-        hessian = hessian_at(free, off[:, :seen], change[:, :seen], weights, prior)
+        _, of_priors = objective.prior_shape(free, problem, clock=False)
+        hessian = hessian_at(off[:, :seen], change[:, :seen], weights, of_priors)
         if objective.backgrounds:
             rows, along = off[:, seen:], change[:, seen:]
             parts = objective.unpack(free)
@@ -122,8 +123,8 @@ def _prior(
     """All priors but that of clock and place."""
 
     def prior(x: Tensor, rows: Tensor) -> Tensor:
-        priors = objective.priors(x, None if problem is None else problem[rows])
-        return torch.stack([nll for name, nll in priors.items() if name != "sun_prior"]).sum(0)
+        mine = None if problem is None else problem[rows]
+        return objective.prior(x, mine, without=["sun_prior"])
 
     return prior
 

@@ -223,6 +223,16 @@ class Prior(Protocol):
     ) -> Float[Tensor, "*shape p"]: ...
 
 
+@runtime_checkable
+class CurvedPrior(Prior, Protocol):
+    """A prior that offers the slope of ``-log_prob``, and a Hessian without negative eigenvalues:
+    its own, or that of a function above it that touches it at x."""
+
+    def convex_shape(
+        self, x: Float[Tensor, "b p"]
+    ) -> tuple[Float[Tensor, "b p"], Float[Tensor, "b p p"]]: ...
+
+
 def draws(shape: int | Sequence[int]) -> torch.Size:
     """The leading sizes of what a prior's ``sample`` is asked for."""
     return torch.Size((shape,) if isinstance(shape, int) else shape)

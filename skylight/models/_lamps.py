@@ -78,6 +78,16 @@ class LampsLight(LampedLight):
         colours = torch.stack([level + red, level, level + blue], -1).exp()
         return self.normalised(colours)
 
+    def ambient_log_slopes(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b 16 3 n"]:
+        """Fields times what they are scaled by."""
+        basis = self.basis.to(params).T
+        tone = self.tone_scale.to(params)[:, None] * basis[1:]
+        chroma = self.chroma_scale.to(params)[:, None] * basis[:4]
+        slopes = params.new_zeros(AMBIENT_PARAMETERS, 3, basis.shape[1])
+        slopes[:8], slopes[8:12, 0], slopes[12:, 2] = tone[:, None], chroma, chroma
+        inside = params[:, :AMBIENT_PARAMETERS].abs() <= LONGEST
+        return slopes * inside[..., None, None]
+
 
 class LampsPrior(Module):
     """Density of :class:`LampsLight`'s parameters: normal, and directions by their height.

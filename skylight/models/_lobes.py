@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from skylight._modes import full_precision, single
 from skylight.models._base import ParametricLight
-from skylight.sphere._envmap import luminance
+from skylight.sphere._envmap import LUMINANCE, luminance
 from skylight.sphere._frame import squared_chords
 
 LAMP_PARAMETERS = 7
@@ -89,6 +89,58 @@ class LampedLight(ParametricLight):
             energy = 4 * math.pi * lamps.energies[..., None] * lamps.colours
             return radiance + torch.einsum("...kn,...kc->...nc", self.lobes(lamps), energy)
 
+    def ambient_log_slopes(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "#b a 3 n"]:
+        """Derivatives of log A, up to what scales A, along each of its parameters."""
+        raise NotImplementedError
+
+    @torch.no_grad()
+    def slopes(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b p n 3"]:
+        """Derivatives of :meth:`forward` along each parameter, in closed form.
+
+        Of ``A = E / <Y(E)>`` with log E of slopes G they are ``A (G - <Y(A G)>)``, Y luminance.
+        """
+        ambient = self.ambient(params).mT
+        log = self.ambient_log_slopes(params)
+        share = self.log_solid_angle.to(ambient).exp() / (4 * math.pi)
+        weights = ambient * ambient.new_tensor(LUMINANCE)[:, None] * share
+        mean = log.flatten(2) @ weights.flatten(1)[..., None]
+        changes = (log - mean[..., None]) * ambient[:, None]
+        if self.count:
+            of_lamps = self._lamp_slopes(params)
+            if self.azimuth_index is not None:
+                changes[:, self.azimuth_index] += of_lamps[:, self.azimuth_index]
+            changes = torch.cat([changes, of_lamps[:, self.ambient_parameters :]], 1)
+        return changes.mT
+
+    def _lamp_slopes(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b p 3 n"]:
+        """Derivatives of the lamps' radiance.
+
+        What parameters mean is differentiated by central differences in double precision, and
+        lobes in closed form by what they mean: ``dg = g (X - <g X>)`` with
+        ``X = (w . dd + |w - d|^2 dlog s) / s^2``.
+        """
+        step = 1e-5 * torch.eye(self.parameter_count).to(params.device).double()
+        around = params.double()[:, None, None] + torch.stack([step, -step])
+        lamps = self.lamps(around)
+        means = torch.cat([lamps.directions, self._resolved(lamps).log()[..., None]], -1)
+        energies = 4 * math.pi * lamps.energies[..., None] * lamps.colours
+        by_means, by_energies = (
+            ((each[:, 0] - each[:, 1]) / 2e-5).to(params) for each in (means, energies)
+        )
+        here = self.lamps(params)
+        lobes, energy = self.lobes(here), 4 * math.pi * here.energies[..., None] * here.colours
+        directions = self.directions.to(params)
+        chords = squared_chords(here.directions, directions)
+        towards = directions.T.expand(*chords.shape[:2], -1, -1)
+        exponents = torch.cat([towards, chords[:, :, None]], 2)
+        exponents = exponents / self._resolved(here)[..., None, None] ** 2
+        cells = self.log_solid_angle.to(params).exp()
+        exponents = exponents - exponents @ (lobes * cells)[..., None]
+        along = exponents * lobes[:, :, None]
+        return torch.einsum("bpkj,bkc,bkjn->bpcn", by_means, energy, along) + torch.einsum(
+            "bpkc,bkn->bpcn", by_energies, lobes
+        )
+
     def normalised(self, radiance: Float[Tensor, "*batch n 3"]) -> Float[Tensor, "*batch n 3"]:
         """Of mean luminance 1."""
         share = self.log_solid_angle.to(radiance.dtype).exp() / (4 * math.pi)
@@ -125,13 +177,15 @@ class LampedLight(ParametricLight):
     def lobes(self, lamps: Lamps) -> Float[Tensor, "*batch k n"]:
         """g of each lamp, with an energy of exactly 1 over the grid's cells."""
         chords = squared_chords(lamps.directions, self.directions.to(lamps.directions.dtype))
-        # narrower than half a cell they would fall between the centres of two
-        widths = lamps.widths_rad.clamp(min=math.pi / 2 / self.grid.layout[0])  # type: ignore[index]
-        exponent = -0.5 * chords / widths[..., None] ** 2
+        exponent = -0.5 * chords / self._resolved(lamps)[..., None] ** 2
         total = torch.logsumexp(
             exponent + self.log_solid_angle.to(exponent.dtype), -1, keepdim=True
         )
         return torch.exp(exponent - total)
+
+    def _resolved(self, lamps: Lamps) -> Float[Tensor, "*b k"]:
+        """Widths: narrower than half a cell lobes would fall between the centres of two."""
+        return lamps.widths_rad.clamp(min=math.pi / 2 / self.grid.layout[0])  # type: ignore[index]
 
     def ambient_starts(self) -> Float[Tensor, "a p"]:
         """Parameters of A to start from."""

@@ -1,12 +1,12 @@
 """Priors over parameters: Gaussian mixtures with full covariances."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from skylight._modes import full_precision, single
@@ -17,6 +17,7 @@ from skylight.models._base import draws
 
 _STARTS, _KMEANS_ITERATIONS = 3, 50
 _ROWS_AT_ONCE = 2**14  # each takes k p numbers
+_SLOPE_STEP = 1e-3  # of differences of slopes
 _ITERATIONS, _LEAST_GAIN = 500, 1e-5  # of expectation-maximisation
 
 
@@ -180,6 +181,30 @@ def log_normals(
     log_det = factors.diagonal(dim1=1, dim2=2).log().sum(1)
     constant = log_det - 0.5 * x.shape[-1] * math.log(2 * math.pi)
     return constant - 0.5 * white.square().sum(-1)
+
+
+def convex_shape(
+    function: Callable[[Tensor, Tensor], Tensor], x: Float[Tensor, "b p"], rows: Int[Tensor, " b"]
+) -> tuple[Float[Tensor, "b p"], Float[Tensor, "b p p"]]:
+    """Slope of a function of points and their rows, and its Hessian without negative eigenvalues.
+
+    The Hessian is by differences of the slope.
+    """
+    count, size = x.shape
+
+    def slope_of(points: Tensor, rows: Tensor) -> Tensor:
+        with torch.enable_grad():
+            leaf = points.detach().requires_grad_(True)
+            (slope,) = torch.autograd.grad(function(leaf, rows).sum(), leaf)
+        return slope
+
+    steps = _SLOPE_STEP * torch.eye(size).to(x)
+    around = torch.cat([x[:, None] + steps, x[:, None] - steps], 1).flatten(0, 1)
+    rows_around = rows.repeat_interleave(2 * size)
+    ahead, behind = slope_of(around, rows_around).unflatten(0, (count, 2 * size)).chunk(2, 1)
+    hessian = ((ahead - behind) / (2 * _SLOPE_STEP)).nan_to_num(posinf=0.0, neginf=0.0)
+    values, vectors = torch.linalg.eigh(0.5 * (hessian + hessian.mT))
+    return slope_of(x, rows), vectors @ (values.clamp(min=0)[..., None] * vectors.mT)
 
 
 def precision_factors_of(covariances: Float[Tensor, "*b p p"]) -> Float[Tensor, "*b p p"]:

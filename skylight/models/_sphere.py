@@ -29,7 +29,7 @@ from skylight.errors import AssetError, InputError, check_shape
 from skylight.io._tensors import read_tensors, write_tensors
 from skylight.models._base import draws
 from skylight.models._lobes import LAMP_PARAMETERS, LampedLight, Lamps
-from skylight.models._prior import log_normals
+from skylight.models._prior import convex_shape, log_normals
 from skylight.sphere._frame import DirectionGrid, angles_from_direction
 from skylight.sphere._lobes import DiskSplines
 
@@ -144,14 +144,38 @@ class SphereLight(LampedLight):
 
         Turned are its rows, as sums of cosines: exact for what their pixels tell.
         """
-        z, azimuth = params[..., : self.latents], params[..., self.latents]
-        rows, columns = self.grid.layout  # type: ignore[misc]
-        control = self.control + (z @ self.basis.to(z.dtype).flatten(1)).unflatten(-1, (3, -1))
-        halves = control.to(z.dtype).unflatten(-1, (2, -1)) @ self.values.to(z.dtype)
-        above, below = halves.unflatten(-1, (rows // 2, columns)).unbind(-3)
-        log = _turned_rows(torch.cat([above, below.flip(-2)], -2), azimuth)
+        log = self._ahead(params) @ self._turning(params)[..., None, :, :]
         log = log.flatten(-2).clamp(_DARKEST, _BRIGHTEST)
         return self.normalised(log.exp().transpose(-1, -2).contiguous())
+
+    def ambient_log_slopes(self, params: Float[Tensor, "b p"]) -> Float[Tensor, "b a 3 n"]:
+        """Fields of the latents, and the slope along rows, turned."""
+        turning, along = self._turning(params), self._turning(params, slope=True)
+        ahead = self._ahead(params)
+        fields = self._images(self.basis.to(params)).flatten(0, 2) @ turning
+        fields = fields.unflatten(1, (self.latents, 3, -1)).flatten(-2)
+        log = (ahead @ turning[:, None]).flatten(-2)
+        slopes = torch.cat([fields, (ahead @ along[:, None]).flatten(-2)[:, None]], 1)
+        return slopes * ((log > _DARKEST) & (log < _BRIGHTEST))[:, None]
+
+    def _ahead(self, params: Float[Tensor, "*batch p"]) -> Float[Tensor, "*batch 3 h w"]:
+        """Log radiance that is not turned, nor normalised."""
+        z = params[..., : self.latents]
+        control = self.control + (z @ self.basis.to(z.dtype).flatten(1)).unflatten(-1, (3, -1))
+        return self._images(control.to(z.dtype))
+
+    def _images(self, control: Float[Tensor, "*batch 3 k"]) -> Float[Tensor, "*batch 3 h w"]:
+        """The splines of such control points, as a lat-long image."""
+        rows, columns = self.grid.layout  # type: ignore[misc]
+        halves = control.unflatten(-1, (2, -1)) @ self.values.to(control.dtype)
+        above, below = halves.unflatten(-1, (rows // 2, columns)).unbind(-3)
+        return torch.cat([above, below.flip(-2)], -2)
+
+    def _turning(
+        self, params: Float[Tensor, "*batch p"], slope: bool = False
+    ) -> Float[Tensor, "*batch w w"]:
+        """T of ``row @ T``, each row turned by the azimuth, or the ``slope`` of that along it."""
+        return row_turns(params[..., self.latents], self.grid.layout[1], slope=slope)  # type: ignore[index]
 
     def lamps(self, params: Float[Tensor, "*batch p"]) -> Lamps:
         """What the parameters mean, turned."""
@@ -193,17 +217,23 @@ def _values(across: int, rows: int) -> Float[Tensor, "k n"]:
     return DiskSplines(across, DirectionGrid.sky(rows)).matrix().float().T.contiguous()
 
 
-def _turned_rows(
-    images: Float[Tensor, "*b c h w"], azimuth_rad: Float[Tensor, "*b"]
-) -> Float[Tensor, "*b c h w"]:
-    """Lat-long images turned to the right: each row, as a sum of waves, moved along itself."""
-    if 0 in images.shape:  # of which there is no transform
-        return images
-    width = images.shape[-1]
-    waves = torch.fft.rfft(images)
-    order = torch.arange(width // 2 + 1, device=images.device, dtype=images.dtype)
-    phase = azimuth_rad[..., None, None, None] * order
-    return torch.fft.irfft(waves * torch.polar(torch.ones_like(phase), -phase), width)
+def row_turns(
+    azimuth_rad: Float[Tensor, "*b"], width: int, *, slope: bool = False
+) -> Float[Tensor, "*b w w"]:
+    """Matrices that turn rows of ``width`` pixels to the right, as sums of waves.
+
+    With ``slope`` their derivatives along the azimuth.
+    """
+    column = torch.arange(width, device=azimuth_rad.device)
+    order = column[: width // 2 + 1]
+    share = torch.where((order == 0) | (2 * order == width), 1, 2) / width
+    waves = 2 * math.pi / width * (order[:, None] * column % width)
+    phase = azimuth_rad[..., None] * order
+    cos, sin = share * phase.cos(), share * phase.sin()
+    if slope:
+        cos, sin = -order * sin, order * cos
+    turned_first = cos @ waves.cos().to(cos) + sin @ waves.sin().to(cos)
+    return turned_first[..., (column - column[:, None]) % width]
 
 
 def turned(
@@ -287,6 +317,39 @@ class SpherePrior(Module):
                 each = x[..., self.latents :].unflatten(-1, (self.count, LAMP_PARAMETERS))
                 of_kinds = of_kinds + self._of_lamps(each).sum(-2)
             return total + of_kinds[..., self.kind]
+
+    @torch.no_grad()
+    def convex_shape(
+        self, x: Float[Tensor, "b p"]
+    ) -> tuple[Float[Tensor, "b p"], Float[Tensor, "b p p"]]:
+        """Slope of ``-log_prob``, and the Hessian of a function above it that touches it at x.
+
+        That function is the mean of the components' logarithms, weighted by their
+        responsibilities at x (expectation-maximisation: Dempster, Laird & Rubin 1977): over
+        latents the mean of the normals' precisions. Of lamps it is by differences, without its
+        negative eigenvalues.
+        """
+        share, z = torch.softmax(self.of_components(x), -1), self.latents
+        factors = self.precision_factors.to(x.dtype)
+        precisions = factors @ factors.mT
+        pulls = torch.einsum("bmz,mzy->bmy", x[:, None, :z] - self.means.to(x.dtype), precisions)
+        slope, hessian = torch.zeros_like(x), x.new_zeros(*x.shape, x.shape[1])
+        slope[:, :z] = torch.einsum("bm,bmz->bz", share, pulls)
+        hessian[:, :z, :z] = torch.einsum("bm,mzy->bzy", share, precisions)
+        kinds = share.new_zeros(len(x), len(self.kinds)).index_add(-1, self.kind, share)
+
+        def of_lamps(each: Tensor, rows: Tensor) -> Tensor:
+            return -(kinds[rows] * self._of_lamps(each)).sum(-1)
+
+        if self.count:
+            each = x[:, z:].unflatten(1, (self.count, LAMP_PARAMETERS)).flatten(0, 1)
+            rows = torch.arange(len(x), device=x.device).repeat_interleave(self.count)
+            slopes, hessians = convex_shape(of_lamps, each, rows)
+            slope[:, z:] = slopes.view(len(x), -1)
+            for k, of_lamp in enumerate(hessians.unflatten(0, (len(x), -1)).unbind(1)):
+                own = slice(z + LAMP_PARAMETERS * k, z + LAMP_PARAMETERS * (k + 1))
+                hessian[:, own, own] = of_lamp
+        return slope, hessian
 
     def _of_lamps(self, each: Float[Tensor, "*b 7"]) -> Float[Tensor, "*b k"]:
         """Log density of a lamp in places of each kind."""

@@ -24,6 +24,7 @@ from skylight.inverse._lamps import MOST_LAMPS, Fitted, Pursuit, as_many_as_pay,
 from skylight.inverse._least_squares import hessian_at, laplace
 from skylight.inverse._result import Lamp
 from skylight.models._lamps import LampsLight, LampsPrior
+from skylight.models._prior import convex_shape
 from skylight.object._view import GRID_HEIGHT, ObjectMaterial, shading
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.transport._matrix import TransportMatrix
@@ -186,5 +187,6 @@ class _Objective:
         best = ends.x[ends.loss.argmin(), None]
         row = torch.zeros(1, dtype=torch.long).to(best.device)
         off = deviations(best, row)
-        hessian = hessian_at(best, off, jacobian(best, row), weights, prior)
+        _, of_prior = convex_shape(prior, best, row)
+        hessian = hessian_at(off, jacobian(best, row), weights, of_prior)
         return best, float(laplace(best, off, hessian, weights, prior))

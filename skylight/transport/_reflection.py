@@ -197,9 +197,8 @@ class SkyTransport(Module):
         """T l: the same for an albedo of 1."""
         check_shape("SkyTransport's sky", sky.shape, self.folded.shape[2] - 1, 3)
         check_shape("SkyTransport's ground", ground.shape, sky.shape[0], 3)
-        return shade_scenes(
-            self.folded.to(sky.dtype), torch.cat([sky, ground[:, None]], dim=1), scene
-        )
+        rows = torch.cat([sky.mT, ground[..., None]], dim=2)  # as products want them
+        return shade_scenes(self.folded.to(sky.dtype), rows.mT, scene)
 
 
 def shade_scenes(

@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-from skylight.inverse._gauss_newton import charbonnier, minimise_robust, prior_shape
+from skylight.inverse._gauss_newton import charbonnier, minimise_robust
+from skylight.models._prior import convex_shape
 
 pytestmark = pytest.mark.usefixtures("double")
 
@@ -143,7 +144,7 @@ def test_a_start_that_is_not_finite_harms_no_other():
 def test_the_priors_hessian_has_no_negative_curvature():
     """x^2 - y^2: the curvature of y counts as 0, the slope is whole."""
     at = torch.tensor([[0.5, 2.0]])
-    slope, hessian = prior_shape(lambda x, _: x[:, 0] ** 2 - x[:, 1] ** 2, at, torch.tensor([0]))
+    slope, hessian = convex_shape(lambda x, _: x[:, 0] ** 2 - x[:, 1] ** 2, at, torch.tensor([0]))
     torch.testing.assert_close(slope, torch.tensor([[1.0, -4.0]]))
     torch.testing.assert_close(
         hessian, torch.diag(torch.tensor([2.0, 0.0]))[None], atol=1e-6, rtol=0

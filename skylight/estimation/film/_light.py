@@ -27,12 +27,13 @@ from skylight.estimation.film._smoother import DRIFTS, Drifting, Sight, likelies
 from skylight.imaging._edits import Edit
 from skylight.inverse._descent import Stage, best_exposure, deviations, jacobian
 from skylight.inverse._faces import Level, LitFaces, ScannedFace
-from skylight.inverse._gauss_newton import charbonnier, prior_shape
+from skylight.inverse._gauss_newton import charbonnier
 from skylight.inverse._least_squares import curvatures
 from skylight.inverse._objective import LightObjective
 from skylight.inverse._problem import solve
 from skylight.inverse._result import Estimate, residual
 from skylight.inverse._sky import SkyProblem, environment_of
+from skylight.models._prior import convex_shape
 from skylight.sphere._envmap import EnvironmentMap, bilinear_taps
 from skylight.sphere._frame import DirectionGrid, pixel_from_direction
 from skylight.transport._matrix import TransportMatrix
@@ -260,7 +261,7 @@ class _Film:
         def prior(x: Tensor, rows: Tensor) -> Tensor:
             return _priors(objective, x, shared=False)
 
-        own_slope, own_hessian = prior_shape(prior, free, torch.zeros(1, dtype=torch.long))
+        own_slope, own_hessian = convex_shape(prior, free, torch.zeros(1, dtype=torch.long))
         slope = (slope + own_slope[0].double()).numpy()
         hessian = (hessian + own_hessian[0].double()).numpy()
         solved = np.linalg.solve(
@@ -282,7 +283,7 @@ class _Film:
         def prior(x: Tensor, rows: Tensor) -> Tensor:
             return _priors(objective, x, shared=True)
 
-        slope, hessian = prior_shape(prior, free, torch.zeros(1, dtype=torch.long))
+        slope, hessian = convex_shape(prior, free, torch.zeros(1, dtype=torch.long))
         precision = hessian[0].double().numpy()[np.ix_(self.shared, self.shared)]
         scale = np.zeros(len(self.shared))
         scale[: self.lights] = 1.0
