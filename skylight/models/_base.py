@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from torch import Tensor
 from torch.distributions import Distribution
 
@@ -239,8 +239,8 @@ def draws(shape: int | Sequence[int]) -> torch.Size:
 
 
 def without_azimuth(
-    model: LightModel, free: Float[Tensor, "*batch p"]
-) -> Float[Tensor, "*batch q"]:
+    model: LightModel, free: Shaped[Tensor, "*batch p"]
+) -> Shaped[Tensor, "*batch q"]:
     """The free parameters that a prior speaks of: all but the azimuth."""
     at = model.azimuth_index
     return free if at is None else torch.cat([free[..., :at], free[..., at + 1 :]], -1)

@@ -199,12 +199,13 @@ def convex_shape(
         return slope
 
     steps = _SLOPE_STEP * torch.eye(size).to(x)
-    around = torch.cat([x[:, None] + steps, x[:, None] - steps], 1).flatten(0, 1)
-    rows_around = rows.repeat_interleave(2 * size)
-    ahead, behind = slope_of(around, rows_around).unflatten(0, (count, 2 * size)).chunk(2, 1)
+    steps = torch.cat([steps, -steps, torch.zeros_like(steps[:1])])
+    around, many = (x[:, None] + steps).flatten(0, 1), rows.repeat_interleave(len(steps))
+    slopes = slope_of(around, many).unflatten(0, (count, -1))
+    ahead, behind, here = slopes.split([size, size, 1], 1)
     hessian = ((ahead - behind) / (2 * _SLOPE_STEP)).nan_to_num(posinf=0.0, neginf=0.0)
     values, vectors = torch.linalg.eigh(0.5 * (hessian + hessian.mT))
-    return slope_of(x, rows), vectors @ (values.clamp(min=0)[..., None] * vectors.mT)
+    return here[:, 0], vectors @ (values.clamp(min=0)[..., None] * vectors.mT)
 
 
 def precision_factors_of(covariances: Float[Tensor, "*b p p"]) -> Float[Tensor, "*b p p"]:

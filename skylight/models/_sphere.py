@@ -345,7 +345,7 @@ class SpherePrior(Module):
             each = x[:, z:].unflatten(1, (self.count, LAMP_PARAMETERS)).flatten(0, 1)
             rows = torch.arange(len(x), device=x.device).repeat_interleave(self.count)
             slopes, hessians = convex_shape(of_lamps, each, rows)
-            slope[:, z:] = slopes.view(len(x), -1)
+            slope[:, z:] = slopes.reshape(len(x), -1)
             for k, of_lamp in enumerate(hessians.unflatten(0, (len(x), -1)).unbind(1)):
                 own = slice(z + LAMP_PARAMETERS * k, z + LAMP_PARAMETERS * (k + 1))
                 hessian[:, own, own] = of_lamp

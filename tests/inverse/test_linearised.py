@@ -9,8 +9,11 @@ from skylight.inverse._descent import deviations, jacobian
 from skylight.inverse._faces import FaceTerm, ObjectiveWeights
 from skylight.inverse._objective import LightObjective
 from skylight.models._lamps import LampsLight, LampsPrior
+from skylight.models._prior import convex_shape
+from skylight.models._sphere import SphereLight, SpherePrior
 from skylight.transport._normal_modes import NormalModes
 from tests.inverse.test_objective import MODEL, ROWS, normal, observation
+from tests.models.test_sphere import small_places
 
 pytestmark = pytest.mark.usefixtures("double")
 WEIGHTS = ObjectiveWeights(pigment_spread=1.0, normal_spread=0.5)
@@ -81,6 +84,35 @@ def test_under_lamps_on_the_whole_sphere():
     model = LampsLight(2, 2 * ROWS)
     seen = FaceTerm.of(face(), sphere=True)
     check(LightObjective([seen], model, LampsPrior(2), normal(3), WEIGHTS))
+
+
+def test_under_light_of_any_place():
+    check(any_place())
+
+
+def test_a_prior_that_offers_its_curvature_is_taken_at_its_word():
+    """The slope is that of all priors; what is not light bends as differences say."""
+    objective = any_place()
+    free = 0.5 * torch.randn(2, objective.size, generator=torch.Generator().manual_seed(3))
+    slope, hessian = objective.prior_shape(free)
+    _, expected = convex_shape(lambda x, _: objective.prior(x), free, torch.arange(2))
+    leaf = free.clone().requires_grad_()
+    (whole,) = torch.autograd.grad(objective.prior(leaf).sum(), leaf)
+    torch.testing.assert_close(slope, whole)
+    lights = objective.model.parameter_count
+    rest = slice(lights, None)
+    torch.testing.assert_close(hessian[:, rest, rest], expected[:, rest, rest])
+    assert float(hessian[:, :lights, rest].abs().max()) == 0
+    at = objective.model.azimuth_index
+    assert float(hessian[:, at].abs().max()) == float(hessian[:, :, at].abs().max()) == 0
+
+
+def any_place() -> LightObjective:
+    places = small_places()
+    model = SphereLight(1, 2 * ROWS, places).double()
+    seen = FaceTerm.of(face(), sphere=True)
+    prior = SpherePrior(1, places).double()
+    return LightObjective([seen], model, prior, normal(3), WEIGHTS)
 
 
 def test_of_two_faces_in_two_photographs():
