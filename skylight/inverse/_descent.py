@@ -50,20 +50,21 @@ def deviations(
     return torch.cat([*of_faces, *objective.behind(parts, light).values()], 1)
 
 
+@torch.no_grad()
 def deviation_weights(
     objective: LightObjective, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None = None
-) -> Float[Tensor, "#b m"]:
+) -> Float[Tensor, "b m"]:
     """What the Charbonnier of each of the :func:`deviations` counts, nats.
 
-    Backgrounds are trusted as far as they are at ``free``: minimised so again and again, the
-    objective falls (majorisation).
+    Faces and backgrounds are trusted as far as they are at ``free``: minimised so again and again,
+    the objective falls (majorisation).
     """
-    of_faces = objective.deviation_weights(problem)
-    if not objective.backgrounds:
-        return of_faces
     parts = objective.unpack(free)
-    behind = objective.background_weights(objective.behind(parts, objective.radiance(parts)))
-    return torch.cat([of_faces.expand(len(free), -1), behind], 1)
+    behind = objective.behind(parts, objective.radiance(parts))
+    of_faces = objective.deviation_weights(deviations(objective, free, problem), problem)
+    if not behind:
+        return of_faces
+    return torch.cat([of_faces, objective.background_weights(behind)], 1)
 
 
 @torch.no_grad()

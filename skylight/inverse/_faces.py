@@ -44,7 +44,10 @@ class ObjectiveWeights:
     ``noise`` is the expected mean deviation of a pixel from the model, relative to the face's
     mean radiance: not sensor noise, but freckles, specular reflection and wrong geometry.
     Neighbouring pixels deviate together, so a face's pixels count as ``independent`` observations,
-    whatever their number; those of several faces add up.
+    whatever their number; those of several faces add up. With ``noise_of_face`` that is the least:
+    a face that deviates by more, as heads of real people do, is worth less. Its mean deviation m
+    then costs ``independent (1 + log(m / noise))`` nats where m is more than ``noise``, the
+    likeliest scale of Laplace's density being m itself.
 
     ``white_balance_spread`` is the standard deviation of the log of red and of blue against green
     that a camera leaves in a picture of something grey; 0 trusts its white balance.
@@ -73,6 +76,7 @@ class ObjectiveWeights:
 
     noise: float = 0.06
     independent: float = 250.0
+    noise_of_face: bool = False
     light_prior: float = 1.0
     albedo_prior: float = 1.0
     ground_prior: float = 1.0
@@ -259,8 +263,10 @@ def data_term(
 
     ``share`` holds each pixel's weight over all pixels and channels; it sums to 1/3.
     """
-    mean = (charbonnier(residual) * share).sum((-2, -1))
-    return weights.independent / weights.noise * mean
+    off = (charbonnier(residual) * share).sum((-2, -1)) / weights.noise
+    if weights.noise_of_face:
+        off = torch.where(off > 1, 1 + off.clamp(min=1).log(), off)
+    return weights.independent * off
 
 
 class Level(NamedTuple):

@@ -17,6 +17,7 @@ from skylight.faces._skin import PIGMENT_COLOURS, PIGMENT_SPREADS
 from skylight.imaging._edits import edited
 from skylight.inverse._background import ROW_WEIGHT
 from skylight.inverse._faces import FaceTerm, ObjectiveWeights, Transported, of_problem
+from skylight.inverse._gauss_newton import charbonnier
 from skylight.inverse._scale import (
     SCALES,
     SPECULAR_SPREAD,
@@ -406,11 +407,34 @@ class LightObjective:
             hessian[:, columns[:, None], columns] += self.weights.light_prior * second
         return slope, hessian
 
-    def deviation_weights(self, problem: Int[Tensor, " b"] | None = None) -> Float[Tensor, "#b m"]:
-        """What the Charbonnier of each pixel and channel of all faces counts, nats."""
+    def deviation_weights(
+        self, off: Float[Tensor, "b _"], problem: Int[Tensor, " b"] | None = None
+    ) -> Float[Tensor, "b m"]:
+        """What the Charbonnier of each pixel and channel of all faces counts, nats.
+
+        Of concave costs, where faces are ``off`` by that much: the tangent, which lies above.
+        """
+        more = self.scale_of_noise(off, problem).unbind(1)
+        each = [share / by[:, None] for share, by in zip(self._shares(problem), more, strict=True)]
+        return self.weights.independent / self.weights.noise * torch.cat(each, 1)
+
+    def scale_of_noise(
+        self, off: Float[Tensor, "b _"], problem: Int[Tensor, " b"] | None = None
+    ) -> Float[Tensor, "b f"]:
+        """By how much more than expected each face deviates; 1 where that is known beforehand."""
+        if not self.weights.noise_of_face:
+            return off.new_ones(len(off), len(self.faces))
+        shares = self._shares(problem)
+        sizes = [share.shape[1] for share in shares]
+        of_faces = off[:, : sum(sizes)].split(sizes, 1)
+        each = zip(of_faces, shares, strict=True)
+        means = torch.stack([(charbonnier(r) * share).sum(1) for r, share in each], 1)
+        return (means / self.weights.noise).clamp(min=1)
+
+    def _shares(self, problem: Int[Tensor, " b"] | None) -> list[Float[Tensor, "#b _"]]:
+        """The weight of each face's pixels and channels."""
         shares = [of_problem(face.share, problem).expand(-1, -1, 3) for face in self.faces]
-        each = torch.cat([share.flatten(1) for share in shares], 1)
-        return self.weights.independent / self.weights.noise * each
+        return [share.flatten(1) for share in shares]
 
     def background_weights(self, behind: dict[int, Float[Tensor, "b _"]]) -> Float[Tensor, "b _"]:
         """What the Charbonnier of each of the rows :meth:`behind` counts, nats: the tangent of its

@@ -66,7 +66,8 @@ class _Minimum:
     free: Float[Tensor, "b q"]
     problem: Int[Tensor, " b"] | None
     deviations: Float[Tensor, "b m"]
-    behind: Float[Tensor, " b"]  # what their backgrounds cost
+    weights: Float[Tensor, "b m"]
+    more: Float[Tensor, " b"]  # what backgrounds cost, and faces that deviate by more
     hessian: Float[Tensor, "b q q"]
 
     @staticmethod
@@ -74,8 +75,10 @@ class _Minimum:
         objective: LightObjective, free: Float[Tensor, "b q"], problem: Int[Tensor, " b"] | None
     ) -> "_Minimum":
         off, change = deviations(objective, free, problem), jacobian(objective, free, problem)
-        weights = objective.deviation_weights(problem)
-        seen, behind = weights.shape[1], free.new_zeros(len(free))
+        weights = objective.deviation_weights(off, problem)
+        seen = weights.shape[1]
+        # what concave costs are above their tangents
+        more = objective.scale_of_noise(off, problem).log().sum(1) * objective.weights.independent
         _, of_priors = objective.prior_shape(free, problem, clock=False)
         hessian = hessian_at(off[:, :seen], change[:, :seen], weights, of_priors)
         if objective.backgrounds:
@@ -84,22 +87,22 @@ class _Minimum:
             each = objective.behind(parts, objective.radiance(parts))
             counted = objective.background_weights(each) / charbonnier(rows)
             hessian = hessian + (along.mT @ (along * counted[:, :, None])).double()
-            behind = objective.background_nll(each)
+            more = more + objective.background_nll(each)
         return _Minimum(
             objective=objective,
             free=free,
             problem=problem,
             deviations=off[:, :seen],
-            behind=behind,
+            more=more,
+            weights=weights,
             hessian=hessian,
         )
 
     def log_evidence(self) -> Float[Tensor, " b"]:
-        weights = self.objective.deviation_weights(self.problem)
         prior = _prior(self.objective, self.problem)
         turn = 0.0 if self.objective.model.azimuth_index is None else math.log(2 * math.pi)
-        nats = laplace(self.free, self.deviations, self.hessian, weights, prior)
-        return nats - self.behind.double() - turn
+        nats = laplace(self.free, self.deviations, self.hessian, self.weights, prior)
+        return nats - self.more.double() - turn
 
     def spreads(self) -> list[Spreads]:
         """Of each minimum's map, in the units of its first photograph."""

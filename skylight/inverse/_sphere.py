@@ -56,7 +56,8 @@ def sphere_problem(
         patience=2,
         smooth=True,
     )
-    efforts = replace(options, coarse=COARSE, fine=FINE)
+    weights = replace(options.weights, noise_of_face=True)
+    efforts = replace(options, coarse=COARSE, fine=FINE, weights=weights)
     return LampsProblem(albedo_prior, albedo_modes, efforts, family, towards=towards_of(place))
 
 

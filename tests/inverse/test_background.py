@@ -7,8 +7,15 @@ import pytest
 import torch
 
 from skylight.inverse._background import BEND, ROW_WEIGHT, BackgroundSpreads, BackgroundTerm
-from skylight.inverse._descent import Iterates, Stage, descend, deviation_weights
-from skylight.inverse._faces import FaceTerm, Level, LitFaces, ObjectiveWeights, ScannedFace
+from skylight.inverse._descent import Iterates, Stage, descend, deviation_weights, deviations
+from skylight.inverse._faces import (
+    FaceTerm,
+    Level,
+    LitFaces,
+    ObjectiveWeights,
+    ScannedFace,
+    data_term,
+)
 from skylight.inverse._gauss_newton import charbonnier
 from skylight.inverse._objective import LightObjective
 from skylight.inverse._solution import _Minimum, log_evidence
@@ -153,25 +160,47 @@ def test_its_slopes_are_those_of_automatic_differentiation():
 
 
 def test_rows_and_weights_are_the_tangent_of_the_objective():
-    """At the point they belong to they have the slope of the term, and lie above it elsewhere."""
-    one = objective(radiance=torch.rand(16, 3, generator=torch.Generator().manual_seed(2)) + 0.2)
+    """At the point they belong to they have its slope, and lie above it elsewhere.
+
+    With two faces that deviate by more than is expected, whose costs are logarithms.
+    """
+    one = objective(
+        radiance=torch.rand(16, 3, generator=torch.Generator().manual_seed(2)) + 0.2, photos=2
+    )
+    one.weights = replace(one.weights, noise_of_face=True)
     generator = torch.Generator().manual_seed(3)
     here, there = (0.5 * torch.randn(1, one.size, generator=generator) for _ in range(2))
-    count = one.deviation_weights().shape[1]
-    weights = deviation_weights(one, here)[:, count:]
+    off = deviations(one, here)
+    count = one.deviation_weights(off).shape[1]
+    weights = deviation_weights(one, here)
+    assert float(one.scale_of_noise(off).min()) > 1.2
 
     def bound(free):
-        parts = one.unpack(free)
-        (behind,) = one.behind(parts, one.radiance(parts)).values()
-        return (charbonnier(behind) * weights).sum()
+        return (charbonnier(deviations(one, free)) * weights).sum()
 
     def cost(free):
-        return one.terms(free)["background"].sum()
+        terms = one.terms(free)
+        return (terms["data"] + terms["background"]).sum()
 
     slopes = [torch.autograd.functional.jacobian(each, here) for each in (bound, cost)]
     assert torch.allclose(*slopes, atol=1e-6 * float(slopes[1].abs().max()))
     assert float(cost(there) - cost(here)) < float(bound(there) - bound(here))
-    assert float(weights.max()) <= ROW_WEIGHT
+    assert float(weights[:, count:].max()) <= ROW_WEIGHT
+
+
+def test_a_face_that_deviates_as_expected_counts_as_if_that_were_known():
+    """And one that deviates e times as much costs as many nats as there are observations more."""
+    known = ObjectiveWeights()
+    learnt = replace(known, noise_of_face=True)
+    share = torch.full((1, 20, 1), 1 / 60)
+    for scale in (0.1, 0.99):
+        gap = torch.full((1, 20, 3), scale * known.noise)
+        assert torch.equal(data_term(gap, share, known), data_term(gap, share, learnt))
+    costs = [
+        float(data_term(torch.full((1, 20, 3), by * known.noise), share, learnt))
+        for by in (1.0, math.e)
+    ]
+    assert costs[1] - costs[0] == pytest.approx(known.independent, rel=1e-3)
 
 
 def test_without_weight_or_background_the_objective_is_what_it_was():

@@ -253,7 +253,8 @@ class _Film:
         The Hessian is that of :func:`skylight.inverse._least_squares.laplace`.
         """
         objective, free = self.objectives[k], self.free[k, None]
-        gaps, weights = deviations(objective, free), objective.deviation_weights()
+        gaps = deviations(objective, free)
+        weights = objective.deviation_weights(gaps)
         change = change.double()
         slope = change.T @ (weights * gaps / charbonnier(gaps))[0].double()
         hessian = change.T @ (change * curvatures(gaps, weights)[0].double()[:, None])
