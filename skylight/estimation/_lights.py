@@ -47,7 +47,7 @@ def lights_apart(estimate: Estimate) -> tuple[EnvironmentMap, list[SeparateLight
         rest = (whole.radiance.double() - drawn).clamp(min=0).to(whole.radiance)
         lamps = [
             SeparateLight(
-                kind="lamp",
+                kind="sun" if lamp.is_sun else "lamp",
                 direction=lamp.direction,
                 irradiance=lamp.irradiance,
                 radius_rad=disc_diameter_rad(lamp.spread_rad) / 2,

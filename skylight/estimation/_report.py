@@ -36,6 +36,8 @@ from skylight.estimation._summary import (
     describe,
     describe_lights,
     draw_region,
+    has_ground,
+    main_light,
     posterior_map,
     probe_title,
 )
@@ -351,15 +353,16 @@ def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
     estimate, fit = result.estimate, result.fit
     azimuth_deg, zenith_deg = angles_deg(estimate.sun_direction)
     rows = [
-        ("brightest", ""),
+        (main_light(estimate), ""),
         (f"   {place(estimate.sun_direction)}", ""),
         ("   azimuth, right of ahead", f"{azimuth_deg:+.0f}°"),
         ("   zenith angle", f"{zenith_deg:.0f}°"),
     ]
+    ground = [("ground albedo", rgb(estimate.ground_albedo))] if has_ground(estimate) else []
     if len(result.seen) == 1:
         rows += [
             ("skin albedo", rgb(estimate.albedo)),
-            ("ground albedo", rgb(estimate.ground_albedo)),
+            *ground,
             ("mean residual", f"{100 * estimate.faces[0].residual:.0f} %"),
             ("pixels used", f"{len(result.view.blocks)}"),
             ("landmarks off, of eye distance", f"{100 * fit.landmark_error:.1f} %"),
@@ -367,7 +370,7 @@ def _numbers(result: PhotoEstimate) -> list[tuple[str, str]]:
         ]
     else:
         rows += [
-            ("ground albedo", rgb(estimate.ground_albedo)),
+            *ground,
             *(
                 (f"skin albedo of face {number}", rgb(face.albedo))
                 for number, face in enumerate(estimate.faces, start=1)

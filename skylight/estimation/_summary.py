@@ -148,7 +148,7 @@ def edge_density(posterior: SunPosterior) -> float:
 def sure_of_the_sun(posterior: SunPosterior) -> str:
     """The 90 % region in words."""
     if not posterior.is_seen:
-        even = "light may be even" if posterior.grid.is_sphere else "it may be overcast"
+        even = "the face is lit evenly" if posterior.grid.is_sphere else "it may be overcast"
         return f"none for certain: {even}, or it is hidden behind the head"
     size = f"a circle of {math.degrees(posterior.region_radius_rad):.0f}° radius"
     parts = sum(part.share > 0.1 * SHARE for part in posterior.parts)
@@ -195,6 +195,16 @@ def draw_region(axes: "Axes", posterior: SunPosterior, height: int) -> None:
     axes.axis(limits)
 
 
+def main_light(estimate: Estimate) -> str:
+    """What to call the direction that is told first."""
+    return "main light" if estimate.posterior.is_seen else "brightest"
+
+
+def has_ground(estimate: Estimate) -> bool:
+    """A sky above a ground, of one albedo: light of the whole sphere has none."""
+    return not estimate.posterior.grid.is_sphere
+
+
 PACKAGES = ("torch", "numpy", "scipy", "dlib-bin", "onnxruntime", "embreex")
 
 
@@ -214,7 +224,7 @@ def describe(result: PhotoEstimate, *, keep_place: bool) -> dict[str, object]:
         "detail": result.detail,
         "verdict": describe_verdict(estimate.verdict),
         "posterior": describe_posterior(estimate.posterior),
-        "ground_albedo": estimate.ground_albedo.tolist(),
+        "ground_albedo": estimate.ground_albedo.tolist() if has_ground(estimate) else None,
         "params": estimate.params.tolist(),
         "exposure": estimate.exposure,
         "white_balance": estimate.white_balance.tolist(),
@@ -318,7 +328,11 @@ def summary(result: PhotoEstimate) -> str:
                 if estimate.choice
                 else []
             ),
-            f"brightest   {at(estimate.sun_direction)}",
+            *(
+                f"place       {kind} ({100 * share:.0f} %)"
+                for kind, share in list(estimate.kinds.items())[:1]
+            ),
+            f"{main_light(estimate):<12}{at(estimate.sun_direction)}",
             f"{name:<12}{sure_of_the_sun(estimate.posterior)}",
             *(f"lamp        another at {at(lamp.direction)}" for lamp in estimate.lamps[1:]),
             *(

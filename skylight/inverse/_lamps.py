@@ -25,11 +25,12 @@ from torch import Tensor
 from skylight._module import Module
 from skylight.inverse._descent import Iterates, Stage, choose_starts, descend
 from skylight.inverse._faces import Level, LitFaces, ObjectiveWeights, ScannedFace
+from skylight.inverse._lamp_relighting import lamps_radiance
 from skylight.inverse._least_squares import nnls
 from skylight.inverse._objective import LightObjective
 from skylight.inverse._posterior import face_evidence, sun_evidence
 from skylight.inverse._problem import LightProblem
-from skylight.inverse._result import MAP_ROWS, Estimate, Lamp
+from skylight.inverse._result import MAP_ROWS, SUN_SPREAD_RAD, Estimate, Lamp
 from skylight.inverse._scan import SCAN_HEIGHT, SunScan, scan_faces
 from skylight.inverse._solution import Solutions, estimate_of, face_lights, log_evidence
 from skylight.models._base import Prior, without_azimuth
@@ -46,6 +47,7 @@ ROWS = 16
 BEAM = 48
 APART_RAD = math.radians(20.0)
 ENERGIES = 0.05, 4.0  # of a lamp against the ambient light, to start from
+NARROW_RAD = math.radians(4.0)  # of a lamp: faces cannot tell it from a sun
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,16 +202,16 @@ def in_pictures_units(
     params: Float[Tensor, " p"],
     exposure: float | Float[Tensor, "3"],
     rows: int = MAP_ROWS,
+    *,
+    sunny: bool = False,
 ) -> tuple[EnvironmentMap, tuple[Lamp, ...]]:
     """The map, of so many rows, and its lamps, the strongest first; on the CPU.
 
-    ``exposure`` is the picture's unit, or one for each colour.
+    ``exposure`` is the picture's unit, or one for each colour. Lamps are as wide as was found, but
+    for the strongest of a ``sunny`` place, which is a sun if it is narrow and above the horizon:
+    that is drawn as wide as the sun is, with the same irradiance.
     """
     model, params = light.on_rows(rows).cpu(), params.cpu()
-    radiance = model(params) * exposure
-    environment = EnvironmentMap(radiance=radiance.reshape(rows, 2 * rows, 3))
-    if light.count == 0:
-        return environment, ()
     found = model.lamps(params)
     received = 4 * math.pi * found.energies * model.facing(found.widths_rad)
     lamps = [
@@ -220,7 +222,12 @@ def in_pictures_units(
         )
         for k in range(light.count)
     ]
-    return environment, tuple(sorted(lamps, key=lambda lamp: -float(luminance(lamp.irradiance))))
+    lamps.sort(key=lambda lamp: -float(luminance(lamp.irradiance)))
+    if sunny and lamps and lamps[0].spread_rad < NARROW_RAD and float(lamps[0].direction[1]) > 0:
+        lamps[0] = replace(lamps[0], spread_rad=SUN_SPREAD_RAD)
+    radiance = model.ambient(params) * exposure + lamps_radiance(lamps, rows)
+    shape = rows, 2 * rows, 3
+    return EnvironmentMap(radiance=radiance.float().reshape(shape)), tuple(lamps)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -360,7 +367,10 @@ class LampsProblem(LightProblem):
         params = solutions.parts.light[0].cpu()
         lights = face_lights(solutions, 0, self.faces, options.fine[-1].level)
         light = self.family.light(best.count)
-        environment, lamps = in_pictures_units(light, params, lights[0].exposure)
+        kinds = kinds_of_place(objective, params)
+        environment, lamps = in_pictures_units(
+            light, params, lights[0].exposure, sunny=kinds.get("outdoors", 0.0) > 0.5
+        )
         return estimate_of(
             objective.model.name,
             params,
@@ -373,7 +383,7 @@ class LampsProblem(LightProblem):
             reflects=self.faces[0].scanned.specular is not None,
             lamps=lamps,
             seen=None if self.family.smooth else bool(lamps),
-            kinds=kinds_of_place(objective, params),
+            kinds=kinds,
         )
 
     def _descend(

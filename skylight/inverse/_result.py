@@ -11,11 +11,13 @@ from torch import Tensor
 from skylight.imaging._edits import UNEDITED, Edit
 from skylight.inverse._posterior import SunPosterior
 from skylight.inverse._verdict import Spreads, Verdict, verdict_of
+from skylight.skies._sun import SUN_RADIUS_RAD
 from skylight.sphere._envmap import EnvironmentMap, luminance
 from skylight.transport._observation import Observation
 
 Status = Literal["converged", "iteration limit", "recovered from a non-finite step"]
 MAP_ROWS = 256  # of an estimate's map: of the whole sphere
+SUN_SPREAD_RAD = float(SUN_RADIUS_RAD) / 2  # per axis, of an even disc of 0.53 degrees
 # A face whose residual or misplaced shading is larger is not explained. Of 34 rendered people under
 # simulated skies and places the first is .15 at most, and the second .43 but for two of .53 and
 # .55, the main light of one of which is off by 96 degrees; where their pictures are multiplied by
@@ -66,12 +68,16 @@ class Lamp:
     """A lamp that was found: unit ``direction``, and ``irradiance`` of a surface that faces it.
 
     In the environment map's units. Its light comes from about ``spread_rad`` per axis about the
-    direction (a von Mises-Fisher lobe).
+    direction (a von Mises-Fisher lobe); a sun's from :data:`SUN_SPREAD_RAD`.
     """
 
     direction: Float[Tensor, "3"]
     irradiance: Float[Tensor, "3"]
     spread_rad: float
+
+    @property
+    def is_sun(self) -> bool:
+        return self.spread_rad <= SUN_SPREAD_RAD
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,16 +142,16 @@ class Estimate:
     def verdict(self) -> Verdict:
         """How sure direction, brightness and colour of the map are, in words."""
         explained = all(face.is_explained for face in self.faces)
+        trusts = [
+            trust for name, trust in self.stats.items() if name.startswith("background_trust")
+        ]
         return verdict_of(
             self.environment,
             self.sun_direction,
             self.posterior,
             self.spreads,
             doubt=self.doubt or ("" if explained else "the face is not explained"),
-            sees_background=any(
-                name.startswith("background_trust") and trust >= TRUSTED
-                for name, trust in self.stats.items()
-            ),
+            background="unseen" if not trusts else "used" if max(trusts) >= TRUSTED else "doubted",
         )
 
     @property

@@ -114,14 +114,14 @@ def verdict_of(
     spreads: Spreads,
     *,
     doubt: str = "",
-    sees_background: bool = False,
+    background: Literal["unseen", "used", "doubted"] = "unseen",
 ) -> Verdict:
     """The verdict on a map whose main light was ``found`` in that direction.
 
-    ``doubt`` is why the face is not explained; with ``sees_background`` the photograph's background
-    was part of what was explained.
+    ``doubt`` is why the face is not explained; ``background`` is what the photograph's had to do
+    with it.
     """
-    light, shown = light_in_words(environment)
+    light, shown = light_in_words(environment, seen=posterior.is_seen)
     return Verdict(
         light=light,
         direction=_direction(found, posterior, doubt, shown),
@@ -130,14 +130,16 @@ def verdict_of(
             SURE_FACTOR,
             ROUGH_FACTOR,
             doubt,
-            "the background shows it" if sees_background else "the skin may be darker or lighter",
+            "the skin may be darker or lighter",
+            background,
         ),
         colour=_factor(
             math.hypot(TINT_SCALE * spreads.tint, TINT_FLOOR),
             SURE_TINT,
             ROUGH_TINT,
             doubt,
-            "the background shows it" if sees_background else "the skin's own colour is a guess",
+            "the skin's own colour is a guess",
+            background,
         ),
         doubt=doubt,
     )
@@ -148,14 +150,22 @@ def spread_of(interval: tuple[float, float]) -> float:
     return math.log(interval[1] / interval[0]) / (2 * _NORMAL)
 
 
-def _factor(spread: float, sure: float, rough: float, doubt: str, reason: str) -> Certainty:
-    """Of a quantity whose log has that ``spread``."""
+def _factor(
+    spread: float, sure: float, rough: float, doubt: str, of_skin: str, background: str
+) -> Certainty:
+    """Of a quantity whose log has that ``spread``; ``of_skin`` is what the face leaves open."""
     within = math.exp(min(_NORMAL * spread, 20.0))
     if doubt:
         return Certainty(word="unknown", within=within, reason=doubt)
     word: Word = "sure" if within <= sure else "rough" if within <= rough else "unknown"
-    far = f"within a factor of {within:.2g}"
-    return Certainty(word=word, within=within, reason=f"{far}, {reason}")
+    reason = of_skin
+    if background == "doubted":
+        reason = f"{of_skin}, and the background looks like other light"
+    elif background == "used" and word == "unknown":
+        reason = f"{of_skin}, and the background does not settle it"
+    elif background == "used":
+        reason = "the background shows it"
+    return Certainty(word=word, within=within, reason=f"within a factor of {within:.2g}, {reason}")
 
 
 def _direction(
@@ -171,7 +181,7 @@ def _direction(
     if not against and not shown:
         against = "the light is even: no side stands out"
     if not against and not posterior.is_seen:
-        against = "the face shows no main light, so where it comes from is a guess"
+        against = "the face is lit too evenly to tell"
     if not against and posterior.by_camera and float(angle_between(found, CAMERA)) > AT_CAMERA_RAD:
         against = "a flash at the camera would light the face alike"
     if not against and all(float(angle_between(found, one)) > ELSEWHERE_RAD for one in shown):
@@ -210,7 +220,9 @@ def _cap_rad(posterior: SunPosterior, found: Float[Tensor, "3"], share: float) -
     return float(cosine[order[min(last, len(order) - 1)]].clamp(-1, 1).acos())
 
 
-def light_in_words(environment: EnvironmentMap) -> tuple[str, list[Float[Tensor, "3"]]]:
+def light_in_words(
+    environment: EnvironmentMap, *, seen: bool = True
+) -> tuple[str, list[Float[Tensor, "3"]]]:
     """What light a full map is, and where that comes from: nowhere where it is even.
 
     Such as "hard light from the left, high; and soft light from behind".
@@ -218,7 +230,8 @@ def light_in_words(environment: EnvironmentMap) -> tuple[str, list[Float[Tensor,
     Its sources are those of :func:`~skylight.inverse._scores.find_lamps` with a twentieth of the
     light. One is hard that lights what faces it as much as all other light does, and comes from
     within some degrees. Without any, the light is soft, from where its mean ``int L w dw`` points,
-    or even, but for a glow that is too little light to be a source.
+    or even, but for a glow that is too little light to be a source. Whether it is hard is left out
+    where no face has ``seen`` a main light.
     """
     sources = _sources(environment)
     if not sources or sources[0].share < SOURCE_SHARE:
@@ -226,7 +239,10 @@ def light_in_words(environment: EnvironmentMap) -> tuple[str, list[Float[Tensor,
         shown = [] if float(mean.norm()) < EVEN else [mean / mean.norm()]
         light = f"soft light {place(mean)}" if shown else "even light from all around"
         return f"{light}, a glow {place(sources[0].direction)}" if sources else light, shown
-    named = [f"{'hard' if one.is_hard else 'soft'} light {place(one.direction)}" for one in sources]
+    named = [
+        f"{('hard ' if one.is_hard else 'soft ') * seen}light {place(one.direction)}"
+        for one in sources
+    ]
     words = named[0] if len(named) == 1 else f"{'; '.join(named[:-1])}; and {named[-1]}"
     return words, [one.direction.double() for one in sources]
 

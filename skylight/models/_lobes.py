@@ -28,7 +28,7 @@ LAMP_ENERGY, LAMP_ENERGY_SPREAD = 0.5, 1.2
 # any energy, as far as the face tells.
 MOST_ENERGY = 10.0
 LAMP_WIDTH_RAD, LAMP_WIDTH_SPREAD = math.radians(8.0), 0.7
-WIDTH_BOUNDS_RAD = math.radians(3.0), math.radians(40.0)  # half a cell of 32 rows; a wall
+WIDTH_BOUNDS_RAD = math.radians(1.0), math.radians(40.0)  # the narrowest of those learnt; a wall
 LONGEST = 6.0  # standard deviations: a line search may try anything
 
 

@@ -40,6 +40,25 @@ def test_lamps_come_apart_and_together():
         assert light.radius_rad > math.radians(5)
 
 
+def test_a_sun_among_lamps_is_as_wide_as_the_sun_and_sends_as_much():
+    model = LampsLight(1)
+    towards = direction(30.0, 60.0)[None, None].float()
+    params = model.starts_at(towards, torch.tensor([[0.5]]))[0, 0]
+    params[..., 16 + 4] = -2.5  # of a spread of 0.7, about 8 degrees
+    wide, (lamp,) = in_pictures_units(model, params, 0.7)
+    drawn, (sun,) = in_pictures_units(model, params, 0.7, sunny=True)
+    assert math.degrees(lamp.spread_rad) == pytest.approx(8 * math.exp(-0.7 * 2.5), rel=1e-4)
+    assert torch.equal(sun.irradiance, lamp.irradiance)
+    assert float(drawn.radiance.max()) > 4 * float(wide.radiance.max())
+    for normal in (sun.direction, direction(-30.0, 80.0), direction(30.0, 140.0)):
+        assert torch.allclose(drawn.irradiance(normal), wide.irradiance(normal), rtol=2e-3)
+    _, (light,) = lights_apart(replace(sunny_estimate().estimate, environment=drawn, lamps=(sun,)))
+    assert (light.kind, math.degrees(light.radius_rad)) == ("sun", pytest.approx(0.2667, rel=1e-3))
+    params[..., 16 + 4] = 0.0
+    _, (window,) = in_pictures_units(model, params, 0.7, sunny=True)
+    assert not window.is_sun
+
+
 def test_the_sun_of_a_sky_is_as_wide_as_the_sun():
     estimate = sky_estimate().estimate
     rest, (sun,) = lights_apart(estimate)

@@ -31,7 +31,7 @@ def test_one_lamp_is_a_lamp(found):
     assert not of("sun", told)
     assert not of("model", told)
     # (0.7, 0.4, 0.6) is to the right of the face and on the camera's side, behind the picture
-    assert of("brightest", told)[0].startswith("azimuth +131°, zenith 67°")
+    assert of("main light", told)[0].startswith("azimuth +131°, zenith 67°")
     (lamp,) = of("lamp", told)
     assert lamp.startswith("90 % sure within a circle of")
 
@@ -51,8 +51,10 @@ def test_every_lamp_is_named(found):
 def test_light_without_lamps_has_none(found):
     told = lines(replace(found, lamps=(), posterior=replace(found.posterior, is_seen=False)))
     (lamp,) = of("lamp", told)
-    assert lamp == "none for certain: light may be even, or it is hidden behind the head"
-    assert of("direction", told)[0].startswith("unknown: the face shows no main light")
+    assert lamp == "none for certain: the face is lit evenly, or it is hidden behind the head"
+    assert of("direction", told)[0].startswith("unknown: the face is lit too evenly to tell")
+    assert of("light", told)[0].startswith("light from the front right")
+    assert of("brightest", told)
 
 
 def test_three_words_or_why_there_are_none(found):

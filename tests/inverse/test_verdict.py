@@ -71,7 +71,7 @@ def test_ninety_per_cent_of_a_lobe_lie_within():
 @pytest.mark.parametrize(
     ("other", "word", "reason"),
     [
-        ({"is_seen": False}, "unknown", "the face shows no main light"),
+        ({"is_seen": False}, "unknown", "the face is lit too evenly"),
         ({"by_camera": True}, "unknown", "a flash at the camera"),
         ({"clock_wrong": 0.9}, "rough", "the face and the clock disagree"),
         ({"environment": lit()}, "unknown", "the light is even"),
@@ -122,6 +122,20 @@ def test_brightness_and_colour_are_sure_by_their_spreads(spread, brightness, col
         pytest.approx(level),
         pytest.approx(tint),
     )
+
+
+def test_a_background_is_named_where_it_leaves_open_what_is_asked():
+    posterior = posterior_of(evidence_of(towards(140.0, 50.0)), towards(140.0, 50.0))
+
+    def reason(level, background):
+        spreads = Spreads(level=level, tint=0.0)
+        sun = towards(140.0, 50.0)
+        return verdict_of(SUNNY, sun, posterior, spreads, background=background).brightness.reason
+
+    assert "background" not in reason(1.0, "unseen")
+    assert "does not settle it" in reason(1.0, "used")
+    assert "the background shows it" in reason(0.0, "used")
+    assert "looks like other light" in reason(1.0, "doubted")
 
 
 def test_the_spread_of_an_interval_gives_it_again():
@@ -205,6 +219,7 @@ def test_nothing_contradicts_the_map_or_the_doubt(seed):
         )
     if not posterior.is_seen:
         assert found.direction.word == "unknown"
+        assert "hard" not in found.light
     if found.direction.word == "sure":
         assert posterior.is_seen
         assert found.direction.within <= SURE_DEG
