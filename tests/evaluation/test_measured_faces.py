@@ -248,7 +248,7 @@ def test_a_rendered_face_has_rows_by_method_and_by_the_thesis_solver(
     assert (thesis["seconds"], thesis["cpu_seconds"]) == (3, 2)
     assert thesis["full_dw_mae"] == pytest.approx(0, abs=1e-6)
     ours = item.metrics["sphere"]
-    assert ours == item.metrics["autoencoder"]
+    assert set(ours) == set(item.metrics["autoencoder"])
     sun = face.environment.brightest_direction()
     turned = face.environment.rotate_azimuth(math.radians(10)).brightest_direction()
     apart = math.degrees(float(angle_between(sun, turned)))

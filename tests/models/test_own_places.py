@@ -84,7 +84,7 @@ def test_what_is_damaged_is_one_line(folder: Path, outdoors_only: Places) -> Non
     for tensors, facts, why in (
         ({}, {"across": "14"}, "of shape"),
         ({}, {"across": "1000000000"}, "1000000000 control points across"),
-        ({}, {"kinds": "outdoors home"}, "log_counts of shape"),
+        ({}, {"kinds": "outdoors home"}, "lamp_ahead of shape"),
         ({"means": whole["means"][:, 1:].contiguous()}, {}, "means of shape"),
         ({"lamp_up": whole["lamp_up"] * torch.nan}, {}, "lamp_up is not made of finite"),
         ({"lamp_up": whole["lamp_up"].double()}, {}, "lamp_up is not made of finite"),
